@@ -21,6 +21,7 @@ from .dynamics import Simulation as Simulation
 from .dynamics import simulate as simulate
 from .energies import energy as energy
 from .energies.convert import to_ase as to_ase
+from .energies.decomposed import energy_terms as energy_terms
 from .ligands import ligand as ligand
 from .mechanics import multibody as multibody
 from .minimisers import Solution as Solution

@@ -18,6 +18,7 @@ from typer.main import get_command
 from protochain.cli.batch import batch
 from protochain.cli.bench import bench, scene
 from protochain.cli.compare import compare
+from protochain.cli.energy import energy
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
 from protochain.cli.options import BAD_INPUT, RENAMED, as_option, fail
@@ -39,7 +40,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-_COMMANDS = (minimise, relax, compare, batch, simulate, validate, rmsd, bench, scene, info, build)
+_COMMANDS = (minimise, relax, compare, batch, simulate, validate, energy, rmsd, bench, scene, info, build)
 
 
 @app.callback(invoke_without_command=True)

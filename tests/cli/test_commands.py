@@ -81,6 +81,10 @@ COMMANDS = {
         "workers": None, "scheduler": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
         "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "terms")},
     },
+    "energy": {
+        "source": None, "by": "term", "between": None, **OUTPUT, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
+    },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
     "bench": {
         "name": None, "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None,
@@ -98,6 +102,7 @@ METAVARS = {
     ("inputs", "relax"): "IN...", ("output", "batch"): "DIR",
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
     ("output", "scene"): "DIR", ("name", "scene"): "[NAME]", ("between", None): "A:1:N-A:20:C",
+    ("between", "energy"): "A:1-50,B",
     ("stiffness", "simulate"): "K", ("speed", None): "NM/PS", ("hinge_springs", None): "'KIND K C'",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
@@ -110,7 +115,8 @@ FLAGS = {
     "null": ["--null", "-0"], "restraint": ["--restrain"], "n_starts": ["--starts"],
     "hop_temperature": ["--hop"], "curvature": ["--no-curvature"], "n_steps": ["--steps"],
     "between": ["--pull"], "speed": ["--pull-speed"], "hinge_springs": ["--hinge-spring"],
-    ("stiffness", "simulate"): ["--pull-stiffness"], "terms": ["--energy"],
+    ("between", "energy"): ["--between"], ("stiffness", "simulate"): ["--pull-stiffness"],
+    "terms": ["--energy"],
 }  # fmt: skip
 SECONDARY = {
     "relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"],
@@ -439,6 +445,7 @@ READ = {
     "batch": {"inputs": "{0}", "manifest": "--manifest {0}", "forcefield": "--forcefield amber14,{0}"},
     "simulate": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "validate": {"inputs": "{0}", "reference": "--reference {0}"},
+    "energy": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "rmsd": {"reference": "{0} b.pdb", "models": "b.pdb {0}"},
     "bench": {"inputs": "kcm {0}"},
     "info": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
@@ -456,6 +463,7 @@ WRITTEN = {
     "batch": {"output": ("-o d", "d/summary.csv", "d/traces.csv", "d/report.html")},
     "simulate": {"output": ("--force -o d", "d/last.pdb", "d/log.csv", "d/trajectory.dcd")},
     "validate": {"csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv")},
+    "energy": {"output": ("-o {0}", "a.csv")},
     "rmsd": {"output": ("-o {0}", "a.csv")},
     "build": {"output": ("-o {0}", "a.pdb")},
     "bench": {"output": ("-o d", "d/a.pdb")},

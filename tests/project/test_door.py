@@ -61,6 +61,7 @@ REQUIRED = {
     "compare": lambda: (C(),),
     "deviation": lambda: (S(), S()),
     "energy": lambda: (S(),),
+    "energy_terms": lambda: (S(),),
     "explore": lambda: (C(), vacuum()),
     "from_sequence": lambda: ("AA",),
     "kcm": tuple,

@@ -13,6 +13,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native.evaluate import Layout, lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace
+from protochain.energies.native.layout import BORN, ROWS, W
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system
@@ -138,6 +139,18 @@ class NativeEnergy:
             return {"bonds": np.inf}, np.full(x.shape, np.nan)
         with self._one_at_a_time:
             return self._evaluation_at(x)(x)
+
+    def born_radii(self, x: Floats) -> Floats:
+        """(na,) float, nm: Born radii at x (na, 3) in nm; empty without a solvent model."""
+        n = self._layout.terms.n_atoms
+        x = floats(x, (n, 3), "x", "nanometer")
+        if self._layout.terms.solvent is None:
+            return np.empty(0)
+        with self._one_at_a_time:
+            evaluation = self._evaluation_at(x)
+            evaluation(x)
+            blocks = evaluation.workspace.atoms.reshape(-1, ROWS, W)
+            return blocks[:, BORN].ravel()[:n].copy()
 
     def without_constants(self, groups: Integers, x: Floats) -> "NativeEnergy":
         """Leave out terms that are constant while each group of atoms moves as a rigid body.

@@ -1,0 +1,71 @@
+"""``protochain energy``."""
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from protochain.cli.options import AsJson, Input, check_outputs, inputs_of, with_settings
+from protochain.core.errors import ProtochainError
+from protochain.setup import Setup
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+_MOST_ROWS = 25
+"""Rows that are printed; those of the largest totals."""
+
+
+@with_settings(setup="hinges root move engine terms")
+def energy(
+    source: Input,
+    by: Annotated[str, typer.Option(help="term, residue, or pair of residues.")] = "term",
+    between: Annotated[
+        str | None,
+        typer.Option(metavar="A:1-50,B", help="Interaction of two parts: chains, residues, or selections."),
+    ] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
+    as_json: AsJson = False,
+    *,
+    setup: Setup,
+) -> None:
+    """Tell what the energy is made of: by term, by residue or by pair, of all or between two parts.
+
+    Structures are taken as they are, with what they lack added; minimise or relax them first.
+    """
+    from protochain.core.storage import write_atomically
+    from protochain.energies.decomposed import energy_terms
+
+    if output:
+        check_outputs(inputs_of(setup, source), [output])
+    structure = setup.load(source)
+    try:
+        table = energy_terms(structure, by, between=between, energy=setup.energy(structure))
+    except ProtochainError as error:
+        raise ProtochainError(f"{source}: ", *error.parts) from error
+    if by == "term":
+        table = table.rename_axis("of").reset_index()
+    if output:
+        write_atomically(output, lambda to: table.to_csv(to, index=False))
+    if as_json:
+        asked = {"input": str(source), "by": by, "between": between, "unit": "kJ/mol"}
+        rows = json.loads(table.to_json(orient="records", double_precision=15))
+        print(json.dumps(asked | {"solvent": setup.solvent, "forcefield": setup.forcefield, "rows": rows}))
+    else:
+        _print(table, by)
+
+
+def _print(table: "DataFrame", by: str) -> None:
+    """Print by term a line a term; else the rows of the largest totals."""
+    if by == "term":
+        shown = table.set_index("of").T
+        print(shown[shown.any(axis=1)].rename_axis("kJ/mol").reset_index().to_string(**_FORMAT))
+        return
+    shown = table.loc[table["total"].abs().nlargest(_MOST_ROWS).index]
+    print(shown.loc[:, shown.any()].to_string(**_FORMAT))
+    if len(shown) < len(table):
+        print(f"{len(shown)} of {len(table)} rows, those of the largest totals; -o and --json have all")
+
+
+_FORMAT: dict[str, Any] = {"index": False, "float_format": "{:.2f}".format}

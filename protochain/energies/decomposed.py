@@ -1,0 +1,376 @@
+"""Energy by term, by residue and by pair of residues.
+
+Half of a bond or a pair of atoms goes to either atom, an angle to its middle atom, half of a torsion to
+either middle atom, an improper to the atom that the other three are bonded to, a torsion map to C-alpha,
+generalised Born's self energy and the surface to their atom. The energy of two residues is that of the terms
+and pairs of which either has half: half of these, and what is within a residue, add up to its share.
+"""
+
+import re
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.checks import checked, file_name, instance, optional, text
+from protochain.core.errors import ProtochainError
+from protochain.energies.factory import energy as build_energy
+from protochain.energies.native import NativeEnergy
+from protochain.energies.native.shares import residue_sums
+from protochain.energies.native.terms import Bonded, Terms
+from protochain.energies.protocol import Energy, check_is_of
+from protochain.structure import as_structure
+from protochain.structure.model import Structure
+from protochain.structure.select import select
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TERMS = (
+    "bonds",
+    "angles",
+    "torsions",
+    "impropers",
+    "cmap",
+    "lennard_jones",
+    "coulomb",
+    "generalised_born",
+    "surface",
+    "ties",
+)
+"""Terms of the energy; ``ties`` hold bonds to molecules beside the protein."""
+BY = ("term", "residue", "pair")
+_NONBONDED = slice(5, 8)
+_CHUNKS = 16
+"""Parts of the sums over pairs: their order, and so the last bits, are those of any number of threads."""
+_AWAY = 1e4
+"""nm between molecules that do not feel one another: Born radii change by less than the last bit."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decomposed(Value):
+    """Energy of a structure, term by term.
+
+    Parameters
+    ----------
+    structure : Structure
+    shares : (terms, nr) float, kJ/mol
+        Of each residue, in the order of ``TERMS``.
+    pairs : (terms, nr, nr) float, kJ/mol
+        Upper triangle: of two residues, and within one on the diagonal; empty if not asked for.
+    """
+
+    structure: Structure
+    shares: Floats
+    pairs: Floats
+
+    @property
+    def terms(self) -> dict[str, float]:
+        """Energy of each term, kJ/mol."""
+        return dict(zip(TERMS, self.shares.sum(axis=1).tolist(), strict=True))
+
+
+@checked(
+    forcefield=file_name,
+    solvent=text,
+    by=text,
+    energy=optional(instance(Energy, "protochain.energy(structure)")),
+)
+def energy_terms(
+    source: Any,
+    by: str = "term",
+    *,
+    between: Sequence[str] | str | None = None,
+    forcefield: str = defaults.FORCEFIELD,
+    solvent: str = defaults.SOLVENT,
+    energy: Energy | None = None,
+    **settings: Any,
+) -> "pd.DataFrame":
+    """Tell what the energy of a structure is made of.
+
+    Parameters
+    ----------
+    source : Structure, path, or anything that :func:`protochain.as_structure` takes
+        Structure whose energy to decompose.
+    by : str
+        One of ``term``, ``residue``, or ``pair`` of residues.
+    between : two str, or one text, optional
+        Two parts of the structure, as ``"A:1-50,B"``, or two selections in the language of MDAnalysis: the
+        terms of their interaction, and with ``residue`` or ``pair`` who brings it about.
+    forcefield, solvent : str
+        As for :func:`protochain.energy`.
+    energy : Energy, optional
+        Of the native engine, in place of one of this force field and solvent.
+    **settings
+        Options of :func:`protochain.load`, for a file.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Energies in kJ/mol, columns ``TERMS`` and ``total``. By term one row, the index says of what: ``whole``, or for
+        two parts ``interaction`` (pairs between them, with the Born radii that they have together),
+        ``desolvation`` (what generalised Born and surface of either part change when the other comes from
+        far away, all else being away) and ``sum``. By residue a row each, after ``chain``, ``residue`` and
+        ``name``; by pair a row for each two residues with a pair of atoms, the diagonal being what is within
+        one, after these of both. Shares: half of a bond, a tie or a pair of atoms goes to either atom, an
+        angle to its middle atom, half of a torsion to either middle atom, an improper to its central atom, a
+        torsion map to its C-alpha, generalised Born's self energy and the surface to their atom.
+
+    Raises
+    ------
+    ProtochainError
+        If ``by`` is unknown, the parts cannot be read, are empty or have an atom in common, or the engine has
+        no kernel for a force.
+    """
+    import pandas as pd
+
+    if by not in BY:
+        raise ProtochainError(f"by {by!r} is not known; choose from {', '.join(BY)}")
+    structure = as_structure(source, **({"forcefield": forcefield} | settings if settings else {}))
+    parts = None if between is None else _parts(structure, between)
+    made = energy or build_energy(structure, forcefield, solvent, "native")
+    check_is_of(made, structure)
+    if not isinstance(made, NativeEnergy):
+        raise ProtochainError(f"energy: terms are told by the native engine alone, not by: {made.reason}")
+    if parts and by == "term":
+        return _interface(structure, made, parts)
+    found = decomposed(structure, made, structure.positions, by == "pair" or parts is not None)
+    if parts:
+        found = _between(found, parts)
+    if by == "term":
+        return _with_total(pd.DataFrame([found.terms], index=["whole"]))
+    named = pd.DataFrame(
+        {
+            "chain": structure.residue_chain, "name": structure.residue_name,
+            "residue": np.char.add(structure.residue_number, structure.residue_insertion_code),
+        }
+    )[["chain", "residue", "name"]]  # fmt: skip
+    if by == "residue":
+        return _with_total(named.join(pd.DataFrame(found.shares.T, columns=TERMS)))
+    first, second = np.nonzero(found.pairs.any(axis=0))
+    sides = [named.iloc[k].reset_index(drop=True).add_suffix(f"_{n}") for n, k in ((1, first), (2, second))]
+    return _with_total(
+        pd.concat([*sides, pd.DataFrame(found.pairs[:, first, second].T, columns=TERMS)], axis=1)
+    )
+
+
+def _with_total(table: "pd.DataFrame") -> "pd.DataFrame":
+    return table.assign(total=table[list(TERMS)].sum(axis=1))
+
+
+def _parts(structure: Structure, between: Sequence[str] | str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Residues of two parts, (nr,) bool each."""
+    given = between.split(",") if isinstance(between, str) else between
+    if not isinstance(given, list | tuple) or len(given) != 2 or not all(isinstance(e, str) for e in given):
+        raise ProtochainError(f"between {between!r}: give two parts, as 'A:1-50,B'")
+    found = [_residues(structure, each.strip()) for each in given]
+    if (found[0] & found[1]).any():
+        both = structure.describe_residue(int(np.argmax(found[0] & found[1])))
+        raise ProtochainError(
+            f"between {between!r}: {both} is in both parts; give parts without it in common"
+        )
+    return found[0], found[1]
+
+
+def _residues(structure: Structure, part: str) -> NDArray[np.bool_]:
+    place = re.fullmatch(r"(\w+)(?::(-?\d+)(?:-(-?\d+))?)?", part)
+    chains = [*dict.fromkeys(structure.residue_chain.tolist())]
+    if place is None or place[1] not in chains:
+        mask = np.zeros(structure.n_residues, dtype=bool)
+        try:
+            mask[structure.atom_residue[select(structure, part)]] = True
+        except ProtochainError:
+            raise ProtochainError(
+                f"between: {part!r} is no part of {structure.name}; give a chain ({', '.join(chains)}), "
+                "residues as A:1-50, or a selection that has atoms"
+            ) from None
+        return mask
+    chosen = structure.residue_chain == place[1]
+    if place[2]:
+        number = structure.residue_number.astype(int)
+        chosen &= (number >= int(place[2])) & (number <= int(place[3] or place[2]))
+    if not chosen.any():
+        raise ProtochainError(f"between: {structure.name} has no residue {part}; give numbers that it has")
+    return chosen
+
+
+def _between(found: Decomposed, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> Decomposed:
+    """What is of pairs of residues of the two parts alone."""
+    one, other = parts
+    across = one[:, None] & other
+    pairs = found.pairs * (across | across.T)
+    shares = 0.5 * (pairs.sum(axis=1) + pairs.sum(axis=2))
+    return Decomposed(found.structure, shares, pairs)
+
+
+def _interface(
+    structure: Structure, energy: NativeEnergy, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]
+) -> "pd.DataFrame":
+    """Interaction of two parts, and what it costs to take the solvent from between them."""
+    import pandas as pd
+
+    one, other = (part[structure.atom_residue] for part in parts)
+    away = np.zeros((structure.n_atoms, 3))
+    away[~one & ~other, 1] = _AWAY
+    together = decomposed(structure, energy, structure.positions + away, pairs=True)
+    away[other, 0] = _AWAY
+    apart = decomposed(structure, energy, structure.positions + away, pairs=True)
+    solvated = [TERMS.index(name) for name in ("generalised_born", "surface")]
+    within = np.zeros(len(TERMS))
+    for part in parts:
+        own = part[:, None] & part
+        within[solvated] += ((together.pairs - apart.pairs)[solvated] * own).sum(axis=(1, 2))
+    rows = np.array([_between(together, parts).pairs.sum(axis=(1, 2)), within])
+    table = pd.DataFrame([*rows, rows.sum(axis=0)], ["interaction", "desolvation", "sum"], TERMS)
+    return _with_total(table)
+
+
+def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: bool = False) -> Decomposed:
+    """Decompose an energy at positions x (na, 3) in nm; if asked, also by pairs of residues."""
+    terms, of, n = energy.terms, structure.atom_residue, structure.n_residues
+    born = energy.born_radii(x)
+    shares = np.zeros((len(TERMS), n))
+    matrix = np.zeros((len(TERMS), n, n) if pairs else (0, 0, 0))
+    found = _bonded(terms, x)
+    found |= _exceptions(terms, x)
+    if terms.solvent is not None:
+        atoms = np.arange(len(x))[:, None].repeat(2, axis=1)
+        found["generalised_born"] = atoms, -0.5 * terms.solvent.charge**2 / born
+        found["surface"] = atoms, terms.solvent.surface / born**6
+    for kind, (ends, values) in found.items():
+        k, residues = TERMS.index(kind), np.sort(of[ends], axis=1)
+        for column in residues.T:
+            shares[k] += np.bincount(column, 0.5 * values, n)
+        if pairs:
+            np.add.at(matrix[k], (residues[:, 0], residues[:, 1]), values)
+    more, between = _all_pairs(terms, x, born, np.searchsorted(of, np.arange(n + 1)), energy.threads, pairs)
+    shares[_NONBONDED] += more
+    if pairs:
+        matrix[_NONBONDED] += between
+    return Decomposed(structure, shares, matrix)
+
+
+def _all_pairs(
+    terms: Terms, x: Floats, born: Floats, start: Integers, threads: int, pairs: bool
+) -> tuple[Floats, Floats]:
+    """(3, nr), (3, nr, nr): Lennard-Jones, Coulomb and generalised-Born energies of all pairs, by residue."""
+    nonbonded, solvent, n = terms.nonbonded, terms.solvent, len(start) - 1
+    ends = np.sort(nonbonded.exceptions.atoms, axis=1)
+    ends = ends[np.lexsort(ends.T[::-1])]
+    partner_start = np.searchsorted(ends[:, 0], np.arange(len(x) + 1))
+    gb_charge, gb_cutoff = (solvent.charge, solvent.cutoff) if solvent else (np.empty(0), np.inf)
+    matrix = np.zeros((3, n, n) if pairs else (0, 0, 0))
+    # Rows of the first residues are longer: each part has as many pairs.
+    left = n - np.sqrt(np.linspace(n * n, 0.0, _CHUNKS + 1))
+    begin = np.clip(np.round(left), 0, n).astype(int)
+    sums = np.zeros((_CHUNKS, 3, n))
+
+    def add(chunk: int) -> None:
+        residue_sums(
+            int(begin[chunk]), int(begin[chunk + 1]), start, np.ascontiguousarray(x.T), nonbonded.charge,
+            nonbonded.lj_type, nonbonded.a12, nonbonded.b6, partner_start, np.ascontiguousarray(ends[:, 1]),
+            float(nonbonded.cutoff), float(nonbonded.krf), float(nonbonded.crf), gb_charge, born,
+            float(gb_cutoff), sums[chunk], matrix,
+        )  # fmt: skip
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(add, range(_CHUNKS)))
+    return sums.sum(axis=0), matrix
+
+
+_Owned = tuple[Integers, Floats]
+"""(n, 2) int, (n,) float: the two atoms, or one twice, that share each energy."""
+
+
+def _exceptions(terms: Terms, x: Floats) -> dict[str, _Owned]:
+    """Pairs with parameters of their own."""
+    some = terms.nonbonded.exceptions
+    r = np.linalg.norm(x[some.atoms[:, 0]] - x[some.atoms[:, 1]], axis=1)
+    a, b, qq = some.parameters.T
+    counts = some.parameters.any(axis=1)
+    r = np.where(counts, r, 1.0)
+    return {"lennard_jones": (some.atoms, a / r**12 - b / r**6), "coulomb": (some.atoms, qq / r)}
+
+
+def _bonded(terms: Terms, x: Floats) -> dict[str, _Owned]:
+    """Bonded energies, and the atoms that share each."""
+    of = terms.bonded
+    lengths = {kind: _lengths(of[kind], x) for kind in ("bonds", "ties")}
+    angles = {kind: _angles(of[kind], x) for kind in ("angles", "tie angles")}
+    near = _Near(of["bonds"].atoms, len(x))
+    torsions = of["torsions"]
+    n, phase, k = torsions.parameters.T
+    periodic = k * (1.0 + np.cos(n * _dihedrals(x, torsions.atoms) - phase))
+    proper = np.all([near(*torsions.atoms[:, k : k + 2].T) for k in range(3)], axis=0)
+    harmonic = of["impropers"]
+    rest, k = harmonic.parameters.T
+    bent = k * (_dihedrals(x, harmonic.atoms) - rest) ** 2
+    impropers = np.concatenate([torsions.atoms[~proper], harmonic.atoms])
+    maps = of["maps"]
+    return {
+        "bonds": (of["bonds"].atoms, lengths["bonds"]),
+        "angles": (of["angles"].atoms[:, [1, 1]], angles["angles"]),
+        "torsions": (torsions.atoms[proper][:, 1:3], periodic[proper]),
+        "impropers": (_centres(impropers, near), np.concatenate([periodic[~proper], bent])),
+        "cmap": (maps.atoms[:, [2, 2]], _maps(maps, terms.map_coefficients, x)),
+        "ties": (
+            np.concatenate([of["ties"].atoms, of["tie angles"].atoms[:, [1, 1]]]),
+            np.concatenate([lengths["ties"], angles["tie angles"]]),
+        ),
+    }  # fmt: skip
+
+
+def _lengths(some: Bonded, x: Floats) -> Floats:
+    r = np.linalg.norm(x[some.atoms[:, 0]] - x[some.atoms[:, 1]], axis=1)
+    return np.asarray(0.5 * some.parameters[:, 1] * (r - some.parameters[:, 0]) ** 2)
+
+
+def _angles(some: Bonded, x: Floats) -> Floats:
+    u, v = x[some.atoms[:, 0]] - x[some.atoms[:, 1]], x[some.atoms[:, 2]] - x[some.atoms[:, 1]]
+    angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
+    return np.asarray(0.5 * some.parameters[:, 1] * (angle - some.parameters[:, 0]) ** 2)
+
+
+def _dihedrals(x: Floats, atoms: Integers) -> Floats:
+    """(n,) float, rad, from -pi to pi."""
+    a, b, c, d = x[atoms.T]
+    first, axis, last = b - a, c - b, d - c
+    one, other = np.cross(first, axis), np.cross(axis, last)
+    length = np.linalg.norm(axis, axis=1)
+    return np.asarray(np.arctan2(length * (first * other).sum(axis=1), (one * other).sum(axis=1)))
+
+
+class _Near:
+    """Tells of pairs of atoms (n,), (n,) whether they are bonded."""
+
+    def __init__(self, bonds: Integers, n_atoms: int) -> None:
+        self.n_atoms = n_atoms
+        self.known = np.sort(bonds, axis=1) @ [n_atoms, 1]
+
+    def __call__(self, one: Integers, other: Integers) -> NDArray[np.bool_]:
+        pair = self.n_atoms * np.minimum(one, other) + np.maximum(one, other)
+        return np.isin(pair, self.known)
+
+
+def _centres(atoms: Integers, near: _Near) -> Integers:
+    """(n, 2) int: the atom of each improper that the others are bonded to; else the middle two."""
+    found = atoms[:, 1:3].copy()
+    for k in range(4):
+        is_centre = np.all([near(atoms[:, k], atoms[:, other]) for other in range(4) if other != k], axis=0)
+        found[is_centre] = atoms[is_centre][:, [k, k]]
+    return found
+
+
+def _maps(maps: Bonded, coefficients: Floats, x: Floats) -> Floats:
+    """Bicubic in each cell of a grid over two dihedrals."""
+    size = coefficients.shape[1]
+    cells = [_dihedrals(x, maps.atoms[:, k : k + 4]) % (2.0 * np.pi) * size / (2.0 * np.pi) for k in (0, 4)]
+    whole = [np.minimum(each.astype(int), size - 1) for each in cells]
+    powers = [(each - low)[:, None] ** np.arange(4) for each, low in zip(cells, whole, strict=True)]
+    surface = coefficients[maps.parameters[:, 0].astype(int), whole[0], whole[1]]
+    return np.asarray(np.einsum("nij,ni,nj->n", surface, *powers))
