@@ -112,12 +112,12 @@ def energy_terms(
     Returns
     -------
     pandas.DataFrame
-        Energies in kJ/mol, columns ``TERMS`` and ``total``. By term one row, the index says of what: ``whole``, or for
-        two parts ``interaction`` (pairs between them, with the Born radii that they have together),
-        ``desolvation`` (what generalised Born and surface of either part change when the other comes from
-        far away, all else being away) and ``sum``. By residue a row each, after ``chain``, ``residue`` and
-        ``name``; by pair a row for each two residues with a pair of atoms, the diagonal being what is within
-        one, after these of both. Shares: half of a bond, a tie or a pair of atoms goes to either atom, an
+        Energies in kJ/mol, columns ``TERMS`` and ``total``. By term one row, the index says of what:
+        ``whole``, or for two parts ``interaction`` (pairs between them, with the Born radii that they have
+        together), ``desolvation`` (what generalised Born and surface of either part change when the other
+        comes from far away, all else being away) and ``sum``. By residue a row each, after ``chain``,
+        ``residue`` and ``name``; by pair a row for each two residues with an energy, after these of both, and
+        one for what is within a residue. Half of a bond, a tie or a pair of atoms goes to either atom, an
         angle to its middle atom, half of a torsion to either middle atom, an improper to its central atom, a
         torsion map to its C-alpha, generalised Born's self energy and the surface to their atom.
 
