@@ -3,6 +3,8 @@ from .analysis import compare as compare
 from .analysis.bars import progress as progress
 from .analysis.deviation import deviation as deviation
 from .analysis.deviation import rmsd as rmsd
+from .analysis.differences import Differences as Differences
+from .analysis.differences import differences as differences
 from .analysis.frames import EveryFrame as EveryFrame
 from .analysis.quality import quality as quality
 from .articulate import build_chain as build_chain

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
     from protochain.validation import Validation
 
+_LISTS = ["findings", "ligands", "nucleotides", "changes", "bonds_changed"]
+"""What JSON has of a structure, and a table of many cannot."""
 _SHOWN = 10
 """Residues listed of each structure; the tables have all."""
 
@@ -40,6 +42,10 @@ def validate(
     posebusters: Annotated[
         bool, typer.Option(help="Whether PoseBusters' tests are run on ligands; seconds for each.")
     ] = True,
+    changes: Annotated[
+        Path | None,
+        typer.Option(help="CSV to write: torsions, rotamers and motion of each residue from the reference."),
+    ] = None,
     as_json: AsJson = False,
     *,
     setup: Setup,
@@ -51,12 +57,15 @@ def validate(
     from protochain.core.storage import write_atomically
     from protochain.structure.matching import measurable
 
-    outputs = [path for path in (csv, residues) if path]
+    outputs = [path for path in (csv, residues, changes) if path]
     files = _files(inputs, setup)
     check_outputs(inputs_of(setup, reference, *(path for _, path, _ in files)), outputs)
+    if changes and not reference:
+        raise ProtochainError(f"changes {changes}: changes are from a reference; give one")
     compared = measurable(reference) if reference else None
     rows: list[dict[str, Any]] = []
     tables: list[DataFrame] = []
+    changed: list[DataFrame] = []
     notes: dict[str, list[str]] = {}
     # Structures are not kept: there may be thousands.
     for name, result in _validated(files, compared, posebusters):
@@ -64,27 +73,33 @@ def validate(
             print(" ".join(str(result).split()), file=sys.stderr)
             rows.append({"file": name, "message": str(result)})
             continue
-        told = {
+        told: dict[str, Any] = {
             "added": result.added, "findings": result.listing(), "message": "",
             "ligands": [each.record() for each in result.ligands],
             "nucleotides": result.nucleotide_table.to_dict("records"),
         }  # fmt: skip
         notes[name] = [*map(str, result.ligands), *filter(None, [result.posebusters_missing])]
+        if changes:
+            from protochain.analysis.differences import differences
+
+            between = differences(reference, result.structure)
+            told |= {"changes": dict(between.totals), "bonds_changed": between.bonds.to_dict("records")}
+            notes[name].append(repr(between).strip("<>"))
+            changed.append(between.residues.assign(file=name, model=result.structure.model_number))
         rows.append({"file": name, **result.record(), **told})
         if residues:
             tables.append(result.residues.assign(file=name, model=result.structure.model_number))
     if outputs:
         import pandas as pd
     if csv:
-        table = (
-            pd.DataFrame(rows)
-            .drop(columns=["findings", "ligands", "nucleotides"], errors="ignore")
-            .convert_dtypes()
-        )
+        table = pd.DataFrame(rows).drop(columns=_LISTS, errors="ignore").convert_dtypes()
         write_atomically(csv, lambda to: table.to_csv(to, index=False))
     if residues:
         every = pd.concat(tables) if tables else pd.DataFrame()
         write_atomically(residues, lambda to: every.to_csv(to, index=False))
+    if changes:
+        of_all = pd.concat(changed) if changed else pd.DataFrame()
+        write_atomically(changes, lambda to: of_all.to_csv(to, index=False))
     done = [row for row in rows if not row["message"]]
     if as_json:
         print(json.dumps({"reference": str(reference) if reference else None, "results": rows}))

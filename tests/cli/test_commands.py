@@ -70,7 +70,8 @@ COMMANDS = {
         "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
     },
     "validate": {
-        "inputs": None, "reference": None, "csv": None, "residues": None, "posebusters": True, **AS_JSON,
+        "inputs": None, "reference": None, "csv": None, "residues": None, "changes": None,
+        "posebusters": True, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_VALIDATE},
     },
     "relax": {
@@ -462,7 +463,10 @@ WRITTEN = {
     "compare": {"output": ("--force -o d", "d/in.kcm.pdb", "d/in.start.cif", "d/summary.csv")},
     "batch": {"output": ("-o d", "d/summary.csv", "d/traces.csv", "d/report.html")},
     "simulate": {"output": ("--force -o d", "d/last.pdb", "d/log.csv", "d/trajectory.dcd")},
-    "validate": {"csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv")},
+    "validate": {
+        "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),
+        "changes": ("--changes {0}", "a.csv"),
+    },
     "energy": {"output": ("-o {0}", "a.csv")},
     "rmsd": {"output": ("-o {0}", "a.csv")},
     "build": {"output": ("-o {0}", "a.pdb")},

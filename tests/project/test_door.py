@@ -60,6 +60,7 @@ REQUIRED = {
     "ca_rmsd": lambda: (S(), S().positions, S().positions),
     "compare": lambda: (C(),),
     "deviation": lambda: (S(), S()),
+    "differences": lambda: (S(), S()),
     "energy": lambda: (S(),),
     "energy_terms": lambda: (S(),),
     "explore": lambda: (C(), vacuum()),
