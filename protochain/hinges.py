@@ -57,17 +57,16 @@ class Hinge:
 
 
 def cross_links(structure: Structure) -> np.ndarray:
-    """(nbonds,) bool: bonds between residues other than those of chains and strands to the next residue.
+    """(nbonds,) bool: bonds between residues other than those of chains to the next one, strands and glycans.
 
     An ion that moves stays rigidly at the first of the atoms that hold it.
     """
     first, second = structure.bonds.T
     r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
     peptide = (r2 == r1 + 1) & (structure.atom_name[first] == "C") & (structure.atom_name[second] == "N")
-    phosphate = (r2 == r1 + 1) & (structure.atom_name[first] == "O3'") & (structure.atom_name[second] == "P")
-    strand = phosphate & structure.mobile[first] & structure.mobile[second]
+    free = structure.mobile[first] | structure.mobile[second]
     beside = structure.kept[first] | structure.kept[second]
-    cut = (r1 != r2) & (beside | ~peptide) & ~strand
+    cut = (r1 != r2) & (beside | ~peptide) & ~free
     held = np.flatnonzero(cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first])
     _, rows = np.unique(second[held], return_index=True)
     cut[held[rows]] = False

@@ -33,9 +33,18 @@ from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_passive
 from protochain.structure.convert import as_structure
+from protochain.structure.glycans import parameters
 from protochain.structure.model import Structure
 from protochain.structure.residues import PHOSPHORYLATED
-from protochain.structure.templates import CONVERT, NO_OPENMM, NO_XML, PHOSPHATES, SMIRNOFF, defined
+from protochain.structure.templates import (
+    CONVERT,
+    HAS_GLYCAM,
+    NO_OPENMM,
+    NO_XML,
+    PHOSPHATES,
+    SMIRNOFF,
+    defined,
+)
 
 DATA = Path(app.__file__).parent / "data"
 """Files bundled with OpenMM, named by full path: OpenMM looks for a bare name in the working directory first,
@@ -206,6 +215,8 @@ def build_system(
     if structure.kept.any():
         beside = [str(DATA / name) for part in parts for name in _BESIDE.get(part, ())]
         files += [name for name in dict.fromkeys(beside) if Path(name).exists()]
+    if structure.glycans and HAS_GLYCAM in parts:
+        files.append(parameters(frozenset(structure.glycans.values())))
     if SOLVENTS[solvent] is not None:
         files.append(str(DATA / str(SOLVENTS[solvent])))
     try:

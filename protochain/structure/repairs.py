@@ -159,6 +159,15 @@ class Kind(Enum):
     STRAND = Words(
         "strand of {count:n nucleotide}, {first} to {last}: free to move, in torsions as a rigid body"
     )
+    GLYCAN = Words(
+        "{atoms:and} are bonded: the glycan of {count:n sugar} is free to move, with the parameters of "
+        "GLYCAM-06j ({codes}), in torsions rigid with its residue"
+    )
+    GLYCAN_STAYS = Words("the glycan of {residue} stays in place: {why}")
+    OTHER_ANOMER = Words(
+        "{residue}: by its atoms the other anomer than by its name: it stays so, with the parameters of that"
+    )
+    SUGAR_INVERTED = Words("{residue}: of the other hand than its name says: {atoms}", rank=Rank.LOSS)
     STRAND_STAYS = Words(
         "strand of {count:n nucleotide} stays in place: the force field has no parameters for {residues:6}"
     )
