@@ -92,7 +92,9 @@ class Setup(Settings):
     """
 
     hinges: str = setting(
-        defaults.HINGES, "Degrees of freedom: any of phi psi omega chi rotors angles nucleic ligand.", kinds
+        defaults.HINGES,
+        "Degrees of freedom: any of phi psi omega chi rotors angles nucleic ligand glycan.",
+        kinds,
     )
     root: str = setting(defaults.ROOT, "", text)
     move: str = setting(

@@ -5,7 +5,7 @@ A glycan of which any sugar or link is unknown stays as it is in the file, and i
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cache
 from xml.etree import ElementTree
 
@@ -38,9 +38,7 @@ _REACH = 2.0
 _Owned = tuple[Member, gemmi.Atom]
 
 
-def settle(
-    draft: Draft, parts: Sequence[Part], known: Mapping[str, Template], has_glycam: bool
-) -> list[Part]:
+def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_glycam: bool) -> list[Part]:
     """Let glycans move whose sugars and links GLYCAM-06j knows; a repair says why one does not.
 
     Parameters
@@ -49,8 +47,8 @@ def settle(
         With its protein; receives the bonds.
     parts : sequence of Part
         Molecules beside it.
-    known : mapping of str to Template
-        Sugars that a file of the user's has are left to it.
+    others : collection of str
+        Names of residues whose parameters or chemistry the user gives.
     has_glycam : bool
         Whether the force field is one that GLYCAM-06j goes with.
 
@@ -59,7 +57,7 @@ def settle(
     list of Part
         Sugars of the glycans that stay in place.
     """
-    sugars = [part for part in parts if part.members[0].name in SUGARS.keys() - known.keys()]
+    sugars = [part for part in parts if part.members[0].name in SUGARS.keys() - {*others}]
     if not sugars:
         return []
     near = _Surroundings(draft, parts)

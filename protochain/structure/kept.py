@@ -188,7 +188,8 @@ def _parts(
             parts[-1].members.append(member)
         else:
             parts.append(Part(member.chain_id, [member], obstacle=True))
-    held = glycans.settle(draft, parts, known, chemist.chemistry.has_glycam)
+    chemistry = chemist.chemistry
+    held = glycans.settle(draft, parts, known.keys() | chemistry.named.keys(), chemistry.has_glycam)
     for part in (each for each in parts if not each.glycan):
         _trim(draft, part)
         first = part.members[0]

@@ -34,6 +34,11 @@ def anomeric_carbon(sugar: str) -> str:
     return "C2" if SUGARS[sugar] in _SIALIC else "C1"
 
 
+def last_of_ring(code: str) -> int:
+    """Number of the last carbon in the ring of a sugar by its code, as ``4YB``."""
+    return 6 if code[1:] in _SIALIC else 5
+
+
 def sugar_centres(code: str) -> dict[str, tuple[str, str, str]]:
     """Chiral atoms of a sugar by its letters, as ``YB``, each with three neighbours of positive volume.
 
