@@ -83,8 +83,9 @@ def load(
     keep : str or sequence of str
         Molecules to keep beside the protein: ``near`` for all but waters that have an atom within 5 angstrom
         of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.
-        Small molecules of known chemistry move, as do those whose parameters ``forcefield`` has; others are
-        fixed obstacles, those that no force field has parameters for by element.
+        Small molecules of known chemistry move, glycans that GLYCAM-06j knows, and those whose parameters
+        ``forcefield`` has; others are fixed obstacles, those that no force field has parameters for by
+        element.
     disulfide : str, or sequence of pairs of str, optional
         Disulfide bonds beside those between sulphurs that are close, as ``[("A:3", "A:40")]`` or
         ``"A:3-A:40"``; ``"none"`` among them drops those: ``"none"`` alone leaves no bond.
