@@ -133,7 +133,8 @@ def _towards_ring(structure: Structure, anomeric: int, bearing: int) -> Iterator
     at = {str(structure.atom_name[k]): int(k) for k in np.flatnonzero(structure.atom_residue == r)}
     if r in structure.glycans:
         k = int(str(structure.atom_name[last])[1:]) - 1
-        for number in range(k, min(k, last_of_ring(structure.glycans[r]) - 1) - 1, -1):
+        outside = range(k, min(k, last_of_ring(structure.glycans[r]) - 1) - 1, -1)
+        for number in outside if k else [2]:
             yield at[f"C{number}"]
     elif element[bearing] == "O":  # The amide of asparagine does not turn.
         yield at["CA"]

@@ -13,7 +13,7 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.draft import Member
 from protochain.structure.model import BoundLigand, Structure
 from protochain.structure.residues import NUCLEOTIDES, Atom
-from protochain.structure.sugars import sugar_centres
+from protochain.structure.sugars import letters_of, sugar_centres
 
 WELL_FORMED = 2.2e-3
 """nm^3. Volume at a C-alpha below which its hand may be noise; 2.5e-3 in ideal residues."""
@@ -121,7 +121,7 @@ def chiral_atoms(structure: Structure) -> Integers:
     named[[*structure.glycans]] = True
     for i in np.flatnonzero(~structure.kept | (structure.mobile & named[structure.atom_residue])).tolist():
         names[int(structure.atom_residue[i])][str(structure.atom_name[i])] = i
-    sugars = {r: sugar_centres(code[1:]) for r, code in structure.glycans.items()}
+    sugars = {r: sugar_centres(letters_of(code)) for r, code in structure.glycans.items()}
     found = [
         [at[name] for name in (centre, *neighbours)]
         for r, (residue, at) in enumerate(zip(structure.residue_name, names, strict=True))

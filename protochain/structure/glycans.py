@@ -1,4 +1,4 @@
-"""Glycans that move: sugars linked to Asn, Ser and Thr, with the parameters of GLYCAM-06j.
+"""Glycans that move: sugars linked to Asn, Ser, Thr and to one another, with the parameters of GLYCAM-06j.
 
 A glycan of which any sugar or link is unknown stays as it is in the file, and its repair says why.
 """
@@ -25,6 +25,7 @@ from protochain.structure.sugars import (
     anomeric_carbon,
     glycam_code,
     glycam_names,
+    letters_of,
     other_anomer,
     sugar_centres,
 )
@@ -32,6 +33,8 @@ from protochain.structure.templates import GLYCAM, HAS_GLYCAM, Template
 
 _BEARING = {"ASN": "ND2", "SER": "OG", "THR": "OG1"}
 """Atoms of the protein that bear sugars."""
+_FREE = "-ROH"
+"""What the code of a sugar at a free reducing end has in addition."""
 _REACH = 2.0
 """Angstrom: no bond that is looked for is longer."""
 
@@ -60,7 +63,7 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
     sugars = [part for part in parts if part.members[0].name in SUGARS.keys() - {*others}]
     if not sugars:
         return []
-    near = _Surroundings(draft, parts)
+    near = _Surroundings(draft, parts, sugars)
     place = {id(part.members[0]): k for k, part in enumerate(sugars)}
     links = [link for part in sugars if (link := near.link(part.members[0])) is not None]
     pairs = [(place[id(a)], place[id(b)]) for a, b in ((x.member, x.other) for x in links) if id(a) in place]
@@ -79,13 +82,17 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
             refused += mine
             continue
         draft.glycosidic += [(_address(x.member, x.atom), _address(x.other, x.other_atom)) for x in own]
-        root = next(link for link in own if id(link.member) not in place)
-        draft.note(Kind.GLYCAN, atoms=root.atoms, count=len(mine), codes=(*dict.fromkeys(codes.values()),))
+        facts = {"count": len(mine), "codes": (*dict.fromkeys(codes.values()),)}
+        root = next((link for link in own if id(link.member) not in place), None)
+        if root is not None:
+            draft.note(Kind.GLYCAN, atoms=root.atoms, **facts)
+        else:
+            draft.note(Kind.SACCHARIDE, residue=mine[0].members[0].residue, **facts)
         for part in mine:
             (member,) = part.members
             part.glycan, part.mobile = codes[id(member)], True
             member.own = _template(member, part.glycan)
-            _tell_hands(draft, member, part.glycan[1:], own)
+            _tell_hands(draft, member, letters_of(part.glycan), own)
     return refused
 
 
@@ -94,7 +101,16 @@ def _code(member: Member, links: Sequence[Link]) -> str:
     letters = SUGARS[member.name]
     if anomeric_carbon(member.name) in _wrong_hands(member, letters, links):
         letters = other_anomer(letters)
-    return glycam_code(letters, (link.atom.name for link in links if link.member is member))
+    bearing = [link.atom for link in links if link.member is member]
+    is_linked = any(link.other is member for link in links)
+    hydroxyl = _hydroxyl(member)
+    is_free = not is_linked and hydroxyl is not None and hydroxyl not in bearing
+    return glycam_code(letters, (atom.name for atom in bearing)) + (_FREE if is_free else "")
+
+
+def _hydroxyl(member: Member) -> gemmi.Atom | None:
+    """Oxygen at the anomeric carbon, which a sugar has that no other residue bears."""
+    return member.atom("O" + anomeric_carbon(member.name)[1:])
 
 
 def _tell_hands(draft: Draft, member: Member, letters: str, links: Sequence[Link]) -> None:
@@ -107,7 +123,7 @@ def _tell_hands(draft: Draft, member: Member, letters: str, links: Sequence[Link
 
 def _wrong_hands(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:
     """Name the chiral atoms of a sugar whose hand is not that of its letters."""
-    acceptor = next((link.atom for link in links if link.other is member), None)
+    acceptor = next((link.atom for link in links if link.other is member), _hydroxyl(member))
     for centre, ends in sugar_centres(letters).items():
         # The anomeric hydrogen may have no place yet; the link is on the other side.
         places = [acceptor if name == "H1" else member.atom(name) for name in (centre, *ends)]
@@ -119,7 +135,8 @@ def _wrong_hands(member: Member, letters: str, links: Sequence[Link]) -> Iterato
 class _Surroundings:
     """Atoms that sugars may be bonded to, and the bonds that the file states."""
 
-    def __init__(self, draft: Draft, parts: Sequence[Part]) -> None:
+    def __init__(self, draft: Draft, parts: Sequence[Part], sugars: Sequence[Part]) -> None:
+        self.sugars = {id(part.members[0]) for part in sugars}
         protein = [part for part in draft.parts if not part.obstacle]
         self.protein = {id(m) for part in protein for m in part.members}
         self.heavy: list[_Owned] = [
@@ -169,7 +186,7 @@ class _Surroundings:
         """Whether an atom can bear a sugar."""
         if id(member) in self.protein:
             return _BEARING.get(member.name) == atom.name
-        return member.name in SUGARS and glycam_code(SUGARS[member.name], [atom.name]) in _residues()
+        return id(member) in self.sugars and glycam_code(SUGARS[member.name], [atom.name]) in _residues()
 
     def refusals(
         self, members: Sequence[Member], links: Sequence[Link], codes: Mapping[int, str]
@@ -184,13 +201,14 @@ class _Surroundings:
             if link.length < SHORTEST or link.excess > STATED_SLACK:
                 yield f"the bond of {second} to {first} is {link.length:.2f} angstrom long"
         for member in members:
-            if not any(link.other is member for link in links):
+            code = codes[id(member)]
+            if not any(link.other is member for link in links) and code[0] != "1" and _FREE not in code:
                 yield f"{anomeric_carbon(member.name)} of {member} is bonded to no other residue"
-            if codes[id(member)] not in _residues():
-                yield f"GLYCAM-06j has no residue {codes[id(member)]}, as {member} with its bonds would be"
+            if code.removesuffix(_FREE) not in _residues():
+                yield f"GLYCAM-06j has no residue {code}, as {member} with its bonds would be"
                 continue
             there = {a.name for a in member.atoms if not a.is_hydrogen()}
-            if strange := there ^ {*_template(member, codes[id(member)]).heavy}:
+            if strange := there ^ {*_template(member, code).heavy}:
                 yield f"{member} has not the atoms of that name: {', '.join(sorted(strange))}"
             for atom in (a for a in member.atoms if not a.is_hydrogen()):
                 joined = [*self.bonds_stated(member, atom)]
@@ -235,16 +253,33 @@ def parameters(codes: frozenset[str]) -> bytes:
     All take a second to read, and its hydroxyproline would go before that of the protein's force field.
     """
     wanted = codes | {f"{end}{name}" for end in ("", "N", "C") for name in GLYCOSYLATED.values()}
-    return _RESIDUE.sub(lambda found: found[1] if found[2] in wanted else "", GLYCAM.read_text()).encode()
+    text = _RESIDUE.sub(lambda found: found[1] if found[2] in wanted else "", GLYCAM.read_text())
+    free = "".join(_text(code) for code in sorted(codes) if _FREE in code)
+    return text.replace("</Residues>", f"{free}</Residues>", 1).encode()
+
+
+def _text(code: str) -> str:
+    """Text of a residue; at a reducing end with the hydroxyl, which GLYCAM has as a residue of its own."""
+    if _FREE not in code:
+        return _residues()[code]
+    node, hydroxyl = (ElementTree.fromstring(_residues()[name]) for name in code.split("-"))
+    (end,) = (each for each in node.iterfind("ExternalBond") if each.get("atomName", "")[0] == "C")
+    node.remove(end)
+    node.extend([*hydroxyl.iterfind("Atom"), *hydroxyl.iterfind("Bond")])
+    ElementTree.SubElement(node, "Bond", atomName1=end.get("atomName", ""), atomName2="O1")
+    node.set("name", code)
+    return ElementTree.tostring(node, encoding="unicode")
 
 
 def _template(member: Member, code: str) -> Template:
     """Template of a sugar under the names of the PDB archive: HO4 is at O4, H61 and H62 are at C6."""
-    node = ElementTree.fromstring(_residues()[code])
+    node = ElementTree.fromstring(_text(code))
     given = {str(a.get("name")): float(a.get("charge", 0.0)) for a in node.iterfind("Atom")}
     ends = [(str(bond.get("atomName1")), str(bond.get("atomName2"))) for bond in node.iterfind("Bond")]
     called = {glycam: name for name, glycam in glycam_names(member.name).items()}
     called = {name: called.get(name, name) for name in given}
+    if _FREE in code:
+        called["O1"] = "O" + anomeric_carbon(member.name)[1:]
     for parent in (name for name in given if name[0] != "H"):
         light = [end for bond in ends if parent in bond for end in bond if end[0] == "H"]
         stem = "H" + called[parent].removeprefix("C")

@@ -34,9 +34,14 @@ def anomeric_carbon(sugar: str) -> str:
     return "C2" if SUGARS[sugar] in _SIALIC else "C1"
 
 
+def letters_of(code: str) -> str:
+    """Letters of a code: ``YB`` of ``4YB``, and of ``4YB-ROH`` with a hydroxyl at its anomeric carbon."""
+    return code[1:3]
+
+
 def last_of_ring(code: str) -> int:
-    """Number of the last carbon in the ring of a sugar by its code, as ``4YB``."""
-    return 6 if code[1:] in _SIALIC else 5
+    """Number of the last carbon in the ring of a sugar by its code."""
+    return 6 if letters_of(code) in _SIALIC else 5
 
 
 def sugar_centres(code: str) -> dict[str, tuple[str, str, str]]:

@@ -112,26 +112,32 @@ def by_glycam(structure, solvent):
     """Potential energy, kJ/mol, as OpenMM's own matching by names has it, from a topology made here."""
     files = ["amber14/protein.ff14SB.xml", "amber14/GLYCAM_06j-1.xml", "amber14/tip3p.xml"]
     force_field = app.ForceField(*files, *([f"implicit/{solvent}.xml"] if solvent != "vacuum" else []))
-    topology, atoms = app.Topology(), {}
+    topology, atoms, order = app.Topology(), {}, []
     free = {k for tie in structure.ties for k in tie.atoms} | {*np.flatnonzero(structure.obstacle).tolist()}
     assert not free
-    bearing = {int(structure.atom_residue[i]) for i, j in structure.links if not structure.kept[i]}
+    bearing = {int(structure.atom_residue[i]) for i, _ in structure.links if not structure.kept[i]}
     for chain in structure.topology.chains():
         new = topology.addChain(chain.id)
         for residue in chain.residues():
             name = structure.glycans.get(residue.index, residue.name)
             if residue.index in bearing:
                 name = {"ASN": "NLN", "SER": "OLS", "THR": "OLT"}[name]
-            made = topology.addResidue(name, new)
-            for atom in residue.atoms():
-                atoms[atom.index] = topology.addAtom(atom.name, atom.element, made)
+            name, _, hydroxyl = name.partition("-")
+            # GLYCAM's reducing ends have their hydroxyl in a residue of its own.
+            own = [a for a in residue.atoms() if not hydroxyl or a.name not in ("O1", "HO1")]
+            pieces = [(name, own), (hydroxyl, [a for a in residue.atoms() if a not in own])]
+            for its, members in pieces[: 2 if hydroxyl else 1]:
+                made = topology.addResidue(its, new)
+                for atom in members:
+                    atoms[atom.index] = topology.addAtom(atom.name, atom.element, made)
+                    order.append(atom.index)
     for i, j in structure.bonds.tolist():
         topology.addBond(atoms[i], atoms[j])
     system = force_field.createSystem(topology, nonbondedMethod=app.NoCutoff)
     context = openmm.Context(
         system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference")
     )
-    context.setPositions(structure.positions)
+    context.setPositions(structure.positions[order])
     return context.getState(getEnergy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
 
 
@@ -151,6 +157,59 @@ def test_branched_glycans_have_the_energy_of_the_reference_platform(fc, solvent)
     assert_equals_reference(energy, fc.positions)
     if solvent == "vacuum":
         assert energy(fc.positions)[0] == pytest.approx(by_glycam(fc, solvent), rel=SAME_KERNEL)
+
+
+def cut(tmp_path, change):
+    """Chains A and C of the antibody after a change."""
+    whole = gemmi.read_structure(str(shared("models/3ave.pdb")))
+    whole.remove_waters()
+    for name in "BD":
+        whole[0].remove_chain(name)
+    change(whole[0])
+    path = Path(tmp_path) / "cut.pdb"
+    whole.write_pdb(str(path))
+    return path
+
+
+def _between(first, last):
+    def change(model):
+        for chain, low, high in (("A", first, last), ("C", 1, 2)):
+            for k in range(len(model[chain]) - 1, -1, -1):
+                if not low <= model[chain][k].seqid.num <= high:
+                    del model[chain][k]
+
+    return change
+
+
+@pytest.mark.parametrize(("first", "last"), [(285, 297), (297, 310)])
+def test_a_residue_at_the_end_of_a_chain_bears_a_glycan(tmp_path, first, last):
+    s = pc.load(cut(tmp_path, _between(first, last)))
+    assert [*s.glycans.values()] == ["4YB", "0YB"]
+    energy = pc.energy(s, solvent="vacuum", engine="native", threads=1)
+    assert energy(s.positions)[0] == pytest.approx(by_glycam(s, "vacuum"), rel=SAME_KERNEL)
+
+
+def _freed(model):
+    """Asparagine 297 and its neighbours gone; a hydroxyl in place of its amide."""
+    at = model["A"]["297"][0]["ND2"][0].pos
+    oxygen = gemmi.Atom()
+    oxygen.name, oxygen.element, oxygen.pos, oxygen.occ = "O1", gemmi.Element("O"), at, 1.0
+    model["C"][0].add_atom(oxygen)
+    for k in range(len(model["A"]) - 1, -1, -1):
+        if not 240 <= model["A"][k].seqid.num <= 285:
+            del model["A"][k]
+
+
+def test_sugars_without_a_protein_have_their_hydroxyl(tmp_path):
+    s = pc.load(cut(tmp_path, _freed), keep="NAG,BMA,MAN,FUC")
+    assert s.glycans[min(s.glycans)] == "UYB-ROH" and len(s.glycans) == 8 and not s.ties
+    assert {"O1", "HO1"} <= {*s.atom_name[s.atom_residue == min(s.glycans)].tolist()}
+    assert len(told(s, Kind.SACCHARIDE)) == 1 and not s.obstacle.any()
+    energy = pc.energy(s, solvent="obc2", engine="native", threads=1)
+    assert energy(s.positions)[0] == pytest.approx(by_glycam(s, "obc2"), rel=SAME_KERNEL)
+    chain = pc.build_chain(s)
+    assert len({*chain.atom_body[s.mobile].tolist()}) == 1
+    assert sum(hinge.kind == "torsion" for hinge in pc.build_chain(s, "phi psi glycan").hinges) == 16
 
 
 def test_a_glycan_and_its_residue_have_a_whole_charge(fc):
@@ -175,6 +234,15 @@ def test_a_glycan_is_relaxed_and_read_again_as_it_is(fc, tmp_path):
         assert again.glycans == fc.glycans and np.array_equal(again.atom_name, fc.atom_name)
         assert np.array_equal(again.bonds, fc.bonds) and np.array_equal(again.links, fc.links)
         assert not told(again, Kind.OTHER_ANOMER) and not told(again, Kind.SUGAR_INVERTED)
+
+
+def test_a_result_is_tied_where_the_force_field_has_no_sugars(tmp_path):
+    s = pc.load(borne(tmp_path, "60 ND2", "NAG"))
+    for suffix in (".cif", ".pdb"):
+        pc.save(s, tmp_path / f"out{suffix}")
+        again = pc.load(tmp_path / f"out{suffix}", forcefield="charmm36")
+        assert np.array_equal(again.links, s.links) and again.obstacle.sum() == s.mobile.sum()
+        assert [tie.atoms for tie in again.ties if len(tie.atoms) == 2] == [tuple(s.links[0].tolist())]
 
 
 def test_links_that_the_file_does_not_state_are_found_by_their_geometry(fc):
