@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import cache
+from typing import Any
 from xml.etree import ElementTree
 
 import gemmi
@@ -82,7 +83,7 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
             refused += mine
             continue
         draft.glycosidic += [(_address(x.member, x.atom), _address(x.other, x.other_atom)) for x in own]
-        facts = {"count": len(mine), "codes": (*dict.fromkeys(codes.values()),)}
+        facts: dict[str, Any] = {"count": len(mine), "codes": (*dict.fromkeys(codes.values()),)}
         root = next((link for link in own if id(link.member) not in place), None)
         if root is not None:
             draft.note(Kind.GLYCAN, atoms=root.atoms, **facts)
