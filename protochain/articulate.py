@@ -41,7 +41,7 @@ def build_chain(
         Kinds of bond that turn, of ``phi psi omega chi rotors``; ``polar`` for those rotors alone that turn
         hydrogens of O, S and N; with ``angles``, also the backbone bond angles at N and C-alpha, wherever
         the phi or psi beside them turns; ``nucleic`` for the backbone and the bases of DNA and RNA,
-        ``ligand`` for single bonds of ligands. Rings are always rigid.
+        ``ligand`` for single bonds of ligands, ``glycan`` for the links of sugars. Rings are always rigid.
     root : str
         ``fixed``, ``free``, or ``auto``: free if there are several chains, which then move relative to one
         another, as do molecules beside them that the force field has parameters for; beside obstacles the

@@ -11,8 +11,9 @@ from protochain.core.graph import Neighbours, beyond, components, neighbours
 from protochain.ligands.molecule import Molecule
 from protochain.structure import residues
 from protochain.structure.model import Structure
+from protochain.structure.sugars import last_of_ring
 
-HINGES = ("phi", "psi", "omega", "chi", "polar", "rotors", "angles", "nucleic", "ligand")
+HINGES = ("phi", "psi", "omega", "chi", "polar", "rotors", "angles", "nucleic", "ligand", "glycan")
 """Kinds of hinge that can be opened; ``polar`` are those of the rotors that turn hydrogens of O, S and N."""
 
 ON_AXIS = np.deg2rad(5.0)
@@ -29,7 +30,8 @@ class Hinge:
         Residue of the dihedral, as in the file.
     kind : str
         ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``; ``angle N`` or ``angle CA``; of a
-        nucleotide ``alpha``, ``beta``, ``gamma``, ``epsilon``, ``zeta`` or ``base``; ``torsion`` of a ligand.
+        nucleotide ``alpha``, ``beta``, ``gamma``, ``epsilon``, ``zeta`` or ``base``; ``torsion`` of a ligand
+        or a glycan.
     atoms : tuple of int
         Four of a dihedral about the bond atoms[1]-atoms[2], or three of a bond angle at atoms[1].
     """
@@ -57,17 +59,16 @@ class Hinge:
 
 
 def cross_links(structure: Structure) -> np.ndarray:
-    """(nbonds,) bool: bonds between residues other than those of chains and strands to the next residue.
+    """(nbonds,) bool: bonds between residues other than those of chains to the next one, strands and glycans.
 
     An ion that moves stays rigidly at the first of the atoms that hold it.
     """
     first, second = structure.bonds.T
     r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
     peptide = (r2 == r1 + 1) & (structure.atom_name[first] == "C") & (structure.atom_name[second] == "N")
-    phosphate = (r2 == r1 + 1) & (structure.atom_name[first] == "O3'") & (structure.atom_name[second] == "P")
-    strand = phosphate & structure.mobile[first] & structure.mobile[second]
+    free = structure.mobile[first] | structure.mobile[second]
     beside = structure.kept[first] | structure.kept[second]
-    cut = (r1 != r2) & (beside | ~peptide) & ~strand
+    cut = (r1 != r2) & (beside | ~peptide) & ~free
     held = np.flatnonzero(cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first])
     _, rows = np.unique(second[held], return_index=True)
     cut[held[rows]] = False
@@ -112,6 +113,34 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
             of = int(structure.atom_residue[bound.atoms[0]])
             for atoms in _turning_bonds(bound.ligand.molecule):
                 yield _hinge(structure, of, "torsion", tuple(bound.atoms[list(atoms)].tolist()))
+
+    if "glycan" in kinds:
+        ends = structure.atom_residue[structure.bonds]
+        linked = (ends[:, 0] != ends[:, 1]) & np.isin(ends, [*structure.glycans]).any(axis=1)
+        for first, second in structure.bonds[linked].tolist():
+            is_carbon = structure.atom_element[first] == "C"
+            path = (*_towards_ring(structure, *((first, second) if is_carbon else (second, first))),)
+            for k in range(len(path) - 3):
+                yield _hinge(structure, int(structure.atom_residue[path[1]]), "torsion", path[k : k + 4])
+
+
+def _towards_ring(structure: Structure, anomeric: int, bearing: int) -> Iterator[int]:
+    """Atoms of the bonds that turn between an anomeric carbon and the ring that bears it, and one before."""
+    element, near = structure.atom_element, structure.neighbours
+    yield next(k for k in near[anomeric] if k != bearing and element[k] != "H")
+    yield anomeric
+    yield bearing
+    last = next(k for k in near[bearing] if k != anomeric and element[k] != "H")
+    yield last
+    r = int(structure.atom_residue[last])
+    at = {str(structure.atom_name[k]): int(k) for k in np.flatnonzero(structure.atom_residue == r)}
+    if r in structure.glycans:
+        k = int(str(structure.atom_name[last])[1:]) - 1
+        outside = range(k, min(k, last_of_ring(structure.glycans[r]) - 1) - 1, -1)
+        for number in outside if k else [2]:
+            yield at[f"C{number}"]
+    elif element[bearing] == "O":  # The amide of asparagine does not turn.
+        yield at["CA"]
 
 
 def _hinge(structure: Structure, r: int, label: str, atoms: tuple[int, ...]) -> Hinge:

@@ -93,7 +93,7 @@ class Setup(Settings):
 
     hinges: str = setting(
         defaults.HINGES,
-        "Degrees of freedom: any of phi psi omega chi polar rotors angles nucleic ligand.",
+        "Degrees of freedom: any of phi psi omega chi polar rotors angles nucleic ligand glycan.",
         kinds,
     )
     root: str = setting(defaults.ROOT, "", text)

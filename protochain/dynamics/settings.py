@@ -112,7 +112,8 @@ class HingeSpring:
     Parameters
     ----------
     kind : str
-        Kind of hinge, of ``phi psi omega chi rotors angles nucleic ligand``, which the chain must have open.
+        Kind of hinge, of ``phi psi omega chi rotors angles nucleic ligand glycan``, which the chain must have
+        open.
     stiffness : float, kJ/mol/rad^2
         E = stiffness (1 - cos(q - q0)) of a dihedral, stiffness/2 (q - q0)^2 of a bond angle, with q0 the
         value at the start.

@@ -23,6 +23,8 @@ from protochain.energies.native.terms import TIES
 from protochain.structure.linkage import is_metal
 from protochain.structure.model import BoundLigand, Structure, Tie
 from protochain.structure.residues import OF_ALANINE
+from protochain.structure.sugars import GLYCOSYLATED
+from protochain.structure.templates import HAS_GLYCAM
 
 _UFF = {
     "H": (2.886, 0.044), "He": (2.362, 0.056), "Li": (2.451, 0.025), "Be": (2.745, 0.085),
@@ -84,8 +86,10 @@ def create_system(
         the latter no parameters.
     """
     small = {int(structure.atom_residue[each.atoms[0]]): each for each in structure.ligands}
-    topology, unknown = _recognised(force_field, structure, small)
+    sugars = structure.glycans
+    topology, unknown = _recognised(force_field, structure, [*small, *sugars])
     _refuse_unknown_mobile(structure, unknown)
+    _refuse_without_glycam(structure, force_field)
     linked = _linked(structure)
     if unknown or linked or small or structure.modified:
         force_field = fresh()
@@ -93,7 +97,11 @@ def create_system(
     chosen = {residues[r]: _register(force_field, structure, residues[r]) for r in unknown}
     chosen |= {residues[r]: _register(force_field, structure, residues[r], small[r]) for r in small}
     for r, atoms in linked.items():
-        chosen[residues[r]] = _variant(force_field, residues[r], atoms)
+        bears_sugar = any(structure.mobile[k] for atom in atoms for k in structure.neighbours[atom])
+        chosen[residues[r]] = (
+            _glycosylated(residues[r]) if bears_sugar else _variant(force_field, residues[r], atoms)
+        )
+    chosen |= {residues[r]: code for r, code in sugars.items()}
     for bound in structure.modified:
         place = _place(structure, bound)
         residue = residues[int(structure.atom_residue[min(place)])]
@@ -123,7 +131,7 @@ def _recognised(
     kept = structure.kept & ~np.isin(residue, [*small])
     bonds = structure.bonds
     beside = structure.kept[bonds]
-    bonds = bonds[beside[:, 0] == beside[:, 1]]
+    bonds = bonds[(beside[:, 0] == beside[:, 1]) | structure.mobile[bonds].any(axis=1)]
     unknown: set[int] = set()
     while True:
         found = {
@@ -149,13 +157,23 @@ def _refuse_unknown_mobile(structure: Structure, unknown: Iterable[int]) -> None
         )
 
 
+def _refuse_without_glycam(structure: Structure, force_field: app.ForceField) -> None:
+    """Refuse glycans that move where the force field is none that GLYCAM goes with."""
+    lacking = [r for r, code in structure.glycans.items() if code not in force_field._templates]
+    if lacking:
+        raise ForceFieldError(
+            f"{structure.describe_residue(lacking[0])} moves with GLYCAM-06j, which goes with {HAS_GLYCAM} "
+            "only; load the structure with this force field, so that its glycans stay in place"
+        )
+
+
 def _refuse_unheld(structure: Structure, system: openmm.System) -> None:
     """Refuse a molecule that moves and has a bond without a term, which OpenMM leaves out silently."""
     held = {tuple(sorted(system.getConstraintParameters(k)[:2])) for k in range(system.getNumConstraints())}
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce | openmm.CustomBondForce):
             held |= {tuple(sorted(force.getBondParameters(k)[:2])) for k in range(force.getNumBonds())}
-    for i, j in structure.bonds[structure.mobile[structure.bonds].all(axis=1)].tolist():
+    for i, j in structure.bonds[structure.mobile[structure.bonds].any(axis=1)].tolist():
         if (i, j) not in held:
             raise ForceFieldError(
                 f"the bond of {structure.describe(i)} to {structure.atom_name[j]} has no parameters, and the "
@@ -402,6 +420,12 @@ def _linked(structure: Structure) -> dict[int, set[int]]:
     return found
 
 
+def _glycosylated(residue: Any) -> str:
+    """GLYCAM's name of a residue that bears a sugar: ``NLN``; at the ends of a chain ``NNLN``, ``CNLN``."""
+    names = {a.name for a in residue.atoms()}
+    return ("C" if "OXT" in names else "N" if "H2" in names else "") + GLYCOSYLATED[residue.name]
+
+
 def _variant(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -> str:
     """Add the template of a residue some of whose hydrogens gave way to other bonds; return its name.
 
@@ -469,8 +493,9 @@ def _without(base: Any, have: Mapping[str, int]) -> Any:
 
 def _not_interacting(structure: Structure, by_element: np.ndarray) -> set[tuple[int, int]]:
     """Pairs joined across bonds to obstacles, and touching pairs of obstacles without parameters."""
-    n, bonds = structure.n_atoms, structure.bonds
-    across = (np.diff(structure.kept[bonds]) | np.diff(structure.obstacle[bonds])).ravel()
+    n, bonds, kept, mobile = structure.n_atoms, structure.bonds, structure.kept, structure.mobile
+    across = (kept[bonds[:, 0]] != kept[bonds[:, 1]]) & ~mobile[bonds].any(axis=1)
+    across |= np.diff(structure.obstacle[bonds]).ravel()
     pairs = _joined(n, bonds) - _joined(n, bonds[~across]) if across.any() else set()
     atoms = np.flatnonzero(structure.obstacle)
     if len(atoms):

@@ -33,10 +33,12 @@ from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_passive
 from protochain.structure.convert import as_structure
+from protochain.structure.glycans import parameters
 from protochain.structure.model import Structure
 from protochain.structure.residues import PHOSPHORYLATED
 from protochain.structure.templates import (
     CONVERT,
+    HAS_GLYCAM,
     NO_OPENMM,
     NO_XML,
     PHOSPHATES,
@@ -216,6 +218,8 @@ def build_system(
         files += [name for name in dict.fromkeys(beside) if Path(name).exists()]
         has_nucleotides = any("/DNA." in name for name in beside)
         files += [phosphate_ends()] if has_nucleotides and (structure.atom_name == "OP3").any() else []
+    if structure.glycans and HAS_GLYCAM in parts:
+        files.append(parameters(frozenset(structure.glycans.values())))
     if SOLVENTS[solvent] is not None:
         files.append(str(DATA / str(SOLVENTS[solvent])))
     try:

@@ -232,8 +232,8 @@ class Relaxer:
     def _right(self, springs: Tethers) -> list[Stage]:
         """Stages for folded or nearly flat atoms, wrong hands, reversed peptide bonds, where there are any.
 
-        Bonds that are only twisted are turned by the stages that follow. One goes on where a ligand's centre
-        is half turned: the mean force of a large protein does not tell.
+        Bonds that are only twisted are turned by the stages that follow. One goes on where a centre of a
+        ligand or sugar is half turned: the mean force of a large protein does not tell.
         """
         stage = self._gentle(getattr(self.energy, "coarse", self.energy), springs)
         stages = [
@@ -241,8 +241,10 @@ class Relaxer:
                 stage, ready=lambda _, at: bool(self.shapes(at.x)[0] or len(self.peptides.reversed(at.x)))
             )
         ]
-        if ligands := self.structure.ligands:
-            atoms = np.concatenate([each.atoms for each in ligands])
+        s = self.structure
+        if s.ligands or s.glycans:
+            sugars = np.flatnonzero(np.isin(s.atom_residue, [*s.glycans]))
+            atoms = np.concatenate([sugars, *(each.atoms for each in s.ligands)])
             on = replace(stage, tolerance=_TURNED)
             stages += [replace(on, ready=lambda _, at: bool(np.isin(atoms, self.hands.short(at.x)).any()))]
         return stages

@@ -4,6 +4,7 @@ Orders of bonds and charges are never taken from distances. A molecule whose che
 which the force field of small molecules has no parameters, stays in place, and its repair says why.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -26,7 +27,7 @@ from protochain.ligands.protonation import Charged, at_ph, with_hydrogens
 from protochain.ligands.sources import of_residue
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.repairs import Kind
-from protochain.structure.templates import Template
+from protochain.structure.templates import HAS_GLYCAM, Template
 
 _BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is not taken."""
@@ -45,16 +46,20 @@ class Chemistry:
     charges : str
         As for :func:`protochain.ligand`.
     ph : float
+    has_glycam : bool
+        Whether the force field is one that GLYCAM-06j goes with.
     """
 
     sources: tuple[LigandSource, ...] = ()
     charges: str = "mmff94"
     ph: float = defaults.PH
+    has_glycam: bool = True
 
     @classmethod
-    def asked(cls, ligands: Any, ligand_charges: Any, ph: float) -> "Chemistry":
-        """Chemistry of the options of :func:`protochain.load`, checked."""
-        return cls(ligands_of(ligands, "ligands"), charges_of_ligands(ligand_charges, "ligand_charges"), ph)
+    def asked(cls, ligands: Any, ligand_charges: Any, ph: float, forcefield: Sequence[str]) -> "Chemistry":
+        """Chemistry of the options of :func:`protochain.load`, checked; of a force field its parts."""
+        given, charges = ligands_of(ligands, "ligands"), charges_of_ligands(ligand_charges, "ligand_charges")
+        return cls(given, charges, ph, not forcefield or HAS_GLYCAM in forcefield)
 
     @property
     def named(self) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Handedness of C-alpha, of C-beta of threonine, its phosphate and isoleucine, and of ligands."""
+"""Handedness of C-alpha, of C-beta of threonine, its phosphate and isoleucine, of sugars and of ligands."""
 
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
@@ -13,6 +13,7 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.draft import Member
 from protochain.structure.model import BoundLigand, Structure
 from protochain.structure.residues import NUCLEOTIDES, Atom
+from protochain.structure.sugars import letters_of, sugar_centres
 
 WELL_FORMED = 2.2e-3
 """nm^3. Volume at a C-alpha below which its hand may be noise; 2.5e-3 in ideal residues."""
@@ -111,18 +112,20 @@ def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) ->
 
 @lru_cache(maxsize=16)
 def chiral_atoms(structure: Structure) -> Integers:
-    """(n, 4) int: every chiral atom of the protein, of nucleotides and of ligands, and three neighbours.
+    """(n, 4) int: every chiral atom of protein, nucleotides, glycans and ligands, and three neighbours.
 
     Those of a ligand are in the order that spans a positive volume if the hand is that of its source.
     """
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
-    nucleic = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
-    for i in np.flatnonzero(~structure.kept | (structure.mobile & nucleic)).tolist():
+    named = np.isin(structure.residue_name, [*NUCLEOTIDES])
+    named[[*structure.glycans]] = True
+    for i in np.flatnonzero(~structure.kept | (structure.mobile & named[structure.atom_residue])).tolist():
         names[int(structure.atom_residue[i])][str(structure.atom_name[i])] = i
+    sugars = {r: sugar_centres(letters_of(code)) for r, code in structure.glycans.items()}
     found = [
         [at[name] for name in (centre, *neighbours)]
-        for residue, at in zip(structure.residue_name, names, strict=True)
-        for centre, neighbours in centres(str(residue)).items()
+        for r, (residue, at) in enumerate(zip(structure.residue_name, names, strict=True))
+        for centre, neighbours in sugars.get(r, centres(str(residue))).items()
         if {centre, *neighbours} <= at.keys()
     ]
     found += [row for bound in structure.ligands for row in _of_ligand(bound)]

@@ -19,7 +19,7 @@ from protochain.structure.bound import Chemistry
 from protochain.structure.draft import Draft, atom
 from protochain.structure.files import check
 from protochain.structure.model import Structure
-from protochain.structure.prepare import load, prepare, user_files
+from protochain.structure.prepare import load, parts_of, prepare, user_files
 from protochain.structure.read import Reading, read_structure
 
 if TYPE_CHECKING:
@@ -60,12 +60,13 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     made = _as_gemmi(source)
     made.merge_chain_parts()
     check(made, name)
-    forcefield, ph = user_files(settings.pop("forcefield", None)), settings.pop("ph", defaults.PH)
+    parts, ph = settings.pop("forcefield", None), settings.pop("ph", defaults.PH)
+    forcefield = user_files(parts)
     disulfide = settings.pop("disulfide", None)
     settings.setdefault("keep", defaults.KEEP)
     acidity(ph, "ph")
     given, charges = settings.pop("ligands", ()), settings.pop("ligand_charges", "mmff94")
-    settings["chemistry"] = Chemistry.asked(given, charges, ph)
+    settings["chemistry"] = Chemistry.asked(given, charges, ph, parts_of(parts))
     draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
     return prepare(draft, disulfide, ph, forcefield)
 

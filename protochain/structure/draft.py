@@ -101,6 +101,8 @@ class Part:
         Its stereocentres, and double bonds, that the file has the other way round.
     cyclic : bool
         Whether the last residue is bonded to the first.
+    glycan : str
+        GLYCAM's code of a sugar of a glycan that moves.
     """
 
     chain_id: str
@@ -110,6 +112,7 @@ class Part:
     ligand: Ligand | None = None
     inverted: tuple[str, ...] = ()
     cyclic: bool = False
+    glycan: str = ""
 
     @property
     def is_strand(self) -> bool:
@@ -157,6 +160,8 @@ class Draft:
         Atoms added to side chains, by ``id`` of their residue.
     left_out : Counter
         Molecules and atoms left out, by kind.
+    glycosidic : list of pairs of Address
+        Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
     springs : mapping of tuple of Address to (float, float)
         Springs that the file says hold the bonds to molecules beside the protein: rest, nm or rad, and
         stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
@@ -172,6 +177,7 @@ class Draft:
     source: str
     parts: list[Part] = field(default_factory=list)
     stated: list[tuple[Address, Address]] = field(default_factory=list)
+    glycosidic: list[tuple[Address, Address]] = field(default_factory=list)
     repairs: list[Repair] = field(default_factory=list)
     rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)

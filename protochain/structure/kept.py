@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 from protochain.core import defaults
 from protochain.core.errors import StructureError
 from protochain.core.graph import components
-from protochain.structure import residues
+from protochain.structure import glycans, residues
 from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry
 from protochain.structure.draft import Draft, Member, Part, losses
 from protochain.structure.recognise import by_element, recognised
@@ -188,7 +188,9 @@ def _parts(
             parts[-1].members.append(member)
         else:
             parts.append(Part(member.chain_id, [member], obstacle=True))
-    for part in parts:
+    chemistry = chemist.chemistry
+    held = glycans.settle(draft, parts, known.keys() | chemistry.named.keys(), chemistry.has_glycam)
+    for part in (each for each in parts if not each.glycan):
         _trim(draft, part)
     parts = [piece for part in parts for piece in _pieces(draft, part, known)]
     for part in parts:
@@ -215,7 +217,8 @@ def _parts(
                 known_as = recognised(first, first.own, users) if first.own else None
                 first.own, part.mobile = known_as or first.own, known_as is not None
                 n_heavy = sum(not atom.is_hydrogen() for atom in first.atoms)
-                if not part.mobile and n_heavy > 1 and first.name not in residues.NUCLEOTIDES:
+                is_known = part.mobile or part in held or first.name in residues.NUCLEOTIDES
+                if n_heavy > 1 and not is_known:
                     chemist.settle(part)
         elif len(whole) > len(first.atoms):
             lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)

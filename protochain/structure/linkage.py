@@ -20,7 +20,7 @@ from protochain.structure.residues import Atom
 COVALENT_SLACK = 0.3
 """Angstrom by which atoms that are bonded may be nearer, or further apart, than the sum of their covalent
 radii (Cordero et al., Dalton Trans. 2832, 2008)."""
-_STATED_SLACK = 0.7
+STATED_SLACK = 0.7
 """The same further apart, if the file states the bond: models are off, and springs draw it in."""
 SHORTEST = 0.8
 """Angstrom: atoms nearer than this lie on one another, whatever the file states."""
@@ -208,7 +208,7 @@ class _Neighbourhood:
 
     def why_not(self, pair: Link, taken: Mapping[int, int]) -> str:
         """Why a bond that the file states cannot be; empty if it can."""
-        if pair.length < SHORTEST or pair.excess > _STATED_SLACK:
+        if pair.length < SHORTEST or pair.excess > STATED_SLACK:
             return f"it is {pair.length:.2f} angstrom long"
         heavy = sum(not a.is_hydrogen() for a in self._its(pair.other, pair.other_atom))
         free = _MOST.get(pair.other_atom.element.name, 1) - heavy
@@ -229,8 +229,8 @@ class _Neighbourhood:
             and (pair.atom.name != "SG" or len(mine) == 1)
             and len(pair.other.own.neighbours(pair.other_atom.name) - {a.name for a in its}) == 0
             and _lacks_neighbour(pair.other_atom, its)
-            and _is_usual(mine, pair.atom, pair.other_atom)
-            and _is_usual(its, pair.other_atom, pair.atom)
+            and is_usual(mine, pair.atom, pair.other_atom)
+            and is_usual(its, pair.other_atom, pair.atom)
         )
 
     def _is_known(self, pair: Link, its: Sequence[gemmi.Atom]) -> bool:
@@ -282,7 +282,7 @@ def _lacks_neighbour(atom: gemmi.Atom, its: Sequence[gemmi.Atom]) -> bool:
     return len(its) < {"C": 4, "N": 3, "P": 4, "B": 4}.get(element, 1)
 
 
-def _is_usual(neighbours: Iterable[gemmi.Atom], middle: gemmi.Atom, end: gemmi.Atom) -> bool:
+def is_usual(neighbours: Iterable[gemmi.Atom], middle: gemmi.Atom, end: gemmi.Atom) -> bool:
     """Whether a bond has usual angles with the others of an atom; those with hydrogens are not looked at."""
     low, high = _ANGLES
     arm = np.array(end.pos.tolist()) - middle.pos.tolist()

@@ -127,6 +127,8 @@ class Structure(Value):
     modified : tuple of BoundLigand
         Modified residues of the protein whose side chains have the force field of small molecules; atoms of
         the molecule that cap it are those of its neighbours, or -1.
+    glycans : mapping of int to str
+        Codes in GLYCAM-06j, as ``4YB``, of the sugars that move with the protein that bears them, by residue.
 
     Raises
     ------
@@ -152,10 +154,12 @@ class Structure(Value):
     built: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     ligands: tuple[BoundLigand, ...] = ()
     modified: tuple[BoundLigand, ...] = ()
+    glycans: Mapping[int, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
         object.__setattr__(self, "left_out", MappingProxyType(dict(self.left_out)))
+        object.__setattr__(self, "glycans", MappingProxyType(dict(self.glycans)))
         b_factor = self.b_factor if len(self.b_factor) else np.zeros(self.n_atoms)
         object.__setattr__(self, "b_factor", read_only(b_factor))
         for name in ("obstacle", "mobile", "mirrored", "built"):
@@ -290,6 +294,8 @@ class Structure(Value):
             seen.update(self.mobile.tobytes())
         for each in (*self.ligands, *self.modified):
             seen.update(each.in_energy().encode())
+        if self.glycans:
+            seen.update(repr(sorted(self.glycans.items())).encode())
         return seen.hexdigest()
 
     @property

@@ -36,6 +36,7 @@ from protochain.structure.read import Reading, read
 from protochain.structure.sidechains.relief import relieved
 from protochain.structure.sites import (
     find_links,
+    glycosidic,
     metal_ties,
     moves,
     settle_mobile,
@@ -83,8 +84,9 @@ def load(
     keep : str or sequence of str
         Molecules to keep beside the protein: ``near`` for all but waters that have an atom within 5 angstrom
         of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.
-        Small molecules of known chemistry move, as do those whose parameters ``forcefield`` has; others are
-        fixed obstacles, those that no force field has parameters for by element.
+        Small molecules of known chemistry move, glycans that GLYCAM-06j knows, and those whose parameters
+        ``forcefield`` has; others are fixed obstacles, those that no force field has parameters for by
+        element.
     disulfide : str, or sequence of pairs of str, optional
         Disulfide bonds beside those between sulphurs that are close, as ``[("A:3", "A:40")]`` or
         ``"A:3-A:40"``; ``"none"`` among them drops those: ``"none"`` alone leaves no bond.
@@ -121,7 +123,7 @@ def load(
     """
     acidity(ph, "ph")
     residues = user_files(forcefield)
-    chemistry = Chemistry.asked(ligands, ligand_charges, ph)
+    chemistry = Chemistry.asked(ligands, ligand_charges, ph, parts_of(forcefield))
     reading = Reading(
         model, altloc, words(keep), strict, residues, words(chains, "chains"), chemistry, standard_residues
     )
@@ -130,8 +132,12 @@ def load(
 
 def user_files(forcefield: str | Path | None) -> tuple[Path, ...]:
     """Paths of those parts of a force field that are a user's files, not names of bundled ones."""
-    given = () if forcefield is None else force_field_parts(file_name(forcefield, "forcefield"))
-    return tuple(Path(name) for name in given if Path(name).is_file())
+    return tuple(Path(name) for name in parts_of(forcefield) if Path(name).is_file())
+
+
+def parts_of(forcefield: str | Path | None) -> tuple[str, ...]:
+    """Names and paths that a force field is made of; none if none is given."""
+    return () if forcefield is None else tuple(force_field_parts(file_name(forcefield, "forcefield")))
 
 
 def prepare(
@@ -149,7 +155,7 @@ def prepare(
     """
     wanted = bonds_of(disulfide, "disulfide")
     known = templates(forcefield)
-    links, beside = find_links(draft), stated_beside(draft)
+    links, beside, sugars = find_links(draft), stated_beside(draft), glycosidic(draft)
     settle_mobile(draft, links)
     links += strand_links(draft)
     take_up(draft, ph)
@@ -163,7 +169,7 @@ def prepare(
     atoms = [atom for member, _ in done for atom in member.atoms]
     elements = [atom.element.name for atom in atoms]
     at = _indices(done)
-    bonds = _bonds(draft, done, bridges, links, at)
+    bonds = _bonds(draft, done, bridges, [*links, *sugars], at)
     x = place_hydrogens(
         np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM,
         elements,
@@ -173,6 +179,7 @@ def prepare(
     owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
     x = relieved(x, owners, elements, bonds, draft.rebuilt)
     _refuse_coincident(draft, owners, x, bonds)
+    of_residues = [part for part in draft.parts for _ in part.members]
     fixed, mobile = np.repeat(
         [
             (part.obstacle and not part.mobile and not moves(draft, member, links), part.mobile)
@@ -196,11 +203,12 @@ def prepare(
         model_number=draft.model_number,
         ties=stated_ties(draft, links, at) or (*ties(links, at, x, elements, bonds), *metal_ties(draft, at)),
         mobile=mobile,
-        links=np.array([*_linked(links, at), *_linked(beside, at)], dtype=np.int64).reshape(-1, 2),
+        links=np.array(_linked(_told(draft, [*links, *sugars, *beside]), at), dtype=np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
         ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
         modified=tuple(_modified(draft, at)),
+        glycans={r: part.glycan for r, part in enumerate(of_residues) if part.glycan},
     )
 
 
@@ -230,6 +238,13 @@ def _bound(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
 def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
     """Bonds between the protein and what is kept beside it, or between such, as atoms."""
     return [(at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links]
+
+
+def _told(draft: Draft, links: list[Link]) -> list[Link]:
+    """Each bond once, those of the protein first."""
+    protein = {id(member) for part in draft.parts if not part.obstacle for member in part.members}
+    once = {frozenset(link.ends): link for link in links}
+    return sorted(once.values(), key=lambda link: id(link.member) not in protein)
 
 
 def _occupancies(atoms: list[gemmi.Atom]) -> Floats:

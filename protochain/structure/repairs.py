@@ -161,6 +161,19 @@ class Kind(Enum):
     STRAND = Words(
         "strand of {count:n nucleotide}, {first} to {last}: free to move, in torsions as a rigid body"
     )
+    GLYCAN = Words(
+        "{atoms:and} are bonded: the glycan of {count:n sugar} is free to move, with the parameters of "
+        "GLYCAM-06j ({codes}), in torsions rigid with its residue"
+    )
+    SACCHARIDE = Words(
+        "{count:n sugar} bonded to one another, {residue} first: free to move, with the parameters of "
+        "GLYCAM-06j ({codes}), in torsions as a rigid body"
+    )
+    GLYCAN_STAYS = Words("the glycan of {residue} stays in place: {why}")
+    OTHER_ANOMER = Words(
+        "{residue}: by its atoms the other anomer than by its name: it stays so, with the parameters of that"
+    )
+    SUGAR_INVERTED = Words("{residue}: of the other hand than its name says: {atoms}", rank=Rank.LOSS)
     NUCLEOTIDES_STAY = Words(
         "{count:n nucleotide} of a strand without parameters: {residues:6}; in place, the rest tied to them"
     )

@@ -58,7 +58,8 @@ def find_links(draft: Draft) -> list[Link]:
     cannot be as ignored.
     """
     protein, beside = (_heavy_atoms(p for p in draft.parts if p.obstacle is kept) for kept in (False, True))
-    near = _near(draft, protein, beside)
+    free = {*draft.glycosidic}
+    near = [link for link in _near(draft, protein, beside) if _ends(link) not in free]
     # A result says which bonds its molecules have.
     said = {link for link in near if draft.says_of(link.other)}
     sprung = {link for link in said if _ends(link) in draft.springs}
@@ -136,6 +137,17 @@ def _ends(link: Link) -> tuple[Address, Address]:
     return _address(link.member, link.atom), _address(link.other, link.other_atom)
 
 
+def glycosidic(draft: Draft) -> list[Link]:
+    """Bonds of the glycans that move, and tell the residues of the protein about them."""
+    if not draft.glycosidic:
+        return []
+    there = {_address(member, atom): (member, atom) for member in draft.members for atom in member.atoms}
+    links = [Link(*there[first], *there[second]) for first, second in draft.glycosidic]
+    for link in links:
+        link.member.links.append(link.atom)
+    return links
+
+
 def stated_beside(draft: Draft) -> list[Link]:
     """Bonds between residues kept beside the protein that the file states, and that are short enough."""
     there = {
@@ -174,7 +186,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
     along = {frozenset(_ends(link)) for link in strand_links(draft)}
     names: Counter[str] = Counter()
     for part in draft.parts:
-        if tree is None or not part.mobile:
+        if tree is None or not part.mobile or part.glycan:
             continue
         near = {
             k for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)

@@ -9,6 +9,7 @@ from math import isfinite
 import gemmi
 import numpy as np
 
+from protochain.core.graph import components
 from protochain.structure.draft import Address
 from protochain.structure.model import Structure
 
@@ -47,7 +48,8 @@ def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
 def of_structure(structure: Structure) -> list[Spring]:
     """Return the springs of a structure, and an atom of each molecule beside the protein that stays in place.
 
-    Or that no spring holds; of waters nothing is said.
+    Or that no spring holds; of waters nothing is said, nor of sugars that the protein bears: where these have
+    no parameters, springs are to hold them.
     """
     residue = structure.atom_residue
 
@@ -61,7 +63,9 @@ def of_structure(structure: Structure) -> list[Spring]:
     ]
     drawn = {int(residue[tie.atoms[1]]) for tie in structure.ties if len(tie.atoms) == 2}
     waters = set(np.flatnonzero(structure.residue_name == "HOH").tolist())
-    there = structure.kept & (structure.atom_element != "H")
+    molecule = components(structure.bonds, structure.n_atoms)
+    borne = np.isin(residue, [*structure.glycans]) & np.isin(molecule, molecule[~structure.kept])
+    there = structure.kept & (structure.atom_element != "H") & ~borne
     residues, first = np.unique(residue[there], return_index=True)
     for r, k in zip(residues.tolist(), np.flatnonzero(there)[first].tolist(), strict=True):
         if r not in waters and (structure.obstacle[k] or r not in drawn):

@@ -25,6 +25,10 @@ PHOSPHATES = {
 PROTEIN = _DATA / "amber14" / "protein.ff14SB.xml"
 """The default force field of proteins."""
 DNA, RNA = _DATA / "amber14" / "DNA.OL15.xml", _DATA / "amber14" / "RNA.OL3.xml"
+GLYCAM = _DATA / "amber14" / "GLYCAM_06j-1.xml"
+"""Parameters of glycans, with the atom types of the protein's."""
+HAS_GLYCAM = "amber14"
+"""The force field that they were made for."""
 _BONDED = 2.2
 """Angstrom: no bond of an amino acid is longer (C-S 1.8, S-S 2.0)."""
 SMIRNOFF = "SMIRNOFF"
