@@ -4,6 +4,10 @@ from .analysis.bars import progress as progress
 from .analysis.deviation import deviation as deviation
 from .analysis.deviation import rmsd as rmsd
 from .analysis.frames import EveryFrame as EveryFrame
+from .analysis.hessian import hessian as hessian
+from .analysis.hessian import hessian_product as hessian_product
+from .analysis.modes import NormalModes as NormalModes
+from .analysis.normal_modes import normal_modes as normal_modes
 from .analysis.quality import quality as quality
 from .articulate import build_chain as build_chain
 from .batches import Batch as Batch
