@@ -54,6 +54,11 @@ class Torques:
         """(n_v,) float: unit of each freedom, 1 rad, or what counts as one of a root's position, nm."""
         return Torsions(self.chain).scale
 
+    @property
+    def largest(self) -> float:
+        """Largest torque at the point, kJ/mol/rad, of free roots in their own unit."""
+        return float(np.max(np.abs(self.scale * self.beside(np.zeros(self.chain.n_v)))))
+
     def beside(self, change: Floats) -> Floats:
         """Torques (n_v,) after a change (n_v,) of the freedoms."""
         at = pose(self.chain, multibody.integrate(self.chain.tree, self.q, change))

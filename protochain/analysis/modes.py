@@ -109,6 +109,11 @@ class NormalModes(Value):
         return self.max_torque <= FLAT and not self.n_negative
 
     @property
+    def is_stable(self) -> bool:
+        """Whether all modes are above zero, so that each has an equilibrium."""
+        return bool(self.eigenvalues[0] > self.errors[0])
+
+    @property
     def verdict(self) -> str:
         """What kind of point it is, in words."""
         torque = f"largest torque {self.max_torque:.2g} kJ/mol/rad"
@@ -180,8 +185,8 @@ class NormalModes(Value):
         ProtochainError
             If a mode is not above zero: there is no equilibrium about such a point.
         """
-        kt = MOLAR_GAS * _kelvin(temperature)
-        if self.n_modes and self.eigenvalues[0] <= self.errors[0]:
+        kt = MOLAR_GAS * checked_temperature(temperature)
+        if not self.is_stable:
             raise ProtochainError(
                 f"{self.chain.structure.name}: mode 0 has {self.frequencies[0]:.3g} 1/cm, and no "
                 "equilibrium; minimise it, or connect its parts"
@@ -236,7 +241,7 @@ class NormalModes(Value):
         """Pearson's correlation of the C-alphas' B factors with those of the file; None without any."""
         alpha = self.chain.structure.alpha_carbons
         filed = self.chain.structure.b_factor[alpha]
-        if len(alpha) < 3 or not np.ptp(filed) > 0.0 or self.eigenvalues[0] <= self.errors[0]:
+        if len(alpha) < 3 or not np.ptp(filed) > 0.0 or not self.is_stable:
             return None
         return float(np.corrcoef(self.mean_squares()[alpha], filed)[0, 1])
 
@@ -332,7 +337,7 @@ class NormalModes(Value):
         ProtochainError
             If only some of the modes are known, or one is not above zero.
         """
-        kt = MOLAR_GAS * _kelvin(temperature)
+        kt = MOLAR_GAS * checked_temperature(temperature)
         values = self._all()
         x = MOLAR_PLANCK / (2.0 * np.pi) * np.sqrt(values) / kt
         each = x / np.expm1(x) - np.log(-np.expm1(-x)) if quantum else 1.0 - np.log(x)
@@ -379,7 +384,7 @@ class NormalModes(Value):
         ------
         (na, 3) float, nm
         """
-        moved = self.displacements(mode)
+        amplitude, moved = checked_amplitude(amplitude), self.displacements(mode)
         alpha = self.chain.structure.alpha_carbons
         moved = moved[alpha] if len(alpha) else moved
         size = float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))) * ANGSTROM_PER_NM
@@ -388,12 +393,12 @@ class NormalModes(Value):
             yield pose(self.chain, multibody.integrate(self.chain.tree, self.q, change)).x
 
     def table(self) -> "pd.DataFrame":
-        """Return a row for each mode: frequency, its square, collectivity, residual."""
+        """Return a row for each mode, counted from 1: frequency, eigenvalue, collectivity, residual."""
         import pandas as pd
 
         return pd.DataFrame(
             {
-                "mode": np.arange(self.n_modes),
+                "mode": np.arange(1, self.n_modes + 1),
                 "frequency_per_cm": self.frequencies,
                 "eigenvalue_per_ps2": self.eigenvalues,
                 "collectivity": self.collectivity,
@@ -432,8 +437,18 @@ def _without_rigid(displacements: Floats, x: Floats) -> Floats:
     return flat - rigid @ (rigid.T @ flat)
 
 
-def _kelvin(temperature: float) -> float:
-    value = quantity("kelvin")(temperature, "temperature")
-    if not 0.0 < value < np.inf:
-        raise refused("temperature", value, "give a number above 0, in K")
-    return value
+def checked_temperature(temperature: Any) -> float:
+    """Return a temperature in K if it is above zero."""
+    return _positive(temperature, "temperature", "kelvin")
+
+
+def checked_amplitude(amplitude: Any) -> float:
+    """Return an amplitude in angstrom if it is above zero."""
+    return _positive(amplitude, "amplitude", "angstrom")
+
+
+def _positive(value: Any, name: str, unit: str) -> float:
+    found = quantity(unit)(value, name)
+    if not 0.0 < found < np.inf:
+        raise refused(name, found, "give a number above 0")
+    return found

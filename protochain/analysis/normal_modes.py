@@ -158,8 +158,7 @@ def normal_modes(
     ProtochainError
         If the input cannot be used, the method is unknown, or the modes do not converge.
     """
-    if method not in METHODS:
-        raise refused("method", repr(method), f"choose from {', '.join(METHODS)}")
+    check_modes(k, method)
     began = perf_counter()
     given = as_chain(chain)
     start = given.q0 if q is None else floats(q, (given.n_q,), "q")
@@ -186,11 +185,18 @@ def normal_modes(
         largest_eigenvalue=found.largest,
         spectrum=None if found.every is None else read_only(found.every),
         log_det_mass=inertia.log_det(),
-        max_torque=float(np.max(np.abs(torques.beside(np.zeros(chain.n_v))[inertia.freedoms]))),
+        max_torque=torques.largest,
         held_by=held,
         n_products=found.products,
         seconds=perf_counter() - began,
     )
+
+
+def check_modes(k: int, method: str) -> None:
+    """Refuse a number of modes below 1, and an unknown method."""
+    at_least(1)(k, "modes")
+    if method not in METHODS:
+        raise refused("method", repr(method), f"choose from {', '.join(METHODS)}")
 
 
 def _freed(chain: Chain, q: Floats) -> tuple[Chain, Floats]:

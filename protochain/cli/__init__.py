@@ -20,6 +20,7 @@ from protochain.cli.bench import bench, scene
 from protochain.cli.compare import compare
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
+from protochain.cli.modes import modes
 from protochain.cli.options import BAD_INPUT, RENAMED, as_option, fail
 from protochain.cli.printable import Printable
 from protochain.cli.relax import relax
@@ -39,7 +40,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-_COMMANDS = (minimise, relax, compare, batch, simulate, validate, rmsd, bench, scene, info, build)
+_COMMANDS = (minimise, relax, compare, batch, simulate, modes, validate, rmsd, bench, scene, info, build)
 
 
 @app.callback(invoke_without_command=True)
