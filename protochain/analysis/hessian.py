@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from protochain.analysis.pair_hessian import applies, colours, pair_hessian
 from protochain.articulate import as_chain
 from protochain.chain import Chain, pose, pull_back
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import checked
 from protochain.core.errors import Fault, ProtochainError
-from protochain.energies import Energy, as_energy
+from protochain.energies import Energy, NativeEnergy, as_energy
 from protochain.mechanics import multibody
 from protochain.minimisers.spaces import Torsions
 
@@ -73,7 +74,31 @@ class Torques:
         return np.asarray((self.beside(-change) - self.beside(change)) / (2.0 * STEP / size))
 
     def matrix(self, freedoms: Any) -> Floats:
-        """Hessian (n, n) of some freedoms, made symmetric: two evaluations a row."""
+        """Hessian (n, n) of some freedoms: analytic where it can be, else by two evaluations a row."""
+        if applies(self.energy):
+            return self._analytic()[np.ix_(freedoms, freedoms)]
+        return self._by_rows(freedoms)
+
+    def _analytic(self) -> Floats:
+        """Pairs and Born radii analytically; bonded terms by differences, hinges of one colour at a time."""
+        assert isinstance(self.energy, NativeEnergy)
+        found = pair_hessian(self.chain, self.energy, pose(self.chain, self.q))
+        bonded = replace(self, energy=self.energy.bonded)
+        coupled, colour = colours(self.chain, self.energy)
+        of_bonded = np.zeros_like(found)
+        for each in range(int(colour.max(initial=-1)) + 1):
+            column = np.flatnonzero(colour == each)
+            direction = np.zeros(self.chain.n_v)
+            direction[column] = self.scale[column]
+            fall = bonded.product(direction)
+            for v in column:
+                rows = coupled.indices[coupled.indptr[v] : coupled.indptr[v + 1]]
+                of_bonded[rows, v] = fall[rows] / self.scale[v]
+        found += 0.5 * (of_bonded + of_bonded.T)
+        return found
+
+    def _by_rows(self, freedoms: Any) -> Floats:
+        """Hessian (n, n) by differences, made symmetric."""
         found = np.empty((len(freedoms), len(freedoms)))
         for row, freedom in zip(found, freedoms, strict=True):
             direction = np.zeros(self.chain.n_v)
