@@ -15,6 +15,7 @@ from protochain.core.errors import Argument, ProtochainError, refused
 from protochain.core.units import ANGSTROM_PER_NM, LIGHT, MOLAR_GAS, MOLAR_PLANCK
 from protochain.energies import Energy
 from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind
 from protochain.structure.matching import match, measurable
 from protochain.structure.superpose import motion
 
@@ -60,15 +61,17 @@ class NormalModes(Value):
     largest_eigenvalue : float, 1/ps^2
         Of all modes; NaN if it was not found.
     spectrum : (n,) float or None, 1/ps^2
-        All eigenvalues, where the whole Hessian was made.
+        All eigenvalues, where the whole Hessian was made, of up to 2000 freedoms.
     log_det_mass : float
         Logarithm of det M of the freedoms that are counted.
+    log_det_hessian : float or None
+        Logarithm of det K of these, where the whole was made and no mode is negative.
     max_torque : float, kJ/mol/rad
         Largest torque at the point.
     held_by : str
         What holds the whole in place; empty if its six zero modes were left out.
     n_products : int
-        Products with the Hessian, each two evaluations.
+        Products with the Hessian, each two evaluations; 0 if it was made as a whole.
     seconds : float
         Run time.
     """
@@ -83,10 +86,17 @@ class NormalModes(Value):
     largest_eigenvalue: float
     spectrum: Floats | None
     log_det_mass: float
+    log_det_hessian: float | None
     max_torque: float
     held_by: str
     n_products: int
     seconds: float
+
+    @property
+    def is_free(self) -> bool:
+        """Whether all roots are free."""
+        tree = self.chain.tree
+        return bool((tree.kind[tree.parent < 0] == HingeKind.FREE).all())
 
     @property
     def n_modes(self) -> int:
@@ -338,29 +348,25 @@ class NormalModes(Value):
             If only some of the modes are known, or one is not above zero.
         """
         kt = MOLAR_GAS * checked_temperature(temperature)
-        values = self._all()
-        x = MOLAR_PLANCK / (2.0 * np.pi) * np.sqrt(values) / kt
-        each = x / np.expm1(x) - np.log(-np.expm1(-x)) if quantum else 1.0 - np.log(x)
-        return MOLAR_GAS * float(np.sum(each))
+        if self.n_negative or self.max_torque > FLAT:
+            raise ProtochainError(f"{self.chain.structure.name}: has no entropy, as it is {self.verdict}")
+        hbar, n = MOLAR_PLANCK / (2.0 * np.pi), self.n_freedoms
+        if not quantum and self.log_det_hessian is not None:
+            half = 0.5 * (self.log_det_hessian - self.log_det_mass)
+            return MOLAR_GAS * (n * (1.0 + float(np.log(kt / hbar))) - half)
+        if self.spectrum is None or not self.spectrum[0] > 0.0:
+            dense = Argument("method", "dense")
+            raise ProtochainError(
+                "the entropy is that of all modes, and only some were found; give ", dense,
+                ", and of more than 2000 freedoms quantum=False",
+            )  # fmt: skip
+        x = hbar / kt * np.sqrt(self.spectrum)
+        return MOLAR_GAS * float(np.sum(x / np.expm1(x) - np.log(-np.expm1(-x))))
 
     @property
-    def log_det_hessian(self) -> float:
-        """Logarithm of det K of the freedoms that are counted, in kJ/mol/rad^2.
-
-        Raises
-        ------
-        ProtochainError
-            As :meth:`entropy`.
-        """
-        return float(np.sum(np.log(self._all()))) + self.log_det_mass
-
-    def _all(self) -> Floats:
-        if self.spectrum is None:
-            dense = Argument("method", "dense")
-            raise ProtochainError("the entropy is that of all modes, and only some were sought; give ", dense)
-        if not self.spectrum[0] > 0.0:
-            raise ProtochainError(f"{self.chain.structure.name}: has no entropy, as it is {self.verdict}")
-        return self.spectrum
+    def n_freedoms(self) -> int:
+        """Number of freedoms that are counted: all but the six of a whole that nothing holds."""
+        return self.chain.n_v - (0 if self.held_by or not self.is_free else 6)
 
     @property
     def largest_stable_step(self) -> float:

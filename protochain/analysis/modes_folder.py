@@ -70,13 +70,14 @@ def files_of(folder: Path, n_modes: int, suffix: str, trajectory: str) -> list[P
 
 def record_of(modes: NormalModes, temperature: float) -> dict[str, Any]:
     """Return the flat record of modes, with the entropies where all of them are known."""
-    known = modes.spectrum is not None and modes.spectrum[0] > 0.0
-    entropy = partial(modes.entropy, temperature)
+    entropy, usable = partial(modes.entropy, temperature), modes.is_minimum and modes.is_stable
     return record(COLUMNS, modes) | {
         "temperature_k": temperature,
-        "entropy_kj_mol_k": entropy() if known else None,
-        "entropy_classical_kj_mol_k": entropy(quantum=False) if known else None,
-        "log_det_hessian": modes.log_det_hessian if known else None,
+        "entropy_kj_mol_k": entropy() if usable and modes.spectrum is not None else None,
+        "entropy_classical_kj_mol_k": (
+            entropy(quantum=False) if usable and modes.log_det_hessian is not None else None
+        ),
+        "log_det_hessian": modes.log_det_hessian,
     }
 
 

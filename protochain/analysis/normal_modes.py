@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, eigh
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, lobpcg
 
 from protochain.analysis.hessian import Torques, torques_at
 from protochain.analysis.modes import NormalModes
+from protochain.analysis.pair_hessian import applies
 from protochain.articulate import as_chain, build_chain, transferred
 from protochain.chain import Chain, Pose, mass_matrix, pose
 from protochain.core.arrays import Floats, floats, read_only
@@ -33,9 +34,12 @@ from protochain.minimisers.saddle import motions_of_whole
 
 METHODS = ("auto", "dense", "products")
 
-DENSE = 1000
-"""Freedoms up to which ``auto`` makes the whole Hessian, which also has the entropy. Lowest modes take some
-700 products, whatever the number of freedoms: 1000 rows cost about as much."""
+DENSE, ANALYTIC = 1000, 6000
+"""Freedoms up to which ``auto`` makes the whole Hessian: by differences, and where it is analytic. The lowest
+modes take some 700 products, whatever the number of freedoms; matrices of 6000 take 0.3 GB each."""
+
+ALL = 2000
+"""Freedoms up to which all eigenvalues of the whole Hessian are found, half a minute for as many."""
 
 RESIDUAL = 1e-8
 """Largest |K a - w^2 M a| of a mode, of |K| |a|: about the error of differences."""
@@ -143,9 +147,10 @@ def normal_modes(
     k : int
         Number of modes, the lowest first; all, if there are fewer.
     method : str
-        ``dense`` makes the whole Hessian and has all frequencies, and so the entropy; ``products`` finds the
-        lowest by LOBPCG (Knyazev, SIAM J. Sci. Comput. 23:517, 2001), in O(n) memory beside a model of the
-        Hessian that guides it; ``auto`` is dense up to 1000 freedoms.
+        ``dense`` makes the whole Hessian, as :func:`protochain.hessian` does, and up to 2000 freedoms finds
+        all frequencies; ``products`` finds the lowest by LOBPCG (Knyazev, SIAM J. Sci. Comput. 23:517, 2001)
+        on differences of torques, guided by a model of the Hessian; ``auto`` is dense up to 6000 freedoms
+        where the Hessian is analytic, and else up to 1000.
 
     Returns
     -------
@@ -171,7 +176,8 @@ def normal_modes(
     n = len(inertia.freedoms)
     if n == 0:
         raise ProtochainError(f"{chain.structure.name}: nothing moves in it but the whole; open more hinges")
-    solve = _dense if method == "dense" or (method == "auto" and n <= DENSE) else _by_products
+    most = ANALYTIC if applies(torques.energy) else DENSE
+    solve = _dense if method == "dense" or (method == "auto" and n <= most) else _by_products
     found = solve(torques, inertia, min(k, n))
     order = np.argsort(found.values)
     return NormalModes(
@@ -185,6 +191,7 @@ def normal_modes(
         largest_eigenvalue=found.largest,
         spectrum=None if found.every is None else read_only(found.every),
         log_det_mass=inertia.log_det(),
+        log_det_hessian=found.log_det,
         max_torque=torques.largest,
         held_by=held,
         n_products=found.products,
@@ -220,6 +227,7 @@ class _Found:
     largest: float
     products: int
     every: Floats | None = None
+    log_det: float | None = None
 
 
 def _found(values: Floats, vectors: Floats, left: Floats, norm: float, **more: Any) -> _Found:
@@ -230,13 +238,48 @@ def _found(values: Floats, vectors: Floats, left: Floats, norm: float, **more: A
 
 
 def _dense(torques: Torques, inertia: Inertia, k: int) -> _Found:
-    """All eigenvalues, by LAPACK."""
+    """All eigenvalues by LAPACK, or of many freedoms the lowest and the largest by Lanczos."""
     stiffness, mass = torques.matrix(inertia.freedoms), inertia.matrix()
-    values, vectors = eigh(stiffness, mass)
-    few = vectors[:, :k]
-    left = stiffness @ few - mass @ few * values[:k]
-    norm = float(np.linalg.norm(stiffness, 2))
-    return _found(values[:k], few, left, norm, largest=float(values[-1]), products=len(mass), every=values)
+    norm = _largest(stiffness)
+    if len(mass) <= max(ALL, 2 * k):
+        values, vectors = eigh(stiffness, mass)
+        every, largest, few, log_det = values, float(values[-1]), vectors[:, :k], _log_det(stiffness)
+        values = values[:k]
+    else:
+        every, largest, log_det = None, _largest(stiffness, mass), _log_det(stiffness)
+        if log_det is None:
+            # With negative modes there is no Cholesky factor to iterate with.
+            values, few = eigh(stiffness, mass, subset_by_index=[0, k - 1])
+        else:
+            factor = cho_factor(stiffness, lower=True, check_finite=False)
+            inverse = LinearOperator(stiffness.shape, matvec=lambda x: cho_solve(factor, x), dtype=np.float64)
+            start = np.ones(len(mass))
+            values, few = eigsh(stiffness, k=k, M=mass, sigma=0.0, OPinv=inverse, v0=start)
+    left = stiffness @ few - mass @ few * values
+    return _found(values, few, left, norm, largest=largest, products=0, every=every, log_det=log_det)
+
+
+def _largest(stiffness: Floats, mass: Floats | None = None) -> float:
+    """Largest eigenvalue of K, or of K a = w^2 M a, by Lanczos."""
+    n = len(stiffness)
+    if n < 20:
+        return float(eigh(stiffness, mass, eigvals_only=True)[-1])
+    inverse = None
+    if mass is not None:
+        factor = cho_factor(mass, lower=True, check_finite=False)
+        inverse = LinearOperator((n, n), matvec=lambda x: cho_solve(factor, x), dtype=np.float64)
+    found: Any = eigsh(
+        stiffness, k=1, M=mass, Minv=inverse, which="LA", return_eigenvectors=False, v0=np.ones(n)
+    )
+    return float(found[0])
+
+
+def _log_det(stiffness: Floats) -> float | None:
+    """Logarithm of the determinant; None if the matrix is not positive definite."""
+    try:
+        return 2.0 * float(np.sum(np.log(np.diagonal(cholesky(stiffness, lower=True, check_finite=False)))))
+    except LinAlgError:
+        return None
 
 
 def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Found:

@@ -56,7 +56,7 @@ def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
     solvated: tuple[Any, ...] = (False, none, none, none, none, False, none)
     share = _shares(energy.threads)
     if terms.solvent is not None:
-        matrix, solvated = _of_radii(terms, by_body, x, body, parent, v_start, motions, share)
+        matrix, solvated = _of_radii(terms, by_body, (x, body, first), (parent, v_start, motions), share)
     own = _exceptions(terms, by_body)
     ends = _even(first, energy.threads)
     forces = np.zeros((energy.threads, n, 3))
@@ -105,33 +105,36 @@ def _exceptions(terms: Terms, by_body: Integers) -> tuple[Integers, Integers, Fl
 
 
 def _of_radii(
-    terms: Terms, by_body: Integers, x: Floats, body: Integers, parent: Integers, v_start: Integers,
-    motions: Floats, share: Share,
+    terms: Terms, by_body: Integers, atoms: tuple[Floats, Integers, Integers], tree: tuple[Any, ...],
+    share: Share,
 ) -> tuple[Floats, tuple[Any, ...]]:  # fmt: skip
     """Second derivatives by way of the Born radii, and what pairs need to know of these."""
     s = terms.solvent
     assert s is not None
-    n, n_v = len(x), len(motions)
+    n, n_v = len(by_body), len(tree[-1])
     offset, radius, scaled = s.offset_radius[by_body], s.radius[by_body], s.scaled_radius[by_body]
     charge, surface = s.charge[by_body], s.surface[by_body]
-    tree = parent, v_start, motions
     integral, along = np.empty(n), np.empty((n, n_v))
 
     def integrate(part: tuple[int, int]) -> None:
         sphere = offset, scaled, bool(s.engulfs)
-        kernels.integrals(*part, x, body, *sphere, *tree, integral, along)
+        kernels.integrals(*part, *atoms, *sphere, *tree, integral, along)
 
     share(integrate, _parts(0, n))
     born, slope, bend = born_radii(integral, offset, radius, s.bend[by_body])
     along *= slope[:, None]
+    # Where a radius is as large as it can be, nothing changes it.
+    bend_by_slope = np.divide(bend, slope**2, out=np.zeros(n), where=slope != 0.0)
     of_born, matrix = np.empty(n), np.zeros((n_v, n_v))
     for begin in range(0, n, _ROWS):
         rows = np.arange(begin, min(n, begin + _ROWS))
         couplings, mixed = np.zeros((len(rows), n)), np.empty((len(rows), n_v))
-        known, to = (x, body, charge, surface, born), (of_born, couplings, mixed)
+        known, to = (*atoms, charge, surface, born), (of_born, couplings, mixed)
         share(partial(_born_rows, begin, (*known, *tree, *to)), _parts(begin, begin + len(rows)))
-        couplings[rows - begin, rows] += of_born[rows] * bend[rows] / slope[rows] ** 2
-        mixed += 0.5 * couplings @ along
+        couplings[rows - begin, rows] += of_born[rows] * bend_by_slope[rows]
+        # Half of a symmetric product: the other is its transpose.
+        mixed += 0.5 * couplings[:, rows] @ along[rows]
+        mixed += couplings[:, rows[-1] + 1 :] @ along[rows[-1] + 1 :]
         matrix += along[rows].T @ mixed
     matrix += matrix.T.copy()
     return matrix, (True, charge, born, offset, scaled, bool(s.engulfs), of_born * slope)

@@ -69,6 +69,7 @@ def modes(
     from protochain.analysis.modes import checked_amplitude, checked_temperature
     from protochain.analysis.modes_folder import files_of, write_modes
     from protochain.analysis.normal_modes import DENSE, check_modes, normal_modes
+    from protochain.analysis.pair_hessian import applies
     from protochain.structure.matching import measurable
     from protochain.structure.trajectory import check_trajectory
 
@@ -80,8 +81,9 @@ def modes(
     check_outputs(inputs_of(setup, source, to), files_of(output, modes, suffix, trajectory))
     other = measurable(to) if to else None
     chain, energy, preparation = prepare(source, setup)
-    # Two evaluations for each row of the Hessian, or for some 700 products.
-    _foretell(source, chain, energy, 2 * min(chain.n_v, DENSE), relax)
+    # Two evaluations for each row of the Hessian, or for some 700 products; analytic, it is a hundred.
+    evaluations = 100 if applies(energy) else 2 * min(chain.n_v, DENSE)
+    _foretell(source, chain, energy, evaluations, relax)
     with held_interrupts():
         q, first = _relaxed(source, chain, energy) if relax else (chain.q0, "not minimised first")
         with open_to_interrupts():

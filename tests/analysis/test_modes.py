@@ -10,6 +10,7 @@ from scipy.linalg import eigh
 from scipy.spatial import cKDTree
 
 import protochain as pc
+from protochain.analysis import normal_modes
 from protochain.analysis.modes import share_moved
 from protochain.mechanics import multibody
 from protochain.minimisers.saddle import motions_of_whole
@@ -109,6 +110,23 @@ def test_lowest_modes_by_products_are_those_of_the_whole_hessian():
     # The same directions: those of a mode have M-products of 1.
     for a, b in zip(few.modes.T, dense.modes.T, strict=True):
         assert abs(a @ multibody.multiply_mass(c.tree, frames, b)) == pytest.approx(1.0, abs=1e-4)
+
+
+def test_of_many_freedoms_the_lowest_are_those_of_all(monkeypatch):
+    """By Lanczos with the factor of K, at a minimum and, with negative modes, without it."""
+    c, e = at_minimum("1l2y.pdb")
+    turned = c.q0 + np.where(np.arange(c.n_q) > 8, 0.1, 0.0)
+    for q in (c.q0, turned):
+        every = pc.normal_modes(c, e, q, k=5)
+        with monkeypatch.context() as patch:
+            patch.setattr(normal_modes, "ALL", 10)
+            few = pc.normal_modes(c, e, q, k=5)
+        assert few.spectrum is None and few.residuals.max() < 1e-8
+        assert few.eigenvalues == pytest.approx(every.eigenvalues, rel=1e-8)
+        assert few.largest_eigenvalue == pytest.approx(every.largest_eigenvalue, rel=1e-8)
+        if few.is_minimum:
+            assert few.entropy(quantum=False) == every.entropy(quantum=False)
+    assert few.n_negative
 
 
 class Net:
@@ -243,6 +261,8 @@ def test_fluctuations_and_entropy_are_those_of_the_gaussian():
     ):
         slope = (free(299.9) - free(300.1)) / 0.2
         assert r.entropy(300.0, quantum=quantum) == pytest.approx(slope, rel=1e-6)
+    exact = 8.31446261815324e-3 * np.sum(1.0 - np.log(hbar * w / kt))
+    assert r.entropy(quantum=False) == pytest.approx(exact, rel=1e-10)
     with pytest.raises(pc.ProtochainError, match="method"):
         pc.normal_modes(c, e, k=2, method="products").entropy()
 

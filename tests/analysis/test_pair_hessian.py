@@ -54,10 +54,10 @@ def test_integrals_have_their_derivatives(engulfs):
     """Near and far, inside, across and outside the sphere, on both sides of where the series begins."""
     for r in (0.03, 0.09, 0.15, 0.24, 0.31, 0.4, 1.0, 5.0):
         for radius, s in ((0.15, 0.1), (0.11, 0.15), (0.11, 0.05)):
-            value, slope, second = screening(r, radius, s, engulfs)
+            value, slope, second = screening(r, 1 / r**2, radius, s, engulfs)
             h = 1e-5 * r
             (before, below, _), (after, above, _) = (
-                screening(at, radius, s, engulfs) for at in (r - h, r + h)
+                screening(at, 1 / at**2, radius, s, engulfs) for at in (r - h, r + h)
             )
             size = abs(value) / r + 1e-9
             assert slope * r == pytest.approx((after - before) / (2 * h), abs=DIFFERENCED * size)
