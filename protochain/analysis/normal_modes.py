@@ -27,6 +27,7 @@ from protochain.chain import Chain, Pose, mass_matrix, pose
 from protochain.core.arrays import Floats, floats, read_only
 from protochain.core.checks import at_least, checked, text
 from protochain.core.errors import ProtochainError, refused
+from protochain.energies import as_energy
 from protochain.frame import frame_of
 from protochain.mechanics import multibody
 from protochain.minimisers import curvature, springs
@@ -138,7 +139,7 @@ def normal_modes(
     ----------
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
         A file is loaded, a structure cut into a chain with the default hinges. A root that ``auto`` has fixed
-        is freed; one that ``fixed`` holds stays.
+        is freed, unless obstacles or the energy hold the chain in place; one that ``fixed`` holds stays.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     q : (n_q,) float, optional
@@ -167,10 +168,11 @@ def normal_modes(
     began = perf_counter()
     given = as_chain(chain)
     start = given.q0 if q is None else floats(q, (given.n_q,), "q")
-    chain, start = _freed(given, start)
-    torques = torques_at(chain, energy, start)
+    known = as_energy(energy, given.structure)
+    held = frame_of(given, known).held_by
+    chain, start = (given, start) if held else _freed(given, start)
+    torques = torques_at(chain, known, start)
     at = pose(chain, torques.q)
-    held = frame_of(chain, torques.energy).held_by
     whole = np.empty((0, chain.n_v)) if held else motions_of_whole(chain, at)
     inertia = Inertia(chain, at, whole.T)
     n = len(inertia.freedoms)
