@@ -6,6 +6,10 @@ from .analysis.deviation import rmsd as rmsd
 from .analysis.differences import Differences as Differences
 from .analysis.differences import differences as differences
 from .analysis.frames import EveryFrame as EveryFrame
+from .analysis.hessian import hessian as hessian
+from .analysis.hessian import hessian_product as hessian_product
+from .analysis.modes import NormalModes as NormalModes
+from .analysis.normal_modes import normal_modes as normal_modes
 from .analysis.quality import quality as quality
 from .articulate import build_chain as build_chain
 from .batches import Batch as Batch

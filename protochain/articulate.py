@@ -151,6 +151,16 @@ def as_chain(source: Any) -> Chain:
     return build_chain(structure, own.opened, own.root, move=own.move, hydrogen_mass=mass)
 
 
+def transferred(chain: Chain, made: Chain, q: Floats) -> Floats:
+    """Coordinates q of a chain for one with the same bodies, whose roots may have been freed."""
+    start = made.q0.copy()
+    old, new = chain.tree.q_start, made.tree.q_start
+    start[new[made.hinge_body]] = q[old[chain.hinge_body]]
+    for b in np.flatnonzero(chain.tree.kind == HingeKind.FREE):
+        start[new[b] : new[b] + 7] = q[old[b] : old[b] + 7]
+    return start
+
+
 def _masses(structure: Structure, hydrogen_mass: float | None) -> Floats:
     """Mass of each atom, amu, after hydrogen mass repartitioning."""
     mass = structure.atom_mass.copy()

@@ -21,6 +21,7 @@ from protochain.cli.compare import compare
 from protochain.cli.energy import energy
 from protochain.cli.inspect import build, info
 from protochain.cli.minimise import minimise
+from protochain.cli.modes import modes
 from protochain.cli.options import BAD_INPUT, RENAMED, as_option, fail
 from protochain.cli.printable import Printable
 from protochain.cli.relax import relax
@@ -40,7 +41,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-_COMMANDS = (minimise, relax, compare, batch, simulate, validate, energy, rmsd, bench, scene, info, build)
+_COMMANDS = (
+    minimise, relax, compare, batch, simulate, modes, validate, energy, rmsd, bench, scene, info, build,
+)  # fmt: skip
 
 
 @app.callback(invoke_without_command=True)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.articulate import as_chain, build_chain
+from protochain.articulate import as_chain, build_chain, transferred
 from protochain.chain import Chain, place_atoms
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats
@@ -40,7 +40,6 @@ from protochain.energies import Energy, as_energy
 from protochain.energies.custom import EnergyFunction
 from protochain.frame import Frame, frame_of
 from protochain.mechanics.motion.system import Phase, StepTooLargeError, System, total
-from protochain.mechanics.multibody import HingeKind
 from protochain.structure.chirality import changed_hands
 from protochain.structure.superpose import rmsd_angstrom
 
@@ -271,7 +270,7 @@ def _prepare(
         )
     made = freed(chain, settings)
     varying = energy.without_constants(made.rigid_groups, made.structure.positions)
-    start = _transferred(chain, made, given)
+    start = transferred(chain, made, given)
     closure = closure_of(made, start) if settings.loops == "closed" else None
     if closure is not None:
         closure = replace(closure, length=_measured(constants, "loop_lengths", closure.length))
@@ -311,16 +310,6 @@ def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats
     """
     found = constants.get(name)
     return own if found is None or found.shape != own.shape else found
-
-
-def _transferred(chain: Chain, made: Chain, q: Floats) -> Floats:
-    """Coordinates q of a chain for one with the same bodies, whose roots may have been freed."""
-    start = made.q0.copy()
-    old, new = chain.tree.q_start, made.tree.q_start
-    start[new[made.hinge_body]] = q[old[chain.hinge_body]]
-    for b in np.flatnonzero(chain.tree.kind == HingeKind.FREE):
-        start[new[b] : new[b] + 7] = q[old[b] : old[b] + 7]
-    return start
 
 
 @held_interrupts()

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from protochain.chain import Pose
+from protochain.chain import Chain, Pose
 from protochain.core.arrays import Floats
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
@@ -270,11 +270,19 @@ def stepped_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluati
 def rigid_motions(space: Space, at: Evaluation) -> tuple[Floats, ...]:
     """Orthonormal motions (n_v,) of the whole as one rigid body; none if a root is fixed."""
     assert isinstance(space, Torsions) and isinstance(at.pose, Pose)
-    chain, frames = space.chain, at.pose.frames
-    tree = chain.tree
+    motions = motions_of_whole(space.chain, at.pose)
+    if not len(motions):
+        return ()
+    orthonormal, _ = np.linalg.qr((motions / space.scale).T)
+    return tuple(orthonormal.T)
+
+
+def motions_of_whole(chain: Chain, pose: Pose) -> Floats:
+    """Turns and shifts (6, n_v) of the whole about the world's origin; (0, n_v) if a root is fixed."""
+    tree, frames = chain.tree, pose.frames
     roots = np.flatnonzero(tree.parent < 0)
     if not (tree.kind[roots] == HingeKind.FREE).all():
-        return ()
+        return np.empty((0, chain.n_v))
     motions = np.zeros((6, chain.n_v))
     for root in roots:
         own = slice(tree.v_start[root], tree.v_start[root] + 6)
@@ -285,8 +293,7 @@ def rigid_motions(space: Space, at: Evaluation) -> tuple[Floats, ...]:
         # A turn about the world's origin moves this body's origin along.
         wanted[3:, :3] = np.cross(np.eye(3), frames.origin[root]).T
         motions[:, own] = np.linalg.solve(twists, wanted).T
-    orthonormal, _ = np.linalg.qr((motions / space.scale).T)
-    return tuple(orthonormal.T)
+    return motions
 
 
 def with_curvature(plan: Sequence[Stage], floats: bool) -> list[Stage]:

@@ -118,3 +118,28 @@ def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_pa
     assert np.mean(np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1) > 0.003
     page.locator("#pocket-shown input").first.uncheck()
     assert said == []
+
+
+def test_the_page_of_modes_moves(browser, tmp_path):
+    from fixtures.command_line import run
+    from fixtures.samples import STRUCTURES
+
+    assert run("modes", STRUCTURES / "ala10.pdb", "-o", tmp_path / "out", "--modes", "3") == 0
+    page = browser.new_page()
+    said = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto((tmp_path / "out" / "report.html").as_uri())
+    viewer = page.locator("#modes-viewer[data-mode='1']")
+    viewer.locator("canvas").first.wait_for()
+
+    def seen():
+        page.wait_for_timeout(150)
+        return matplotlib.image.imread(io.BytesIO(viewer.screenshot()))
+
+    first = seen()
+    assert np.mean(np.abs(first - first[5, 5]).max(axis=-1) > 0.1) > 0.002
+    assert any(not np.array_equal(first, seen()) for _ in range(10))
+    page.select_option("#mode", "3")
+    page.wait_for_selector("#modes-viewer[data-mode='3']")
+    assert said == []

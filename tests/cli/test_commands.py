@@ -69,6 +69,10 @@ COMMANDS = {
         "between": None, "stiffness": 1000.0, "speed": 0.01, "hinge_springs": None, "relax": True,
         "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
     },
+    "modes": {
+        "source": None, **OUTPUT, "modes": 20, "to": None, "method": "auto", "temperature": 300.0,
+        "amplitude": 1.0, "trajectory": "dcd", "relax": True, **AS_JSON, **SETUP,
+    },
     "validate": {
         "inputs": None, "reference": None, "csv": None, "residues": None, "changes": None,
         "posebusters": True, **AS_JSON,
@@ -102,8 +106,8 @@ METAVARS = {
     ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
     ("inputs", "relax"): "IN...", ("output", "batch"): "DIR",
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
-    ("output", "scene"): "DIR", ("name", "scene"): "[NAME]", ("between", None): "A:1:N-A:20:C",
-    ("between", "energy"): "A:1-50,B",
+    ("output", "modes"): "DIR", ("output", "scene"): "DIR", ("name", "scene"): "[NAME]",
+    ("between", None): "A:1:N-A:20:C", ("between", "energy"): "A:1-50,B",
     ("stiffness", "simulate"): "K", ("speed", None): "NM/PS", ("hinge_springs", None): "'KIND K C'",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
@@ -445,6 +449,7 @@ READ = {
     "compare": {"source": "{0}", "reference": "--reference {0}", "forcefield": "--forcefield amber14,{0}"},
     "batch": {"inputs": "{0}", "manifest": "--manifest {0}", "forcefield": "--forcefield amber14,{0}"},
     "simulate": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
+    "modes": {"source": "{0}", "to": "--to {0}", "forcefield": "--forcefield amber14,{0}"},
     "validate": {"inputs": "{0}", "reference": "--reference {0}"},
     "energy": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "rmsd": {"reference": "{0} b.pdb", "models": "b.pdb {0}"},
@@ -463,6 +468,7 @@ WRITTEN = {
     "compare": {"output": ("--force -o d", "d/in.kcm.pdb", "d/in.start.cif", "d/summary.csv")},
     "batch": {"output": ("-o d", "d/summary.csv", "d/traces.csv", "d/report.html")},
     "simulate": {"output": ("--force -o d", "d/last.pdb", "d/log.csv", "d/trajectory.dcd")},
+    "modes": {"output": ("-o d", "d/modes.csv", "d/minimum.pdb", "d/mode-1.dcd", "d/report.html")},
     "validate": {
         "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),
         "changes": ("--changes {0}", "a.csv"),

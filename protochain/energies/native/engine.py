@@ -202,6 +202,21 @@ class NativeEnergy:
         rough._set(self.by_openmm, self.threads, replace(self._layout, terms=fewer))
         return rough
 
+    @cached_property
+    def bonded(self) -> "NativeEnergy":
+        """A copy of the bonded terms alone, without any pairs, exceptions included."""
+        terms = self.terms
+        near = Layout(replace(terms, solvent=None), self._layout.groups, self._layout.exceptions).near
+        pairs = terms.nonbonded
+        nothing = replace(
+            pairs, charge=0.0 * pairs.charge, a12=0.0 * pairs.a12, b6=0.0 * pairs.b6, cutoff=near,
+            exceptions=Bonded(pairs.exceptions.atoms[:0], pairs.exceptions.parameters[:0]),
+        )  # fmt: skip
+        alone = NativeEnergy.__new__(NativeEnergy)
+        fewer = replace(terms, nonbonded=nothing, solvent=None)
+        alone._set(self.by_openmm, self.threads, replace(self._layout, terms=fewer))
+        return alone
+
     def cutoff_error(self, x: Floats) -> str:
         """Say by how much the cutoff changes the forces at x (na, 3) in nm, by one sum over all pairs."""
         terms = self._layout.terms

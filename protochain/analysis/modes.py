@@ -1,0 +1,460 @@
+"""Normal modes of a chain, and what follows from them: fluctuations, overlaps, entropy, the longest step."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.special import xlogy
+
+from protochain.chain import Chain, pose
+from protochain.core.arrays import Floats, Value
+from protochain.core.checks import quantity
+from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.units import ANGSTROM_PER_NM, LIGHT, MOLAR_GAS, MOLAR_PLANCK
+from protochain.energies import Energy
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind
+from protochain.structure.matching import match, measurable
+from protochain.structure.superpose import motion
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FLAT = 1.0
+"""kJ/mol/rad. Largest torque at what counts as a minimum, as of minimisers."""
+
+TEMPERATURE = 300.0
+"""K."""
+
+FRAMES = 20
+"""Frames of one swing of a mode."""
+
+_STILL = 1e-9
+"""nm. Changes of all C-alphas together that are but rounding."""
+
+_B = 8.0 * np.pi**2 / 3.0
+"""B factor of a mean square displacement."""
+
+
+@dataclass(frozen=True, eq=False)
+class NormalModes(Value):
+    """Small motions of a chain about a point, each with one frequency.
+
+    Parameters
+    ----------
+    chain : Chain
+        Its roots are free, unless something holds them.
+    energy_function : Energy
+        Of all terms.
+    q : (n_q,) float
+        The point.
+    eigenvalues : (k,) float, 1/ps^2
+        Squares of the angular frequencies, the lowest first; negative where the energy falls.
+    modes : (n_v, k) float
+        Rates of all freedoms, with a^T M a = 1 in amu nm^2, and without momentum where nothing holds it.
+    residuals : (k,) float
+        |K a - w^2 M a|, of |K| |a|.
+    errors : (k,) float, 1/ps^2
+        What the error of the differences of torques, 1e-8 of K, may be of an eigenvalue at most.
+    largest_eigenvalue : float, 1/ps^2
+        Of all modes; NaN if it was not found.
+    spectrum : (n,) float or None, 1/ps^2
+        All eigenvalues, where the whole Hessian was made, of up to 2000 freedoms.
+    log_det_mass : float
+        Logarithm of det M of the freedoms that are counted.
+    log_det_hessian : float or None
+        Logarithm of det K of these, where the whole was made and no mode is negative.
+    max_torque : float, kJ/mol/rad
+        Largest torque at the point.
+    held_by : str
+        What holds the whole in place; empty if its six zero modes were left out.
+    n_products : int
+        Products with the Hessian, each two evaluations; 0 if it was made as a whole.
+    seconds : float
+        Run time.
+    """
+
+    chain: Chain
+    energy_function: Energy
+    q: Floats
+    eigenvalues: Floats
+    modes: Floats
+    residuals: Floats
+    errors: Floats
+    largest_eigenvalue: float
+    spectrum: Floats | None
+    log_det_mass: float
+    log_det_hessian: float | None
+    max_torque: float
+    held_by: str
+    n_products: int
+    seconds: float
+
+    @property
+    def is_free(self) -> bool:
+        """Whether all roots are free."""
+        tree = self.chain.tree
+        return bool((tree.kind[tree.parent < 0] == HingeKind.FREE).all())
+
+    @property
+    def n_modes(self) -> int:
+        """Number of modes."""
+        return len(self.eigenvalues)
+
+    @cached_property
+    def frequencies(self) -> Floats:
+        """(k,) float, 1/cm: w/2 pi c; minus that of a mode along which the energy falls."""
+        return wavenumbers(self.eigenvalues)
+
+    @property
+    def n_negative(self) -> int:
+        """Number of modes along which the energy falls, by more than the error of the differences."""
+        return int(np.sum(self.eigenvalues < -self.errors))
+
+    @property
+    def is_minimum(self) -> bool:
+        """Whether the torques vanish, within 1 kJ/mol/rad, and no mode is negative."""
+        return self.max_torque <= FLAT and not self.n_negative
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether all modes are above zero, so that each has an equilibrium."""
+        return bool(self.eigenvalues[0] > self.errors[0])
+
+    @property
+    def verdict(self) -> str:
+        """What kind of point it is, in words."""
+        torque = f"largest torque {self.max_torque:.2g} kJ/mol/rad"
+        if self.is_minimum:
+            return f"a minimum: {torque}, no mode is negative"
+        if self.n_negative:
+            lowest = f"{self.frequencies[0]:.3g} 1/cm"
+            return f"not a minimum: {self.n_negative} negative of {self.n_modes} modes, {lowest}; {torque}"
+        return f"not a minimum: {torque}; minimise it first"
+
+    @cached_property
+    def x(self) -> Floats:
+        """(na, 3) float, nm: positions at the point."""
+        return pose(self.chain, self.q).x
+
+    def displacements(self, mode: int) -> Floats:
+        """Displacements of all atoms along a mode.
+
+        Parameters
+        ----------
+        mode : int
+            From 0.
+
+        Returns
+        -------
+        (na, 3) float, nm
+            J a, for a unit amplitude.
+        """
+        at = pose(self.chain, self.q)
+        twists = multibody.velocities(self.chain.tree, at.frames, self.modes[:, self._checked(mode)])
+        own = twists[self.chain.atom_body]
+        arm = at.x - at.frames.origin[self.chain.atom_body]
+        return np.asarray(own[:, 3:] + np.cross(own[:, :3], arm))
+
+    def _checked(self, mode: int) -> int:
+        if not isinstance(mode, int | np.integer) or not 0 <= mode < self.n_modes:
+            raise refused("mode", repr(mode), f"give a whole number from 0 to {self.n_modes - 1}")
+        return int(mode)
+
+    @cached_property
+    def _alphas(self) -> Floats:
+        """(k, nca, 3) float, nm: displacements of the C-alphas."""
+        alpha = self.chain.structure.alpha_carbons
+        return np.array([self.displacements(mode)[alpha] for mode in range(self.n_modes)])
+
+    @cached_property
+    def collectivity(self) -> Floats:
+        """(k,) float: share of the C-alphas that a mode moves, from 1/n to 1.
+
+        exp(-sum p ln p)/n with p the shares of the squared displacements: Bruschweiler, J. Chem. Phys.
+        102:3396 (1995).
+        """
+        return np.array([share_moved(each) for each in self._alphas])
+
+    def mean_squares(self, temperature: float = TEMPERATURE) -> Floats:
+        """Mean square displacements of the atoms by the modes, each with energy kT.
+
+        Parameters
+        ----------
+        temperature : float, K
+
+        Returns
+        -------
+        (na,) float, angstrom^2
+            kT sum |J a|^2 / w^2. Modes that were not asked for are not in it.
+
+        Raises
+        ------
+        ProtochainError
+            If a mode is not above zero: there is no equilibrium about such a point.
+        """
+        kt = MOLAR_GAS * checked_temperature(temperature)
+        if not self.is_stable:
+            raise ProtochainError(
+                f"{self.chain.structure.name}: mode 0 has {self.frequencies[0]:.3g} 1/cm, and no "
+                "equilibrium; minimise it, or connect its parts"
+            )
+        squares = np.zeros(self.chain.n_atoms)
+        for mode, eigenvalue in enumerate(self.eigenvalues):
+            squares += np.sum(self.displacements(mode) ** 2, axis=1) * kt / eigenvalue
+        return squares * ANGSTROM_PER_NM**2
+
+    def fluctuations(self, temperature: float = TEMPERATURE) -> "pd.DataFrame":
+        """Fluctuations and B factors of the residues that have a C-alpha.
+
+        Parameters
+        ----------
+        temperature : float, K
+
+        Returns
+        -------
+        pandas.DataFrame
+            Chain, number and name; root mean square displacement of the C-alpha in angstrom; B factor,
+            8 pi^2/3 of its square, in angstrom^2, of the C-alpha and as mean of the residue's heavy atoms;
+            and that of the C-alpha in the file.
+
+        Raises
+        ------
+        ProtochainError
+            As :meth:`mean_squares`.
+        """
+        import pandas as pd
+
+        s = self.chain.structure
+        squares = self.mean_squares(temperature)
+        alpha = s.alpha_carbons
+        of = s.atom_residue[alpha]
+        heavy = s.atom_element != "H"
+        counts = np.bincount(s.atom_residue[heavy], minlength=s.n_residues)
+        sums = np.bincount(s.atom_residue[heavy], squares[heavy], minlength=s.n_residues)
+        return pd.DataFrame(
+            {
+                "chain": s.residue_chain[of],
+                "residue": np.char.add(s.residue_number, s.residue_insertion_code)[of],
+                "name": s.residue_name[of],
+                "ca_fluctuation_angstrom": np.sqrt(squares[alpha]),
+                "ca_b_factor_angstrom2": _B * squares[alpha],
+                "b_factor_angstrom2": _B * (sums / np.maximum(counts, 1))[of],
+                "ca_b_factor_in_file_angstrom2": s.b_factor[alpha],
+            }
+        )
+
+    @property
+    def b_factor_correlation(self) -> float | None:
+        """Pearson's correlation of the C-alphas' B factors with those of the file; None without any."""
+        alpha = self.chain.structure.alpha_carbons
+        filed = self.chain.structure.b_factor[alpha]
+        if len(alpha) < 3 or not np.ptp(filed) > 0.0 or not self.is_stable:
+            return None
+        return float(np.corrcoef(self.mean_squares()[alpha], filed)[0, 1])
+
+    def overlap(self, other: Any) -> Floats:
+        """How much of the change to another structure each mode has.
+
+        Parameters
+        ----------
+        other : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+            Residues are matched as by :func:`protochain.rmsd`.
+
+        Returns
+        -------
+        (k,) float
+            |d . D| / |d| |D| over C-alphas, with d the displacements of a mode and D the change after
+            superposition, both without their rigid motion: Marques, Sanejouand, Proteins 23:557 (1995).
+
+        Raises
+        ------
+        ProtochainError
+            If fewer than three residues match, or nothing changes.
+        """
+        modes, change = self._against(other)
+        sizes = np.linalg.norm(modes, axis=1)
+        return np.abs(modes @ change) / np.where(sizes > 0.0, sizes, 1.0)
+
+    def cumulative_overlap(self, other: Any) -> Floats:
+        """How much of the change to another structure the lowest modes have together.
+
+        Parameters
+        ----------
+        other : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+
+        Returns
+        -------
+        (k,) float
+            Length of the change's part in the span of the first 1, 2 ... modes, of its length. C-alpha
+            displacements of torsional modes are not orthogonal to each other; their span is made so first.
+
+        Raises
+        ------
+        ProtochainError
+            As :meth:`overlap`.
+        """
+        modes, change = self._against(other)
+        basis = np.linalg.qr(modes.T)[0]
+        return np.sqrt(np.minimum(1.0, np.cumsum((change @ basis) ** 2)))
+
+    def _against(self, other: Any) -> tuple[Floats, Floats]:
+        """Displacements (k, 3n) of matched C-alphas without rigid motion, and the change (3n,), 1 long."""
+        own = self.chain.structure.with_positions(self.x)
+        there = measurable(other)
+        found = match(own, there)
+        alpha = {int(own.atom_residue[atom]): place for place, atom in enumerate(own.alpha_carbons)}
+        its = {int(there.atom_residue[atom]): int(atom) for atom in there.alpha_carbons}
+        pairs = [
+            (alpha[a], its[b])
+            for a, b in zip(found.reference.tolist(), found.model.tolist(), strict=True)
+            if a in alpha and b in its
+        ]
+        if len(pairs) < 3:
+            raise ProtochainError(
+                f"{own.name} and {there.name}: fewer than three residues match; give another structure"
+            )
+        mine, atoms = (np.array(side) for side in zip(*pairs, strict=True))
+        here, reached = own.positions[own.alpha_carbons[mine]], there.positions[atoms]
+        turn, shift = motion(reached, here)
+        change = reached @ turn.T + shift - here
+        modes = np.array([_without_rigid(each[mine], here) for each in self._alphas])
+        change = _without_rigid(change, here)
+        size = np.linalg.norm(change)
+        if not size > _STILL:
+            raise ProtochainError(f"{there.name}: is no other structure than {own.name}; nothing changes")
+        return modes, change / size
+
+    def entropy(self, temperature: float = TEMPERATURE, quantum: bool = True) -> float:
+        """Entropy of harmonic oscillators with the frequencies of all modes.
+
+        Parameters
+        ----------
+        temperature : float, K
+        quantum : bool
+            Whether by the energies hbar w (n + 1/2), as Karplus, Kushick, Macromolecules 14:325 (1981) have
+            it in the classical limit, which this is with False: k sum (1 + ln kT/hbar w).
+
+        Returns
+        -------
+        float, kJ/mol/K
+            Of the internal freedoms.
+
+        Raises
+        ------
+        ProtochainError
+            If only some of the modes are known, or one is not above zero.
+        """
+        kt = MOLAR_GAS * checked_temperature(temperature)
+        if self.n_negative or self.max_torque > FLAT:
+            raise ProtochainError(f"{self.chain.structure.name}: has no entropy, as it is {self.verdict}")
+        hbar, n = MOLAR_PLANCK / (2.0 * np.pi), self.n_freedoms
+        if not quantum and self.log_det_hessian is not None:
+            half = 0.5 * (self.log_det_hessian - self.log_det_mass)
+            return MOLAR_GAS * (n * (1.0 + float(np.log(kt / hbar))) - half)
+        if self.spectrum is None or not self.spectrum[0] > 0.0:
+            dense = Argument("method", "dense")
+            raise ProtochainError(
+                "the entropy is that of all modes, and only some were found; give ", dense,
+                ", and of more than 2000 freedoms quantum=False",
+            )  # fmt: skip
+        x = hbar / kt * np.sqrt(self.spectrum)
+        return MOLAR_GAS * float(np.sum(x / np.expm1(x) - np.log(-np.expm1(-x))))
+
+    @property
+    def n_freedoms(self) -> int:
+        """Number of freedoms that are counted: all but the six of a whole that nothing holds."""
+        return self.chain.n_v - (0 if self.held_by or not self.is_free else 6)
+
+    @property
+    def largest_stable_step(self) -> float:
+        """Longest time step of the leapfrog in torsions, in ps: 2/w of the fastest mode; NaN if unknown."""
+        return 2.0 / float(np.sqrt(self.largest_eigenvalue))
+
+    def swing(self, mode: int, amplitude: float = 1.0, n_frames: int = FRAMES) -> Iterator[Floats]:
+        """Positions along one swing of a mode, by turns of the hinges: no bond is stretched.
+
+        Parameters
+        ----------
+        mode : int
+            From 0.
+        amplitude : float, angstrom
+            Root mean square displacement of the C-alphas at the ends, where it is small; of all atoms, if
+            there are no C-alphas.
+        n_frames : int
+            Positions, which begin and end at the point.
+
+        Yields
+        ------
+        (na, 3) float, nm
+        """
+        amplitude, moved = checked_amplitude(amplitude), self.displacements(mode)
+        alpha = self.chain.structure.alpha_carbons
+        moved = moved[alpha] if len(alpha) else moved
+        size = float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))) * ANGSTROM_PER_NM
+        for phase in np.linspace(0.0, 2.0 * np.pi, n_frames):
+            change = amplitude / size * np.sin(phase) * self.modes[:, mode]
+            yield pose(self.chain, multibody.integrate(self.chain.tree, self.q, change)).x
+
+    def table(self) -> "pd.DataFrame":
+        """Return a row for each mode, counted from 1: frequency, eigenvalue, collectivity, residual."""
+        import pandas as pd
+
+        return pd.DataFrame(
+            {
+                "mode": np.arange(1, self.n_modes + 1),
+                "frequency_per_cm": self.frequencies,
+                "eigenvalue_per_ps2": self.eigenvalues,
+                "collectivity": self.collectivity,
+                "residual": self.residuals,
+            }
+        )
+
+    def __repr__(self) -> str:
+        name, low = self.chain.structure.name, ", ".join(f"{each:.3g}" for each in self.frequencies[:3])
+        return f"<NormalModes of {name}: {self.n_modes} modes, {low} ... 1/cm; {self.verdict}>"
+
+
+def wavenumbers(eigenvalues: Floats) -> Floats:
+    """Frequencies in 1/cm of squares of angular frequencies in 1/ps^2; negative of negative ones."""
+    return np.sign(eigenvalues) * np.sqrt(np.abs(eigenvalues)) / (2.0 * np.pi * LIGHT)
+
+
+def share_moved(displacements: Floats) -> float:
+    """Collectivity of displacements (n, 3); NaN of none."""
+    squares = np.sum(displacements**2, axis=1)
+    if not squares.sum() > 0.0:
+        return float("nan")
+    shares = squares / squares.sum()
+    return float(np.exp(-np.sum(xlogy(shares, shares))) / len(shares))
+
+
+def _without_rigid(displacements: Floats, x: Floats) -> Floats:
+    """Displacements (n, 3) of points (n, 3) less those of the nearest rigid motion, as (3n,)."""
+    arm = x - x.mean(axis=0)
+    turns = [np.cross(axis, arm).ravel() for axis in np.eye(3)]
+    shifts = [np.tile(axis, len(x)) for axis in np.eye(3)]
+    # Points on a line have but five.
+    rigid, sizes, _ = np.linalg.svd(np.array([*turns, *shifts]).T, full_matrices=False)
+    rigid = rigid[:, sizes > 1e-9 * sizes[0]]
+    flat = displacements.ravel()
+    return flat - rigid @ (rigid.T @ flat)
+
+
+def checked_temperature(temperature: Any) -> float:
+    """Return a temperature in K if it is above zero."""
+    return _positive(temperature, "temperature", "kelvin")
+
+
+def checked_amplitude(amplitude: Any) -> float:
+    """Return an amplitude in angstrom if it is above zero."""
+    return _positive(amplitude, "amplitude", "angstrom")
+
+
+def _positive(value: Any, name: str, unit: str) -> float:
+    found = quantity(unit)(value, name)
+    if not 0.0 < found < np.inf:
+        raise refused(name, found, "give a number above 0")
+    return found

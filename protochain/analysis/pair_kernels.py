@@ -1,0 +1,314 @@
+"""Second derivatives of pairs of atoms, and of Born radii, along the freedoms of a tree.
+
+With u = r^2 a pair adds D = 4 E_uu d d^T + 2 E_u 1 between its atoms. Generalised Born radii B_i(I_i) depend
+on all other atoms by I_i = sum h(r_ij), so that K has also terms with the rows P = dB/dq, which is made here
+for one atom after the other: forces on all bodies, added up from the leaves inward. Twists and wrenches are
+about one point, as in :mod:`protochain.minimisers.torsion_kernels`.
+"""
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers
+from protochain.energies.native.born import descreening
+from protochain.energies.native.layout import scalar, shared
+
+_FAR = 0.16
+"""Square of s/r up to which the integral of a sphere is a series of :data:`_TERMS` terms."""
+_TERMS = 18
+_STEP = 1e-5
+"""Of the distance, for the second derivative of an integral that is no series."""
+_K = np.arange(1.0, _TERMS + 1.0)
+_VALUE = 2.0 * _K / (2.0 * _K + 1.0)
+_SLOPE = -_VALUE * (2.0 * _K + 2.0)
+_SECOND = -_SLOPE * (2.0 * _K + 3.0)
+"""Coefficients of t^(k-1), t = (s/r)^2, of h = s^3/2r^4 sum 2k/(2k+1) t^(k-1) and its derivatives."""
+_NEGLIGIBLE = 36.0
+"""x of exp(-x) from which on the Born radii of a pair do not matter to it: 2e-16 is left."""
+
+
+@scalar
+def screening(r: float, u: float, radius: float, s: float, engulfs: bool) -> tuple[float, float, float]:
+    """Descreening integral h of a sphere of radius s at distance r from an atom, h'/r, and h''; u = 1/r^2."""
+    t = s * s * u
+    if t < _FAR and r - s > radius:
+        terms = 5 if t < 0.001 else 9 if t < 0.02 else _TERMS
+        value, slope, second = 0.0, 0.0, 0.0
+        for k in range(terms - 1, -1, -1):
+            value = value * t + _VALUE[k]
+            slope = slope * t + _SLOPE[k]
+            second = second * t + _SECOND[k]
+        scale = 0.5 * s * t * u
+        return scale * value, scale * slope * u, scale * second * u
+    value, slope = descreening(r, radius, s, engulfs)
+    after = descreening(r * (1.0 + _STEP), radius, s, engulfs)[1]
+    before = descreening(r * (1.0 - _STEP), radius, s, engulfs)[1]
+    return value, slope, slope + (after - before) / (2.0 * _STEP)
+
+
+@scalar
+def still(r2: float, radii: float, inverse: float) -> tuple[float, float, float, float]:
+    """Of a pair's energy -qq/f: f^2, 1/f, exp(-x) and x = r^2/4BB, given BB and its inverse."""
+    x = 0.25 * r2 * inverse
+    decay = np.exp(-x) if x < _NEGLIGIBLE else 0.0
+    f2 = r2 + radii * decay
+    return f2, 1.0 / np.sqrt(f2), decay, x
+
+
+@shared
+def integrals(
+    begin: int, end: int, x: Floats, body: Integers, first: Integers, radius: Floats, scaled: Floats,
+    engulfs: bool, parent: Integers, v_start: Integers, motions: Floats, sums: Floats,
+    along: Floats,
+) -> None:  # fmt: skip
+    """Write the integrals of some atoms, and their derivatives along all freedoms."""
+    wrench = np.empty((len(parent), 6))
+    for i in range(begin, end):
+        wrench[:] = 0.0
+        total = 0.0
+        for c in range(len(parent)):
+            gx, gy, gz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for j in range(first[c], first[c + 1]):
+                if j == i:
+                    continue
+                dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+                r2 = dx * dx + dy * dy + dz * dz
+                value, slope, _ = screening(np.sqrt(r2), 1.0 / r2, radius[i], scaled[j], engulfs)
+                total += value
+                fx, fy, fz = slope * dx, slope * dy, slope * dz
+                gx, gy, gz = gx + fx, gy + fy, gz + fz
+                mx += x[j, 1] * fz - x[j, 2] * fy
+                my += x[j, 2] * fx - x[j, 0] * fz
+                mz += x[j, 0] * fy - x[j, 1] * fx
+            if c != body[i]:
+                _push(wrench, body[i], c, x, i, gx, gy, gz, mx, my, mz)
+        sums[i] = total
+        _project(wrench, parent, v_start, motions, along[i])
+
+
+@shared
+def born_rows(
+    above: int, begin: int, end: int, x: Floats, body: Integers, first: Integers, charge: Floats,
+    surface: Floats, born: Floats, parent: Integers, v_start: Integers, motions: Floats, of_born: Floats,
+    couplings: Floats, along: Floats,
+) -> None:  # fmt: skip
+    """Write dE/dB of some atoms, d2E/dB dB with all, d2E/dB dq at constant radii, from row ``above`` on."""
+    wrench = np.empty((len(parent), 6))
+    for i in range(begin, end):
+        wrench[:] = 0.0
+        row, inverse = couplings[i - above], 1.0 / born[i]
+        sixth = surface[i] * inverse**6
+        q2 = 0.5 * charge[i] * charge[i]
+        slope, own = (
+            (q2 - 6.0 * sixth * born[i]) * inverse**2,
+            (42.0 * sixth - 2.0 * q2 * inverse) * inverse**2,
+        )
+        for c in range(len(parent)):
+            gx, gy, gz, mx, my, mz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for j in range(first[c], first[c + 1]):
+                dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+                r2 = dx * dx + dy * dy + dz * dz
+                if j == i or r2 > 4.0 * _NEGLIGIBLE * born[i] * born[j]:
+                    continue
+                radii = born[i] * born[j]
+                _, by_f, decay, s = still(r2, radii, 1.0 / radii)
+                twice = by_f * by_f
+                by_f *= 0.5 * charge[i] * charge[j] * twice
+                twice *= -1.5 * by_f
+                of_i, of_j = born[j] * decay * (1.0 + s), born[i] * decay * (1.0 + s)
+                slope += by_f * of_i
+                own += twice * of_i * of_i + by_f * born[j] * decay * s * s * inverse
+                row[j] = twice * of_i * of_j + by_f * decay * (1.0 + s + s * s)
+                mixed = twice * (1.0 - 0.25 * decay) * of_i - 0.25 * by_f * decay * s * inverse
+                fx, fy, fz = 2.0 * mixed * dx, 2.0 * mixed * dy, 2.0 * mixed * dz
+                gx, gy, gz = gx + fx, gy + fy, gz + fz
+                mx += x[j, 1] * fz - x[j, 2] * fy
+                my += x[j, 2] * fx - x[j, 0] * fz
+                mz += x[j, 0] * fy - x[j, 1] * fx
+            if c != body[i]:
+                _push(wrench, body[i], c, x, i, gx, gy, gz, mx, my, mz)
+        of_born[i], row[i] = slope, own
+        _project(wrench, parent, v_start, motions, along[i - above])
+
+
+@scalar
+def _push(
+    wrench: Floats, a: int, b: int, x: Floats, i: int, fx: float, fy: float, fz: float, mx: float, my: float,
+    mz: float,
+) -> None:  # fmt: skip
+    """Add a force with its moment to body b, and the opposite force on atom i to body a."""
+    wrench[b, 0] += mx
+    wrench[b, 1] += my
+    wrench[b, 2] += mz
+    wrench[b, 3] += fx
+    wrench[b, 4] += fy
+    wrench[b, 5] += fz
+    wrench[a, 0] -= x[i, 1] * fz - x[i, 2] * fy
+    wrench[a, 1] -= x[i, 2] * fx - x[i, 0] * fz
+    wrench[a, 2] -= x[i, 0] * fy - x[i, 1] * fx
+    wrench[a, 3] -= fx
+    wrench[a, 4] -= fy
+    wrench[a, 5] -= fz
+
+
+@scalar
+def _project(wrench: Floats, parent: Integers, v_start: Integers, motions: Floats, along: Floats) -> None:
+    """Add wrenches up from the leaves inward, and write their components along the freedoms."""
+    for b in range(len(parent) - 1, -1, -1):
+        for v in range(v_start[b], v_start[b + 1]):
+            value = 0.0
+            for p in range(6):
+                value += motions[v, p] * wrench[b, p]
+            along[v] = value
+        if parent[b] >= 0:
+            for p in range(6):
+                wrench[parent[b], p] += wrench[b, p]
+
+
+@shared
+def pair_sweep(
+    begin: int, end: int, parent: Integers, order: Integers, depth: Integers, v_start: Integers,
+    motions: Floats, x: Floats, body: Integers, first: Integers, charge: Floats, lj_type: Integers,
+    a12: Floats, b6: Floats, partner_start: Integers, partner: Integers, own: Floats, solvated: bool,
+    gb_charge: Floats, born: Floats, radius: Floats, scaled: Floats, engulfs: bool, pull: Floats,
+    forces: Floats, matrix: Floats,
+) -> None:  # fmt: skip
+    """Write the stiffness in torsions of the pairs with bodies from ``begin`` to ``end``, and their forces.
+
+    Atoms lie in the order of their bodies. A row of blocks, (6, 6 nb), is summed from the leaves inward.
+    """
+    n, deepest = len(parent), 0
+    for b in range(n):
+        deepest = max(deepest, depth[b])
+    over = 1.0 / born
+    rows, along = np.zeros((deepest + 1, 6, 6 * n)), np.empty(6 * n)
+    mark = np.full(len(x), -1, np.int64)
+    g = np.empty((3, 6))
+    for b in order:
+        row = rows[depth[b]]
+        for i in range(first[b], first[b + 1]):
+            for m in range(partner_start[i], partner_start[i + 1]):
+                mark[partner[m]] = m
+            xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
+            fx, fy, fz = 0.0, 0.0, 0.0
+            sxx, sxy, sxz, syy, syz, szz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            for c in range(begin, end):
+                if c == b:
+                    continue
+                pxx, pxy, pxz, pyy, pyz, pzz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                txx, txy, txz, tyx, tyy, tyz, tzx, tzy, tzz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                for j in range(first[c], first[c + 1]):
+                    xj, yj, zj = x[j, 0], x[j, 1], x[j, 2]
+                    dx, dy, dz = xi - xj, yi - yj, zi - zj
+                    r2 = dx * dx + dy * dy + dz * dz
+                    u = 1.0 / r2
+                    m = mark[j]
+                    if m < 0:
+                        a, b_, qq = (
+                            a12[lj_type[i], lj_type[j]],
+                            b6[lj_type[i], lj_type[j]],
+                            charge[i] * charge[j],
+                        )
+                    else:
+                        a, b_, qq = own[m, 0], own[m, 1], own[m, 2]
+                    u3 = u * u * u
+                    r = np.sqrt(r2)
+                    twelve, six, coulomb = a * u3 * u3, b_ * u3, qq * r * u
+                    e1 = (-6.0 * twelve + 3.0 * six - 0.5 * coulomb) * u
+                    e2 = (42.0 * twelve - 12.0 * six + 0.75 * coulomb) * u * u
+                    if solvated:
+                        inverse = over[i] * over[j]
+                        _, by_f, decay, _ = still(r2, born[i] * born[j], inverse)
+                        over_f2, by_u = by_f * by_f, 1.0 - 0.25 * decay
+                        by_f *= 0.5 * gb_charge[i] * gb_charge[j] * over_f2
+                        e1 += by_f * by_u
+                        e2 += by_f * (0.0625 * decay * inverse - 1.5 * by_u * by_u * over_f2)
+                        _, slope, second = screening(r, u, radius[i], scaled[j], engulfs)
+                        e1 += 0.5 * pull[i] * slope
+                        e2 += 0.25 * pull[i] * (second - slope) * u
+                        _, slope, second = screening(r, u, radius[j], scaled[i], engulfs)
+                        e1 += 0.5 * pull[j] * slope
+                        e2 += 0.25 * pull[j] * (second - slope) * u
+                    along_, across = 4.0 * e2, 2.0 * e1
+                    fx -= across * dx
+                    fy -= across * dy
+                    fz -= across * dz
+                    xx, yy, zz = (
+                        along_ * dx * dx + across,
+                        along_ * dy * dy + across,
+                        along_ * dz * dz + across,
+                    )
+                    xy, xz, yz = along_ * dx * dy, along_ * dx * dz, along_ * dy * dz
+                    pxx, pxy, pxz = pxx + xx, pxy + xy, pxz + xz
+                    pyy, pyz, pzz = pyy + yy, pyz + yz, pzz + zz
+                    # D (omega cross x_j), for each axis of omega.
+                    txx += yj * xz - zj * xy
+                    txy += zj * xx - xj * xz
+                    txz += xj * xy - yj * xx
+                    tyx += yj * yz - zj * yy
+                    tyy += zj * xy - xj * yz
+                    tyz += xj * yy - yj * xy
+                    tzx += yj * zz - zj * yz
+                    tzy += zj * xz - xj * zz
+                    tzz += xj * yz - yj * xz
+                g[0, 0], g[0, 1], g[0, 2], g[0, 3], g[0, 4], g[0, 5] = -txx, -txy, -txz, -pxx, -pxy, -pxz
+                g[1, 0], g[1, 1], g[1, 2], g[1, 3], g[1, 4], g[1, 5] = -tyx, -tyy, -tyz, -pxy, -pyy, -pyz
+                g[2, 0], g[2, 1], g[2, 2], g[2, 3], g[2, 4], g[2, 5] = -tzx, -tzy, -tzz, -pxz, -pyz, -pzz
+                sxx, sxy, sxz = sxx + pxx, sxy + pxy, sxz + pxz
+                syy, syz, szz = syy + pyy, syz + pyz, szz + pzz
+                _add_moments(row, 6 * c, g, xi, yi, zi)
+            _of_itself(g, sxx, sxy, sxz, syy, syz, szz, xi, yi, zi)
+            _add_moments(row, 6 * b, g, xi, yi, zi)
+            forces[i, 0] += fx
+            forces[i, 1] += fy
+            forces[i, 2] += fz
+            for m in range(partner_start[i], partner_start[i + 1]):
+                mark[partner[m]] = -1
+        for k in range(v_start[b], v_start[b + 1]):
+            for c in range(6 * n):
+                value = 0.0
+                for p in range(6):
+                    value += motions[k, p] * row[p, c]
+                along[c] = value
+            for c in range(n - 1, -1, -1):
+                for j in range(v_start[c], v_start[c + 1]):
+                    value = 0.0
+                    for p in range(6):
+                        value += motions[j, p] * along[6 * c + p]
+                    matrix[k, j] = value
+                if parent[c] >= 0:
+                    for p in range(6):
+                        along[6 * parent[c] + p] += along[6 * c + p]
+        inner = parent[b]
+        if inner < 0 or depth[inner] != depth[b]:
+            for p in range(6):
+                for c in range(6 * n):
+                    if inner >= 0:
+                        rows[depth[inner], p, c] += row[p, c]
+                    row[p, c] = 0.0
+
+
+@scalar
+def _add_moments(row: Floats, at: int, g: Floats, x: float, y: float, z: float) -> None:
+    """Add forces g (3, 6) on a point, with their moments, to a block (6, 6) of a row."""
+    for q in range(6):
+        gx, gy, gz = g[0, q], g[1, q], g[2, q]
+        row[0, at + q] += y * gz - z * gy
+        row[1, at + q] += z * gx - x * gz
+        row[2, at + q] += x * gy - y * gx
+        row[3, at + q] += gx
+        row[4, at + q] += gy
+        row[5, at + q] += gz
+
+
+@scalar
+def _of_itself(
+    g: Floats, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, x: float, y: float, z: float
+) -> None:  # fmt: skip
+    """Forces g (3, 6) = D (omega cross x + u) of an atom's own block D."""
+    rows = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    for k in range(3):
+        d = rows[k]
+        g[k, 0] = y * d[2] - z * d[1]
+        g[k, 1] = z * d[0] - x * d[2]
+        g[k, 2] = x * d[1] - y * d[0]
+        g[k, 3], g[k, 4], g[k, 5] = d

@@ -1,0 +1,151 @@
+"""``protochain modes``."""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from protochain.cli.options import (
+    CONVERGED,
+    UNCONVERGED,
+    AsJson,
+    Input,
+    check_outputs,
+    inputs_of,
+    named_after,
+    prepare,
+    print_lost,
+    with_settings,
+)
+from protochain.cli.terminal import foretell, print_outlook, run_progress, typical_evaluations
+from protochain.core import defaults
+from protochain.core.errors import ProtochainError
+from protochain.core.interrupts import held_interrupts, open_to_interrupts
+from protochain.setup import Setup
+
+if TYPE_CHECKING:
+    from protochain.analysis.modes import NormalModes
+    from protochain.chain import Chain
+    from protochain.core.arrays import Floats
+    from protochain.energies import Energy
+
+_RELAXED = 0.1
+"""kJ/mol/rad. Largest torque to which a start is minimised: a tenth of what counts as a minimum."""
+
+_SHOWN = 10
+"""Modes that are printed; the table has all."""
+
+Output = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-modes].")
+]
+
+
+@with_settings()
+def modes(
+    context: typer.Context,
+    source: Input,
+    output: Output = None,
+    modes: Annotated[int, typer.Option(help="Number of modes, the lowest first.")] = 20,
+    to: Annotated[
+        Path | None, typer.Option(help="Structure to which the change is compared with the modes.")
+    ] = None,
+    method: Annotated[
+        str, typer.Option(help="auto, dense (the whole Hessian, and the entropy) or products.")
+    ] = "auto",
+    temperature: Annotated[float, typer.Option(help="Temperature of fluctuations and entropy, K.")] = 300.0,
+    amplitude: Annotated[float, typer.Option(help="Of swings: RMSD of the C-alphas, angstrom.")] = 1.0,
+    trajectory: Annotated[str, typer.Option(help="Format of swings: dcd or xtc.")] = defaults.TRAJECTORY,
+    relax: Annotated[bool, typer.Option(help="Minimise first, if it is no minimum.")] = True,
+    as_json: AsJson = False,
+    *,
+    setup: Setup,
+) -> None:
+    """Find the normal modes of a structure in torsions; write tables, swings and a page.
+
+    It is minimised first, by turning hinges, if torques are left; --no-relax omits this.
+    """
+    from protochain.analysis.modes import checked_amplitude, checked_temperature
+    from protochain.analysis.modes_folder import files_of, write_modes
+    from protochain.analysis.normal_modes import DENSE, check_modes, normal_modes
+    from protochain.analysis.pair_hessian import applies
+    from protochain.structure.matching import measurable
+    from protochain.structure.trajectory import check_trajectory
+
+    check_modes(modes, method)
+    temperature, amplitude = checked_temperature(temperature), checked_amplitude(amplitude)
+    stem, suffix = named_after(source)
+    output = output or Path(f"{stem}-modes")
+    check_trajectory(output / f"mode-1.{trajectory}")
+    check_outputs(inputs_of(setup, source, to), files_of(output, modes, suffix, trajectory))
+    other = measurable(to) if to else None
+    chain, energy, preparation = prepare(source, setup)
+    # Two evaluations for each row of the Hessian, or for some 700 products; analytic, it is a hundred.
+    evaluations = 100 if applies(energy) else 2 * min(chain.n_v, DENSE)
+    _foretell(source, chain, energy, evaluations, relax)
+    with held_interrupts():
+        q, first = _relaxed(source, chain, energy) if relax else (chain.q0, "not minimised first")
+        with open_to_interrupts():
+            found = normal_modes(chain, energy, q, modes, method=method)
+    told = {
+        "input": str(source), "output": str(output), "first": first, "seconds_preparation": preparation,
+    }  # fmt: skip
+    record = write_modes(
+        found, output, told, temperature, suffix=suffix, trajectory=trajectory, amplitude=amplitude,
+        other=other,
+    )  # fmt: skip
+    if as_json:
+        print(json.dumps(record, allow_nan=False))
+    else:
+        _print(found, record)
+    raise typer.Exit(CONVERGED if found.is_minimum else UNCONVERGED)
+
+
+def _foretell(source: Path, chain: "Chain", energy: "Energy", evaluations: int, relax: bool) -> None:
+    """Say before a long run how long it will be."""
+    usual, most = (0, 0)
+    if relax:
+        usual, most = typical_evaluations("lbfgs", defaults.MAX_EVALUATIONS), defaults.MAX_EVALUATIONS
+    foretell(source, chain, energy, usual + evaluations, most + evaluations)
+
+
+def _relaxed(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", str]:
+    """Coordinates of a minimum, by turning hinges where torques are left, and what was done."""
+    from protochain.analysis.hessian import torques_at
+    from protochain.analysis.modes import FLAT
+    from protochain.minimisers import minimise
+
+    if torques_at(chain, energy, None).largest <= FLAT:
+        return chain.q0, "a minimum as it is: not minimised first"
+    print_outlook(source, chain.structure, "lbfgs")
+    with run_progress("lbfgs", defaults.MAX_EVALUATIONS, writes=False) as watch:
+        relaxed = minimise(chain, energy, "lbfgs", _RELAXED, watch=watch)
+    if relaxed.status == "interrupted":
+        raise KeyboardInterrupt
+    if not relaxed.is_usable:
+        raise ProtochainError(f"{source}: {relaxed.message}")
+    said = (
+        f"minimised first: {relaxed.start.energy:.1f} -> {relaxed.end.energy:.1f} kJ/mol, "
+        f"C-alpha RMSD {relaxed.ca_rmsd_angstrom:.2f} angstrom"
+    )
+    print(f"{source}: {said}", file=sys.stderr)
+    return relaxed.q, said
+
+
+def _print(found: "NormalModes", record: dict[str, Any]) -> None:
+    """Print the lowest frequencies, and what follows from the modes."""
+    print(f"{record['structure']}: {record['message']}")
+    shown = ", ".join(f"{each:.2f}" for each in found.frequencies[:_SHOWN])
+    more = " ..." if found.n_modes > _SHOWN else ""
+    print(f"frequencies of {found.n_modes} modes: {shown}{more} 1/cm")
+    if record["b_factor_correlation"] is not None:
+        print(f"correlation of B factors with those of the file: {record['b_factor_correlation']:.2f}")
+    if "cumulative_overlap" in record:
+        print(f"share of the change to {record['other']}: {record['cumulative_overlap']:.3f}")
+    if record["entropy_kj_mol_k"] is not None:
+        print(f"entropy at {record['temperature_k']:g} K: {record['entropy_kj_mol_k']:.4f} kJ/mol/K")
+    if record["largest_stable_step_ps"] is not None:
+        print(f"longest stable step of the leapfrog: {1000.0 * record['largest_stable_step_ps']:.1f} fs")
+    print_lost([record])
+    print(f"written: {record['output']}")
