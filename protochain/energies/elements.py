@@ -173,7 +173,10 @@ def _refuse_unheld(structure: Structure, system: openmm.System) -> None:
     for force in system.getForces():
         if isinstance(force, openmm.HarmonicBondForce | openmm.CustomBondForce):
             held |= {tuple(sorted(force.getBondParameters(k)[:2])) for k in range(force.getNumBonds())}
-    for i, j in structure.bonds[structure.mobile[structure.bonds].any(axis=1)].tolist():
+    bonds = structure.bonds
+    # Springs hold what is bonded to an obstacle.
+    own = structure.mobile[bonds].any(axis=1) & ~structure.obstacle[bonds].any(axis=1)
+    for i, j in bonds[own].tolist():
         if (i, j) not in held:
             raise ForceFieldError(
                 f"the bond of {structure.describe(i)} to {structure.atom_name[j]} has no parameters, and the "
