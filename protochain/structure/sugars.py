@@ -12,8 +12,8 @@ _FISCHER = {
     "R": "RRR", "D": "LLR",
 }  # fmt: skip
 """Sides of the oxygens, or nitrogens, at C2, C3 ... in the Fischer projection of D-sugars, by GLYCAM's
-letters: glucose, mannose, galactose, allose, gulose, their
-6-deoxy sugars, N-acetylamines and uronic acids, xylose, arabinose, ribose, lyxose."""
+letters: glucose, mannose, galactose, allose, gulose, their 6-deoxy sugars, N-acetylamines and uronic acids,
+xylose, arabinose, ribose, lyxose."""
 _SIALIC = ("SA", "SB", "GL")
 """N-acetylneuraminic acid of both anomers, and the alpha one of N-glycolylneuraminic acid: D-galacto from C4
 to C7, D-glycero at C8."""
