@@ -140,6 +140,7 @@ class _Surroundings:
         self.sugars = {id(part.members[0]) for part in sugars}
         protein = [part for part in draft.parts if not part.obstacle]
         self.protein = {id(m) for part in protein for m in part.members}
+        self.known = self.protein | self.sugars
         self.heavy: list[_Owned] = [
             (m, a)
             for part in (*protein, *parts) for m in part.members if m.name != "HOH"
@@ -213,10 +214,10 @@ class _Surroundings:
                 yield f"{member} has not the atoms of that name: {', '.join(sorted(strange))}"
             for atom in (a for a in member.atoms if not a.is_hydrogen()):
                 joined = [*self.bonds_stated(member, atom)]
-                if atom.element.name in "ON":
-                    joined += [
-                        (x.member, x.atom) for x in self._pairs(member, atom) if x.atom.element.name in "CPS"
-                    ]
+                if atom.element.name in ("O", "N"):
+                    # What is known to be no substituent of a sugar overlaps with it.
+                    near = (x for x in self._pairs(member, atom) if id(x.member) not in self.known)
+                    joined += [(x.member, x.atom) for x in near]
                 for other, its in joined:
                     if frozenset((id(atom), id(its))) not in known:
                         yield (

@@ -43,8 +43,8 @@ def program(path):
     return ast.parse("\n".join(line for line in lines if not line.startswith("%")))
 
 
-def test_all_six_are_there():
-    assert [path.name[:3] for path in LONG] == ["01-", "02-", "03-", "04-", "05-", "06-"]
+def test_all_eight_are_there():
+    assert [path.name[:3] for path in LONG] == [f"{k:02}-" for k in range(1, 9)]
 
 
 def test_every_scene_has_one():

@@ -236,6 +236,13 @@ def test_a_glycan_is_relaxed_and_read_again_as_it_is(fc, tmp_path):
         assert not told(again, Kind.OTHER_ANOMER) and not told(again, Kind.SUGAR_INVERTED)
 
 
+def test_an_overlap_is_no_bond_of_a_sugar_and_is_parted(tmp_path):
+    s = pc.load(borne(tmp_path, "7 OG1", "SIA"))
+    assert [*s.glycans.values()] == ["0SA"] and not told(s, Kind.GLYCAN_STAYS)
+    record = pc.relax(s, threads=1).record()
+    assert record["overlaps_start"] > 5 and record["overlaps_end"] == 0
+
+
 def test_a_result_is_tied_where_the_force_field_has_no_sugars(tmp_path):
     s = pc.load(borne(tmp_path, "60 ND2", "NAG"))
     for suffix in (".cif", ".pdb"):
