@@ -28,6 +28,7 @@ from protochain.mechanics.motion import (
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
 from protochain.mechanisms.bodies import Bodies, State
+from protochain.mechanisms.dissipated import WithDampers
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Conservative, Gravity, Memory, Sum, damping, joined
 from protochain.mechanisms.event import Event, Happened
@@ -39,7 +40,6 @@ _LOOK = 256
 """Rows from one look at the balance of energy to the next."""
 _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
-_REMEDY = "take a shorter one, DormandPrince(), or for stiff dampers Rosenbrock()"
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,6 +105,12 @@ class Model:
     def works(self) -> tuple[str, ...]:
         """Names of what does work, in the order of ``Phase.work``."""
         return (*(each.name for each in self.loads), *(("drives",) if self.drive is not None else ()))
+
+    @property
+    def taking(self) -> NDArray[np.bool_]:
+        """(k,) bool: which of the works are of dampers and friction, which can but take energy."""
+        kinds = [each.dissipates for each in self.loads]
+        return np.array(kinds + [False] * (self.drive is not None), dtype=bool)
 
     def start(self) -> Phase:
         """Phase at the start.
@@ -303,8 +309,7 @@ class Run:
     @property
     def dissipation(self) -> Floats:
         """(n,) float: energy that dampers and friction have taken."""
-        taking = [k for k, each in enumerate(self.model.loads) if each.dissipates]
-        return np.asarray(0.0 - np.sum(self.work[:, taking], axis=1))
+        return np.asarray(0.0 - np.sum(self.work[:, self.model.taking], axis=1))
 
     @property
     def momenta(self) -> Floats:
@@ -348,7 +353,7 @@ class Run:
             Largest errors, relative.
         """
         lack = self.total - np.sum(self.work, axis=1) - self.jumps
-        scale = self.in_motion(np.ones(self.work.shape[1], dtype=bool))
+        scale = self.in_motion
         energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
         strikes = {each.name for each in self.model.events if not each.passes}
         if not self.model.inside or any(event.name in strikes for event in self.events):
@@ -359,10 +364,10 @@ class Run:
         momentum, spin = np.divide(changes, scales, out=np.zeros(2), where=scales > 0.0)
         return Audit(energy, float(momentum), float(spin))
 
-    def in_motion(self, counted: NDArray[np.bool_]) -> float:
-        """Largest energy that moves: kinetic, that of a change of the potential, of work (k,), of events."""
-        work = (self.work - self.work[0])[:, counted]
-        parts = self.kinetic, self.potential - self.potential[0], work, self.jumps
+    @property
+    def in_motion(self) -> float:
+        """Largest energy that moves: kinetic, that of a change of the potential, of work, of events."""
+        parts = self.kinetic, self.potential - self.potential[0], self.work - self.work[0], self.jumps
         return max(float(np.max(np.abs(part), initial=0.0)) for part in parts)
 
 
@@ -378,12 +383,10 @@ class _Simulation:
     ) -> None:
         self.model, self.start, self.integrator, self.time_step = model, start, integrator, time_step
         self.every, self.balance = every, balance
-        # What stiff dampers take in a step of Rosenbrock's method is right, but not the integral of the
-        # power at its ends. They can but take, so that there the energy must not rise.
-        taking = np.array([each.dissipates for each in model.loads], dtype=bool)
-        self.rising_only = isinstance(integrator, Rosenbrock) and bool(np.any(taking))
-        self.counted = np.ones(len(start.work), dtype=bool)
-        self.counted[: len(taking)] = ~(taking & self.rising_only)
+        self.remedy = integrator.remedy
+        taking = model.taking
+        if isinstance(integrator, Rosenbrock) and np.any(taking):
+            self.integrator = WithDampers(integrator, taking)
         self.rows: list[Row] = []
         self.happened: list[Happened] = []
 
@@ -401,7 +404,7 @@ class _Simulation:
                 raise
             except StepTooLargeError as error:
                 raise StepTooLargeError(
-                    f"{self.after}: {error}; the time step {self.time_step:g} is too long; {_REMEDY}",
+                    f"{self.after}: {error}; the time step {self.time_step:g} is too long; {self.remedy}",
                     fault=error.fault,
                 ) from None
             except MechanicsError as error:
@@ -437,23 +440,22 @@ class _Simulation:
         time, *_, potential, _, _ = self.rows[-1]
         (_, before), (kinetic, after) = (self.unspent(self.rows[k]) for k in (0, -1))
         lack = after - before
-        wrong = lack if self.rising_only else abs(lack)
-        if wrong <= self.balance * kinetic < np.inf:
+        if abs(lack) <= self.balance * kinetic < np.inf:
             return
         # Perhaps there was more before: this row may be a turning point.
-        largest = Run(self.model, self.rows, (), self.start).in_motion(self.counted)
+        largest = Run(self.model, self.rows, (), self.start).in_motion
         floor = 1e3 * np.finfo(float).eps * abs(potential)
-        if not (wrong <= self.balance * largest + floor and np.isfinite(lack)):
+        if not (abs(lack) <= self.balance * largest + floor and np.isfinite(lack)):
             raise UnbalancedError(
                 f"by time {time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "
-                f"without work: the time step {self.time_step:g} is too long; {_REMEDY}"
+                f"without work: the time step {self.time_step:g} is too long; {self.remedy}"
             )
 
     def unspent(self, row: Row) -> tuple[float, float]:
-        """Kinetic energy; energy less work, where counted, and what events have given: it does not change."""
+        """Kinetic energy; energy less work and what events have given: it does not change."""
         _, _, qd, p, potential, work, jumps = row
         kinetic = 0.5 * float(p @ qd)
-        return kinetic, kinetic + potential - float(work @ self.counted) - jumps
+        return kinetic, kinetic + potential - float(np.sum(work)) - jumps
 
     def without_events(self, until: float) -> Phase:
         """Take steps as ``motion.march`` does, in a loop that costs a hundredth of a step."""

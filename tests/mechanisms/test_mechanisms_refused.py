@@ -264,6 +264,60 @@ def test_a_damper_of_any_stiffness_is_right_by_rosenbrock(damping):
             m.build().simulate(0.1, 1e-3)
 
 
+def four_bar(damping, on):
+    """Closed by a stiff bushing; crank and rocker start upright, and the coupler without turning."""
+    m = Mechanism(gravity=DOWN)
+    pins = {"A": (0.0, 0, 0), "B": (0.0, 0, 1.0), "C": (2.0, 0, 1.5), "D": (2.0, 0, 0)}
+    for name, *ends in (("crank", "A", "B"), ("coupler", "B", "C"), ("rocker", "D", "C")):
+        along = np.subtract(pins[ends[1]], pins[ends[0]])
+        length = float(np.linalg.norm(along))
+        m.body(name, length, com=along / 2.0, inertia=length**3 / 12.0)
+    m.hinge("A", "world", "crank", axis=(0, 1, 0), qd=3.0)
+    m.hinge("B", "crank", "coupler", axis=(0, 1, 0), at=(0, 0, 1.0), qd=-3.0)
+    m.hinge("D", "world", "rocker", axis=(0, 1, 0), at=pins["D"], qd=2.0)
+    c = damping if on == "bushing" else 0.0
+    m.bushing(
+        "C", ("coupler", (2.0, 0, 0.5)), ("rocker", (0, 0, 1.5)), (0, 0, 0, 1e8, 1e8, 1e8), (0, 0, 0, c, c, c)
+    )
+    if on == "hinge":
+        m.torsion("friction", "A", damping=damping)
+    return m.build()
+
+
+@pytest.mark.parametrize(("damping", "on"), [(0.0, "bushing"), (20.0, "bushing"), (0.01, "hinge")])
+def test_rosenbrock_is_refused_where_it_damps_what_moves_with_dampers_and_without(damping, on):
+    """Steps of a millisecond end two radians off."""
+    with pytest.raises(StepTooLargeError, match=r"energy has changed by -.*or ImplicitMidpoint"):
+        four_bar(damping, on).simulate(0.8, 1e-3, Rosenbrock())
+
+
+def test_rosenbrock_is_right_with_steps_that_follow_a_damped_loop():
+    model = four_bar(20.0, "bushing")
+    run, other = model.simulate(0.2, 1e-4, Rosenbrock()), model.simulate(0.2, 1e-3, ImplicitMidpoint())
+    assert np.allclose(run.q[-1], other.q[-1], atol=1e-4)
+    assert run.audit().energy < 1e-4
+
+
+@pytest.mark.parametrize("damping", [1e3, 1e12])
+def test_what_a_stiff_damper_takes_is_its_work(damping):
+    """All of the energy, in the first steps; the power at their ends would make a thousand times it."""
+    model = oscillator(0.0, 2.0, damping=damping, qd=1.0)
+    run = model.simulate(0.1, 1e-3, Rosenbrock())
+    assert run.dissipation[-1] == pytest.approx(1.0, rel=0.01)
+    assert run.audit().energy < 0.01
+
+
+@pytest.mark.parametrize(
+    ("integrator", "words"),
+    [(RungeKutta4(), "DormandPrince()"), (DormandPrince(1e-6), "DormandPrince(1e-08)"),
+     (Rosenbrock(), "Midpoint"), (Rosenbrock(1e-3), "Rosenbrock(1e-05)"),
+     (ImplicitMidpoint(), "shorter"), (Leapfrog(), "shorter")],
+)  # fmt: skip
+def test_no_remedy_is_what_has_failed(integrator, words):
+    assert words in integrator.remedy
+    assert f"{integrator!r}" not in integrator.remedy
+
+
 def test_substeps_without_end_are_refused(monkeypatch):
     """A stiff damper keeps explicit substeps short, however little moves; the true number takes seconds."""
     monkeypatch.setattr("protochain.mechanics.motion.substeps._MOST", 1000)

@@ -12,6 +12,10 @@ from protochain.mechanics.motion.system import NOTHING, Equations, Integrator, P
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 """With it the method is L-stable: what is stiffer than the step resolves is damped at once."""
+_FOLLOWED = 1e-3
+"""Error of a step that is followed, relative to its largest displacement."""
+_FEW = 2000
+"""Substeps of such a step: ten times what a damper takes, and of vibrations up to a hundred periods."""
 _NUDGE = 1e-6
 """Displacement for the derivatives by differences, in radians and sizes of the tree."""
 
@@ -35,6 +39,12 @@ class Rosenbrock(Integrator):
 
     tolerance: float | None = None
 
+    @property
+    def remedy(self) -> str:
+        """What to take where a time step is too long."""
+        closer = "a shorter one" if self.tolerance is None else f"Rosenbrock({self.tolerance / 100:.1g})"
+        return f"take {closer}, or ImplicitMidpoint(), which keeps the energy of vibrations"
+
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step.
 
@@ -56,6 +66,21 @@ class Rosenbrock(Integrator):
         if not after.is_finite:
             raise StepTooLargeError("the time step ends nowhere")
         return after
+
+    def follow(self, system: Equations, at: Phase, time_step: float) -> Phase:
+        """Advance by one time step, in substeps that resolve all that moves by much.
+
+        Raises
+        ------
+        StepTooLargeError
+            If that takes too many.
+        """
+
+        def substep(at: Phase, h: float) -> Tried:
+            return _advance(system, at, h)
+
+        moved = float(np.max(np.abs(at.qd) / system.units, initial=0.0)) * abs(time_step)
+        return in_substeps(substep, system, at, time_step, _FOLLOWED * moved, 2, least=0.0, most=_FEW)
 
 
 def _advance(system: Equations, at: Phase, h: float) -> Tried:

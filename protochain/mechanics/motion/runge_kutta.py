@@ -17,6 +17,11 @@ class RungeKutta4(Integrator):
     quaternions keep unit length.
     """
 
+    @property
+    def remedy(self) -> str:
+        """What to take where a time step is too long."""
+        return "take a shorter one, DormandPrince(), or for stiff dampers Rosenbrock()"
+
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, with four evaluations of the potential."""
         return _advance(CLASSICAL, system, at, time_step)[0]
@@ -33,6 +38,11 @@ class DormandPrince(Integrator):
     """
 
     tolerance: float = 1e-8
+
+    @property
+    def remedy(self) -> str:
+        """What to take where a time step is too long."""
+        return f"take DormandPrince({self.tolerance / 100:.1g}), or for stiff dampers Rosenbrock()"
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, in as many substeps as the tolerance requires.

@@ -23,6 +23,8 @@ def in_substeps(
     time_step: float,
     tolerance: float,
     order: int,
+    least: float = _LEAST,
+    most: int | None = None,
 ) -> Phase:
     """Advance by one time step, in as many substeps as the tolerance requires.
 
@@ -40,6 +42,10 @@ def in_substeps(
         Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree.
     order : int
         Power of the substep with which its error goes.
+    least : float
+        Shortest substep, relative to the step.
+    most : int, optional
+        Most substeps; by default so many that they take ten seconds.
 
     Returns
     -------
@@ -53,11 +59,12 @@ def in_substeps(
     """
     start, done, part = at.time, 0.0, time_step
     why, fault = "", None
-    for _ in range(_MOST):
+    most = most or _MOST
+    for _ in range(most):
         if not abs(time_step - done) > 1e-12 * abs(time_step):
             return system.at_time(at, start + time_step)
         part = part if abs(part) < abs(time_step - done) else time_step - done
-        if abs(part) < _LEAST * abs(time_step):
+        if abs(part) <= least * abs(time_step):
             raise StepTooLargeError(f"no substep of the time step is accurate{why}", fault=fault)
         try:
             after, moved, quickened = substep(at, part)
@@ -76,6 +83,6 @@ def in_substeps(
             factor = 0.9
         part *= 5.0 if size == 0.0 else factor
     raise StepTooLargeError(
-        f"{_MOST} substeps make only {done / time_step:.1g} of the time step: something is too stiff for "
+        f"{most} substeps make only {done / time_step:.1g} of the time step: something is too stiff for "
         "this method or its tolerance"
     )

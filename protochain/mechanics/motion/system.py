@@ -160,6 +160,11 @@ class Integrator(Protocol):
     reversible: ClassVar[bool] = False
     """Whether steps are time-reversible and preserve phase-space volume."""
 
+    @property
+    def remedy(self) -> str:
+        """What to take where a time step is too long."""
+        return "take a shorter one"
+
     def init(self, system: "Equations", q: Floats, qd: Floats) -> Phase:
         """Return the phase at q (n_q,) with velocities qd (n_v,)."""
         return system.at(q, qd)
