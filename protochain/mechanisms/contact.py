@@ -1,19 +1,21 @@
 """Contact of balls with planes, surfaces and each other: laws of the normal force, and friction."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.optimize import brentq
 
 from protochain.core.arrays import read_only
+from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Load
 from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import number
 from protochain.mechanisms.contact_forces import ContactForces
 from protochain.mechanisms.elements import Acting, Named
-from protochain.mechanisms.shapes import Ball, Other, finder
+from protochain.mechanisms.shapes import Ball, Other, Plane, Surface, finder
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class Law:
     damping: float = 0.0
 
     def __post_init__(self) -> None:
+        _check_numbers(self, "of a contact")
         if not (np.isfinite(self.stiffness) and self.stiffness > 0.0):
             raise MechanicsError(f"the stiffness {self.stiffness:g} of a contact must be positive and finite")
         if not 1.0 <= self.exponent < np.inf:
@@ -63,9 +66,16 @@ class Friction:
     damping: float = 0.0
 
     def __post_init__(self) -> None:
+        _check_numbers(self, "of friction")
         for name in ("coefficient", "stiffness", "damping"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise MechanicsError(f"the {name} of friction must be finite and not negative")
+
+
+def _check_numbers(of: Law | Friction, said: str) -> None:
+    """Make numbers of the fields."""
+    for each in fields(of):
+        object.__setattr__(of, each.name, number(getattr(of, each.name), f"the {each.name} {said}"))
 
 
 def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, exponent: float = 1.5) -> Law:
@@ -115,6 +125,8 @@ def flores(stiffness: float, restitution: float, speed: float, exponent: float =
 
 
 def _refuse_restitution(restitution: float, least: float, speed: float) -> None:
+    number(restitution, "the restitution")
+    number(speed, "the speed of approach")
     if not least <= restitution <= 1.0:
         above = "0 to 1" if least == 0.0 else "above 0, to 1 (its damping has no end at 0)"
         raise MechanicsError(f"the restitution {restitution:g} must be {above}")
@@ -181,7 +193,24 @@ class Contact(Named):
     friction: Friction | None = None
 
     def __post_init__(self) -> None:
-        self.fix(balls=tuple(self.balls))
+        self.fix(balls=self._balls(self.balls, "balls"))
+        if not isinstance(self.other, Plane | Surface | None):
+            self.fix(other=self._balls(self.other, "other"))
+        for name, kind, remedy in (
+            ("law", Law, "a Law, as flores(1e6, 0.5, 1.0)"),
+            ("friction", Friction | None, "a Friction, or none"),
+        ):
+            if not isinstance(getattr(self, name), kind):
+                raise MechanicsError(f"{self.said}: {name} {shown(getattr(self, name))}: give {remedy}")
+
+    def _balls(self, given: Any, name: str) -> tuple[Ball, ...]:
+        """Balls, or points."""
+        balls = tuple(given) if isinstance(given, Iterable) else (None,)
+        if not all(isinstance(ball, Ball) for ball in balls):
+            remedy = 'a list of balls, as [Ball("wheel", 0.1)]'
+            also = ", a plane, a surface, or None" if name == "other" else ""
+            raise MechanicsError(f"{self.said}: {name} {shown(given)}: give {remedy}{also}")
+        return balls
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return the elastic force with its energy, the rest as a load, and the anchors of friction.

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 _LOOK = 256
 """Rows from one look at the balance of energy to the next."""
+_MOST_ROWS = 1e7
+"""Rows of a run: of each some hundred bytes at least, and thousands with many bodies."""
 _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
 
@@ -173,12 +175,19 @@ class Model:
         MechanicsError
             If an argument, or what an element gives, is no number.
         """
-        start = start or self.start()
+        start = self.start() if start is None else start
+        if not isinstance(start, Phase):
+            raise MechanicsError(f"start {shown(start)}: give a phase, as the end of a run")
         for name, value, least in (("until", until, start.time), ("time_step", time_step, 0.0)):
             if not (isinstance(value, int | float | np.floating) and least < value < np.inf):
                 raise MechanicsError(f"{name} {shown(value)}: give a finite number above {least:g}")
         if not (isinstance(every, int) and every >= 1):
             raise MechanicsError(f"every {shown(every)}: give a whole number from 1")
+        chosen = RungeKutta4() if integrator is None else integrator
+        # Of a Protocol there are no instances, but of a class that derives from it.
+        if Integrator not in type(chosen).__mro__:
+            given = f"{chosen.__name__}, a class" if isinstance(chosen, type) else shown(chosen)
+            raise MechanicsError(f"integrator {given}: give one, as RungeKutta4() or DormandPrince(1e-9)")
         if not start.is_finite:
             raise MechanicsError(
                 "at the start energy or forces are no numbers; see functions of loads and forces"
@@ -188,7 +197,13 @@ class Model:
         if self.drive is not None:
             for when in (start.time + 0.37 * time_step, start.time + 0.61 * (until - start.time)):
                 check_drive(self.bodies, self.drive, when, 1e-4 * time_step)
-        return _Simulation(self, start, integrator or RungeKutta4(), time_step, every, balance).run(until)
+        rows = (until - start.time) / (time_step * every)
+        if rows > _MOST_ROWS:
+            raise MechanicsError(
+                f"{rows:.1g} rows do not fit in memory: give every from {rows * every / _MOST_ROWS:.0f}, or "
+                "a longer time_step"
+            )
+        return _Simulation(self, start, chosen, time_step, every, balance).run(until)
 
 
 def model_of(

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import dot, kernel, put, scale, subtract, vector, vector_at
 from protochain.mechanisms.bodies import WORLD, Bodies
-from protochain.mechanisms.checks import numbers
+from protochain.mechanisms.checks import number, numbers
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.springs import end_of
 from protochain.mechanisms.triangles import least_distances
@@ -35,6 +36,13 @@ class Ball:
     body: str
     radius: float
     at: ArrayLike = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.body, str):
+            raise MechanicsError(f"a ball's body {shown(self.body)}: give the name of a body")
+        if number(self.radius, f'the radius of a ball of "{self.body}"') < 0.0:
+            raise MechanicsError(f'the radius {self.radius:g} of a ball of "{self.body}" is negative')
+        numbers(self.at, (3,), f'the centre of a ball of "{self.body}"')
 
 
 @dataclass(frozen=True)
@@ -121,17 +129,13 @@ def balls_of(bodies: Bodies, balls: Sequence[Ball], asking: str) -> Balls:
     Raises
     ------
     MechanicsError
-        If there is none, a body is not there, or a radius or centre is no length.
+        If there is none, or a body is not there.
     """
     if not balls:
         raise MechanicsError(f"{asking}: give at least one ball")
     own = [bodies.number(ball.body, asking) for ball in balls]
-    centres = [numbers(ball.at, (3,), f"{asking}: the centre of a ball") for ball in balls]
-    radius = np.array([ball.radius for ball in balls], dtype=float)
-    if not (np.isfinite(radius) & (radius >= 0.0)).all():
-        raise MechanicsError(f"{asking}: the radius of a ball must be finite and not negative")
-    at = [bodies.inside(b, centre) for b, centre in zip(own, centres, strict=True)]
-    return Balls(read_only(own, np.int64), read_only(at), read_only(radius))
+    at = [bodies.inside(b, np.asarray(ball.at, dtype=float)) for b, ball in zip(own, balls, strict=True)]
+    return Balls(read_only(own, np.int64), read_only(at), read_only([ball.radius for ball in balls]))
 
 
 @dataclass(frozen=True, eq=False)

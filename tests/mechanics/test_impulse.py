@@ -599,6 +599,7 @@ def test_wrong_arguments_are_refused_in_one_line():
         ({"normal": np.zeros(3)}, "its normal has no direction"),
         ({"friction": -0.1}, "friction -0.1 must be 0"),
         ({"friction": np.inf}, "friction inf"), ({"restitution": 1.1}, "restitution 1.1 is not 0 to 1"),
+        ({"friction": "high"}, "friction 'high': give a number"),
         ({"restitution": np.nan}, "restitution nan"), ({"bodies": (0, 0)}, "cannot touch itself"),
         ({"point": [0.0, np.nan, 0.0]}, "its point is not finite"),
         ({"point": [0.0]}, r"shape \(1,\), not \(3,\)"),
@@ -607,6 +608,8 @@ def test_wrong_arguments_are_refused_in_one_line():
             ContactPoint(**({"name": "tip", "bodies": (-1, 0), "point": np.zeros(3), "normal": UP} | options))
         assert "tip" in str(refused.value) and "\n" not in str(refused.value)
     factors, qd = sliders(3), np.array([1.0, 0.0, 0.0])
+    with pytest.raises(MechanicsError, match="velocities before an impact are not finite"):
+        impact(factors, np.array([1.0, np.nan, 0.0]), in_a_row(2, 1.0))
     with pytest.raises(MechanicsError, match="law 'hooke' is not known; choose newton, poisson or stronge"):
         impact(factors, qd, in_a_row(2, 1.0), "hooke")
     with pytest.raises(MechanicsError, match="order 'later' is not known; choose together or in turn"):

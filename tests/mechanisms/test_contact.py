@@ -381,8 +381,6 @@ SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (2, 2, 0)]
     ("balls", "other", "words"),
     [
         ([Ball("bowl", 0.1)], Plane(), 'contact "c": there is no body "bowl"'),
-        ([Ball("ball", -0.1)], Plane(), "the radius of a ball"),
-        ([Ball("ball", 0.1, (0, np.nan, 0))], Plane(), "the centre of a ball"),
         ([], Plane(), "at least one ball"),
         ([Ball("ball", 0.1)], Plane("ball"), "ball 0 belongs to the body"),
         ([Ball("ball", 0.1)], Plane(normal=(0, 0, 0)), "has no direction"),

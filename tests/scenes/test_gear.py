@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.spatial import cKDTree
 
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.mechanics.motion import System
 from protochain.mechanics.multibody import kinetic_energy, pose
 from protochain.scenes import run
@@ -76,6 +76,12 @@ def test_numbers_of_the_pair():
     assert gear.inertias[0][0] == pytest.approx(0.5 * 7850 * np.pi * 0.04**2 * 0.02 * 0.04**2)
     with pytest.raises(MechanicsError, match="8 teeth is undercut by one of 40"):
         GearPair((40, 8))
+    with pytest.raises(ProtochainError, match=r"teeth 20\.5: give a whole number"):
+        GearPair((20.5, 40))
+    with pytest.raises(ProtochainError, match="torque 'high': give a number"):
+        Gear(torque="high")
+    with pytest.raises(MechanicsError, match="torque -100: give one above 0"):
+        at_rest(Gear(torque=-100.0), 0.0)
 
 
 def test_all_wheels_and_teeth_together_have_the_inertia_of_discs():

@@ -10,8 +10,10 @@ from scipy.optimize import NoConvergence, newton_krylov
 from scipy.sparse.linalg import LinearOperator
 
 from protochain.core.arrays import Floats
+from protochain.core.checks import check_fields
 from protochain.mechanics import multibody
 from protochain.mechanics.motion.leapfrog import put_end_momenta
+from protochain.mechanics.motion.substeps import TOLERANCE
 from protochain.mechanics.motion.system import Equations, Integrator, Phase, StepTooLargeError, canonical
 from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.hamilton import momenta
@@ -41,6 +43,9 @@ class ImplicitMidpoint(Integrator):
     reversible: ClassVar[bool] = True
 
     tolerance: float = 1e-10
+
+    def __post_init__(self) -> None:
+        check_fields(self, tolerance=TOLERANCE)
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step.

@@ -6,8 +6,9 @@ import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
 from protochain.core.arrays import Floats
+from protochain.core.checks import check_fields, optional
 from protochain.core.errors import MechanicsError
-from protochain.mechanics.motion.substeps import Tried, in_substeps
+from protochain.mechanics.motion.substeps import TOLERANCE, Tried, in_substeps
 from protochain.mechanics.motion.system import NOTHING, Equations, Integrator, Phase, StepTooLargeError
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
@@ -38,6 +39,9 @@ class Rosenbrock(Integrator):
     """
 
     tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        check_fields(self, tolerance=optional(TOLERANCE))
 
     @property
     def remedy(self) -> str:

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.mechanics.motion.substeps import Tried, in_substeps
+from protochain.core.checks import check_fields
+from protochain.mechanics.motion.substeps import TOLERANCE, Tried, in_substeps
 from protochain.mechanics.motion.system import Equations, Integrator, Phase
 from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE, Tableau
 
@@ -38,6 +39,9 @@ class DormandPrince(Integrator):
     """
 
     tolerance: float = 1e-8
+
+    def __post_init__(self) -> None:
+        check_fields(self, tolerance=TOLERANCE)
 
     @property
     def remedy(self) -> str:

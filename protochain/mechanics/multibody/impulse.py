@@ -108,6 +108,8 @@ def impact(
     solution for k points.
     """
     _check(factors, points, law, order)
+    if not np.isfinite(np.asarray(qd, dtype=float)).all():
+        raise MechanicsError("the velocities before an impact are not finite", fault=Fault.NOT_FINITE)
     struck = Struck.of(factors, floats(qd, (factors.tree.n_v,), "qd"), points, loops)
     local = np.zeros((2, 3 * len(points)))
     approaching = struck.u[::3] < -struck.slow

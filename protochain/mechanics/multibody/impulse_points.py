@@ -7,6 +7,7 @@ import numpy as np
 from scipy.linalg import cho_solve
 
 from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.checks import number
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.kinematics import Frames, velocities
@@ -60,6 +61,8 @@ class ContactPoint(Value):
         if not length > 0.0:
             raise MechanicsError(f"contact {self.name!r}: its normal has no direction")
         object.__setattr__(self, "normal", frozen(self.normal / length))
+        for name in ("friction", "restitution"):
+            number(getattr(self, name), f"contact {self.name!r}: its {name}")
         if not 0.0 <= self.friction < np.inf:
             raise MechanicsError(
                 f"contact {self.name!r}: its friction {self.friction:g} must be 0 or more, and finite"

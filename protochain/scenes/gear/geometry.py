@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from protochain.core.checks import at_least
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody.algebra import kernel
 
@@ -76,6 +77,10 @@ class GearPair:
     width: float = 20e-3
 
     def __post_init__(self) -> None:
+        if len(self.teeth) != 2:
+            raise MechanicsError("gears: give two numbers of teeth, of the driving and of the driven wheel")
+        for count in self.teeth:
+            at_least(3)(count, "teeth")
         for name in ("module", "pressure_angle", "width"):
             if not 0.0 < getattr(self, name) < (0.5 * np.pi if name == "pressure_angle" else np.inf):
                 raise MechanicsError(f"the {name} of gears must be positive")

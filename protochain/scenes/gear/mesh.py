@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.checks import check_fields, number
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
@@ -48,6 +49,9 @@ class Gear:
     flank: Law = field(default_factory=lambda: lankarani_nikravesh(1e12, 0.8, 0.1))
     damping: float = 0.07
     tooth: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_fields(self, torque=number)
 
     @property
     def ratio(self) -> float:

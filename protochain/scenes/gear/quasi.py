@@ -36,8 +36,10 @@ def at_rest(gear: Gear, place: float) -> tuple[Model, Floats]:
     Raises
     ------
     MechanicsError
-        If no equilibrium is found.
+        If no equilibrium is found, or the torque parts the flanks.
     """
+    if not gear.torque > 0.0:
+        raise MechanicsError(f"torque {gear.torque:g}: give one above 0, which holds the flanks together")
     base = gear.pair.wheels[0].base
     model = gears(gear, near(gear, place), start={"wheel 0": place / base})
     one, other = (model.bodies.freedom(f"wheel {k}")[0] for k in (0, 1))
