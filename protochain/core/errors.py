@@ -58,6 +58,7 @@ class Fault(Enum):
     NO_INVERSE = "no inverse inertia"
     NO_STIFFNESS = "no stiffness"
     ONLY_ALPHA = "C-alpha atoms only"
+    OPEN = "a loop that does not close"
     OVERLAP = "overlap"
     SHAPE = "another shape"
     STEP = "time step too long"

@@ -7,6 +7,7 @@ of units will do.
 
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.bushing import Bushing
+from protochain.mechanisms.closing import Closing
 from protochain.mechanisms.contact import (
     Contact,
     Friction,
@@ -29,9 +30,9 @@ from protochain.mechanisms.springs import Spring
 from protochain.mechanisms.torsion import Torsion
 
 __all__ = [
-    "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Bodies", "BoxTree", "Bushing", "Conservative",
-    "Contact", "CustomForce", "Element", "Event", "Friction", "Happened", "HingeTorque", "Law", "Mechanism",
-    "Memory", "Model", "Named", "Plane", "Run", "Segments", "Spring", "State", "Surface", "Torsion",
-    "add_beam", "box_tree", "flores", "frequencies", "in_modes", "lankarani_nikravesh", "overlapping",
-    "real_restitution", "state_matrix", "touching",
+    "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Bodies", "BoxTree", "Bushing", "Closing",
+    "Conservative", "Contact", "CustomForce", "Element", "Event", "Friction", "Happened", "HingeTorque",
+    "Law", "Mechanism", "Memory", "Model", "Named", "Plane", "Run", "Segments", "Spring", "State", "Surface",
+    "Torsion", "add_beam", "box_tree", "flores", "frequencies", "in_modes", "lankarani_nikravesh",
+    "overlapping", "real_restitution", "state_matrix", "touching",
 ]  # fmt: skip

@@ -271,7 +271,7 @@ def _inward(bodies: Mapping[str, Body], hinges: Mapping[str, Hinge]) -> dict[str
         if hinge.child in inward:
             raise MechanicsError(
                 f'body "{hinge.child}" has two inward hinges, "{inward[hinge.child]}" and "{name}"; '
-                "bodies form trees: close a loop by a bushing"
+                "bodies form trees: make one of them close()"
             )
         inward[hinge.child] = name
         own = bodies[hinge.child]
@@ -301,6 +301,6 @@ def _ordered(
     if left:
         raise MechanicsError(
             f'body "{left[0]}" hangs on itself: hinge "{inward[left[0]]}" is part of a loop of hinges; '
-            "open it, and close it by a bushing"
+            "open it by leaving one out, and close it by close()"
         )
     return tuple(order[1:])

@@ -6,14 +6,19 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import qr
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate
+from protochain.mechanics.multibody.loop_joints import LoopJoints
+from protochain.mechanics.multibody.operational import Rows
 
 WORLD = "world"
+_DEPENDENT = 1e-9
+"""Part of a row that is not of others, by the largest row, which is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +40,8 @@ class Bodies:
         Name of each hinge -> number of the body beyond it.
     q, qd : (n_q,) and (n_v,) float
         Coordinates and velocities as built.
+    joints : LoopJoints, optional
+        What closes loops.
     """
 
     tree: Tree
@@ -43,6 +50,7 @@ class Bodies:
     hinges: Mapping[str, int]
     q: Floats
     qd: Floats
+    joints: LoopJoints | None = None
 
     @cached_property
     def built(self) -> "State":
@@ -130,6 +138,18 @@ class State:
     def factors(self) -> Articulated:
         """Factors of the mass matrix, as impulses need them."""
         return articulate(self.bodies.tree, self.frames)
+
+    @property
+    def loops(self) -> Rows | None:
+        """Rows of the joints that close loops, without those that depend on others, as impulses need them."""
+        if self.bodies.joints is None:
+            return None
+        _, rows = self.bodies.joints.rows(self.frames)
+        g = multibody.row_matrix(self.bodies.tree, self.frames, rows)
+        r, order = qr(g.T, mode="r", pivoting=True)
+        sizes = np.abs(np.diagonal(r))
+        kept = np.sort(order[: len(sizes)][sizes > _DEPENDENT * np.max(sizes, initial=0.0)])
+        return Rows(rows.body[kept], rows.wrench[kept])
 
     def rotation(self, body: str) -> Floats:
         """(3, 3) float: a body's own axes in the world, as columns."""

@@ -35,8 +35,9 @@ def state_matrix(model: Model, at: Phase | None = None) -> Floats:
 
     def acceleration(move: Floats, rate: Floats) -> Floats:
         q, qd = multibody.integrate(tree, at.q, move), at.qd + rate
-        _, torque, loads = system.forces(at.time, q, qd, system.factors(q))
-        qdd = system.accelerations(at.time, q, qd, torque, loads)[0]
+        factors = system.factors(q)
+        _, torque, loads = system.forces(at.time, q, qd, factors)
+        qdd = system.accelerations(at.time, q, qd, torque, loads, factors)[0]
         qdd[tree.driven_v] = 0.0
         return np.asarray(back @ qdd)
 

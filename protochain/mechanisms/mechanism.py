@@ -13,6 +13,7 @@ from protochain.mechanisms.assemble import NOWHERE, Body, Hinge, assemble
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.bushing import Bushing
 from protochain.mechanisms.checks import numbers
+from protochain.mechanisms.closing import Closing, closed
 from protochain.mechanisms.contact import Contact
 from protochain.mechanisms.drives import Driven
 from protochain.mechanisms.elements import CustomForce, Named
@@ -61,6 +62,7 @@ class Mechanism:
         self._gravity = numbers(gravity, (3,), "gravity")
         self._bodies: dict[str, Body] = {}
         self._hinges: dict[str, Hinge] = {}
+        self._closings: dict[str, Closing] = {}
         self._drives: dict[str, Driven] = {}
         self._elements: dict[str, Any] = {}
         self._events: dict[str, Event] = {}
@@ -82,6 +84,7 @@ class Mechanism:
         groups: tuple[tuple[type[Named], dict[str, Any], tuple[str, ...]], ...] = (
             (Body, self._bodies, (WORLD,)),
             (Hinge, self._hinges, ()),
+            (Closing, self._closings, ()),
             (Driven, self._drives, ()),
             (Event, self._events, ()),
             (Named, self._elements, ("drives", "damping")),
@@ -98,6 +101,7 @@ class Mechanism:
 
     body = _adds(Body, "Add a body.")
     hinge = _adds(Hinge, "Join a body to its parent.")
+    close = _adds(Closing, "Close a loop: join two bodies of the tree, or one to the world, by a joint.")
     spring = _adds(Spring, "Join two points by a spring, a damper, or both.")
     torsion = _adds(Torsion, "Put a spring, a damper, or both on a hinge: on its angle, or its slide.")
     bushing = _adds(Bushing, "Join two bodies by an elastic joint, at rest where the points meet, as built.")
@@ -140,7 +144,7 @@ class Mechanism:
                     "them to the drive"
                 )
             starts[name] = q, qd
-        bodies = assemble(self._bodies, self._hinges, starts)
+        bodies = closed(assemble(self._bodies, self._hinges, starts), [*self._closings.values()])
         # Springs first, kind by kind, in whatever order they are given: so their sums are rounded alike.
         first = (Spring, Torsion, Bushing)
         elements = [one for kind in first for one in self._elements.values() if isinstance(one, kind)]

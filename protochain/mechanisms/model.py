@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import null_space
 
 from protochain.core.arrays import Floats, read_only
 from protochain.core.checks import shown
@@ -14,6 +15,7 @@ from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import (
+    ClosedEquations,
     Drive,
     Equations,
     Integrator,
@@ -95,13 +97,21 @@ class Model:
     @property
     def directions(self) -> Floats:
         """(n_v, k) float: directions in which it can move, as columns: of all hinges that are not driven."""
-        return np.eye(self.tree.n_v)[:, self.tree.undriven_v]
+        free = np.eye(self.tree.n_v)[:, self.tree.undriven_v]
+        state = self.state()
+        if state.loops is None:
+            return free
+        g = multibody.row_matrix(self.tree, state.frames, state.loops)
+        return np.asarray(free @ null_space(g @ free, rcond=1e-9))
 
     @cached_property
     def system(self) -> Equations:
         """The mechanism as integrators see it."""
         loads = tuple(each.load for each in self.loads)
-        return System(self.tree, Sum(self.tree, self.conservative), loads=loads, drive=self.drive)
+        potential, joints = Sum(self.tree, self.conservative), self.bodies.joints
+        if joints is None:
+            return System(self.tree, potential, loads=loads, drive=self.drive)
+        return ClosedEquations(self.tree, potential, loads=loads, drive=self.drive, joints=joints)
 
     @property
     def works(self) -> tuple[str, ...]:
@@ -233,9 +243,14 @@ def model_of(
         bodies, bodies.q, bodies.qd,
         (*weight, *joined(each.conservative for each in acting.values() if each.conservative)), tuple(loads),
         drive_of(bodies, drives) if drives else None, events,
-        not weight and not held and all(each.inside for each in acting.values()),
+        not weight and not held and not _on_world(bodies) and all(each.inside for each in acting.values()),
         tuple(each.memory for each in acting.values() if each.memory),
     )  # fmt: skip
+
+
+def _on_world(bodies: Bodies) -> bool:
+    """Whether a loop closes on the world."""
+    return bodies.joints is not None and bool(np.any(bodies.joints.body < 0))
 
 
 class Audit(NamedTuple):
@@ -248,11 +263,16 @@ class Audit(NamedTuple):
     momentum, spin : float or None
         Largest change of momentum, and of that about the origin, of the sum of those of the bodies; None if
         something acts from outside, as the jump of an event that does not pass may.
+    gap, parting : float or None
+        Largest error of a loop, a cosine or length by the size of the tree, and largest rate of one, by that
+        of the fastest hinge; None without loops.
     """
 
     energy: float
     momentum: float | None
     spin: float | None
+    gap: float | None = None
+    parting: float | None = None
 
 
 Row = tuple[float, Floats, Floats, Floats, float, Floats, float]
@@ -370,14 +390,30 @@ class Run:
         lack = self.total - np.sum(self.work, axis=1) - self.jumps
         scale = self.in_motion
         energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
+        loops = self._opened() if self.model.bodies.joints is not None else (None, None)
         strikes = {each.name for each in self.model.events if not each.passes}
         if not self.model.inside or any(event.name in strikes for event in self.events):
-            return Audit(energy, None, None)
+            return Audit(energy, None, None, *loops)
         whole, sizes = self._momenta
         changes = np.max(np.linalg.norm(whole - whole[0], axis=2), axis=0)
         scales = np.max(sizes, axis=0)
         momentum, spin = np.divide(changes, scales, out=np.zeros(2), where=scales > 0.0)
-        return Audit(energy, float(momentum), float(spin))
+        return Audit(energy, float(momentum), float(spin), *loops)
+
+    def _opened(self) -> tuple[float, float]:
+        """Largest error of a loop by the size of the tree, and its rate by the fastest freedom."""
+        joints, tree = self.model.bodies.joints, self.model.tree
+        assert joints is not None
+        units = np.where(joints.turns, 1.0, tree.size)
+        gap = parting = 0.0
+        for q, qd in zip(self.q, self.qd, strict=True):
+            frames = multibody.pose(tree, q)
+            error, rows = joints.rows(frames)
+            rates = multibody.row_matrix(tree, frames, rows) @ qd
+            gap = max(gap, float(np.max(np.abs(error) / units)))
+            parting = max(parting, float(np.max(np.abs(rates) / units)))
+        fastest = float(np.max(np.abs(self.qd) / tree.units, initial=0.0))
+        return gap, parting / fastest if fastest > 0.0 else 0.0
 
     @property
     def in_motion(self) -> float:

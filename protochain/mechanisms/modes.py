@@ -18,6 +18,7 @@ from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Equations
+from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanisms.elements import Sum
 from protochain.mechanisms.model import Model
 from protochain.mechanisms.springs import STIFFNESS
@@ -40,7 +41,13 @@ class ReducedSystem(Equations):
     directions: Floats = field(kw_only=True)
 
     def accelerations(
-        self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None
+        self,
+        time: float,
+        q: Floats,
+        qd: Floats,
+        torque: Floats,
+        loads: Floats | None,
+        factors: Articulated,
     ) -> tuple[Floats, Floats | None]:
         """Accelerations (n_v,) under torques (n_v,); the loads, the torques of the drive as their last."""
         tree, b = self.tree, self.directions
@@ -48,7 +55,7 @@ class ReducedSystem(Equations):
         if self.drive is not None:
             given[tree.driven_v] = self._drive(time)[2]
         lacking = torque - multibody.inverse_dynamics(tree, q, qd, given)
-        mass = multibody.mass_matrix(tree, multibody.pose(tree, q)) @ b
+        mass = multibody.mass_matrix(tree, factors.frames) @ b
         try:
             factor = cho_factor(b.T @ mass, check_finite=False)
         except LinAlgError:
@@ -109,6 +116,8 @@ def in_modes(model: Model, groups: Iterable[tuple[Sequence[str], int]]) -> Reduc
         If a hinge is in two groups or has no spring, there are not as many modes, or the start moves
         otherwise.
     """
+    if model.bodies.joints is not None:
+        raise MechanicsError("loops do not close on bodies that bend in modes; take add_beam()")
     tree = model.tree
     springs = _stiffness(model)
     mass = multibody.mass_matrix(tree, multibody.pose(tree, model.q))

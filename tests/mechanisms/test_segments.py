@@ -99,7 +99,7 @@ def test_rigid_ends_are_left_out_of_what_bends():
     at = model.start()
     flexibility = -np.linalg.inv(state_matrix(model)[cells:, :cells])
     turned = flexibility @ model.system.accelerations(0.0, at.q, at.qd, *model.system.forces(
-        0.0, at.q, at.qd, at.factors)[1:])[0]  # fmt: skip
+        0.0, at.q, at.qd, at.factors)[1:], at.factors)[0]  # fmt: skip
     places = 0.125 + 0.125 * (np.arange(6) + 0.5)
     np.testing.assert_allclose(turned, force * (1.0 - places) * 0.125 / 2.0, rtol=DIFFERENCES)
 

@@ -150,7 +150,7 @@ def test_in_all_modes_a_mechanism_moves_as_without():
     both = []
     for each in (model, all_modes):
         at = each.system.at(q, model.qd + rates, time=0.3)
-        qdd, loads = each.system.accelerations(0.3, at.q, at.qd, at.torque, at.loads)
+        qdd, loads = each.system.accelerations(0.3, at.q, at.qd, at.torque, at.loads, at.factors)
         both.append((qdd, loads))
     np.testing.assert_allclose(both[1][0], both[0][0], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(both[1][1], both[0][1], rtol=1e-9, atol=1e-9)
@@ -167,7 +167,7 @@ def test_in_some_modes_energy_and_work_balance_and_the_rest_is_held():
         assert sizes[1] > 1e-6 and sizes[2] < 1e-12
     # The accelerations solve the projected equations, with M of all hinges.
     at = moved.end
-    qdd, _ = model.system.accelerations(at.time, at.q, at.qd, at.torque, at.loads)
+    qdd, _ = model.system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)
     mass = mass_matrix(model.tree, pose(model.tree, at.q))
     more = at.torque + 0.1 * mass @ model.directions[:, 0]
     quicker, _ = model.system.accelerations(at.time, at.q, at.qd, more, at.loads)
@@ -249,7 +249,7 @@ def test_a_helicopter_settles_in_the_air_and_on_the_ground():
     flown = flying(replace(given, legs=None), 0.5, -1.0)
     assert flown.lift.thrust(0.0, -1.0) == pytest.approx(0.5 * WEIGHT, rel=1e-12)
     at = settled(flown.model, (1.0, 0.0, -1.0))
-    qdd, _ = flown.model.system.accelerations(0.0, at.q, at.qd, at.torque, at.loads)
+    qdd, _ = flown.model.system.accelerations(0.0, at.q, at.qd, at.torque, at.loads, at.factors)
     np.testing.assert_allclose(qdd[flown.model.tree.undriven_v][-12:], 0.0, atol=1e-8)
     # Blades that cone lift a little less: twist is none, as lift acts on the axis.
     assert qdd[5] == pytest.approx(-0.5 * 9.81, rel=0.01)

@@ -3,6 +3,7 @@
 Knows nothing of proteins. Any consistent set of units will do.
 """
 
+from protochain.mechanics.motion.closed import ClosedEquations
 from protochain.mechanics.motion.events import Event, march
 from protochain.mechanics.motion.leapfrog import Leapfrog
 from protochain.mechanics.motion.midpoint import ImplicitMidpoint
@@ -23,7 +24,7 @@ from protochain.mechanics.motion.system import (
 )  # fmt: skip
 
 __all__ = [
-    "Applied", "Constraint", "DormandPrince", "Drive", "Equations", "Event", "ImplicitMidpoint", "Integrator",
-    "Leapfrog", "Load", "Phase", "Potential", "Rosenbrock", "RungeKutta4", "StepTooLargeError", "System",
-    "march", "total",
+    "Applied", "ClosedEquations", "Constraint", "DormandPrince", "Drive", "Equations", "Event",
+    "ImplicitMidpoint", "Integrator", "Leapfrog", "Load", "Phase", "Potential", "Rosenbrock", "RungeKutta4",
+    "StepTooLargeError", "System", "march", "total",
 ]  # fmt: skip

@@ -93,8 +93,9 @@ def _advance(system: Equations, at: Phase, h: float) -> Tried:
     def rates(time: float, move: Floats, qd: Floats) -> tuple[Floats, Floats, Floats]:
         """Rates of displacement and velocity, none of driven hinges; power of loads and drive."""
         q, qd = system.driven_to(time, system.integrate(at.q, move), qd)
-        _, torque, loads = system.forces(time, q, qd, system.factors(q))
-        qdd, loads = system.accelerations(time, q, qd, torque, loads)
+        factors = system.factors(q)
+        _, torque, loads = system.forces(time, q, qd, factors)
+        qdd, loads = system.accelerations(time, q, qd, torque, loads, factors)
         slope = system.displacement_rates(move, qd)
         slope[driven], qdd[driven] = 0.0, 0.0
         return slope, qdd, NOTHING if loads is None else loads @ qd

@@ -71,12 +71,13 @@ def _advance(tableau: Tableau, system: Equations, at: Phase, h: float) -> Tried:
     times, powers = at.time + np.sum(a, axis=1), []
     for i, row in enumerate(a):
         time, move, qd = float(times[i]), row @ slopes, at.qd + row @ accelerations
-        q, torque, loads = at.q, at.torque, at.loads
+        q, torque, loads, factors = at.q, at.torque, at.loads, at.factors
         if i:
             q, qd = system.driven_to(time, system.integrate(at.q, move), qd)
-            _, torque, loads = system.forces(time, q, qd, system.factors(q))
+            factors = system.factors(q)
+            _, torque, loads = system.forces(time, q, qd, factors)
         slopes[i] = system.displacement_rates(move, qd)
-        accelerations[i], loads = system.accelerations(time, q, qd, torque, loads)
+        accelerations[i], loads = system.accelerations(time, q, qd, torque, loads, factors)
         if loads is not None:
             powers.append(loads @ qd)
     q, qd = system.integrate(at.q, b @ slopes), at.qd + b @ accelerations

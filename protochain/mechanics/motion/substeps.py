@@ -74,8 +74,8 @@ def in_substeps(
             errors = np.maximum(np.abs(moved), abs(time_step) * np.abs(quickened)) / system.units
             size = float(np.max(errors, initial=0.0)) / tolerance if after.is_finite else np.nan
             why, fault = "", None
-        except MechanicsError as error:
-            # A stage has diverged to NaN, or come where there is no motion.
+        except (MechanicsError, StepTooLargeError) as error:
+            # A stage has diverged to NaN, or come where there is no motion, or where no loop closes.
             size, why, fault = np.nan, f" ({error})", error.fault
         # Hairer, Norsett, Wanner (1993), II.4: 0.9 of the estimated substep, within bounds.
         factor = min(5.0, max(0.2, 0.9 * size ** (-1.0 / order))) if np.isfinite(size) and size > 0.0 else 0.2

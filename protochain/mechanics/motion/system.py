@@ -28,6 +28,10 @@ RETURNED = 1e-6
 distance of solutions."""
 
 
+NO_TORQUE: Floats = read_only(np.zeros(1))
+"""Torques of no joints."""
+
+
 class StepTooLargeError(ProtochainError):
     """A time step so large that no solution of its equations is found, or the energy jumps.
 
@@ -225,6 +229,9 @@ class Equations:
     loads: tuple[Load, ...] = field(default=(), kw_only=True)
     drive: Drive | None = field(default=None, kw_only=True)
 
+    beyond: ClassVar[str] = "bodies that bend"
+    """What integrators that move by momenta of rigid bodies do not take, for their refusal."""
+
     def __post_init__(self) -> None:
         if (self.drive is None) != (self.tree.driven is None):
             raise MechanicsError(
@@ -240,15 +247,19 @@ class Equations:
 
     def at(self, q: Floats, qd: Floats, time: float = 0.0, work: Floats | None = None) -> Phase:
         """Return the phase at q (n_q,) with velocities qd (n_v,), where the drive puts its hinges."""
-        q, qd = self.driven_to(time, q, qd)
-        factors = self.factors(q)
+        q, qd, factors = self.placed(time, q, qd)
         potential, torque, loads = self.forces(time, q, qd, factors)
         p = self.momenta(factors, qd)
         if self.drive is not None:
-            _, loads = self.accelerations(time, q, qd, torque, loads)
+            _, loads = self.accelerations(time, q, qd, torque, loads, factors)
         if work is None:
             work = NOTHING if loads is None else np.zeros(len(loads))
         return Phase(q, qd, p, potential, torque, factors, time, work, loads)
+
+    def placed(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats, Articulated]:
+        """Coordinates (n_q,) and velocities (n_v,) where drive and joints put them, and the factors there."""
+        q, qd = self.driven_to(time, q, qd)
+        return q, qd, self.factors(q)
 
     def driven_to(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
         """Coordinates (n_q,) and velocities (n_v,) with those of driven hinges as they are at a time."""
@@ -269,16 +280,26 @@ class Equations:
         return potential, torque + loads.sum(axis=0), loads
 
     def accelerations(
-        self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None
+        self,
+        time: float,
+        q: Floats,
+        qd: Floats,
+        torque: Floats,
+        loads: Floats | None,
+        factors: Articulated,
     ) -> tuple[Floats, Floats | None]:
         """Accelerations (n_v,) under torques (n_v,); the loads, the torques of the drive as their last."""
         if self.drive is None:
-            return self.forward_dynamics(q, qd, torque), loads
+            return self.held(qd, self.forward_dynamics(q, qd, torque), factors)[0], loads
         driven, given, driving = self.tree.driven_v, torque.copy(), np.zeros(self.n_v)
         given[driven] = self._drive(time)[2]
-        qdd = self.forward_dynamics(q, qd, given)
-        driving[driven] = self.inverse_dynamics(q, qd, qdd)[driven] - torque[driven]
+        qdd, holding = self.held(qd, self.forward_dynamics(q, qd, given), factors)
+        driving[driven] = (self.inverse_dynamics(q, qd, qdd) - torque - holding)[driven]
         return qdd, np.vstack([driving] if loads is None else [*loads[: len(self.loads)], driving])
+
+    def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
+        """Accelerations (n_v,) of which joints of loops keep what they allow, and their torques; here all."""
+        return qdd, NO_TORQUE
 
     def _drive(self, time: float) -> tuple[Floats, Floats, Floats]:
         assert self.drive is not None
@@ -417,11 +438,11 @@ def canonical(equations: Equations, name: str) -> System:
     Raises
     ------
     MechanicsError
-        If they have no such momenta, as of bodies that bend, or hinges are driven.
+        If they have no such momenta, as of bodies that bend or closed loops, or hinges are driven.
     """
     remedy = "take Runge-Kutta, Dormand-Prince or Rosenbrock"
     if not isinstance(equations, System):
-        raise MechanicsError(f"the {name} takes no bodies that bend; {remedy}")
+        raise MechanicsError(f"the {name} takes no {equations.beyond}; {remedy}")
     if equations.drive is not None:
         raise MechanicsError(f"the {name} takes no driven hinges; {remedy}")
     return equations

@@ -137,7 +137,7 @@ def pull_back(tree: Tree, frames: Frames, wrench: Floats) -> Floats:
     Dynamics Algorithms* (2008). O(n).
     """
     tau = np.empty(tree.n_v)
-    _inward_loads(
+    inward_torques(
         tree.links, tree.bodies, frames.rotation, frames.origin,
         floats(wrench, (tree.n_bodies, 6), "wrench").copy(), tau,
     )  # fmt: skip
@@ -239,7 +239,7 @@ def outward_twists(
 
 
 @kernel
-def _inward_loads(
+def inward_torques(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, wrench: Floats, tau: Floats
 ) -> None:
     """Write tau; accumulate loads inward in ``wrench``."""

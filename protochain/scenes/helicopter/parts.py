@@ -216,7 +216,7 @@ def settled(model: Model, velocity: tuple[float, float, float], depth: float | N
 
     def lacking(q: Floats) -> Floats:
         at = system.at(q, qd)
-        qdd = system.accelerations(0.0, at.q, at.qd, at.torque, at.loads)[0].copy()
+        qdd = system.accelerations(0.0, at.q, at.qd, at.torque, at.loads, at.factors)[0].copy()
         if depth is None:
             # All roots with the first; by symmetry it does not turn.
             for root in roots[1:]:

@@ -1,0 +1,67 @@
+"""Equations of motion of trees whose loops are closed by joints."""
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.errors import Fault
+from protochain.mechanics.motion.system import Equations, Phase, StepTooLargeError
+from protochain.mechanics.multibody.articulated import Articulated
+from protochain.mechanics.multibody.loop_joints import LoopJoints, hold
+
+CLOSED = 1e-12
+"""Largest error of a loop after a step, in cosines and sizes of the tree: a thousand times rounding."""
+_ITERATIONS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedEquations(Equations):
+    """Forest of rigid bodies with loops, whose joints hold accelerations, velocities and places.
+
+    Parameters
+    ----------
+    tree, potential, loads, drive
+        As of :class:`Equations`.
+    joints : LoopJoints
+        What closes the loops.
+
+    Notes
+    -----
+    Accelerations are those of the open tree, and what the joints' least forces add (Gauss's principle). The
+    projections after a step are smallest by the kinetic energy, so that neither lets the loops drift.
+    """
+
+    beyond: ClassVar[str] = "closed loops"
+
+    joints: LoopJoints = field(kw_only=True)
+
+    def placed(self, time: float, q: Floats, qd: Floats) -> tuple[Floats, Floats, Articulated]:
+        """Coordinates, velocities and factors, with the loops closed.
+
+        Raises
+        ------
+        StepTooLargeError
+            If no coordinates nearby close them.
+        """
+        q, qd, factors = super().placed(time, q, qd)
+        units = np.where(self.joints.turns, 1.0, self.tree.size)
+        for _ in range(_ITERATIONS):
+            held = hold(factors, self.joints)
+            gap = float(np.max(np.abs(held.error) / units))
+            if not gap > CLOSED:
+                return q, qd - held.change(held.matrix @ qd), factors
+            q = self.integrate(q, -held.change(held.error))
+            factors = self.factors(q)
+        raise StepTooLargeError(f"a loop stays open by {gap:.2g} of its size", fault=Fault.OPEN)
+
+    def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
+        """Accelerations (n_v,) with the loops kept, and the torques (n_v,) of their joints."""
+        held = hold(factors, self.joints)
+        impulses = held.impulses(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))
+        return qdd + impulses @ held.moved, impulses @ held.matrix
+
+    def with_velocities(self, at: Phase, qd: Floats) -> Phase:
+        """Return the phase with other velocities, projected on the loops; driven hinges keep theirs."""
+        return self.at(at.q, qd, at.time, at.work)

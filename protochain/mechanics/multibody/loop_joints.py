@@ -1,0 +1,323 @@
+"""Joints that close loops: their errors, the rows of these on the twists, and what velocities add."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.mechanics.multibody.algebra import (
+    ZERO,
+    Vector,
+    add,
+    cross,
+    dot,
+    hinge_axis,
+    kernel,
+    lever,
+    matrix,
+    put,
+    scale,
+    subtract,
+    turned,
+    vector,
+    vector_at,
+)  # fmt: skip
+from protochain.mechanics.multibody.articulated import Articulated, inward_loads, outward_rates
+from protochain.mechanics.multibody.kinematics import Frames, inward_torques, outward_twists
+from protochain.mechanics.multibody.newton_euler import (
+    AT_REST,
+    Motion,
+    carried_along,
+    motion_of,
+    moved_by_hinge,
+    put_motion,
+)
+from protochain.mechanics.multibody.operational import Rows
+from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
+
+_PROXIMAL = 1e-7
+"""e, beside a diagonal of one: far above rounding, so small that few iterations take it off."""
+_ITERATIONS = 30
+
+
+@dataclass(frozen=True, eq=False)
+class LoopJoints:
+    """Scalar equations between two bodies each, all zero where the loops are closed.
+
+    A turn is the cosine of the angle between a direction of the first body and one of the second; a slide is
+    the component of the way from a point of the first body to one of the second, along a direction of the
+    first. They may depend on each other, as three of the five of a revolute joint in the plane do.
+
+    Parameters
+    ----------
+    body : (m, 2) int
+        Bodies; -1 for the world.
+    turns : (m,) bool
+        Whether the equation is a turn.
+    point : (m, 2, 3) float
+        Points, in the frames of their bodies.
+    along : (m, 2, 3) float
+        Directions, in the frames of their bodies; the second is not read of a slide.
+    """
+
+    body: Integers
+    turns: np.ndarray
+    point: Floats
+    along: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "body", read_only(self.body, np.int64))
+        object.__setattr__(self, "turns", read_only(self.turns, np.bool_))
+        object.__setattr__(self, "point", read_only(self.point))
+        object.__setattr__(self, "along", read_only(self.along))
+
+    def rows(self, frames: Frames) -> tuple[Floats, Rows]:
+        """(m,) float: errors, in lengths and cosines; their rates as rows on the twists of the bodies."""
+        error, wrench = np.empty(len(self.body)), np.zeros((len(self.body), 2, 6))
+        _put_rows(
+            frames.rotation, frames.origin, self.body, self.turns, self.point, self.along, error, wrench
+        )
+        return error, Rows(self.body, wrench)
+
+    def accelerations(self, tree: Tree, frames: Frames, qd: Floats, qdd: Floats) -> Floats:
+        """(m,) float: second derivatives of the errors by time, of a motion."""
+        found: Floats = _accelerations(
+            tree.links, tree.bodies, frames.rotation, frames.origin, self.body, self.turns, self.point,
+            self.along, qd, qdd,
+        )  # fmt: skip
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Loop joints at one pose, and what holds them.
+
+    Parameters
+    ----------
+    error : (m,) float
+        Their errors.
+    matrix : (m, n_v) float
+        Rates G of the errors, of the velocities.
+    moved : (m, n_v) float
+        Velocities M^-1 G^T of impulses of one.
+    scales : (m,) float
+        What scales A = G M^-1 G^T to a diagonal of one.
+    inverse, factor : (m, m) float
+        A, scaled; Cholesky's factor of A + e, the upper.
+    """
+
+    error: Floats
+    matrix: Floats
+    moved: Floats
+    scales: Floats
+    inverse: Floats
+    factor: Floats
+
+    def impulses(self, wanted: Floats) -> Floats:
+        """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted.
+
+        Those of joints that depend on others have the least norm.
+
+        Notes
+        -----
+        x <- x + (A + e)^-1 (b - A x) until nothing is left: the proximal method of Parikh, Boyd, Found.
+        Trends Optim. 1:127 (2014), 4.1; of mechanisms: Carpentier, Budhiraja, Mansard, RSS (2021).
+        """
+        return self.scales * _proximal(self.inverse, self.factor, self.scales * wanted)
+
+    def change(self, wanted: Floats) -> Floats:
+        """Change of velocities (n_v,), of least kinetic energy, that changes the rates by (m,) wanted."""
+        return self.impulses(wanted) @ self.moved
+
+
+def hold(factors: Articulated, joints: LoopJoints) -> Held:
+    """Find what holds loop joints at one pose. O(m n), and m^3 / 3 for the factor of m equations.
+
+    Parameters
+    ----------
+    factors : Articulated
+        Rigid bodies, their frames, and factors of M there.
+    joints : LoopJoints
+        The joints.
+    """
+    tree, frames = factors.tree, factors.frames
+    return Held(*_hold(
+        tree.links, tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain,
+        factors.pivot, factors.root, tree.undriven_v, joints.body, joints.turns, joints.point, joints.along,
+    ))  # fmt: skip
+
+
+@kernel
+def _hold(
+    links: Integers, locked: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats,
+    pivot: Floats, root: Floats, undriven: Integers, body: Integers, turns: np.ndarray, point: Floats,
+    along: Floats,
+) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
+    """Fields of :class:`Held`."""
+    m, n, n_v = len(body), len(bodies), links[-1, V]
+    error, wrench = np.empty(m), np.zeros((m, 2, 6))
+    _put_rows(rotation, origin, body, turns, point, along, error, wrench)
+    g, moved = np.empty((m, n_v)), np.zeros((m, n_v))
+    for i in range(m):
+        loads = np.zeros((n, 6))
+        for side in range(2):
+            if body[i, side] >= 0:
+                loads[body[i, side]] += wrench[i, side]
+        inward_torques(links, bodies, rotation, origin, loads, g[i])
+        x, still = g[i][undriven], np.zeros((n, 6))
+        inward_loads(locked, bodies, rotation, origin, gain, pivot, still, x)
+        outward_rates(locked, bodies, rotation, origin, gain, root, still, x)
+        for k in range(len(undriven)):
+            moved[i, undriven[k]] = x[k]
+    inverse = np.dot(g, moved.T)
+    scales = np.ones(m)
+    for i in range(m):
+        if inverse[i, i] > 0.0:
+            scales[i] = 1.0 / np.sqrt(inverse[i, i])
+    for i in range(m):
+        for j in range(m):
+            inverse[i, j] *= scales[i] * scales[j]
+    factor = inverse.copy()
+    for i in range(m):
+        factor[i, i] += _PROXIMAL
+    _factorise(factor)
+    return error, g, moved, scales, inverse, factor
+
+
+@kernel
+def _factorise(a: Floats) -> None:
+    """Overwrite the upper triangle of a by U with U^T U = a, by rows: inner loops are contiguous."""
+    n = len(a)
+    for k in range(n):
+        a[k, k] = np.sqrt(a[k, k])
+        for j in range(k + 1, n):
+            a[k, j] /= a[k, k]
+        for i in range(k + 1, n):
+            part = a[k, i]
+            for j in range(i, n):
+                a[i, j] -= part * a[k, j]
+
+
+@kernel
+def _proximal(a: Floats, factor: Floats, b: Floats) -> Floats:
+    """Least x with a x = b, of which ``factor`` has that of a + e."""
+    n = len(b)
+    x, left = np.zeros(n), b.copy()
+    before = np.max(np.abs(left))
+    for _ in range(_ITERATIONS):
+        for k in range(n):
+            left[k] /= factor[k, k]
+            for j in range(k + 1, n):
+                left[j] -= factor[k, j] * left[k]
+        for k in range(n - 1, -1, -1):
+            for j in range(k + 1, n):
+                left[k] -= factor[k, j] * left[j]
+            left[k] /= factor[k, k]
+        x += left
+        left = b - np.dot(a, x)
+        now = np.max(np.abs(left))
+        # What does not shrink is rounding, or a rate that no impulse changes.
+        if not now < 0.5 * before:
+            break
+        before = now
+    return x
+
+
+@kernel
+def _end(rotation: Floats, origin: Floats, b: int, at: Vector) -> tuple[Vector, Vector]:
+    """Arm and place of a point of a body, or of the world."""
+    if b < 0:
+        return at, at
+    arm = turned(matrix(rotation, b), at)
+    return arm, add(vector(origin, b), arm)
+
+
+@kernel
+def _put_rows(
+    rotation: Floats, origin: Floats, body: Integers, turns: np.ndarray, point: Floats, along: Floats,
+    error: Floats, wrench: Floats,
+) -> None:  # fmt: skip
+    """Write errors, and the rows of their rates; nothing for the world."""
+    for i in range(len(body)):
+        a, b = body[i, 0], body[i, 1]
+        s, _ = _end(rotation, origin, a, vector(along[i], 0))
+        if turns[i]:
+            t, _ = _end(rotation, origin, b, vector(along[i], 1))
+            error[i] = dot(s, t)
+            moment = cross(t, s)
+            first, second, force = scale(-1.0, moment), moment, ZERO
+        else:
+            arm_a, from_ = _end(rotation, origin, a, vector(point[i], 0))
+            arm_b, to = _end(rotation, origin, b, vector(point[i], 1))
+            way = subtract(to, from_)
+            error[i], force = dot(way, s), s
+            # The direction turns with the first body.
+            first, second = cross(s, add(arm_a, way)), cross(arm_b, s)
+        if a >= 0:
+            put(first, wrench[i], 0, 0)
+            put(scale(-1.0, force), wrench[i], 0, 3)
+        if b >= 0:
+            put(second, wrench[i], 1, 0)
+            put(force, wrench[i], 1, 3)
+
+
+@kernel
+def _accelerations(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, body: Integers, turns: np.ndarray,
+    point: Floats, along: Floats, qd: Floats, qdd: Floats,
+) -> Floats:  # fmt: skip
+    """Second derivatives of the errors: of s . t, and of way . s."""
+    n, out = len(bodies), np.empty(len(body))
+    motions, twists = np.empty((n, 9)), np.empty((n, 6))
+    outward_twists(links, bodies, rotation, origin, qd, twists)
+    _put_motions(links, bodies, rotation, origin, qd, qdd, motions)
+    for i in range(len(body)):
+        a, b = body[i, 0], body[i, 1]
+        motion_a = motion_of(motions, a) if a >= 0 else AT_REST
+        motion_b = motion_of(motions, b) if b >= 0 else AT_REST
+        s, _ = _end(rotation, origin, a, vector(along[i], 0))
+        s_rate, s_bend = _turning(motion_a, s)
+        if turns[i]:
+            t, _ = _end(rotation, origin, b, vector(along[i], 1))
+            t_rate, t_bend = _turning(motion_b, t)
+            out[i] = dot(s_bend, t) + 2.0 * dot(s_rate, t_rate) + dot(s, t_bend)
+            continue
+        arm_a, from_ = _end(rotation, origin, a, vector(point[i], 0))
+        arm_b, to = _end(rotation, origin, b, vector(point[i], 1))
+        speed_a = vector(twists, a, 3) if a >= 0 else ZERO
+        speed_b = vector(twists, b, 3) if b >= 0 else ZERO
+        end_a, end_b = add(speed_a, cross(motion_a[0], arm_a)), add(speed_b, cross(motion_b[0], arm_b))
+        parting = subtract(end_b, end_a)
+        _, _, curved_a = carried_along(motion_a, arm_a)
+        _, _, curved_b = carried_along(motion_b, arm_b)
+        way = subtract(to, from_)
+        out[i] = dot(subtract(curved_b, curved_a), s) + 2.0 * dot(parting, s_rate) + dot(way, s_bend)
+    return out
+
+
+@kernel
+def _turning(motion: Motion, fixed: Vector) -> tuple[Vector, Vector]:
+    """First and second derivative of a direction fixed in a body."""
+    omega, alpha, _ = motion
+    rate = cross(omega, fixed)
+    return rate, add(cross(alpha, fixed), cross(omega, rate))
+
+
+@kernel
+def _put_motions(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, qdd: Floats,
+    motions: Floats,
+) -> None:  # fmt: skip
+    """Write the motion of each body, as the loads of :func:`inertial_loads` come from."""
+    for b in range(len(bodies)):
+        p, k = links[b, PARENT], links[b, V]
+        n_v = links[b + 1, V] - k
+        motion = AT_REST
+        if p >= 0:
+            motion = carried_along(motion_of(motions, p), lever(origin, b, p))
+        if n_v == 1:
+            axis = hinge_axis(rotation, b)
+            motion = moved_by_hinge(motion, axis, bodies[b, TURN], bodies[b, SLIDE], qd[k], qdd[k])
+        elif n_v == 6:
+            motion = vector_at(qd, k), vector_at(qdd, k), vector_at(qdd, k + 3)
+        put_motion(motion, motions, b)

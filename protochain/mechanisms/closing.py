@@ -1,0 +1,189 @@
+"""Joints that close loops of bodies: what each leaves free, and the coordinates that close it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from scipy.linalg import lstsq
+
+from protochain.core.arrays import Floats, read_only
+from protochain.core.checks import shown
+from protochain.core.errors import Fault, MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion.closed import CLOSED
+from protochain.mechanics.multibody.loop_joints import LoopJoints
+from protochain.mechanisms.assemble import with_z_along
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import direction
+from protochain.mechanisms.elements import Between
+
+X, Y, Z = np.eye(3)
+_SLIDES = {
+    "spherical": (X, Y, Z), "revolute": (X, Y, Z), "universal": (X, Y, Z), "rigid": (X, Y, Z),
+    "cylindrical": (X, Y), "prismatic": (X, Y), "planar": (Z,),
+}  # fmt: skip
+"""Kind -> directions, in axes of which z is that of the joint, in which the points stay together."""
+_ALIGNED = ((X, Z), (Y, Z))
+_LOCKED = ((X, Y), (Y, Z), (Z, X))
+_TURNS: dict[str, tuple[tuple[Floats, Floats], ...]] = {
+    "revolute": _ALIGNED, "cylindrical": _ALIGNED, "planar": _ALIGNED, "prismatic": _LOCKED, "rigid": _LOCKED,
+}  # fmt: skip
+"""Kind -> pairs of directions, of the first and the second body, that stay at right angles."""
+_ITERATIONS = 100
+_LONGEST = 0.3
+"""Longest step of Newton's method towards closed loops, in radians and sizes of the tree."""
+_CONTRADICTED = 1e-6
+"""Rate of an open loop, of the largest given, that is more than rounding of what was given."""
+
+
+@dataclass(frozen=True, eq=False)
+class Closing(Between):
+    """A joint that closes a loop. Bodies turn about it as they lie when built.
+
+    Parameters
+    ----------
+    name : str
+        Name.
+    a, b : tuple of str and (3,) array_like
+        Body, or "world", and a point of it; both points meet.
+    kind : {"revolute", "spherical", "universal", "cylindrical", "prismatic", "planar", "rigid"}
+        What it leaves free. Joints that depend on others, as revolute ones in a plane, are welcome.
+    axis : (3,) array_like
+        Its axis in the axes of a; of ``planar`` the normal of the plane, of ``universal`` the arm of a.
+    axis_b : (3,) array_like, optional
+        Of ``universal`` only: the arm of b, at right angles to the axis, in the axes of b.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, or an argument is none.
+    """
+
+    called: ClassVar[str] = "closing"
+
+    kind: str = "revolute"
+    axis: Any = (0.0, 0.0, 1.0)
+    axis_b: Any = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.kind not in _SLIDES:
+            *kinds, last = sorted(_SLIDES)
+            raise MechanicsError(
+                f"{self.said}: its kind {shown(self.kind)}: give {', '.join(kinds)} or {last}"
+            )
+        if (self.kind == "universal") != (self.axis_b is not None):
+            raise MechanicsError(f"{self.said}: axis_b belongs to kind universal, which needs it")
+        self.fix(axis=direction(self.axis, f"{self.said}: its axis"))
+        if self.axis_b is not None:
+            self.fix(axis_b=direction(self.axis_b, f"{self.said}: its axis_b"))
+
+    def bind(self, bodies: Bodies) -> LoopJoints:
+        """Return its equations.
+
+        Raises
+        ------
+        MechanicsError
+            If a body is not there.
+        """
+        (ends,), (points,) = self.ends(bodies)
+        # Axes of the joint in the world as built, then in the frame of each body.
+        world = bodies.built.rotation(self.a[0]) @ with_z_along(self.axis)
+        frames = [np.eye(3) if b < 0 else bodies.built.frames.rotation[b] for b in ends]
+        in_a, in_b = (frame.T @ world for frame in frames)
+        turns = [(in_a @ s, in_b @ t) for s, t in _TURNS.get(self.kind, ())]
+        if self.axis_b is not None:
+            turns.append((in_a @ Z, bodies.inside(int(ends[1]), self.axis_b)))
+        along = [(in_a @ s, np.zeros(3)) for s in _SLIDES[self.kind]] + turns
+        m, slides = len(along), len(along) - len(turns)
+        return LoopJoints(
+            np.tile(ends, (m, 1)), np.arange(m) >= slides, np.tile(points.reshape(2, 3), (m, 1, 1)),
+            np.array(along),
+        )  # fmt: skip
+
+
+def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
+    """Close the loops: coordinates and rates that the mechanism was given stay if they can, others follow.
+
+    Raises
+    ------
+    MechanicsError
+        If a body is not there, the loops cannot be closed, or the rates open them.
+    """
+    if not closings:
+        return bodies
+    parts = [each.bind(bodies) for each in closings]
+    of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
+    joints = LoopJoints(*(np.concatenate([getattr(part, name) for part in parts])
+                          for name in ("body", "turns", "point", "along")))  # fmt: skip
+    tree = bodies.tree
+    given = _given(bodies)
+    undriven = np.setdiff1d(np.arange(tree.n_v), tree.driven_v)
+    # What was given is kept, unless the loops close with what was not.
+    q, worst = _assembled(bodies, joints, np.setdiff1d(undriven, np.flatnonzero(given)))
+    if q is None:
+        q, worst = _assembled(bodies, joints, undriven)
+    if q is None:
+        raise MechanicsError(
+            f"{closings[of[worst[0]]].said}: it stays open by {worst[1]:.3g}; give coordinates of hinges "
+            "nearer to where it closes",
+            fault=Fault.OPEN,
+        )
+    qd = _rates(bodies, joints, q, undriven, [each.said for each in closings], of)
+    return replace(bodies, q=read_only(q), qd=read_only(qd), joints=joints)
+
+
+def _given(bodies: Bodies) -> np.ndarray:
+    """(n_v,) bool: freedoms whose coordinates are not zero, and the places of free bodies."""
+    tree = bodies.tree
+    given = np.zeros(tree.n_v, dtype=bool)
+    for b in range(tree.n_bodies):
+        own = slice(tree.v_start[b], tree.v_start[b + 1])
+        given[own] = own.stop - own.start == 6 or np.any(bodies.q[tree.q_start[b] : tree.q_start[b + 1]])
+    return given
+
+
+def _assembled(
+    bodies: Bodies, joints: LoopJoints, moves: np.ndarray
+) -> tuple[Floats | None, tuple[int, float]]:
+    """Coordinates that close the loops, if there are, by these freedoms; the worst equation, its error."""
+    tree, q = bodies.tree, bodies.q
+    units = np.where(joints.turns, 1.0, tree.size)
+    for _ in range(_ITERATIONS):
+        frames = multibody.pose(tree, q)
+        error, rows = joints.rows(frames)
+        worst = int(np.argmax(np.abs(error) / units))
+        if abs(error[worst]) <= CLOSED * units[worst]:
+            return q, (worst, 0.0)
+        if not len(moves):
+            break
+        matrix = multibody.row_matrix(tree, frames, rows)[:, moves] * tree.units[moves] / units[:, None]
+        step = np.zeros(tree.n_v)
+        step[moves] = lstsq(matrix, -error / units, cond=1e-9)[0]
+        step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
+        q = multibody.integrate(tree, q, step * tree.units)
+    return None, (worst, abs(float(error[worst])))
+
+
+def _rates(
+    bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.ndarray, said: Sequence[str], of: np.ndarray
+) -> Floats:
+    """Rates (n_v,) that keep the loops closed: those that are given stay, the others follow, the least."""
+    tree, qd = bodies.tree, bodies.qd.copy()
+    frames = multibody.pose(tree, q)
+    g = multibody.row_matrix(tree, frames, joints.rows(frames)[1]) * tree.units
+    units = np.where(joints.turns, 1.0, tree.size)
+    rates = qd / tree.units
+    follow = undriven[qd[undriven] == 0.0]
+    if len(follow):
+        rates[follow] = lstsq(g[:, follow] / units[:, None], -(g @ rates) / units, cond=1e-9)[0]
+    left = np.abs(g @ rates) / units
+    worst = int(np.argmax(left))
+    if left[worst] > _CONTRADICTED * np.max(np.abs(rates)):
+        raise MechanicsError(
+            f"{said[of[worst]]}: the rates of hinges open it by {left[worst] * units[worst]:.3g} per time; "
+            "give those of fewer hinges: the others follow",
+            fault=Fault.OPEN,
+        )
+    return np.asarray(rates * tree.units)

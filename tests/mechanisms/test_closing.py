@@ -1,0 +1,361 @@
+"""Joints that close loops: the motion of hinges, other programs, redundant rows, refusals."""
+
+import numpy as np
+import pytest
+from fixtures.tolerances import AUDITED
+from scipy.integrate import solve_ivp
+
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import (
+    DormandPrince,
+    ImplicitMidpoint,
+    Leapfrog,
+    Rosenbrock,
+    RungeKutta4,
+)  # fmt: skip
+from protochain.mechanics.multibody import ContactPoint, impact
+from protochain.mechanisms import Mechanism, frequencies, in_modes
+
+G = 9.81
+PRECISE = DormandPrince(1e-10)
+CLOSED = 1e-11
+"""Of loops after a step: the bar is 1e-12 of the size, and the audit finds its own rounding beside it."""
+SAME = 1e-7
+"""Of motions by two routes: errors of 1e-10 a step in some hundred steps."""
+
+
+def bar(m, name, start, end, **more):
+    """A rod along its length, with its origin at the start."""
+    along = np.subtract(end, start)
+    length = float(np.linalg.norm(along))
+    m.body(name, length, com=along / 2.0, inertia=length**3 / 12.0, **more)
+
+
+def four_bar(kind="revolute", last="rocker", **more):
+    m = Mechanism(gravity=(0, 0, -G))
+    a, b, c, d = (np.array(x) for x in ((0.0, 0, 0), (0.0, 0, 1.0), (2.0, 0, 1.5), (2.0, 0, 0)))
+    for name, start, end in (("crank", a, b), ("coupler", b, c), ("rocker", d, c)):
+        bar(m, name, start, end)
+    m.hinge("A", "world", "crank", axis=(0, 1, 0), qd=3.0)
+    m.hinge("B", "crank", "coupler", axis=(0, 1, 0), at=b - a)
+    m.hinge("D", "world", "rocker", axis=(0, 1, 0), at=d)
+    m.close("C", ("coupler", c - b), (last, c - d), kind, axis=(0, 1, 0), **more)
+    return m
+
+
+def by_lagrange(time):
+    """Angles of the four-bar by the Lagrangian of its crank alone, with the loop solved in closed form."""
+    lengths = np.array([1.0, np.hypot(2.0, 0.5), 1.5])
+    ground = 2.0
+
+    def angles(crank):
+        """Directions of the bars from the x axis, in the plane of x and z, by the law of cosines."""
+        tip = lengths[0] * np.array([np.cos(crank), np.sin(crank)])
+        to = np.array([ground, 0.0]) - tip
+        far = np.hypot(*to)
+        inner = np.arccos((lengths[1] ** 2 + far**2 - lengths[2] ** 2) / (2.0 * lengths[1] * far))
+        coupler = np.arctan2(to[1], to[0]) + inner
+        end = tip + lengths[1] * np.array([np.cos(coupler), np.sin(coupler)])
+        return np.array([crank, coupler, np.arctan2(end[1], end[0] - ground)])
+
+    def slopes(at):
+        """First and second derivatives of the three directions by the crank's: two linear systems."""
+        out = np.array([-np.sin(at), np.cos(at)]) * lengths
+        inward = -np.array([np.cos(at), np.sin(at)]) * lengths
+        loop = np.column_stack([out[:, 1], -out[:, 2]])
+        one = np.array([1.0, *np.linalg.solve(loop, -out[:, 0])])
+        bent = inward @ (np.array([1.0, 1.0, -1.0]) * one**2)
+        return one, np.array([0.0, *np.linalg.solve(loop, -bent)])
+
+    def inertia(crank):
+        """Effective inertia of the crank's angle, its slope, and that of the potential."""
+        at = angles(crank)
+        one, two = slopes(at)
+
+        def centre(k):
+            along = 0.5 * lengths[k] * np.array([-np.sin(at[k]), np.cos(at[k])])
+            toward = -0.5 * lengths[k] * np.array([np.cos(at[k]), np.sin(at[k])])
+            return along * one[k], along * two[k] + toward * one[k] ** 2
+
+        total = slope = lift = 0.0
+        carried, bent = 2.0 * np.array(centre(0))
+        for k in range(3):
+            speed, curve = centre(k)
+            if k == 1:
+                speed, curve = speed + carried, curve + bent
+            mass, moment = lengths[k], lengths[k] ** 3 / 12.0
+            total += mass * speed @ speed + moment * one[k] ** 2
+            slope += 2.0 * (mass * speed @ curve + moment * one[k] * two[k])
+            lift += mass * G * speed[1]
+        return total, slope, lift
+
+    def rates(t, y):
+        total, slope, lift = inertia(y[0])
+        return y[1], -(0.5 * slope * y[1] ** 2 + lift) / total
+
+    # About the y axis an angle grows from z to x: against that from x to z.
+    found = solve_ivp(rates, (0.0, time), [np.pi / 2.0, -3.0], "DOP853", rtol=1e-10, atol=1e-10)
+    return np.pi / 2.0 - found.y[0, -1]
+
+
+def test_a_four_bar_moves_as_its_lagrangian_says():
+    run = four_bar().build().simulate(0.5, 0.5, PRECISE)
+    assert run.model.qd == pytest.approx([3.0, -3.0, 2.0])
+    assert run.q[-1, 0] == pytest.approx(by_lagrange(0.5), abs=SAME)
+    audit = run.audit()
+    assert audit.energy < 1e-9 and audit.gap < CLOSED and audit.parting < CLOSED
+
+
+def test_a_four_bar_moves_as_mujoco_says():
+    mujoco = pytest.importorskip("mujoco")
+
+    def body(length):
+        return f'mass="{length}" diaginertia="{" ".join([str(length**3 / 12.0)] * 3)}"'
+
+    step = 2e-4
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco>
+      <option timestep="{step}" gravity="0 0 {-G}" integrator="RK4"><flag contact="disable"/></option>
+      <worldbody>
+        <body><joint axis="0 1 0"/><inertial pos="0 0 0.5" {body(1.0)}/>
+          <body name="c" pos="0 0 1"><joint axis="0 1 0"/>
+            <inertial pos="1 0 0.25" {body(np.hypot(2.0, 0.5))}/></body></body>
+        <body name="r" pos="2 0 0"><joint axis="0 1 0"/><inertial pos="0 0 0.75" {body(1.5)}/></body>
+      </worldbody>
+      <equality><connect body1="c" body2="r" anchor="2 0 0.5" solref="{2 * step} 1"
+        solimp="0.9999 0.9999 0.001"/></equality></mujoco>""")
+    data = mujoco.MjData(model)
+    data.qvel[:] = 3.0, -3.0, 2.0
+    mujoco.mj_step(model, data, round(1.0 / step))
+    run = four_bar().build().simulate(1.0, 0.5, PRECISE)
+    # Its loops give way a little: the error falls with the step, and is 5e-9 here.
+    assert np.allclose(run.q[-1], data.qpos, atol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "rigid"])
+def test_a_free_body_that_a_joint_closes_moves_as_on_a_hinge(kind):
+    """A double pendulum in space: the second rod on a hinge of the tree, or free and closed to the first."""
+    axis, tilt = (0.3, 1.0, -0.2), np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    lever = (0.1, 0.2, -1.0)
+
+    def begun(**place):
+        m = Mechanism(gravity=(0, 0, -G))
+        bar(m, "upper", (0, 0, 0), lever)
+        m.hinge("pin", "world", "upper", axis=(0, 1, 0.5), q=0.4, qd=1.0)
+        bar(m, "lower", (0, 0, 0), (0.5, 0.1, -0.7), **place)
+        return m
+
+    m = begun()
+    named, rate = ("fixed", 0.0) if kind == "rigid" else (kind, 0.5)
+    m.hinge("joint", "upper", "lower", named, at=lever, axis=axis, rotation=tilt, qd=rate)
+    hinged = m.build()
+    at = hinged.state()
+    m = begun(position=at.point("lower"), rotation=at.rotation("lower"), velocity=at.velocity("lower"),
+              spin=at.spin("lower"))  # fmt: skip
+    m.close("joint", ("upper", lever), ("lower", (0, 0, 0)), kind, axis=axis)
+    tree, loop = (model.simulate(0.4, 0.4, PRECISE) for model in (hinged, m.build()))
+    ends = [run.model.state(run.end) for run in (tree, loop)]
+    for point in ((0, 0, 0), (0.5, 0.1, -0.7)):
+        assert np.allclose(*(state.point("lower", point) for state in ends), atol=SAME)
+        assert np.allclose(*(state.velocity("lower", point) for state in ends), atol=10 * SAME)
+    assert loop.audit().energy < 1e-8
+
+
+@pytest.mark.parametrize(
+    ("kind", "freedoms"),
+    [("spherical", 3), ("revolute", 1), ("universal", 2), ("cylindrical", 2), ("prismatic", 1), ("planar", 3),
+     ("rigid", 0)],
+)  # fmt: skip
+def test_a_kind_leaves_as_many_freedoms_as_it_should_and_keeps_the_energy(kind, freedoms):
+    m = Mechanism(gravity=(0, 0, -G))
+    m.body("b", 2.0, com=(0.3, 0.2, 0.1), inertia=(0.1, 0.2, 0.25), position=(0.1, 0.2, 0.3))
+    more = {"axis_b": (0, 1, 0)} if kind == "universal" else {}
+    m.close("joint", ("b", (0, 0, 0)), ("world", (0.1, 0.2, 0.3)), kind, axis=(1, 0, 0), **more)
+    model = m.build()
+    assert model.directions.shape == (6, freedoms)
+    run = model.simulate(0.3, 0.1, PRECISE)
+    assert run.audit().gap < CLOSED
+    # What is rigid does not move, and has no energy to compare with.
+    assert freedoms == 0 or run.audit().energy < 1e-8
+    frames = run.end.factors.frames
+    errors, rows = model.bodies.joints.rows(frames)
+    assert np.allclose(errors, 0.0, atol=CLOSED)
+    assert np.linalg.matrix_rank(multibody.row_matrix(model.tree, frames, rows)) == 6 - freedoms
+    assert len(model.state().loops.body) == 6 - freedoms
+
+
+def random_closed():
+    """A spatial tree with a loop within and one to the world, away from where they close."""
+    rng = np.random.default_rng(7)
+    m = Mechanism()
+    for k, parent in enumerate(("world", "b0", "b1", "b1", "b3")):
+        m.body(f"b{k}", 1.0 + k, com=rng.normal(size=3), inertia=(1.0, 1.2, 1.5))
+        m.hinge(f"h{k}", parent, f"b{k}", at=rng.normal(size=3), axis=rng.normal(size=3))
+    m.body("free", 2.0, inertia=1.0, position=(0.5, 0.2, 0.1))
+    m.close("u", ("b4", (0.1, 0.2, 0.3)), ("free", (0, 0.1, 0)), "prismatic", axis=(0.2, 1, 0))
+    m.close("w", ("world", (0.4, 0.2, 0.3)), ("b2", (0, 0.1, 0.3)), "universal", (1, 0, 0), (0, 0.6, 0.8))
+    return m, rng
+
+
+def test_rows_and_accelerations_are_derivatives_of_the_errors():
+    m, rng = random_closed()
+    m._closings, closings = {}, list(m._closings.values())
+    bodies = m.build().bodies
+    tree, q = bodies.tree, multibody.integrate(bodies.tree, bodies.q, rng.normal(size=bodies.tree.n_v))
+    qd, qdd = rng.normal(size=(2, tree.n_v))
+    for closing in closings:
+        joints = closing.bind(bodies)
+
+        def errors(t, joints=joints):
+            moved = multibody.integrate(tree, q, t * qd + 0.5 * t * t * qdd)
+            return joints.rows(multibody.pose(tree, moved))[0]
+
+        frames, h = multibody.pose(tree, q), 1e-4
+        rates = multibody.row_matrix(tree, frames, joints.rows(frames)[1]) @ qd
+        assert np.allclose(rates, (errors(h) - errors(-h)) / (2 * h), atol=1e-6)
+        # A free root's exponential has the derivative qdd at the start of the path only.
+        found = joints.accelerations(tree, frames, qd, qdd)
+        assert np.allclose(found, (errors(h) - 2 * errors(0.0) + errors(-h)) / h**2, atol=1e-5)
+
+
+def test_forces_of_a_loop_are_gauss_least_change():
+    """Dense: M (a - a_free) = G^T x, G a = -gamma, of redundant rows, too."""
+    model = four_bar().build()
+    at = model.start()
+    tree, frames = model.tree, at.factors.frames
+    mass = multibody.mass_matrix(tree, frames)
+    g = multibody.row_matrix(tree, frames, model.bodies.joints.rows(frames)[1])
+    assert len(g) == 5 and np.linalg.matrix_rank(g) == 2
+    free = multibody.forward_dynamics(tree, at.q, at.qd, at.torque)
+    gamma = model.bodies.joints.accelerations(tree, frames, at.qd, np.zeros(3))
+    impulse = np.linalg.lstsq(g @ np.linalg.solve(mass, g.T), -gamma - g @ free, rcond=1e-12)[0]
+    dense = free + np.linalg.solve(mass, g.T @ impulse)
+    found, _ = model.system.accelerations(0.0, at.q, at.qd, at.torque, at.loads, at.factors)
+    assert np.allclose(found, dense, rtol=1e-9)
+
+
+def test_a_driven_crank_does_work_through_the_loop():
+    m = Mechanism(gravity=(0, 0, -G))
+    bar(m, "crank", (0, 0, 0), (0.5, 0, 0))
+    bar(m, "rod", (0, 0, 0), (2.0, 0, 0))
+    m.body("piston", 3.0, inertia=1.0)
+    m.hinge("A", "world", "crank", axis=(0, -1, 0))
+    m.hinge("B", "crank", "rod", axis=(0, -1, 0), at=(0.5, 0, 0))
+    m.hinge("slide", "world", "piston", "prismatic", axis=(1, 0, 0), at=(2.5, 0, 0))
+    m.close("pin", ("rod", (2.0, 0, 0)), ("piston", (0, 0, 0)), axis=(0, 1, 0))
+    m.drive("A", lambda t: (4.0 * t, 4.0, 0.0))
+    run = m.build().simulate(2.0, 0.01, DormandPrince(1e-9))
+    where = run.q[:, run.model.bodies.freedom("slide")[0]]
+    angle = 4.0 * run.time
+    assert np.allclose(where + 2.5, 0.5 * np.cos(angle) + np.sqrt(4.0 - 0.25 * np.sin(angle) ** 2), atol=1e-9)
+    assert run.audit().energy < 1e-7
+    assert np.ptp(run.table["work drives"]) > 1.0
+
+
+def platform():
+    """Six legs, each a universal joint, a slide and a ball: Stewart's, on springs."""
+    m = Mechanism(gravity=(0, 0, -G))
+    m.body("plate", 10.0, inertia=(0.4, 0.4, 0.8), position=(0, 0, 1.0))
+    for k in range(6):
+        low, high = (np.pi / 3.0 * (k // 2 * 2 + s * (k % 2 * 2 - 1)) for s in (0.25, 0.75))
+        foot = np.array([np.cos(low), np.sin(low), 0.0])
+        top = np.array([0.5 * np.cos(high), 0.5 * np.sin(high), 0.0])
+        along = top - foot + np.array([0, 0, 1.0])
+        m.body(f"cross {k}", 0.0)
+        side = np.cross(along, (0, 0, 1.0))
+        m.hinge(f"a{k}", "world", f"cross {k}", at=foot, axis=side)
+        m.body(f"tube {k}", 1.0, com=0.3 * along, inertia=0.05)
+        m.hinge(f"b{k}", f"cross {k}", f"tube {k}", axis=np.cross(side, along))
+        m.body(f"rod {k}", 0.5, com=-0.2 * along, inertia=0.02)
+        m.hinge(f"s{k}", f"tube {k}", f"rod {k}", "prismatic", at=along, axis=along)
+        m.torsion(f"spring {k}", f"s{k}", stiffness=2000.0 + 100.0 * k)
+        m.close(f"ball {k}", (f"rod {k}", (0, 0, 0)), ("plate", top), "spherical")
+    return m
+
+
+def test_a_platform_of_six_legs_has_six_freedoms_and_keeps_its_energy():
+    model = platform().build()
+    assert model.directions.shape == (24, 6)
+    run = model.simulate(0.3, 0.02, PRECISE)
+    audit = run.audit()
+    assert audit.energy < 1e-7 and audit.gap < CLOSED and audit.parting < CLOSED
+    assert len(frequencies(model)) == 6
+
+
+def test_vibrations_of_a_loop_are_those_of_the_tree_that_it_is():
+    """Two rods hang on one pin; their ends are joined by a third: a triangle, which is one pendulum."""
+    m = Mechanism(gravity=(0, 0, -G))
+    corners = np.array([(0.0, 0, 0), (-0.5, 0, -1.0), (0.5, 0, -1.0)])
+    for k in (1, 2):
+        bar(m, f"side {k}", corners[0], corners[k])
+        m.hinge(f"pin {k}", "world", f"side {k}", axis=(0, 1, 0))
+    bar(m, "base", corners[1], corners[2])
+    m.hinge("joint", "side 1", "base", at=corners[1], axis=(0, 1, 0))
+    m.close("last", ("base", corners[2] - corners[1]), ("side 2", corners[2]), axis=(0, 1, 0))
+    length = np.hypot(0.5, 1.0)
+    inertia = 2.0 * length**3 / 3.0 + 1.0 / 12.0 + 1.0
+    weight = (2.0 * length * 0.5 + 1.0) * G
+    assert frequencies(m.build()) == pytest.approx([np.sqrt(weight / inertia)], rel=1e-8)
+
+
+def test_an_impact_acts_through_the_loop():
+    """A blow on the rocker, plastic, stops the crank."""
+    model = four_bar().build()
+    state = model.state()
+    rocker = model.bodies.number("rocker")
+    wall = ContactPoint("stop", (-1, rocker), state.point("rocker", (0, 0, 1.5)), (-1.0, 0, 0))
+    qd = impact(state.factors, state.qd, [wall], loops=state.loops).qd
+    assert np.allclose(qd, 0.0, atol=AUDITED)
+
+
+def test_coordinates_and_rates_that_are_given_stay_and_others_follow():
+    m = four_bar()
+    m._hinges["A"].fix(q=0.3)
+    model = m.build()
+    assert model.q[0] == 0.3 and model.qd[0] == 3.0
+    errors, rows = model.bodies.joints.rows(model.state().frames)
+    assert np.allclose(errors, 0.0, atol=CLOSED)
+    assert np.allclose(
+        multibody.row_matrix(model.tree, model.state().frames, rows) @ model.qd, 0.0, atol=CLOSED
+    )
+
+
+@pytest.mark.parametrize(
+    ("act", "words"),
+    [
+        (lambda: four_bar("ball"), r'closing "C": its kind .ball.: give cylindrical, planar.* or universal'),
+        (lambda: four_bar("universal"), "axis_b belongs to kind universal"),
+        (lambda: four_bar(axis_b=(1, 0, 0)), "axis_b belongs to kind universal"),
+        (lambda: four_bar(last="bench").build(), 'closing "C": there is no body "bench"'),
+        (lambda: out_of_reach().build(), r'closing "far": it stays open by .*; give coordinates'),
+        (lambda: contradicted().build(), r'closing "C": the rates of hinges open it by .*the others follow'),
+        (lambda: four_bar().build().simulate(1.0, 0.1, Leapfrog()), "no closed loops; take Runge-Kutta"),
+        (lambda: four_bar().build().simulate(1.0, 0.1, ImplicitMidpoint()), "takes no closed loops"),
+        (lambda: in_modes(four_bar().build(), []), "loops do not close on bodies that bend in modes"),
+    ],
+)  # fmt: skip
+def test_what_does_not_close_is_refused_in_words(act, words):
+    with pytest.raises(MechanicsError, match=words) as refusal:
+        act()
+    assert "\n" not in str(refusal.value)
+
+
+def out_of_reach():
+    m = four_bar()
+    m.close("far", ("crank", (0, 0, 1.0)), ("world", (9.0, 0, 0)), "spherical")
+    return m
+
+
+def contradicted():
+    m = four_bar()
+    m._hinges["B"].fix(qd=1.0)
+    m._hinges["D"].fix(qd=1.0)
+    return m
+
+
+@pytest.mark.parametrize("integrator", [RungeKutta4(), Rosenbrock()])
+def test_integrators_of_accelerations_keep_loops_closed(integrator):
+    run = four_bar().build().simulate(0.5, 2e-3, integrator)
+    precise = four_bar().build().simulate(0.5, 0.5, PRECISE)
+    assert run.audit().gap < CLOSED and run.audit().parting < CLOSED
+    assert np.allclose(run.q[-1], precise.q[-1], atol=1e-4)
