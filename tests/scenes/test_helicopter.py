@@ -170,7 +170,7 @@ def test_in_some_modes_energy_and_work_balance_and_the_rest_is_held():
     qdd, _ = model.system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)
     mass = mass_matrix(model.tree, pose(model.tree, at.q))
     more = at.torque + 0.1 * mass @ model.directions[:, 0]
-    quicker, _ = model.system.accelerations(at.time, at.q, at.qd, more, at.loads)
+    quicker, _ = model.system.accelerations(at.time, at.q, at.qd, more, at.loads, at.factors)
     np.testing.assert_allclose(quicker - qdd, 0.1 * model.directions[:, 0], atol=1e-10)
 
 

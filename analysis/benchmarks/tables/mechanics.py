@@ -1,5 +1,6 @@
 """The mass matrix, mechanisms, and searches for contacts."""
 
+import numpy as np
 import pandas as pd
 
 from tables import Cell, markdown, table, table_of_rows
@@ -51,6 +52,24 @@ table_of_rows(
     ("scene", "`{scene}`: {title}"), ("CPU seconds", "{seconds:.0f}"), ("checks", "{checks}"),
     ("nearest to its bound", "{nearest}"), ("error", "{error:.1e}"), ("bound", "{bound:.0e}"),
     ("extremes", _extremes), ("most saved by leaving out", "{saved:.2g}x"),
+)  # fmt: skip
+
+
+@table("loops", "loops.csv")
+def loops(rows: pd.DataFrame) -> str:
+    """Seconds of the four-bar by error and method."""
+    found = rows[rows["error"] < np.inf].sort_values(["method", "seconds"])
+    return markdown(
+        ("method", "setting", "error, rad", "CPU seconds", "by MuJoCo's at that error"),
+        ((r.method, r.setting, f"{r.error:.1e}", f"{r.seconds:.2g}",
+          "-" if pd.isna(r.times_mujoco) else f"{r.times_mujoco:.2g}") for r in found.itertuples()),
+    )  # fmt: skip
+
+
+table_of_rows(
+    "loops-costs", "loops_costs.csv",
+    ("loops", "{loops}"), ("bodies", "{bodies}"), ("accelerations us", lambda r: f"{1e6 * r.seconds:.0f}"),
+    ("of the open tree us", lambda r: f"{1e6 * r.seconds_open:.0f}"),
 )  # fmt: skip
 
 

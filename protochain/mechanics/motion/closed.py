@@ -8,7 +8,8 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
 from protochain.mechanics.motion.system import Equations, Phase, StepTooLargeError
-from protochain.mechanics.multibody.articulated import Articulated
+from protochain.mechanics.multibody.articulated import Articulated, solve
+from protochain.mechanics.multibody.kinematics import pull_back
 from protochain.mechanics.multibody.loop_joints import LoopJoints, hold
 
 CLOSED = 1e-12
@@ -22,7 +23,11 @@ class ClosedEquations(Equations):
 
     Parameters
     ----------
-    tree, potential, loads, drive
+    tree : Tree
+        Rigid bodies.
+    potential : callable
+        Energy and torques at q.
+    loads, drive : tuple of Load, and callable, optional
         As of :class:`Equations`.
     joints : LoopJoints
         What closes the loops.
@@ -51,7 +56,7 @@ class ClosedEquations(Equations):
             held = hold(factors, self.joints)
             gap = float(np.max(np.abs(held.error) / units))
             if not gap > CLOSED:
-                return q, qd - held.change(held.matrix @ qd), factors
+                return q, qd - held.change(held.rates(qd)), factors
             q = self.integrate(q, -held.change(held.error))
             factors = self.factors(q)
         raise StepTooLargeError(f"a loop stays open by {gap:.2g} of its size", fault=Fault.OPEN)
@@ -59,8 +64,9 @@ class ClosedEquations(Equations):
     def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
         """Accelerations (n_v,) with the loops kept, and the torques (n_v,) of their joints."""
         held = hold(factors, self.joints)
-        impulses = held.impulses(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))
-        return qdd + impulses @ held.moved, impulses @ held.matrix
+        wrenches = held.wrenches(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))
+        torques = pull_back(self.tree, factors.frames, wrenches)
+        return qdd + solve(factors, torques), torques
 
     def with_velocities(self, at: Phase, qd: Floats) -> Phase:
         """Return the phase with other velocities, projected on the loops; driven hinges keep theirs."""

@@ -9,12 +9,14 @@ from protochain.mechanics.multibody.algebra import (
     ZERO,
     Vector,
     add,
+    add_pair,
     cross,
     dot,
     hinge_axis,
     kernel,
     lever,
     matrix,
+    pair,
     put,
     scale,
     subtract,
@@ -22,8 +24,8 @@ from protochain.mechanics.multibody.algebra import (
     vector,
     vector_at,
 )  # fmt: skip
-from protochain.mechanics.multibody.articulated import Articulated, inward_loads, outward_rates
-from protochain.mechanics.multibody.kinematics import Frames, inward_torques, outward_twists
+from protochain.mechanics.multibody.articulated import Articulated, solve
+from protochain.mechanics.multibody.kinematics import Frames, outward_twists, velocities
 from protochain.mechanics.multibody.newton_euler import (
     AT_REST,
     Motion,
@@ -33,7 +35,8 @@ from protochain.mechanics.multibody.newton_euler import (
     put_motion,
 )
 from protochain.mechanics.multibody.operational import Rows
-from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
+from protochain.mechanics.multibody.small import solve_lower
+from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
 _PROXIMAL = 1e-7
 """e, beside a diagonal of one: far above rounding, so small that few iterations take it off."""
@@ -94,27 +97,36 @@ class Held:
 
     Parameters
     ----------
+    factors : Articulated
+        Rigid bodies, their frames, and factors of M there.
     error : (m,) float
-        Their errors.
-    matrix : (m, n_v) float
-        Rates G of the errors, of the velocities.
-    moved : (m, n_v) float
-        Velocities M^-1 G^T of impulses of one.
+        Errors of the joints.
+    rows : Rows
+        Rates of these.
     scales : (m,) float
         What scales A = G M^-1 G^T to a diagonal of one.
     inverse, factor : (m, m) float
         A, scaled; Cholesky's factor of A + e, the upper.
+    last : (m,) int
+        One past the last number of each row of the factor that is not zero.
     """
 
+    factors: Articulated
     error: Floats
-    matrix: Floats
-    moved: Floats
+    rows: Rows
     scales: Floats
     inverse: Floats
     factor: Floats
+    last: Integers
 
-    def impulses(self, wanted: Floats) -> Floats:
-        """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted.
+    def rates(self, qd: Floats) -> Floats:
+        """(m,) float: rates of the errors at velocities (n_v,)."""
+        twists = velocities(self.factors.tree, self.factors.frames, qd)
+        # Wrenches of the world, body -1, are zero.
+        return np.asarray(np.einsum("mei,mei->m", self.rows.wrench, twists[self.rows.body]))
+
+    def wrenches(self, wanted: Floats) -> Floats:
+        """Impulses on the bodies, (nb, 6), that change the rates of the errors by (m,) wanted.
 
         Those of joints that depend on others have the least norm.
 
@@ -123,15 +135,18 @@ class Held:
         x <- x + (A + e)^-1 (b - A x) until nothing is left: the proximal method of Parikh, Boyd, Found.
         Trends Optim. 1:127 (2014), 4.1; of mechanisms: Carpentier, Budhiraja, Mansard, RSS (2021).
         """
-        return self.scales * _proximal(self.inverse, self.factor, self.scales * wanted)
+        x = self.scales * _proximal(self.inverse, self.factor, self.last, self.scales * wanted)
+        out = np.zeros((self.factors.tree.n_bodies, 6))
+        _gather(self.rows.body, self.rows.wrench, x, out)
+        return out
 
     def change(self, wanted: Floats) -> Floats:
         """Change of velocities (n_v,), of least kinetic energy, that changes the rates by (m,) wanted."""
-        return self.impulses(wanted) @ self.moved
+        return solve(self.factors, np.zeros(self.factors.tree.n_v), -self.wrenches(wanted))
 
 
 def hold(factors: Articulated, joints: LoopJoints) -> Held:
-    """Find what holds loop joints at one pose. O(m n), and m^3 / 3 for the factor of m equations.
+    """Find what holds loop joints at one pose.
 
     Parameters
     ----------
@@ -139,67 +154,100 @@ def hold(factors: Articulated, joints: LoopJoints) -> Held:
         Rigid bodies, their frames, and factors of M there.
     joints : LoopJoints
         The joints.
+
+    Notes
+    -----
+    With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], A = Y^T D^-1 Y, and the column y of a joint has but the
+    freedoms on the paths from its bodies to the root. O(n) for loops whose paths are short, in the order of
+    which neighbours share paths; at most O(m^2 n + m^3).
     """
     tree, frames = factors.tree, factors.frames
-    return Held(*_hold(
-        tree.links, tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain,
-        factors.pivot, factors.root, tree.undriven_v, joints.body, joints.turns, joints.point, joints.along,
-    ))  # fmt: skip
+    error, rows = joints.rows(frames)
+    found = _hold(
+        tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot,
+        factors.root, rows.body, rows.wrench,
+    )  # fmt: skip
+    return Held(factors, error, rows, *found)
 
 
 @kernel
 def _hold(
-    links: Integers, locked: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats,
-    pivot: Floats, root: Floats, undriven: Integers, body: Integers, turns: np.ndarray, point: Floats,
-    along: Floats,
-) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
-    """Fields of :class:`Held`."""
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
+    root: Floats, body: Integers, wrench: Floats,
+) -> tuple[Floats, Floats, Floats, Integers]:  # fmt: skip
+    """Scales, inverse, factor and last of :class:`Held`."""
     m, n, n_v = len(body), len(bodies), links[-1, V]
-    error, wrench = np.empty(m), np.zeros((m, 2, 6))
-    _put_rows(rotation, origin, body, turns, point, along, error, wrench)
-    g, moved = np.empty((m, n_v)), np.zeros((m, n_v))
+    y, first, past = np.zeros((m, n_v)), np.full(m, n_v), np.zeros(m, np.int64)
+    loads, reached = np.zeros((n, 6)), np.zeros(n, np.bool_)
     for i in range(m):
-        loads = np.zeros((n, 6))
         for side in range(2):
             if body[i, side] >= 0:
                 loads[body[i, side]] += wrench[i, side]
-        inward_torques(links, bodies, rotation, origin, loads, g[i])
-        x, still = g[i][undriven], np.zeros((n, 6))
-        inward_loads(locked, bodies, rotation, origin, gain, pivot, still, x)
-        outward_rates(locked, bodies, rotation, origin, gain, root, still, x)
-        for k in range(len(undriven)):
-            moved[i, undriven[k]] = x[k]
-    inverse = np.dot(g, moved.T)
+                reached[body[i, side]] = True
+        for b in range(max(body[i, 0], body[i, 1]), -1, -1):
+            if not reached[b]:
+                continue
+            p, k = links[b, PARENT], links[b, V]
+            width = links[b + 1, V] - k
+            moment, force = pair(loads, b)
+            loads[b], reached[b] = 0.0, False
+            if width > 0:
+                first[i], past[i] = k, max(past[i], k + width)
+            if width == 6:
+                y[i, k], y[i, k + 1], y[i, k + 2] = moment
+                y[i, k + 3], y[i, k + 4], y[i, k + 5] = force
+                solve_lower(root[links[b, Q] - k], 6, y[i, k : k + 6])
+            along = 0.0
+            if width == 1:
+                axis = hinge_axis(rotation, b)
+                along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
+                y[i, k] = along / np.sqrt(pivot[b])
+            if p >= 0:
+                moment = add(moment, cross(lever(origin, b, p), force))
+                g, h = pair(gain, b)
+                add_pair(subtract(moment, scale(along, g)), subtract(force, scale(along, h)), loads, p)
+                reached[p] = True
+    inverse = np.zeros((m, m))
+    for i in range(m):
+        for j in range(i, m):
+            for k in range(max(first[i], first[j]), min(past[i], past[j])):
+                inverse[i, j] += y[i, k] * y[j, k]
     scales = np.ones(m)
     for i in range(m):
         if inverse[i, i] > 0.0:
             scales[i] = 1.0 / np.sqrt(inverse[i, i])
     for i in range(m):
-        for j in range(m):
+        for j in range(i, m):
             inverse[i, j] *= scales[i] * scales[j]
-    factor = inverse.copy()
+            inverse[j, i] = inverse[i, j]
+    factor, last = inverse.copy(), np.empty(m, np.int64)
     for i in range(m):
         factor[i, i] += _PROXIMAL
-    _factorise(factor)
-    return error, g, moved, scales, inverse, factor
+        last[i] = i + 1
+        for j in range(i + 1, m):
+            if factor[i, j] != 0.0:
+                last[i] = j + 1
+    _factorise(factor, last)
+    return scales, inverse, factor, last
 
 
 @kernel
-def _factorise(a: Floats) -> None:
-    """Overwrite the upper triangle of a by U with U^T U = a, by rows: inner loops are contiguous."""
-    n = len(a)
-    for k in range(n):
+def _factorise(a: Floats, last: Integers) -> None:
+    """Overwrite the upper triangle of a by U with U^T U = a, by rows; ``last`` grows where U fills in."""
+    for k in range(len(a)):
         a[k, k] = np.sqrt(a[k, k])
-        for j in range(k + 1, n):
+        for j in range(k + 1, last[k]):
             a[k, j] /= a[k, k]
-        for i in range(k + 1, n):
+        for i in range(k + 1, last[k]):
             part = a[k, i]
-            for j in range(i, n):
-                a[i, j] -= part * a[k, j]
+            if part != 0.0:
+                last[i] = max(last[i], last[k])
+                for j in range(i, last[k]):
+                    a[i, j] -= part * a[k, j]
 
 
 @kernel
-def _proximal(a: Floats, factor: Floats, b: Floats) -> Floats:
+def _proximal(a: Floats, factor: Floats, last: Integers, b: Floats) -> Floats:
     """Least x with a x = b, of which ``factor`` has that of a + e."""
     n = len(b)
     x, left = np.zeros(n), b.copy()
@@ -207,20 +255,35 @@ def _proximal(a: Floats, factor: Floats, b: Floats) -> Floats:
     for _ in range(_ITERATIONS):
         for k in range(n):
             left[k] /= factor[k, k]
-            for j in range(k + 1, n):
+            for j in range(k + 1, last[k]):
                 left[j] -= factor[k, j] * left[k]
         for k in range(n - 1, -1, -1):
-            for j in range(k + 1, n):
+            for j in range(k + 1, last[k]):
                 left[k] -= factor[k, j] * left[j]
             left[k] /= factor[k, k]
         x += left
-        left = b - np.dot(a, x)
+        # The factor has no fewer numbers than a.
+        left[:] = b
+        for k in range(n):
+            left[k] -= a[k, k] * x[k]
+            for j in range(k + 1, last[k]):
+                left[k] -= a[k, j] * x[j]
+                left[j] -= a[k, j] * x[k]
         now = np.max(np.abs(left))
         # What does not shrink is rounding, or a rate that no impulse changes.
         if not now < 0.5 * before:
             break
         before = now
     return x
+
+
+@kernel
+def _gather(body: Integers, wrench: Floats, x: Floats, out: Floats) -> None:
+    """Add wrenches on the bodies, times x."""
+    for i in range(len(body)):
+        for side in range(2):
+            if body[i, side] >= 0:
+                out[body[i, side]] += x[i] * wrench[i, side]
 
 
 @kernel
