@@ -129,6 +129,18 @@ def test_of_many_freedoms_the_lowest_are_those_of_all(monkeypatch):
     assert few.n_negative
 
 
+def test_the_twenty_lowest_of_ubiquitin_are_those_of_dense_algebra(monkeypatch):
+    """By Lanczos, against scipy's eigh of both whole matrices, in which the six zero modes are the lowest."""
+    minimum = pc.minimise(load("1ubq.pdb"), method="lbfgs", tolerance=0.1)
+    c = pc.build_chain(minimum.structure, root="free")
+    e = pc.energy(c.structure, **WATER)
+    monkeypatch.setattr(normal_modes, "ALL", 10)
+    found = pc.normal_modes(c, e, k=20)
+    every = eigh(pc.hessian(c, e), pc.mass_matrix(c, pc.pose(c, c.q0)), eigvals_only=True)
+    assert np.abs(every[:6]).max() < 1e-3 * every[6]
+    assert found.eigenvalues == pytest.approx(every[6:26], rel=1e-8)
+
+
 class Net:
     """Springs at rest between atoms within 0.45 nm, as an energy that users write."""
 
