@@ -195,8 +195,12 @@ def b_factors(paths: list[Path]) -> Iterator[dict[str, object]]:
         row: dict[str, object] = {"structure": path.name.partition(".")[0], "residues": int(known.sum())}
         began = perf_counter()
         for method, modes in own(structure, 100).items():
-            squares = modes.mean_squares()[structure.alpha_carbons]
-            row[method] = float(np.corrcoef(squares[known], filed[known])[0, 1])
+            row[method] = np.nan
+            try:
+                squares = modes.mean_squares()[structure.alpha_carbons]
+                row[method] = float(np.corrcoef(squares[known], filed[known])[0, 1])
+            except pc.ProtochainError as error:
+                print(f"{method}: {error}", flush=True)
         row["seconds"] = perf_counter() - began
         if prody is not None:
             for method, network in (("prody_anm", prody.ANM("a")), ("prody_gnm", prody.GNM("g"))):

@@ -42,6 +42,8 @@ class Bodies:
         Coordinates and velocities as built.
     joints : LoopJoints, optional
         What closes loops.
+    joint_names : tuple of str
+        Name of the joint of each of their equations.
     """
 
     tree: Tree
@@ -51,6 +53,7 @@ class Bodies:
     q: Floats
     qd: Floats
     joints: LoopJoints | None = None
+    joint_names: tuple[str, ...] = ()
 
     @cached_property
     def built(self) -> "State":

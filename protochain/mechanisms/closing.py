@@ -131,7 +131,8 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
             fault=Fault.OPEN,
         )
     qd = _rates(bodies, joints, q, undriven, [each.said for each in closings], of)
-    return replace(bodies, q=read_only(q), qd=read_only(qd), joints=joints)
+    names = tuple(closings[k].name for k in of.tolist())
+    return replace(bodies, q=read_only(q), qd=read_only(qd), joints=joints, joint_names=names)
 
 
 def _given(bodies: Bodies) -> np.ndarray:

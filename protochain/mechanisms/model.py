@@ -34,6 +34,7 @@ from protochain.mechanisms.dissipated import WithDampers
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Conservative, Gravity, Memory, Sum, damping, joined
 from protochain.mechanisms.event import Event, Happened
+from protochain.mechanisms.reactions import motion, reactions
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -379,6 +380,36 @@ class Run:
         columns |= dict(zip(names, self.momenta.reshape(-1, 6).T, strict=True))
         return pd.DataFrame(columns)
 
+    @cached_property
+    def motion(self) -> "pd.DataFrame":
+        """One row a time: coordinate and rate of each hinge by its name, and what a drive gives it.
+
+        Drives are torques, or forces of slides; NaN where friction remembers what rows do not have.
+        """
+        return motion(self)
+
+    def reactions(self, name: str) -> "pd.DataFrame":
+        """Tell the forces that pass through a hinge, or a joint that closes a loop.
+
+        Parameters
+        ----------
+        name : str
+            Hinge or joint.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row a time: ``force x`` ... ``moment z``, world axes, on the child of a hinge about its origin,
+            on the second body of a joint about its point; torques of springs, motors and drives in it are
+            among them. Where joints depend on others, forces are not unique; these are the least.
+
+        Raises
+        ------
+        MechanicsError
+            If there is no such hinge, or friction remembers what rows do not have.
+        """
+        return reactions(self, name)
+
     def audit(self) -> Audit:
         """Say how far energy less work, and momentum, are from constant.
 
@@ -495,7 +526,9 @@ class _Simulation:
             return
         # Perhaps there was more before: this row may be a turning point.
         largest = Run(self.model, self.rows, (), self.start).in_motion
-        floor = 1e3 * np.finfo(float).eps * abs(potential)
+        # What is held, and does not move, has rounding alone: of its weights times its size.
+        size = abs(potential) + np.max(np.abs(self.start.torque * self.model.tree.units), initial=0.0)
+        floor = 1e3 * np.finfo(float).eps * size
         if not (abs(lack) <= self.balance * largest + floor and np.isfinite(lack)):
             raise UnbalancedError(
                 f"by time {time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "

@@ -64,8 +64,8 @@ class ClosedEquations(Equations):
     def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
         """Accelerations (n_v,) with the loops kept, and the torques (n_v,) of their joints."""
         held = hold(factors, self.joints)
-        wrenches = held.wrenches(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))
-        torques = pull_back(self.tree, factors.frames, wrenches)
+        impulses = held.impulses(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))
+        torques = pull_back(self.tree, factors.frames, held.wrenches(impulses))
         return qdd + solve(factors, torques), torques
 
     def with_velocities(self, at: Phase, qd: Floats) -> Phase:

@@ -41,6 +41,8 @@ from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 _PROXIMAL = 1e-7
 """e, beside a diagonal of one: far above rounding, so small that few iterations take it off."""
 _ITERATIONS = 30
+_IMMOVABLE = 1e-24
+"""Square of what rounding leaves of an equation that no motion changes, by its size."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +127,8 @@ class Held:
         # Wrenches of the world, body -1, are zero.
         return np.asarray(np.einsum("mei,mei->m", self.rows.wrench, twists[self.rows.body]))
 
-    def wrenches(self, wanted: Floats) -> Floats:
-        """Impulses on the bodies, (nb, 6), that change the rates of the errors by (m,) wanted.
+    def impulses(self, wanted: Floats) -> Floats:
+        """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted.
 
         Those of joints that depend on others have the least norm.
 
@@ -135,14 +137,18 @@ class Held:
         x <- x + (A + e)^-1 (b - A x) until nothing is left: the proximal method of Parikh, Boyd, Found.
         Trends Optim. 1:127 (2014), 4.1; of mechanisms: Carpentier, Budhiraja, Mansard, RSS (2021).
         """
-        x = self.scales * _proximal(self.inverse, self.factor, self.last, self.scales * wanted)
+        return self.scales * _proximal(self.inverse, self.factor, self.last, self.scales * wanted)
+
+    def wrenches(self, impulses: Floats) -> Floats:
+        """Impulses of the joints (m,) as those on the bodies, (nb, 6)."""
         out = np.zeros((self.factors.tree.n_bodies, 6))
-        _gather(self.rows.body, self.rows.wrench, x, out)
+        _gather(self.rows.body, self.rows.wrench, impulses, out)
         return out
 
     def change(self, wanted: Floats) -> Floats:
         """Change of velocities (n_v,), of least kinetic energy, that changes the rates by (m,) wanted."""
-        return solve(self.factors, np.zeros(self.factors.tree.n_v), -self.wrenches(wanted))
+        wrenches = self.wrenches(self.impulses(wanted))
+        return solve(self.factors, np.zeros(self.factors.tree.n_v), -wrenches)
 
 
 def hold(factors: Articulated, joints: LoopJoints) -> Held:
@@ -165,7 +171,7 @@ def hold(factors: Articulated, joints: LoopJoints) -> Held:
     error, rows = joints.rows(frames)
     found = _hold(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot,
-        factors.root, rows.body, rows.wrench,
+        factors.root, rows.body, rows.wrench, tree.size,
     )  # fmt: skip
     return Held(factors, error, rows, *found)
 
@@ -173,13 +179,15 @@ def hold(factors: Articulated, joints: LoopJoints) -> Held:
 @kernel
 def _hold(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
-    root: Floats, body: Integers, wrench: Floats,
+    root: Floats, body: Integers, wrench: Floats, size: float,
 ) -> tuple[Floats, Floats, Floats, Integers]:  # fmt: skip
     """Scales, inverse, factor and last of :class:`Held`."""
     m, n, n_v = len(body), len(bodies), links[-1, V]
     y, first, past = np.zeros((m, n_v)), np.full(m, n_v), np.zeros(m, np.int64)
     loads, reached = np.zeros((n, 6)), np.zeros(n, np.bool_)
     for i in range(m):
+        # Of y, as large as it could be: what is left of less is rounding, and the equation nobody's to move.
+        most = 0.0
         for side in range(2):
             if body[i, side] >= 0:
                 loads[body[i, side]] += wrench[i, side]
@@ -197,16 +205,22 @@ def _hold(
                 y[i, k], y[i, k + 1], y[i, k + 2] = moment
                 y[i, k + 3], y[i, k + 4], y[i, k + 5] = force
                 solve_lower(root[links[b, Q] - k], 6, y[i, k : k + 6])
+                most += np.dot(y[i, k : k + 6], y[i, k : k + 6])
             along = 0.0
             if width == 1:
                 axis = hinge_axis(rotation, b)
                 along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
                 y[i, k] = along / np.sqrt(pivot[b])
+                turn, slide = bodies[b, TURN] * bodies[b, TURN], bodies[b, SLIDE] * bodies[b, SLIDE]
+                push = dot(force, force)
+                most += (turn * (dot(moment, moment) + size * size * push) + slide * push) / pivot[b]
             if p >= 0:
                 moment = add(moment, cross(lever(origin, b, p), force))
                 g, h = pair(gain, b)
                 add_pair(subtract(moment, scale(along, g)), subtract(force, scale(along, h)), loads, p)
                 reached[p] = True
+        if np.dot(y[i], y[i]) <= _IMMOVABLE * most:
+            y[i] = 0.0
     inverse = np.zeros((m, m))
     for i in range(m):
         for j in range(i, m):

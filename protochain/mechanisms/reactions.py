@@ -1,0 +1,146 @@
+"""Forces in hinges and in joints of loops, and what drives give, at the rows of a run."""
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import Phase
+from protochain.mechanics.multibody.loop_joints import hold
+from protochain.mechanics.multibody.newton_euler import inertial_loads
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from protochain.mechanisms.model import Model, Run
+
+_AXES = ("x", "y", "z")
+
+
+class Transmitted(NamedTuple):
+    """What passes through hinges and joints at one moment.
+
+    Parameters
+    ----------
+    at : Phase
+        The moment.
+    hinges : (nb, 6) float
+        Moment about the origin of each body, and force, by which its parent, or the world, moves it.
+    joints : (m,) float
+        Forces and moments of the equations of the joints that close loops.
+    """
+
+    at: Phase
+    hinges: Floats
+    joints: Floats
+
+
+def transmitted(model: "Model", at: Phase) -> Transmitted:
+    """Find what hinges transmit, by Newton and Euler from the outermost bodies inward.
+
+    What a body lacks to move as it does, beyond gravity, springs, loads and joints of loops, comes from its
+    parent, less what it passes on to its children: Luh, Walker, Paul (1980). O(n).
+    """
+    tree, system, frames = model.tree, model.system, at.factors.frames
+    qdd, _ = system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)
+    given, unread = np.zeros((tree.n_bodies, 6)), np.zeros(tree.n_v)
+    for part in model.conservative:
+        part.add(at.q, frames, given, unread)
+    for each in model.loads:
+        wrenches = each.load.applied(at.time, at.q, at.qd, frames).wrenches
+        given += 0.0 if wrenches is None else wrenches
+    impulses, joints = np.zeros(0), model.bodies.joints
+    if joints is not None:
+        free = system.forward_dynamics(at.q, at.qd, _given(model, at))
+        held = hold(at.factors, joints)
+        impulses = held.impulses(-joints.accelerations(tree, frames, at.qd, free))
+        given += held.wrenches(impulses)
+    passed = inertial_loads(tree, frames, at.qd, qdd) - given
+    for b in range(tree.n_bodies - 1, -1, -1):
+        p = int(tree.parent[b])
+        if p >= 0:
+            arm = frames.origin[b] - frames.origin[p]
+            passed[p, :3] += passed[b, :3] + np.cross(arm, passed[b, 3:])
+            passed[p, 3:] += passed[b, 3:]
+    return Transmitted(at, passed, impulses)
+
+
+def _given(model: "Model", at: Phase) -> Floats:
+    """Torques, and in their place the accelerations of driven hinges, as forward dynamics takes them."""
+    given = at.torque.copy()
+    if model.drive is not None:
+        given[model.tree.driven_v] = model.drive(at.time)[2]
+    return given
+
+
+def phases(run: "Run") -> Iterator[Phase]:
+    """Phases of the rows.
+
+    Raises
+    ------
+    MechanicsError
+        If an element remembers, as friction does, what rows do not have.
+    """
+    if run.model.memories:
+        raise MechanicsError(
+            "forces at rows are not known where friction remembers where it began to stick; leave it out"
+        )
+    for time, q, qd in zip(run.time, run.q, run.qd, strict=True):
+        yield run.model.system.at(q, qd, float(time))
+
+
+def reactions(run: "Run", name: str) -> "pd.DataFrame":
+    """Forces of a hinge, or of a joint that closes a loop; see :meth:`Run.reactions`."""
+    import pandas as pd
+
+    model, bodies = run.model, run.model.bodies
+    rows = [k for k, each in enumerate(bodies.joint_names) if each == name]
+    if not rows:
+        b = bodies.hinge(name, "reactions")
+        found = [transmitted(model, at).hinges[b] for at in phases(run)]
+    else:
+        assert bodies.joints is not None
+        found = [_of_joint(transmitted(model, at), model, rows) for at in phases(run)]
+    wrench = np.array(found)
+    columns = {f"force {axis}": wrench[:, 3 + k] for k, axis in enumerate(_AXES)}
+    columns |= {f"moment {axis}": wrench[:, k] for k, axis in enumerate(_AXES)}
+    return pd.DataFrame({"time": run.time, **columns})
+
+
+def _of_joint(found: Transmitted, model: "Model", rows: list[int]) -> Floats:
+    """(6,) float: moment about the joint's point of the second body, and force on that."""
+    joints, frames = model.bodies.joints, found.at.factors.frames
+    assert joints is not None
+    b = int(joints.body[rows[0], 1])
+    point = joints.point[rows[0], 1]
+    place = point if b < 0 else frames.rotation[b] @ point + frames.origin[b]
+    # What acts on the world is against what acts on the first body.
+    side, sign = (1, 1.0) if b >= 0 else (0, -1.0)
+    a = int(joints.body[rows[0], side])
+    wrench = sign * np.einsum("m,mi->i", found.joints[rows], joints.rows(frames)[1].wrench[rows, side])
+    wrench[:3] += np.cross(frames.origin[a] - place, wrench[3:])
+    return np.asarray(wrench)
+
+
+def motion(run: "Run") -> "pd.DataFrame":
+    """Coordinates of hinges by name; see :attr:`Run.motion`."""
+    import pandas as pd
+
+    model, tree = run.model, run.model.tree
+    columns = {"time": run.time}
+    driving = None
+    if model.drive is not None:
+        if model.memories:
+            driving = np.full((len(run.time), tree.n_v), np.nan)
+        else:
+            driving = np.array([at.loads[-1] for at in phases(run) if at.loads is not None])
+    for name, b in model.bodies.hinges.items():
+        if tree.v_start[b] == tree.v_start[b + 1]:
+            continue
+        q, v = model.bodies.freedom(name)
+        columns |= {name: run.q[:, q], f"{name} rate": run.qd[:, v]}
+        if driving is not None and v in tree.driven_v:
+            columns[f"{name} drive"] = driving[:, v]
+    return pd.DataFrame(columns)
