@@ -93,6 +93,14 @@ CRYSTALS = " ".join(
         "4pti_bpti.pdb", "5pti_bpti.cif",
     )
 )  # fmt: skip
+OF_B_FACTORS = " ".join(
+    f"MORE/{name}.pdb"
+    for name in (
+        "1ubq_ubiquitin", "4pti_bpti", "3i40_insulin", "1hel_lysozyme", "1ejg_crambin", "1ake_A", "1ajj_ldlr",
+        "1bx8_hirustasin", "1orc_icode", "1us0_altlocs",
+    )
+)  # fmt: skip
+LARGE = "MORE/1us0_altlocs.pdb MORE/3enl_enolase.pdb"
 OF_CRYSTALS = (
     "structure", "status", "n_residues", "violations_start", "violations_end",
     "clashscore_per_1000_atoms_start", "clashscore_per_1000_atoms_end", "ramachandran_outliers_start",
@@ -135,6 +143,12 @@ JOBS = (
         threads=1,
     ),
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
+    Job(
+        "modes",
+        f"{HERE}/modes.py {OF_B_FACTORS} --pairs MORE --large {LARGE} -o DIR",
+        12,
+        f"{HERE}/modes.py --quick -o DIR",
+    ),
     Job("polar", f"{HERE}/polar.py {SAMPLES} {SMALL} {LARGER} -o DIR", 4, threads=1),
     Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
     Job(

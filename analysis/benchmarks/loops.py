@@ -7,6 +7,7 @@ seconds by those of MuJoCo at that error, on a line through its points. loops_co
 accelerations by the number of loops in a row. MuJoCo comes with the test extra.
 """
 
+import argparse
 from functools import partial
 from itertools import pairwise
 
@@ -97,8 +98,12 @@ def beside(points: pd.DataFrame) -> pd.Series:
     return points["seconds"] / points["error"].map(at)
 
 
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__ or "")
+
+
 def main() -> None:
-    options = made.parser(__doc__ or "").parse_args()
+    options = parser().parse_args()
     scene = run("loops", options.quick)
     points = peers(options.quick)
     both = pd.concat([scene.work[scene.work["method"] != OURS], points], ignore_index=True)

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from made import RECORD
 
-from tables import between, digits, made_by, markdown, of_rows, paragraph, ratio, table
+from tables import between, digits, made_by, markdown, of_rows, paragraph, ratio, table, table_of_rows
 
 TORSIONS = ("kcm", "kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs")
 CARTESIAN = ("cartesian", "hybrid", "openmm")
@@ -210,3 +210,50 @@ def compliance_evaluations(rows: pd.DataFrame) -> str:
         (name if name == "L-BFGS-B" else f"`{name}`", lambda r, name=name: count(r[name])) for name in methods
     ]
     return of_rows(rows, ("structure", "{structure}"), ("hinges", "{hinges}"), *columns)
+
+
+def _shares(row: pd.Series, method: str) -> str:
+    return f"{row[f'first_{method}']:.2f}, {row[f'ten_{method}']:.2f}"
+
+
+@table("modes-pairs", "modes_pairs.csv")
+def modes_pairs(rows: pd.DataFrame) -> str:
+    """Shares of the change between two crystals of the first mode, and of ten, with the mean of ten."""
+    methods = {
+        "force_field": "force field, torsions", "tirion": "Tirion's network, torsions",
+        "prody": "ProDy, ANM", "springcraft": "springcraft, Hinsen",
+    }  # fmt: skip
+    lines = [
+        (
+            f"{r.pair}, {r.start} to {r.end}",
+            r.residues,
+            f"{r.rmsd_angstrom:.1f}",
+            *(_shares(r, m) for m in methods),
+        )
+        for _, r in rows.iterrows()
+    ]  # fmt: skip
+    means = ("mean of ten modes", "", "", *(f"{rows[f'ten_{method}'].mean():.2f}" for method in methods))
+    return markdown(("change", "residues", "RMSD, angstrom", *methods.values()), [*lines, means])
+
+
+@table("modes-b-factors", "modes_b_factors.csv")
+def modes_b_factors(rows: pd.DataFrame) -> str:
+    """Correlations with B factors, and their medians."""
+    methods = {
+        "force_field": "force field, torsions", "tirion": "Tirion's network, torsions",
+        "prody_anm": "ANM", "prody_gnm": "GNM",
+    }  # fmt: skip
+    lines = [(r.structure, r.residues, *(_or_dash(r[m]) for m in methods)) for _, r in rows.iterrows()]
+    medians = ("median", "", *(f"{rows[method].median():.2f}" for method in methods))
+    return markdown(("crystal", "residues", *methods.values()), [*lines, medians])
+
+
+def _or_dash(value: float) -> str:
+    return "-" if pd.isna(value) else f"{value:.2f}"
+
+
+table_of_rows(
+    "modes-cost", "modes_cost.csv",
+    ("structure", "{structure}"), ("residues", "{residues}"), ("freedoms", "{freedoms}"),
+    ("seconds", "{seconds:.2g}"), ("peak of the process so far, MB", "{peak_mb:.0f}"),
+)  # fmt: skip
