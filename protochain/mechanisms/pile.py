@@ -246,7 +246,8 @@ class Pile(Value):
             (self.sleep.speed, self.sleep.acceleration, self.sleep.time) if self.sleep else (0.0, 0.0, -1.0)
         )
         k = law.stiffness
-        return np.array([k, law.tangential * k, law.damping, law.friction, FACES_PREFERRED, DEEPEST, *sleep])
+        own = k, law.tangential * k, law.damping, law.friction, FACES_PREFERRED, DEEPEST
+        return np.array([*own, *sleep, law.by == "volume"])
 
     def _moments(self, motion: Motion | None, steps: int) -> Motion:
         """Motion of as many bodies as plates need, for these steps."""

@@ -16,10 +16,11 @@ from protochain.mechanics.multibody.algebra import (
     vector,
 )
 from protochain.mechanisms.box_kernels import axis_normal, best_axis, box_on_axis
+from protochain.mechanisms.box_volume import box_in_box
 
-NORMAL, TANGENT, DAMPING, FRICTION, PREFER, DEEPEST, STILL, JOLT, PATIENCE = range(9)
+NORMAL, TANGENT, DAMPING, FRICTION, PREFER, DEEPEST, STILL, JOLT, PATIENCE, VOLUME = range(10)
 """Of ``law``: stiffnesses, damping ratio, friction, length by which faces are preferred, deepest contact in
-half edges; speed and acceleration below which a cube may sleep, and for how long."""
+half edges; speed and acceleration below which a cube may sleep, and for how long; whether overlaps press."""
 DAMPED, RUBBED, SLEPT, WORK, STORED = range(5)
 """Of ``sums``: energy lost to dampers, friction and sleep, work of the plates, energy in the springs now."""
 SLIP, TWIST, FORCE, MOMENT, BACK, ENERGY, HELD, AXIS, PART, N_MEMORY = 0, 3, 4, 7, 10, 13, 14, 15, 16, 17
@@ -70,6 +71,9 @@ def meet(
     where the old one has no points left; then, and where a face meets another one, they are softened until
     they hold the same.
     """
+    if law[VOLUME] > 0.0:
+        memory[row, PART] = 1.0
+        return box_in_box(c1, r1, h1, c2, r2, h2, polygon, other, found, spare)
     n, number, side, axis = (0.0, 0.0, 0.0), 0, 0, 0
     # A face that is preferred to edges may have no points.
     for preferred in (prefer_faces, 0.0):

@@ -1,11 +1,12 @@
 """What piles are made of: laws of contact, sleep, plates and their motion, and the state of a heap."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
+from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms.boxes import check_boxes
 from protochain.mechanisms.pile_contact import DAMPED, RUBBED, SLEPT, STORED, WORK
@@ -25,14 +26,21 @@ class Law:
         Of normal and tangential springs, relative to the critical one of the pair.
     tangential : float
         Stiffness against sliding, relative to ``stiffness``.
+    by : {"points", "volume"}
+        What of two boxes presses: points along an axis that the contact keeps, which is quick, and stiff at
+        edges and corners, but has no energy of its own when the axis changes; or the volume of their overlap,
+        whose forces are the gradient of an energy (:mod:`protochain.mechanisms.box_volume`).
     """
 
     stiffness: float
     friction: float
     damping: float = 0.2
     tangential: float = 0.5
+    by: Literal["points", "volume"] = "points"
 
     def __post_init__(self) -> None:
+        if self.by not in ("points", "volume"):
+            raise MechanicsError(f"by {shown(self.by)}: give points or volume")
         for name in ("stiffness", "friction", "damping", "tangential"):
             value = getattr(self, name)
             least = "positive" if name in ("stiffness", "tangential") else "not negative"

@@ -1,0 +1,180 @@
+"""Contact of boxes by the volume of their overlap: volume, gradient, and what two cubes keep in an impact."""
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+from scipy.spatial.transform import Rotation
+
+from protochain.core.errors import MechanicsError
+from protochain.mechanisms.box_volume import WHOLE, box_in_box, overlap
+from protochain.mechanisms.pile import Pile
+from protochain.mechanisms.pile_parts import Law, Motion, Plates
+
+EDGE, MASS = 0.05, 0.2
+SPACE = tuple(np.empty(shape) for shape in ((12, 7), (12, 7), (8, 8), (8, 8)))
+
+
+def box(centre, rotation, half):
+    return tuple(map(float, centre)), tuple(map(float, np.ravel(rotation))), tuple(map(float, half))
+
+
+def volume(one, other):
+    return overlap(*box(*one), *box(*other), *SPACE)[1]
+
+
+def by_half_spaces(one, other):
+    """Volume by scipy's intersection of twelve half-spaces, about a point that linear programming finds."""
+    rows = []
+    for centre, rotation, half in (one, other):
+        for k in range(3):
+            for sign in (1.0, -1.0):
+                n = sign * rotation[:, k]
+                rows.append([*n, -(n @ centre) - half[k]])
+    rows = np.array(rows)
+    left, bounds = np.column_stack([rows[:, :3], np.ones(12)]), [(None, None)] * 3 + [(0, None)]
+    inside = linprog([0, 0, 0, -1], left, -rows[:, 3], bounds=bounds)
+    if inside.status != 0 or inside.x[3] < 1e-9:
+        return 0.0
+    try:
+        return ConvexHull(HalfspaceIntersection(rows, inside.x[:3]).intersections).volume
+    except QhullError:
+        return 0.0
+
+
+def random_pair(rng, reach=1.0):
+    def one():
+        rotation = Rotation.random(random_state=rng).as_matrix()
+        return rng.normal(size=3) * 0.3 * reach, rotation, rng.uniform(0.2, 1.0, 3)
+
+    return one(), one()
+
+
+def smallest(half):
+    """Area of the smallest face."""
+    return 4.0 * min(np.prod(np.delete(half, k)) for k in range(3))
+
+
+def test_the_volume_is_that_of_twelve_half_spaces():
+    rng = np.random.default_rng(0)
+    met = 0
+    for _ in range(200):
+        one, other = random_pair(rng, 3.0)
+        exact = by_half_spaces(one, other)
+        assert volume(one, other) == pytest.approx(exact, rel=1e-9, abs=1e-12)
+        assert volume(other, one) == pytest.approx(exact, rel=1e-9, abs=1e-12)
+        met += exact > 0.0
+    assert 50 < met < 190
+
+
+def test_forces_are_the_gradient_of_the_energy():
+    """Of V^2 / (2 S^2), for motions and turns of the first box, by central differences."""
+    rng, h, met = np.random.default_rng(1), 1e-6, 0
+    for _ in range(60):
+        one, other = random_pair(rng, 2.0)
+        face = min(smallest(b[2]) for b in (one, other))
+        number, _, normal = box_in_box(*box(*one), *box(*other), *SPACE)
+        if number == 0 or not np.any(normal):
+            continue
+        met += 1
+        found = SPACE[2][:number].copy()
+        push = (found[:, 3] * found[:, 4])[:, None] * found[:, 5:]
+        force = -np.sum(push, axis=0)
+        moment = -np.sum(np.cross(found[:, :3] - one[0], push), axis=0)
+
+        def energy(shift, turn, one=one, other=other, face=face):
+            moved = one[0] + shift, Rotation.from_rotvec(turn).as_matrix() @ one[1], one[2]
+            return 0.5 * (volume(moved, other) / face) ** 2
+
+        none, size = np.zeros(3), np.abs(force).max() + 1e-6
+        for k, e in enumerate(np.eye(3)):
+            slope = (energy(h * e, none) - energy(-h * e, none)) / (2 * h)
+            assert force[k] == pytest.approx(-slope, abs=1e-6 * size)
+            slope = (energy(none, h * e) - energy(none, -h * e)) / (2 * h)
+            assert moment[k] == pytest.approx(-slope, abs=1e-6 * size)
+        assert np.sum(found[:, 3] ** 2 * found[:, 4]) == pytest.approx(2.0 * energy(none, none), rel=1e-12)
+        assert normal @ force < 0.0
+    assert met > 20
+
+
+def test_faces_that_lie_flat_press_as_springs():
+    """Exactly parallel, also where sides lie in one plane: depth d of stiffness 1."""
+    half, depth = np.full(3, 0.5), 0.01
+    for shift in np.array([(0.0, 0.0), (0.2, -0.1), (0.3, 0.0)]):
+        other = np.array([*shift, 1.0 - depth])
+        number, found, normal = box_in_box(
+            *box(np.zeros(3), np.eye(3), half), *box(other, np.eye(3), half), *SPACE
+        )
+        area = (1.0 - abs(shift[0])) * (1.0 - abs(shift[1]))
+        points = SPACE[2][:number]
+        push = np.sum((points[:, 3] * points[:, 4])[:, None] * points[:, 5:], axis=0)
+        assert push[2] == pytest.approx(depth * area**2, rel=1e-12)
+        # Beside each other they push each other off: the volume would shrink.
+        strips = depth * area * depth * (1.0 - np.abs(shift[::-1])) * np.sign(shift)
+        assert push[:2] == pytest.approx(strips, abs=1e-12)
+        assert found == pytest.approx(depth * area)
+        assert normal == pytest.approx(push / np.linalg.norm(push), abs=1e-9)
+
+
+def test_boxes_that_touch_do_not_press_and_one_within_another_has_no_way_out():
+    half = np.full(3, 0.5)
+    one = box(np.zeros(3), np.eye(3), half)
+    for x in (1.0, 1.5):
+        assert box_in_box(*one, *box([x, 0, 0], np.eye(3), half), *SPACE)[0] == 0
+    turned = Rotation.from_euler("xyz", [0.3, 0.2, 0.1]).as_matrix()
+    assert box_in_box(*box([0.01, 0, 0], turned, 0.1 * half), *one, *SPACE)[1] == WHOLE
+
+
+def impacts(law, speed, fraction, number=200, seed=0):
+    """Relative changes of the kinetic energy of two cubes that meet at random, of those that have parted."""
+    rng, found = np.random.default_rng(seed), []
+    scene = Pile([EDGE, EDGE], [MASS, MASS], law, np.zeros(3))
+    step = fraction * scene.longest_step
+    for _ in range(number):
+        rotation = Rotation.random(2, random_state=rng).as_matrix()
+        along = rng.normal(size=3)
+        along /= np.linalg.norm(along)
+        aside = rng.normal(size=3) * 0.15 * EDGE
+        aside -= along * (aside @ along)
+        start = scene.start(
+            [aside - 1.8 * EDGE / 2 * along, 1.8 * EDGE / 2 * along - aside], rotation,
+            [0.5 * speed * along, -0.5 * speed * along], rng.normal(size=(2, 3)) * 0.2 * speed / EDGE,
+        )  # fmt: skip
+        after, _ = scene.advance(start, int(0.2 / speed / step), step)
+        if after.stored == 0.0 and not np.allclose(after.velocity, start.velocity, rtol=1e-6):
+            found.append(scene.kinetic(after) / scene.kinetic(start) - 1.0)
+    return np.array(found)
+
+
+def test_two_hundred_impacts_without_loss_keep_the_energy():
+    law = Law(1e6, 0.0, 0.0, by="volume")
+    found = impacts(law, 1.0, 0.5, 210)
+    assert len(found) >= 200 and np.max(np.abs(found)) < 1e-3
+    # Faster is deeper and rougher; shorter steps help.
+    rough, fine = (np.max(np.abs(impacts(law, 5.0, part, 40))) for part in (0.5, 0.125))
+    assert fine < 1e-3 and fine < 0.25 * rough
+    # By points the energy changes whatever the step: which is why there are two.
+    assert np.max(np.abs(impacts(Law(1e6, 0.0, 0.0), 1.0, 0.125, 100))) > 0.01
+
+
+def test_a_cube_rests_slides_and_sticks_on_a_plate_by_volume_as_by_points():
+    plate = Plates([0], [[0, 0, -0.01]], [np.eye(3)], [[0.3, 0.3, 0.01]])
+    for friction, tilt, rests in ((0.5, 0.3, True), (0.2, 0.3, False)):
+        gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
+        scene = Pile([EDGE], [MASS], Law(1e5, friction, by="volume"), gravity, plates=plate)
+        steps = round(0.3 / scene.longest_step)
+        still = Motion(
+            np.zeros((steps + 1, 1, 3)), np.tile(np.eye(3), (steps + 1, 1, 1, 1)), np.zeros((steps + 1, 1, 6))
+        )
+        start = scene.start(
+            [[0, 0, 0.5 * EDGE - MASS * 9.81 / 1e5]], motion=Motion(*(each[:1] for each in still))
+        )
+        after, reaction = scene.advance(start, steps, scene.longest_step, still)
+        slide = 0.0 if rests else 9.81 * (np.sin(tilt) - friction * np.cos(tilt)) * scene.longest_step * steps
+        assert after.velocity[0, 0] == pytest.approx(slide, abs=0.01)
+        assert reaction[-50:, 0, 5].mean() == pytest.approx(-MASS * 9.81 * np.cos(tilt), rel=0.02)
+
+
+def test_what_presses_is_points_or_volume():
+    with pytest.raises(MechanicsError, match="by 'corners': give points or volume"):
+        Law(1e5, 0.5, by="corners")
