@@ -26,6 +26,7 @@ from protochain.results.columns import flat
 from protochain.results.figures import data_url
 from protochain.results.page import render
 from protochain.results.provenance import of_run
+from protochain.results.tables import energies_by_term
 from protochain.results.viewer import View, scene
 from protochain.structure import Structure, ca_rmsd, save
 from protochain.structure.losses import told
@@ -360,6 +361,7 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: "dict[str, F
         lost=told(summary["results"]),
         rmsd=comparison.rmsd,
         quality=comparison.quality,
+        terms=energies_by_term({row["method"]: row for row in summary["results"]}),
         equal_cost=comparison.equal_cost,
         work=comparison.work,
         spread=comparison.spread,

@@ -15,6 +15,7 @@ from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
 from protochain.results.figures import data_url
 from protochain.results.page import write_page
+from protochain.results.tables import energies_by_term
 from protochain.results.viewer import pockets, scene, superposed
 from protochain.structure.losses import told
 
@@ -42,6 +43,7 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         "relaxed.html",
         record=record,
         rows=before_and_after(record),
+        terms=energies_by_term({"end": record}),
         lost=told([record]),
         figure=data_url(plot_displacement(moved, relaxation.start.name)),
         command=shlex.join(sys.argv),

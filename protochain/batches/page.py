@@ -10,6 +10,7 @@ from protochain.batches.relaxed import SHOWN_RELAXED
 from protochain.minimisers.record import SHOWN
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.results.page import write_page as fill
+from protochain.results.tables import energies_by_term
 from protochain.structure.losses import told
 from protochain.structure.repairs import Repair
 
@@ -42,6 +43,7 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[Re
         shown={column.key: column for column in (*of_relaxed, *minimised)}.values(),
         records=[row.record for row in rows],
         repairs=repairs,
+        terms=energies_by_term({row.record["method"]: row.record for row in rows}),
         lost=told(row.record for row in rows),
         curves=curves(rows),
         width=WIDTH,

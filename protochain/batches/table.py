@@ -230,7 +230,8 @@ def read_table(path: Path) -> "pd.DataFrame":
         "springs_side_chains_kj_mol_nm2",
         "output",
     )
-    return pd.read_csv(path, dtype=dict.fromkeys(text, "string") | dict.fromkeys(INTEGERS, "Int64"))
+    table = pd.read_csv(path, dtype=dict.fromkeys(text, "string") | dict.fromkeys(INTEGERS, "Int64"))
+    return table.copy()  # A block for each of a hundred columns, as read, would be slow, pandas warns.
 
 
 def _lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:

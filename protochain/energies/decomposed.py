@@ -20,9 +20,12 @@ from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import checked, file_name, instance, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.energies.factory import energy as build_energy
-from protochain.energies.native import NativeEnergy
+from protochain.energies.native import NativeEnergy, UnsupportedForceError
+from protochain.energies.native.neighbours import partners as partners_of
+from protochain.energies.native.pairs import CLOSEST
 from protochain.energies.native.shares import residue_sums
 from protochain.energies.native.terms import Bonded, Terms
+from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy, check_is_of
 from protochain.structure import as_structure
 from protochain.structure.model import Structure
@@ -105,7 +108,7 @@ def energy_terms(
     forcefield, solvent : str
         As for :func:`protochain.energy`.
     energy : Energy, optional
-        Of the native engine, in place of one of this force field and solvent.
+        In place of one of this force field and solvent; any whose System the native engine can compute.
     **settings
         Options of :func:`protochain.load`, for a file.
 
@@ -135,11 +138,12 @@ def energy_terms(
     parts = None if between is None else _parts(structure, between)
     made = energy or build_energy(structure, forcefield, solvent, "native")
     check_is_of(made, structure)
-    if not isinstance(made, NativeEnergy):
+    native = native_of(made)
+    if native is None:
         raise ProtochainError(f"energy: terms are told by the native engine alone, not by: {made.reason}")
     if parts and by == "term":
-        return _interface(structure, made, parts)
-    found = decomposed(structure, made, structure.positions, by == "pair" or parts is not None)
+        return _interface(structure, native, parts)
+    found = decomposed(structure, native, structure.positions, by == "pair" or parts is not None)
     if parts:
         found = _between(found, parts)
     if by == "term":
@@ -230,10 +234,29 @@ def _interface(
     return _with_total(table)
 
 
+def native_of(energy: Energy) -> NativeEnergy | None:
+    """The same energy by the native engine; None of a callable, or of a System that it cannot compute."""
+    if isinstance(energy, OpenMMEnergy):
+        try:
+            return NativeEnergy(energy, energy.threads)
+        except UnsupportedForceError:
+            return None
+    return energy if isinstance(energy, NativeEnergy) else None
+
+
+def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[dict[str, float], ...]:
+    """Energy of each term, kJ/mol, at positions (na, 3) in nm, at less than two evaluations for each.
+
+    Empty where they cannot be told, as of a callable.
+    """
+    native = native_of(energy)
+    return tuple({} if native is None else decomposed(structure, native, x).terms for x in positions)
+
+
 def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: bool = False) -> Decomposed:
     """Decompose an energy at positions x (na, 3) in nm; if asked, also by pairs of residues."""
     terms, of, n = energy.terms, structure.atom_residue, structure.n_residues
-    born = energy.born_radii(x)
+    of_pairs, born = energy.halves(x)
     shares = np.zeros((len(TERMS), n))
     matrix = np.zeros((len(TERMS), n, n) if pairs else (0, 0, 0))
     found = _bonded(terms, x)
@@ -243,44 +266,42 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
         found["generalised_born"] = atoms, -0.5 * terms.solvent.charge**2 / born
         found["surface"] = atoms, terms.solvent.surface / born**6
     for kind, (ends, values) in found.items():
-        k, residues = TERMS.index(kind), np.sort(of[ends], axis=1)
-        for column in residues.T:
-            shares[k] += np.bincount(column, 0.5 * values, n)
+        if not len(values):
+            continue
+        k = TERMS.index(kind)
+        for column in ends.T:
+            shares[k] += np.bincount(of[column], 0.5 * values, n)
         if pairs:
+            residues = np.sort(of[ends], axis=1)
             np.add.at(matrix[k], (residues[:, 0], residues[:, 1]), values)
-    more, between = _all_pairs(terms, x, born, np.searchsorted(of, np.arange(n + 1)), energy.threads, pairs)
-    shares[_NONBONDED] += more
+    for k, row in enumerate(of_pairs, _NONBONDED.start):
+        shares[k] += np.bincount(of, row, n)
     if pairs:
-        matrix[_NONBONDED] += between
+        start = np.searchsorted(of, np.arange(n + 1))
+        matrix[_NONBONDED] += _pairs_of_residues(terms, x, born, start, energy.threads)
     return Decomposed(structure, shares, matrix)
 
 
-def _all_pairs(
-    terms: Terms, x: Floats, born: Floats, start: Integers, threads: int, pairs: bool
-) -> tuple[Floats, Floats]:
-    """(3, nr), (3, nr, nr): Lennard-Jones, Coulomb and generalised-Born energies of all pairs, by residue."""
+def _pairs_of_residues(terms: Terms, x: Floats, born: Floats, start: Integers, threads: int) -> Floats:
+    """(3, nr, nr): Lennard-Jones, Coulomb and generalised-Born energies of all pairs, by their residues."""
     nonbonded, solvent, n = terms.nonbonded, terms.solvent, len(start) - 1
-    ends = np.sort(nonbonded.exceptions.atoms, axis=1)
-    ends = ends[np.lexsort(ends.T[::-1])]
-    partner_start = np.searchsorted(ends[:, 0], np.arange(len(x) + 1))
+    partner_start, partners = partners_of(nonbonded.exceptions.atoms, len(x))
     gb_charge, gb_cutoff = (solvent.charge, solvent.cutoff) if solvent else (np.empty(0), np.inf)
-    matrix = np.zeros((3, n, n) if pairs else (0, 0, 0))
+    matrix = np.zeros((3, n, n))
     # Rows of the first residues are longer: each part has as many pairs.
     left = n - np.sqrt(np.linspace(n * n, 0.0, _CHUNKS + 1))
     begin = np.clip(np.round(left), 0, n).astype(int)
-    sums = np.zeros((_CHUNKS, 3, n))
 
-    def add(chunk: int) -> None:
+    def put(chunk: int) -> None:
         residue_sums(
             int(begin[chunk]), int(begin[chunk + 1]), start, np.ascontiguousarray(x.T), nonbonded.charge,
-            nonbonded.lj_type, nonbonded.a12, nonbonded.b6, partner_start, np.ascontiguousarray(ends[:, 1]),
-            float(nonbonded.cutoff), float(nonbonded.krf), float(nonbonded.crf), gb_charge, born,
-            float(gb_cutoff), sums[chunk], matrix,
+            nonbonded.lj_type, nonbonded.a12, nonbonded.b6, partner_start, partners, float(nonbonded.cutoff),
+            float(nonbonded.krf), float(nonbonded.crf), gb_charge, born, float(gb_cutoff), matrix,
         )  # fmt: skip
 
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(add, range(_CHUNKS)))
-    return sums.sum(axis=0), matrix
+        list(pool.map(put, range(_CHUNKS)))
+    return matrix
 
 
 _Owned = tuple[Integers, Floats]
@@ -290,34 +311,34 @@ _Owned = tuple[Integers, Floats]
 def _exceptions(terms: Terms, x: Floats) -> dict[str, _Owned]:
     """Pairs with parameters of their own."""
     some = terms.nonbonded.exceptions
-    r = np.linalg.norm(x[some.atoms[:, 0]] - x[some.atoms[:, 1]], axis=1)
-    a, b, qq = some.parameters.T
     counts = some.parameters.any(axis=1)
-    r = np.where(counts, r, 1.0)
-    return {"lennard_jones": (some.atoms, a / r**12 - b / r**6), "coulomb": (some.atoms, qq / r)}
+    atoms, (a, b, qq) = some.atoms[counts], some.parameters[counts].T
+    inverse2 = 1.0 / np.maximum(_squares(_between_atoms(x.T, *atoms.T)), CLOSEST)
+    inverse6 = inverse2 * inverse2 * inverse2
+    return {
+        "lennard_jones": (atoms, (a * inverse6 - b) * inverse6),
+        "coulomb": (atoms, qq * np.sqrt(inverse2)),
+    }
 
 
 def _bonded(terms: Terms, x: Floats) -> dict[str, _Owned]:
     """Bonded energies, and the atoms that share each."""
-    of = terms.bonded
-    lengths = {kind: _lengths(of[kind], x) for kind in ("bonds", "ties")}
-    angles = {kind: _angles(of[kind], x) for kind in ("angles", "tie angles")}
-    near = _Near(of["bonds"].atoms, len(x))
-    torsions = of["torsions"]
+    of, rows = terms.bonded, np.ascontiguousarray(x.T)
+    lengths = {kind: _lengths(of[kind], rows) for kind in ("bonds", "ties")}
+    angles = {kind: _angles(of[kind], rows) for kind in ("angles", "tie angles")}
+    torsions, proper = of["torsions"], terms.is_proper
     n, phase, k = torsions.parameters.T
-    periodic = k * (1.0 + np.cos(n * _dihedrals(x, torsions.atoms) - phase))
-    proper = np.all([near(*torsions.atoms[:, k : k + 2].T) for k in range(3)], axis=0)
+    periodic = k * (1.0 + np.cos(n * _dihedrals(rows, torsions.atoms) - phase))
     harmonic = of["impropers"]
     rest, k = harmonic.parameters.T
-    bent = k * (_dihedrals(x, harmonic.atoms) - rest) ** 2
-    impropers = np.concatenate([torsions.atoms[~proper], harmonic.atoms])
+    bent = k * (_dihedrals(rows, harmonic.atoms) - rest) ** 2
     maps = of["maps"]
     return {
         "bonds": (of["bonds"].atoms, lengths["bonds"]),
         "angles": (of["angles"].atoms[:, [1, 1]], angles["angles"]),
         "torsions": (torsions.atoms[proper][:, 1:3], periodic[proper]),
-        "impropers": (_centres(impropers, near), np.concatenate([periodic[~proper], bent])),
-        "cmap": (maps.atoms[:, [2, 2]], _maps(maps, terms.map_coefficients, x)),
+        "impropers": (terms.centres, np.concatenate([periodic[~proper], bent])),
+        "cmap": (maps.atoms[:, [2, 2]], _maps(maps, terms.map_coefficients, rows)),
         "ties": (
             np.concatenate([of["ties"].atoms, of["tie angles"].atoms[:, [1, 1]]]),
             np.concatenate([lengths["ties"], angles["tie angles"]]),
@@ -325,51 +346,53 @@ def _bonded(terms: Terms, x: Floats) -> dict[str, _Owned]:
     }  # fmt: skip
 
 
-def _lengths(some: Bonded, x: Floats) -> Floats:
-    r = np.linalg.norm(x[some.atoms[:, 0]] - x[some.atoms[:, 1]], axis=1)
-    return np.asarray(0.5 * some.parameters[:, 1] * (r - some.parameters[:, 0]) ** 2)
+def _lengths(some: Bonded, rows: Floats) -> Floats:
+    rest, k = some.parameters.T
+    return np.asarray(0.5 * k * (np.sqrt(_squares(_between_atoms(rows, *some.atoms.T))) - rest) ** 2)
 
 
-def _angles(some: Bonded, x: Floats) -> Floats:
-    u, v = x[some.atoms[:, 0]] - x[some.atoms[:, 1]], x[some.atoms[:, 2]] - x[some.atoms[:, 1]]
-    angle = np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), (u * v).sum(axis=1))
-    return np.asarray(0.5 * some.parameters[:, 1] * (angle - some.parameters[:, 0]) ** 2)
+def _angles(some: Bonded, rows: Floats) -> Floats:
+    a, b, c = some.atoms.T
+    u, v = _between_atoms(rows, a, b), _between_atoms(rows, c, b)
+    angle = np.arctan2(np.sqrt(_squares(_cross(u, v))), _inner(u, v))
+    rest, k = some.parameters.T
+    return np.asarray(0.5 * k * (angle - rest) ** 2)
 
 
-def _dihedrals(x: Floats, atoms: Integers) -> Floats:
-    """(n,) float, rad, from -pi to pi."""
-    a, b, c, d = x[atoms.T]
-    first, axis, last = b - a, c - b, d - c
-    one, other = np.cross(first, axis), np.cross(axis, last)
-    length = np.linalg.norm(axis, axis=1)
-    return np.asarray(np.arctan2(length * (first * other).sum(axis=1), (one * other).sum(axis=1)))
+def _dihedrals(rows: Floats, atoms: Integers) -> Floats:
+    """(n,) float, rad, from -pi to pi, of positions (3, na)."""
+    # Terms of one torsion, of several periodicities, follow each other.
+    new = np.append(True, (atoms[1:] != atoms[:-1]).any(axis=1))[: len(atoms)]
+    a, b, c, d = atoms[new].T
+    first, axis, last = _between_atoms(rows, b, a), _between_atoms(rows, c, b), _between_atoms(rows, d, c)
+    one, other = _cross(first, axis), _cross(axis, last)
+    found = np.arctan2(np.sqrt(_squares(axis)) * _inner(first, other), _inner(one, other))
+    return np.asarray(found[np.cumsum(new) - 1])
 
 
-class _Near:
-    """Tells of pairs of atoms (n,), (n,) whether they are bonded."""
-
-    def __init__(self, bonds: Integers, n_atoms: int) -> None:
-        self.n_atoms = n_atoms
-        self.known = np.sort(bonds, axis=1) @ [n_atoms, 1]
-
-    def __call__(self, one: Integers, other: Integers) -> NDArray[np.bool_]:
-        pair = self.n_atoms * np.minimum(one, other) + np.maximum(one, other)
-        return np.isin(pair, self.known)
+def _between_atoms(rows: Floats, to: Integers, start: Integers) -> Floats:
+    """(3, n): vectors between atoms. Rows of x, y and z, as numpy is fast on them."""
+    return np.asarray(rows[:, to] - rows[:, start])
 
 
-def _centres(atoms: Integers, near: _Near) -> Integers:
-    """(n, 2) int: the atom of each improper that the others are bonded to; else the middle two."""
-    found = atoms[:, 1:3].copy()
-    for k in range(4):
-        is_centre = np.all([near(atoms[:, k], atoms[:, other]) for other in range(4) if other != k], axis=0)
-        found[is_centre] = atoms[is_centre][:, [k, k]]
-    return found
+def _cross(u: Floats, v: Floats) -> Floats:
+    (ux, uy, uz), (vx, vy, vz) = u, v
+    return np.array([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx])
 
 
-def _maps(maps: Bonded, coefficients: Floats, x: Floats) -> Floats:
+def _inner(u: Floats, v: Floats) -> Floats:
+    return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
+
+
+def _squares(u: Floats) -> Floats:
+    return _inner(u, u)
+
+
+def _maps(maps: Bonded, coefficients: Floats, rows: Floats) -> Floats:
     """Bicubic in each cell of a grid over two dihedrals."""
     size = coefficients.shape[1]
-    cells = [_dihedrals(x, maps.atoms[:, k : k + 4]) % (2.0 * np.pi) * size / (2.0 * np.pi) for k in (0, 4)]
+    angles = [_dihedrals(rows, maps.atoms[:, k : k + 4]) for k in (0, 4)]
+    cells = [each % (2.0 * np.pi) * size / (2.0 * np.pi) for each in angles]
     whole = [np.minimum(each.astype(int), size - 1) for each in cells]
     powers = [(each - low)[:, None] ** np.arange(4) for each, low in zip(cells, whole, strict=True)]
     surface = coefficients[maps.parameters[:, 0].astype(int), whole[0], whole[1]]

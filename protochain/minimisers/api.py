@@ -28,7 +28,7 @@ from protochain.frame import Frame, frame_of
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
-from protochain.minimisers.problem import Evaluation
+from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.saddle import with_curvature
@@ -317,10 +317,16 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         tolerance=run.converged_at,
         hold=run.hold,
         seed=run.seed,
+        restraints=_restraints(done.restraint, start.pose.x, at.x),
         lowest_eigenvalue=lowest,
         frame_rows=read_only(list(record.kept()), np.int64),
         frames=read_only(list(record.kept().values()), np.float32),
     )
+
+
+def _restraints(held: Force | None, first: Floats, last: Floats) -> tuple[float, float] | None:
+    """Energies, kJ/mol, of what held the end, at start and end."""
+    return None if held is None else (held(first)[0], held(last)[0])
 
 
 def _reposed(chain: Chain, done: Outcome) -> tuple[Chain, Pose]:

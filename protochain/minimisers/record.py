@@ -6,7 +6,8 @@ import numpy as np
 
 from protochain.articulate import turned_atoms
 from protochain.core import defaults
-from protochain.results.columns import Column, of_energy, of_losses, of_measures, of_structure
+from protochain.energies.decomposed import TERMS
+from protochain.results.columns import Column, of_energy, of_losses, of_measures, of_structure, of_terms
 from protochain.validation.findings import MEASURES
 
 
@@ -28,6 +29,7 @@ COLUMNS = (
     Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD", 6),
     Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
     Column("frame", lambda s: str(s.frame)),
+    *of_terms(TERMS),
     *of_measures(MEASURES, "start", "end"),
     Column("iterations", lambda s: s.n_iterations),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals"),

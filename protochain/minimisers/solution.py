@@ -15,6 +15,7 @@ from protochain.chain import Chain
 from protochain.core.arrays import Floats, Integers, Value, Watcher
 from protochain.core.errors import StrayWarning
 from protochain.core.markup import facts
+from protochain.energies.decomposed import terms_at
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
 from protochain.minimisers.recipes import Recipe
@@ -190,6 +191,8 @@ class Solution(Value):
         Restraints to the start.
     seed : int
         Of random methods.
+    restraints : two float or None, kJ/mol
+        Energies at start and end of what held the end, no part of others; None where nothing did.
     lowest_eigenvalue : float or None, kJ/mol/rad^2
         Of the Hessian at the end, in torsions; None where it was not sought.
     frame_rows : (n,) int
@@ -221,6 +224,7 @@ class Solution(Value):
     tolerance: float
     hold: Hold
     seed: int
+    restraints: tuple[float, float] | None = None
     lowest_eigenvalue: float | None = None
     frame_rows: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     frames: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0, 3), dtype=np.float32))
@@ -239,6 +243,24 @@ class Solution(Value):
         start = self.chain.structure
         away = displacements(start, self.x, start.positions)
         return alpha_residues(start).assign(displacement_angstrom=away)
+
+    @property
+    def terms_start(self) -> dict[str, float]:
+        """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
+
+        Empty where the energy is a callable, or a System that the native engine cannot compute.
+        """
+        return self._terms[0]
+
+    @property
+    def terms_end(self) -> dict[str, float]:
+        """Energy of each term at the end, kJ/mol."""
+        return self._terms[1]
+
+    @cached_property
+    def _terms(self) -> tuple[dict[str, float], ...]:
+        start = self.chain.structure
+        return terms_at(self.energy_function, start, start.positions, self.x)
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:

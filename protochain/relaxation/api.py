@@ -100,7 +100,8 @@ def relax_structure(
     seconds = perf_counter() - trace.began
     end = fewest_left(done)
     frame = Frame(structure, held_by)
-    value, force = _judged(structure, energy, end, relaxer.restraint(end.springs), mobile)
+    restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any()
+    value, force = _judged(structure, energy, end, restraint, mobile)
     status, message = _verdict(structure, energy, settings, end, force)
     return Relaxation(
         start=structure,
@@ -119,6 +120,7 @@ def relax_structure(
         frame=frame,
         seconds=seconds,
         trace=read_only(np.array(trace.rows).reshape(-1, 5)),
+        restraints=(restraint(structure.positions)[0], restraint(end.x)[0]) if is_held else None,
         move=move,
         moving=mobile,
     )

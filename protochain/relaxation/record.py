@@ -6,7 +6,8 @@ from typing import Any
 
 from protochain.contacts import overlaps
 from protochain.core.arrays import Floats
-from protochain.results.columns import Column, of_energy, of_losses, of_measures, of_structure
+from protochain.energies.decomposed import TERMS
+from protochain.results.columns import Column, of_energy, of_losses, of_measures, of_structure, of_terms
 from protochain.validation import MEASURES
 from protochain.validation.fixed import fixed_counts
 from protochain.validation.ligands import LigandFound, at_both_ends
@@ -31,6 +32,7 @@ COLUMNS = (
     Column("ca_rmsd_as_filed_angstrom", lambda r: r.frame.ca_rmsds(r.x)[1]),
     Column("farthest_atom_angstrom", lambda r: r.farthest_angstrom),
     Column("frame", lambda r: str(r.frame)),
+    *of_terms(TERMS),
     *of_measures(MEASURES, "start"),
     *of_measures(MEASURES, "end"),
     Column("overlaps_start", lambda r: len(overlaps(r.start, r.start.positions))),

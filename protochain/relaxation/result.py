@@ -13,6 +13,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
 from protochain.core.markup import counted, facts
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.energies.decomposed import terms_at
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
 from protochain.minimisers.solution import alpha_residues
@@ -79,6 +80,8 @@ class Relaxation(Value):
         A row for each iteration, with columns ``TRACE_COLUMNS``; energies without springs.
     turned : tuple of Repair
         Side chains put into other rotamers first.
+    restraints : two float or None, kJ/mol
+        Energies at start and end of what held the end, no part of others; None where nothing did.
     move : str
         Selection of what may move.
     moving : (na,) bool, optional
@@ -101,6 +104,7 @@ class Relaxation(Value):
     seconds: float
     trace: Floats
     turned: tuple[Repair, ...] = ()
+    restraints: tuple[float, float] | None = None
     move: str = defaults.MOVE
     moving: NDArray[np.bool_] | None = None
 
@@ -139,6 +143,23 @@ class Relaxation(Value):
             )
             for nitrogen, cis in zip(bonds.atoms[right, 2], bonds.cis[right], strict=True)
         )
+
+    @property
+    def terms_start(self) -> dict[str, float]:
+        """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
+
+        Empty where the energy is a callable, or a System that the native engine cannot compute.
+        """
+        return self._terms[0]
+
+    @property
+    def terms_end(self) -> dict[str, float]:
+        """Energy of each term at the end, kJ/mol."""
+        return self._terms[1]
+
+    @cached_property
+    def _terms(self) -> tuple[dict[str, float], ...]:
+        return terms_at(self.energy_function, self.start, self.start.positions, self.x)
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:

@@ -18,7 +18,10 @@ UNITS = {
 }  # fmt: skip
 """Endings of names that are units."""
 
-_SPELLED = {"ca": "C-alpha", "rmsd": "RMSD", "rms": "RMS", "tm": "TM", "ramachandran": "Ramachandran"}
+_SPELLED = {
+    "ca": "C-alpha", "rmsd": "RMSD", "rms": "RMS", "tm": "TM", "ramachandran": "Ramachandran", "cmap": "CMAP",
+    "lennard": "Lennard", "jones": "Jones", "coulomb": "Coulomb", "born": "Born",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,24 @@ def of_measures(keys: Iterable[str], *whens: str) -> Iterator[Column]:
 
 def _measure(key: str, when: str, of: Any) -> Any:
     return getattr(of, f"measures_{when}")[key]
+
+
+def of_terms(names: Iterable[str]) -> Iterator[Column]:
+    """Columns of the terms of the energy, and of restraints, which are no part of it; None if not known."""
+    for name in names:
+        for when in ("start", "end"):
+            yield Column(f"energy_{name}_{when}_kj_mol", partial(_term, name, when))
+    for k, when in enumerate(("start", "end")):
+        yield Column(f"energy_restraints_{when}_kj_mol", partial(_restraints, k))
+
+
+def _term(name: str, when: str, of: Any) -> float | None:
+    found: float | None = getattr(of, f"terms_{when}").get(name)
+    return found
+
+
+def _restraints(which: int, of: Any) -> float | None:
+    return None if of.restraints is None else float(of.restraints[which])
 
 
 def of_structure(structure: Callable[[Any], Any]) -> Iterator[Column]:

@@ -214,9 +214,10 @@ def test_relax_takes_manifests_and_clusters_as_batch_does(predictions, cluster, 
     said = capsys.readouterr()
     assert "3 structures: 2 converged, 1 refused" in said.out and "model: " in said.out
     assert "[1 of 3] " in said.err and "violations 0 to 0" in said.err
-    table = pd.read_csv("out/relaxed.csv").set_index("structure")
+    whole = pd.read_csv("out/relaxed.csv")
+    table = whole.set_index("structure")
     one, two = (f"job/seed-1_sample-{k}/model" for k in range(2))
-    assert [*table.index] == [one, two, "model"] and tuple(table.reset_index().columns) == OF_RELAXED
+    assert [*table.index] == [one, two, "model"] and tuple(whole.columns) == OF_RELAXED
     assert table.loc[one, ["preset", "output"]].tolist() == ["crystal", f"{one}.relaxed.cif"]
     assert table.loc[two, "springs_backbone_kj_mol_nm2"] == 300.0
     assert table.loc["model", "status"] == "refused" and "B" in table.loc["model", "message"]

@@ -5,11 +5,12 @@ import copy
 import numpy as np
 import openmm
 import pytest
-from fixtures.samples import STRUCTURES, load
+from fixtures.samples import STRUCTURES, chain, load
 from openmm import unit
 
 import protochain as pc
-from protochain.energies.decomposed import TERMS, decomposed
+from protochain.energies.custom import CustomEnergy
+from protochain.energies.decomposed import TERMS, decomposed, terms_at
 
 CASES = [("1l2y.pdb", "amber19", "obc2"), ("3i40.pdb", "amber14", "gbn2"), ("3i40.pdb", "charmm36", "vacuum"),
          ("1ysa.pdb", "amber14", "obc2")]  # fmt: skip
@@ -106,6 +107,7 @@ def test_shares_are_halves_of_pairs_and_add_up(name, forcefield, solvent):
     total = energy(s.positions)[0]
     assert found.pairs.sum() == pytest.approx(total, abs=1e-10 * np.abs(found.pairs).sum())
     halves = 0.5 * (found.pairs.sum(axis=1) + found.pairs.sum(axis=2))
+    # Of two kernels: one goes by tiles of atoms, the other by residues.
     assert np.abs(halves - found.shares).max() < 1e-9
     # Nothing below the diagonal, and bonded terms join neighbours or disulfides.
     assert not np.tril(found.pairs.any(axis=0), -1).any()
@@ -117,9 +119,9 @@ def test_the_interaction_of_chains_and_what_the_solvent_costs_are_the_change_of_
     energy = pc.energy(s, "amber14", "obc2", "native")
     table = pc.energy_terms(s, between="A,B", energy=energy)
     alone = 0.0
-    for chain in ("A", "B"):
-        part = pc.load(STRUCTURES / "3i40.pdb", disulfide="none", chains=chain)
-        mine = np.flatnonzero(s.residue_chain[s.atom_residue] == chain)
+    for letter in ("A", "B"):
+        part = pc.load(STRUCTURES / "3i40.pdb", disulfide="none", chains=letter)
+        mine = np.flatnonzero(s.residue_chain[s.atom_residue] == letter)
         assert (part.atom_name == s.atom_name[mine]).all()
         alone += pc.energy(part, "amber14", "obc2", "native")(s.positions[mine])[0]
     assert table.loc["sum", "total"] == pytest.approx(energy(s.positions)[0] - alone, abs=1e-6)
@@ -151,7 +153,99 @@ def test_what_makes_no_sense_is_refused_in_one_line(options, said):
     assert "\n" not in str(error.value)
 
 
-def test_another_engine_tells_no_terms():
+def test_terms_of_openmms_engine_are_those_of_its_system_and_a_callable_has_none():
     s = load("1l2y.pdb")
+    native, other = (
+        pc.energy_terms(s, "residue", energy=pc.energy(s, engine=e)) for e in ("native", "openmm")
+    )
+    assert native.equals(other)
+    spring = CustomEnergy(lambda x: (float(0.5 * np.sum(x**2)), -x))
     with pytest.raises(pc.ProtochainError, match="native engine alone"):
-        pc.energy_terms(s, energy=pc.energy(s, engine="openmm"))
+        pc.energy_terms(s, energy=spring)
+    assert terms_at(spring, s, s.positions, s.positions) == ({}, {})
+
+
+@pytest.mark.parametrize("engine", ["native", "openmm"])
+@pytest.mark.parametrize(
+    ("name", "forcefield", "solvent", "cutoff"),
+    [("1l2y.pdb", "amber19", "gbn2", None), ("1ejg.pdb", "amber14", "gbn2", None),
+     ("3i40.pdb", "charmm36", "vacuum", None), ("4pti.pdb", "amber14", "vacuum", 1.0),
+     ("1ubq.pdb", "amber14", "obc2", 1.2)],
+)  # fmt: skip
+def test_terms_at_start_and_end_add_up_to_the_energies_of_the_reference(
+    name, forcefield, solvent, cutoff, engine
+):
+    s = load(name)
+    energy = pc.energy(s, forcefield, solvent, engine, cutoff=cutoff)
+    result = pc.minimise(s, energy, "cartesian", max_evaluations=10)
+    record = result.record()
+    for when, total in (("start", result.start.energy), ("end", result.end.energy)):
+        found = {each: record[f"energy_{each}_{when}_kj_mol"] for each in TERMS}
+        assert found == getattr(result, f"terms_{when}")
+        # Of the largest term: what cancels in the sum has been rounded before.
+        assert sum(found.values()) == pytest.approx(total, abs=1e-10 * max(map(abs, found.values())))
+    assert record["energy_bonds_start_kj_mol"] != record["energy_bonds_end_kj_mol"]
+
+
+def test_terms_of_overlapping_atoms_add_up():
+    """Two atoms at one place: their repulsion is large and finite, and no other term knows of it."""
+    s = load("1l2y.pdb")
+    x = s.positions.copy()
+    x[s.alpha_carbons[-1]] = x[s.alpha_carbons[0]]
+    energy = pc.energy(s, engine="native")
+    found = decomposed(s, energy, x).terms
+    assert np.isfinite(list(found.values())).all()
+    assert sum(found.values()) == pytest.approx(energy(x)[0], rel=1e-10)
+
+
+def test_asking_for_terms_leaves_the_neighbour_lists_and_any_number_of_threads_gives_the_same_bits():
+    s = load("1ubq.pdb")
+    one, two = (pc.energy(s, engine="native", threads=n) for n in (1, 2))
+    far = s.positions * 1.1
+    one(s.positions)
+    lists = one.lists_at
+    assert np.array_equal(one.halves(far)[0], two.halves(far)[0])
+    assert one.lists_at is lists
+
+
+def test_an_energy_without_its_constant_terms_tells_all_of_them():
+    c = chain("1l2y.pdb")
+    whole = pc.energy(c.structure, engine="native")
+    less = whole.without_constants(c.rigid_groups, c.structure.positions)
+    found, expected = (decomposed(c.structure, e, c.structure.positions).shares for e in (less, whole))
+    assert np.abs(found - expected).max() < 1e-9
+
+
+def test_restraints_are_told_at_start_and_end_where_a_run_has_them():
+    s = load("ala10.pdb")
+    held = pc.minimise(s, method="cartesian", restraint="500")
+    heavy = s.atom_element != "H"
+    away = np.sum((held.x - s.positions)[heavy] ** 2)
+    record = held.record()
+    assert record["energy_restraints_start_kj_mol"] < 1e-20  # The pose is rounded.
+    assert record["energy_restraints_end_kj_mol"] == pytest.approx(250.0 * away, rel=1e-9) != 0.0
+    released = pc.minimise(s, method="cartesian", restraint="500 0")
+    assert released.restraints is None and released.record()["energy_restraints_end_kj_mol"] is None
+
+
+def test_relaxations_tell_terms_and_springs():
+    result = pc.relax(STRUCTURES / "1l2y.pdb")
+    record = result.record()
+    for when, total in (("start", result.energy_start), ("end", result.energy_end)):
+        found = [record[f"energy_{each}_{when}_kj_mol"] for each in TERMS]
+        assert sum(found) == pytest.approx(total, abs=1e-10 * max(map(abs, found)))
+    assert record["energy_restraints_end_kj_mol"] > 0.0 == record["energy_restraints_start_kj_mol"]
+
+
+def test_records_on_a_callable_leave_terms_empty(tmp_path):
+    s = load("ala10.pdb")
+    home = s.positions + 0.01
+
+    def spring(x):
+        return 50.0 * float(np.sum((x - home) ** 2)), -100.0 * (x - home)
+
+    comparison = pc.compare(s, ("lbfgs", "cartesian"), spring, max_evaluations=20)
+    record = comparison.records()[0]
+    assert all(record[f"energy_{each}_{when}_kj_mol"] is None for each in TERMS for when in ("start", "end"))
+    page = comparison.report(tmp_path)
+    assert "Energy by term" not in page.read_text()

@@ -11,6 +11,7 @@ from fixtures.repairs import sentences
 from fixtures.samples import chain
 from scipy.spatial.transform import Rotation
 
+from protochain.energies.decomposed import TERMS
 from protochain.frame import Frame
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.record import COLUMNS, SHOWN
@@ -36,7 +37,7 @@ def solution(**changed):
         q=c.q0, x=c.structure.positions, energy=-12.25, status=Status.BUDGET, ended="budget: used",
         n_iterations=5, n_evaluations=6, seconds=1.5, trace=None, start=Judgement(-10.0, 300.0, 40.0),
         end=Judgement(-12.5, 30.0, 4.0), frame=Frame(c.structure), ca_rmsd_angstrom=0.25, tolerance=1.0,
-        hold=Hold((100.0,), 0.5), seed=9, lowest_eigenvalue=7.5,
+        hold=Hold((100.0,), 0.5), seed=9, restraints=(0.5, 1.5), lowest_eigenvalue=7.5,
     )  # fmt: skip
     return replace(made, **changed)
 
@@ -50,6 +51,10 @@ def test_a_record_holds_each_value_under_its_name():
         "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0,
         "lowest_eigenvalue_kj_mol_rad2": 7.5, "ca_rmsd_angstrom": 0.25,
         "ca_rmsd_as_filed_angstrom": 0.0, "frame": "superposed on the start",
+        **{
+            f"energy_{each}_{when}_kj_mol": None for each in TERMS for when in ("start", "end")
+        },
+        "energy_restraints_start_kj_mol": 0.5, "energy_restraints_end_kj_mol": 1.5,
         **{f"{key}_{when}": value for key, value in found.items() for when in ("start", "end")},
         "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,
         "n_atoms": c.structure.n_atoms, "n_bodies": c.n_bodies, "n_hinges": c.n_hinges,
@@ -107,6 +112,7 @@ def test_columns_of_short_tables_have_headings_with_units():
         ("turn_degrees", "turn, degrees"),
         ("n_within_1_kj_mol", "n within 1 kJ/mol"),
         ("tm_score", "TM score"),
+        ("energy_lennard_jones_start_kj_mol", "energy Lennard Jones start, kJ/mol"),
         ("ramachandran", "Ramachandran"),
     ],
 )

@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import openmm
+from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import COULOMB
@@ -77,6 +79,32 @@ class Terms:
     map_coefficients: Floats
     nonbonded: Nonbonded
     solvent: Solvent | None
+
+    @cached_property
+    def is_proper(self) -> NDArray[np.bool_]:
+        """(n,) bool: whether the four atoms of each torsion are bonded one after the other."""
+        atoms = self.bonded["torsions"].atoms
+        return np.asarray(np.all([self._near(*atoms[:, k : k + 2].T) for k in range(3)], axis=0))
+
+    @cached_property
+    def centres(self) -> Integers:
+        """(n, 2) int: atom that the others are bonded to, twice, or if there is none the middle two.
+
+        Of the torsions that are not proper, then of the impropers.
+        """
+        others = self.bonded["torsions"].atoms[~self.is_proper]
+        atoms = np.concatenate([others, self.bonded["impropers"].atoms])
+        found = atoms[:, 1:3].copy()
+        for k in range(4):
+            is_near = [self._near(atoms[:, k], atoms[:, other]) for other in range(4) if other != k]
+            is_centre = np.all(is_near, axis=0)
+            found[is_centre] = atoms[is_centre][:, [k, k]]
+        return found
+
+    def _near(self, one: Integers, other: Integers) -> NDArray[np.bool_]:
+        """Whether atoms (n,) and (n,) are bonded."""
+        bonds = np.sort(self.bonded["bonds"].atoms, axis=1) @ [self.n_atoms, 1]
+        return np.isin(self.n_atoms * np.minimum(one, other) + np.maximum(one, other), bonds)
 
 
 def compile_system(system: openmm.System) -> Terms:
