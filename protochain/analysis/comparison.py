@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from protochain.analysis.colourings import colourings
 from protochain.analysis.deviation import deviation
 from protochain.analysis.folder import clear
 from protochain.analysis.quality import quality
@@ -367,7 +368,10 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: "dict[str, F
         spread=comparison.spread,
         figures={name: data_url(figure) for name, figure in figures.items()},
         summary=summary,
-        **scene(comparison.ends()),
+        **scene(
+            comparison.ends(),
+            colourings(comparison.ends(), comparison.solutions[0].energy_function),
+        ),
         command=shlex.join(summary["command"]),
     )
 

@@ -20,7 +20,7 @@ UNITS = {
 
 _SPELLED = {
     "ca": "C-alpha", "rmsd": "RMSD", "rms": "RMS", "tm": "TM", "ramachandran": "Ramachandran", "cmap": "CMAP",
-    "lennard": "Lennard", "jones": "Jones", "coulomb": "Coulomb", "born": "Born",
+    "lennard-jones": "Lennard-Jones", "coulomb": "Coulomb", "born": "Born",
 }  # fmt: skip
 
 
@@ -72,7 +72,8 @@ class Column:
 def heading(name: str) -> str:
     """Heading from a column's name: ``energy_end_kj_mol`` is ``energy end, kJ/mol``."""
     ending = next((ending for ending in UNITS if name.endswith(ending)), "")
-    words = " ".join(_SPELLED.get(word, word) for word in name.removesuffix(ending).split("_"))
+    parts = name.removesuffix(ending).replace("lennard_jones", "lennard-jones").split("_")
+    words = " ".join(_SPELLED.get(word, word) for word in parts)
     # No comma after a number: within 10 kJ/mol.
     return words + (" " if words[-1].isdigit() else ", ") + UNITS[ending] if ending else words
 

@@ -1,14 +1,17 @@
 """Interactive viewer of reports and notebooks: superposed structures, drawn by 3Dmol.js."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from html import escape
 from importlib.resources import files
 from typing import Any
 
+import numpy as np
 from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.results.figures import COLOURS
 from protochain.results.page import render
 from protochain.structure import Structure, as_structure
@@ -21,15 +24,108 @@ _ALL_ATOMS = 5000
 """Larger structures are shown without hydrogens, which would add megabytes to the page."""
 
 
-def scene(shown: Mapping[str, Structure]) -> dict[str, Any]:
-    """Variables of the viewer's template, with all structures superposed on the first."""
-    first = next(iter(shown.values()))
+@dataclass(frozen=True)
+class Colouring:
+    """A quantity that colours the residues of structures.
+
+    Parameters
+    ----------
+    name : str
+        What the page calls it, with its unit.
+    values : mapping of str to (nr,) float
+        By the names of structures; those that are not here keep a colour of their own. NaN where unknown.
+    is_signed : bool
+        Of two colours about zero; else of one, from the lowest to the highest.
+    """
+
+    name: str
+    values: Mapping[str, Floats]
+    is_signed: bool = False
+
+
+def scene(
+    shown: Mapping[str, Structure], colourings: Iterable[Colouring] = (), chosen: str = ""
+) -> dict[str, Any]:
+    """Variables of the viewer's template, with all structures superposed on the first.
+
+    Parameters
+    ----------
+    shown : mapping of str to Structure
+        Of the same atoms, by name.
+    colourings : iterable of Colouring
+        What else than structure and displacement may give the colours.
+    chosen : str
+        Name of the colouring at first; by default each structure has a colour.
+    """
+    (first_name, first), *others = shown.items()
+    ends = {name: superposed(each, first) for name, each in others}
+    away = {name: ANGSTROM_PER_NM * _lengths(each.positions - first.positions) for name, each in ends.items()}
     suffix = common_suffix(shown.values())
+    # Displacements are of atoms: they go where the viewer reads a number of each, the column of B factors.
+    texts = {first_name: first} | {name: replace(each, b_factor=away[name]) for name, each in ends.items()}
     models = [
-        {"name": name, "format": suffix.removeprefix("."), "text": _text(superposed(each, first), suffix)}
-        for name, each in shown.items()
+        {"name": name, "format": suffix.removeprefix("."), "text": _text(each, suffix)}
+        for name, each in texts.items()
     ]
-    return {"models": models, "library": library(), "colours": ("#999999", *COLOURS)}
+    said = [_of_atoms(first, away)] if ends else []
+    said += [_of_residues(each, tuple(shown)) for each in colourings]
+    return {
+        "models": models,
+        "library": library(),
+        "colours": ("#999999", *COLOURS),
+        "colourings": said,
+        "chosen": next((k for k, each in enumerate(said) if each["name"] == chosen), -1),
+        "residues": _residues(first, suffix),
+    }
+
+
+def _residues(structure: Structure, suffix: str) -> list[str]:
+    """Chain, number and insertion code of each residue, as the viewer reads them; of mmCIF it reads no codes.
+
+    Residues that only these tell apart have no name then, rather than the colour of another.
+    """
+    chain, number = structure.residue_chain, structure.residue_number
+    if suffix == ".pdb":
+        number = np.char.add(number, structure.residue_insertion_code)
+    names = np.char.add(np.char.add(chain, ":"), number)
+    _, place, counts = np.unique(names, return_inverse=True, return_counts=True)
+    return np.where(counts[place] == 1, names, "").tolist()
+
+
+DISPLACEMENT = "displacement, angstrom"
+_FULL_RED = 2.0
+"""Angstrom of displacement from which on the colour is the same; less where little moved as far."""
+_MOST = 0.98
+"""Share of the values that the colours tell apart: a side chain that turned must not leave others grey."""
+
+
+def _of_atoms(structure: Structure, away: Mapping[str, Floats]) -> dict[str, Any]:
+    heavy = np.concatenate([each[structure.atom_element != "H"] for each in away.values()])
+    high = float(np.clip(np.quantile(heavy, _MOST), 0.1, _FULL_RED))
+    return {"name": DISPLACEMENT, "low": 0.0, "high": high, "is_signed": False, "values": None}
+
+
+def _of_residues(colouring: Colouring, names: Sequence[str]) -> dict[str, Any]:
+    """A colouring with its scale, in numbers that are short in a page and that JSON has."""
+    every = np.concatenate([np.empty(0), *colouring.values.values()])
+    every = every[np.isfinite(every)]
+    if colouring.is_signed:
+        high = float(np.quantile(np.abs(every), _MOST)) if len(every) else 0.0
+        low = -high
+    else:
+        low, high = np.quantile(every, (0.0, _MOST)).tolist() if len(every) else (0.0, 0.0)
+    values = [
+        None if name not in colouring.values
+        else [float(f"{v:.4g}") if np.isfinite(v) else None for v in colouring.values[name].tolist()]
+        for name in names
+    ]  # fmt: skip
+    return {
+        "name": colouring.name, "low": low, "high": high, "is_signed": colouring.is_signed, "values": values,
+    }  # fmt: skip
+
+
+def _lengths(vectors: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def pockets(structure: Structure, *ends: Floats) -> list[dict[str, Any]]:

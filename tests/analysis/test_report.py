@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import itertools
 import shutil
 
 import matplotlib.image
@@ -10,6 +11,8 @@ import pytest
 from fixtures.samples import chain, energy
 
 import protochain as pc
+from protochain.results.page import render
+from protochain.results.viewer import Colouring, scene
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
@@ -74,6 +77,59 @@ def test_the_page_works_from_a_file(browser, page_file, width, scheme):
     assert heading.get_attribute("aria-sort") == "ascending" and ends == sorted(ends)
     page.keyboard.press("Enter")
     assert [float(value) for value in column(3)] == sorted(ends, reverse=True)
+    assert said == []
+
+
+def test_residues_are_coloured_by_what_is_chosen(browser, page_file, tmp_path):
+    """Each choice draws other colours, of every atom."""
+    page = browser.new_page()
+    said = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(page_file.as_uri())
+    viewer = page.locator("#viewer")
+    page.wait_for_selector("#viewer[data-models='4'] canvas")
+    choices = page.locator("#colouring option").all_inner_texts()
+    assert choices[:4] == [
+        "each structure its own", "displacement, angstrom", "energy, kJ/mol", "change of energy, kJ/mol",
+    ]  # fmt: skip
+    assert {"bonds, kJ/mol", "Lennard-Jones, kJ/mol", "surface, kJ/mol"} <= {*choices}
+    assert not page.locator("#scale").is_visible()
+    seen = []
+    for name in (choices[0], "energy, kJ/mol", "Coulomb, kJ/mol", "displacement, angstrom"):
+        page.select_option("#colouring", label=name)
+        page.wait_for_timeout(300)
+        seen.append(matplotlib.image.imread(io.BytesIO(viewer.screenshot())))
+        assert viewer.get_attribute("data-unknown") == "0"
+    assert all(not np.array_equal(*pair) for pair in itertools.combinations(seen, 2))
+    assert page.locator("#scale").is_visible() and page.locator("#scale .low").inner_text() == "0.00"
+    assert said == []
+
+
+@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
+def test_a_colour_is_that_of_its_residue(browser, tmp_path, suffix, monkeypatch):
+    """One residue alone has a value: little is red. A strange name is shown as text."""
+    s = chain("1l2y.pdb").structure
+    monkeypatch.setattr("protochain.results.viewer.common_suffix", lambda shown: suffix)
+    alone = np.zeros(s.n_residues)
+    alone[6] = 1.0
+    made = scene({EVIL: s}, [Colouring(EVIL, {EVIL: alone})], EVIL)
+    (tmp_path / "page.html").write_text(render("viewer.html", **made))
+    page = browser.new_page()
+    said = []
+    page.on("dialog", lambda dialog: said.append(dialog.message))
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_selector("#viewer[data-models='1'] canvas")
+    page.select_option("#style", "stick")
+    page.wait_for_timeout(300)
+    drawn = matplotlib.image.imread(io.BytesIO(page.locator("#viewer").screenshot()))[5:-5, 5:-5, :3]
+    red = drawn[..., 0] > drawn[..., 1:].max(axis=-1) + 0.2
+    inked = np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1
+    # A lysine of twenty residues.
+    assert 0.01 < red.sum() / inked.sum() < 0.15
+    assert page.locator("#viewer").get_attribute("data-unknown") == "0"
+    assert page.locator("#viewer").get_attribute("data-coloured") == EVIL
+    assert page.locator("#colouring option").nth(1).inner_text() == EVIL
     assert said == []
 
 

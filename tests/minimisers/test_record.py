@@ -112,7 +112,7 @@ def test_columns_of_short_tables_have_headings_with_units():
         ("turn_degrees", "turn, degrees"),
         ("n_within_1_kj_mol", "n within 1 kJ/mol"),
         ("tm_score", "TM score"),
-        ("energy_lennard_jones_start_kj_mol", "energy Lennard Jones start, kJ/mol"),
+        ("energy_lennard_jones_start_kj_mol", "energy Lennard-Jones start, kJ/mol"),
         ("ramachandran", "Ramachandran"),
     ],
 )
