@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
+from protochain.analysis.differences import Differences
 from protochain.core.arrays import Floats
 from protochain.energies.decomposed import TERMS, decomposed, native_of
 from protochain.energies.protocol import Energy
@@ -15,7 +16,9 @@ OF_INPUT = "B factor or confidence of the input"
 """What the file has in its column of B factors; predictors put their confidence there."""
 
 
-def colourings(ends: Mapping[str, Structure], energy: Energy) -> list[Colouring]:
+def colourings(
+    ends: Mapping[str, Structure], energy: Energy, changes: Mapping[str, Differences] | None = None
+) -> list[Colouring]:
     """Colourings of a start and what came of it, by name, with all terms of their energy that are not 0.
 
     Of a callable, and of a System that the native engine cannot compute, there are none of the energy.
@@ -26,6 +29,9 @@ def colourings(ends: Mapping[str, Structure], energy: Energy) -> list[Colouring]
     if native is not None:
         shares = {name: decomposed(each, native, each.positions).shares for name, each in ends.items()}
         found += of_energies(shares, start_name)
+    if changes:
+        turned = {name: _of_residues(start, each, "torsions_degrees") for name, each in changes.items()}
+        found.append(Colouring("change of torsions, degrees", turned))
     if start.b_factor.any():
         found.append(Colouring(OF_INPUT, dict.fromkeys(ends, _mean_b_factor(start))))
     return found
@@ -42,6 +48,15 @@ def of_energies(shares: Mapping[str, Floats], start_name: str = "") -> Iterator[
         of_term = {name: each[k] for name, each in shares.items()}
         if any(each.any() for each in of_term.values()):
             yield Colouring(heading(f"{term}_kj_mol"), of_term, is_signed=True)
+
+
+def _of_residues(structure: Structure, changes: Differences, column: str) -> Floats:
+    """(nr,) float: column of what changed, for all residues of its first structure; NaN of others."""
+    of = changes.residues
+    told = dict(zip(zip(of["chain"], of["residue"], strict=True), of[column], strict=True))
+    number = np.char.add(structure.residue_number, structure.residue_insertion_code)
+    named = zip(structure.residue_chain.tolist(), number.tolist(), strict=True)
+    return np.array([told.get(name, np.nan) for name in named], dtype=float)
 
 
 def _mean_b_factor(structure: Structure) -> Floats:

@@ -13,6 +13,7 @@ import pandas as pd
 
 from protochain.analysis.colourings import colourings
 from protochain.analysis.deviation import deviation
+from protochain.analysis.differences import Differences, joined, of_ends, totals_of
 from protochain.analysis.folder import clear
 from protochain.analysis.quality import quality
 from protochain.analysis.spread import spreads
@@ -154,6 +155,11 @@ class Comparison:
         return table
 
     @cached_property
+    def differences(self) -> dict[str, Differences]:
+        """What each method changed: :func:`protochain.differences` of the start and each end."""
+        return of_ends(self.ends())
+
+    @cached_property
     def equal_cost(self) -> pd.DataFrame:
         """Lowest energy so far at equal evaluations and at equal seconds."""
         return at_equal_cost(self.traces)
@@ -220,6 +226,13 @@ class Comparison:
         from protochain.analysis.plots import plot_displacement
 
         return plot_displacement(self.displacements, self.structure.name, ax)
+
+    def plot_differences(self, ax: Any = None) -> "Figure":
+        """Change of each residue's torsions, and how far its C-alpha moved, one line per method."""
+        from protochain.analysis.plots import plot_differences
+
+        changes = {name: each.residues for name, each in self.differences.items()}
+        return plot_differences(changes, self.structure.name, ax)
 
     def plot_ramachandran(self, ax: Any = None) -> "Figure":
         """Ramachandran plots of the start and of every end."""
@@ -305,6 +318,11 @@ def _write_files(comparison: Comparison, directory: Path) -> Path:
         "spread": comparison.spread,
         "displacement": _with_unit(comparison.displacements, 3, "angstrom"),
         "traces": comparison.traces,
+        "differences": pd.DataFrame(
+            [{"method": name, **each.totals} for name, each in comparison.differences.items()]
+        ),
+        "residue_differences": joined(comparison.differences, "residues"),
+        "bonds_changed": joined(comparison.differences, "bonds"),
     }
     # First, since it names the structures: what an incomplete comparison left can be replaced, too.
     write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
@@ -330,6 +348,7 @@ def _figures(comparison: Comparison) -> "dict[str, Figure]":
         "torque": comparison.plot_torque(),
         "rmsd": comparison.plot_rmsd(),
         "displacement": comparison.plot_displacement(),
+        "differences": comparison.plot_differences(),
         "ramachandran": comparison.plot_ramachandran(),
     }
 
@@ -362,6 +381,8 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: "dict[str, F
         lost=told(summary["results"]),
         rmsd=comparison.rmsd,
         quality=comparison.quality,
+        changes=totals_of(comparison.differences),
+        bonds_changed=joined(comparison.differences, "bonds"),
         terms=energies_by_term({row["method"]: row for row in summary["results"]}),
         equal_cost=comparison.equal_cost,
         work=comparison.work,
@@ -370,7 +391,7 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: "dict[str, F
         summary=summary,
         **scene(
             comparison.ends(),
-            colourings(comparison.ends(), comparison.solutions[0].energy_function),
+            colourings(comparison.ends(), comparison.solutions[0].energy_function, comparison.differences),
         ),
         command=shlex.join(summary["command"]),
     )

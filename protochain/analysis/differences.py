@@ -8,8 +8,10 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
+from protochain.analysis.domains import rigid_domains
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.results.columns import heading
 from protochain.structure import as_structure
 from protochain.structure.convert import to_mdtraj
 from protochain.structure.matching import Match, match
@@ -32,6 +34,7 @@ _SALT = 4.0
 """Angstrom from a nitrogen of Arg or Lys to an oxygen of Asp or Glu: Barlow, Thornton, J. Mol. Biol. 168:867
 (1983)."""
 _CATION, _ANION = ("NZ", "NE", "NH1", "NH2"), ("OD1", "OD2", "OE1", "OE2")
+_RMSD, _TURN, _DOMAIN = "ca_rmsd_angstrom", "turn_degrees", "domain"
 _STRUCTURE = {"H": "helix", "E": "strand", "C": "loop"}
 
 
@@ -43,7 +46,8 @@ class Differences(Value):
     ----------
     residues : pandas.DataFrame
         A row for each matched residue: ``chain``, ``residue``, ``name`` (of the first structure),
-        ``secondary_structure``, changes of ``phi`` ... ``chi4`` in degrees from -180 to 180,
+        ``secondary_structure``, ``domain`` (from 1, the largest, or 0 for none), changes of ``phi`` ...
+        ``chi4`` in degrees from -180 to 180,
         ``torsions_degrees`` (root mean square over these), ``rotamer_before``, ``rotamer_after``,
         ``ca_moved_angstrom`` after superposition of all C-alphas.
     bonds : pandas.DataFrame
@@ -52,8 +56,9 @@ class Differences(Value):
     totals : mapping of str to int or float
         ``rotamers_changed``, ``hydrogen_bonds_kept``, ``_gained`` and ``_lost``, the same of
         ``salt_bridges``, ``contacts_kept`` (Q: of the contacts of the first, the share that the second has),
-        ``ca_rmsd_angstrom``; of each chain, and of helices, strands and loops, each superposed by itself,
-        ``ca_rmsd_angstrom_A`` and so on.
+        ``ca_rmsd_angstrom``; of each chain, of helices, strands and loops, and of each rigid domain, each
+        superposed by itself, ``ca_rmsd_angstrom_A``, ``_helix``, ``_domain_1`` and so on; ``rigid_domains``,
+        and of the second on ``turn_degrees_domain_2``, the angle of its motion against that of the first.
     """
 
     residues: pd.DataFrame
@@ -71,24 +76,47 @@ class Differences(Value):
 
     def plot(self) -> "Figure":
         """Changes of backbone and side chains along the sequence, over how far the C-alphas moved."""
-        from protochain.results.figures import COLOURS, panels, plain
+        from protochain.analysis.plots import plot_differences
 
-        figure, (top, bottom) = panels(None, (2, 1), (8.0, 5.0))
-        place = np.arange(len(self.residues))
-        for names, colour, said in ((("phi", "psi"), 0, "phi, psi"), (CHIS, 1, "side chain")):
-            largest = self.residues[list(names)].abs().max(axis=1)
-            top.plot(place, largest, ".", ms=4, color=COLOURS[colour], label=f"{said}, largest")
-        top.set(ylabel="change, degrees", ylim=(0, 185))
-        top.legend(frameon=False)
-        bottom.plot(place, self.residues["ca_moved_angstrom"], color=COLOURS[2], lw=1.2)
-        bottom.set(ylabel="C-alpha moved, angstrom", xlabel="residue", ylim=(0, None))
-        starts = np.flatnonzero(self.residues["chain"].ne(self.residues["chain"].shift()))
-        bottom.set_xticks(
-            starts, [f"{self.residues['chain'][k]}:{self.residues['residue'][k]}" for k in starts]
-        )
-        for ax in (top, bottom):
-            plain(ax)
-        return figure
+        return plot_differences({"": self.residues})
+
+
+def of_ends(ends: Mapping[str, Structure]) -> dict[str, Differences]:
+    """Differences of ends from a start, the first of them; none where no residue is an amino acid."""
+    (_, start), *others = ends.items()
+    if not layout(start).amino.any():
+        return {}
+    return {name: differences(start, end) for name, end in others}
+
+
+def totals_of(found: Mapping[str, Differences]) -> pd.DataFrame:
+    """Totals of several differences: a column each behind ``quantity``, which says them in words."""
+    keys = dict.fromkeys(key for each in found.values() for key in each.totals)
+    rows = [
+        {"quantity": _in_words(key), **{name: each.totals.get(key) for name, each in found.items()}}
+        for key in keys
+    ]
+    return pd.DataFrame(rows, columns=["quantity", *found])
+
+
+def _in_words(key: str) -> str:
+    """``ca_rmsd_angstrom_helix`` is ``C-alpha RMSD of helix, angstrom``."""
+    for quantity in (_RMSD, _TURN):
+        part = key.removeprefix(f"{quantity}_")
+        if part != key:
+            what, _, unit = heading(quantity).partition(", ")
+            if not part.startswith(_DOMAIN) and part not in _STRUCTURE.values():
+                part = f"chain {part}"
+            return f"{what} of {part.replace('_', ' ')}, {unit}"
+    return heading(key)
+
+
+def joined(found: Mapping[str, Differences], table: str) -> pd.DataFrame:
+    """One table, ``residues`` or ``bonds``, of several differences, the name of each in ``method``."""
+    parts = [getattr(each, table) for each in found.values()]
+    if not parts:
+        return pd.DataFrame(columns=["method"])
+    return pd.concat(parts, keys=found, names=["method"]).reset_index(level=0).reset_index(drop=True)
 
 
 def differences(before: Any, after: Any) -> Differences:
@@ -112,7 +140,9 @@ def differences(before: Any, after: Any) -> Differences:
     Notes
     -----
     Hydrogen bonds by Baker and Hubbard's criterion, secondary structure by DSSP, both by mdtraj. A half turn
-    of the last dihedral of Asp, Glu, Phe and Tyr is none.
+    of the last dihedral of Asp, Glu, Phe and Tyr is none. A rigid domain has 20 C-alphas or more, each within
+    2 angstrom of where one motion takes it: adaptive selection of Wriggers, Schulten, Proteins 29:1 (1997),
+    :mod:`protochain.analysis.domains`.
     """
     first, second = as_structure(before), as_structure(after)
     found = match(first, second)
@@ -122,13 +152,16 @@ def differences(before: Any, after: Any) -> Differences:
     x, y = first.positions[alphas[0]], second.positions[alphas[1]]
     turn, shift = motion(y[there], x[there])
     moved = np.where(there, np.linalg.norm(y @ turn.T + shift - x, axis=1) * ANGSTROM_PER_NM, np.nan)
+    domains, parts = np.zeros(len(there), dtype=int), rigid_domains(x[there], y[there])
+    for k, part in enumerate(parts, 1):
+        domains[np.flatnonzero(there)[part.members]] = k
     names = [_rotamers(s, its) for s, its in ((first, found.reference), (second, found.model))]
     number = np.char.add(first.residue_number, first.residue_insertion_code)
     table = pd.DataFrame(
         {
             "chain": first.residue_chain[found.reference], "residue": number[found.reference],
             "name": first.residue_name[found.reference],
-            "secondary_structure": _secondary(first)[found.reference],
+            "secondary_structure": _secondary(first)[found.reference], "domain": domains,
             **dict(zip(TORSIONS, turned.T, strict=True)),
             "torsions_degrees": _root_mean_square(turned),
             "rotamer_before": names[0], "rotamer_after": names[1], "ca_moved_angstrom": moved,
@@ -144,7 +177,12 @@ def differences(before: Any, after: Any) -> Differences:
         for value in dict.fromkeys(table[column]):
             mine = there & (table[column] == value).to_numpy()
             if mine.sum() > 2:
-                totals[f"ca_rmsd_angstrom_{value or '_'}"] = rmsd_angstrom(y[mine], x[mine])
+                totals[f"{_RMSD}_{value or '_'}"] = rmsd_angstrom(y[mine], x[mine])
+    totals["rigid_domains"] = len(parts)
+    for k, part in enumerate(parts, 1):
+        totals[f"{_RMSD}_{_DOMAIN}_{k}"] = part.rmsd * ANGSTROM_PER_NM
+        if k > 1:
+            totals[f"{_TURN}_{_DOMAIN}_{k}"] = part.turn
     return Differences(table, bonds, totals)
 
 

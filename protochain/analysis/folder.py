@@ -7,8 +7,11 @@ from pathlib import Path
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.storage import check_writable
 
-TABLES = ("summary", "equal_cost", "work", "spread", "displacement", "traces", "quality")
-FIGURES = ("energy", "work_precision", "torque", "rmsd", "displacement", "ramachandran")
+TABLES = (
+    "summary", "equal_cost", "work", "spread", "displacement", "traces", "differences",
+    "residue_differences", "bonds_changed", "quality",
+)  # fmt: skip
+FIGURES = ("energy", "work_precision", "torque", "rmsd", "displacement", "differences", "ramachandran")
 _PAGE, _SUMMARY = "report.html", "summary.json"
 _SUFFIXES = (".pdb", ".cif")
 _OF_OTHERS = ("pages", "summary.parquet", "checkpoint.npz", "log.csv", "log.part.csv")

@@ -237,6 +237,64 @@ def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -
     return _titled(axes, ax, f"{_plain_text(title)}: {said}")
 
 
+def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: Any = None) -> PlainFigure:
+    """Change of torsions along the sequence, over how far the C-alphas moved.
+
+    Parameters
+    ----------
+    changes : mapping of str to pandas.DataFrame
+        ``Differences.residues`` by the names of the ends, of the same residues.
+    title : str
+    ax : matplotlib Axes, optional
+        Where to draw, two or the first; by default, a new figure.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Of one end the largest changes of backbone and of side chains; of several the root mean square of
+        each residue's torsions, a line each.
+    """
+    _, axes = panels(ax, (2, 1), (10, 6), least=1)
+    top, bottom = axes[0], axes[-1]
+    styles = _styles(changes)
+    for name, of in changes.items():
+        place = np.arange(1, len(of) + 1)
+        if len(changes) == 1:
+            for names, colour, said in ((("phi", "psi"), 0, "phi, psi"), (_CHIS, 1, "side chain")):
+                largest = of[list(names)].abs().max(axis=1)
+                top.plot(place, largest, ".", ms=4, color=COLOURS[colour], label=f"{said}, largest")
+        else:
+            top.plot(place, of["torsions_degrees"], **styles[name])
+        if len(axes) > 1:
+            bottom.plot(place, of["ca_moved_angstrom"], **styles[name] | {"lw": 1.2})
+    top.set(ylabel="change of torsions, degrees", ylim=(0, None))
+    if changes:
+        top.legend(frameon=False, ncols=3)
+    if len(axes) > 1:
+        bottom.set(ylabel="C-alpha moved, angstrom", ylim=(0, None))
+    bottom.set_xlabel("residue")
+    named = _places(next(iter(changes.values()))) if changes else {}
+    for panel in axes:
+        panel.set_xticks([*named], [*named.values()])
+        plain(panel)
+    return _titled(axes, ax, f"{_plain_text(title)}: what changed" if title else "")
+
+
+_CHIS = ("chi1", "chi2", "chi3", "chi4")
+_PLACES = 12
+"""Residues that an axis names, more where there are as many chains."""
+
+
+def _places(residues: pd.DataFrame) -> dict[int, str]:
+    """Names of some residues along an axis, by place from 1: the first of each chain, and some between."""
+    chain, number = residues["chain"].to_numpy(), residues["residue"].to_numpy()
+    starts = np.flatnonzero(np.append(True, chain[1:] != chain[:-1])[: len(chain)]).tolist()
+    step = 5 * max(1, round(len(chain) / _PLACES / 5))
+    between = [k for k in range(step, len(chain), step) if min(abs(k - start) for start in starts) > step / 2]
+    named = {k + 1: f"{chain[k]}:{number[k]}" for k in starts}
+    return named | {k + 1: number[k] for k in between if len(starts) < _PLACES}
+
+
 def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> PlainFigure:
     """Ramachandran plots of the start and of every end.
 

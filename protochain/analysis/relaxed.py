@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from protochain.analysis.colourings import colourings
-from protochain.analysis.plots import plot_displacement
+from protochain.analysis.differences import Differences, joined, of_ends, totals_of
+from protochain.analysis.plots import plot_differences
 from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
 from protochain.results.figures import data_url
@@ -29,7 +30,8 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         HTML file.
     """
     strength = relaxation.settings.strength
-    moved = relaxation.displacements.rename(columns={"displacement_angstrom": "relaxed"})
+    changes = of_ends(relaxation.ends())
+    figure = plot_differences({name: each.residues for name, each in changes.items()}, relaxation.start.name)
     write_page(
         path,
         "relaxed.html",
@@ -37,16 +39,18 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         rows=before_and_after(record),
         terms=energies_by_term({"end": record}),
         lost=told([record]),
-        figure=data_url(plot_displacement(moved, relaxation.start.name)),
+        changes=totals_of(changes),
+        bonds_changed=joined(changes, "bonds"),
+        figure=data_url(figure),
         command=shlex.join(sys.argv),
         name=strength.name,
         source=strength.source,
         pockets=pockets(relaxation.start, relaxation.start.positions, relaxation.x),
-        **coloured(relaxation),
+        **coloured(relaxation, changes),
     )
 
 
-def coloured(relaxation: Relaxation) -> dict[str, Any]:
+def coloured(relaxation: Relaxation, changes: Mapping[str, Differences] = {}) -> dict[str, Any]:
     """Variables of the viewer's template, by displacement at first."""
     ends = relaxation.ends()
-    return scene(ends, colourings(ends, relaxation.energy_function), DISPLACEMENT)
+    return scene(ends, colourings(ends, relaxation.energy_function, changes), DISPLACEMENT)

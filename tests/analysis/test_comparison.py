@@ -43,18 +43,30 @@ def test_every_method_is_judged_from_one_start(comparison):
 def test_the_folder_holds_what_the_interface_promises(folder):
     names = {path.name for path in folder.iterdir()}
     structures = {f"1l2y.{m}.pdb" for m in ("start", *defaults.COMPARED)}
-    tables = {
-        f"{stem}.csv"
-        for stem in ("summary", "traces", "quality", "displacement", "equal_cost", "work", "spread")
-    }
-    tables |= {"summary.json", "report.html"}
-    pictures = {
-        f"{stem}.png"
-        for stem in ("energy", "work_precision", "torque", "rmsd", "displacement", "ramachandran")
-    }
+    stems = ("summary", "traces", "quality", "displacement", "equal_cost", "work", "spread", "differences",
+             "residue_differences", "bonds_changed")  # fmt: skip
+    tables = {*(f"{stem}.csv" for stem in stems), "summary.json", "report.html"}
+    stems = ("energy", "work_precision", "torque", "rmsd", "displacement", "differences", "ramachandran")
+    pictures = {f"{stem}.png" for stem in stems}
     assert names == structures | tables | pictures
     for name in pictures:
         assert (folder / name).read_bytes().startswith(b"\x89PNG") and (folder / name).stat().st_size > 20_000
+
+
+def test_what_changed_is_in_the_folder_and_on_the_page(folder, comparison):
+    totals = pd.read_csv(folder / "differences.csv").set_index("method")
+    residues = pd.read_csv(folder / "residue_differences.csv", dtype={"residue": str})
+    bonds = pd.read_csv(folder / "bonds_changed.csv")
+    page = (folder / "report.html").read_text()
+    assert "What changed" in page
+    for s in comparison.solutions:
+        found = pc.differences(comparison.structure, s)
+        own = totals.loc[s.method].dropna()
+        assert own.to_dict() == pytest.approx(dict(found.totals))
+        moved = residues.loc[residues["method"] == s.method, "ca_moved_angstrom"]
+        assert moved.to_numpy() == pytest.approx(found.residues["ca_moved_angstrom"].to_numpy())
+        assert (bonds["method"] == s.method).sum() == len(found.bonds)
+        assert f"<td>{found.totals['ca_rmsd_angstrom']:.3f}</td>" in page
 
 
 def test_csv_json_and_page_hold_the_same_numbers(folder, comparison):

@@ -4,9 +4,12 @@ import mdtraj
 import numpy as np
 import pytest
 from fixtures.samples import STRUCTURES, load
+from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.analysis.differences import TORSIONS
+from protochain.analysis.differences import TORSIONS, joined, of_ends, totals_of
+from protochain.analysis.domains import rigid_domains
+from protochain.analysis.plots import plot_differences
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +84,62 @@ def test_secondary_structure_is_dssps_and_its_parts_are_superposed_by_themselves
     assert named.tolist() == codes.tolist()
     assert found.totals["ca_rmsd_angstrom_helix"] < found.totals["ca_rmsd_angstrom"]
     assert found.totals["ca_rmsd_angstrom_A"] == pytest.approx(found.totals["ca_rmsd_angstrom"], rel=1e-12)
+
+
+def test_parts_on_either_side_of_a_hinge_are_rigid_domains_and_turn_as_it_does():
+    """One bond of a chain turns: two rigid bodies, whose motions differ by its angle."""
+    s = load("1hel.pdb")
+    found = pc.differences(s, turned(s, "psi", "70", 80.0))
+    domain = found.residues["domain"].to_numpy()
+    (first,), (second,) = np.unique(domain[:65]), np.unique(domain[75:])
+    assert {first, second} == {1, 2} and (np.diff(domain) != 0).sum() == 1
+    assert found.totals["rigid_domains"] == 2
+    assert found.totals["turn_degrees_domain_2"] == pytest.approx(80.0, abs=1e-3)
+    # Of C-alphas near the axis, some that belong to the other side lie within the tolerance.
+    assert max(found.totals[f"ca_rmsd_angstrom_domain_{k}"] for k in (1, 2)) < 0.3
+    assert found.totals["ca_rmsd_angstrom"] > 5.0
+
+
+def test_adenylate_kinases_domains_are_those_of_its_crystals():
+    """Core, and the lids over AMP and ATP: 30 to 59 and 122 to 159, Mueller, Structure 4:147 (1996)."""
+    table = pc.differences(load("4ake.pdb.gz"), load("1ake.pdb.gz"))
+    domain = dict(zip(table.residues["residue"].astype(int), table.residues["domain"], strict=True))
+    assert table.totals["rigid_domains"] == 3
+    for k, places, share in ((1, [*range(1, 30), *range(85, 117), *range(180, 214)], 0.9),
+                             (2, range(122, 160), 1.0), (3, range(32, 60), 0.7)):  # fmt: skip
+        assert np.mean([domain[place] == k for place in places]) >= share
+    assert 40.0 < table.totals["turn_degrees_domain_2"] < 65.0
+
+
+def test_points_that_moved_each_for_itself_are_no_domain_and_few_are_none():
+    rng = np.random.default_rng(1)
+    x = 3.0 * rng.normal(size=(60, 3))
+    assert rigid_domains(x, 3.0 * rng.normal(size=(60, 3))) == []
+    assert rigid_domains(x[:19], x[:19]) == [] and rigid_domains(x[:0], x[:0]) == []
+    turn = Rotation.from_euler("z", 50, degrees=True).as_matrix()
+    x[35:] += 10.0
+    whole, other = rigid_domains(x, np.concatenate([x[:35] + 1.0, x[35:] @ turn.T]))
+    assert whole.members.tolist() == [*range(35)] and other.members.tolist() == [*range(35, 60)]
+    assert other.turn == pytest.approx(50.0) and max(whole.rmsd, other.rmsd) < 1e-12
+
+
+def test_totals_in_words_and_tables_of_several_ends(ubiquitin):
+    ends = {"start": ubiquitin, "a": turned(ubiquitin, "chi1", "7", 120.0), "b": ubiquitin}
+    found = of_ends(ends)
+    totals = totals_of(found).set_index("quantity")
+    assert totals.loc["rotamers changed"].tolist() == [1, 0]
+    assert {"contacts kept", "C-alpha RMSD of chain A, angstrom", "C-alpha RMSD of helix, angstrom",
+            "C-alpha RMSD of domain 1, angstrom", "rigid domains"} <= {*totals.index}  # fmt: skip
+    assert joined(found, "residues")["method"].tolist() == ["a"] * 76 + ["b"] * 76
+    figure = plot_differences({name: each.residues for name, each in found.items()}, "two")
+    top, bottom = figure.axes
+    assert [line.get_label() for line in top.lines] == ["a", "b"] and len(bottom.lines) == 2
+    assert top.get_xticklabels()[0].get_text() == "A:1"
+
+
+def test_of_nucleotides_alone_nothing_is_told():
+    s = load("1bna.pdb")
+    assert of_ends({"start": s, "end": s}) == {}
 
 
 def test_a_salt_bridge_that_was_broken_is_lost(ubiquitin):

@@ -293,16 +293,23 @@ def test_measures_that_are_nothing_before_and_after_are_left_out():
     ]
 
 
-def test_the_plot_of_displacements_names_its_line_in_words(monkeypatch, tmp_path):
+def test_the_page_tells_what_changed_in_a_table_and_a_figure(monkeypatch, tmp_path):
     figures = []
     monkeypatch.setattr(
         "protochain.analysis.relaxed.data_url", lambda figure: figures.append(figure) or "data:,"
     )
     r = pc.relax(load("ala10.pdb"), threads=1, solvent="vacuum")
     write_relaxed(r, r.record(), tmp_path / "page.html")
-    ((panel,),) = (figure.axes for figure in figures)
-    assert [text.get_text() for text in panel.get_legend().get_texts()] == ["relaxed"]
-    assert panel.lines[0].get_ydata() == pytest.approx(r.displacements["displacement_angstrom"])
+    ((top, bottom),) = (figure.axes for figure in figures)
+    told = [text.get_text() for text in top.get_legend().get_texts()]
+    assert told == ["phi, psi, largest", "side chain, largest"]
+    assert bottom.lines[0].get_ydata() == pytest.approx(r.displacements["displacement_angstrom"])
+    page = (tmp_path / "page.html").read_text()
+    found = pc.differences(r.start, r)
+    assert f"<td>{found.totals['ca_rmsd_angstrom']:.3f}</td>" in page and np.isnan(
+        found.totals["contacts_kept"]
+    )
+    assert "C-alpha RMSD of chain A, angstrom" in page and "rigid domains" in page
 
 
 def test_a_motion_of_the_whole_changes_nothing_on_the_page():

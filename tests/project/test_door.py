@@ -417,7 +417,7 @@ def test_figures_are_drawn_where_the_caller_says():
     k = pc.compare(C(), ("lbfgs", "cartesian"), vacuum(), max_evaluations=30)
     panels = {
         "energy": (1, 2), "torque": (1, 2), "rmsd": (1, 2), "displacement": (1,), "ramachandran": (3,),
-        "work_precision": (4,),
+        "work_precision": (4,), "differences": (1, 2),
     }  # fmt: skip
     for name, counts in panels.items():
         plot = getattr(k, f"plot_{name}")
