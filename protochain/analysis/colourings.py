@@ -23,12 +23,12 @@ def colourings(
 
     Of a callable, and of a System that the native engine cannot compute, there are none of the energy.
     """
-    start_name, start = next(iter(ends.items()))
+    start = next(iter(ends.values()))
     native = native_of(energy)
     found = list[Colouring]()
     if native is not None:
         shares = {name: decomposed(each, native, each.positions).shares for name, each in ends.items()}
-        found += of_energies(shares, start_name)
+        found += of_energies(shares)
     if changes:
         turned = {name: _of_residues(start, each, "torsions_degrees") for name, each in changes.items()}
         found.append(Colouring("change of torsions, degrees", turned))
@@ -37,13 +37,15 @@ def colourings(
     return found
 
 
-def of_energies(shares: Mapping[str, Floats], start_name: str = "") -> Iterator[Colouring]:
-    """Total and terms of energies by residue, (terms, nr) each, and how the total changed from a start."""
+def of_energies(shares: Mapping[str, Floats]) -> Iterator[Colouring]:
+    """Total and terms of energies by residue, (terms, nr) each, and how the total changed from the first."""
     totals = {name: each.sum(axis=0) for name, each in shares.items()}
     yield Colouring("energy, kJ/mol", totals, is_signed=True)
-    others = {name: total - totals[start_name] for name, total in totals.items() if name != start_name}
-    if start_name and others:
-        yield Colouring("change of energy, kJ/mol", others, is_signed=True)
+    (_, start), *others = totals.items()
+    if others:
+        yield Colouring(
+            "change of energy, kJ/mol", {name: total - start for name, total in others}, is_signed=True
+        )
     for k, term in enumerate(TERMS):
         of_term = {name: each[k] for name, each in shares.items()}
         if any(each.any() for each in of_term.values()):

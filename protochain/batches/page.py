@@ -1,7 +1,8 @@
 """Page of one structure: results, energy curves, repairs. Small, as there may be thousands."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,14 +12,24 @@ from protochain.minimisers.record import SHOWN
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.results.page import write_page as fill
 from protochain.results.tables import energies_by_term
+from protochain.structure import Structure
 from protochain.structure.losses import told
 from protochain.structure.repairs import Repair
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 WIDTH, HEIGHT = 640, 240
 """Size of the drawing, in units of the SVG."""
 
 
-def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[Repair]) -> None:
+def write_page(
+    folder: Path,
+    job: Job,
+    rows: Sequence[Row],
+    repairs: Sequence[Repair],
+    ends: Mapping[str, tuple[Structure, Structure | None]],
+) -> None:
     """Write ``pages/NAME.html``.
 
     Parameters
@@ -31,6 +42,8 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[Re
         One a method.
     repairs : sequence of Repair
         Changes made to prepare it.
+    ends : mapping of str to Structure and Structure or None
+        Start and end of each method; no end where there is no result.
     """
     minimised = SHOWN if {*job.settings.methods} != {RELAX} else ()
     of_relaxed = SHOWN_RELAXED if RELAX in job.settings.methods else ()
@@ -43,12 +56,24 @@ def write_page(folder: Path, job: Job, rows: Sequence[Row], repairs: Sequence[Re
         shown={column.key: column for column in (*of_relaxed, *minimised)}.values(),
         records=[row.record for row in rows],
         repairs=repairs,
+        changes=_changes(ends),
         terms=energies_by_term({row.record["method"]: row.record for row in rows}),
         lost=told(row.record for row in rows),
         curves=curves(rows),
         width=WIDTH,
         height=HEIGHT,
     )
+
+
+def _changes(ends: Mapping[str, tuple[Structure, Structure | None]]) -> "pd.DataFrame":
+    """Totals of what each method changed, a column each."""
+    from protochain.analysis.differences import of_ends, totals_of
+
+    found = {
+        method: of_ends({"start": start, method: end})
+        for method, (start, end) in ends.items() if end is not None
+    }  # fmt: skip
+    return totals_of({method: its[method] for method, its in found.items() if its})
 
 
 def curves(rows: Sequence[Row]) -> dict[str, object]:

@@ -47,12 +47,14 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
     """
     began = perf_counter()
     done: list[Row] = []
+    ends: dict[str, tuple[Structure, Structure | None]] = {}
     try:
-        for row, structure in _solve(job, folder, threads):
+        for row, structure, end in _solve(job, folder, threads):
             done.append(row)
             repairs = structure.repairs
+            ends[row.record["method"]] = structure, end
             yield row
-        write_page(folder, job, done, repairs)
+        write_page(folder, job, done, repairs, ends)
     except WriteError as error:  # With space it may be done: not what is wrong with this structure.
         yield from _rest(job, done, "killed", str(error), perf_counter() - began)
     except ProtochainError as error:
@@ -73,7 +75,8 @@ def _rest(job: Job, done: list[Row], status: str, message: str, seconds: float) 
             yield failure(job, method, status, message, seconds)
 
 
-def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure"]]:
+def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:
+    """Row, start and end, if it is usable, of each method."""
     from protochain.results.columns import flat
     from protochain.structure import ca_rmsd
     from protochain.structure.write import common_suffix
@@ -109,7 +112,7 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
             reference = structure, result.x
         elif reference and reference[0] is structure:
             record["ca_rmsd_to_openmm_angstrom"] = ca_rmsd(structure, result.x, reference[1])
-        yield Row(record, thinned(trace)), structure
+        yield Row(record, thinned(trace)), structure, result.structure if result.is_usable else None
 
 
 def _prepared(path: Path, setup: Setup) -> tuple["Structure", "Energy"]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.cli.options import AsJson, Input, check_outputs, inputs_of, with_settings
+from protochain.cli.options import AsJson, Input, check_outputs, check_page, inputs_of, with_settings
 from protochain.core.errors import ProtochainError
 from protochain.setup import Setup
 
@@ -26,6 +26,9 @@ def energy(
         typer.Option(metavar="A:1-50,B", help="Interaction of two parts: chains, residues, or selections."),
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Page to write, residues coloured by any term; FILE.html.")
+    ] = None,
     as_json: AsJson = False,
     *,
     setup: Setup,
@@ -37,23 +40,30 @@ def energy(
     from protochain.core.storage import write_atomically
     from protochain.energies.decomposed import energy_terms
 
-    if output:
-        check_outputs(inputs_of(setup, source), [output])
+    check_page(report)
+    check_outputs(inputs_of(setup, source), [path for path in (output, report) if path])
     structure = setup.load(source)
+    energy = setup.energy(structure)
     try:
-        table = energy_terms(structure, by, between=between, energy=setup.energy(structure))
+        table = energy_terms(structure, by, between=between, energy=energy)
     except ProtochainError as error:
         raise ProtochainError(f"{source}: ", *error.parts) from error
     if by == "term":
         table = table.rename_axis("of").reset_index()
     if output:
         write_atomically(output, lambda to: table.to_csv(to, index=False))
+    if report:
+        from protochain.analysis.energy_page import write_energies
+
+        write_energies(structure, energy, report, between)
     if as_json:
         asked = {"input": str(source), "by": by, "between": between, "unit": "kJ/mol"}
         rows = json.loads(table.to_json(orient="records", double_precision=15))
         print(json.dumps(asked | {"solvent": setup.solvent, "forcefield": setup.forcefield, "rows": rows}))
     else:
         _print(table, by)
+        if report:
+            print(f"written: {report}")
 
 
 def _print(table: "DataFrame", by: str) -> None:

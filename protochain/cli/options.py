@@ -245,10 +245,15 @@ def check_names(output: Path, report: Path | None, ligands: Path | None, as_json
         check_format(output)
     elif as_json:
         raise ProtochainError("output -: structure and --json both go to standard output; give a file")
-    if report and report.suffix.lower() != ".html":
-        raise ProtochainError(f"{report}: give a name that ends in .html")
+    check_page(report)
     if ligands:
         check_ligand_file(ligands)
+
+
+def check_page(report: Path | None) -> None:
+    """Refuse a name of a page that tells another format."""
+    if report and report.suffix.lower() != ".html":
+        raise ProtochainError(f"{report}: give a name that ends in .html")
 
 
 def write_models(

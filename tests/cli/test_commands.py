@@ -87,7 +87,7 @@ COMMANDS = {
         "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "terms")},
     },
     "energy": {
-        "source": None, "by": "term", "between": None, **OUTPUT, **AS_JSON,
+        "source": None, "by": "term", "between": None, **OUTPUT, "report": None, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
     },
     "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
@@ -473,7 +473,7 @@ WRITTEN = {
         "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),
         "changes": ("--changes {0}", "a.csv"),
     },
-    "energy": {"output": ("-o {0}", "a.csv")},
+    "energy": {"output": ("-o {0}", "a.csv"), "report": ("--report {0}", "a.html")},
     "rmsd": {"output": ("-o {0}", "a.csv")},
     "build": {"output": ("-o {0}", "a.pdb")},
     "bench": {"output": ("-o d", "d/a.pdb")},

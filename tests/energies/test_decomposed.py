@@ -1,10 +1,12 @@
 """Energy by term, residue and pair, against OpenMM's Reference platform and sums over atoms one by one."""
 
 import copy
+import json
 
 import numpy as np
 import openmm
 import pytest
+from fixtures.command_line import run
 from fixtures.samples import STRUCTURES, chain, load
 from openmm import unit
 
@@ -139,6 +141,23 @@ def test_atoms_bonded_in_the_middle_have_angles_and_impropers():
     flat = table[table["impropers"] != 0.0]["name"]
     assert {"TRP", "TYR"} <= {*flat}
     assert (table[["generalised_born", "surface", "ties"]] == 0.0).all(axis=None)
+
+
+def test_the_page_of_an_energy_has_its_terms_and_colours(tmp_path, capsys):
+    page = tmp_path / "page.html"
+    assert run("energy", STRUCTURES / "3i40.pdb", "--between", "A,B", "--report", page) == 0
+    assert f"written: {page}" in capsys.readouterr().out
+    s = load("3i40.pdb")
+    table = pc.energy_terms(s, between="A,B")
+    text = page.read_text()
+    for kind in ("interaction", "desolvation", "sum"):
+        assert f"<td>{table.loc[kind, 'total']:.3f}</td>" in text
+    told = json.loads(text.split('id="colourings">')[1].split("</script>")[0])
+    shares = pc.energy_terms(s, "residue", between="A,B")
+    of = {each["name"]: each["values"][0] for each in told["of"]}
+    assert of["energy, kJ/mol"] == pytest.approx(shares["total"].tolist(), rel=1e-3)
+    assert of["Coulomb, kJ/mol"] == pytest.approx(shares["coulomb"].tolist(), rel=1e-3)
+    assert told["residues"][:2] == ["A:1", "A:2"] and "change of energy, kJ/mol" not in of
 
 
 @pytest.mark.parametrize(

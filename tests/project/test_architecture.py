@@ -34,7 +34,7 @@ MAY_IMPORT = {
     # What sees both.
     "analysis": {"core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "results", "lab"},
     "scenes": {"core", "mechanics", "mechanisms", "lab", "results", "analysis"},
-    "batches": {"core", *CHAIN, "validation", "minimisers", "relaxation", "results"},
+    "batches": {"core", *CHAIN, "validation", "minimisers", "relaxation", "results", "analysis"},
     "cli": {
         "core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "results", "lab", "analysis",
         "batches", "scenes",
