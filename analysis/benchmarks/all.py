@@ -119,6 +119,7 @@ JOBS = (
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
     Job("large", f"{HERE}/large.py -o DIR", 10),
     Job("threads", f"{HERE}/threads.py -o DIR", 1),
+    Job("terms", f"{HERE}/terms.py -o DIR", 1, threads=1),
     Job("search", f"{HERE}/search.py -o DIR", 1),
     Job("mechanisms", f"{HERE}/mechanisms.py -o DIR", 8),
     Job("loops", f"{HERE}/loops.py -o DIR", 2),

@@ -30,6 +30,14 @@ table_of_rows(
     ("one thread ms", "{one_thread_ms:.2f}"), ("two ms", "{two_threads_ms:.2f}"),
     ("two over one", "{ratio:.2f}"),
 )  # fmt: skip
+table_of_rows(
+    "terms", "terms.csv",
+    ("structure", "{structure}"), ("atoms", "{atoms}"), ("force field", "{forcefield}"),
+    ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("one evaluation ms", "{evaluation_ms:.2f}"),
+    ("terms and residues, evaluations", "{shares_evaluations:.2f}"),
+    ("pairs of residues, evaluations", "{pairs_evaluations:.2f}"),
+    ("sum off by", "{deviation:.0e}"),
+)  # fmt: skip
 
 
 def _left_out(row: pd.Series) -> str:
