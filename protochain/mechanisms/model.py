@@ -34,6 +34,7 @@ from protochain.mechanisms.dissipated import WithDampers
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Conservative, Gravity, Memory, Sum, damping, joined
 from protochain.mechanisms.event import Event, Happened
+from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
 from protochain.mechanisms.reactions import motion, reactions
 
 if TYPE_CHECKING:
@@ -110,6 +111,11 @@ class Model:
         """The mechanism as integrators see it."""
         loads = tuple(each.load for each in self.loads)
         potential, joints = Sum(self.tree, self.conservative), self.bodies.joints
+        acts = Acts.of(self.conservative) if not loads and self.tree.is_plain else None
+        if acts is not None:
+            if joints is None:
+                return CompiledSystem(self.tree, potential, acts=acts)
+            return CompiledLoops(self.tree, potential, joints=joints, acts=acts)
         if joints is None:
             return System(self.tree, potential, loads=loads, drive=self.drive)
         return ClosedEquations(self.tree, potential, loads=loads, drive=self.drive, joints=joints)
