@@ -50,6 +50,8 @@ _LOOK = 256
 """Rows from one look at the balance of energy to the next."""
 _MOST_ROWS = 1e7
 """Rows of a run: of each some hundred bytes at least, and thousands with many bodies."""
+_MOST_STEPS = 1e10
+"""Steps of a run: of ten microseconds at least, so that these take a day."""
 _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
 
@@ -220,7 +222,13 @@ class Model:
         if self.drive is not None:
             for when in (start.time + 0.37 * time_step, start.time + 0.61 * (until - start.time)):
                 check_drive(self.bodies, self.drive, when, 1e-4 * time_step)
-        rows = (until - start.time) / (time_step * every)
+        steps = (until - start.time) / time_step
+        if steps > _MOST_STEPS:
+            raise MechanicsError(
+                f"{steps:.1g} steps take {steps / _MOST_STEPS:.0f} days at least: give a longer time_step, "
+                "or an earlier until"
+            )
+        rows = steps / every
         if rows > _MOST_ROWS:
             raise MechanicsError(
                 f"{rows:.1g} rows do not fit in memory: give every from {rows * every / _MOST_ROWS:.0f}, or "

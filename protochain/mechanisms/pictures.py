@@ -33,6 +33,8 @@ _FINE = 1e-4
 """To what places are rounded, by the size of the picture."""
 _MOST = 40_000
 """Poses of bodies in a page: two megabytes."""
+_POSES = 30
+"""In a strip."""
 _FLAT = 0.2
 """A mechanism is seen along the axis in which it is thinner than this, by its next extent."""
 _ASLANT = (2.0, -3.0, 1.5)
@@ -100,6 +102,8 @@ def strip(
     slack = 1e-9 * (last - first)
     if when.ndim != 1 or not len(when) or not np.all((when >= first - slack) & (when <= last + slack)):
         raise MechanicsError(f"times {shown(times)}: give those of the run, from {first:g} to {last:g}")
+    if len(when) > _POSES:
+        raise MechanicsError(f"{len(when)} poses do not fit beside each other: give {_POSES} times at most")
     of = drawing(run, _rows(run, when), shapes)
     across = _across(of, along)
     flat = np.array(np.meshgrid(*np.stack([of.low, of.high], axis=1))).reshape(3, -1).T @ across.T

@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
-from protochain.core.checks import shown
+from protochain.core.checks import number, shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms.boxes import check_boxes
 from protochain.mechanisms.pile_contact import DAMPED, RUBBED, SLEPT, STORED, WORK
@@ -42,7 +42,7 @@ class Law:
         if self.by not in ("points", "volume"):
             raise MechanicsError(f"by {shown(self.by)}: give points or volume")
         for name in ("stiffness", "friction", "damping", "tangential"):
-            value = getattr(self, name)
+            value = number(getattr(self, name), name)
             least = "positive" if name in ("stiffness", "tangential") else "not negative"
             if not (0.0 <= value < np.inf) or (value == 0.0 and least == "positive"):
                 raise MechanicsError(f"{name} {value:g} of contacts must be {least} and finite")

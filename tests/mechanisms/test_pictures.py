@@ -160,6 +160,8 @@ def test_a_motion_of_one_row_or_without_size_is_drawn():
         (lambda run: run.strip(9.0), "times 9.0: give those of the run, from 0 to 1"),
         (lambda run: run.strip([np.nan]), r"times \[nan\]: give those of the run"),
         (lambda run: run.strip([]), r"times \[\]: give those of the run"),
+        (lambda run: run.strip(np.linspace(0, 1, 31)), "31 poses .* give 30 times at most"),
+        (lambda run: run.model.state().point("crank", (0, 0)), r"the point \(0, 0\) of .crank.: give three"),
         (lambda run: run.strip("now"), "times 'now': give those of the run"),
         (lambda run: run.strip(along=(0, 0, 0)), "along has length zero"),
         (lambda run: Rod("crank", (0, 0, 0), (0, 0, 1), -1.0), "the radius -1 of a rod"),
