@@ -27,15 +27,16 @@ class Law:
     tangential : float
         Stiffness against sliding, relative to ``stiffness``.
     by : {"points", "volume"}
-        What of two boxes presses: points along an axis that the contact keeps, or the volume of their overlap,
-        whose forces are the gradient of an energy (:mod:`protochain.mechanisms.box_volume`).
+        What of two boxes presses: points along an axis that the contact keeps, or the volume of their
+        overlap, whose forces are the gradient of an energy (:mod:`protochain.mechanisms.box_volume`).
 
     Notes
     -----
-    Take points for heaps, whose contacts are damped: they are quick, and stiff at edges and corners, but have
-    no energy when the axis changes, so that an impact without loss may change its own by a quarter. Take the
-    volume for few bodies, slow or undamped, whose energy matters: it is kept to 0.1 % at the longest step, for
-    twice the seconds of an impact, and seven times those of a heap, where edges and corners sink in deeper.
+    Take points for heaps, whose contacts are damped: they are quick, and stiff at edges and corners, but
+    have no energy when the axis changes, so that an impact without loss may change its own by a quarter.
+    Take the volume for few bodies, slow or undamped, whose energy matters: it is kept to 0.1 % at the
+    longest step, for twice the seconds of an impact, and seven times those of a heap, where edges and
+    corners sink in deeper.
     """
 
     stiffness: float
