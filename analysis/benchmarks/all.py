@@ -123,6 +123,7 @@ JOBS = (
     Job("search", f"{HERE}/search.py -o DIR", 1),
     Job("mechanisms", f"{HERE}/mechanisms.py -o DIR", 8),
     Job("loops", f"{HERE}/loops.py -o DIR", 2),
+    Job("guide", f"{HERE}/guide.py -o DIR", 1),
     Job("startup", f"{HERE}/startup.py -o DIR", 4),
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
     Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),

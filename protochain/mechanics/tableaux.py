@@ -1,6 +1,9 @@
 """Butcher tableaux of explicit Runge-Kutta methods."""
 
 from dataclasses import dataclass
+from functools import cached_property
+
+from protochain.core.arrays import Floats, read_only
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,11 @@ class Tableau:
     a: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]
     error: tuple[float, ...]
+
+    @cached_property
+    def arrays(self) -> tuple[Floats, Floats, Floats]:
+        """(s, s), (s,) and (s,) float: all of it."""
+        return read_only(self.a), read_only(self.b), read_only(self.error)
 
 
 CLASSICAL = Tableau(

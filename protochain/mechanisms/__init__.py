@@ -16,6 +16,7 @@ from protochain.mechanisms.contact import (
     lankarani_nikravesh,
     real_restitution,
 )  # fmt: skip
+from protochain.mechanisms.drawing import Block, Rod
 from protochain.mechanisms.elements import Acting, Conservative, CustomForce, Element, Memory, Named
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.linear import frequencies, state_matrix
@@ -23,6 +24,7 @@ from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Audit, Model, Run
 from protochain.mechanisms.modes import in_modes
+from protochain.mechanisms.pictures import Movie
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface
@@ -30,9 +32,9 @@ from protochain.mechanisms.springs import Spring
 from protochain.mechanisms.torsion import Torsion
 
 __all__ = [
-    "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Bodies", "BoxTree", "Bushing", "Closing",
+    "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Block", "Bodies", "BoxTree", "Bushing", "Closing",
     "Conservative", "Contact", "CustomForce", "Element", "Event", "Friction", "Happened", "HingeTorque",
-    "Law", "Mechanism", "Memory", "Model", "Named", "Plane", "Run", "Segments", "Spring", "State", "Surface",
-    "Torsion", "add_beam", "box_tree", "flores", "frequencies", "in_modes", "lankarani_nikravesh",
-    "overlapping", "real_restitution", "state_matrix", "touching",
+    "Law", "Mechanism", "Memory", "Model", "Movie", "Named", "Plane", "Rod", "Run", "Segments", "Spring",
+    "State", "Surface", "Torsion", "add_beam", "box_tree", "flores", "frequencies", "in_modes",
+    "lankarani_nikravesh", "overlapping", "real_restitution", "state_matrix", "touching",
 ]  # fmt: skip

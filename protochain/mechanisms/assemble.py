@@ -117,7 +117,7 @@ class Hinge(Named):
 
     def __post_init__(self) -> None:
         said = f"{self.said}: its"
-        if self.kind not in KINDS:
+        if not (isinstance(self.kind, str) and self.kind in KINDS):
             *kinds, last = KINDS
             raise MechanicsError(f"{said} kind {shown(self.kind)}: give {', '.join(kinds)} or {last}")
         for name in ("q", "qd", "pitch"):

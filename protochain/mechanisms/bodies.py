@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import qr
 
 from protochain.core.arrays import Floats
+from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree
@@ -185,11 +186,14 @@ class State:
         return float(self.qd[self.bodies.freedom(hinge)[1]])
 
     def _arm(self, body: str, at: ArrayLike) -> Floats:
-        return np.asarray(self.rotation(body) @ np.asarray(at, dtype=float))
+        arm = np.asarray(at, dtype=float)
+        if arm.shape != (3,):
+            raise MechanicsError(f'the point {shown(at)} of "{body}": give three numbers, as (0, 0, 1)')
+        return np.asarray(self.rotation(body) @ arm)
 
 
 def _of(numbers: Mapping[str, int], name: str, kind: str, asking: str) -> int:
-    if name in numbers:
+    if isinstance(name, str) and name in numbers:
         return numbers[name]
     known = ", ".join(f'"{each}"' for each in list(numbers)[:12]) or "none"
     raise MechanicsError(f'{_asked(asking)}there is no {kind} "{name}"; there are {known}')

@@ -68,7 +68,7 @@ class Closing(Between):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.kind not in _SLIDES:
+        if not (isinstance(self.kind, str) and self.kind in _SLIDES):
             *kinds, last = sorted(_SLIDES)
             raise MechanicsError(
                 f"{self.said}: its kind {shown(self.kind)}: give {', '.join(kinds)} or {last}"

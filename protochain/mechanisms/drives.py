@@ -35,6 +35,12 @@ class Driven(Named):
 
     motion: Callable[[float], tuple[float, float, float]]
 
+    def __post_init__(self) -> None:
+        if not callable(self.motion):
+            raise MechanicsError(
+                f"{self.said}: motion {shown(self.motion)}: give a function of time, as lambda t: (t, 1, 0)"
+            )
+
     def at(self, time: float) -> tuple[float, float, float]:
         """Coordinate, rate and acceleration at a time.
 

@@ -246,7 +246,7 @@ class Gravity:
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the weights."""
-        energy: float = _weigh(self.tree.bodies, frames.rotation, frames.origin, self.acceleration, wrenches)
+        energy: float = weigh(self.tree.bodies, frames.rotation, frames.origin, self.acceleration, wrenches)
         return energy
 
 
@@ -264,7 +264,8 @@ def damping(tree: Tree, parts: Sequence[Damping]) -> Load:
 
 
 @kernel
-def _weigh(bodies: Floats, rotation: Floats, origin: Floats, gravity: Floats, wrenches: Floats) -> float:
+def weigh(bodies: Floats, rotation: Floats, origin: Floats, gravity: Floats, wrenches: Floats) -> float:
+    """Add the weights; return their energy."""
     energy, g = 0.0, vector_at(gravity, 0)
     for b in range(len(bodies)):
         mass, first = bodies[b, MASS], turned(matrix(rotation, b), vector(bodies, b, FIRST_MOMENT))

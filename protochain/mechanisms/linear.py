@@ -3,6 +3,8 @@
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.checks import shown
+from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Phase
 from protochain.mechanisms.model import Model
@@ -28,6 +30,8 @@ def state_matrix(model: Model, at: Phase | None = None) -> Floats:
         For displacements and velocities along the k :attr:`Model.directions`: of all freedoms that are not
         driven, or of modes. A free root must be at rest.
     """
+    if not isinstance(model, Model):
+        raise MechanicsError(f"model {shown(model)}: give one, as build() makes it")
     system, tree = model.system, model.tree
     at = model.start() if at is None else at
     directions = model.directions

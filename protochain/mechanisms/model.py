@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -31,18 +32,26 @@ from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.dissipated import WithDampers
+from protochain.mechanisms.drawing import Shape
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Conservative, Gravity, Memory, Sum, damping, joined
 from protochain.mechanisms.event import Event, Happened
+from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
+from protochain.mechanisms.pictures import Movie, movie, strip
 from protochain.mechanisms.reactions import motion, reactions
 
 if TYPE_CHECKING:
     import pandas as pd
+    from numpy.typing import ArrayLike
+
+    from protochain.core.figure import Figure
 
 _LOOK = 256
 """Rows from one look at the balance of energy to the next."""
 _MOST_ROWS = 1e7
 """Rows of a run: of each some hundred bytes at least, and thousands with many bodies."""
+_MOST_STEPS = 1e10
+"""Steps of a run: of ten microseconds at least, so that these take a day."""
 _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
 
@@ -110,6 +119,11 @@ class Model:
         """The mechanism as integrators see it."""
         loads = tuple(each.load for each in self.loads)
         potential, joints = Sum(self.tree, self.conservative), self.bodies.joints
+        acts = Acts.of(self.conservative) if not loads and self.tree.is_plain else None
+        if acts is not None:
+            if joints is None:
+                return CompiledSystem(self.tree, potential, acts=acts)
+            return CompiledLoops(self.tree, potential, joints=joints, acts=acts)
         if joints is None:
             return System(self.tree, potential, loads=loads, drive=self.drive)
         return ClosedEquations(self.tree, potential, loads=loads, drive=self.drive, joints=joints)
@@ -208,7 +222,13 @@ class Model:
         if self.drive is not None:
             for when in (start.time + 0.37 * time_step, start.time + 0.61 * (until - start.time)):
                 check_drive(self.bodies, self.drive, when, 1e-4 * time_step)
-        rows = (until - start.time) / (time_step * every)
+        steps = (until - start.time) / time_step
+        if steps > _MOST_STEPS:
+            raise MechanicsError(
+                f"{steps:.1g} steps take {steps / _MOST_STEPS:.0f} days at least: give a longer time_step, "
+                "or an earlier until"
+            )
+        rows = steps / every
         if rows > _MOST_ROWS:
             raise MechanicsError(
                 f"{rows:.1g} rows do not fit in memory: give every from {rows * every / _MOST_ROWS:.0f}, or "
@@ -409,6 +429,68 @@ class Run:
             If there is no such hinge, or friction remembers what rows do not have.
         """
         return reactions(self, name)
+
+    def view(
+        self,
+        path: str | Path | None = None,
+        shapes: Sequence[Shape] | None = None,
+        title: str = "",
+        frames: int = 200,
+    ) -> Movie:
+        """Show the motion in three dimensions: in a notebook, and as a page that works offline.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            Where to write the page, as ``"motion.html"``.
+        shapes : sequence of Ball, Rod or Block, optional
+            What bodies look like; by default rods to where others are joined, the balls of contacts, and for
+            bodies without either blocks or balls with their moments of inertia.
+        title : str
+            Its heading.
+        frames : int
+            Most poses.
+
+        Returns
+        -------
+        Movie
+            Drag to turn it, scroll to zoom.
+
+        Raises
+        ------
+        MechanicsError
+            If a shape is none or its body not there.
+        """
+        return movie(self, path, shapes, title, frames)
+
+    def strip(
+        self,
+        times: "ArrayLike | None" = None,
+        shapes: Sequence[Shape] | None = None,
+        along: "ArrayLike | None" = None,
+    ) -> "Figure":
+        """Draw poses beside each other.
+
+        Parameters
+        ----------
+        times : (n,) array_like, optional
+            When; the rows next to these are drawn. By default five, from start to end.
+        shapes : sequence of Ball, Rod or Block, optional
+            As of :meth:`view`.
+        along : (3,) array_like, optional
+            Direction in which one looks; by default that in which the motion is flat, or aslant.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Shown by notebooks; ``savefig("strip.svg")`` writes it.
+
+        Raises
+        ------
+        MechanicsError
+            If a time is not of the run, a shape is none, or its body not there.
+        """
+        return strip(self, times, shapes, along)
 
     def audit(self) -> Audit:
         """Say how far energy less work, and momentum, are from constant.

@@ -12,8 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.checks import at_least, number, shown
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion.system import StepTooLargeError
+from protochain.mechanisms.box_volume import WHOLE
 from protochain.mechanisms.boxes import check_boxes
 from protochain.mechanisms.pile_contact import N_MEMORY
 from protochain.mechanisms.pile_kernels import (
@@ -84,7 +86,9 @@ class Pile(Value):
     sleep: Sleep | None = None
 
     def __post_init__(self) -> None:
-        n, p = len(self.edge), len(self.offset)
+        n, p = np.size(self.edge), np.size(self.offset)
+        if not isinstance(self.law, Law):
+            raise MechanicsError(f"law {shown(self.law)}: give one of pile_parts, as Law(1e5, 0.5)")
         for name, shape in (
             ("edge", (n,)), ("mass", (n,)), ("gravity", (3,)), ("normal", (p, 3)), ("offset", (p,)),
         ):  # fmt: skip
@@ -196,8 +200,11 @@ class Pile(Value):
         StepTooLargeError
             If the time step is longer than :attr:`longest_step`, or a cube moves by half of its edge.
         MechanicsError
-            If a contact is deeper than half an edge.
+            If a contact is deeper than half an edge, or an argument is none.
         """
+        if not isinstance(heap, Heap):
+            raise MechanicsError(f"heap {shown(heap)}: give one, as start() makes it")
+        steps, time_step = at_least(0)(steps, "steps"), number(time_step, "time_step")
         if not 0.0 < time_step <= self.longest_step * (1.0 + 1e-9):
             raise StepTooLargeError(
                 f"the time step {time_step:g} must be positive and at most {self.longest_step:.3g}, "
@@ -296,8 +303,9 @@ class Pile(Value):
         if why == TOO_DEEP:
             n = len(self.edge)
             what = f"plane {-1 - j}" if j < 0 else f"cube {j}" if j < n else f"plate {j - n}"
+            where = f"lies in {what}" if depth >= WHOLE else f"is {depth:.3g} deep in {what}"
             raise MechanicsError(
-                f"at time {time:g}: cube {i} is {depth:.3g} deep in {what}, more than half of its edge, so "
+                f"at time {time:g}: cube {i} {where}, more than half of its edge, so "
                 "that no side is its way out; take stiffer contacts, or start without overlap",
                 fault=Fault.OVERLAP,
             )

@@ -131,9 +131,7 @@ class Springs(Rows):
         MechanicsError
             If the ends of a spring meet that has a length at rest.
         """
-        energy: float = _pull(
-            frames.rotation, frames.origin, self.ends, self.points, self.constants, wrenches
-        )
+        energy: float = pull(frames.rotation, frames.origin, self.ends, self.points, self.constants, wrenches)
         if energy < 0.0:
             raise MechanicsError(
                 f'spring "{self.names[round(-energy) - 1]}": its ends meet, where its force has no '
@@ -171,7 +169,7 @@ def speed_of(twists: Floats, b: int, arm: Vector) -> Vector:
 
 
 @kernel
-def _pull(
+def pull(
     rotation: Floats, origin: Floats, ends: Integers, points: Floats, constants: Floats, wrenches: Floats
 ) -> float:
     """Add the forces; return the energy, or minus the number, from 1, of a spring without a direction."""

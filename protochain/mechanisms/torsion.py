@@ -83,7 +83,7 @@ class Torsions(Rows):
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the torques of the springs."""
-        energy: float = _wind(self.coordinates, self.freedoms, self.constants, q, torques)
+        energy: float = wind(self.coordinates, self.freedoms, self.constants, q, torques)
         return energy
 
     def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
@@ -92,7 +92,8 @@ class Torsions(Rows):
 
 
 @kernel
-def _wind(coordinates: Integers, freedoms: Integers, constants: Floats, q: Floats, torques: Floats) -> float:
+def wind(coordinates: Integers, freedoms: Integers, constants: Floats, q: Floats, torques: Floats) -> float:
+    """Add the torques of the springs; return their energy."""
     energy = 0.0
     for i in range(len(coordinates)):
         turn = q[coordinates[i]] - constants[i, REST]

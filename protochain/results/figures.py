@@ -11,20 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as PlainFigure
 
 from protochain.core.errors import ProtochainError
+from protochain.core.figure import Figure as Figure
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, dark colours first."""
 DASHES = ("-", "--", "-.", ":")
 _MARKERS = "osD^vPX*<>"
-
-
-class Figure(PlainFigure):
-    """Figure that notebooks show without pyplot, which would keep every figure in memory."""
-
-    def _repr_png_(self) -> bytes:
-        buffer = io.BytesIO()
-        self.savefig(buffer, format="png", dpi=100)
-        return buffer.getvalue()
 
 
 def plain(ax: Axes) -> None:

@@ -13,6 +13,7 @@ from scipy.linalg import eigh
 from scipy.special import jn_zeros
 
 from protochain.analysis.studies.precision import solvers as precise
+from protochain.analysis.studies.precision.extended import DIGITS, wide_mass
 from protochain.analysis.studies.stability.cells import Part, cases_of, run_case
 from protochain.analysis.studies.stability.solvers import ROUTES
 from protochain.core.arrays import Floats
@@ -26,6 +27,7 @@ from protochain.mechanics.multibody import (
     Tree,
     forward_dynamics,
     inverse_dynamics,
+    log_det_mass,
     mass_matrix,
     pose,
     pull_back,
@@ -69,15 +71,20 @@ def run(quick: bool = False) -> Scene:
     """Run the scene; quick: short chains only: some seconds."""
     points = pd.DataFrame([vars(point) for point in precise.measure(quick)])
     sizes = [n for n in (10, 100, 1000, 10_000, MOST_BODIES) if n <= 1000 or not quick]
-    lengths = _lengths(sizes)
+    lengths, determinants = _lengths(sizes), _determinants((10, 30) if quick else (10, 30, 100, 300))
     return Scene(
-        "serial", "serial chains of revolute hinges: x = M^-1 tau", tuple(_checks(10 if quick else 20)),
-        _work(points), tuple(_extremes(quick)), tuple(_left_out(100 if quick else 1000)),
-        {"points": points, "lengths": lengths, "exponents": _exponents(lengths)}, "relative error of x",
+        "serial", "serial chains of revolute hinges: x = M^-1 tau",
+        tuple(_checks(10 if quick else 20, determinants)), _work(points), tuple(_extremes(quick)),
+        tuple(_left_out(100 if quick else 1000)),
+        {
+            "points": points, "lengths": lengths, "exponents": _exponents(lengths),
+            "determinants": determinants,
+        },
+        "relative error of x",
     )  # fmt: skip
 
 
-def _checks(n: int) -> Iterator[Check]:
+def _checks(n: int, determinants: pd.DataFrame) -> Iterator[Check]:
     two = rods(2, 2.0, 2.0)
     frames = pose(two, np.zeros(2))
     first, second = solve_mass(two, frames, weight(two, frames)[1])
@@ -95,6 +102,10 @@ def _checks(n: int) -> Iterator[Check]:
         yield check(f"frequency {k + 1} for n to infinity, rad/s", value, exact[k], factor / n**4, source)
     yield _energy(n)
     yield _round_trip(10 * n)
+    last = determinants.iloc[-1]
+    for route in ("articulated", "Fixman"):
+        name = f"ln det M of {last['bodies']:.0f} random bodies, {route}: error"
+        yield vanishes(name, last[route], 1e-11, f"dense M in extended precision ({DIGITS})")
 
 
 def _frequencies(n: int) -> Floats:
@@ -134,6 +145,21 @@ def _round_trip(n: int) -> Check:
     error = float(np.linalg.norm(back - tau)) / (bias + float(np.linalg.norm(tau)))
     name = f"torques to accelerations and back, {n} random bodies"
     return vanishes(name, error, 1e-12, "Newton-Euler")
+
+
+def _determinants(sizes: tuple[int, ...]) -> pd.DataFrame:
+    """Logarithm of det M by dense M in extended precision; errors of three routes in double."""
+    rows = []
+    for n in sizes:
+        tree, frames, _ = precise.posed(n, HingeKind.REVOLUTE)
+        exact = wide_mass(tree, frames).log_det
+        found = {
+            "articulated": log_det_mass(tree, frames), "Fixman": log_det_mass(tree, frames, "fixman"),
+            "dense Cholesky": np.linalg.slogdet(mass_matrix(tree, frames))[1],
+        }  # fmt: skip
+        errors = {route: float(value - exact) for route, value in found.items()}
+        rows.append({"bodies": n, "ln_det": float(exact), **errors})
+    return pd.DataFrame(rows)
 
 
 def _work(points: pd.DataFrame) -> pd.DataFrame:

@@ -10,7 +10,7 @@ from fixtures.tolerances import ROUND_OFF
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.dynamics import closure_of
 from protochain.mechanics.motion import DormandPrince, Event, System, march
 from protochain.mechanics.multibody import (
@@ -592,6 +592,23 @@ def test_what_cannot_be_met_is_refused_by_name():
         impact(factors, np.array([-1.0, 0.0]), [slope], "newton")
     for law in ("poisson", "stronge"):
         assert np.allclose(impact(factors, np.array([-1.0, 0.0]), [slope], law).qd, 0.0, atol=EXACT)
+
+
+def test_misuse_is_refused_in_one_line():
+    factors, point = sliders(2), in_a_row(2, 0.5)[0]
+    for call, words in (
+        (lambda: impact(factors, "fast", [point]), "qd: give an array of numbers"),
+        (lambda: impact(factors, [np.nan, 0.0], [point]), "velocities before an impact are not finite"),
+        (lambda: impact(factors, np.zeros(2), point), "points: give a list of them"),
+        (lambda: impact(factors, np.zeros(2), [point], law=["newton"]), "law .* is not known"),
+        (
+            lambda: ContactPoint("p", ("world", "a"), np.zeros(3), UP),
+            "contact 'p': bodies .*: give two numbers",
+        ),
+    ):
+        with pytest.raises(ProtochainError, match=words) as refused:
+            call()
+        assert len(str(refused.value).splitlines()) == 1
 
 
 def test_wrong_arguments_are_refused_in_one_line():

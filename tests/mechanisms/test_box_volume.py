@@ -123,6 +123,8 @@ def test_boxes_that_touch_do_not_press_and_one_within_another_has_no_way_out():
         assert box_in_box(*one, *box([x, 0, 0], np.eye(3), half), *SPACE)[0] == 0
     turned = Rotation.from_euler("xyz", [0.3, 0.2, 0.1]).as_matrix()
     assert box_in_box(*box([0.01, 0, 0], turned, 0.1 * half), *one, *SPACE)[1] == WHOLE
+    with pytest.raises(MechanicsError, match="cube 0 lies in cube 1, more than half"):
+        Pile([EDGE, EDGE], [MASS, MASS], Law(1e6, 0.0, by="volume"), np.zeros(3)).start(np.zeros((2, 3)))
 
 
 def impacts(law, speed, fraction, number=200, seed=0):

@@ -20,7 +20,7 @@ from protochain.mechanics.motion import (
     RungeKutta4,
     StepTooLargeError,
 )  # fmt: skip
-from protochain.mechanisms import Ball, Law, Mechanism, Plane
+from protochain.mechanisms import Ball, Law, Mechanism, Plane, frequencies
 
 ORIGIN = (0, 0, 0)
 BALL, LAW = Ball("rod", 0.1), Law(1e6)
@@ -86,6 +86,11 @@ def chained(*pairs):
         (lambda m: m.contact("c", [BALL], Plane(), "hertz"), "law 'hertz': give a Law, as"),
         (lambda m: m.contact("c", [BALL], Plane(), LAW, 0.3), "friction 0.3: give a Friction"),
         (lambda m: Law("x"), "the stiffness of a contact 'x': give a number"),
+        (lambda m: m.hinge("h", "rod", "tip", ["screw"]), "its kind .*: give revolute, prismatic, screw or"),
+        (lambda m: m.close("c", ("rod", DOWN), ("tip", DOWN), ["rigid"]), "its kind .*: give cylindrical"),
+        (lambda m: m.close("c", "rod", ("tip", DOWN)), "give its ends as"),
+        (lambda m: m.drive("pin", 3.0), "motion 3.0: give a function of time"),
+        (lambda m: frequencies("rod"), "model 'rod': give one, as build"),
     ],
 )
 def test_what_cannot_be_is_refused_where_it_is_given(act, words):
@@ -219,7 +224,8 @@ def test_a_torsion_on_a_fixed_hinge_is_refused():
         ({"integrator": "rk4"}, r"integrator 'rk4': give one, as RungeKutta4\(\)"),
         ({"integrator": RungeKutta4}, r"integrator RungeKutta4, a class: give one, as RungeKutta4\(\)"),
         ({"start": 3}, "start 3: give a phase"),
-        ({"until": 1e6, "time_step": 1e-6}, r"1e\+12 rows do not fit in memory: give every from 100000"),
+        ({"until": 1e3, "time_step": 1e-6}, r"1e\+09 rows do not fit in memory: give every from 100"),
+        ({"until": 1e6, "time_step": 1e-6, "every": 10**6}, r"1e\+12 steps take 100 days at least: give a"),
     ],
 )
 def test_arguments_of_simulate_are_checked(more, words):

@@ -304,3 +304,20 @@ def test_what_cannot_be_is_refused_in_one_line():
         scene.advance(scene.start([[0, 0, 1]]), 1, 1.0)
     with pytest.raises(StepTooLargeError, match="cube 0 moves by more than half"):
         scene.advance(scene.start([[0, 0, 1]], velocity=[[1e6, 0, 0]]), 1, scene.longest_step)
+
+
+def test_misuse_is_refused_in_one_line():
+    scene = pile()
+    start = scene.start([[0, 0, 1]])
+    h = 0.5 * scene.longest_step
+    for call, words in (
+        (lambda: scene.advance(start, -5, h), "steps -5: give 0 or more"),
+        (lambda: scene.advance(start, 2.5, h), r"steps 2\.5: give a whole number"),
+        (lambda: scene.advance(start, 5, "short"), "time_step 'short': give a number"),
+        (lambda: scene.advance(None, 5, h), "heap None: give one, as start"),
+        (lambda: Pile([0.1], [1.0], "hertz", np.zeros(3)), "law 'hertz': give one of pile_parts"),
+        (lambda: Law("stiff", 0.5), "stiffness 'stiff': give a number"),
+    ):
+        with pytest.raises(ProtochainError, match=words) as refused:
+            call()
+        assert len(str(refused.value).splitlines()) == 1

@@ -181,6 +181,9 @@ def test_what_has_no_forces_is_refused():
     run = arm().build().simulate(0.1, 0.05)
     with pytest.raises(MechanicsError, match='reactions: there is no hinge "h9"; there are "h1"'):
         run.reactions("h9")
+    for name in (["h1"], None, 0):
+        with pytest.raises(MechanicsError, match="reactions: there is no hinge"):
+            run.reactions(name)
     m = Mechanism(gravity=(0, 0, -G))
     m.body("ball", 1.0, inertia=0.004, position=(0, 0, 0.2))
     m.body("flag", 0.1, inertia=0.001)

@@ -73,6 +73,13 @@ table_of_rows(
 )  # fmt: skip
 
 
+table_of_rows(
+    "guide", "guide.csv",
+    ("mechanism", "{mechanism}"), ("lines", "{lines}"), ("against", "{against}"), ("error", "{error:.1e}"),
+    ("of", "{largest:.2g}"), ("energy that is no work", "{energy:.0e}"),
+)  # fmt: skip
+
+
 @table("search", "search.csv")
 def search(rows: pd.DataFrame) -> str:
     """Cost of searches for contacts by size."""

@@ -14,7 +14,7 @@ from protochain.mechanics.multibody.loop_joints import LoopJoints, hold
 
 CLOSED = 1e-12
 """Largest error of a loop after a step, in cosines and sizes of the tree: a thousand times rounding."""
-_ITERATIONS = 20
+ITERATIONS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class ClosedEquations(Equations):
         """
         q, qd, factors = super().placed(time, q, qd)
         units = np.where(self.joints.turns, 1.0, self.tree.size)
-        for _ in range(_ITERATIONS):
+        for _ in range(ITERATIONS):
             held = hold(factors, self.joints)
             gap = float(np.max(np.abs(held.error) / units))
             if not gap > CLOSED:

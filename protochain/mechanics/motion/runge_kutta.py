@@ -2,12 +2,10 @@
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from protochain.core.checks import check_fields
 from protochain.mechanics.motion.substeps import TOLERANCE, Tried, in_substeps
 from protochain.mechanics.motion.system import Equations, Integrator, Phase
-from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE, Tableau
+from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE
 
 
 @dataclass(frozen=True)
@@ -25,7 +23,7 @@ class RungeKutta4(Integrator):
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, with four evaluations of the potential."""
-        return _advance(CLASSICAL, system, at, time_step)[0]
+        return system.advance(CLASSICAL, at, time_step)[0]
 
 
 @dataclass(frozen=True)
@@ -58,28 +56,6 @@ class DormandPrince(Integrator):
         """
 
         def substep(at: Phase, h: float) -> Tried:
-            return _advance(DORMAND_PRINCE, system, at, h)
+            return system.advance(DORMAND_PRINCE, at, h)
 
         return in_substeps(substep, system, at, time_step, self.tolerance, order=5)
-
-
-def _advance(tableau: Tableau, system: Equations, at: Phase, h: float) -> Tried:
-    """Phase after one step, and estimates of the errors of its coordinates and velocities."""
-    a, b, wrong = (h * np.array(weights) for weights in (tableau.a, tableau.b, tableau.error))
-    slopes, accelerations = np.zeros((len(b), system.n_v)), np.zeros((len(b), system.n_v))
-    # The sum of a row of the tableau is the time of its stage.
-    times, powers = at.time + np.sum(a, axis=1), []
-    for i, row in enumerate(a):
-        time, move, qd = float(times[i]), row @ slopes, at.qd + row @ accelerations
-        q, torque, loads, factors = at.q, at.torque, at.loads, at.factors
-        if i:
-            q, qd = system.driven_to(time, system.integrate(at.q, move), qd)
-            factors = system.factors(q)
-            _, torque, loads = system.forces(time, q, qd, factors)
-        slopes[i] = system.displacement_rates(move, qd)
-        accelerations[i], loads = system.accelerations(time, q, qd, torque, loads, factors)
-        if loads is not None:
-            powers.append(loads @ qd)
-    q, qd = system.integrate(at.q, b @ slopes), at.qd + b @ accelerations
-    work = at.work + b @ powers if powers else at.work
-    return system.at(q, qd, at.time + h, work), wrong @ slopes, wrong @ accelerations

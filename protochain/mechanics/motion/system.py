@@ -16,6 +16,7 @@ from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate, solve
 from protochain.mechanics.multibody.hamilton import momenta
 from protochain.mechanics.multibody.rotations import displacement_rates
+from protochain.mechanics.tableaux import Tableau
 
 Potential = Callable[[Floats, Articulated], tuple[float, Floats]]
 """Coordinates (n_q,) and factors of M there -> energy and torques (n_v,)."""
@@ -296,6 +297,27 @@ class Equations:
         qdd, holding = self.held(qd, self.forward_dynamics(q, qd, given), factors)
         driving[driven] = (self.inverse_dynamics(q, qd, qdd) - torque - holding)[driven]
         return qdd, np.vstack([driving] if loads is None else [*loads[: len(self.loads)], driving])
+
+    def advance(self, tableau: Tableau, at: Phase, h: float) -> tuple[Phase, Floats, Floats]:
+        """Phase after a step of an explicit method, and the errors of its displacement and velocities."""
+        a, b, wrong = (h * weights for weights in tableau.arrays)
+        slopes, accelerations = np.zeros((len(b), self.n_v)), np.zeros((len(b), self.n_v))
+        # The sum of a row of the tableau is the time of its stage.
+        times, powers = at.time + np.sum(a, axis=1), []
+        for i, row in enumerate(a):
+            time, move, qd = float(times[i]), row @ slopes, at.qd + row @ accelerations
+            q, torque, loads, factors = at.q, at.torque, at.loads, at.factors
+            if i:
+                q, qd = self.driven_to(time, self.integrate(at.q, move), qd)
+                factors = self.factors(q)
+                _, torque, loads = self.forces(time, q, qd, factors)
+            slopes[i] = self.displacement_rates(move, qd)
+            accelerations[i], loads = self.accelerations(time, q, qd, torque, loads, factors)
+            if loads is not None:
+                powers.append(loads @ qd)
+        q, qd = self.integrate(at.q, b @ slopes), at.qd + b @ accelerations
+        work = at.work + b @ powers if powers else at.work
+        return self.at(q, qd, at.time + h, work), wrong @ slopes, wrong @ accelerations
 
     def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
         """Accelerations (n_v,) of which joints of loops keep what they allow, and their torques; here all."""

@@ -108,9 +108,10 @@ def impact(
     solution for k points.
     """
     _check(factors, points, law, order)
-    if not np.isfinite(np.asarray(qd, dtype=float)).all():
+    qd = floats(qd, (factors.tree.n_v,), "qd")
+    if not np.isfinite(qd).all():
         raise MechanicsError("the velocities before an impact are not finite", fault=Fault.NOT_FINITE)
-    struck = Struck.of(factors, floats(qd, (factors.tree.n_v,), "qd"), points, loops)
+    struck = Struck.of(factors, qd, points, loops)
     local = np.zeros((2, 3 * len(points)))
     approaching = struck.u[::3] < -struck.slow
     for i in np.flatnonzero(approaching & ~struck.movable):
@@ -176,9 +177,11 @@ def _after(struck: Struck, local: Floats, compression: Floats) -> Impact:
 
 
 def _check(factors: Articulated, points: Sequence[ContactPoint], law: str, order: str) -> None:
-    if law not in _LAWS:
+    if isinstance(points, ContactPoint) or not all(isinstance(each, ContactPoint) for each in points):
+        raise MechanicsError("points: give a list of them, as [ContactPoint(...)]")
+    if not (isinstance(law, str) and law in _LAWS):
         raise MechanicsError(f"law {law!r} is not known; choose newton, poisson or stronge")
-    if order not in _ORDERS:
+    if not (isinstance(order, str) and order in _ORDERS):
         raise MechanicsError(f"order {order!r} is not known; choose together or in turn")
     if len(points) > 1 and order == "together" and law != "poisson":
         raise MechanicsError(

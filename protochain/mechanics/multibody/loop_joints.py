@@ -79,14 +79,12 @@ class LoopJoints:
     def rows(self, frames: Frames) -> tuple[Floats, Rows]:
         """(m,) float: errors, in lengths and cosines; their rates as rows on the twists of the bodies."""
         error, wrench = np.empty(len(self.body)), np.zeros((len(self.body), 2, 6))
-        _put_rows(
-            frames.rotation, frames.origin, self.body, self.turns, self.point, self.along, error, wrench
-        )
+        put_rows(frames.rotation, frames.origin, self.body, self.turns, self.point, self.along, error, wrench)
         return error, Rows(self.body, wrench)
 
     def accelerations(self, tree: Tree, frames: Frames, qd: Floats, qdd: Floats) -> Floats:
         """(m,) float: second derivatives of the errors by time, of a motion."""
-        found: Floats = _accelerations(
+        found: Floats = bends(
             tree.links, tree.bodies, frames.rotation, frames.origin, self.body, self.turns, self.point,
             self.along, qd, qdd,
         )  # fmt: skip
@@ -137,12 +135,12 @@ class Held:
         x <- x + (A + e)^-1 (b - A x) until nothing is left: the proximal method of Parikh, Boyd, Found.
         Trends Optim. 1:127 (2014), 4.1; of mechanisms: Carpentier, Budhiraja, Mansard, RSS (2021).
         """
-        return self.scales * _proximal(self.inverse, self.factor, self.last, self.scales * wanted)
+        return self.scales * proximal(self.inverse, self.factor, self.last, self.scales * wanted)
 
     def wrenches(self, impulses: Floats) -> Floats:
         """Impulses of the joints (m,) as those on the bodies, (nb, 6)."""
         out = np.zeros((self.factors.tree.n_bodies, 6))
-        _gather(self.rows.body, self.rows.wrench, impulses, out)
+        gather(self.rows.body, self.rows.wrench, impulses, out)
         return out
 
     def change(self, wanted: Floats) -> Floats:
@@ -169,7 +167,7 @@ def hold(factors: Articulated, joints: LoopJoints) -> Held:
     """
     tree, frames = factors.tree, factors.frames
     error, rows = joints.rows(frames)
-    found = _hold(
+    found = held_at(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot,
         factors.root, rows.body, rows.wrench, tree.size,
     )  # fmt: skip
@@ -177,7 +175,7 @@ def hold(factors: Articulated, joints: LoopJoints) -> Held:
 
 
 @kernel
-def _hold(
+def held_at(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
     root: Floats, body: Integers, wrench: Floats, size: float,
 ) -> tuple[Floats, Floats, Floats, Integers]:  # fmt: skip
@@ -261,7 +259,7 @@ def _factorise(a: Floats, last: Integers) -> None:
 
 
 @kernel
-def _proximal(a: Floats, factor: Floats, last: Integers, b: Floats) -> Floats:
+def proximal(a: Floats, factor: Floats, last: Integers, b: Floats) -> Floats:
     """Least x with a x = b, of which ``factor`` has that of a + e."""
     n = len(b)
     x, left = np.zeros(n), b.copy()
@@ -292,7 +290,7 @@ def _proximal(a: Floats, factor: Floats, last: Integers, b: Floats) -> Floats:
 
 
 @kernel
-def _gather(body: Integers, wrench: Floats, x: Floats, out: Floats) -> None:
+def gather(body: Integers, wrench: Floats, x: Floats, out: Floats) -> None:
     """Add wrenches on the bodies, times x."""
     for i in range(len(body)):
         for side in range(2):
@@ -310,7 +308,7 @@ def _end(rotation: Floats, origin: Floats, b: int, at: Vector) -> tuple[Vector, 
 
 
 @kernel
-def _put_rows(
+def put_rows(
     rotation: Floats, origin: Floats, body: Integers, turns: np.ndarray, point: Floats, along: Floats,
     error: Floats, wrench: Floats,
 ) -> None:  # fmt: skip
@@ -339,7 +337,7 @@ def _put_rows(
 
 
 @kernel
-def _accelerations(
+def bends(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, body: Integers, turns: np.ndarray,
     point: Floats, along: Floats, qd: Floats, qdd: Floats,
 ) -> Floats:  # fmt: skip

@@ -97,7 +97,7 @@ def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = 
     force = m (a + alpha x c + omega x (omega x c)), moment = I alpha + m c x a + omega x I omega.
     """
     loads = np.empty((tree.n_bodies, 6))
-    _outward_loads(
+    outward_loads(
         tree.links, tree.bodies, frames.rotation, frames.origin,
         floats(qd, (tree.n_v,), "qd"),
         np.zeros(tree.n_v) if qdd is None else floats(qdd, (tree.n_v,), "qdd"), loads,
@@ -180,9 +180,10 @@ def body_momenta(bodies: Floats, rotation: Floats, twists: Floats, momenta: Floa
 
 
 @kernel
-def _outward_loads(
+def outward_loads(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, qdd: Floats, loads: Floats
 ) -> None:
+    """Write the loads of :func:`inertial_loads`."""
     motions = np.empty((len(bodies), 9))
     for b in range(len(bodies)):
         p, k = links[b, PARENT], links[b, V]

@@ -32,12 +32,13 @@ def displacement_rates(tree: Tree, step: Floats, qd: Floats) -> Floats:
         Rates qd, with dexp^-1 applied to the angular velocities of free roots, as in Munthe-Kaas methods.
     """
     rates = floats(qd, (tree.n_v,), "qd").copy()
-    _put_rates(tree.links, floats(step, (tree.n_v,), "step"), rates)
+    put_rates(tree.links, floats(step, (tree.n_v,), "step"), rates)
     return rates
 
 
 @kernel
-def _put_rates(links: Integers, step: Floats, rates: Floats) -> None:
+def put_rates(links: Integers, step: Floats, rates: Floats) -> None:
+    """Overwrite velocities by the rates of :func:`displacement_rates`."""
     for b in range(len(links) - 1):
         k = links[b, V]
         if links[b + 1, V] - k == 6:

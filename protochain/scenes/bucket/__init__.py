@@ -42,6 +42,7 @@ def run(quick: bool = False) -> Scene:
     # Where few cubes lie above the floor, the bucket only scrapes, lest it crush them.
     dug = dig(settled, 0.5, 0.1, looks=10) if quick else dig(settled)
     bushings, work = joints.compare((1e5, 1e6) if quick else (1e4, 1e5, 1e6, 1e7, 1e8))
+    kept = trials.energies((1.0, 0.5, 0.25, 0.125))
     found = trials.search((1000, 4000) if quick else (1000, 3000, 10_000, 30_000, 100_000))
     speed = pd.DataFrame(
         [
@@ -56,20 +57,20 @@ def run(quick: bool = False) -> Scene:
     )
     tables = {
         "soil": dug.table, "machine": dug.machine, "cubes": dug.snapshots, "bushings": bushings,
-        "search": found, "speed": speed,
+        "search": found, "speed": speed, "impacts": kept,
     }  # fmt: skip
     return Scene(
         "bucket", "a backhoe's bucket in a soil of cubes",
-        tuple(_checks(settled, dug, bushings, found, quick)),
+        tuple(_checks(settled, dug, bushings, found, kept, quick)),
         work_table(work), tuple(trials.extremes()), (_sleep(settled if quick else settle(NARROW, 0.5)),),
         tables, "distance of the cutting edge from that of the machine on hinges, m",
     )  # fmt: skip
 
 
 def _checks(
-    settled: Settled, dug: Dug, bushings: pd.DataFrame, found: pd.DataFrame, quick: bool
+    settled: Settled, dug: Dug, bushings: pd.DataFrame, found: pd.DataFrame, kept: pd.DataFrame, quick: bool
 ) -> Iterator[Check]:
-    yield from trials.checks()
+    yield from trials.checks(kept)
     weight = settled.site.cubes * trials.MASS * trials.FREE_FALL
     yield check("force on the bin, N", settled.carried, weight, 1e-3, "the weight of the cubes")
     yield vanishes("energy unaccounted for while they fall, of that dissipated", settled.unaccounted, 0.01,

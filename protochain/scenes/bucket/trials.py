@@ -2,21 +2,28 @@
 
 from collections.abc import Iterator
 from functools import partial
+from typing import Literal
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
+from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
-from protochain.lab.cases import Check, Extreme, check, extreme
+from protochain.lab.cases import Check, Extreme, check, extreme, vanishes
 from protochain.lab.cost import timed
 from protochain.mechanisms.pile import Pile
-from protochain.mechanisms.pile_parts import Law
+from protochain.mechanisms.pile_parts import Heap, Law
 from protochain.mechanisms.search import touching
 from protochain.scenes.bucket.dig import DENSITY, FRICTION, PITCH, SIDE, STIFFNESS
 
 FREE_FALL = 9.81
 MASS = DENSITY * SIDE**3
 STEPS = 3000
+KEPT = 1e-3
+"""Largest change of the energy in impacts without loss, by volume."""
+By = Literal["points", "volume"]
+WAYS: tuple[By, ...] = ("points", "volume")
 
 
 def alone(law: Law | None = None, angle: float = 0.0, mass: float = MASS) -> Pile:
@@ -34,8 +41,8 @@ def acceleration(pile: Pile) -> float:
     return float((late.velocity - early.velocity)[0, 0]) / (late.time - early.time)
 
 
-def checks() -> Iterator[Check]:
-    """Slopes, and an impact."""
+def checks(kept: pd.DataFrame) -> Iterator[Check]:
+    """Slopes, impacts; ``kept`` is of :func:`energies`."""
     for degrees in (20.0, 30.0, 60.0):
         angle = np.deg2rad(degrees)
         wanted = max(FREE_FALL * (np.sin(angle) - FRICTION * np.cos(angle)), 0.0)
@@ -47,6 +54,11 @@ def checks() -> Iterator[Check]:
     wanted = np.exp(-z / w * (np.pi - np.arctan(2.0 * z * w / (1.0 - 2.0 * z * z))))
     source = "Schwager, Poeschel, Granul. Matter 9:465 (2007)"
     yield check("restitution of a face", restitution(0.02), wanted, 5e-3, source)
+    volume = kept[kept["method"] == "volume"]
+    name = f"energy of {volume['impacts'].iloc[0]} random impacts by volume, longest step, largest change"
+    yield vanishes(name, volume["error"].iloc[0], KEPT, "the energy before")
+    order = float(np.log2(volume["median"].iloc[-2] / volume["median"].iloc[-1]))
+    yield check("order of it in the step", order, 2.0, 0.2, "velocity Verlet", "absolute")
 
 
 def restitution(part: float) -> float:
@@ -77,11 +89,16 @@ def slid(friction: float, angle: float) -> Check:
     return check("acceleration", found, wanted, 1e-5, "g (sin - mu cos), or at rest", "absolute")
 
 
-def _apart(gap: float) -> Check:
-    pile = Pile(np.full(2, SIDE), np.full(2, MASS), Law(STIFFNESS, FRICTION), np.zeros(3))
+def _apart(gap: float, by: By = "points") -> Check:
+    pile = Pile(np.full(2, SIDE), np.full(2, MASS), Law(STIFFNESS, FRICTION, by=by), np.zeros(3))
     heap = pile.start([[0.0, 0.0, 0.0], [gap, 0.0, 0.0]])
     return check("force", MASS * float(np.linalg.norm(heap.acceleration[0, :3])), STIFFNESS * (SIDE - gap),
                  1e-9, "k d")  # fmt: skip
+
+
+def _kept(speed: float, part: float) -> Check:
+    found = impacts(Law(STIFFNESS, 0.0, 0.0, by="volume"), part, speed=speed)
+    return vanishes("energy", float(np.max(np.abs(found))), KEPT, "the energy before")
 
 
 def _thrown(speed: float, step: float) -> Check:
@@ -94,7 +111,12 @@ def _thrown(speed: float, step: float) -> Check:
 def extremes() -> Iterator[Extreme]:
     """What is deep, stiff, light, slippery, rough or fast."""
     for gap, refusal in ((0.9, None), (0.55, None), (0.4, Fault.OVERLAP), (0.0, Fault.OVERLAP)):
-        yield extreme(f"two cubes, centres {gap:g} edges apart", partial(_apart, gap * SIDE), refusal)
+        for by in WAYS:
+            name = f"two cubes, centres {gap:g} edges apart, by {by}"
+            yield extreme(name, partial(_apart, gap * SIDE, by), refusal)
+    for speed, part in ((1e-3, 1.0), (0.1, 1.0), (10.0, 0.125)):
+        name = f"200 impacts by volume at {speed:g} m/s, {part:g} of the longest step"
+        yield extreme(name, partial(_kept, speed, part))
     for k in (1.0, 1e3, 1e6, 1e9, 1e12):
         refusal = Fault.OVERLAP if MASS * FREE_FALL / k > 0.5 * SIDE else None
         yield extreme(f"stiffness {k:g} N/m", partial(sunk, Law(k, FRICTION), MASS), refusal)
@@ -106,6 +128,58 @@ def extremes() -> Iterator[Extreme]:
     yield extreme("step beyond the longest", partial(_thrown, 1.0, 1.5), Fault.STEP)
     yield extreme("100 m/s", partial(_thrown, 100.0, 1.0))
     yield extreme("1e6 m/s", partial(_thrown, 1e6, 1.0), Fault.STEP)
+
+
+def impacts(law: Law, part: float, number: int = 200, speed: float = 1.0, seed: int = 0) -> Floats:
+    """Changes (k,) of the kinetic energy of pairs of cubes that meet at random and part, of that before.
+
+    Steps are a part of the longest; cubes turn by a fifth of their speed.
+    """
+    rng = np.random.default_rng(seed)
+    n = 2 * number
+    pile = Pile(np.full(n, SIDE), np.full(n, MASS), law, np.zeros(3))
+    along = rng.normal(size=(number, 3))
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    aside = 0.15 * SIDE * rng.normal(size=(number, 3))
+    aside -= np.sum(aside * along, axis=1)[:, None] * along
+    # Pairs do not reach each other, and hardly the next place for rounding.
+    middle = 10.0 * SIDE * np.column_stack(np.unravel_index(np.arange(number), (10, 10, -(-number // 100))))
+    position = np.stack([middle + aside - 0.9 * SIDE * along, middle - aside + 0.9 * SIDE * along], axis=1)
+    velocity = 0.5 * speed * np.stack([along, -along], axis=1)
+    spin = 0.2 * speed / SIDE * rng.normal(size=(n, 3))
+    start = pile.start(
+        position.reshape(n, 3), Rotation.random(n, random_state=rng).as_matrix(), velocity.reshape(n, 3), spin
+    )
+    h = part * pile.longest_step
+    after, _ = pile.advance(start, round(4.0 * SIDE / speed / h), h)
+    # Of those that still touch, or never did, nothing is told.
+    met = ~np.all(np.isclose(after.velocity, start.velocity, rtol=1e-9), axis=1).reshape(-1, 2).any(axis=1)
+    parted = (
+        np.linalg.norm(np.diff(after.position.reshape(-1, 2, 3), axis=1)[:, 0], axis=1) > np.sqrt(3.0) * SIDE
+    )
+    before, now = (_kinetic_of_pairs(pile, heap) for heap in (start, after))
+    return (now / before - 1.0)[met & parted]
+
+
+def _kinetic_of_pairs(pile: Pile, heap: Heap) -> Floats:
+    """(n,) float: kinetic energy of each pair of cubes."""
+    each = pile.mass * np.sum(heap.velocity**2, axis=1)
+    each += pile.mass * pile.edge**2 / 6.0 * np.sum(heap.spin**2, axis=1)
+    return 0.5 * each.reshape(-1, 2).sum(axis=1)
+
+
+def energies(parts: tuple[float, ...]) -> pd.DataFrame:
+    """Largest change of the energy in 200 random impacts without loss, by what presses and by the step."""
+    rows = []
+    for by in WAYS:
+        law = Law(STIFFNESS, 0.0, 0.0, by=by)
+        for part in parts:
+            found, seconds = timed(partial(impacts, law, part), 3)
+            rows.append(
+                {"method": by, "step": part, "seconds": seconds, "impacts": len(found),
+                 "error": float(np.max(np.abs(found))), "median": float(np.median(np.abs(found)))}
+            )  # fmt: skip
+    return pd.DataFrame(rows)
 
 
 def search(sizes: tuple[int, ...]) -> pd.DataFrame:

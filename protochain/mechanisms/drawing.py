@@ -1,0 +1,289 @@
+"""What pictures of mechanisms show: shapes of bodies, given or found from hinges, joints and contacts."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from protochain.core.arrays import Floats
+from protochain.core.checks import shown
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.multibody import HingeKind
+from protochain.mechanisms.bodies import WORLD, Bodies
+from protochain.mechanisms.bushing import Bushings
+from protochain.mechanisms.checks import number, numbers
+from protochain.mechanisms.contact_forces import ContactForces
+from protochain.mechanisms.shapes import Ball, OnPlane
+from protochain.mechanisms.springs import Springs
+
+if TYPE_CHECKING:
+    from protochain.mechanisms.model import Model, Run
+
+THICK = 0.02
+"""Diameter of rods without a radius, and least thickness of blocks, by the size of the picture."""
+_NEAR = 1e-9
+"""Distance of points that are one, by the size of the tree."""
+
+
+@dataclass(frozen=True)
+class Rod:
+    """Cylinder fixed in a body, between two of its points, to be drawn.
+
+    Parameters
+    ----------
+    body : str
+        Name of the body, or ``"world"``.
+    a, b : (3,) float
+        Ends, in the body's axes.
+    radius : float, optional
+        Radius; by default a hundredth of the picture.
+    """
+
+    body: str
+    a: ArrayLike
+    b: ArrayLike
+    radius: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("a", "b"):
+            numbers(getattr(self, name), (3,), f'end {name} of a rod of "{self.body}"')
+        if self.radius is not None and not number(self.radius, f'the radius of a rod of "{self.body}"') > 0:
+            raise MechanicsError(f'the radius {self.radius:g} of a rod of "{self.body}": give one above 0')
+
+
+@dataclass(frozen=True)
+class Block:
+    """Box fixed in a body, along its axes, to be drawn.
+
+    Parameters
+    ----------
+    body : str
+        Name of the body, or ``"world"``.
+    edges : (3,) float
+        Lengths of its edges.
+    at : (3,) float
+        Its middle, in the body's axes.
+    """
+
+    body: str
+    edges: ArrayLike
+    at: ArrayLike = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if np.any(numbers(self.edges, (3,), f'edges of a block of "{self.body}"') < 0.0):
+            raise MechanicsError(f'edges {shown(self.edges)} of a block of "{self.body}": give none below 0')
+        numbers(self.at, (3,), f'the middle of a block of "{self.body}"')
+
+
+Shape = Ball | Rod | Block
+
+
+class Lines(NamedTuple):
+    """Springs: bodies (n, 2) of their ends, -1 for the world, and points (n, 2, 3) in the bodies' axes."""
+
+    ends: np.ndarray
+    points: Floats
+
+
+class Ground(NamedTuple):
+    """A plane that something touches: its body, a point and its normal, in the body's axes."""
+
+    body: int
+    at: Floats
+    normal: Floats
+
+
+class Drawing(NamedTuple):
+    """A motion to draw.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Bodies.
+    shapes : tuple of Ball, Rod or Block
+        Of bodies and the world.
+    lines, grounds : Lines, and tuple of Ground
+        Springs, and planes.
+    times : (n,) float
+    rotation, origin : (n, nb, 3, 3) and (n, nb, 3) float
+        Axes of the bodies, as columns, and their origins.
+    low, high : (3,) float
+        Box in which all of it happens.
+    """
+
+    names: tuple[str, ...]
+    shapes: tuple[Shape, ...]
+    lines: Lines
+    grounds: tuple[Ground, ...]
+    times: Floats
+    rotation: Floats
+    origin: Floats
+    low: Floats
+    high: Floats
+
+    @property
+    def size(self) -> float:
+        """Diagonal of the box."""
+        size = float(np.linalg.norm(self.high - self.low))
+        return size if size > 0.0 else 1.0
+
+    def number(self, body: str) -> int:
+        """Number of a body; -1 for the world."""
+        return -1 if body == WORLD else self.names.index(body)
+
+    def place(self, k: int, body: int, points: Floats) -> Floats:
+        """Points (..., 3) of a body at moment k, in the world."""
+        if body < 0:
+            return points
+        return np.asarray(points @ self.rotation[k, body].T + self.origin[k, body])
+
+
+def drawing(run: "Run", rows: Sequence[int], shapes: Sequence[Shape] | None) -> Drawing:
+    """Return what there is to draw of rows of a run.
+
+    Raises
+    ------
+    MechanicsError
+        If a shape is none, or its body is not there.
+    """
+    model, bodies = run.model, run.model.bodies
+    own = tuple(_derived(model) if shapes is None else _checked(shapes, bodies))
+    frames = [multibody.pose(model.tree, run.q[k]) for k in rows]
+    origin = np.array([each.origin for each in frames])
+    rotation = np.array([each.rotation @ bodies.turn.swapaxes(1, 2) for each in frames])
+    lines = _lines(model)
+    grounds = tuple(_grounds(model))
+    found = Drawing(bodies.names, own, lines, grounds, run.time[list(rows)], rotation, origin,
+                    np.zeros(3), np.zeros(3))  # fmt: skip
+    reached = [origin.reshape(-1, 3)]
+    for shape in own:
+        points, reach = _outline(shape)
+        b = found.number(shape.body)
+        for k in range(len(rows)):
+            at = found.place(k, b, points)
+            reached += [at - reach, at + reach]
+    fixed = lines.points[lines.ends < 0]
+    everything = np.concatenate([*reached, fixed.reshape(-1, 3)])
+    return found._replace(low=everything.min(axis=0), high=everything.max(axis=0))
+
+
+def _outline(shape: Shape) -> tuple[Floats, float]:
+    """Points of a shape in its body's axes, and how far it reaches beyond them."""
+    if isinstance(shape, Ball):
+        return np.array([shape.at], dtype=float), float(shape.radius)
+    if isinstance(shape, Rod):
+        return np.array([shape.a, shape.b], dtype=float), shape.radius or 0.0
+    return corners(shape), 0.0
+
+
+def corners(block: Block) -> Floats:
+    """(8, 3) float: corners of a block; of bits x, y, z."""
+    signs = np.array([[k >> axis & 1 for axis in range(3)] for k in range(8)]) - 0.5
+    return np.asarray(block.at, dtype=float) + signs * np.asarray(block.edges, dtype=float)
+
+
+def _checked(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
+    """Shapes of bodies that are there."""
+    remedy = 'give a list of Ball, Rod and Block, as [Block("plate", (1, 1, 0.1))]'
+    if isinstance(shapes, Shape) or not isinstance(shapes, Sequence) or isinstance(shapes, str):
+        raise MechanicsError(f"shapes {shown(shapes)}: {remedy}")
+    for shape in shapes:
+        if not isinstance(shape, Shape):
+            raise MechanicsError(f"shapes: {shown(shape)} is none: {remedy}")
+        bodies.number(shape.body, "shapes")
+    return shapes
+
+
+def _derived(model: "Model") -> Iterator[Shape]:
+    """Shapes of what is known: rods to where something is joined, balls of contacts, else blocks or balls.
+
+    A block or ball has the body's moments of inertia.
+    """
+    tree, bodies = model.tree, model.bodies
+    joined = _joined(model)
+    touching = {b: [] for b in range(tree.n_bodies)}  # type: dict[int, list[Ball]]
+    for part in model.conservative:
+        if isinstance(part, ContactForces):
+            for b, at, radius in zip(*_balls(part, bodies), strict=True):
+                if b >= 0:
+                    touching[b].append(Ball(bodies.names[b], radius, at))
+    for b, name in enumerate(bodies.names):
+        com = bodies.turn[b] @ tree.com[b]
+        ends = [at for at in joined[b] if np.linalg.norm(at) > _NEAR * tree.size]
+        yield from (ball for ball in touching[b] if ball.radius > 0.0)
+        if touching[b] and not ends:
+            continue
+        if not ends and tree.kind[b] != HingeKind.FREE and np.linalg.norm(com) > _NEAR * tree.size:
+            # An even rod on a hinge ends as far beyond its centre of mass.
+            ends = [2.0 * com]
+        for at in ends:
+            yield Rod(name, (0.0, 0.0, 0.0), at)
+        if not ends and tree.mass[b] > 0.0:
+            yield from _like(name, com, bodies.turn[b] @ tree.inertia[b] @ bodies.turn[b].T / tree.mass[b])
+
+
+def _joined(model: "Model") -> list[list[Floats]]:
+    """Points of each body, in its own axes, at which other bodies, loops or springs are joined."""
+    tree, bodies = model.tree, model.bodies
+    found: list[list[Floats]] = [[] for _ in range(tree.n_bodies)]
+
+    def add(b: int, at: Floats) -> None:
+        own = bodies.turn[b] @ at if b >= 0 else at
+        if b >= 0 and not any(np.allclose(own, other, atol=_NEAR * tree.size) for other in found[b]):
+            found[b].append(own)
+
+    for b in range(tree.n_bodies):
+        if tree.kind[b] != HingeKind.FREE:
+            add(int(tree.parent[b]), tree.offset[b])
+    if bodies.joints is not None:
+        for pair, points in zip(bodies.joints.body, bodies.joints.point, strict=True):
+            for b, at in zip(pair, points, strict=True):
+                add(int(b), at)
+    for part in model.conservative:
+        if isinstance(part, Springs | Bushings):
+            for pair, points in zip(part.ends, part.points, strict=True):
+                add(int(pair[0]), points[:3])
+                add(int(pair[1]), points[3:])
+    return found
+
+
+def _like(name: str, at: Floats, inertia: Floats) -> Iterator[Shape]:
+    """A ball or block with these moments of inertia by the mass."""
+    moments = np.diagonal(inertia)
+    if np.ptp(moments) <= 1e-6 * np.max(moments):
+        yield Ball(name, float(np.sqrt(2.5 * moments[0])), at)
+    else:
+        edges = np.sqrt(np.maximum(6.0 * (np.sum(moments) - 2.0 * moments), 0.0))
+        yield Block(name, edges, at)
+
+
+def _balls(part: ContactForces, bodies: Bodies) -> tuple[list[int], list[Floats], list[float]]:
+    balls = part.finder.balls
+    own = [int(b) for b in balls.body]
+    return (
+        own,
+        [bodies.turn[b] @ at if b >= 0 else at for b, at in zip(own, balls.at, strict=True)],
+        [float(r) for r in balls.radius],
+    )
+
+
+def _lines(model: "Model") -> Lines:
+    """Springs between points."""
+    rows = [part for part in model.conservative if isinstance(part, Springs)]
+    turn = model.bodies.turn
+    ends = np.concatenate([np.empty((0, 2), np.int64), *(part.ends for part in rows)])
+    points = np.concatenate([np.empty((0, 6)), *(part.points for part in rows)]).reshape(-1, 2, 3)
+    own = [[turn[b] @ at if b >= 0 else at for b, at in zip(*each, strict=True)]
+           for each in zip(ends, points, strict=True)]  # fmt: skip
+    return Lines(ends, np.array(own, dtype=float).reshape(-1, 2, 3))
+
+
+def _grounds(model: "Model") -> Iterator[Ground]:
+    for part in model.conservative:
+        finder = part.finder if isinstance(part, ContactForces) else None
+        if isinstance(finder, OnPlane):
+            turn = model.bodies.turn[finder.body] if finder.body >= 0 else np.eye(3)
+            yield Ground(finder.body, turn @ finder.at, turn @ finder.normal)

@@ -1,0 +1,250 @@
+"""Pictures of a motion: a page in which it moves, and a strip of poses."""
+
+import json
+import re
+from collections.abc import Sequence
+from functools import cache
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from protochain.core.arrays import Floats
+from protochain.core.checks import shown
+from protochain.core.errors import MechanicsError
+from protochain.core.storage import write_text
+from protochain.mechanisms.assemble import quaternion
+from protochain.mechanisms.checks import direction
+from protochain.mechanisms.drawing import THICK, Block, Drawing, Rod, Shape, corners, drawing
+from protochain.mechanisms.shapes import Ball
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from protochain.core.figure import Figure
+    from protochain.mechanisms.model import Run
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe and Ito's palette."""
+_FINE = 1e-4
+"""To what places are rounded, by the size of the picture."""
+_MOST = 40_000
+"""Poses of bodies in a page: two megabytes."""
+_POSES = 30
+"""In a strip."""
+_FLAT = 0.2
+"""A mechanism is seen along the axis in which it is thinner than this, by its next extent."""
+_ASLANT = (2.0, -3.0, 1.5)
+"""From where else."""
+_LASTS = 5.0
+"""s. How long a motion is shown that takes longer than a minute, or less than a tenth of a second."""
+
+
+class Movie:
+    """A motion that moves in a notebook; plain text elsewhere.
+
+    Parameters
+    ----------
+    page : str
+        The page: HTML that needs nothing else.
+    title : str
+        What it shows.
+    """
+
+    def __init__(self, page: str, title: str) -> None:
+        self.page, self.title = page, title
+
+    def _repr_html_(self) -> str:
+        frame = 'sandbox="allow-scripts" style="width: 100%; height: 34rem; border: 0"'
+        return f'<iframe {frame} srcdoc="{escape(self.page)}"></iframe>'
+
+    def __repr__(self) -> str:
+        return f"<Movie of {self.title}: shown in notebooks>"
+
+
+def movie(
+    run: "Run", path: str | Path | None, shapes: Sequence[Shape] | None, title: str, frames: int
+) -> Movie:
+    """Return the page of a motion, and write it; see :meth:`Run.view`."""
+    if not isinstance(frames, int) or isinstance(frames, bool) or frames < 1:
+        raise MechanicsError(f"frames {shown(frames)}: give a whole number from 1")
+    if not isinstance(title, str):
+        raise MechanicsError(f"title {shown(title)}: give a text")
+    if path is not None and not (isinstance(path, str | Path) and str(path)):
+        raise MechanicsError(f'path {shown(path)}: give the name of a file, as "motion.html"')
+    most = min(frames, max(_MOST // run.model.tree.n_bodies, 2))
+    of = drawing(run, _rows(run, np.linspace(run.time[0], run.time[-1], most)), shapes)
+    title = title or "Motion"
+    text = json.dumps(_told(of), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    words = {"title": escape(title), "motion": text}
+    page = re.sub(r"\{\{ (title|motion) \}\}", lambda found: words[found[1]], _template())
+    if path is not None:
+        write_text(Path(path), page)
+    return Movie(page, title)
+
+
+def strip(
+    run: "Run", times: ArrayLike | None, shapes: Sequence[Shape] | None, along: ArrayLike | None
+) -> "Figure":
+    """Return a figure of poses; see :meth:`Run.strip`."""
+    from protochain.core.figure import Figure
+
+    first, last = run.time[0], run.time[-1]
+    if times is None:
+        times = np.linspace(first, last, 5)
+    try:
+        when = np.atleast_1d(np.asarray(times, dtype=float))
+    except (TypeError, ValueError):
+        when = np.array([np.nan])
+    slack = 1e-9 * (last - first)
+    if when.ndim != 1 or not len(when) or not np.all((when >= first - slack) & (when <= last + slack)):
+        raise MechanicsError(f"times {shown(times)}: give those of the run, from {first:g} to {last:g}")
+    if len(when) > _POSES:
+        raise MechanicsError(f"{len(when)} poses do not fit beside each other: give {_POSES} times at most")
+    of = drawing(run, _rows(run, when), shapes)
+    across = _across(of, along)
+    flat = np.array(np.meshgrid(*np.stack([of.low, of.high], axis=1))).reshape(3, -1).T @ across.T
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    margin = 0.05 * of.size
+    width, height = high - low + 2.0 * margin
+    tall = float(np.clip(2.2 * height / width, 1.2, 4.0))
+    figure = Figure(figsize=(min(2.2 * len(when), 13.0), tall + 0.3), layout="constrained")
+    for k, ax in enumerate(figure.subplots(1, len(when), squeeze=False)[0]):
+        _draw(ax, of, k, across)
+        ax.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+        ax.set_aspect("equal")
+        ax.set_axis_off()
+        ax.set_title(f"t = {of.times[k]:.4g}", fontsize=9)
+    return figure
+
+
+def _rows(run: "Run", times: Floats) -> list[int]:
+    """Numbers of the rows that are next to times."""
+    middles = 0.5 * (run.time[1:] + run.time[:-1])
+    return [int(k) for k in np.searchsorted(middles, times)]
+
+
+@cache
+def _template() -> str:
+    return (files("protochain.mechanisms") / "movie.html").read_text(encoding="utf-8")
+
+
+def _across(of: Drawing, along: ArrayLike | None) -> Floats:
+    """(2, 3) float: directions to the right and up, of a view along a direction."""
+    extent = of.high - of.low
+    thin = int(np.argmin(extent))
+    if along is not None:
+        back = -direction(along, "along")
+    elif extent[thin] <= _FLAT * np.sort(extent)[1]:
+        # From the front, so that x or y points to the right; from above, so that y points up.
+        back = np.eye(3)[thin] * (-1.0 if thin == 1 else 1.0)
+    else:
+        back = direction(_ASLANT, "along")
+    up = np.array([0.0, 1.0, 0.0]) if abs(back[2]) > 0.999 else np.array([0.0, 0.0, 1.0])
+    right = np.cross(up, back)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(back, right)])
+
+
+def _draw(ax: "Axes", of: Drawing, k: int, across: Floats) -> None:
+    """Draw one pose, what is farther away first."""
+    from matplotlib.collections import LineCollection
+    from matplotlib.patches import Circle, Polygon
+
+    away, thick = np.cross(across[0], across[1]), THICK * of.size
+    for ground in of.grounds:
+        at, n = of.place(k, ground.body, ground.at), of.place(k, ground.body, ground.at + ground.normal)
+        n = n - at
+        level = across @ n
+        # Seen from its side, a plane is a line.
+        if np.linalg.norm(level) > 0.5:
+            side = np.array([-level[1], level[0]]) / np.linalg.norm(level)
+            ends = [across @ at - 2.0 * of.size * side, across @ at + 2.0 * of.size * side]
+            ax.add_collection(LineCollection([ends], colors="#999999", linewidths=1.0))
+    for ends, points in zip(of.lines.ends, of.lines.points, strict=True):
+        line = [across @ of.place(k, int(b), at) for b, at in zip(ends, points, strict=True)]
+        ax.add_collection(LineCollection([line], colors="#666666", linewidths=1.0, linestyles="dashed"))
+    for shape in of.shapes:
+        b = of.number(shape.body)
+        colour = COLOURS[b % len(COLOURS)] if b >= 0 else "#999999"
+        look: dict[str, Any] = {"facecolor": colour, "edgecolor": "white", "linewidth": 0.4}
+        if isinstance(shape, Ball):
+            at = of.place(k, b, np.asarray(shape.at, dtype=float))
+            patch: Any = Circle(tuple(across @ at), max(float(shape.radius), 0.25 * thick), **look)
+            depth = float(away @ at)
+        else:
+            outline = (
+                corners(shape) if isinstance(shape, Block) else np.array([shape.a, shape.b], dtype=float)
+            )
+            places = of.place(k, b, outline)
+            depth = float(np.mean(places @ away))
+            wide = 0.5 * thick if isinstance(shape, Block) else shape.radius or 0.5 * thick
+            patch = Polygon(_hull(places @ across.T, wide if isinstance(shape, Rod) else 0.02 * wide), **look)
+        patch.set_zorder(2.0 + (depth - away @ of.low) / (10.0 * of.size))
+        ax.add_patch(patch)
+
+
+def _hull(points: Floats, radius: float) -> Floats:
+    """Outline (k, 2) of points in the plane with discs about them."""
+    from scipy.spatial import ConvexHull
+
+    angle = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    disc = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    everything = (points[:, None] + disc).reshape(-1, 2)
+    return np.asarray(everything[ConvexHull(everything).vertices])
+
+
+def _told(of: Drawing) -> dict[str, Any]:
+    """What the page is told: shapes, and whole numbers for poses."""
+    middle, fine = 0.5 * (of.low + of.high), _FINE * of.size
+    frames = [
+        [
+            round(x)
+            for b in range(len(of.names))
+            for x in (*1e4 * quaternion(turn[b]), *(at[b] - middle) / fine)
+        ]
+        for turn, at in zip(of.rotation, of.origin, strict=True)
+    ]
+    lasts = float(of.times[-1] - of.times[0])
+    across = _across(of, None)
+    back = np.cross(across[0], across[1])
+    shapes = [{"body": of.number(shape.body), **_shape(shape)} for shape in of.shapes]
+    lines = [{"ends": ends.tolist(), "points": points.tolist()}
+             for ends, points in zip(of.lines.ends, of.lines.points, strict=True)]  # fmt: skip
+    grounds = []
+    for ground in of.grounds:
+        n = ground.normal
+        u = np.cross(np.eye(3)[int(np.argmin(np.abs(n)))], n)
+        u *= 0.6 * of.size / np.linalg.norm(u)
+        # Where the motion is, not where the plane was given.
+        near = of.place(0, ground.body, np.zeros(3)) if ground.body >= 0 else middle
+        at = near - n * (n @ (near - ground.at)) if ground.body < 0 else ground.at
+        grounds.append(
+            {"body": ground.body, "at": at.tolist(), "u": u.tolist(), "v": np.cross(n, u).tolist()}
+        )
+    return {
+        "names": list(of.names), "colours": list(COLOURS), "times": np.round(of.times, 12).tolist(),
+        "frames": frames, "shapes": shapes, "lines": lines, "grounds": grounds, "middle": middle.tolist(),
+        "size": of.size, "fine": fine, "thick": THICK * of.size,
+        "turn": float(np.arctan2(back[1], back[0])) if abs(back[2]) < 0.999 else -0.5 * np.pi,
+        "tilt": float(np.arcsin(np.clip(back[2], -1.0, 1.0))),
+        "pace": 1.0 if 0.1 <= lasts <= 60.0 else lasts / _LASTS,
+    }  # fmt: skip
+
+
+def _shape(shape: Shape) -> dict[str, Any]:
+    if isinstance(shape, Ball):
+        at = np.asarray(shape.at, dtype=float)
+        # A spot by which one sees a ball turn.
+        return {
+            "at": at.tolist(),
+            "radius": float(shape.radius),
+            "mark": [float(at[0] + shape.radius), *at[1:].tolist()],
+        }
+    if isinstance(shape, Block):
+        return {"corners": corners(shape).tolist()}
+    return {"ends": [np.asarray(end, dtype=float).tolist() for end in (shape.a, shape.b)],
+            "radius": shape.radius}  # fmt: skip

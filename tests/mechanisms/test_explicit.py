@@ -1,0 +1,105 @@
+"""Explicit steps in one kernel, against the same steps call by call."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from protochain.core.errors import Fault, MechanicsError
+from protochain.mechanics.motion import DormandPrince, Equations, RungeKutta4, StepTooLargeError
+from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE
+from protochain.mechanisms import Mechanism
+from protochain.mechanisms.explicit import InOneKernel
+
+Y = (0, 1, 0)
+
+
+def four_bar(springs=True):
+    m = Mechanism(gravity=(0.3, 0, -9.81))
+    for name, along in (("crank", (0, 0, 1.0)), ("coupler", (2.0, 0, 0.5)), ("rocker", (0, 0, 1.5))):
+        length = float(np.linalg.norm(along))
+        m.body(name, length, com=np.multiply(0.5, along), inertia=length**3 / 12.0)
+    m.hinge("A", "world", "crank", axis=Y, qd=3.0)
+    m.hinge("B", "crank", "coupler", axis=Y, at=(0, 0, 1.0))
+    m.hinge("D", "world", "rocker", axis=Y, at=(2.0, 0, 0))
+    m.close("C", ("coupler", (2.0, 0, 0.5)), ("rocker", (0, 0, 1.5)), "revolute", axis=Y)
+    if springs:
+        m.spring("pull", ("coupler", (1.0, 0.2, 0.3)), ("world", (0.5, 0.1, -1.0)), stiffness=50.0, rest=0.7)
+        m.torsion("wound", "A", stiffness=4.0, rest=0.3)
+    return m
+
+
+def tree():
+    """All kinds of hinges, a free root, and another tree on the world."""
+    m = Mechanism(gravity=(0, 0.5, -9.81))
+    turn = Rotation.from_rotvec([0.3, -0.8, 0.4]).as_matrix()
+    m.body("free", 2.0, com=(0.1, 0.2, -0.1), inertia=(0.3, 0.4, 0.5), position=(0, 0, 3), rotation=turn,
+           velocity=(1, 2, 0), spin=(0.5, -2.0, 3.0))  # fmt: skip
+    for name in ("turns", "slides", "screws", "fixed", "hung"):
+        m.body(name, 1.0, com=(0.1, -0.2, 0.3), inertia=(0.1, 0.15, 0.2))
+    m.hinge("r", "free", "turns", axis=(1, 1, 0), at=(0.3, 0, 0.1), q=0.4, qd=2.0)
+    m.hinge("p", "turns", "slides", "prismatic", axis=(0, 1, 2), at=(0, 0.4, 0), qd=-1.0)
+    m.hinge("s", "free", "screws", "screw", axis=(0, 0, 1), at=(0, 0.2, 0.1), pitch=0.2, qd=5.0)
+    m.hinge("f", "screws", "fixed", "fixed", at=(0, 0, 0.5))
+    m.hinge("h", "world", "hung", axis=(1, 0, 0), qd=1.0)
+    m.spring("one", ("slides", (0, 0, 0.2)), ("hung", (0, 0.3, 0)), stiffness=30.0)
+    m.spring("two", ("fixed", (0, 0, 0.2)), ("world", (0, 0.3, 0)), stiffness=20.0, rest=0.0)
+    m.torsion("three", "p", stiffness=15.0)
+    return m
+
+
+@pytest.mark.parametrize("made", [four_bar(), four_bar(springs=False), tree()], ids=("loop", "bare", "tree"))
+@pytest.mark.parametrize("tableau", [CLASSICAL, DORMAND_PRINCE], ids=("rk4", "dp"))
+def test_a_step_is_the_one_that_calls_take(made, tableau, monkeypatch):
+    system = made.build().system
+    assert isinstance(system, InOneKernel)
+    at = system.at(*(made.build().q, made.build().qd))
+    wanted = [at]
+    for h in (0.02, -0.01, 0.03):
+        wanted.append(Equations.advance(system, tableau, wanted[-1], h))
+        wanted[-1], *errors = wanted[-1]
+    monkeypatch.setattr(Equations, "advance", None)  # The kernel alone.
+    for h, there in zip((0.02, -0.01, 0.03), wanted[1:], strict=True):
+        at, *own = system.advance(tableau, at, h)
+        for name in ("time", "q", "qd", "p", "potential", "torque"):
+            found, exact = np.asarray(getattr(at, name)), np.asarray(getattr(there, name))
+            assert found == pytest.approx(exact, rel=1e-11, abs=1e-11 * max(1.0, np.max(np.abs(exact)))), name
+        # Of hinges only; and what is above a Cholesky factor is nothing.
+        for read in (
+            lambda of: of.inertia, lambda of: of.gain[of.tree.hinged], lambda of: of.pivot,
+            lambda of: np.tril(of.root), lambda of: of.frames.rotation, lambda of: of.frames.origin,
+        ):  # fmt: skip
+            assert read(at.factors) == pytest.approx(read(there.factors), rel=1e-10, abs=1e-11)
+    for found, exact in zip(own, errors, strict=True):
+        assert found == pytest.approx(exact, abs=1e-11)
+
+
+def test_what_a_kernel_cannot_know_takes_the_other_way():
+    for more in (
+        lambda m: m.torsion("damped", "A", damping=0.1),
+        lambda m: m.load("pushed", "crank", force=lambda t: (1.0, 0, 0)),
+        lambda m: m.bushing("soft", ("crank", (0, 0, 0.5)), ("world", (0, 0, 0.5)), (1.0,) * 6),
+    ):
+        m = four_bar()
+        more(m)
+        assert not isinstance(m.build().system, InOneKernel)
+    m = four_bar(springs=False)
+    m.drive("A", lambda t: (3.0 * t, 3.0, 0.0))
+    assert not isinstance(m.build().system, InOneKernel)
+
+
+def test_what_fails_is_refused_in_the_same_words():
+    m = Mechanism()
+    m.body("a", 1.0, inertia=1.0)
+    m.hinge("slide", "world", "a", "prismatic", axis=(1, 0, 0), q=0.5, qd=-1.0)
+    m.spring("pull", ("a", (0, 0, 0)), ("world", (0, 0, 0)), stiffness=1.0)
+    with pytest.raises(MechanicsError, match='spring "pull": its ends meet'):
+        m.build().simulate(1.0, 1.0, RungeKutta4())
+    with pytest.raises(StepTooLargeError) as refused:
+        four_bar(springs=False).build().simulate(10.0, 5.0, RungeKutta4())
+    assert refused.value.fault is Fault.OPEN
+
+
+def test_loops_stay_closed_and_energy_constant_by_it():
+    run = four_bar().build().simulate(3.0, 0.5, DormandPrince(1e-10))
+    audit = run.audit()
+    assert audit.energy < 1e-8 and audit.gap < 1e-11 and audit.parting < 1e-11
