@@ -100,7 +100,13 @@ OF_B_FACTORS = " ".join(
         "1bx8_hirustasin", "1orc_icode", "1us0_altlocs",
     )
 )  # fmt: skip
-LARGE = "MORE/1us0_altlocs.pdb MORE/3enl_enolase.pdb"
+LARGE = " ".join(
+    ["structures/1ake.pdb.gz"]
+    + [
+        f"MORE/{name}"
+        for name in ("1us0_altlocs.pdb", "3enl_enolase.pdb", "1afs_638.pdb", "3o21_1489.pdb:A,B,C")
+    ]
+)
 OF_CRYSTALS = (
     "structure", "status", "n_residues", "violations_start", "violations_end",
     "clashscore_per_1000_atoms_start", "clashscore_per_1000_atoms_end", "ramachandran_outliers_start",
@@ -145,7 +151,7 @@ JOBS = (
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job(
         "modes",
-        f"{HERE}/modes.py {OF_B_FACTORS} --pairs MORE --large {LARGE} -o DIR",
+        f"{HERE}/modes.py {OF_B_FACTORS} --pairs MORE --as-is {LARGE} -o DIR",
         12,
         f"{HERE}/modes.py --quick -o DIR",
     ),
