@@ -47,7 +47,8 @@ class Job:
     @property
     def inputs(self) -> list[str]:
         """Files that the command names."""
-        return [word for word in self.command.split() if word.endswith((".pdb", ".cif"))]
+        words = [word.partition(":")[0] for word in self.command.split()]
+        return [word for word in words if word.endswith((".pdb", ".cif"))]
 
     @property
     def needs_more(self) -> bool:
@@ -100,12 +101,9 @@ OF_B_FACTORS = " ".join(
         "1bx8_hirustasin", "1orc_icode", "1us0_altlocs",
     )
 )  # fmt: skip
-LARGE = " ".join(
-    ["structures/1ake.pdb.gz"]
-    + [
-        f"MORE/{name}"
-        for name in ("1us0_altlocs.pdb", "3enl_enolase.pdb", "1afs_638.pdb", "3o21_1489.pdb:A,B,C")
-    ]
+LARGE = (
+    "structures/1ake.pdb.gz MORE/1us0_altlocs.pdb MORE/3enl_enolase.pdb MORE/1afs_638.pdb "
+    "MORE/3o21_1489.pdb:A,B,C"
 )
 OF_CRYSTALS = (
     "structure", "status", "n_residues", "violations_start", "violations_end",
