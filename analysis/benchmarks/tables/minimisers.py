@@ -269,8 +269,8 @@ def modes_growth(rows: pd.DataFrame) -> str:
     worst = rows["residual"].max()
     return paragraph(
         f"From 76 residues on, time grows as their number to the power of {whole:.2f}, and an",
-        f"evaluation of the energy to that of {own:.2f}: {whole - own:.2f} is beyond the energy's own. The largest residual,",
-        f"$|Ka-w^2Ma|$ of $|K||a|$, is {worst:.0e}.",
+        f"evaluation of the energy to that of {own:.2f}: {whole - own:.2f} is beyond the energy's own. The",
+        f"largest residual, $|Ka-w^2Ma|$ of $|K||a|$, is {worst:.0e}.",
     )
 
 
