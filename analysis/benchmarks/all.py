@@ -47,7 +47,8 @@ class Job:
     @property
     def inputs(self) -> list[str]:
         """Files that the command names."""
-        return [word for word in self.command.split() if word.endswith((".pdb", ".cif"))]
+        words = [word.partition(":")[0] for word in self.command.split()]
+        return [word for word in words if word.endswith((".pdb", ".cif"))]
 
     @property
     def needs_more(self) -> bool:
@@ -100,7 +101,10 @@ OF_B_FACTORS = " ".join(
         "1bx8_hirustasin", "1orc_icode", "1us0_altlocs",
     )
 )  # fmt: skip
-LARGE = "MORE/1us0_altlocs.pdb MORE/3enl_enolase.pdb"
+LARGE = (
+    "structures/1ake.pdb.gz MORE/1us0_altlocs.pdb MORE/3enl_enolase.pdb MORE/1afs_638.pdb "
+    "MORE/3o21_1489.pdb:A,B,C"
+)
 OF_CRYSTALS = (
     "structure", "status", "n_residues", "violations_start", "violations_end",
     "clashscore_per_1000_atoms_start", "clashscore_per_1000_atoms_end", "ramachandran_outliers_start",
@@ -147,7 +151,7 @@ JOBS = (
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job(
         "modes",
-        f"{HERE}/modes.py {OF_B_FACTORS} --pairs MORE --large {LARGE} -o DIR",
+        f"{HERE}/modes.py {OF_B_FACTORS} --pairs MORE --as-is {LARGE} -o DIR",
         12,
         f"{HERE}/modes.py --quick -o DIR",
     ),

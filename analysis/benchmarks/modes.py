@@ -1,20 +1,24 @@
 """Normal modes in torsions beside elastic networks: changes between crystals, B factors, cost.
 
-    python analysis/benchmarks/modes.py [CRYSTAL ...] [--pairs DIR] [-o DIR] [--quick]
+    python analysis/benchmarks/modes.py [CRYSTAL ...] [--pairs DIR] [--only TABLE ...] [-o DIR] [--quick]
 
 modes_pairs.csv: share of the change between two crystals, of C-alphas, that ten modes have together; from
 minima of the force field in phi, psi and chi, and of Tirion's network in the same torsions, both here, and by
 networks of C-alphas of ProDy (ANM, 15 angstrom) and springcraft (Hinsen), where they are installed. Crystals
 of pairs are looked for in structures/ and DIR by their names, 1omp.pdb or 1omp.pdb.gz; absent ones are named.
-modes_b_factors.csv: correlation with B factors of C-alphas in the files. modes_cost.csv: seconds and memory.
+modes_b_factors.csv: correlation with B factors of C-alphas in the files. modes_cost.csv: seconds of a
+processor, one thread, and memory of a process that is given the structure, at a minimum or, of --as-is, as it
+is. modes_steps.csv: longest step of the leapfrog at which cold runs do not heat up, by bisection, beside 2/w.
 """
 
 import argparse
-import resource
-from collections.abc import Iterator
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 import made
 import numpy as np
@@ -24,12 +28,13 @@ from scipy.spatial import cKDTree
 
 import protochain as pc
 
-try:
-    import prody
-    import springcraft
-    from biotite.structure import AtomArray
-except ImportError:
-    prody = springcraft = None
+prody = springcraft = None
+# Processes that measure their memory know nothing of others' libraries.
+if multiprocessing.parent_process() is None:
+    with suppress(ImportError):
+        import prody
+        import springcraft
+        from biotite.structure import AtomArray
 
 PAIRS = (
     ("adenylate kinase", "4ake", "A", "1ake", "A"),
@@ -46,7 +51,10 @@ CONTACT = 0.5
 """nm. Between heavy atoms that Tirion's network joins: Phys. Rev. Lett. 77:1905 (1996)."""
 CRYSTALS = ("1ubq", "4pti", "3i40", "1hel", "1ejg")
 TOLERANCE = 0.1
-SIZES = ("1l2y", "1ubq", "1hel", "1ake")
+SIZES = ("1l2y", "1ubq", "1hel")
+STEPPED = ("1l2y", "1vii", "1ubq")
+BISECTIONS, COLD_STEPS = 6, 400
+TABLES = ("cost", "steps", "b_factors", "pairs")
 
 
 class Tirion:
@@ -213,19 +221,81 @@ def b_factors(paths: list[Path]) -> Iterator[dict[str, object]]:
         yield row
 
 
-def cost(paths: list[Path]) -> Iterator[dict[str, object]]:
-    """Seconds of twenty modes at a minimum, and the largest memory of the process so far."""
-    for path in paths:
-        structure = pc.load(path)
-        minimum = pc.minimise(structure, method="lbfgs", tolerance=TOLERANCE)
-        modes = pc.normal_modes(minimum, k=20)
-        began = perf_counter()
-        modes = pc.normal_modes(minimum, k=20)
-        row: dict[str, object] = {"structure": path.name.partition(".")[0], "residues": structure.n_residues}
-        row |= {"freedoms": modes.chain.n_v, "seconds": perf_counter() - began}
-        row["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-        print(*(f"{v:.3g}" if isinstance(v, float) else v for v in row.values()), flush=True)
-        yield row
+def cost(relaxed: list[Path], as_is: list[str]) -> Iterator[dict[str, object]]:
+    """Cost of twenty modes of structures, of which some are minimised first."""
+    for path in relaxed:
+        minimum = pc.minimise(pc.load(path), method="lbfgs", tolerance=TOLERANCE)
+        yield shown({"structure": path.name.partition(".")[0], **in_process(minimum.structure)})
+    for given in as_is:
+        file, _, chains = given.partition(":")
+        structure = pc.load(file, chains=chains or None)
+        name = Path(file).name.partition(".")[0] + (f", {chains}" if chains else "")
+        yield shown({"structure": name, **in_process(structure)})
+
+
+def shown(row: dict[str, object]) -> dict[str, object]:
+    print(*(f"{v:.3g}" if isinstance(v, float) else v for v in row.values()), flush=True)
+    return row
+
+
+def in_process(structure: pc.Structure) -> dict[str, object]:
+    """Cost of twenty modes, in a process of its own, of one thread."""
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        return pool.submit(one_cost, structure).result()
+
+
+def one_cost(structure: pc.Structure) -> dict[str, object]:
+    """Seconds of a processor of twenty modes and of one evaluation, and the largest memory."""
+    pc.normal_modes(pc.load(sample("ala10")), k=20)  # loads what is compiled
+    chain, energy = pc.build_chain(structure, root="free"), pc.energy(structure, threads=1)
+    energy(structure.positions)
+    began = process_time()
+    energy(structure.positions)
+    single, began, wall = process_time() - began, process_time(), perf_counter()
+    modes = pc.normal_modes(chain, energy, k=20)
+    return {
+        "residues": structure.n_residues, "freedoms": modes.n_freedoms, "minimum": modes.is_minimum,
+        "seconds": process_time() - began, "wall_seconds": perf_counter() - wall,
+        "evaluation_seconds": single, "peak_mb": highest(), "residual": float(modes.residuals.max()),
+    }  # fmt: skip
+
+
+def highest() -> float:
+    """Largest memory of this process, MB: what getrusage has is also that of the process that began it."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return int(next(line for line in lines if line.startswith("VmHWM")).split()[1]) / 1024.0
+
+
+def steps(names: tuple[str, ...]) -> Iterator[dict[str, object]]:
+    """Longest stable steps at minima, found by cold runs, beside 2/w of the fastest mode."""
+    for name in names:
+        minimum = pc.minimise(pc.load(sample(name)), method="lbfgs", tolerance=0.01)
+        chain = pc.build_chain(minimum.structure, root="free")
+        energy = pc.energy(chain.structure, threads=1)
+        known = pc.normal_modes(chain, energy, k=1).largest_stable_step
+
+        def stable(time_step: float, chain: pc.Chain = chain, energy: object = energy) -> bool:
+            run = pc.simulate(
+                chain, energy, temperature=1e-6, thermostat="none", time_step=time_step, n_steps=COLD_STEPS,
+                every=COLD_STEPS,
+            )  # fmt: skip
+            first, last = (run.rows[k]["kinetic_kj_mol"] for k in (0, -1))
+            return run.ending == "completed" and last < 1e4 * first
+
+        found = bisected(stable, 0.8 * known, 1.25 * known)
+        row = {"structure": name, "hinges": chain.n_hinges, "predicted_fs": 1e3 * known}
+        yield shown({**row, "found_fs": 1e3 * found, "ratio": found / known})
+
+
+def bisected(stable: Callable[[float], bool], low: float, high: float) -> float:
+    """Geometric mean of the longest stable step and the shortest one that is not."""
+    assert stable(low)
+    assert not stable(high)
+    for _ in range(BISECTIONS):
+        middle = float(np.sqrt(low * high))
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return float(np.sqrt(low * high))
 
 
 def sample(name: str) -> Path:
@@ -236,7 +306,11 @@ def parser() -> argparse.ArgumentParser:
     ours = made.parser(__doc__)
     ours.add_argument("crystals", nargs="*", type=Path, default=[sample(name) for name in CRYSTALS])
     ours.add_argument("--pairs", type=Path, help="folder of the crystals of pairs")
-    ours.add_argument("--large", nargs="*", type=Path, default=[], help="more structures to time, by size")
+    ours.add_argument(
+        "--large", nargs="*", type=Path, default=[], help="more structures to minimise and time"
+    )
+    ours.add_argument("--as-is", nargs="*", default=[], metavar="FILE[:CHAINS]", help="more, not minimised")
+    ours.add_argument("--only", nargs="*", choices=TABLES, default=TABLES, help="tables; all by default")
     return ours
 
 
@@ -247,16 +321,22 @@ def main() -> None:
     if options.quick:
         options.crystals = [sample("4pti")]
     folders = [SAMPLES, *([options.pairs] if options.pairs else [])]
-    # Sizes first, in growing order: the memory of a process does not fall.
     sizes = [sample(name) for name in (SIZES[:2] if options.quick else SIZES)] + options.large
-    costs = pd.DataFrame(cost(sizes))
-    tables = {"modes_cost": costs, "modes_b_factors": pd.DataFrame(b_factors(options.crystals))}
-    if not options.quick:
-        tables["modes_pairs"] = pd.DataFrame(pairs(folders))
-    for name, table in tables.items():
+    stepped = STEPPED[:1] if options.quick else STEPPED
+    made_by = {
+        "cost": lambda: cost(sizes, options.as_is),
+        "steps": lambda: steps(stepped),
+        "b_factors": lambda: b_factors(options.crystals),
+        "pairs": lambda: pairs(folders),
+    }
+    inputs = {"cost": [*sizes, *options.as_is], "steps": [sample(name) for name in stepped]}
+    for name in options.only:
+        if name == "pairs" and options.quick:
+            continue
+        table = pd.DataFrame(made_by[name]())
         print(table.round(3).to_string(index=False))
         if options.output:
-            made.write(table, options.output / f"{name}.csv", options.crystals)
+            made.write(table, options.output / f"modes_{name}.csv", inputs.get(name, options.crystals))
 
 
 if __name__ == "__main__":

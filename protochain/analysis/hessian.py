@@ -14,7 +14,7 @@ from protochain.chain import Chain, pose, pull_back
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import checked
 from protochain.core.errors import Fault, ProtochainError
-from protochain.energies import Energy, NativeEnergy, as_energy
+from protochain.energies import Energy, NativeEnergy, OpenMMEnergy, as_energy
 from protochain.mechanics import multibody
 from protochain.minimisers.spaces import Torsions
 
@@ -47,8 +47,13 @@ class Torques:
 
     @cached_property
     def _varying(self) -> Energy:
-        """The energy without terms that rigid bodies keep: their rounding would be left of them."""
-        return self.energy.without_constants(self.chain.rigid_groups, self.chain.structure.positions)
+        """The energy without terms that rigid bodies keep: their rounding would be left of them.
+
+        OpenMM's is that of its Reference platform: others round forces to single precision.
+        """
+        energy = self.energy
+        energy = energy.reference if isinstance(energy, OpenMMEnergy) else energy
+        return energy.without_constants(self.chain.rigid_groups, self.chain.structure.positions)
 
     @cached_property
     def scale(self) -> Floats:
@@ -75,9 +80,14 @@ class Torques:
 
     def matrix(self, freedoms: Any) -> Floats:
         """Hessian (n, n) of some freedoms: analytic where it can be, else by two evaluations a row."""
-        if applies(self.energy):
-            return self._analytic()[np.ix_(freedoms, freedoms)]
-        return self._by_rows(freedoms)
+        if not applies(self.energy):
+            return self._by_rows(freedoms)
+        found = self._analytic()
+        # Within the same memory: rows move towards its beginning.
+        less = found.reshape(-1)[: len(freedoms) ** 2].reshape(len(freedoms), -1)
+        for row, freedom in zip(less, freedoms, strict=True):
+            row[:] = found[freedom, freedoms]
+        return less
 
     def _analytic(self) -> Floats:
         """Pairs and Born radii analytically; bonded terms by differences, hinges of one colour at a time."""
@@ -85,7 +95,6 @@ class Torques:
         found = pair_hessian(self.chain, self.energy, pose(self.chain, self.q))
         bonded = replace(self, energy=self.energy.bonded)
         coupled, colour = colours(self.chain, self.energy)
-        of_bonded = np.zeros_like(found)
         for each in range(int(colour.max(initial=-1)) + 1):
             column = np.flatnonzero(colour == each)
             direction = np.zeros(self.chain.n_v)
@@ -93,8 +102,9 @@ class Torques:
             fall = bonded.product(direction)
             for v in column:
                 rows = coupled.indices[coupled.indptr[v] : coupled.indptr[v + 1]]
-                of_bonded[rows, v] = fall[rows] / self.scale[v]
-        found += 0.5 * (of_bonded + of_bonded.T)
+                half = 0.5 * fall[rows] / self.scale[v]
+                found[rows, v] += half
+                found[v, rows] += half
         return found
 
     def _by_rows(self, freedoms: Any) -> Floats:

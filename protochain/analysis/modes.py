@@ -110,7 +110,7 @@ class NormalModes(Value):
 
     @property
     def n_negative(self) -> int:
-        """Number of modes along which the energy falls, by more than the error of the differences."""
+        """Number of the modes found along which the energy falls, by more than the error of differences."""
         return int(np.sum(self.eigenvalues < -self.errors))
 
     @property
@@ -131,7 +131,9 @@ class NormalModes(Value):
             return f"a minimum: {torque}, no mode is negative"
         if self.n_negative:
             lowest = f"{self.frequencies[0]:.3g} 1/cm"
-            return f"not a minimum: {self.n_negative} negative of {self.n_modes} modes, {lowest}; {torque}"
+            least = "at least " if self.n_negative == self.n_modes < self.n_freedoms else ""
+            negative = f"{least}{self.n_negative} negative of {self.n_modes} modes"
+            return f"not a minimum: {negative}, {lowest}; {torque}"
         return f"not a minimum: {torque}; minimise it first"
 
     @cached_property

@@ -10,13 +10,15 @@ to be found, and all others come out exactly.
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
+from scipy.linalg.blas import dsymv
+from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, lobpcg
 
 from protochain.analysis.hessian import Torques, torques_at
@@ -26,7 +28,7 @@ from protochain.articulate import as_chain, build_chain, transferred
 from protochain.chain import Chain, Pose, mass_matrix, pose
 from protochain.core.arrays import Floats, floats, read_only
 from protochain.core.checks import at_least, checked, text
-from protochain.core.errors import ProtochainError, refused
+from protochain.core.errors import Fault, ProtochainError, refused
 from protochain.energies import as_energy
 from protochain.frame import frame_of
 from protochain.mechanics import multibody
@@ -35,9 +37,13 @@ from protochain.minimisers.saddle import motions_of_whole
 
 METHODS = ("auto", "dense", "products")
 
-DENSE, ANALYTIC = 1000, 6000
-"""Freedoms up to which ``auto`` makes the whole Hessian: by differences, and where it is analytic. The lowest
-modes take some 700 products, whatever the number of freedoms; matrices of 6000 take 0.3 GB each."""
+DENSE = 1000
+"""Freedoms up to which ``auto`` makes the whole Hessian by differences. The lowest modes take some 700
+products, whatever the number of freedoms."""
+
+MOST, ANALYTIC = 6000, 16000
+"""Freedoms that are taken at all: with differences, and where the Hessian is analytic. Five matrices of 6000
+take 1.4 GB, the one of 16000 with what is beside it 3 GB and an hour."""
 
 ALL = 2000
 """Freedoms up to which all eigenvalues of the whole Hessian are found, half a minute for as many."""
@@ -47,6 +53,9 @@ RESIDUAL = 1e-8
 
 _FLOOR = 1.0
 """kJ/mol/rad^2, added to the stiffness of near terms, as that of the softest turns."""
+
+_SHIFT = 0.01
+"""1/ps^2, the least s of K + s M, of half a wavenumber; ten times as much while negative modes need it."""
 
 _GUARDS = 4
 """Modes sought beside those asked for, so that the last of these converges too."""
@@ -105,6 +114,10 @@ class Inertia:
         """Mass matrix times (n,)."""
         return self._multiply(self.full(x))[self.freedoms]
 
+    def column(self, scale: float, j: int) -> Floats:
+        """A column (n,) of the mass matrix times a number."""
+        return scale * self.times(np.eye(1, len(self.freedoms), j)[0])
+
     def solve(self, tau: Floats) -> Floats:
         """Inverse of the mass matrix times (n,)."""
         wide = np.zeros(self.chain.n_v)
@@ -150,8 +163,8 @@ def normal_modes(
     method : str
         ``dense`` makes the whole Hessian, as :func:`protochain.hessian` does, and up to 2000 freedoms finds
         all frequencies; ``products`` finds the lowest by LOBPCG (Knyazev, SIAM J. Sci. Comput. 23:517, 2001)
-        on differences of torques, guided by a model of the Hessian; ``auto`` is dense up to 6000 freedoms
-        where the Hessian is analytic, and else up to 1000.
+        on differences of torques, guided by a model of the Hessian; ``auto`` is dense where the Hessian is
+        analytic, and else up to 1000 freedoms.
 
     Returns
     -------
@@ -162,7 +175,8 @@ def normal_modes(
     Raises
     ------
     ProtochainError
-        If the input cannot be used, the method is unknown, or the modes do not converge.
+        If the input cannot be used, the method is unknown, the modes do not converge, or there are more than
+        16000 freedoms, or 6000 where the Hessian is not analytic.
     """
     check_modes(k, method)
     began = perf_counter()
@@ -178,8 +192,10 @@ def normal_modes(
     n = len(inertia.freedoms)
     if n == 0:
         raise ProtochainError(f"{chain.structure.name}: nothing moves in it but the whole; open more hinges")
-    most = ANALYTIC if applies(torques.energy) else DENSE
-    solve = _dense if method == "dense" or (method == "auto" and n <= most) else _by_products
+    analytic = applies(torques.energy)
+    _refuse_many(chain, n, analytic and method != "products")
+    dense = method == "dense" or (method == "auto" and (analytic or n <= DENSE))
+    solve = _dense if dense else _by_products
     found = solve(torques, inertia, min(k, n))
     order = np.argsort(found.values)
     return NormalModes(
@@ -208,6 +224,16 @@ def check_modes(k: int, method: str) -> None:
         raise refused("method", repr(method), f"choose from {', '.join(METHODS)}")
 
 
+def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:
+    """Refuse more freedoms than memory and an hour are enough for."""
+    most = ANALYTIC if analytic else MOST
+    if n > most:
+        other = "" if analytic else ", or take OBC2 without a cutoff, whose Hessian is analytic"
+        raise ProtochainError(
+            f"{chain.structure.name}: modes of {n} freedoms, of at most {most}; open fewer hinges{other}"
+        )
+
+
 def _freed(chain: Chain, q: Floats) -> tuple[Chain, Floats]:
     """Chain with free roots, and its coordinates, where ``auto`` has fixed one."""
     if chain.root != "auto":
@@ -232,6 +258,15 @@ class _Found:
     log_det: float | None = None
 
 
+def _largest(stiffness: Floats) -> float:
+    """Largest eigenvalue of K, by Lanczos."""
+    n = len(stiffness)
+    if n < 20:
+        return float(np.linalg.eigvalsh(stiffness)[-1])
+    found: Any = eigsh(stiffness, k=1, which="LA", return_eigenvectors=False, v0=np.ones(n))
+    return float(found[0])
+
+
 def _found(values: Floats, vectors: Floats, left: Floats, norm: float, **more: Any) -> _Found:
     """Eigenpairs with their backward errors, and what an error of 1e-8 of K may be of a value."""
     sizes = np.linalg.norm(vectors, axis=0)
@@ -241,39 +276,21 @@ def _found(values: Floats, vectors: Floats, left: Floats, norm: float, **more: A
 
 def _dense(torques: Torques, inertia: Inertia, k: int) -> _Found:
     """All eigenvalues by LAPACK, or of many freedoms the lowest and the largest by Lanczos."""
-    stiffness, mass = torques.matrix(inertia.freedoms), inertia.matrix()
-    norm = _largest(stiffness)
-    if len(mass) <= max(ALL, 2 * k):
-        values, vectors = eigh(stiffness, mass)
-        every, largest, few, log_det = values, float(values[-1]), vectors[:, :k], _log_det(stiffness)
-        values = values[:k]
-    else:
-        every, largest, log_det = None, _largest(stiffness, mass), _log_det(stiffness)
-        if log_det is None:
-            # With negative modes there is no Cholesky factor to iterate with.
-            values, few = eigh(stiffness, mass, subset_by_index=[0, k - 1])
-        else:
-            factor = cho_factor(stiffness, lower=True, check_finite=False)
-            inverse = LinearOperator(stiffness.shape, matvec=lambda x: cho_solve(factor, x), dtype=np.float64)
-            start = np.ones(len(mass))
-            values, few = eigsh(stiffness, k=k, M=mass, sigma=0.0, OPinv=inverse, v0=start)
-    left = stiffness @ few - mass @ few * values
-    return _found(values, few, left, norm, largest=largest, products=0, every=every, log_det=log_det)
-
-
-def _largest(stiffness: Floats, mass: Floats | None = None) -> float:
-    """Largest eigenvalue of K, or of K a = w^2 M a, by Lanczos."""
+    stiffness = torques.matrix(inertia.freedoms)
     n = len(stiffness)
-    if n < 20:
-        return float(eigh(stiffness, mass, eigvals_only=True)[-1])
-    inverse = None
-    if mass is not None:
-        factor = cho_factor(mass, lower=True, check_finite=False)
-        inverse = LinearOperator((n, n), matvec=lambda x: cho_solve(factor, x), dtype=np.float64)
-    found: Any = eigsh(
-        stiffness, k=1, M=mass, Minv=inverse, which="LA", return_eigenvectors=False, v0=np.ones(n)
-    )
-    return float(found[0])
+    if not np.isfinite(np.vdot(stiffness, stiffness)):
+        raise ProtochainError(
+            f"{inertia.chain.structure.name}: the Hessian is not finite; minimise it first",
+            fault=Fault.NOT_FINITE,
+        )
+    if n > max(ALL, 2 * k):
+        return _by_factor(_Factored(stiffness), inertia, k)
+    mass, norm = inertia.matrix(), _largest(stiffness)
+    values, vectors = eigh(stiffness, mass)
+    few = vectors[:, :k]
+    left = stiffness @ few - mass @ few * values[:k]
+    most, log_det = float(values[-1]), _log_det(stiffness)
+    return _found(values[:k], few, left, norm, largest=most, products=0, every=values, log_det=log_det)
 
 
 def _log_det(stiffness: Floats) -> float | None:
@@ -282,6 +299,58 @@ def _log_det(stiffness: Floats) -> float | None:
         return 2.0 * float(np.sum(np.log(np.diagonal(cholesky(stiffness, lower=True, check_finite=False)))))
     except LinAlgError:
         return None
+
+
+class _Factored:
+    """A symmetric matrix (n, n), and in the same memory the factor of it and of what is added to it.
+
+    The factor takes one triangle and the diagonal, of which there is a copy; the matrix keeps the other.
+    """
+
+    def __init__(self, matrix: Floats) -> None:
+        # The transpose is what LAPACK calls the matrix, without a copy.
+        self.matrix, self.diagonal = matrix.T, np.diagonal(matrix).copy()
+
+    def __matmul__(self, x: Floats) -> Floats:
+        kept = self.diagonal - np.diagonal(self.matrix)
+        return np.asarray(dsymv(1.0, self.matrix, x, lower=0) + kept * x)
+
+    def factorise(self, add: Callable[[int], Floats] | None = None) -> bool:
+        """Make the factor of the matrix, with columns added to it; False if that is not positive."""
+        for j, below in enumerate(self.matrix.T):
+            below[j], below[j + 1 :] = self.diagonal[j], self.matrix[j, j + 1 :]
+            if add is not None:
+                below[j:] += add(j)[j:]
+        return not dpotrf(self.matrix, lower=1, clean=0, overwrite_a=1)[1]
+
+    def solve(self, b: Floats) -> Floats:
+        """Solution of the factorised equations."""
+        return np.asarray(dpotrs(self.matrix, b, lower=1)[0])
+
+    def log_det(self) -> float:
+        """Logarithm of the determinant of what is factorised."""
+        return 2.0 * float(np.sum(np.log(np.diagonal(self.matrix))))
+
+
+def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Found:
+    """The lowest eigenpairs by Lanczos with a factor of K + s M, which is positive with zero modes, too."""
+    n = len(stiffness.diagonal)
+    k_of, m_of, rates_of, inverse = (
+        LinearOperator((n, n), matvec=f, dtype=np.float64)
+        for f in (stiffness.__matmul__, inertia.times, inertia.solve, stiffness.solve)
+    )
+    start = np.ones(n)
+    one: dict[str, Any] = {"k": 1, "which": "LA", "return_eigenvectors": False, "v0": start}
+    norm = float(eigsh(k_of, **one)[0])
+    largest = float(eigsh(k_of, M=m_of, Minv=rates_of, **one)[0])
+    log_det = stiffness.log_det() if stiffness.factorise() else None
+    shift = _SHIFT
+    # Below the lowest eigenvalue, so that those next to it are the lowest.
+    while not stiffness.factorise(partial(inertia.column, shift)):
+        shift *= 10.0
+    values, few = eigsh(k_of, k=k, M=m_of, sigma=-shift, OPinv=inverse, v0=start)
+    left = np.stack([stiffness @ a - inertia.times(a) * each for a, each in zip(few.T, values, strict=True)])
+    return _found(values, few, left.T, norm, largest=largest, products=0, log_det=log_det)
 
 
 def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Found:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg.blas import dgemm
 from scipy.sparse import csr_array
 
 from protochain.analysis import pair_kernels
@@ -28,6 +29,12 @@ _ROWS = 256
 """Atoms whose second derivatives in Born radii are made at a time."""
 _PART = 32
 """Atoms that a thread takes at a time."""
+_KEPT = 64e6
+"""Bytes of derivatives of Born radii that are kept; of large molecules, half as much as the result takes."""
+_BODIES = 64
+"""Bodies whose rows are made at a time."""
+_COLUMNS = 16
+"""Parts of the other bodies, which threads take: sums keep their order for any number of threads."""
 
 
 def applies(energy: Energy) -> bool:
@@ -43,53 +50,92 @@ def applies(energy: Energy) -> bool:
 
 def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
     """Second derivatives (n_v, n_v) of all pairs of atoms, exceptions and Born radii included."""
-    terms, tree, middle = energy.terms, chain.tree, at.x.mean(axis=0)
+    terms, middle = energy.terms, at.x.mean(axis=0)
     by_body = np.argsort(chain.atom_body, kind="stable")
     x, body = at.x[by_body] - middle, chain.atom_body[by_body]
-    first = np.searchsorted(body, np.arange(tree.n_bodies + 1)).astype(np.int64)
-    parent, v_start = np.array(tree.parent), np.array(tree.v_start)
-    motions = _motions(chain, at, middle)
-    order, depth = _inward_order(parent)
-    nonbonded, n = terms.nonbonded, len(x)
-    matrix = np.zeros((chain.n_v, chain.n_v))
-    none = np.zeros(n)
+    first = np.searchsorted(body, np.arange(chain.tree.n_bodies + 1)).astype(np.int64)
+    tree = np.array(chain.tree.parent), np.array(chain.tree.v_start), _motions(chain, at, middle)
+    matrix, none = np.zeros((chain.n_v, chain.n_v)), np.zeros(len(x))
     solvated: tuple[Any, ...] = (False, none, none, none, none, False, none)
-    share = _shares(energy.threads)
-    if terms.solvent is not None:
-        matrix, solvated = _of_radii(terms, by_body, (x, body, first), (parent, v_start, motions), share)
-    own = _exceptions(terms, by_body)
-    ends = _even(first, energy.threads)
-    forces = np.zeros((energy.threads, n, 3))
-    found = np.zeros((energy.threads, chain.n_v, chain.n_v))
-
-    def sweep(part: int) -> None:
-        kernels.pair_sweep(
-            ends[part], ends[part + 1], parent, order, depth, v_start, motions, x, body, first,
-            nonbonded.charge[by_body], nonbonded.lj_type[by_body].astype(np.int64), np.array(nonbonded.a12),
-            np.array(nonbonded.b6), *own, *solvated, forces[part], found[part],
-        )  # fmt: skip
-
-    share(sweep, range(energy.threads))
-    matrix += found.sum(axis=0)
-    _add_bending(matrix, chain, at, motions, body, x, forces.sum(axis=0), middle)
-    return 0.5 * (matrix + matrix.T)
+    with ThreadPoolExecutor(energy.threads) as pool:
+        share = _shares(pool)
+        if terms.solvent is not None:
+            born = energy.born_radii(at.x)[by_body]
+            solvated = _add_radii(matrix, terms, by_body, born, (x, body, first), tree, share)
+        pairs = _parameters(terms, by_body), solvated
+        own = _add_pairs(matrix, (x, first), tree, pairs, share)
+    _add_own(matrix, chain, at, tree[2], body, x, own, middle)
+    symmetrise(matrix)
+    return matrix
 
 
 Share = Callable[[Callable[[Any], None], Any], None]
 """Does something for each part, in threads."""
 
 
-def _shares(threads: int) -> Share:
+def _shares(pool: ThreadPoolExecutor) -> Share:
     def share(do: Callable[[Any], None], parts: Any) -> None:
-        with ThreadPoolExecutor(threads) as pool:
-            list(pool.map(do, parts))
+        for _ in pool.map(do, parts):
+            pass
 
     return share
 
 
-def _even(first: Integers, parts: int) -> Integers:
-    """Bodies at which parts of about as many atoms begin, and the end."""
-    return np.searchsorted(first, np.arange(parts + 1) * first[-1] / parts).astype(np.int64)
+def symmetrise(matrix: Floats) -> None:
+    """Put the mean of a matrix (n, n) and its transpose in its place, without another one."""
+    n = len(matrix)
+    for a in range(0, n, _ROWS):
+        for b in range(a, n, _ROWS):
+            above, below = matrix[a : a + _ROWS, b : b + _ROWS], matrix[b : b + _ROWS, a : a + _ROWS]
+            above[:] = 0.5 * (above + below.T)
+            below[:] = above.T
+
+
+def _add_product(matrix: Floats, a: Floats, b: Floats) -> None:
+    """Add 2 (a^T b)^T to a matrix in place: of its symmetric part, a^T b + b^T a."""
+    dgemm(2.0, a.T, b.T, beta=1.0, c=matrix.T, trans_b=True, overwrite_c=True)
+
+
+def _parameters(terms: Terms, by_body: Integers) -> tuple[Any, ...]:
+    """Parameters of the pairs, of atoms in the order of their bodies."""
+    nonbonded = terms.nonbonded
+    return (
+        nonbonded.charge[by_body], nonbonded.lj_type[by_body].astype(np.int64), np.array(nonbonded.a12),
+        np.array(nonbonded.b6), *_exceptions(terms, by_body),
+    )  # fmt: skip
+
+
+def _add_pairs(
+    matrix: Floats, atoms: tuple[Floats, Integers], tree: tuple[Any, ...], pairs: tuple[Any, Any],
+    share: Share,
+) -> Floats:  # fmt: skip
+    """Add the pairs between bodies, once each; return each atom's stiffness by itself, and force, (na, 9)."""
+    (x, first), (parent, v_start, motions) = atoms, tree
+    order, depth = _inward_order(parent)
+    ends = np.searchsorted(first, np.arange(_COLUMNS + 1) * len(x) // _COLUMNS).astype(np.int64)
+    rows = np.zeros((int(depth.max()) + 1, 6, 6 * len(parent)))
+    own = np.zeros((len(x), 9))
+    for begin in range(0, len(order), _BODIES):
+        bodies = order[begin : begin + _BODIES]
+        here, freedoms = _ranges(first, bodies), _ranges(v_start, bodies)
+        along, sums = np.empty((len(freedoms), 6 * len(parent))), np.empty((_COLUMNS, len(here), 9))
+
+        def sweep(part: int, bodies: Integers = bodies, along: Floats = along, sums: Floats = sums) -> None:
+            kernels.pair_sweep(
+                bodies, ends[part], ends[part + 1], parent, depth, v_start, motions, x, first, *pairs[0],
+                *pairs[1], rows, along, sums[part], own,
+            )  # fmt: skip
+
+        share(sweep, range(_COLUMNS))
+        own[here] += sums.sum(axis=0)
+        to = freedoms, parent, v_start, motions, along, matrix
+        share(partial(_each, kernels.add_rows, to), _parts(0, len(freedoms)))
+    return own
+
+
+def _ranges(start: Integers, which: Integers) -> Integers:
+    """Numbers from the start of each of some to its end, one after the other."""
+    return np.concatenate([np.arange(start[b], start[b + 1]) for b in which]).astype(np.int64)
 
 
 def _exceptions(terms: Terms, by_body: Integers) -> tuple[Integers, Integers, Floats]:
@@ -104,49 +150,74 @@ def _exceptions(terms: Terms, by_body: Integers) -> tuple[Integers, Integers, Fl
     return start, other[order], np.concatenate([parameters, parameters])[order]
 
 
-def _of_radii(
-    terms: Terms, by_body: Integers, atoms: tuple[Floats, Integers, Integers], tree: tuple[Any, ...],
-    share: Share,
-) -> tuple[Floats, tuple[Any, ...]]:  # fmt: skip
-    """Second derivatives by way of the Born radii, and what pairs need to know of these."""
+def _add_radii(
+    matrix: Floats, terms: Terms, by_body: Integers, born: Floats, atoms: tuple[Floats, Integers, Integers],
+    tree: tuple[Any, ...], share: Share,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Add second derivatives by way of the Born radii; return what pairs need to know of these.
+
+    Derivatives of radii (na, n_v) may be too many to keep: then those of some are kept, and of the others
+    made again beside them.
+    """
     s = terms.solvent
     assert s is not None
-    n, n_v = len(by_body), len(tree[-1])
+    n, n_v = len(by_body), len(matrix)
     offset, radius, scaled = s.offset_radius[by_body], s.radius[by_body], s.scaled_radius[by_body]
-    charge, surface = s.charge[by_body], s.surface[by_body]
-    integral, along = np.empty(n), np.empty((n, n_v))
+    charge, surface, shape = s.charge[by_body], s.surface[by_body], s.bend[by_body]
+    integral, slope, bend, of_born, own = np.empty((5, n))
+    rest = *atoms, offset, scaled, bool(s.engulfs), *tree
 
-    def integrate(part: tuple[int, int]) -> None:
-        sphere = offset, scaled, bool(s.engulfs)
-        kernels.integrals(*part, *atoms, *sphere, *tree, integral, along)
+    def derivatives(begin: int, end: int, to: Floats) -> Floats:
+        share(partial(_each, kernels.integrals, (*rest, integral, to), begin), _parts(begin, end))
+        some = slice(begin, end)
+        slope[some], bend[some] = born_radii(integral[some], offset[some], radius[some], shape[some])[1:]
+        to = to[: end - begin]
+        to *= slope[some, None]
+        return to
 
-    share(integrate, _parts(0, n))
-    born, slope, bend = born_radii(integral, offset, radius, s.bend[by_body])
-    along *= slope[:, None]
-    # Where a radius is as large as it can be, nothing changes it.
-    bend_by_slope = np.divide(bend, slope**2, out=np.zeros(n), where=slope != 0.0)
-    of_born, matrix = np.empty(n), np.zeros((n_v, n_v))
-    for begin in range(0, n, _ROWS):
-        rows = np.arange(begin, min(n, begin + _ROWS))
-        couplings, mixed = np.zeros((len(rows), n)), np.empty((len(rows), n_v))
-        known, to = (*atoms, charge, surface, born), (of_born, couplings, mixed)
-        share(partial(_born_rows, begin, (*known, *tree, *to)), _parts(begin, begin + len(rows)))
-        couplings[rows - begin, rows] += of_born[rows] * bend_by_slope[rows]
-        # Half of a symmetric product: the other is its transpose.
-        mixed += 0.5 * couplings[:, rows] @ along[rows]
-        mixed += couplings[:, rows[-1] + 1 :] @ along[rows[-1] + 1 :]
-        matrix += along[rows].T @ mixed
-    matrix += matrix.T.copy()
-    return matrix, (True, charge, born, offset, scaled, bool(s.engulfs), of_born * slope)
+    def coupled(begin: int, end: int, left: int, right: int) -> Floats:
+        found = np.empty((end - begin, right - left))
+
+        def rows(part: tuple[int, int]) -> None:
+            to = found[part[0] - begin : part[1] - begin]
+            kernels.couplings(*part, left, right, atoms[0], charge, born, to)
+
+        share(rows, _parts(begin, end))
+        return found
+
+    kept = np.empty((min(n, max(_ROWS, n_v // 2, int(_KEPT) // (8 * n_v))), n_v))
+    others, mixed = np.empty((2, min(n, _ROWS), n_v))
+    known = *atoms, charge, surface, born, *tree, of_born, own, mixed
+    for left in range(0, n, len(kept)):
+        right = min(n, left + len(kept))
+        along = derivatives(left, right, kept)
+        for begin, end in _parts(left, right, _ROWS):
+            share(partial(_each, kernels.born_rows, known, begin), _parts(begin, end))
+            couplings = coupled(begin, end, begin, right)
+            # Half of a symmetric product: the other is its transpose.
+            mine = couplings[:, : end - begin]
+            mine *= 0.5
+            # Where a radius is as large as it can be, nothing changes it.
+            rows, turn = slice(begin, end), np.zeros(end - begin)
+            np.divide(bend[rows], slope[rows] ** 2, out=turn, where=slope[rows] != 0.0)
+            mine[np.diag_indices(end - begin)] = 0.5 * (own[rows] + of_born[rows] * turn)
+            product = mixed[: end - begin]
+            product += couplings @ along[begin - left :]
+            _add_product(matrix, along[begin - left : end - left], product)
+        for begin, end in _parts(right, n, _ROWS):
+            across = coupled(begin, end, left, right) @ along
+            _add_product(matrix, derivatives(begin, end, others), across)
+    return True, charge, born, offset, scaled, bool(s.engulfs), of_born * slope
 
 
-def _parts(begin: int, end: int) -> list[tuple[int, int]]:
-    """Ranges of atoms that a thread takes at a time."""
-    return [(k, min(end, k + _PART)) for k in range(begin, end, _PART)]
+def _parts(begin: int, end: int, size: int = _PART) -> list[tuple[int, int]]:
+    """Ranges of some, of a size at most; as small as a thread takes at a time."""
+    return [(k, min(end, k + size)) for k in range(begin, end, size)]
 
 
-def _born_rows(first: int, rest: tuple[Any, ...], part: tuple[int, int]) -> None:
-    kernels.born_rows(first, *part, *rest)
+def _each(kernel: Any, rest: tuple[Any, ...], *parts: Any) -> None:
+    """Call a kernel for a part, the last, after what comes before it."""
+    kernel(*parts[:-1], *parts[-1], *rest)
 
 
 def born_radii(
@@ -170,19 +241,30 @@ def born_radii(
     return born, born**2 * once, 2.0 * born**3 * once**2 + born**2 * twice
 
 
-def _add_bending(
-    matrix: Floats, chain: Chain, at: Pose, motions: Floats, body: Integers, x: Floats, forces: Floats,
+def _add_own(
+    matrix: Floats, chain: Chain, at: Pose, motions: Floats, body: Integers, x: Floats, own: Floats,
     middle: Floats,
 ) -> None:  # fmt: skip
-    """Add -f . d2x/dq dq: a turn about axis a after one about b moves by a cross (b cross r)."""
-    tree = chain.tree
+    """Add J^T D J of each atom by itself, and -f . d2x/dq dq.
+
+    A turn about axis a after one about b moves by a cross (b cross r).
+    """
+    tree, forces = chain.tree, own[:, 6:]
     moments, sums = np.zeros((tree.n_bodies, 3, 3)), np.zeros((tree.n_bodies, 3))
+    stiffness = np.zeros((tree.n_bodies, 6, 6))
     np.add.at(moments, body, x[:, :, None] * forces[:, None, :])
     np.add.at(sums, body, forces)
+    # Rows u - r cross omega of a point, for the twist (omega, u).
+    arms = np.zeros((len(x), 3, 6))
+    arms[:, [0, 1, 2], [3, 4, 5]] = 1.0
+    arms[:, [0, 1, 2], [1, 2, 0]], arms[:, [0, 1, 2], [2, 0, 1]] = x[:, [2, 0, 1]], -x[:, [1, 2, 0]]
+    blocks = own[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    np.add.at(stiffness, body, arms.transpose(0, 2, 1) @ blocks @ arms)
     for b in range(tree.n_bodies - 1, -1, -1):
         if tree.parent[b] >= 0:
             moments[tree.parent[b]] += moments[b]
             sums[tree.parent[b]] += sums[b]
+            stiffness[tree.parent[b]] += stiffness[b]
     origin, axes = at.frames.origin - middle, motions[:, :3]
     inward: list[NDArray[np.int64]] = []
     for b in range(tree.n_bodies):
@@ -191,24 +273,25 @@ def _add_bending(
         inward.append(np.concatenate([above, mine]))
         about = moments[b] - np.outer(origin[b], sums[b])
         turned = axes[mine] @ about.T - axes[mine] * np.trace(about)
-        of_above = axes[above] @ turned.T
-        matrix[np.ix_(above, mine)] -= of_above
-        matrix[np.ix_(mine, above)] -= of_above.T
-        of_mine = axes[mine] @ turned.T
-        matrix[np.ix_(mine, mine)] -= 0.5 * (of_mine + of_mine.T)
+        held = motions[mine] @ stiffness[b]
+        of_above = motions[above] @ held.T - axes[above] @ turned.T
+        matrix[np.ix_(above, mine)] += of_above
+        matrix[np.ix_(mine, above)] += of_above.T
+        matrix[np.ix_(mine, mine)] += motions[mine] @ held.T - axes[mine] @ turned.T
 
 
 def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
     """Freedoms that bonded terms couple (n_v, n_v), and a colour of each; none shares a row with its like."""
     tree = chain.tree
-    depth = np.zeros(tree.n_bodies, np.int64)
+    depth, root = np.zeros(tree.n_bodies, np.int64), np.arange(tree.n_bodies)
     for b in range(tree.n_bodies):
-        depth[b] = depth[tree.parent[b]] + 1 if tree.parent[b] >= 0 else 0
+        if tree.parent[b] >= 0:
+            depth[b], root[b] = depth[tree.parent[b]] + 1, root[tree.parent[b]]
     crossed: set[tuple[int, ...]] = set()
     for some in energy.terms.bonded.values():
         bodies = np.unique(np.sort(chain.atom_body[some.atoms], axis=1), axis=0)
         for row in bodies.tolist():
-            found = {*_between({*row}, tree.parent, depth)}
+            found = {*_between({*row}, tree.parent, depth, root)}
             if found:
                 crossed.add(tuple(sorted(found)))
     freedoms = [[v for b in path for v in range(tree.v_start[b], tree.v_start[b + 1])] for path in crossed]
@@ -224,7 +307,7 @@ def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
     return coupled, colour
 
 
-def _between(bodies: set[int], parent: Any, depth: Integers) -> Iterator[int]:
+def _between(bodies: set[int], parent: Any, depth: Integers, root: Integers) -> Iterator[int]:
     """Bodies whose hinges lie between some bodies; of several trees, all to the roots and these too."""
     left = set(bodies)
     while len(left) > 1:
@@ -236,11 +319,5 @@ def _between(bodies: set[int], parent: Any, depth: Integers) -> Iterator[int]:
         elif not left:
             return
     # Of several trees the last root moves against the others, too.
-    if len({_root(b, parent) for b in bodies}) > 1:
+    if len({int(root[b]) for b in bodies}) > 1:
         yield from left
-
-
-def _root(body: int, parent: Any) -> int:
-    while parent[body] >= 0:
-        body = int(parent[body])
-    return body

@@ -54,13 +54,41 @@ def still(r2: float, radii: float, inverse: float) -> tuple[float, float, float,
     return f2, 1.0 / np.sqrt(f2), decay, x
 
 
+@scalar
+def coupled(
+    r2: float, radii: float, inverse: float, charges: float
+) -> tuple[float, float, float, float, float]:
+    """Of a pair's energy E: dE/df^2 and d2E/df^2 df^2, exp(-x) and x, and d2E/dB_i dB_j."""
+    _, by_f, decay, x = still(r2, radii, inverse)
+    twice = by_f * by_f
+    by_f *= 0.5 * charges * twice
+    twice *= -1.5 * by_f
+    grown = decay * (1.0 + x)
+    return by_f, twice, decay, x, twice * radii * grown * grown + by_f * decay * (1.0 + x + x * x)
+
+
+@shared
+def couplings(
+    begin: int, end: int, left: int, right: int, x: Floats, charge: Floats, born: Floats, found: Floats
+) -> None:
+    """Write d2E/dB dB of the atoms from ``begin`` to ``end`` with those from ``left`` to ``right``."""
+    for i in range(begin, end):
+        for j in range(left, right):
+            dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+            r2, radii = dx * dx + dy * dy + dz * dz, born[i] * born[j]
+            far = r2 > 4.0 * _NEGLIGIBLE * radii
+            found[i - begin, j - left] = (
+                0.0 if far else coupled(r2, radii, 1.0 / radii, charge[i] * charge[j])[4]
+            )
+
+
 @shared
 def integrals(
-    begin: int, end: int, x: Floats, body: Integers, first: Integers, radius: Floats, scaled: Floats,
-    engulfs: bool, parent: Integers, v_start: Integers, motions: Floats, sums: Floats,
+    above: int, begin: int, end: int, x: Floats, body: Integers, first: Integers, radius: Floats,
+    scaled: Floats, engulfs: bool, parent: Integers, v_start: Integers, motions: Floats, sums: Floats,
     along: Floats,
 ) -> None:  # fmt: skip
-    """Write the integrals of some atoms, and their derivatives along all freedoms."""
+    """Write the integrals of some atoms, and their derivatives along all freedoms from row ``above`` on."""
     wrench = np.empty((len(parent), 6))
     for i in range(begin, end):
         wrench[:] = 0.0
@@ -82,23 +110,23 @@ def integrals(
             if c != body[i]:
                 _push(wrench, body[i], c, x, i, gx, gy, gz, mx, my, mz)
         sums[i] = total
-        _project(wrench, parent, v_start, motions, along[i])
+        _project(wrench, parent, v_start, motions, along[i - above])
 
 
 @shared
 def born_rows(
     above: int, begin: int, end: int, x: Floats, body: Integers, first: Integers, charge: Floats,
     surface: Floats, born: Floats, parent: Integers, v_start: Integers, motions: Floats, of_born: Floats,
-    couplings: Floats, along: Floats,
+    own: Floats, along: Floats,
 ) -> None:  # fmt: skip
-    """Write dE/dB of some atoms, d2E/dB dB with all, d2E/dB dq at constant radii, from row ``above`` on."""
+    """Write dE/dB and d2E/dB2 of some atoms, and d2E/dB dq at constant radii, from row ``above`` on."""
     wrench = np.empty((len(parent), 6))
     for i in range(begin, end):
         wrench[:] = 0.0
-        row, inverse = couplings[i - above], 1.0 / born[i]
+        inverse = 1.0 / born[i]
         sixth = surface[i] * inverse**6
         q2 = 0.5 * charge[i] * charge[i]
-        slope, own = (
+        slope, second = (
             (q2 - 6.0 * sixth * born[i]) * inverse**2,
             (42.0 * sixth - 2.0 * q2 * inverse) * inverse**2,
         )
@@ -110,14 +138,10 @@ def born_rows(
                 if j == i or r2 > 4.0 * _NEGLIGIBLE * born[i] * born[j]:
                     continue
                 radii = born[i] * born[j]
-                _, by_f, decay, s = still(r2, radii, 1.0 / radii)
-                twice = by_f * by_f
-                by_f *= 0.5 * charge[i] * charge[j] * twice
-                twice *= -1.5 * by_f
-                of_i, of_j = born[j] * decay * (1.0 + s), born[i] * decay * (1.0 + s)
+                by_f, twice, decay, s, _ = coupled(r2, radii, 1.0 / radii, charge[i] * charge[j])
+                of_i = born[j] * decay * (1.0 + s)
                 slope += by_f * of_i
-                own += twice * of_i * of_i + by_f * born[j] * decay * s * s * inverse
-                row[j] = twice * of_i * of_j + by_f * decay * (1.0 + s + s * s)
+                second += twice * of_i * of_i + by_f * born[j] * decay * s * s * inverse
                 mixed = twice * (1.0 - 0.25 * decay) * of_i - 0.25 * by_f * decay * s * inverse
                 fx, fy, fz = 2.0 * mixed * dx, 2.0 * mixed * dy, 2.0 * mixed * dz
                 gx, gy, gz = gx + fx, gy + fy, gz + fz
@@ -126,7 +150,7 @@ def born_rows(
                 mz += x[j, 0] * fy - x[j, 1] * fx
             if c != body[i]:
                 _push(wrench, body[i], c, x, i, gx, gy, gz, mx, my, mz)
-        of_born[i], row[i] = slope, own
+        of_born[i], own[i] = slope, second
         _project(wrench, parent, v_start, motions, along[i - above])
 
 
@@ -166,34 +190,32 @@ def _project(wrench: Floats, parent: Integers, v_start: Integers, motions: Float
 
 @shared
 def pair_sweep(
-    begin: int, end: int, parent: Integers, order: Integers, depth: Integers, v_start: Integers,
-    motions: Floats, x: Floats, body: Integers, first: Integers, charge: Floats, lj_type: Integers,
+    bodies: Integers, begin: int, end: int, parent: Integers, depth: Integers, v_start: Integers,
+    motions: Floats, x: Floats, first: Integers, charge: Floats, lj_type: Integers,
     a12: Floats, b6: Floats, partner_start: Integers, partner: Integers, own: Floats, solvated: bool,
     gb_charge: Floats, born: Floats, radius: Floats, scaled: Floats, engulfs: bool, pull: Floats,
-    forces: Floats, matrix: Floats,
+    rows: Floats, along: Floats, here: Floats, there: Floats,
 ) -> None:  # fmt: skip
-    """Write the stiffness in torsions of the pairs with bodies from ``begin`` to ``end``, and their forces.
+    """Wrenches on some bodies, at unit rates of those from ``begin`` to ``end`` that come before them.
 
-    Atoms lie in the order of their bodies. A row of blocks, (6, 6 nb), is summed from the leaves inward.
+    Atoms lie in the order of their bodies. A row of blocks, (6, 6 nb), is summed from the leaves inward;
+    ``along`` has its components along the freedoms of the bodies, one after the other. The stiffness of each
+    atom by itself, (xx, xy, xz, yy, yz, zz), and the force on it go to ``here`` for atoms of the bodies, one
+    after the other, and are added to ``there`` for the others.
     """
-    n, deepest = len(parent), 0
-    for b in range(n):
-        deepest = max(deepest, depth[b])
     over = 1.0 / born
-    rows, along = np.zeros((deepest + 1, 6, 6 * n)), np.empty(6 * n)
     mark = np.full(len(x), -1, np.int64)
-    g = np.empty((3, 6))
-    for b in order:
+    g, mine = np.empty((3, 6)), np.empty(9)
+    atom, freedom = 0, 0
+    for b in bodies:
         row = rows[depth[b]]
         for i in range(first[b], first[b + 1]):
             for m in range(partner_start[i], partner_start[i + 1]):
                 mark[partner[m]] = m
             xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
-            fx, fy, fz = 0.0, 0.0, 0.0
-            sxx, sxy, sxz, syy, syz, szz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for c in range(begin, end):
-                if c == b:
-                    continue
+            mine[:] = 0.0
+            for c in range(begin, min(b, end)):
+                fx, fy, fz = 0.0, 0.0, 0.0
                 pxx, pxy, pxz, pyy, pyz, pzz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 txx, txy, txz, tyx, tyy, tyz, tzx, tzy, tzz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
                 for j in range(first[c], first[c + 1]):
@@ -229,15 +251,23 @@ def pair_sweep(
                         e1 += 0.5 * pull[j] * slope
                         e2 += 0.25 * pull[j] * (second - slope) * u
                     along_, across = 4.0 * e2, 2.0 * e1
-                    fx -= across * dx
-                    fy -= across * dy
-                    fz -= across * dz
+                    px, py, pz = across * dx, across * dy, across * dz
+                    fx, fy, fz = fx - px, fy - py, fz - pz
                     xx, yy, zz = (
                         along_ * dx * dx + across,
                         along_ * dy * dy + across,
                         along_ * dz * dz + across,
                     )
                     xy, xz, yz = along_ * dx * dy, along_ * dx * dz, along_ * dy * dz
+                    there[j, 0] += xx
+                    there[j, 1] += xy
+                    there[j, 2] += xz
+                    there[j, 3] += yy
+                    there[j, 4] += yz
+                    there[j, 5] += zz
+                    there[j, 6] += px
+                    there[j, 7] += py
+                    there[j, 8] += pz
                     pxx, pxy, pxz = pxx + xx, pxy + xy, pxz + xz
                     pyy, pyz, pzz = pyy + yy, pyz + yz, pzz + zz
                     # D (omega cross x_j), for each axis of omega.
@@ -253,38 +283,46 @@ def pair_sweep(
                 g[0, 0], g[0, 1], g[0, 2], g[0, 3], g[0, 4], g[0, 5] = -txx, -txy, -txz, -pxx, -pxy, -pxz
                 g[1, 0], g[1, 1], g[1, 2], g[1, 3], g[1, 4], g[1, 5] = -tyx, -tyy, -tyz, -pxy, -pyy, -pyz
                 g[2, 0], g[2, 1], g[2, 2], g[2, 3], g[2, 4], g[2, 5] = -tzx, -tzy, -tzz, -pxz, -pyz, -pzz
-                sxx, sxy, sxz = sxx + pxx, sxy + pxy, sxz + pxz
-                syy, syz, szz = syy + pyy, syz + pyz, szz + pzz
                 _add_moments(row, 6 * c, g, xi, yi, zi)
-            _of_itself(g, sxx, sxy, sxz, syy, syz, szz, xi, yi, zi)
-            _add_moments(row, 6 * b, g, xi, yi, zi)
-            forces[i, 0] += fx
-            forces[i, 1] += fy
-            forces[i, 2] += fz
+                for p, value in enumerate((pxx, pxy, pxz, pyy, pyz, pzz, fx, fy, fz)):
+                    mine[p] += value
+            here[atom] = mine
+            atom += 1
             for m in range(partner_start[i], partner_start[i + 1]):
                 mark[partner[m]] = -1
         for k in range(v_start[b], v_start[b + 1]):
-            for c in range(6 * n):
+            for c in range(6 * begin, 6 * end):
                 value = 0.0
                 for p in range(6):
                     value += motions[k, p] * row[p, c]
-                along[c] = value
-            for c in range(n - 1, -1, -1):
-                for j in range(v_start[c], v_start[c + 1]):
-                    value = 0.0
-                    for p in range(6):
-                        value += motions[j, p] * along[6 * c + p]
-                    matrix[k, j] = value
-                if parent[c] >= 0:
-                    for p in range(6):
-                        along[6 * parent[c] + p] += along[6 * c + p]
+                along[freedom, c] = value
+            freedom += 1
         inner = parent[b]
         if inner < 0 or depth[inner] != depth[b]:
             for p in range(6):
-                for c in range(6 * n):
+                for c in range(6 * begin, 6 * end):
                     if inner >= 0:
                         rows[depth[inner], p, c] += row[p, c]
                     row[p, c] = 0.0
+
+
+@shared
+def add_rows(
+    begin: int, end: int, freedoms: Integers, parent: Integers, v_start: Integers, motions: Floats,
+    along: Floats, matrix: Floats,
+) -> None:  # fmt: skip
+    """Add twice the wrenches along some freedoms, summed from the leaves inward, to rows of the stiffness."""
+    for m in range(begin, end):
+        row, to = along[m], matrix[freedoms[m]]
+        for c in range(len(parent) - 1, -1, -1):
+            for j in range(v_start[c], v_start[c + 1]):
+                value = 0.0
+                for p in range(6):
+                    value += motions[j, p] * row[6 * c + p]
+                to[j] += 2.0 * value
+            if parent[c] >= 0:
+                for p in range(6):
+                    row[6 * parent[c] + p] += row[6 * c + p]
 
 
 @scalar
@@ -298,17 +336,3 @@ def _add_moments(row: Floats, at: int, g: Floats, x: float, y: float, z: float) 
         row[3, at + q] += gx
         row[4, at + q] += gy
         row[5, at + q] += gz
-
-
-@scalar
-def _of_itself(
-    g: Floats, xx: float, xy: float, xz: float, yy: float, yz: float, zz: float, x: float, y: float, z: float
-) -> None:  # fmt: skip
-    """Forces g (3, 6) = D (omega cross x + u) of an atom's own block D."""
-    rows = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-    for k in range(3):
-        d = rows[k]
-        g[k, 0] = y * d[2] - z * d[1]
-        g[k, 1] = z * d[0] - x * d[2]
-        g[k, 2] = x * d[1] - y * d[0]
-        g[k, 3], g[k, 4], g[k, 5] = d

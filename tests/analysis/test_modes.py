@@ -1,6 +1,7 @@
 """Hessian and normal modes in torsions, against dense algebra of all atoms."""
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,10 +114,11 @@ def test_lowest_modes_by_products_are_those_of_the_whole_hessian():
 
 
 def test_of_many_freedoms_the_lowest_are_those_of_all(monkeypatch):
-    """By Lanczos with the factor of K, at a minimum and, with negative modes, without it."""
+    """By Lanczos with the factor of K + s M, at a minimum and with negative modes, for one s and another."""
     c, e = at_minimum("1l2y.pdb")
     turned = c.q0 + np.where(np.arange(c.n_q) > 8, 0.1, 0.0)
-    for q in (c.q0, turned):
+    for q, shift in ((c.q0, 0.01), (turned, 0.01), (turned, 1e4)):
+        monkeypatch.setattr(normal_modes, "_SHIFT", shift)
         every = pc.normal_modes(c, e, q, k=5)
         with monkeypatch.context() as patch:
             patch.setattr(normal_modes, "ALL", 10)
@@ -172,7 +174,7 @@ def test_springs_at_rest_have_the_stiffness_of_their_lengths():
     assert found == pytest.approx(exact, abs=HESSIAN * np.abs(exact).max())
 
 
-def test_two_chains_that_do_not_act_on_each_other_have_twelve_zero_modes():
+def test_two_chains_that_do_not_act_on_each_other_have_twelve_zero_modes(monkeypatch):
     """Six are left out, as ever; the other six, of one chain against the other, are found as zeros."""
     c = pc.build_chain(load("3i40.pdb"), "phi psi")
     r = pc.normal_modes(c, Net(c.structure, True), k=12)
@@ -181,6 +183,10 @@ def test_two_chains_that_do_not_act_on_each_other_have_twelve_zero_modes():
     assert r.is_minimum and r.b_factor_correlation is None
     with pytest.raises(pc.ProtochainError, match="no equilibrium"):
         r.mean_squares()
+    monkeypatch.setattr(normal_modes, "ALL", 10)
+    few = pc.normal_modes(c, Net(c.structure, True), k=12)
+    assert few.eigenvalues[6:] == pytest.approx(r.eigenvalues[6:], rel=MODES)
+    assert (np.abs(few.eigenvalues[:6]) <= few.errors[:6]).all() and few.residuals.max() < 1e-8
     joined = pc.normal_modes(c, Net(c.structure), k=12)
     assert (joined.eigenvalues > joined.errors).all() and len(joined.fluctuations()) == 51
 
@@ -342,6 +348,82 @@ def test_small_and_closed_molecules_have_modes():
     for i, j in soft.chain.loops:
         assert abs(np.linalg.norm(first[i] - first[j]) - np.linalg.norm(x[i] - x[j])) < 0.02 * 0.001
     assert len(soft.chain.loops)
+
+
+def test_modes_leave_rings_closed_to_first_order():
+    """A cyclic peptide with a disulfide. What is left to first order is what the bonds themselves yield."""
+    s = pc.load(shared("5vav_cyclic.pdb"))
+    r = pc.normal_modes(pc.minimise(s, pc.energy(s, **WATER), method="lbfgs", tolerance=1e-3), k=2)
+    assert r.is_minimum and len(r.chain.loops) == 2
+
+    def stretch(amplitude, i, j):
+        """Even and odd part of the change of length, nm."""
+        x = [*r.swing(0, amplitude, 5)]
+        rest, up, down = (np.linalg.norm(x[n][i] - x[n][j]) for n in (0, 1, 3))
+        return 0.5 * (up + down) - rest, 0.5 * (up - down)
+
+    for i, j in r.chain.loops:
+        (half, _), (even, odd) = (stretch(amplitude, i, j) for amplitude in (0.05, 0.1))  # angstrom
+        assert abs(odd) < 0.01 * 0.01
+        assert even == pytest.approx(4.0 * half, rel=0.02, abs=1e-9)
+    # Single hinges open a ring by their arms.
+    i, j = r.chain.loops[0]
+    lengths = [
+        np.linalg.norm(x[i] - x[j])
+        for x in (pc.pose(r.chain, moved(r.chain, r.q, unit, 1e-3)).x for unit in np.eye(r.chain.n_v))
+    ]
+    assert np.ptp(lengths) > 1e-4
+
+
+def test_what_has_no_modes_is_refused(monkeypatch):
+    """Atoms on a line, whose bonds turn nothing; atoms in one place; and more freedoms than fit."""
+    s = load("ala10.pdb")
+    line = 0.12 * np.arange(s.n_atoms)[:, None] * [0.0, 0.6, 0.8]
+    with pytest.raises(pc.ProtochainError, match="no bond turns"):
+        pc.normal_modes(s.with_positions(line))
+    x = s.positions.copy()
+    x[5] = x[90]
+    with pytest.raises(pc.ProtochainError, match="not finite"):
+        pc.normal_modes(s.with_positions(x))
+    monkeypatch.setattr(normal_modes, "ANALYTIC", 20)
+    monkeypatch.setattr(normal_modes, "MOST", 10)
+    assert pc.normal_modes(s, k=1).n_modes == 1  # 19 freedoms
+    with pytest.raises(pc.ProtochainError, match="19 freedoms, of at most 10"):
+        pc.normal_modes(s, k=1, method="products")
+    monkeypatch.setattr(normal_modes, "ANALYTIC", 18)
+    with pytest.raises(pc.ProtochainError, match="19 freedoms, of at most 18"):
+        pc.normal_modes(s, k=1)
+
+
+def test_energies_without_analytic_derivatives_have_the_modes_of_their_differences():
+    """OpenMM's forces are those of its Reference platform, which is exact enough to be differenced."""
+    c, _ = at_minimum()
+    engine = pc.energy(c.structure, engine="openmm", **WATER)
+    assert pc.normal_modes(c, engine).eigenvalues == pytest.approx(modes().eigenvalues, rel=MODES, abs=1e-4)
+    for options in ({"solvent": "gbn2"}, {"cutoff": 1.0}):
+        other = pc.energy(c.structure, **options, **WATER)
+        end = pc.minimise(c, other, "lbfgs", tolerance=1e-3)
+        dense, few = (pc.normal_modes(c, other, end.q, 4, method=m) for m in ("dense", "products"))
+        assert dense.is_minimum and dense.n_products == 0 < few.n_products
+        assert few.eigenvalues == pytest.approx(dense.eigenvalues, rel=MODES)
+
+
+def test_obstacles_hold_the_whole():
+    """Beside atoms that stay there are no zero modes: none is left out, and the softest are of the whole."""
+    s = load("3i40.pdb")
+    held = replace(s, obstacle=s.residue_chain[s.atom_residue] == "B")
+    c, net = pc.build_chain(held, "phi psi", "free"), Net(held)
+    r = pc.normal_modes(c, net, k=5)
+    assert r.held_by and r.n_freedoms == c.n_v == c.n_hinges + 6
+    exact = eigh(pc.hessian(c, net), pc.mass_matrix(c, pc.pose(c, c.q0)), eigvals_only=True)[:5]
+    assert r.eigenvalues == pytest.approx(exact, rel=1e-8) and exact[0] > r.errors[0]
+    assert not r.displacements(0)[held.obstacle].any()
+
+
+def test_all_modes_that_were_found_may_be_negative():
+    s = load("3i40.pdb")
+    r = pc.normal_modes(s, k=3)
+    assert r.n_negative == 3 and "at least 3" in r.verdict and not r.is_minimum
 
 
 def test_a_torque_that_is_no_number_is_refused():

@@ -6,6 +6,7 @@ from fixtures.samples import load
 from fixtures.tolerances import ANALYTIC, DIFFERENCED
 
 import protochain as pc
+from protochain.analysis import pair_hessian
 from protochain.analysis.hessian import torques_at
 from protochain.analysis.pair_hessian import applies, born_radii, colours
 from protochain.analysis.pair_kernels import screening
@@ -37,6 +38,24 @@ def test_it_is_that_of_differences(name, hinges, options):
     assert found[0] == pytest.approx(rows, abs=ANALYTIC * scale)
     assert found[1] == pytest.approx(found[0], abs=1e-12 * scale)
     assert np.array_equal(found[0], found[0].T)
+
+
+def test_of_many_atoms_radii_are_made_again_for_the_same_result(monkeypatch):
+    """A tenth of their derivatives are kept at a time; parts of rows, of bodies and of atoms are ragged."""
+    s = load("1l2y.pdb")
+    c, e = pc.build_chain(s, root="free"), pc.energy(s, threads=2)
+    whole = pc.hessian(c, e)
+    for name, value in (("_KEPT", 0.0), ("_ROWS", 29), ("_BODIES", 5), ("_COLUMNS", 3), ("_PART", 7)):
+        monkeypatch.setattr(pair_hessian, name, value)
+    assert len(s.positions) > 8 * max(29, c.n_v // 2)
+    assert pc.hessian(c, e) == pytest.approx(whole, abs=1e-12 * np.abs(whole).max())
+
+
+def test_it_is_the_same_to_the_last_bit_for_any_number_of_threads():
+    s = load("3i40.pdb")
+    c = pc.build_chain(s)
+    one, two = (pc.hessian(c, pc.energy(s, threads=threads)) for threads in (1, 2))
+    assert np.array_equal(one, two)
 
 
 def test_other_energies_have_differences():

@@ -232,7 +232,7 @@ def modes_pairs(rows: pd.DataFrame) -> str:
         )
         for _, r in rows.iterrows()
     ]  # fmt: skip
-    means = ("mean of ten modes", "", "", *(f"{rows[f'ten_{method}'].mean():.2f}" for method in methods))
+    means = ("mean of ten modes", "", "", *(f"{rows[f'ten_{method}'].mean():.3f}" for method in methods))
     return markdown(("change", "residues", "RMSD, angstrom", *methods.values()), [*lines, means])
 
 
@@ -255,5 +255,27 @@ def _or_dash(value: float) -> str:
 table_of_rows(
     "modes-cost", "modes_cost.csv",
     ("structure", "{structure}"), ("residues", "{residues}"), ("freedoms", "{freedoms}"),
-    ("seconds", "{seconds:.2g}"), ("peak of the process so far, MB", "{peak_mb:.0f}"),
+    ("seconds", "{seconds:.2g}"),
+    ("of one evaluation", lambda r: f"{r.seconds / r.evaluation_seconds:.0f}"), ("peak, MB", "{peak_mb:.0f}"),
+)  # fmt: skip
+
+
+@table("modes-growth", "modes_cost.csv")
+def modes_growth(rows: pd.DataFrame) -> str:
+    """Exponents of the growth of cost with the number of residues, by least squares."""
+    rows = rows[rows["residues"] > 70]
+    size = np.log(rows["residues"])
+    whole, own = (np.polyfit(size, np.log(rows[c]), 1)[0] for c in ("seconds", "evaluation_seconds"))
+    worst = rows["residual"].max()
+    return paragraph(
+        f"From 76 residues on, time grows as their number to the power of {whole:.2f}, and an",
+        f"evaluation of the energy to that of {own:.2f}: {whole - own:.2f} is beyond the energy's own. The",
+        f"largest residual, $|Ka-w^2Ma|$ of $|K||a|$, is {worst:.0e}.",
+    )
+
+
+table_of_rows(
+    "modes-steps", "modes_steps.csv",
+    ("structure", "{structure}"), ("hinges", "{hinges}"), ("2/w, fs", "{predicted_fs:.1f}"),
+    ("found, fs", "{found_fs:.1f}"), ("found/predicted", "{ratio:.3f}"),
 )  # fmt: skip
