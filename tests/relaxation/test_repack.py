@@ -14,13 +14,14 @@ from protochain.cli import app
 from protochain.contacts import OVERLAP, near_pairs
 from protochain.core.errors import StructureError
 from protochain.core.units import COULOMB
-from protochain.relaxation.assignment import best
 from protochain.relaxation.repack import repacked, troubled
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import _with_hydrogen, rotamers_of
 from protochain.structure import residues
-from protochain.structure.sidechains.arms import Arm, wrapped
+from protochain.structure.sidechains.arms import Arm, backbone_of, wrapped
+from protochain.structure.sidechains.assignment import best
 from protochain.structure.sidechains.ideal import dihedral
+from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation import threaded_rings
 
 # --- The search
@@ -223,7 +224,8 @@ def test_dihedrals_are_those_asked_for():
     assert structure.residue_name[58] == "TYR"
     (arm,) = rotamers_of(structure, structure.positions, [58])
     quartets = [*residues.CHI["TYR"], ("CE1", "CZ", "OH", "HH")]
-    assert arm.chi.shape == (1 + 2 * (1 + 4 * 3), 3)
+    facing = backbone_of(structure.neighbours, at, structure.positions, 1)
+    assert arm.chi.shape == (1 + 2 * (1 + 3 * len(rotamers("TYR", *facing)[0])), 3)
     for chi, x in zip(arm.chi, arm.x, strict=True):
         now = np.array(structure.positions)
         now[arm.atoms] = x
