@@ -58,8 +58,9 @@ def relax(
         ``at_stage``, if it has one, is called with what is done, and the evaluations so far.
     **options
         Further fields of ``RelaxSettings`` (``protocol``, ``tolerance``, ``stiffness``,
-        ``max_iterations``, ``max_outer_iterations``, ``exclude``, ``keep_hydrogens``, ``repack``) and of
-        :class:`protochain.Setup` (``forcefield``, ``solvent``, ``threads``, ``keep`` ...). With ``move``, a
+        ``max_iterations``, ``max_outer_iterations``, ``exclude``, ``keep_hydrogens``, ``repack``,
+        ``repack_region``) and of :class:`protochain.Setup` (``forcefield``, ``solvent``, ``threads``,
+        ``keep`` ...). With ``move``, a
         selection as of :func:`protochain.build_chain` (``sidechain``, ``interface``), all other atoms stay
         where they are, bit for bit.
 
@@ -91,7 +92,7 @@ def relax_structure(
     mobile = read_only(moving(structure, move), np.bool_)
     held_by = _held_by(mobile, settings)
     check_dihedrals(energy, "relax")
-    first = _repacked(structure, energy, mobile) if settings.repack else structure
+    first = _repacked(structure, energy, mobile, settings)
     trace = _Trace(watch)
     relaxer = Relaxer(first, energy, settings.strength, settings.max_iterations, trace, mobile)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
@@ -163,11 +164,18 @@ def _held_by(mobile: NDArray[np.bool_], settings: RelaxSettings) -> str:
     return "springs to the start" if settings.strength.backbone[-1] > 0.0 else ""
 
 
-def _repacked(structure: Structure, energy: Energy, mobile: NDArray[np.bool_]) -> Structure:
-    """The structure with side chains that are in the way of others in other rotamers."""
+def _repacked(
+    structure: Structure, energy: Energy, mobile: NDArray[np.bool_], settings: RelaxSettings
+) -> Structure:
+    """The structure with side chains of a region, or that are in the way of others, in other rotamers."""
+    if not (settings.repack or settings.repack_region):
+        return structure
     from protochain.relaxation.repack import repacked
 
-    return repacked(structure, energy=energy, moving=mobile)
+    region = None
+    if settings.repack_region:
+        region = np.unique(structure.atom_residue[select(structure, settings.repack_region)]).tolist()
+    return repacked(structure, region, energy=energy, moving=mobile)
 
 
 def _judge(energy: Energy) -> Energy:

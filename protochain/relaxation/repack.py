@@ -12,11 +12,11 @@ from protochain.core.errors import StructureError
 from protochain.energies import Energy, NativeEnergy, UnsupportedForceError
 from protochain.energies import energy as energy_of
 from protochain.energies.native.terms import Terms, compile_system
-from protochain.relaxation.assignment import best
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import Rotamers, rotamers_of
 from protochain.structure.model import Structure
 from protochain.structure.repairs import Kind, Repair
+from protochain.structure.sidechains.assignment import best
 from protochain.validation.clashes import clashes
 from protochain.validation.rings import threaded_rings
 from protochain.validation.rotamers import side_chains
@@ -67,7 +67,7 @@ def repacked(
 
     Notes
     -----
-    Rotamers are those of Lovell, Word, Richardson, Richardson, Proteins 40:389 (2000).
+    Rotamers are those of the backbone: Shapovalov, Dunbrack, Structure 19:844 (2011).
     """
     chosen = troubled(structure) if residues is None else _checked(structure, residues)
     x, told = structure.positions, tuple[Repair, ...]()

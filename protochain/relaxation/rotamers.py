@@ -11,9 +11,11 @@ from protochain.structure import residues
 from protochain.structure.chirality import volume
 from protochain.structure.model import Structure
 from protochain.structure.repairs import Kind, Repair
-from protochain.structure.sidechains.arms import WIDTH, arm_of, around, wrapped
+from protochain.structure.sidechains.arms import WIDTH, arm_of, around, backbone_of, wrapped
 from protochain.structure.sidechains.rotamers import rotamers
 
+_MOST_CHI = 4
+"""The fifth chi of arginine is planar."""
 _RARITY = 5.0
 """kJ/mol: of the logarithm of a rotamer's frequency, twice kT."""
 _RAREST = 10.0
@@ -95,8 +97,7 @@ def _of_residue(
     """Rotamers of a residue; None for one without chi, or bonded to others by its side chain."""
     name = str(structure.residue_name[residue])
     at = {str(structure.atom_name[i]): i for i in atoms if not structure.kept[i]}
-    library, frequency = rotamers(name)
-    quartets = [*residues.CHI.get(name, ())[: library.shape[-1]]] if len(library) else []
+    quartets = [*residues.CHI.get(name, ())[:_MOST_CHI]]
     if not quartets or not all(atom in at for quartet in quartets for atom in quartet):
         return None
     n_chi = len(quartets)
@@ -108,6 +109,7 @@ def _of_residue(
         return None
     now = arm.dihedrals(x)
     hand = -1 if volume(x[[at[name] for name in ("CA", "N", "C", "CB")]]) < 0.0 else 1
+    library, frequency = rotamers(name, *backbone_of(structure.neighbours, at, x, hand))
     chi, rarity = _tried(name, now[:n_chi], hand * library, -np.log(frequency))
     if polar and n_chi < len(quartets):
         chi, rarity = _with_hydrogen(chi, rarity, float(now[-1]), _POLAR[name])

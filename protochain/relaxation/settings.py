@@ -45,6 +45,10 @@ class RelaxSettings(Settings):
         Whether PoseBusters' tests are run on ligands before and after; half a minute for a large one.
     free_ligands : bool
         Whether ligands have no springs.
+    repack_region : str
+        Residues whose side chains are put into the best of their rotamers first, all at once, whether or not
+        they are in the way, in the selection language of MDAnalysis: ``chainID A``, ``interface A B``. They
+        may stay as they are; ``repack`` is implied.
 
     Raises
     ------
@@ -95,6 +99,9 @@ class RelaxSettings(Settings):
         False, "Run PoseBusters' tests on ligands before and after: seconds for each.", flag, bool
     )
     free_ligands: bool = setting(False, "No springs on ligands.", flag, bool)
+    repack_region: str = setting(
+        "", "First put all side chains there into the best rotamers: 'interface A B', 'chainID A'.", text
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

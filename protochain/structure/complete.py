@@ -12,7 +12,7 @@ from protochain.structure.chirality import centres, hand, wrong_hands
 from protochain.structure.draft import Draft, Member, Part, atom, losses
 from protochain.structure.repairs import Kind, Renamed, Why
 from protochain.structure.sidechains.ideal import Places, bridged, dihedral, ideal, placed, unit
-from protochain.structure.sidechains.packing import Site, packed
+from protochain.structure.sidechains.sites import Site
 from protochain.structure.templates import Template, rename
 
 _ENDS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1", "OP2"), 1.48)}
@@ -124,11 +124,23 @@ def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
         between = bridged(site.member.name, site.known)
         _add(site.member, {name: site.sign * x for name, x in between.items()})
     open_ended = [site for site, _ in sites if ideal(site.member.name).x.keys() - site.known.keys()]
-    for site, places in zip(open_ended, packed(draft.members, open_ended), strict=True):
-        _add(site.member, places)
-        draft.rebuilt[id(site.member)] = tuple(places)
+    if open_ended:
+        _pack(draft, open_ended)
     for site, added in sites:
         _check_hand(draft, site, added)
+
+
+def _pack(draft: Draft, sites: list[Site]) -> None:
+    """Put side chains into the best of their rotamers."""
+    # Imported here: reading a whole structure need not wait for its kernels.
+    from protochain.structure.sidechains.packing import packed
+
+    found = packed(draft.members, sites)
+    if not found.is_proven:
+        draft.note(Kind.NOT_PROVEN)
+    for site, places in zip(sites, found.places, strict=True):
+        _add(site.member, places)
+        draft.rebuilt[id(site.member)] = tuple(places)
 
 
 def _site(draft: Draft, part: Part, i: int) -> Site:

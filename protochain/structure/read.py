@@ -252,7 +252,7 @@ class _Reader:
         if bare and all(bare):
             raise OnlyAlphaError(
                 f"{self.draft.source}: chain {self._chain} holds only C-alpha atoms; "
-                "rebuild the other atoms first"
+                "rebuild the others first, by PULCHRA or cg2all"
             )
         self._report_zero_occupancy(run)
         self._add_unbroken(run)

@@ -22,7 +22,8 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     selection : str
         In the language of MDAnalysis, distances in angstrom: ``resid 5:20 and not backbone``, ``chainID A``,
         ``around 5 resid 12``. Two words more: ``sidechain``, atoms of the protein beyond the C-alpha, and
-        ``interface``, residues with a heavy atom within 5 angstrom of one of another chain, water aside.
+        ``interface``, residues with a heavy atom within 5 angstrom of one of another chain, water aside;
+        ``interface A B`` are those of chains A and B that touch the other of the two.
 
     Returns
     -------
@@ -37,11 +38,17 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     from MDAnalysis.exceptions import SelectionError
 
     universe = to_mdanalysis(structure)
-    given = {
-        word: own for word, own in _OWN.items() if re.search(rf"{_AROUND[0]}{word}{_AROUND[1]}", selection)
-    }
-    asked = re.sub(rf"{_AROUND[0]}({'|'.join(_OWN)}){_AROUND[1]}", r"group \1", selection)
-    groups = {word: universe.atoms[own(structure)] for word, own in given.items()}
+    masks: dict[str, NDArray[np.bool_]] = {}
+
+    def group(found: re.Match[str]) -> str:
+        word, *pair = found[0].split()
+        name = f"own{len(masks)}"
+        masks[name] = _of_two(structure, *pair) if pair else _OWN[word](structure)
+        return f"group {name}"
+
+    between = _between(structure)
+    asked = re.sub(rf"{_AROUND[0]}(?:{between}{'|'.join(_OWN)}){_AROUND[1]}", group, selection)
+    groups = {name: universe.atoms[mask] for name, mask in masks.items()}
     try:
         # MDAnalysis warns of an empty text.
         chosen = universe.select_atoms(asked, **groups) if asked.strip() else universe.atoms[:0]
@@ -57,7 +64,7 @@ def select(structure: Structure, selection: str) -> np.ndarray:
 
 _AROUND = r"(?<![\w:'-])", r"(?![\w:'-])"
 """What a word may not be part of."""
-_EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface' or 'around 5 chainID B'"
+_EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface A B' or 'around 5 chainID B'"
 
 
 def moving(structure: Structure, move: str) -> NDArray[np.bool_]:
@@ -83,9 +90,22 @@ def _sidechain(structure: Structure) -> NDArray[np.bool_]:
     return ~structure.kept & ~np.isin(structure.atom_name, _BACKBONE)
 
 
-def _interface(structure: Structure) -> NDArray[np.bool_]:
+def _between(structure: Structure) -> str:
+    """What ``interface A B`` looks like, of the chains of a structure, before the words."""
+    chains = sorted({re.escape(str(chain)) for chain in structure.residue_chain if chain}, key=len)[::-1]
+    chain = rf"\s+(?:{'|'.join(chains)})(?![^\s)])"
+    return rf"interface{chain}{chain}|" if chains else ""
+
+
+def _of_two(structure: Structure, one: str, other: str) -> NDArray[np.bool_]:
+    of_two = np.isin(structure.residue_chain, (one, other))[structure.atom_residue]
+    return _interface(structure, of_two)
+
+
+def _interface(structure: Structure, among: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
     names, of = structure.residue_name, structure.atom_residue
-    (heavy,) = np.nonzero((structure.atom_element != "H") & (names[of] != "HOH"))
+    looked_at = np.ones(len(of), dtype=bool) if among is None else among
+    (heavy,) = np.nonzero((structure.atom_element != "H") & (names[of] != "HOH") & looked_at)
     pairs = heavy[cKDTree(structure.positions[heavy]).query_pairs(_TOUCHING, output_type="ndarray")]
     chain = structure.residue_chain[of]
     residues = of[pairs[chain[pairs[:, 0]] != chain[pairs[:, 1]]]]

@@ -58,7 +58,7 @@ COMMANDS = {
         "hop_temperature": None, "curvature": False, "seed": 0,
         "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
         "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
-        "posebusters": False, "free_ligands": False, **AS_JSON,
+        "posebusters": False, "free_ligands": False, "repack_region": "", **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
     },
     "simulate": {
@@ -82,7 +82,8 @@ COMMANDS = {
         "inputs": None, **OUTPUT, "manifest": None, "preset": "predicted", "protocol": "", "tolerance": None,
         "stiffness": None,
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
-        "repack": False, "posebusters": False, "free_ligands": False, "report": None, "ligand_out": None,
+        "repack": False, "posebusters": False, "free_ligands": False, "repack_region": "",
+        "report": None, "ligand_out": None,
         "workers": None, "scheduler": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
         "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "terms")},
     },

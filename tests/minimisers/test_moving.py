@@ -43,6 +43,22 @@ def test_an_interface_is_the_residues_that_touch_another_chain(name):
     assert 0 < select(s, "interface and sidechain").sum() < found.sum()
 
 
+def test_an_interface_of_two_chains_leaves_the_others_out():
+    s = pc.load(shared("2beg_abeta_fibril.pdb"))
+    found = select(s, "(interface B A) and protein")
+    assert np.array_equal(found, select(s, "interface  A B"))
+    # As in a structure that has only the two.
+    two = pc.load(shared("2beg_abeta_fibril.pdb"), chains="A,B")
+    of = sorted(set(s.atom_residue[found].tolist()))
+    there = sorted(set(two.atom_residue[select(two, "interface")].tolist()))
+    named = [[(str(x.residue_chain[r]), str(x.residue_number[r])) for r in its]
+             for x, its in ((s, of), (two, there))]  # fmt: skip
+    assert named[0] == named[1] and 0 < len(of) < len(set(s.atom_residue[select(s, "interface")].tolist()))
+    assert np.array_equal(select(s, "interface and chainID A"), select(s, "chainID A and interface"))
+    with pytest.raises(pc.ProtochainError, match="interface A X"):
+        select(s, "interface A X")
+
+
 def test_what_selects_nothing_is_refused_wherever_it_is_given():
     s = load("1ubq.pdb")
     with pytest.raises(pc.ProtochainError, match="selection 'interface' selects no atom"):

@@ -117,6 +117,7 @@ FURTHER = {
         "exclude",
         "keep_hydrogens",
         "repack",
+        "repack_region",
         "threads",
         "ph",
     ),

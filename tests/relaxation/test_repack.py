@@ -14,13 +14,15 @@ from protochain.cli import app
 from protochain.contacts import OVERLAP, near_pairs
 from protochain.core.errors import StructureError
 from protochain.core.units import COULOMB
-from protochain.relaxation.assignment import best
 from protochain.relaxation.repack import repacked, troubled
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import _with_hydrogen, rotamers_of
 from protochain.structure import residues
-from protochain.structure.sidechains.arms import Arm, wrapped
+from protochain.structure.select import select
+from protochain.structure.sidechains.arms import Arm, backbone_of, wrapped
+from protochain.structure.sidechains.assignment import best
 from protochain.structure.sidechains.ideal import dihedral
+from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation import threaded_rings
 
 # --- The search
@@ -223,7 +225,8 @@ def test_dihedrals_are_those_asked_for():
     assert structure.residue_name[58] == "TYR"
     (arm,) = rotamers_of(structure, structure.positions, [58])
     quartets = [*residues.CHI["TYR"], ("CE1", "CZ", "OH", "HH")]
-    assert arm.chi.shape == (1 + 2 * (1 + 4 * 3), 3)
+    facing = backbone_of(structure.neighbours, at, structure.positions, 1)
+    assert arm.chi.shape == (1 + 2 * (1 + 3 * len(rotamers("TYR", *facing)[0])), 3)
     for chi, x in zip(arm.chi, arm.x, strict=True):
         now = np.array(structure.positions)
         now[arm.atoms] = x
@@ -423,3 +426,28 @@ def test_a_polar_hydrogen_turns_in_every_rotamer_and_stays_in_that_of_the_input(
     tried, cost = _with_hydrogen(chi, rarity, 0.7, turns)
     assert tried.tolist() == [[0.1, 0.7], [0.1, 0.0], [0.1, 2.0], [1.0, 0.0], [1.0, 2.0]]
     assert cost.tolist() == [3.0, 3.0, 3.0, 0.5, 0.5]
+
+
+def test_a_region_is_repacked_whether_or_not_it_is_in_the_way():
+    """Side chains of the interface of insulin's chains, turned away, come back; those elsewhere stay."""
+    native = load("3i40.pdb")
+    there = np.unique(native.atom_residue[select(native, "interface A B")])
+    given, chosen = scrambled(native, 14, seed=5)
+    found = repacked(given, there.tolist())
+    turned = {r for r in chosen if not np.array_equal(*_of(r, given, found))}
+    assert turned and turned <= set(there.tolist()) and set(chosen) - set(there.tolist())
+    done = pc.relax(given, solvent="vacuum", max_iterations=5, repack_region="interface A B")
+    region = np.unique(given.atom_residue[select(given, "interface A B")])
+    alone = repacked(given, region, energy=done.energy_function)
+    assert done.turned == alone.repairs[len(given.repairs) :] and done.turned
+    record = done.record()
+    assert record["repack_region"] == "interface A B" and record["repacked"] is True
+    # Natives are not left for rotamers that gain little.
+    same = repacked(native, there.tolist())
+    assert sum(not np.array_equal(*_of(r, native, same)) for r in there) <= 0.2 * len(there)
+    with pytest.raises(StructureError, match="interface A X"):
+        pc.relax(native, repack_region="interface A X")
+
+
+def _of(residue, *structures):
+    return [s.positions[s.atom_residue == residue] for s in structures]

@@ -126,7 +126,7 @@ def test_a_file_without_a_protein_says_what_there_is():
 def test_a_trace_of_c_alphas_is_refused_though_it_has_a_cap():
     cap = residue("ACE", 0, atoms=["C", "O", "CH3"])
     trace = [residue("ALA", number, atoms=["CA"]) for number in (1, 2)]
-    said = "holds only C-alpha atoms; rebuild the other atoms first"
+    said = "holds only C-alpha atoms; rebuild the others first, by PULCHRA or cg2all"
     assert refused(cap, *trace) == f"x: chain A {said}"
     assert refused(*trace, chain=" ") == f"x: chain (blank) {said}"
     draft = taken(trace[0], residue("ALA", 2), residue("ALA", 3))

@@ -2,6 +2,7 @@
 
 from itertools import combinations, product
 
+import gemmi
 import numpy as np
 import pytest
 from fixtures.samples import STRUCTURES, load
@@ -25,9 +26,11 @@ from protochain.structure.sidechains.ideal import (
     placed,
     unit,
 )
-from protochain.structure.sidechains.packing import Choices, Site, choosable, packed
+from protochain.structure.sidechains.packing import Choices, choosable, packed
+from protochain.structure.sidechains.packing_energies import Kinds, rarity, table
 from protochain.structure.sidechains.relief import relieved
 from protochain.structure.sidechains.rotamers import rotamers
+from protochain.structure.sidechains.sites import Site
 from protochain.structure.templates import templates
 
 NAMES = tuple(residues.STANDARD)
@@ -131,34 +134,41 @@ def test_atoms_within_some_bonds_are_counted_along_the_bonds():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_rotamers_have_the_dihedrals_of_their_residue_and_frequencies_of_sum_one(name):
-    chi, frequency = rotamers(name)
-    if name in ("ALA", "GLY", "PRO"):
-        assert not len(chi) and not len(frequency)
-        return
-    # The fifth chi of arginine is planar.
-    assert chi.shape == (len(frequency), min(4, len(residues.CHI[name])))
-    assert frequency.sum() == pytest.approx(1.0) and frequency.min() > 0
-    assert len({tuple(row) for row in np.round(chi, 6).tolist()}) == len(chi)
-    assert not chi.flags.writeable and not frequency.flags.writeable
+    for backbone in ((), (-65.0, -40.0), (179.0, -179.0)):
+        chi, frequency = rotamers(name, *backbone)
+        if name in ("ALA", "GLY"):
+            assert not len(chi) and not len(frequency)
+            continue
+        # The fifth chi of arginine is planar, and of proline's ring one chi is enough.
+        assert chi.shape == (len(frequency), min(4, len(residues.CHI.get(name, [()]))))
+        assert frequency.sum() == pytest.approx(1.0) and frequency.min() > 0.0028
+        assert np.all(np.diff(frequency) <= 0.0)
+        assert not chi.flags.writeable and not frequency.flags.writeable
 
 
-def test_names_of_rotamers_give_the_dihedrals():
-    chi, frequency = rotamers("CYS")
-    assert chi[:, 0] == degrees(62, 180, -65) and frequency == pytest.approx(np.array([23, 26, 50]) / 99)
-    first = {"ASN": (62, -10), "LYS": (62, 180, 62, 180), "GLU": (62, 180, -20), "ARG": (62, 180, 62, 85)}
-    for name, wanted in first.items():
-        assert rotamers(name)[0][0] == degrees(*wanted)
-    assert rotamers("ASP")[0][2] == degrees(180, 0) and rotamers("LEU")[0][-1] == degrees(-65, 180)
-    common = {"LEU": (-65, 180), "VAL": (180,), "ILE": (-65, 170), "SER": (62,), "LYS": (-65, 180, 180, 180)}
-    for name, wanted in common.items():
-        chi, frequency = rotamers(name)
-        assert chi[np.argmax(frequency)] == degrees(*wanted)
+def test_rotamers_are_those_of_the_backbone():
+    """Known of crystals: valine is t; threonine is m in helices, where O of the turn before binds OG1;
+    leucine is mt and then tp in helices, nearly nothing else."""
+    for angles in ((-60.0, -40.0), (-120.0, 130.0)):
+        chi, frequency = rotamers("VAL", *angles)
+        assert np.rad2deg(chi[0, 0]) == pytest.approx(175.0, abs=8.0) and frequency[0] > 0.6
+    assert np.rad2deg(rotamers("THR", -60.0, -40.0)[0][0, 0]) == pytest.approx(-62.0, abs=5.0)
+    chi, frequency = rotamers("LEU", -60.0, -40.0)
+    assert np.rad2deg(chi[:2]) == pytest.approx(np.array([[-69, 173], [-179, 60]]), abs=3.0)
+    assert frequency[:2].sum() > 0.95
+    # Bins are 10 degrees wide, around their angles, and go round.
+    assert rotamers("VAL", -64.9, -44.9)[0] is rotamers("VAL", -60.1, -40.1)[0]
+    assert rotamers("VAL", 180.0, -176.0)[0] is rotamers("VAL", -180.0, 184.0)[0]
+    assert rotamers("VAL", -60.0, -40.0)[0] is not rotamers("VAL", -60.0, -30.0)[0]
 
 
 def test_conformers_are_rotamers_puckers_or_the_only_one():
-    chi, frequency = conformers("PRO")
-    assert chi[0] == pytest.approx(np.array(ideal("PRO").chi)) and np.array_equal(chi[1], -chi[0])
-    assert chi.shape == (2, 2) and frequency.tolist() == [0.5, 0.5]
+    chi, frequency = conformers("PRO", -65.0, 140.0)
+    pucker = np.array(ideal("PRO").chi)
+    assert chi.shape == (2, 2) and frequency.sum() == pytest.approx(1.0)
+    assert {tuple(row) for row in chi.tolist()} == {tuple(pucker.tolist()), tuple((-pucker).tolist())}
+    # In a helix the pucker whose chi1 is negative is the usual one.
+    assert conformers("PRO", -60.0, -30.0)[0][0, 0] < 0.0
     for name in ("ALA", "GLY"):
         chi, frequency = conformers(name)
         assert chi.shape == (1, 0) and frequency.tolist() == [1.0]
@@ -242,12 +252,10 @@ def test_atoms_between_others_are_fitted_to_them(name, gone, built):
 # --- Choice
 
 
-def test_angles_are_wrapped_and_overlaps_cost():
+def test_angles_are_wrapped_and_disulfides_gain():
     assert wrapped(np.array([0.5, 2 * np.pi - 0.1, -4.0, 3 * np.pi])) == pytest.approx(
         [0.5, -0.1, 2 * np.pi - 4.0, -np.pi]
     )
-    assert packing._repulsion(np.array([0.0, 1.5, 3.0, 4.0]), 3.0).tolist() == [30.0, 15.0, 0.0, 0.0]
-    assert packing._radii(("CB", "OG", "NZ", "SG")).tolist() == [1.77, 1.45, 1.5, 1.82]
     sulphurs = np.array([2.05, 2.2, 1.9, 4.0])
     wanted = [-40.0, -40.0 * np.exp(-0.5), -40.0 * np.exp(-0.5), 0.0]
     for betas, near in ((3.1, False), (3.3, True), (4.6, True), (4.8, False)):
@@ -260,23 +268,74 @@ def made(name, at, number=1, chain="A", is_d=False):
     return Member(name, str(number), "", chain, atoms, is_d=is_d)
 
 
-def test_conformers_unlike_the_atoms_in_place_are_rare():
+def test_atoms_touch_by_their_kinds():
+    kinds = Kinds([("LEU", "CD1", ""), ("SER", "OG", ""), ("LYS", "NZ", ""), ("HEM", "FE", "Fe")])
+    contact, depth = kinds.beside(Kinds([("ASP", "OD1", ""), ("PRO", "N", ""), ("ALA", "N", "")]))
+    # A hydroxyl gives to the acid and takes from the amide, which proline lacks; the amine gives to the acid.
+    assert contact == pytest.approx(np.array(
+        [[1.96 + 1.40, 1.96 + 1.70, 1.96 + 1.42], [2.8, 1.43 + 1.70, 2.8], [2.8, 1.69 + 1.70, 1.69 + 1.42],
+         [0.6 + 1.40, 0.6 + 1.70, 0.6 + 1.42]]
+    ))  # fmt: skip
+    assert depth[0] == pytest.approx(np.sqrt(0.48 * np.array([0.07, 0.48, 0.08])))
+    # Linear within contact, 12-6 beyond, deepest at the sixth root of two, nothing from 7 angstrom on.
+    apart = np.array([0.0, 1.5, 3.0, 3.0 * 2 ** (1 / 6), 4.0, 7.0])
+    x = np.zeros((6, 1, 3))
+    x[:, 0, 2] = apart
+    found = table(x, np.zeros((1, 1, 3)), np.array([[3.0]]), np.array([[0.5]]))[:, 0]
+    far = 0.7 * 4 * 0.5 * ((3 / 4) ** 12 - (3 / 4) ** 6)
+    assert found == pytest.approx([10.0, 5.0, 0.0, -0.7 * 0.5, far, 0.0])
+    assert not table(x, np.zeros((1, 1, 3)), np.array([[0.0]]), np.array([[0.5]])).any()
+
+
+def test_conformers_unlike_the_atoms_in_place_cost():
     chi, frequency = rotamers("LEU")
-    bare_chi, rarity = choosable(Site(made("LEU", backbone("LEU")), 1, None, None))
-    assert np.array_equal(bare_chi, chi) and rarity == pytest.approx(-np.log(frequency))
+    bare_chi, cost = choosable(Site(made("LEU", backbone("LEU")), 1, None, None))
+    n, turn = len(chi), np.deg2rad(9.0)
+    turned = np.repeat(chi, 3, axis=0)
+    turned[:, 0] += np.tile([0.0, -turn, turn], n)
+    strain = np.tile([0.0, 0.5, 0.5], n) * (9.0 / 9.5) ** 2
+    rare = 0.7 * 2.0 * np.log(frequency[0] / frequency)
+    assert bare_chi == pytest.approx(turned) and cost == pytest.approx(np.repeat(rare, 3) + strain)
     grew = {n: x[1] for n, x in grown("LEU", backbone("LEU"), chi + np.deg2rad(10.0)).items()}
     known = backbone("LEU") | {n: grew[n] for n in ("CB", "CG")}
     _, strained = choosable(Site(made("LEU", known), 1, None, None))
-    off = wrapped(chi[:, 0] - chi[1, 0] - np.deg2rad(10.0)) / np.deg2rad(20.0)
-    assert strained - rarity == pytest.approx(0.5 * off**2, abs=1e-4) and (strained - rarity)[1] < 0.13
+    off = wrapped(bare_chi[:, 0] - chi[1, 0] - np.deg2rad(10.0)) / np.deg2rad(20.0)
+    assert strained - cost == pytest.approx(0.5 * off**2, abs=1e-4) and (strained - cost)[3] < 0.13
+
+
+def test_rotamers_cost_by_how_rare_they_are():
+    frequency = np.array([0.8, 0.1, 0.001])
+    assert rarity("TRP", frequency) == pytest.approx(0.7 * 3.5 * np.array([0.0, np.log(8.0), 5.0]))
+    assert rarity("GLU", frequency)[1] == pytest.approx(0.7 * np.log(8.0))
 
 
 def test_cysteines_turn_in_steps_of_ten_degrees():
-    chi, rarity = choosable(Site(made("CYS", backbone("CYS")), 1, None, None))
+    chi, cost = choosable(Site(made("CYS", backbone("CYS")), 1, None, None))
     assert chi[:, 0] == degrees(*range(-180, 180, 10))
-    best = np.rad2deg(chi[np.argsort(rarity)[:2], 0])
-    assert sorted(best.tolist()) == pytest.approx([-70.0, -60.0])
-    assert rarity[0] == pytest.approx(-np.log(26 / 99), abs=0.01)
+    rotamer = np.rad2deg(rotamers("CYS")[0][0, 0])
+    assert np.rad2deg(chi[np.argmin(cost), 0]) == pytest.approx(rotamer, abs=5.1)
+
+
+def test_a_site_tells_phi_and_psi_of_the_l_amino_acid():
+    members, s = read(STRUCTURES / "1ubq.pdb").members, load("1ubq.pdb")
+    found = {}
+    for k in (0, 5, 40, 75):
+        at = {str(s.atom_name[i]): i for i in np.flatnonzero(s.atom_residue == k)}
+        ends = (members[k - 1] if k else None, members[k + 1] if k < 75 else None)
+        found[k] = Site(members[k], 1, *ends), Site(members[k], -1, *ends)
+        assert found[k][0].backbone == pytest.approx(
+            arms.backbone_of(s.neighbours, at, s.positions, 1), abs=0.1
+        )
+        mirrored = arms.backbone_of(s.neighbours, at, s.positions * [-1, 1, 1], -1)
+        assert found[k][0].backbone == pytest.approx(mirrored, abs=0.1)
+    before = {k: left.backbone for k, (left, _) in found.items()}
+    for atom_of in [a for m in members for a in m.atoms]:
+        atom_of.pos = gemmi.Position(-atom_of.pos.x, atom_of.pos.y, atom_of.pos.z)
+    assert all(right.backbone == pytest.approx(before[k]) for k, (_, right) in found.items())
+    # Where the first begins and the last ends, and of ubiquitin's first helix (23 to 34).
+    assert before[0][0] == -60.0 and before[75][1] == 60.0
+    helix = Site(members[27], -1, members[26], members[28]).backbone
+    assert helix == pytest.approx((-63.0, -42.0), abs=12.0)
 
 
 def test_what_a_site_knows_is_its_heavy_atoms_in_its_hand():
@@ -298,59 +357,61 @@ def test_atoms_within_three_bonds_along_the_chain_do_not_repel():
     assert {(id(before), n) for n in ("C", "CA", "O")} <= packing._joined(Site(one, 1, before, after))["N"]
 
 
-def test_conformers_are_repelled_by_others_and_by_themselves_beyond_three_bonds():
+def test_conformers_feel_others_beyond_three_bonds_and_not_their_own_residue():
     one = made("LYS", {"N": [10.0, 1, 0], "CA": [-9.0, 0, 0]})
     water = made("HOH", {"O": [12.0, 1, 0]}, 2)
+    before = made("GLY", {"C": [10.0, 0.1, 0], "CA": [12.0, 0, 0]}, 0)
     x = np.array([[[10.0, 0, 0], [12.0, 0, 0]], [[10.0, -50, 0], [12.0, -50, 0]]])
-    felt = packing._Surroundings([one, water]).repulsion(Site(one, 1, None, None), ("CB", "NZ"), x)
-    # N is two bonds from CB and five from NZ, which is four from CB.
-    inside, far = 1.0 - 2.0 / (1.77 + 1.5), np.sqrt(5.0)
-    others = (1.0 - 1.0 / (1.5 + 1.45)) + (1.0 - far / (1.77 + 1.45)) + (1.0 - far / (1.5 + 1.5))
-    assert felt == pytest.approx([30.0 * (inside + others), 30.0 * inside])
+    felt = packing._Surroundings([one, water, before]).felt(Site(one, 1, before, None), ("CB", "NZ"), x)
+    own = Kinds([("LYS", "CB", ""), ("LYS", "NZ", "")])
+    contact, depth = own.beside(Kinds([("HOH", "O", "O"), ("GLY", "CA", ""), ("GLY", "C", "")]))
+    # C before is three bonds from CB, and five from NZ.
+    contact[0, 2] = 0.0
+    others = np.array([[[12.0, 1, 0], [12.0, 0, 0], [10.0, 0.1, 0]]])
+    assert felt == pytest.approx(table(x, others, contact, depth)[:, 0]) and felt[0] > 5.0 and felt[1] == 0.0
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_no_other_choice_of_one_or_of_two_residues_costs_less(seed):
+def test_no_other_choice_costs_less(seed):
     random = np.random.default_rng(seed)
-    dummy = Site(made("SER", backbone("SER")), 1, None, None)
+    site = Site(made("SER", backbone("SER")), 1, None, None)
     choices = [
-        Choices(dummy, ("CB", "OG"), random.uniform(0.0, 5.0, (4, 2, 3)), random.uniform(0.0, 20.0, 4))
+        Choices(
+            site, ("CB", "OG"), np.zeros((4, 1)), random.uniform(0, 5, (4, 2, 3)), random.uniform(0, 9, 4)
+        )
         for _ in range(5)
     ]
+    contact = {("CB", "CB"): 3.82, ("CB", "OG"): 3.34, ("OG", "CB"): 3.34, ("OG", "OG"): 2.8}
+    depth = {"CB": 0.37, "OG": 0.12}
 
     def total(taken):
         cost = sum(each.cost[k] for each, k in zip(choices, taken, strict=True))
         for (one, i), (other, j) in combinations(list(zip(choices, taken, strict=True)), 2):
-            contact = {("CB", "CB"): 3.54, ("CB", "OG"): 3.22, ("OG", "CB"): 3.22, ("OG", "OG"): 2.9}
             for (m, first), (n, second) in product(enumerate(one.names), enumerate(other.names)):
-                apart = np.linalg.norm(one.x[i, m] - other.x[j, n])
-                cost += 30.0 * max(0.0, 1.0 - apart / contact[first, second])
+                s = contact[first, second] / np.linalg.norm(one.x[i, m] - other.x[j, n])
+                deep = 0.7 * 4 * np.sqrt(depth[first] * depth[second])
+                cost += 10.0 * (1.0 - 1.0 / s) if s > 1.0 else deep * (s**12 - s**6)
         return cost
 
-    taken = packing._settled(choices)
-    least = total(taken)
-    for i, j in combinations(range(5), 2):
-        for k, m in product(range(4), range(4)):
-            other = list(taken)
-            other[i], other[j] = k, m
-            assert total(other) >= least - 1e-5
-    assert packing._settled(choices[:1]) == [int(np.argmin(choices[0].cost))]
+    found = packing._settled(choices)
+    least = min(total(taken) for taken in product(range(4), repeat=5))
+    assert found.is_proven and total(found.states) == pytest.approx(least, abs=1e-6)
 
 
 def test_a_conformer_that_overlaps_is_not_taken():
     alone = made("SER", backbone("SER"))
     site = Site(alone, 1, None, None)
-    (free,) = packed([alone], [site])
-    assert set(free) == {"CB", "OG"} and packed([alone], []) == []
+    (free,) = packed([alone], [site]).places
+    assert set(free) == {"CB", "OG"} and packed([alone], []).places == []
     water = made("HOH", {"O": free["OG"], "H1": [0, 0, 0]}, 2)
-    (moved,) = packed([alone, water], [site])
+    (moved,) = packed([alone, water], [site]).places
     assert moved["CB"] == pytest.approx(free["CB"]) and np.linalg.norm(moved["OG"] - free["OG"]) > 2.0
     # Its hydrogens alone would not matter.
     water.atoms = [atom("H", "H", free["OG"].tolist())]
-    (again,) = packed([alone, water], [site])
+    (again,) = packed([alone, water], [site]).places
     assert again["OG"] == pytest.approx(free["OG"])
     mirrored = made("SER", {n: -x for n, x in backbone("SER").items()})
-    (d,) = packed([mirrored], [Site(mirrored, -1, None, None)])
+    (d,) = packed([mirrored], [Site(mirrored, -1, None, None)]).places
     assert all(d[n] == pytest.approx(-free[n]) for n in free)
 
 
@@ -363,7 +424,7 @@ def test_rebuilt_cysteines_close_their_bonds():
             k, member = by_number[number]
             member.atoms = [a for a in member.atoms if a.name != "SG"]
             sites.append(Site(member, 1, members[k - 1], members[k + 1] if k + 1 < len(members) else None))
-        built = [places["SG"] for places in packed(members, sites)]
+        built = [places["SG"] for places in packed(members, sites).places]
         other = built[1] if both else by_number[second][1].atom("SG").pos.tolist()
         assert np.linalg.norm(built[0] - other) == pytest.approx(2.05, abs=0.3)
 

@@ -85,3 +85,37 @@ def relax_crystals(r: pd.DataFrame) -> str:
         f"{rmsd.min():.2f} to {rmsd.max():.2f} angstrom; {worse} of {len(r)}",
         f"{'has' if worse == 1 else 'have'} fewer favoured residues than the input.",
     )
+
+
+_PLACED = (
+    ("", "{way}"), ("side chains", "{side_chains}"), ("chi1 right, %", "{chi1_percent:.1f}"),
+    ("chi1 and chi2, %", "{chi12_percent:.1f}"), ("error of chi1, degrees", "{chi1_error_degrees:.1f}"),
+    ("chi2", "{chi2_error_degrees:.1f}"), ("chi3", "{chi3_error_degrees:.1f}"),
+    ("chi4", "{chi4_error_degrees:.1f}"), ("RMSD, angstrom", "{rmsd_angstrom:.2f}"),
+    ("core: chi1 right, %", "{core_chi1_percent:.1f}"), ("RMSD", "{core_rmsd_angstrom:.2f}"),
+)  # fmt: skip
+
+table_of_rows("sidechains", "sidechains_all.csv", *_PLACED)
+
+
+@table("sidechains-words", "sidechains.csv", "sidechains_residues.csv")
+def sidechains_words(rows: pd.DataFrame, kinds: pd.DataFrame) -> str:
+    """Structures, seconds, clashes and kinds of residues."""
+    built = kinds[kinds["way"] == "built"].sort_values("chi1_error_degrees")
+    usual = rows["seconds"] / rows["residues"]
+    best, worst = (
+        ", ".join(f"{r.residue.title()} {r.chi1_error_degrees:.0f}" for r in each.itertuples())
+        for each in (built.head(4), built[::-1].head(4))
+    )
+    left = int((rows["overlaps_relaxed"] > 0).sum())
+    clean = int((rows["violations_relaxed"] == 0).sum())
+    clashes = rows["clashscore_relaxed_per_1000_atoms"]
+    return paragraph(
+        f"{len(rows)} crystals of {rows['chains'].sum()} chains and {rows['side_chains'].sum()} side",
+        f"chains. Errors of chi1, in degrees, are least for {best}, and largest for {worst}.",
+        f"Loading took {rows['seconds'].sum():.0f} s, a median of {1000 * usual.median():.0f} ms a residue,",
+        f"{rows['seconds_complete'].sum():.0f} s of it for what a complete file takes, too; relaxing",
+        f"{rows['seconds_relax'].sum():.0f} s. After relaxing, overlaps are left in {left} of {len(rows)},",
+        f"no violations in {clean} of {len(rows)}, and clashscores are {clashes.min():.1f} to",
+        f"{clashes.max():.1f}, with a median of {clashes.median():.1f}.",
+    )

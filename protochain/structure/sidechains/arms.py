@@ -1,6 +1,6 @@
 """Side chains turned about their bonds: bond lengths and angles stay."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import beyond
 from protochain.structure.sidechains.ideal import dihedral, unit
+from protochain.structure.sidechains.rotamers import BACKBONE
 
 WIDTH = np.deg2rad(20.0)
 """Standard deviation of a dihedral about its rotamer."""
@@ -52,6 +53,23 @@ def arm_of(bonded: Sequence[Sequence[int]], axes: Sequence[tuple[int, ...]]) -> 
     """Side chain whose dihedrals are about these axes; ``bonded`` are the bonded atoms of each atom."""
     outward = (np.array(sorted(beyond(bonded, *quartet[1:3])), dtype=np.int64) for quartet in axes)
     return Arm(tuple(axes), tuple(outward))
+
+
+def backbone_of(
+    bonded: Sequence[Sequence[int]], at: Mapping[str, int], x: Floats, hand: int
+) -> tuple[float, float]:
+    """Phi and psi, degrees, of a residue whose atoms are at x (na, 3); those of an end are usual ones.
+
+    ``bonded`` are the bonded atoms of each atom, ``at`` those of the residue by name; a hand of -1 gives the
+    angles of the mirror image.
+    """
+    own, angles = set(at.values()), list(BACKBONE)
+    inner = [at[name] for name in ("N", "CA", "C")]
+    for k, end in enumerate(("N", "C")):
+        for other in [i for i in bonded[at[end]] if i not in own][:1]:
+            quartet = [other, *inner] if end == "N" else [*inner, other]
+            angles[k] = hand * float(np.rad2deg(dihedral(*x[quartet])))
+    return angles[0], angles[1]
 
 
 def around(chi: Floats, rarity: Floats, turns: Floats, n_turned: int) -> tuple[Floats, Floats]:

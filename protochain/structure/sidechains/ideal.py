@@ -117,15 +117,15 @@ def ideal(residue: str) -> Ideal:
     return Ideal(x, bonds, branches, tuple(float(dihedral(*(x[each] for each in q))) for q in quartets))
 
 
-def conformers(residue: str) -> tuple[Floats, Floats]:
-    """Dihedrals (n, n_chi), rad, and frequencies (n,) of the conformers of a side chain.
+def conformers(residue: str, *backbone: float) -> tuple[Floats, Floats]:
+    """Dihedrals (n, n_chi), rad, and frequencies (n,) of the conformers of a side chain at phi and psi.
 
-    Those of proline are the two puckers of its ring, about equally frequent.
+    Those of proline are the two puckers of its ring, those of residues without a chi the only one.
     """
+    chi, frequency = rotamers(residue, *backbone)
     if residue == "PRO":
-        chi = np.array(ideal(residue).chi)
-        return np.array([chi, -chi]), np.array([0.5, 0.5])
-    chi, frequency = rotamers(residue)
+        pucker = np.array(ideal(residue).chi)
+        return np.sign(chi * pucker[0]) * pucker, frequency
     return (chi, frequency) if len(chi) else (np.zeros((1, 0)), np.ones(1))
 
 

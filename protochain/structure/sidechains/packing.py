@@ -1,63 +1,45 @@
-"""Choice of the conformers of rebuilt side chains: without overlaps, and the more frequent the better.
+"""Choice of the conformers of rebuilt side chains: the combination of lowest energy, all at once.
 
-Each residue takes the conformer of lowest cost: the negative logarithm of its frequency, and a repulsion of
-heavy atoms that is linear in their distance, as in SCWRL3 (Canutescu, Shelenkov, Dunbrack, Protein Sci.
-12:2001, 2003). Residues are revisited, alone and in pairs, until none changes. The same coordinates give the
-same choice.
+Each residue takes a rotamer of its backbone, turned by up to 9 degrees about chi1; then all are turned about
+chi1 and chi2 once more, from where they are. Both times it is the combination of lowest energy of
+``packing_energies`` that is taken, and a disulfide bond where two cysteines allow one. The same coordinates
+give the same choice.
 """
 
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import within
+from protochain.structure import residues
 from protochain.structure.draft import Member
 from protochain.structure.sidechains.arms import WIDTH, wrapped
-from protochain.structure.sidechains.conflicts import beside, touching
+from protochain.structure.sidechains.assignment import Assignment, best
+from protochain.structure.sidechains.conflicts import touching
 from protochain.structure.sidechains.ideal import Places, conformers, fixed_chi, grown, ideal
+from protochain.structure.sidechains.packing_energies import REACH, Kinds, rarity, table
+from protochain.structure.sidechains.sites import Site
 
-_RADIUS = {"C": 1.77, "N": 1.5, "O": 1.45, "S": 1.82}
-"""Angstrom: heavy atoms nearer than the sum repel, carbons with their hydrogens."""
-_STEEPNESS = 30.0
-"""Repulsion at distance zero, in units of the logarithm of a frequency."""
-_REACH = 3.7
-"""Angstrom: no atoms further apart repel."""
 _APART = 3
-"""Bonds: atoms no further apart along the chain do not repel."""
-_SWEEPS = 30
+"""Bonds: atoms no further apart along the chain do not touch."""
+_TURN, _FINER = np.deg2rad(9.0), np.deg2rad(8.0)
+"""About chi1 of a rotamer, and then about chi1 and chi2."""
+_TURNED = np.deg2rad(9.5)
+"""A turn of this size costs a half."""
+_MANY = frozenset({"ARG", "GLN", "GLU", "LYS", "PRO", "SER"})
+"""Residues whose rotamers are not turned at first: there are many, or they are puckers of a ring."""
+_HOPELESS = 20.0
+"""Conformers that cost so much more than the best, without the other side chains, are left out."""
 _BOND, _BOND_WIDTH, _BOND_GAIN = 2.05, 0.15, 40.0
 """Angstrom, angstrom, -: a disulfide bond, its deviation, and what it gains."""
 _BETAS = (3.2, 4.7)
 """Angstrom: least and largest distance of the CB across a disulfide bond."""
-
-
-@dataclass(frozen=True, eq=False)
-class Site:
-    """A residue whose side chain is to be completed.
-
-    Parameters
-    ----------
-    member : Member
-    sign : int
-        1, or -1 for a D-amino acid, which is built in the mirror.
-    before, after : Member or None
-        Its neighbours in the chain.
-    """
-
-    member: Member
-    sign: int
-    before: Member | None
-    after: Member | None
-
-    @property
-    def known(self) -> Places:
-        """Heavy atoms that are there, mirrored for a D-amino acid."""
-        heavy = (atom for atom in self.member.atoms if not atom.is_hydrogen())
-        return {atom.name: self.sign * np.array(atom.pos.tolist()) for atom in heavy}
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +51,7 @@ class Choices:
     site : Site
     names : tuple of str
         Its missing atoms.
+    chi : (n, n_chi) float, rad
     x : (n, n_atoms, 3) float, angstrom
     cost : (n,) float
         Without the other residues that are built.
@@ -76,11 +59,28 @@ class Choices:
 
     site: Site
     names: tuple[str, ...]
+    chi: Floats
     x: Floats
     cost: Floats
 
 
-def packed(members: Sequence[Member], sites: Sequence[Site]) -> list[Places]:
+class Packed(NamedTuple):
+    """Side chains that were packed.
+
+    Parameters
+    ----------
+    places : list of dict of str to (3,) float, angstrom
+        The missing atoms of each site.
+    is_proven : bool
+        Whether no other combination of the conformers tried has a lower energy; if not, the search was too
+        long.
+    """
+
+    places: list[Places]
+    is_proven: bool
+
+
+def packed(members: Sequence[Member], sites: Sequence[Site]) -> Packed:
     """Place the missing side-chain atoms of residues.
 
     Parameters
@@ -88,82 +88,87 @@ def packed(members: Sequence[Member], sites: Sequence[Site]) -> list[Places]:
     members : sequence of Member
         All residues and molecules of the structure.
     sites : sequence of Site
-
-    Returns
-    -------
-    list of dict of str to (3,) float, angstrom
-        The missing atoms of each site.
     """
     here = _Surroundings(members)
-    choices = [_choices(site, here) for site in sites]
-    return [
-        dict(zip(each.names, each.x[k], strict=True))
-        for each, k in zip(choices, _settled(choices), strict=True)
+    choices = [_choices(site, here, *choosable(site)) for site in sites]
+    first = _settled(choices)
+    finer = [
+        _choices(each.site, here, *_turned(each, state))
+        for each, state in zip(choices, first.states.tolist(), strict=True)
     ]
+    last = _settled(finer)
+    places = [
+        dict(zip(each.names, each.x[k], strict=True))
+        for each, k in zip(finer, last.states.tolist(), strict=True)
+    ]
+    return Packed(places, first.is_proven and last.is_proven)
 
 
 def choosable(site: Site) -> tuple[Floats, Floats]:
-    """Dihedrals and rarities of the conformers; those unlike the dihedrals of atoms in place are rare."""
-    chi, frequency = conformers(site.member.name)
-    if site.member.name == "CYS":
+    """Dihedrals and costs of the conformers; those unlike the dihedrals of atoms in place cost more."""
+    name = site.member.name
+    chi, frequency = conformers(name, *site.backbone)
+    if name == "CYS":
         # A disulfide bond closes at dihedrals between the rotamers.
         turns = np.deg2rad(np.arange(-180.0, 180.0, 10.0))[:, None]
         near = np.exp(-0.5 * (wrapped(turns - chi.T) / WIDTH) ** 2)
         chi, frequency = turns, near @ frequency
-    rarity = -np.log(np.maximum(frequency, 1e-6))
-    for k, value in fixed_chi(site.member.name, site.known).items():
+    cost = rarity(name, frequency)
+    if name not in _MANY and name != "CYS" and chi.shape[1]:
+        chi, cost = _around(chi, cost, _TURN, 1)
+    for k, value in fixed_chi(name, site.known).items():
         if k < chi.shape[1]:
-            rarity = rarity + 0.5 * (wrapped(chi[:, k] - value) / WIDTH) ** 2
-    return chi, rarity
+            cost = cost + 0.5 * (wrapped(chi[:, k] - value) / WIDTH) ** 2
+    return chi, cost
 
 
-def _choices(site: Site, here: "_Surroundings") -> Choices:
-    chi, rarity = choosable(site)
+def _around(chi: Floats, cost: Floats, turn: float, n: int) -> tuple[Floats, Floats]:
+    """Dihedrals and costs of conformers, and of those turned one way and the other about the first n chi."""
+    steps = np.zeros((3**n, chi.shape[1]))
+    steps[:, :n] = list(product((0.0, -turn, turn), repeat=n))
+    strain = 0.5 * ((steps / _TURNED) ** 2).sum(axis=1)
+    turned = (chi[:, None] + steps).reshape(len(chi) * len(steps), chi.shape[1])
+    return turned, (cost[:, None] + strain).ravel()
+
+
+def _turned(each: Choices, state: int) -> tuple[Floats, Floats]:
+    """Dihedrals and costs about a conformer."""
+    chi = each.chi[[state]]
+    n = 0 if each.site.member.name == "PRO" else min(2, chi.shape[1])
+    return _around(chi, np.zeros(1), _FINER, n)
+
+
+def _choices(site: Site, here: "_Surroundings", chi: Floats, cost: Floats) -> Choices:
     built = grown(site.member.name, site.known, chi)
     names = tuple(built)
     x = site.sign * np.stack([built[name] for name in names], axis=1)
-    return Choices(site, names, x, rarity + here.repulsion(site, names, x))
+    cost = cost + here.felt(site, names, x)
+    hopeful = cost <= cost.min() + _HOPELESS
+    return Choices(site, names, chi[hopeful], np.ascontiguousarray(x[hopeful]), cost[hopeful])
 
 
-def _settled(choices: Sequence[Choices]) -> list[int]:
-    """Conformer of each residue.
-
-    By descent, while ``relaxation.assignment`` proves the minimum: that needs kernels, for which loading a
-    file is not to wait, and hydrogens, which decide between near equals, are still to come.
-    """
-    tables = {
-        (i, j): table
-        for i, j in touching([each.x for each in choices], _REACH)
-        if (table := _between(choices[i], choices[j])).any()
-    }
-    partners = beside(tables, len(choices))
-    taken = [int(np.argmin(np.round(each.cost, 6))) for each in choices]
-
-    def cost(i: int, without: int = -1) -> Floats:
-        return choices[i].cost + sum(
-            (table[:, taken[j]] for j, table in partners[i] if j != without), np.zeros(len(choices[i].cost))
-        )
-
-    for _ in range(_SWEEPS):
-        before = list(taken)
-        for i in range(len(choices)):
-            taken[i] = int(np.argmin(np.round(cost(i), 6)))
-        for (i, j), table in tables.items():
-            both = cost(i, j)[:, None] + cost(j, i)[None] + table
-            taken[i], taken[j] = (int(k) for k in np.unravel_index(np.argmin(np.round(both, 6)), both.shape))
-        if taken == before:
-            break
-    return taken
+def _settled(choices: Sequence[Choices]) -> Assignment:
+    """Conformer of each residue."""
+    tables = {}
+    for i, j in touching([each.x for each in choices], REACH):
+        found = _between(choices[i], choices[j])
+        if found.any():
+            tables[i, j] = found
+    return best([each.cost for each in choices], tables)
 
 
 def _between(one: Choices, other: Choices) -> Floats:
-    apart = np.linalg.norm(one.x[:, None, :, None] - other.x[None, :, None], axis=-1)
-    table = _repulsion(apart, _radii(one.names)[:, None] + _radii(other.names)).sum(axis=(2, 3))
-    if "SG" in one.names and "SG" in other.names:
-        sulphurs = apart[:, :, one.names.index("SG"), other.names.index("SG")]
-        betas = np.linalg.norm(_beta(one) - _beta(other))
-        table = table + _disulfide(sulphurs, float(betas))
-    return np.asarray(table)
+    contact, depth = _kinds(one).beside(_kinds(other))
+    if "SG" not in one.names or "SG" not in other.names:
+        return table(one.x, other.x, contact, depth)
+    i, j = one.names.index("SG"), other.names.index("SG")
+    apart = np.linalg.norm(one.x[:, None, i] - other.x[None, :, j], axis=-1)
+    bond = _disulfide(apart, float(np.linalg.norm(_beta(one) - _beta(other))))
+    return np.asarray(table(one.x, other.x, contact, depth) + bond)
+
+
+def _kinds(choices: Choices) -> Kinds:
+    return Kinds([(choices.site.member.name, name, "") for name in choices.names])
 
 
 def _beta(choices: Choices) -> Floats:
@@ -181,27 +186,30 @@ class _Surroundings:
         self.x = np.array([atom.pos.tolist() for _, atom in heavy])
         self.name = np.array([atom.name for _, atom in heavy])
         self.owner = np.array([id(member) for member, _ in heavy])
-        self.radius = np.array([_RADIUS.get(atom.element.name, _RADIUS["C"]) for _, atom in heavy])
+        self.kinds = [
+            (m.name, a.name, "" if m.name in residues.STANDARD else a.element.name) for m, a in heavy
+        ]
         self.tree = KDTree(self.x)
 
-    def repulsion(self, site: Site, names: tuple[str, ...], x: Floats) -> Floats:
-        """Repulsion (n,) of conformers x (n, n_atoms, 3) by the atoms that are there, and by themselves."""
+    def felt(self, site: Site, names: tuple[str, ...], x: Floats) -> Floats:
+        """Energies (n,) of conformers x (n, n_atoms, 3) with the atoms of others that are there."""
         centre = x.reshape(-1, 3).mean(axis=0)
-        reach = np.linalg.norm(x - centre, axis=2).max() + _REACH
+        reach = np.linalg.norm(x - centre, axis=2).max() + REACH
         near = np.array(sorted(self.tree.query_ball_point(centre, reach)), dtype=np.int64)
-        joined, own = _joined(site), id(site.member)
+        near = near[self.owner[near] != id(site.member)]
+        if not len(near):
+            return np.zeros(len(x))
+        joined = _joined(site)
         atoms = list(zip(self.owner[near].tolist(), self.name[near].tolist(), strict=True))
         free = np.array([[atom not in joined[name] for atom in atoms] for name in names])
-        folded = np.triu([[(own, other) not in joined[name] for other in names] for name in names], 1)
-        radius = _radii(names)[:, None]
-        apart = np.linalg.norm(x[:, :, None] - self.x[near], axis=-1)
-        inside = np.linalg.norm(x[:, :, None] - x[:, None], axis=-1)
-        felt = (free * _repulsion(apart, radius + self.radius[near])).sum(axis=(1, 2))
-        felt += (folded * _repulsion(inside, radius + _radii(names))).sum(axis=(1, 2))
+        mine = Kinds([(site.member.name, name, "") for name in names])
+        contact, depth = mine.beside(Kinds([self.kinds[k] for k in near]))
+        felt = table(x, self.x[near][None], np.where(free, contact, 0.0), depth)[:, 0]
         if "SG" in names:
+            apart = np.linalg.norm(x[:, names.index("SG"), None] - self.x[near], axis=-1)
             beta = x[0, names.index("CB")] if "CB" in names else site.sign * site.known["CB"]
             for k, betas in self._sulphurs(site, near, beta):
-                felt += _disulfide(apart[:, names.index("SG"), k], betas)
+                felt += _disulfide(apart[:, k], betas)
         return np.asarray(felt)
 
     def _sulphurs(self, site: Site, near: Integers, beta: Floats) -> list[tuple[int, float]]:
@@ -234,14 +242,6 @@ def _joined(site: Site) -> dict[str, set[tuple[int, str]]]:
         join((own, "C"), (id(site.after), "N"))
         join((id(site.after), "N"), (id(site.after), "CA"))
     return {name: within(bonds, (own, name), _APART) for name in ideal(site.member.name).x}
-
-
-def _radii(names: Sequence[str]) -> Floats:
-    return np.array([_RADIUS[name[0]] for name in names])
-
-
-def _repulsion(apart: Floats, contact: Floats) -> Floats:
-    return np.asarray(_STEEPNESS * np.maximum(0.0, 1.0 - apart / contact))
 
 
 def _disulfide(apart: Floats, betas: float) -> Floats:

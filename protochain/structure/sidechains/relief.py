@@ -14,7 +14,7 @@ from protochain.core.graph import neighbours, within
 from protochain.structure import residues
 from protochain.structure.chirality import hand
 from protochain.structure.draft import Member
-from protochain.structure.sidechains.arms import WIDTH, Arm, arm_of, around, wrapped
+from protochain.structure.sidechains.arms import WIDTH, Arm, arm_of, around, backbone_of, wrapped
 from protochain.structure.sidechains.ideal import conformers
 
 _NEAR = 0.65
@@ -89,7 +89,9 @@ class _Room:
         """What of a side chain can turn, if anything: built atoms whose bonds lead to no other residue."""
         member, at = self.members[place], self.atoms[place]
         built = {at[name] for name in names}
-        chi, frequency = conformers(member.name)
+        own = hand(member) or 1
+        backbone = backbone_of(self.bonded, at, self.x, own)
+        chi, frequency = conformers(member.name, *backbone)
         quartets = [tuple(at[name] for name in quartet) for quartet in residues.CHI.get(member.name, ())]
         whole = arm_of(self.bonded, quartets[: chi.shape[1]])
         hydrogen = self.radius == residues.VAN_DER_WAALS["H"]
@@ -97,7 +99,7 @@ class _Room:
         if not columns:
             return None
         arm = Arm(tuple(whole.axes[k] for k in columns), tuple(whole.outward[k] for k in columns))
-        return _Turning(arm, hand(member) * chi[:, columns], -np.log(np.maximum(frequency, 1e-6)))
+        return _Turning(arm, own * chi[:, columns], -np.log(np.maximum(frequency, 1e-6)))
 
     def crowded(self, arms: dict[int, "_Turning"]) -> list[int]:
         """Residues that can turn and have an atom too near to another."""

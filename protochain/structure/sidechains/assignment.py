@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.relaxation.reduction import SLIGHT, Part, bounded, undominated
 from protochain.structure.sidechains.conflicts import beside
+from protochain.structure.sidechains.reduction import SLIGHT, Part, bounded, undominated
 
 _LARGEST = 1_000_000
 """Entries of a table in the elimination of sites; beyond, branches are smaller."""

@@ -1,0 +1,48 @@
+"""Residues whose side chains are to be completed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from protochain.structure.draft import Member
+from protochain.structure.sidechains.ideal import Places, dihedral
+from protochain.structure.sidechains.rotamers import BACKBONE
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """A residue whose side chain is to be completed.
+
+    Parameters
+    ----------
+    member : Member
+    sign : int
+        1, or -1 for a D-amino acid, which is built in the mirror.
+    before, after : Member or None
+        Its neighbours in the chain.
+    """
+
+    member: Member
+    sign: int
+    before: Member | None
+    after: Member | None
+
+    @property
+    def known(self) -> Places:
+        """Heavy atoms that are there, mirrored for a D-amino acid."""
+        return self._places(self.member)
+
+    @property
+    def backbone(self) -> tuple[float, float]:
+        """Phi and psi, degrees, of the L-amino acid; those of an end are usual ones."""
+        known = self.known
+        inner = [known[name] for name in ("N", "CA", "C")]
+        before = self._places(self.before).get("C") if self.before else None
+        after = self._places(self.after).get("N") if self.after else None
+        phi = BACKBONE[0] if before is None else float(np.rad2deg(dihedral(before, *inner)))
+        psi = BACKBONE[1] if after is None else float(np.rad2deg(dihedral(*inner, after)))
+        return phi, psi
+
+    def _places(self, member: Member) -> Places:
+        heavy = (atom for atom in member.atoms if not atom.is_hydrogen())
+        return {atom.name: self.sign * np.array(atom.pos.tolist()) for atom in heavy}
