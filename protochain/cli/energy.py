@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.cli.options import AsJson, Input, check_outputs, inputs_of, with_settings
+from protochain.cli import frames as of_frames
+from protochain.cli.frames import Chosen, Trajectory
+from protochain.cli.options import AsJson, Input, check_outputs, inputs_of, named_after, with_settings
 from protochain.core.errors import ProtochainError
 from protochain.setup import Setup
 
@@ -26,6 +28,8 @@ def energy(
         typer.Option(metavar="A:1-50,B", help="Interaction of two parts: chains, residues, or selections."),
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
+    trajectory: Trajectory = None,
+    frames: Chosen = None,
     as_json: AsJson = False,
     *,
     setup: Setup,
@@ -33,10 +37,14 @@ def energy(
     """Tell what the energy is made of: by term, by residue or by pair, of all or between two parts.
 
     Structures are taken as they are, with what they lack added; minimise or relax them first.
+    Of frames, a row for each goes to a CSV, by term.
     """
     from protochain.core.storage import write_atomically
     from protochain.energies.decomposed import energy_terms
 
+    if of_frames.are_asked(trajectory, frames):
+        of_frames.refuse(by=by if by != "term" else "")
+        raise typer.Exit(_frames(source, trajectory, frames, between, output, as_json, setup))
     if output:
         check_outputs(inputs_of(setup, source), [output])
     structure = setup.load(source)
@@ -54,6 +62,25 @@ def energy(
         print(json.dumps(asked | {"solvent": setup.solvent, "forcefield": setup.forcefield, "rows": rows}))
     else:
         _print(table, by)
+
+
+def _frames(
+    source: Path,
+    trajectory: Path | None,
+    frames: str | None,
+    between: str | None,
+    output: Path | None,
+    as_json: bool,
+    setup: Setup,
+) -> int:
+    """Tell what the energy of every frame is made of; return the exit status."""
+    from protochain.batches.frame_tasks import EnergyFrames
+
+    table = output or Path(f"{named_after(source)[0]}.energy.csv")
+    done = of_frames.run(
+        source, trajectory, frames, setup, EnergyFrames(setup, between), table, as_json=as_json, force=True
+    )
+    return of_frames.status_of(done)
 
 
 def _print(table: "DataFrame", by: str) -> None:

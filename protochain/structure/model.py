@@ -82,6 +82,29 @@ _DIGITS = 9
 
 
 @dataclass(frozen=True, eq=False)
+class Origin(Value):
+    """Where the atoms of a structure come from, by which other positions of the file's atoms become its own.
+
+    Parameters
+    ----------
+    atoms : tuple of str
+        Atoms of the model in the file, in its order: ``A/17/GLU/CG``; of another library, of its object.
+    place : (na,) int
+        Place of each atom of the structure among these; -1 of an atom that was added.
+    charge : (na,) float, e
+        Charges of the templates, by which added hydroxyls were turned.
+    """
+
+    atoms: tuple[str, ...]
+    place: Integers
+    charge: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "place", read_only(self.place, np.int64))
+        object.__setattr__(self, "charge", read_only(self.charge))
+
+
+@dataclass(frozen=True, eq=False)
 class Structure(Value):
     """Atoms of a prepared protein.
 
@@ -129,6 +152,8 @@ class Structure(Value):
         the molecule that cap it are those of its neighbours, or -1.
     glycans : mapping of int to str
         Codes in GLYCAM-06j, as ``4YB``, of the sugars that move with the protein that bears them, by residue.
+    origin : Origin, optional
+        Which atoms of the file these are; None of a sequence.
 
     Raises
     ------
@@ -155,6 +180,7 @@ class Structure(Value):
     ligands: tuple[BoundLigand, ...] = ()
     modified: tuple[BoundLigand, ...] = ()
     glycans: Mapping[int, str] = field(default_factory=dict)
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
@@ -328,7 +354,10 @@ class Structure(Value):
 
     def with_positions(self, x: Floats) -> "Structure":
         """Return the same structure with positions x (na, 3), nm."""
-        return replace(self, positions=x)
+        moved = replace(self, positions=x)
+        # None of what is derived depends on the positions.
+        moved.__dict__.update({name: its for name, its in vars(self).items() if name not in vars(moved)})
+        return moved
 
     def __repr__(self) -> str:
         return (
