@@ -20,7 +20,7 @@ from protochain.results.columns import flat, record
 from protochain.setup import Setup
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
-from protochain.structure.frames import Frame
+from protochain.structure.frames import Frame, Reading, open_frames
 from protochain.validation.findings import MEASURES, Found
 from protochain.validation.likeness import LIKENESS, likeness
 
@@ -206,31 +206,39 @@ class FrameJob:
     Parameters
     ----------
     task : Path
-        Pickled ensemble and task.
-    frames : tuple of Frame
+        Pickled ensemble, task and file of the frames.
+    frames : tuple of Frame or int
+        Frames, or their places in the file, which the process reads: damaged ones may end it.
     """
 
     task: Path
-    frames: tuple[Frame, ...]
+    frames: tuple[Frame | int, ...]
+
+    @property
+    def indices(self) -> tuple[int, ...]:
+        """Places of the frames."""
+        return tuple(each if isinstance(each, int) else each.index for each in self.frames)
 
     def run(self, threads: int) -> Iterator[FrameRow]:
         """Do the task to each of the frames."""
-        ensemble, act = begun(self.task, threads)
+        ensemble, act, reading = begun(self.task, threads)
         for frame in self.frames:
-            yield row_of(ensemble, act, frame)
+            yield row_of(ensemble, act, reading.at(frame) if isinstance(frame, int) else frame)
 
     def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> list[FrameRow]:
         """Row of the frame at which the process ended, after others were done."""
-        frame = self.frames[len(done)]
+        its = self.frames[len(done)]
+        frame = Frame(its, None) if isinstance(its, int) else its
         row = origin(frame) | failed(frame, status, message) | {"seconds": seconds}
         return [FrameRow(frame.index, row, None)]
 
 
 @lru_cache(maxsize=1)
-def begun(path: Path, threads: int) -> tuple[Ensemble, Act]:
-    """Ensemble and task of a file, ready for frames."""
-    ensemble, task = pickle.loads(path.read_bytes())
-    return ensemble, task.begin(ensemble.structure, threads)
+def begun(path: Path, threads: int) -> tuple[Ensemble, Act, Any]:
+    """Ensemble, task and frames of a file, ready."""
+    ensemble, task, source = pickle.loads(path.read_bytes())
+    reading = None if source is None else Reading(open_frames(source))
+    return ensemble, task.begin(ensemble.structure, threads), reading
 
 
 def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
@@ -239,6 +247,7 @@ def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
     try:
         structure = ensemble.at(frame)
         found, x = act(structure)
+        found["seconds"] = perf_counter() - began
         return FrameRow(
             frame.index,
             row | {"status": "measured", "message": ""} | found,

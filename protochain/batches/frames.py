@@ -20,7 +20,7 @@ from protochain.relaxation.settings import split
 from protochain.setup import Setup
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
-from protochain.structure.frames import Frames, open_frames
+from protochain.structure.frames import Frame, Frames, open_frames
 
 _AHEAD = 3
 """Jobs handed out for each worker: while one is done, others wait for it."""
@@ -119,8 +119,8 @@ def over_frames(
         for frame in frames:
             yield _result(ensemble, frame.index, row_of(ensemble, act, frame))
         return
-    with _shared(ensemble, task) as path, at_work(processes) as workers:
-        waiting = iter(frames)
+    with _shared(ensemble, task, frames.path) as path, at_work(processes) as workers:
+        waiting: Iterator[Frame | int] = iter(frames if frames.path is None else frames.chosen)
         jobs = deque[FrameJob]()
         rows: dict[int, FrameRow] = {}
         ended: SimpleQueue[tuple[FrameJob, Any]] = SimpleQueue()
@@ -146,17 +146,17 @@ def over_frames(
             rows |= {row.index: row for row in done}
             if len(done) < len(job.frames):  # Those after one at which the process ended.
                 submit(FrameJob(path, job.frames[len(done) :]))
-            while jobs and all(frame.index in rows for frame in jobs[0].frames):
-                for frame in jobs.popleft().frames:
-                    yield _result(ensemble, frame.index, rows.pop(frame.index))
+            while jobs and all(index in rows for index in jobs[0].indices):
+                for index in jobs.popleft().indices:
+                    yield _result(ensemble, index, rows.pop(index))
 
 
 @contextmanager
-def _shared(ensemble: Ensemble, task: Task) -> Iterator[Path]:
+def _shared(ensemble: Ensemble, task: Task, source: Path | None) -> Iterator[Path]:
     """File of what all processes need, for as long as they do."""
     with tempfile.TemporaryDirectory(prefix="protochain-") as folder:
         path = Path(folder) / "task.pickle"
-        path.write_bytes(pickle.dumps((ensemble, task)))
+        path.write_bytes(pickle.dumps((ensemble, task, source and source.absolute())))
         yield path
 
 

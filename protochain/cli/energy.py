@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.cli import frames as of_frames
-from protochain.cli.frames import Chosen, Trajectory
+from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import AsJson, Input, check_outputs, inputs_of, named_after, with_settings
 from protochain.core.errors import ProtochainError
 from protochain.setup import Setup
@@ -30,6 +30,8 @@ def energy(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
     trajectory: Trajectory = None,
     frames: Chosen = None,
+    workers: Workers = None,
+    resume: Resume = False,
     as_json: AsJson = False,
     *,
     setup: Setup,
@@ -44,7 +46,9 @@ def energy(
 
     if of_frames.are_asked(trajectory, frames):
         of_frames.refuse(by=by if by != "term" else "")
-        raise typer.Exit(_frames(source, trajectory, frames, between, output, as_json, setup))
+        whole = {"workers": workers, "resume": resume, "as_json": as_json}
+        raise typer.Exit(_frames(source, trajectory, frames, between, output, setup, whole))
+    of_frames.refuse_without(workers=workers, resume=resume)
     if output:
         check_outputs(inputs_of(setup, source), [output])
     structure = setup.load(source)
@@ -70,16 +74,15 @@ def _frames(
     frames: str | None,
     between: str | None,
     output: Path | None,
-    as_json: bool,
     setup: Setup,
+    whole: dict[str, Any],
 ) -> int:
     """Tell what the energy of every frame is made of; return the exit status."""
     from protochain.batches.frame_tasks import EnergyFrames
 
     table = output or Path(f"{named_after(source)[0]}.energy.csv")
-    done = of_frames.run(
-        source, trajectory, frames, setup, EnergyFrames(setup, between), table, as_json=as_json, force=True
-    )
+    task = EnergyFrames(setup, between)
+    done = of_frames.run(source, trajectory, frames, setup, task, table, force=not whole["resume"], **whole)
     return of_frames.status_of(done)
 
 

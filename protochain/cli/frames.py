@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.cli.options import CONVERGED, FAILED, UNCONVERGED, check_outputs, fail, inputs_of
+from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.markup import counted
 
 if TYPE_CHECKING:
-    from protochain.batches import Processes
     from protochain.batches.frame_files import FramesRun, Watch
     from protochain.batches.frame_tasks import Task
     from protochain.batches.frames import FrameResult
@@ -36,6 +36,8 @@ Chosen = Annotated[
         help="Frames to take, from 0, or all; without --trajectory, of the models of IN.",
     ),
 ]  # fmt: skip
+Workers = Annotated[int | None, typer.Option(help="Of frames: processes [default: all cores].")]
+Resume = Annotated[bool, typer.Option("--resume", help="Of frames: continue where a run was stopped.")]
 _SHOWN = 10
 """Frames that cannot be used that are listed; the table has all."""
 
@@ -100,7 +102,8 @@ def run(
     output: Path | None = None,
     *,
     report: Path | None = None,
-    processes: "Processes | None" = None,
+    workers: int | None = None,
+    time_limit: float = defaults.TIME_LIMIT,
     resume: bool = False,
     force: bool = False,
     hydrogens: bool = True,
@@ -108,8 +111,11 @@ def run(
     reads: Sequence[Path] = (),
 ) -> "FramesRun":
     """Go over frames, with a bar; write table, trajectory and page, and print what became of them."""
+    from protochain.batches import Processes
     from protochain.batches.frame_files import files_of, run_frames
 
+    # In processes of their own: a damaged file may end the one that reads it.
+    processes = Processes(workers, threads=setup.threads or 1, time_limit=time_limit)
     outputs = [*files_of(table, output), *([report] if report else [])]
     check_outputs(inputs_of(setup, source, trajectory, *reads), outputs, force)
     if report and report.suffix.lower() != ".html":

@@ -90,7 +90,7 @@ def relax(
     setup = relaxing.setup(setup)
     if of_frames.are_asked(trajectory, frames):
         of_frames.refuse(manifest=manifest, scheduler=scheduler, ligand_out=ligand_out)
-        each = {"workers": workers, "threads": setup.threads or 1, "time_limit": time_limit}
+        each = {"workers": workers, "time_limit": time_limit}
         given = of_frames.only(inputs or [])
         raise typer.Exit(
             _frames(given, trajectory, frames, output, relaxing, setup, report, each, as_json, resume, force)
@@ -125,7 +125,6 @@ def _frames(
     force: bool,
 ) -> int:
     """Relax every frame; return the exit status."""
-    from protochain.batches import Processes
     from protochain.batches.frame_files import check_output
     from protochain.batches.frame_tasks import RelaxFrames
 
@@ -133,7 +132,7 @@ def _frames(
     check_output(output)
     done = of_frames.run(
         source, trajectory, frames, setup, RelaxFrames(relaxing, setup), output.with_suffix(".csv"), output,
-        report=report, processes=Processes(**processes), resume=resume, force=force,
+        report=report, **processes, resume=resume, force=force,
         hydrogens=relaxing.keep_hydrogens, as_json=as_json,
     )  # fmt: skip
     return of_frames.status_of(done)

@@ -2,12 +2,12 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from protochain.cli import frames as of_frames
-from protochain.cli.frames import Chosen, Trajectory
+from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import CONVERGED, FAILED, UNCONVERGED, AsJson, check_outputs, named_after
 from protochain.cli.terminal import print_deviations
 
@@ -28,6 +28,8 @@ def rmsd(
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
     trajectory: Trajectory = None,
     frames: Chosen = None,
+    workers: Workers = None,
+    resume: Resume = False,
     as_json: AsJson = False,
 ) -> None:
     """Measure deviations of models from a reference: RMSD, TM-score and matched residues.
@@ -38,10 +40,10 @@ def rmsd(
     from protochain.core.storage import write_atomically
 
     if of_frames.are_asked(trajectory, frames):
-        raise typer.Exit(
-            _frames(reference, models, trajectory, frames, align, measure or align, output, as_json)
-        )
-
+        whole = {"workers": workers, "resume": resume, "as_json": as_json}
+        ends = align, measure or align
+        raise typer.Exit(_frames(reference, models, trajectory, frames, *ends, output, whole))
+    of_frames.refuse_without(workers=workers, resume=resume)
     if output:
         check_outputs([reference, *models], [output])
     table = rmsd_table(reference, models, align, measure or align)
@@ -65,7 +67,7 @@ def _frames(
     align: str,
     measure: str,
     output: Path | None,
-    as_json: bool,
+    whole: dict[str, Any],
 ) -> int:
     """Measure every frame; return the exit status."""
     from protochain.analysis.deviation import RmsdFrames
@@ -75,7 +77,6 @@ def _frames(
     source = of_frames.only(models)
     task = RmsdFrames(measurable(reference), align, measure)
     table = output or Path(f"{named_after(source)[0]}.rmsd.csv")
-    done = of_frames.run(
-        source, trajectory, frames, Setup(), task, table, as_json=as_json, force=True, reads=[reference]
-    )
+    reads, force = [reference], not whole["resume"]
+    done = of_frames.run(source, trajectory, frames, Setup(), task, table, reads=reads, force=force, **whole)
     return of_frames.status_of(done)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.cli import frames as of_frames
-from protochain.cli.frames import Chosen, Trajectory
+from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import (
     BAD_INPUT,
     CONVERGED,
@@ -58,10 +58,8 @@ def validate(
     ] = None,
     trajectory: Trajectory = None,
     frames: Chosen = None,
-    workers: Annotated[int | None, typer.Option(help="Of frames: processes [default: this one].")] = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Of frames: continue a run that was stopped.")
-    ] = False,
+    workers: Workers = None,
+    resume: Resume = False,
     report: Annotated[Path | None, typer.Option(help="Of frames: page of distributions, FILE.html.")] = None,
     as_json: AsJson = False,
     *,
@@ -151,7 +149,6 @@ def _frames(
     as_json: bool,
 ) -> int:
     """Measure every frame; return the exit status."""
-    from protochain.batches import Processes
     from protochain.batches.frame_tasks import ValidateFrames
     from protochain.structure.matching import measurable
 
@@ -159,7 +156,7 @@ def _frames(
     task = ValidateFrames(setup, measurable(reference) if reference else None)
     done = of_frames.run(
         source, trajectory, frames, setup, task, csv or Path(f"{named_after(source)[0]}.validated.csv"),
-        report=report, processes=Processes(workers) if workers else None, resume=resume, force=not resume,
+        report=report, workers=workers, resume=resume, force=not resume,
         as_json=as_json, reads=[reference] if reference else [],
     )  # fmt: skip
     return of_frames.status_of(done)

@@ -79,9 +79,9 @@ _OF_ALL_FRAMES = (
     "protocol", "bonds_to_hydrogen", "tolerance", "tolerance_unit", "springs_backbone_kj_mol_nm2",
     "springs_side_chains_kj_mol_nm2", "max_iterations", "max_outer_iterations", "exclude", "free_ligands",
     "hydrogens", "repacked", "fixed", "left_out", "lost_atoms", "n_lost_atoms", "far_molecules", "repairs",
-    "threads",
+    "threads", "seconds",
 )  # fmt: skip
-"""What frames of one ensemble have in common."""
+"""What frames of one ensemble have in common, and the seconds of rounds alone."""
 
 OF_FRAMES = tuple(column for column in COLUMNS if column.key not in _OF_ALL_FRAMES)
 """Columns of a frame of an ensemble."""

@@ -5,18 +5,21 @@ cannot be read has the reason in its place, and stops no other.
 """
 
 import re
+import struct
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Value
+from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import shown
 from protochain.core.errors import Argument, ProtochainError, StructureError
 from protochain.core.storage import regular
@@ -64,12 +67,14 @@ class Frames:
     n_atoms : int
         Atoms of a frame.
     read : callable
-        Takes places of frames in ascending order, and yields each.
+        Takes places of frames, one after the other, and yields each as it is taken.
     chosen : range
         Places of the frames that are wanted.
     names : tuple of str
         Atoms of a frame as :class:`protochain.structure.model.Origin` names them; empty if the source does
         not say.
+    path : Path, optional
+        File from which other processes can read them.
     sequence : str
         Of a protein of which a frame has N, CA, C and O of each residue, in that order, and no others.
     """
@@ -77,9 +82,10 @@ class Frames:
     source: str
     count: int
     n_atoms: int
-    read: Callable[[Sequence[int]], Iterator[Frame]]
+    read: Callable[[Iterable[int]], Iterator[Frame]]
     chosen: range
     names: tuple[str, ...] = ()
+    path: Path | None = None
     sequence: str = ""
 
     def __len__(self) -> int:
@@ -110,6 +116,24 @@ class Frames:
                 f"{self.source}: frames {asked}: none of its {self.count} frames; give others"
             )
         return self._with(some)
+
+
+class Reading:
+    """Frames read in any order, from a file that stays open.
+
+    Parameters
+    ----------
+    frames : Frames
+    """
+
+    def __init__(self, frames: Frames) -> None:
+        self._asked: deque[int] = deque()
+        self._read = frames.read(iter(self._asked.popleft, None))
+
+    def at(self, k: int) -> Frame:
+        """Read a frame."""
+        self._asked.append(k)
+        return next(self._read)
 
 
 def selection(asked: Any, name: str) -> slice:
@@ -185,12 +209,13 @@ def _opened(source: Any) -> Frames:
     return _of_arrays("frames", x)
 
 
-def _all_of(source: str, count: int, n_atoms: int, read: Any, **more: Any) -> Frames:
-    return Frames(source, count, n_atoms, read, range(count), **more)
+def _all_of(source: str | Path, count: int, n_atoms: int, read: Any, **more: Any) -> Frames:
+    path = source if isinstance(source, Path) else None
+    return Frames(str(source), count, n_atoms, read, range(count), path=path, **more)
 
 
 def _of_arrays(source: str, x: Any, boxes: Any = None, times: Any = None) -> Frames:
-    def read(chosen: Sequence[int]) -> Iterator[Frame]:
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
         for k in chosen:
             yield Frame(
                 k,
@@ -220,7 +245,7 @@ _SMALLEST = 1e-3
 def _of_universe(atoms: Any) -> Frames:
     trajectory = atoms.universe.trajectory
 
-    def read(chosen: Sequence[int]) -> Iterator[Frame]:
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
         for k in chosen:
             step = trajectory[k]
             yield Frame(k, _own(atoms.positions, ANGSTROM_PER_NM), _of_dimensions(step), float(step.time))
@@ -232,49 +257,104 @@ def _of_dimensions(step: Any) -> Floats | None:
     return None if step.dimensions is None else _box(step.triclinic_dimensions / ANGSTROM_PER_NM)
 
 
-def _xdr(path: Path, kind: str) -> Frames:
-    """XTC and TRR: MDAnalysis's own reader would write a file of offsets beside that of the user."""
-    from MDAnalysis.lib.formats import libmdaxdr
+def _xtc(path: Path) -> Frames:
+    """XTC. MDAnalysis's own reader would write a file of offsets beside that of the user."""
+    from MDAnalysis.lib.formats.libmdaxdr import XTCFile
 
-    make = getattr(libmdaxdr, kind)
-    with _refusing(path), make(str(path)) as file:
-        count, n_atoms = len(file), file.n_atoms
-        # Beyond the last whole frame.
-        ends_within = bool(count) and _has_more(file, count)
+    begins, damaged, n_atoms = _xtc_frames(path)
 
-    def read(chosen: Sequence[int]) -> Iterator[Frame]:
-        with make(str(path)) as file:
-            len(file)  # Offsets.
-            at = None
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
+        with XTCFile(str(path)) as file:
+            file.set_offsets(begins)
             for k in chosen:
-                if k == count:
-                    yield Frame(k, None, why="the file ends within it")
-                    continue
+                why = damaged.get(k, "")
                 try:
-                    if k != at:
+                    if not why:
                         file.seek(k)
-                    frame = file.read()
-                    at = k + 1
+                        frame = file.read()
                 except (OSError, EOFError, StopIteration, RuntimeError, ValueError) as error:
-                    at = None
+                    why = f"cannot be read ({error})"
+                yield Frame(k, None, why=why) if why else _of_xdr(k, frame)
+
+    return _all_of(path, len(begins), n_atoms, read)
+
+
+def _of_xdr(k: int, frame: Any) -> Frame:
+    return Frame(k, _own(frame.x), _box(frame.box), float(frame.time))
+
+
+def _xtc_frames(path: Path) -> tuple[Integers, dict[int, str], int]:
+    """Bytes at which frames of XTC begin, what is wrong with those that are damaged, and the number of atoms.
+
+    The library reads memory that is not its own where a head is damaged.
+    """
+    with path.open("rb") as raw, _refusing(path), mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
+        size, begins, damaged = len(data), list[int](), dict[int, str]()
+        head = bytes(data[:8])
+        if len(head) < 8 or struct.unpack(">i", head[:4])[0] not in _XTC_MAGIC:
+            raise StructureError(f"{path}: is no XTC file; give a trajectory")
+        (n_atoms,) = struct.unpack(">i", head[4:])
+        at = 0
+        while at < size:
+            begins.append(at)
+            end = _xtc_end(bytes(data[at : at + _XTC_HEAD]), n_atoms)
+            if not end:
+                damaged[len(begins) - 1] = "it is damaged"
+            elif at + end > size:
+                damaged[len(begins) - 1] = "the file ends within it"
+            after = at + end
+            if not end or after > size or (after < size and bytes(data[after : after + 8]) != head):
+                # Where the next one begins; a long step between may hold several.
+                if end > 0 and after < size:
+                    damaged[len(begins) - 1] = "it is damaged"
+                after = data.find(head, at + 8)
+                after = size if after < 0 else after
+            at = after
+    return np.array(begins, dtype=np.int64), damaged, n_atoms
+
+
+def _xtc_end(head: bytes, n_atoms: int) -> int:
+    """Bytes of a frame of XTC by its head; 0 if that is none."""
+    if len(head) < 8 or struct.unpack(">i", head[4:8])[0] != n_atoms:
+        return 0
+    if n_atoms <= _XTC_FEW:
+        return _XTC_RAW + 12 * n_atoms
+    if len(head) < _XTC_HEAD:
+        return _XTC_HEAD
+    again, _, *limits, small, n_bytes = struct.unpack(">if8i", head[52:])
+    spans = [high - low for low, high in zip(limits[:3], limits[3:], strict=True)]
+    is_sound = again == n_atoms and min(spans) >= 0 and max(spans) < _XTC_SPAN and 0 <= small < _XTC_SIZES
+    return _XTC_HEAD + 4 * -(-n_bytes // 4) if is_sound and 0 <= n_bytes <= 16 * n_atoms else 0
+
+
+_XTC_MAGIC = (1995,)
+"""What a frame begins with."""
+_XTC_HEAD, _XTC_RAW, _XTC_FEW = 92, 56, 9
+"""Bytes of a frame before coordinates that are compressed, and others; atoms up to which they are not."""
+_XTC_SPAN, _XTC_SIZES = 1 << 30, 73
+"""Largest span of coordinates in units of the precision; sizes that small differences may have."""
+
+
+def _trr(path: Path) -> Frames:
+    """TRR, as XTC."""
+    from MDAnalysis.lib.formats.libmdaxdr import TRRFile
+
+    with _refusing(path), TRRFile(str(path)) as file:
+        count, n_atoms = len(file), file.n_atoms
+
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
+        with TRRFile(str(path)) as file:
+            len(file)  # Offsets.
+            for k in chosen:
+                try:
+                    file.seek(k)
+                    frame = file.read()
+                except (OSError, EOFError, StopIteration, RuntimeError, ValueError) as error:
                     yield Frame(k, None, why=f"cannot be read ({error})")
                     continue
-                yield Frame(k, _own(frame.x), _box(frame.box), float(frame.time))
+                yield _of_xdr(k, frame)
 
-    return _all_of(str(path), count + ends_within, n_atoms, read)
-
-
-def _has_more(file: Any, count: int) -> bool:
-    """Whether anything follows the last whole frame of a file."""
-    file.seek(count - 1)
-    file.read()
-    try:
-        file.read()
-    except StopIteration:
-        return False
-    except (OSError, EOFError):
-        return True
-    return False
+    return _all_of(path, count, n_atoms, read)
 
 
 def _mdanalysis(path: Path, kind: str) -> Frames:
@@ -300,7 +380,7 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
     total = max(count, _stated_in_dcd(path) if kind == "DCD" else 0)
     ends_within = total > count
 
-    def read(chosen: Sequence[int]) -> Iterator[Frame]:
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
         with opened() as file, warnings.catch_warnings():
             warnings.simplefilter("ignore")
             for k in chosen:
@@ -316,7 +396,7 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
                     continue
                 yield Frame(k, _own(step.positions, ANGSTROM_PER_NM), _of_dimensions(step), float(step.time))
 
-    return _all_of(str(path), count + ends_within, n_atoms, read)
+    return _all_of(path, count + ends_within, n_atoms, read)
 
 
 _CLASSES = {"DCD": "DCD", "TRJ": "NCDF"}
@@ -354,7 +434,7 @@ def _models(path: Path) -> Frames:
     models = [*parsed]
     names = tuple(name for name, _ in in_file_order(models[0]))
 
-    def read(chosen: Sequence[int]) -> Iterator[Frame]:
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
         for k in chosen:
             at = {name: atom.pos.tolist() for name, atom in in_file_order(models[k])}
             absent = next((name for name in names if name not in at), None)
@@ -365,7 +445,7 @@ def _models(path: Path) -> Frames:
                 what = "lacks" if absent else "has"
                 yield Frame(k, None, why=f"other atoms than the first: it {what} {other}")
 
-    return _all_of(str(path), len(models), len(names), read, names=names)
+    return _all_of(path, len(models), len(names), read, names=names)
 
 
 def _npz(path: Path) -> Frames:
@@ -390,24 +470,24 @@ def _npz(path: Path) -> Frames:
             "add unit='nm' or unit='angstrom' to its arrays"
         )
     count, n_atoms = shapes[name][:2]
-    if not of_backbones:
-
-        def read(chosen: Sequence[int]) -> Iterator[Frame]:
-            for k, x in _stream(path, name, chosen):
-                yield Frame(k, _own(x, _UNITS[unit]))
-
-        return _all_of(str(path), count, n_atoms, read)
-    if not shapes["node_orientations"] == (count, n_atoms, 3, 3) or len(sequence) != n_atoms:
+    if of_backbones and not (
+        shapes["node_orientations"] == (count, n_atoms, 3, 3) and len(sequence) == n_atoms
+    ):
         raise StructureError(
             f"{path}: pos, node_orientations and sequence do not fit each other; write it again"
         )
 
-    def read_backbones(chosen: Sequence[int]) -> Iterator[Frame]:
-        turns = _stream(path, "node_orientations", chosen)
-        for (k, x), (_, turn) in zip(_stream(path, name, chosen), turns, strict=True):
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
+        for k, (x,) in _stream(path, (name,), chosen):
+            yield Frame(k, _own(x, _UNITS[unit]))
+
+    def read_backbones(chosen: Iterable[int]) -> Iterator[Frame]:
+        for k, (x, turn) in _stream(path, (name, "node_orientations"), chosen):
             yield Frame(k, backbones(_own(x), _own(turn)))
 
-    return _all_of(str(path), count, 4 * n_atoms, read_backbones, sequence=sequence)
+    if of_backbones:
+        return _all_of(path, count, 4 * n_atoms, read_backbones, sequence=sequence)
+    return _all_of(path, count, n_atoms, read)
 
 
 _UNITS = {"nm": 1.0, "nanometer": 1.0, "angstrom": ANGSTROM_PER_NM, "A": ANGSTROM_PER_NM}
@@ -426,21 +506,27 @@ def _header(
     return tuple(shape), bool(fortran), dtype
 
 
-def _stream(path: Path, name: str, chosen: Sequence[int]) -> Iterator[tuple[int, Any]]:
-    """Rows of an array of an archive, one after the other."""
-    with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as file:
-        shape, fortran, dtype = _header(path, name, file)
-        if fortran or dtype.hasobject:
-            raise StructureError(f"{path}: {name} is not in C order; write it again by numpy.savez")
-        size, at = int(np.prod(shape[1:])) * dtype.itemsize, 0
+def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator[tuple[int, list[Any]]]:
+    """Rows of arrays of an archive, one after the other."""
+    with ExitStack() as stack:
+        rows = [
+            stack.enter_context(stack.enter_context(zipfile.ZipFile(path)).open(f"{name}.npy"))
+            for name in names
+        ]
+        heads = [(*_header(path, name, file), file.tell()) for name, file in zip(names, rows, strict=True)]
+        for name, (_, fortran, dtype, _) in zip(names, heads, strict=True):
+            if fortran or dtype.hasobject:
+                raise StructureError(f"{path}: {name} is not in C order; write it again by numpy.savez")
         for k in chosen:
-            while at < k:
-                file.read(size)
-                at += 1
-            data = file.read(size)
-            at += 1
-            whole = len(data) == size
-            yield k, np.frombuffer(data, dtype).reshape(shape[1:]) if whole else np.full(shape[1:], np.nan)
+            found = []
+            for file, (shape, _, dtype, begin) in zip(rows, heads, strict=True):
+                size = int(np.prod(shape[1:])) * dtype.itemsize
+                file.seek(begin + k * size)
+                data = file.read(size)
+                whole = len(data) == size
+                row = np.frombuffer(data, dtype).reshape(shape[1:]) if whole else np.full(shape[1:], np.nan)
+                found.append(row)
+            yield k, found
 
 
 _N, _C = np.array([-0.0525, 0.1363, 0.0]), np.array([0.1526, 0.0, 0.0])
@@ -463,11 +549,10 @@ def backbones(x: Floats, turn: Floats) -> Floats:
     Returns
     -------
     (4 n, 3) float, nm
-        O in the plane of CA, C and the next N, opposite to them; of the last residue, of N, CA and C.
+        O in the plane of CA, C and the next N, opposite to both; of the last residue, trans to N.
     """
     n, c = x + turn @ _N, x + turn @ _C
-    last = c[-1:] + (c - x)[-1:] - (n - x)[-1:]
-    away = _unit(c - x) + _unit(c - np.vstack([n[1:], last]))
+    away = _unit(c - x) + _unit(np.vstack([c[:-1] - n[1:], x[-1:] - n[-1:]]))
     return np.stack([n, x, c, c + _C_O * _unit(away)], axis=1).reshape(-1, 3)
 
 
@@ -476,8 +561,8 @@ def _unit(v: Floats) -> Floats:
 
 
 _READERS: dict[str, Callable[[Path], Frames]] = {
-    ".xtc": partial(_xdr, kind="XTCFile"),
-    ".trr": partial(_xdr, kind="TRRFile"),
+    ".xtc": _xtc,
+    ".trr": _trr,
     ".dcd": partial(_mdanalysis, kind="DCD"),
     ".nc": partial(_mdanalysis, kind="TRJ"),
     ".ncdf": partial(_mdanalysis, kind="TRJ"),
