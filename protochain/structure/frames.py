@@ -362,6 +362,11 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
     import MDAnalysis.coordinates
 
     make = getattr(getattr(MDAnalysis.coordinates, kind), f"{_CLASSES[kind]}Reader")
+    with path.open("rb") as raw:
+        head = raw.read(8)
+    # Of what is none, the readers complain once more when they are done with.
+    if not (head[4:] == b"CORD" if kind == "DCD" else head[:3] == b"CDF"):
+        raise StructureError(f"{path}: is no {_SAID[kind]} file; give a trajectory")
 
     @contextmanager
     def opened() -> Iterator[Any]:
@@ -400,6 +405,7 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
 
 
 _CLASSES = {"DCD": "DCD", "TRJ": "NCDF"}
+_SAID = {"DCD": "DCD", "TRJ": "NetCDF (version 3)"}
 
 
 def _stated_in_dcd(path: Path) -> int:

@@ -1,11 +1,11 @@
 """Structure: a prepared, all-atom protein, on which the rest of the library works."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, wraps
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -307,6 +307,11 @@ class Structure(Value):
         return read_only([atom.formalCharge or 0 for atom in self.topology.atoms()], np.int64)
 
     @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """What functions found of all but the positions, shared by what :meth:`with_positions` makes."""
+        return {}
+
+    @cached_property
     def fingerprint(self) -> str:
         """SHA-256 of all that determines the energy function: atoms, residues, bonds, obstacles, ties."""
         seen = hashlib.sha256()
@@ -354,8 +359,8 @@ class Structure(Value):
 
     def with_positions(self, x: Floats) -> "Structure":
         """Return the same structure with positions x (na, 3), nm."""
-        moved = replace(self, positions=x)
-        # None of what is derived depends on the positions.
+        moved, _ = replace(self, positions=x), self.derived
+        # Attributes that are derived do not depend on the positions.
         moved.__dict__.update({name: its for name, its in vars(self).items() if name not in vars(moved)})
         return moved
 
@@ -377,3 +382,21 @@ class Structure(Value):
                 "repairs": "; ".join(self.changes) or "none",
             },
         )
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def of_atoms(find: Callable[Concatenate[Structure, P], R]) -> Callable[Concatenate[Structure, P], R]:
+    """Keep what a function finds of a structure, whatever its positions, for all that share its atoms."""
+
+    @wraps(find)
+    def found(structure: Structure, *args: P.args, **kwargs: P.kwargs) -> R:
+        key = (find, args, *kwargs.items())
+        if key not in structure.derived:
+            structure.derived[key] = find(structure, *args, **kwargs)
+        its: R = structure.derived[key]
+        return its
+
+    return found
