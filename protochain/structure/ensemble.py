@@ -19,6 +19,7 @@ from protochain.structure.convert import as_structure
 from protochain.structure.frames import Frame, Frames
 from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.model import Structure
+from protochain.structure.protonate import BONDED
 from protochain.structure.residues import BACKBONE
 from protochain.structure.write import as_gemmi
 
@@ -104,7 +105,10 @@ class Ensemble(Value):
             why = _BROKEN if lengths.max() >= _TORN else "correct its coordinates"
             apart = f"{ANGSTROM_PER_NM * lengths[worst]:.2f} angstrom apart"
             raise StructureError(f"{first} and {second} are bonded, but {apart}: {why}")
-        if not self._missing.any():
+        # As in a file: a hydrogen that is away from what it is bonded to is placed anew.
+        loose = np.unique(self._bonds[ANGSTROM_PER_NM * lengths > BONDED])
+        x[loose[s.atom_element[loose] == "H"]] = np.nan
+        if not np.isnan(x).any():
             return x
         if (self._missing & (s.atom_element != "H")).any():
             x = self._rebuilt(x)
@@ -175,7 +179,7 @@ class Ensemble(Value):
         for residue in (residue for chain in made[0] for residue in chain):
             absent = []
             for i, atom in enumerate(residue):
-                absent += [i] if self._missing[k] else []
+                absent += [i] if np.isnan(x[k, 0]) else []
                 atom.pos = gemmi.Position(*(ANGSTROM_PER_NM * x[k]).tolist())
                 k += 1
             for i in reversed(absent):
@@ -183,7 +187,7 @@ class Ensemble(Value):
         filled = as_structure(made, s.name, **{"keep": "all", **self.settings})
         there = dict(zip(_keys(filled), filled.positions, strict=True))
         x, keys = np.array(x), _keys(s)
-        for k in np.flatnonzero(self._missing).tolist():
+        for k in np.flatnonzero(np.isnan(x[:, 0])).tolist():
             if keys[k] in there:
                 x[k] = there[keys[k]]
             elif s.atom_element[k] != "H":

@@ -171,7 +171,9 @@ def test_files_that_are_no_trajectories_are_refused_in_a_line(tmp_path, x):
     with pytest.raises(pc.ProtochainError, match="not found"):
         open_frames(tmp_path / "absent.xtc")
     for suffix in FORMATS:
-        (tmp_path / f"x{suffix}").write_bytes(b"no such thing, but long enough to hold a head of some kind" * 9)
+        (tmp_path / f"x{suffix}").write_bytes(
+            b"no such thing, but long enough to hold a head of some kind" * 9
+        )
         with pytest.raises(pc.ProtochainError) as refused:
             [*open_frames(tmp_path / f"x{suffix}")]
         assert f"x{suffix}" in str(refused.value) and "\n" not in str(refused.value)
