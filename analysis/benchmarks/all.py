@@ -169,6 +169,7 @@ JOBS = (
         "protochain relax structures/ala10.pdb structures/1l2y.pdb --preset crystal -o DIR",
         {"relaxed.csv": ("relax_crystals.csv", OF_CRYSTALS)},
     ),
+    Job("frames", f"{HERE}/frames.py --more MORE -o DIR", 20),
     Job("complexes", f"{HERE}/complexes.py --more MORE -o DIR", 14),
     Job("dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4),
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),

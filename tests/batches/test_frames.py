@@ -169,6 +169,11 @@ def rows_of(path):
         ]
 
 
+def content(path):
+    """Bytes of a trajectory; the head of DCD has the time at which it was made."""
+    return path.read_bytes()[276 if path.suffix == ".dcd" else 0 :]
+
+
 def stop_after(n):
     def watch(done, failed, last):
         if done == n:
@@ -199,7 +204,7 @@ def test_an_interrupted_run_goes_on_without_lost_or_doubled_frames(tmp_path, x, 
     again = run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, resume=True)
     assert not again.interrupted and (again.counts, again.written) == (done.counts, done.written)
     assert rows_of(stopped.with_suffix(".csv")) == rows_of(whole.with_suffix(".csv"))
-    assert stopped.read_bytes() == whole.read_bytes()
+    assert content(stopped) == content(whole) != b""
     assert {path.stem for path in tmp_path.iterdir()} == {"whole", "stopped"}
     with pytest.raises(pc.ProtochainError, match="complete"):
         run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, resume=True)
@@ -265,7 +270,7 @@ def test_a_killed_command_is_resumed_to_the_same_files(tmp_path):
         [*COMMAND, *common, "-o", "killed.dcd", "--resume"], cwd=tmp_path, check=True, capture_output=True
     )
     assert rows_of(tmp_path / "killed.csv") == rows_of(tmp_path / "whole.csv")
-    assert (tmp_path / "killed.dcd").read_bytes() == (tmp_path / "whole.dcd").read_bytes()
+    assert content(tmp_path / "killed.dcd") == content(tmp_path / "whole.dcd") != b""
 
 
 @pytest.mark.slow
@@ -274,7 +279,7 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path):
     structure = load(SMALL)
     pc.save(structure, tmp_path / "top.pdb")
     code = (
-        "import resource, sys\n"
+        "import re, sys\n"
         "from protochain.batches.frame_files import run_frames\n"
         "from protochain.batches.frame_tasks import EnergyFrames\n"
         "from protochain.batches.frames import ensemble_of\n"
@@ -283,7 +288,7 @@ def test_memory_does_not_grow_with_the_number_of_frames(tmp_path):
         "setup = Setup(threads=1)\n"
         "e, f = ensemble_of('top.pdb', sys.argv[1], None, setup)\n"
         "run_frames(e, f, EnergyFrames(setup), Path(sys.argv[1] + '.csv'))\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)"
+        "print(int(re.search(r'VmHWM:\\s*(\\d+)', Path('/proc/self/status').read_text())[1]) / 1024)"
     )
     peaks = []
     for n in (100, 3000):

@@ -85,3 +85,24 @@ def relax_crystals(r: pd.DataFrame) -> str:
         f"{rmsd.min():.2f} to {rmsd.max():.2f} angstrom; {worse} of {len(r)}",
         f"{'has' if worse == 1 else 'have'} fewer favoured residues than the input.",
     )
+
+
+table_of_rows(
+    "frames", "frames_speed.csv",
+    ("ensemble", "{ensemble}"), ("frames", "{frames}"), ("with violations", "{frames_with_violations_start}"),
+    ("after", "{frames_with_violations_end}"), ("overlaps", "{overlaps_start}"), ("after ", "{overlaps_end}"),
+    ("RMSD angstrom", "{ca_rmsd_angstrom:.2f}"), ("`relax`, s a frame", "{seconds_frame:.2f}"),
+    ("OpenMM, s a frame", "{seconds_frame_openmm:.2f}"), ("ratio", ratio_of("times_sooner")),
+    ("of CPU seconds", ratio_of("times_less_cpu")),
+)  # fmt: skip
+
+
+@table("frames-memory", "frames_memory.csv")
+def frames_memory(r: pd.DataFrame) -> str:
+    """Whether memory grows with the number of frames."""
+    parts = [
+        f"`{command}` {its['peak_mb'].iloc[0]:.0f} MB for {its['frames'].iloc[0]} frames and"
+        f" {its['peak_mb'].iloc[-1]:.0f} MB for {its['frames'].iloc[-1]}"
+        for command, its in r.groupby("command", sort=False)
+    ]
+    return paragraph(f"Peaks of memory, of all processes together: {'; '.join(parts)}.")
