@@ -20,8 +20,8 @@ from typing import IO, Any
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.checks import shown
-from protochain.core.errors import Argument, ProtochainError, StructureError
+from protochain.core.checks import plain, shown
+from protochain.core.errors import Argument, ProtochainError, StructureError, refused
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.files import SUFFIXES, format_of, in_file_order, parse
@@ -201,7 +201,10 @@ def _opened(source: Any) -> Frames:
         return _of_arrays("frames", source.xyz, source.unitcell_vectors, source.time)
     if hasattr(source, "atoms") and hasattr(source.atoms, "universe"):
         return _of_universe(source.atoms)
-    x = np.asarray(source, dtype=float)
+    try:
+        x = np.asarray(plain(source, "nanometer", "frames"), dtype=float)
+    except (TypeError, ValueError):
+        raise refused("frames", shown(source), "give positions (frames, atoms, 3) in nm, or a file") from None
     if x.ndim != 3 or x.shape[2] != 3:
         raise StructureError(
             f"frames: has shape {x.shape}; give positions (frames, atoms, 3) in nm, or a file"
