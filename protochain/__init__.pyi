@@ -14,6 +14,8 @@ from .analysis.quality import quality as quality
 from .articulate import build_chain as build_chain
 from .batches import Batch as Batch
 from .batches import batch as batch
+from .batches.frames import FrameResult as FrameResult
+from .batches.frames import relax_frames as relax_frames
 from .chain import Chain as Chain
 from .chain import log_det_mass as log_det_mass
 from .chain import mass_matrix as mass_matrix

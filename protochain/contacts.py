@@ -1,7 +1,6 @@
 """Contacts and steric overlaps of nonbonded atoms."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from protochain.core import graph
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.linkage import COVALENT_SLACK, is_metal, usual_length
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.structure.residues import VAN_DER_WAALS
 
 OVERLAP = 0.5
@@ -56,7 +55,7 @@ class Overlap:
         )
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def radii(structure: Structure) -> Floats:
     """(na,) float, nm: van der Waals radii."""
     return read_only(np.array([VAN_DER_WAALS.get(str(element), 0.17) for element in structure.atom_element]))
@@ -83,13 +82,13 @@ def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) ->
     return pairs[order].astype(np.int64), touch[order]
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _keys(structure: Structure, bonds: int) -> Integers:
     """Ascending numbers i na + j of the pairs of :func:`joined`."""
     return np.sort(joined(structure, bonds) @ [structure.n_atoms, 1])
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def joined(structure: Structure, bonds: int) -> Integers:
     """(n, 2) int: pairs of atoms separated by at most this many bonds, the smaller index first."""
     return graph.joined(structure.bonds, structure.n_atoms, bonds)
@@ -115,7 +114,7 @@ def _is_beside(structure: Structure, pairs: Integers) -> NDArray[np.bool_]:
     return np.asarray(structure.kept[pairs[:, 0]] != structure.kept[pairs[:, 1]])
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _covalent(structure: Structure) -> Floats:
     """(na,) float, nm: what adds up to the longest bond of two atoms; -inf for hydrogens and metals."""
     radius = {

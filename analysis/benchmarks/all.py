@@ -176,6 +176,7 @@ JOBS = (
         {"relaxed.csv": ("relax_crystals.csv", OF_CRYSTALS)},
     ),
     Job("sidechains", f"{HERE}/sidechains.py --more MORE -o DIR", 5),
+    Job("frames", f"{HERE}/frames.py --more MORE -o DIR", 20),
     Job("complexes", f"{HERE}/complexes.py --more MORE -o DIR", 14),
     Job("dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4),
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),

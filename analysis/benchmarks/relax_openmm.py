@@ -37,23 +37,28 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
-    cleaned = clean(heavy_atoms(options.input))
+    print(json.dumps(relaxed(options.input, options.output, options.threads, options.rounds)))
+
+
+def relaxed(path: Path, output: Path, threads: int, most: int = 3) -> dict[str, float]:
+    """Relax a model in rounds; what the line of JSON tells."""
+    cleaned = clean(heavy_atoms(path))
     free: set[int] = set()
     wrong: set[int] = set()
     rounds, counting, cleaning = 0, 0.0, 0.0
-    while not rounds or (wrong and rounds < options.rounds):
+    while not rounds or (wrong and rounds < most):
         rounds += 1
-        text = minimised(cleaned, free, options.threads)
-        options.output.write_text(text)
+        text = minimised(cleaned, free, threads)
+        output.write_text(text)
         began = perf_counter()
-        cleaned = clean(heavy_atoms(options.output))
+        cleaned = clean(heavy_atoms(output))
         cleaning = perf_counter() - began
         began = perf_counter()
-        wrong = violating(options.output)
+        wrong = violating(output)
         counting += perf_counter() - began
         free |= wrong
     told = {"rounds": rounds, "violations": len(wrong)}
-    print(json.dumps(told | {"seconds_counting": counting, "seconds_last_cleaning": cleaning}))
+    return told | {"seconds_counting": counting, "seconds_last_cleaning": cleaning}
 
 
 def heavy_atoms(path: Path) -> str:

@@ -1,9 +1,9 @@
 """Deviation of one structure from another: superposition, RMSD and TM-score."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -164,6 +164,36 @@ def rmsd_table(
                 row["message"] = str(error)
             rows.append(row)
     return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True)
+class RmsdFrames:
+    """Measure the deviation of every frame of an ensemble from a reference.
+
+    Parameters
+    ----------
+    reference : Structure
+    align, measure : str
+        As in :func:`deviation`.
+    """
+
+    reference: Structure
+    align: str = ALPHA
+    measure: str = ALPHA
+    name = "rmsd"
+    columns: ClassVar[tuple[str, ...]] = (
+        "rmsd_angstrom", "rmsd_unsuperposed_angstrom", "tm_score", "matched_residues", "coverage", "identity",
+        "matched_by", "chain_mapping", "aligned_atoms", "measured_atoms",
+    )  # fmt: skip
+    at_a_time = 8
+
+    def begin(self, structure: Structure, threads: int | None) -> Callable[[Structure], Any]:
+        """What is done to a frame."""
+        return lambda frame: (deviation(self.reference, frame, self.align, self.measure).record(), None)
+
+    def settings(self) -> dict[str, Any]:
+        """Plain values on which the rows depend."""
+        return {"reference": self.reference.name, "align": self.align, "measure": self.measure}
 
 
 def _atoms(reference: Structure, model: Structure, found: Match, selection: str) -> tuple[Integers, Integers]:

@@ -29,11 +29,12 @@ def main() -> None:
     _warm_up()
     _send(results, READY)
 
+    from protochain.batches.frame_tasks import FrameJob
     from protochain.batches.task import run
 
     while True:
         job, folder, threads = jobs.get()
-        for row in run(job, folder, threads):
+        for row in job.run(threads) if isinstance(job, FrameJob) else run(job, folder, threads):
             _send(results, row)
         _send(results, DONE)
 

@@ -228,6 +228,12 @@ class Job:
         moved = {"forcefield": whole, "ligands": ligands, "ligand_charges": charges}
         return replace(self, settings=self.settings.changed(**moved)) if files else self
 
+    def lost(self, done: "Sequence[Row]", status: str, message: str, seconds: float) -> "list[Row]":
+        """Rows of the methods that were not done when the process ended."""
+        finished = {row.record["method"] for row in done}
+        left = [method for method in self.settings.methods if method not in finished]
+        return [failure(self, method, status, message, seconds) for method in left]
+
 
 @dataclass(frozen=True)
 class Row:

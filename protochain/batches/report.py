@@ -128,7 +128,9 @@ def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
     )
 
 
-def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None) -> Figure:
+def plot_distribution(
+    values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None, of: str = "structures"
+) -> Figure:
     """Plot the cumulative distribution of a quantity, a line for each method.
 
     Parameters
@@ -139,6 +141,8 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax:
         Name of the quantity, with its unit.
     ax : matplotlib Axes, optional
         Where to draw; by default, a new figure.
+    of : str
+        What the rows are of.
 
     Returns
     -------
@@ -153,7 +157,7 @@ def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax:
             style = ("-", "--", "-.", ":")[k % 4]
             ax.step(there, share, where="post", color=COLOURS[k % 7], linestyle=style, label=str(method))
     ax.set_xlabel(label)
-    ax.set_ylabel("structures up to this value, %")
+    ax.set_ylabel(f"{of} up to this value, %")
     ax.set_ylim(0, 101)
     plain(ax)
     if ax.lines:

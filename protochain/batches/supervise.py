@@ -15,7 +15,6 @@ from time import perf_counter
 from typing import IO, Any
 
 from protochain.batches.child import DONE
-from protochain.batches.jobs import Job, Row, failure
 from protochain.core.interrupts import held_interrupts
 from protochain.core.subprocesses import own_python
 
@@ -61,9 +60,9 @@ class Child:
         self.listener.start()
         self.is_ready = False
 
-    def do(self, job: Job, folder: Path, time_limit: float) -> list[Row]:
-        """Run a job in the child; return a row for every method, even if the child ends before."""
-        rows: list[Row] = []
+    def do(self, job: Any, folder: Path, time_limit: float) -> list[Any]:
+        """Run a job in the child; return all its rows, even if the child ends before."""
+        rows: list[Any] = []
         began = perf_counter()
         try:
             if not self.is_ready:
@@ -77,10 +76,7 @@ class Child:
                 rows.append(message)
         except ChildError as error:
             self.kill()
-            done = {row.record["method"] for row in rows}
-            left = [method for method in job.settings.methods if method not in done]
-            seconds = perf_counter() - began
-            return rows + [failure(job, method, error.status, str(error), seconds) for method in left]
+            return [*rows, *job.lost(rows, error.status, str(error), perf_counter() - began)]
 
     @property
     def is_alive(self) -> bool:
@@ -181,13 +177,13 @@ def crew(count: int) -> Iterator[Executor]:
                 child.kill()
 
 
-def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[Row]:
+def supervise(job: Any, folder: Path, threads: int, time_limit: float) -> list[Any]:
     """Run a job in this thread's child, started where none is running.
 
     Parameters
     ----------
-    job : Job
-        Structure and settings.
+    job : Job or FrameJob
+        What is done, with its settings.
     folder : Path
         Folder of the batch.
     threads : int
@@ -197,8 +193,8 @@ def supervise(job: Job, folder: Path, threads: int, time_limit: float) -> list[R
 
     Returns
     -------
-    list of Row
-        A row for every method.
+    list of Row or FrameRow
+        A row for every method, or every frame up to one at which the child ended.
     """
     child: Child | None = getattr(_here, "child", None)
     if child is None or not child.is_alive or child.threads != threads:

@@ -6,7 +6,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.cli.options import AsJson, Input, check_outputs, check_page, inputs_of, with_settings
+from protochain.cli import frames as of_frames
+from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
+from protochain.cli.options import (
+    AsJson,
+    Input,
+    check_outputs,
+    check_page,
+    inputs_of,
+    named_after,
+    with_settings,
+)
 from protochain.core.errors import ProtochainError
 from protochain.setup import Setup
 
@@ -29,6 +39,10 @@ def energy(
     report: Annotated[
         Path | None, typer.Option(help="Page to write, residues coloured by any term; FILE.html.")
     ] = None,
+    trajectory: Trajectory = None,
+    frames: Chosen = None,
+    workers: Workers = None,
+    resume: Resume = False,
     as_json: AsJson = False,
     *,
     setup: Setup,
@@ -36,11 +50,17 @@ def energy(
     """Tell what the energy is made of: by term, by residue or by pair, of all or between two parts.
 
     Structures are taken as they are, with what they lack added; minimise or relax them first.
+    Of frames, a row for each goes to a CSV, by term.
     """
     from protochain.core.storage import write_atomically
     from protochain.energies.decomposed import energy_terms
 
     check_page(report)
+    if of_frames.are_asked(trajectory, frames):
+        of_frames.refuse(by=by if by != "term" else "", report=report)
+        whole = {"workers": workers, "resume": resume, "as_json": as_json}
+        raise typer.Exit(_frames(source, trajectory, frames, between, output, setup, whole))
+    of_frames.refuse_without(workers=workers, resume=resume)
     check_outputs(inputs_of(setup, source), [path for path in (output, report) if path])
     structure = setup.load(source)
     energy = setup.energy(structure)
@@ -64,6 +84,24 @@ def energy(
         _print(table, by)
         if report:
             print(f"written: {report}")
+
+
+def _frames(
+    source: Path,
+    trajectory: Path | None,
+    frames: str | None,
+    between: str | None,
+    output: Path | None,
+    setup: Setup,
+    whole: dict[str, Any],
+) -> int:
+    """Tell what the energy of every frame is made of; return the exit status."""
+    from protochain.batches.frame_tasks import EnergyFrames
+
+    table = output or Path(f"{named_after(source)[0]}.energy.csv")
+    task = EnergyFrames(setup, between)
+    done = of_frames.run(source, trajectory, frames, setup, task, table, force=not whole["resume"], **whole)
+    return of_frames.status_of(done)
 
 
 def _print(table: "DataFrame", by: str) -> None:

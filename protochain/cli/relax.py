@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.cli import frames as of_frames
+from protochain.cli.frames import Chosen, Trajectory
 from protochain.cli.options import (
     CONVERGED,
     FAILED,
@@ -50,10 +52,14 @@ Output = Annotated[
     ),
 ]
 Workers = Annotated[
-    int | None, typer.Option(help="Of several: processes on this machine [default: all cores].")
+    int | None, typer.Option(help="Of several, or of frames: processes [default: all cores].")
 ]
-TimeLimit = Annotated[float, typer.Option(help="Of several: seconds after which a structure is given up.")]
-Resume = Annotated[bool, typer.Option("--resume", help="Of several: continue in the folder.")]
+TimeLimit = Annotated[
+    float, typer.Option(help="Of several, or of frames: seconds after which one is given up.")
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Of several, or of frames: continue where a run was stopped.")
+]
 
 
 @with_settings(setup="hinges terms")
@@ -67,6 +73,8 @@ def relax(
     scheduler: Scheduler = None,
     time_limit: TimeLimit = defaults.TIME_LIMIT,
     resume: Resume = False,
+    trajectory: Trajectory = None,
+    frames: Chosen = None,
     as_json: AsJson = False,
     force: Force = False,
     *,
@@ -76,9 +84,17 @@ def relax(
     """Make predicted models clean: overlaps and broken bonds gone, the fold kept.
 
     Several files, a folder, a pattern, a manifest or one file with a folder of poses (--ligand POSES) go to a
-    folder, with the table relaxed.csv; so does what a cluster does.
+    folder, with the table relaxed.csv; so does what a cluster does. With --trajectory, or --frames of a file
+    with models, every frame is relaxed, into one trajectory and a table.
     """
     setup = relaxing.setup(setup)
+    if of_frames.are_asked(trajectory, frames):
+        of_frames.refuse(manifest=manifest, scheduler=scheduler, ligand_out=ligand_out)
+        each = {"workers": workers, "time_limit": time_limit}
+        given = of_frames.only(inputs or [])
+        raise typer.Exit(
+            _frames(given, trajectory, frames, output, relaxing, setup, report, each, as_json, resume, force)
+        )
     poses = any(not name and Path(given).is_dir() for name, given in setup.ligands)
     several = manifest or scheduler or poses or isinstance(setup.model, str)
     if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not several:
@@ -93,6 +109,43 @@ def relax(
         raise ProtochainError(f"ligand-out {ligand_out}: is of one structure; relax them one by one")
     processes = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     raise typer.Exit(_several(inputs or [], output, manifest, relaxing, setup, processes, as_json, resume))
+
+
+def _frames(
+    source: Path,
+    trajectory: Path | None,
+    frames: str | None,
+    output: Path | None,
+    relaxing: RelaxSettings,
+    setup: Setup,
+    report: Path | None,
+    processes: dict[str, Any],
+    as_json: bool,
+    resume: bool,
+    force: bool,
+) -> int:
+    """Relax every frame; return the exit status."""
+    from protochain.batches.frame_files import check_output
+    from protochain.batches.frame_tasks import RelaxFrames
+
+    output = _beside(trajectory or source) if output is None else output
+    check_output(output)
+    done = of_frames.run(
+        source, trajectory, frames, setup, RelaxFrames(relaxing, setup), output.with_suffix(".csv"), output,
+        report=report, **processes, resume=resume, force=force,
+        hydrogens=relaxing.keep_hydrogens, as_json=as_json,
+    )  # fmt: skip
+    return of_frames.status_of(done)
+
+
+def _beside(frames: Path) -> Path:
+    """Name of the relaxed frames: in the format that they have, or DCD, which does not round."""
+    from protochain.relaxation.names import relaxed_name, relaxed_stem
+    from protochain.structure.files import format_of
+
+    if format_of(frames):
+        return Path(relaxed_name(frames))
+    return Path(f"{relaxed_stem(frames.stem)}{'.xtc' if frames.suffix.lower() == '.xtc' else '.dcd'}")
 
 
 def _is_one_file(given: str) -> bool:

@@ -2,11 +2,13 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from protochain.cli.options import CONVERGED, FAILED, UNCONVERGED, AsJson, check_outputs
+from protochain.cli import frames as of_frames
+from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
+from protochain.cli.options import CONVERGED, FAILED, UNCONVERGED, AsJson, check_outputs, named_after
 from protochain.cli.terminal import print_deviations
 
 
@@ -24,15 +26,24 @@ def rmsd(
         str | None, typer.Option(help="Atoms for the RMSD [default: those superposed].")
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", help="CSV to write.")] = None,
+    trajectory: Trajectory = None,
+    frames: Chosen = None,
+    workers: Workers = None,
+    resume: Resume = False,
     as_json: AsJson = False,
 ) -> None:
     """Measure deviations of models from a reference: RMSD, TM-score and matched residues.
 
-    Files of C-alpha atoms only are measured too.
+    Files of C-alpha atoms only are measured too. Of frames of one file, a row for each goes to a CSV.
     """
     from protochain.analysis.deviation import rmsd_table
     from protochain.core.storage import write_atomically
 
+    if of_frames.are_asked(trajectory, frames):
+        whole = {"workers": workers, "resume": resume, "as_json": as_json}
+        ends = align, measure or align
+        raise typer.Exit(_frames(reference, models, trajectory, frames, *ends, output, whole))
+    of_frames.refuse_without(workers=workers, resume=resume)
     if output:
         check_outputs([reference, *models], [output])
     table = rmsd_table(reference, models, align, measure or align)
@@ -46,3 +57,26 @@ def rmsd(
         print_deviations(rows)
     failed = sum(bool(row["message"]) for row in rows)
     raise typer.Exit(CONVERGED if not failed else FAILED if failed == len(rows) else UNCONVERGED)
+
+
+def _frames(
+    reference: Path,
+    models: list[Path],
+    trajectory: Path | None,
+    frames: str | None,
+    align: str,
+    measure: str,
+    output: Path | None,
+    whole: dict[str, Any],
+) -> int:
+    """Measure every frame; return the exit status."""
+    from protochain.analysis.deviation import RmsdFrames
+    from protochain.setup import Setup
+    from protochain.structure.matching import measurable
+
+    source = of_frames.only(models)
+    task = RmsdFrames(measurable(reference), align, measure)
+    table = output or Path(f"{named_after(source)[0]}.rmsd.csv")
+    reads, force = [reference], not whole["resume"]
+    done = of_frames.run(source, trajectory, frames, Setup(), task, table, reads=reads, force=force, **whole)
+    return of_frames.status_of(done)

@@ -233,6 +233,16 @@ def _clock(seconds: float) -> str:
 
 
 @contextmanager
+def frames_progress(
+    name: str, total: int
+) -> Iterator["tuple[Callable[[int, str], None], Callable[[str], None]]"]:
+    """Show how many frames are done, and the time left; also give what prints a line."""
+    progress = _Progress(name, total, total)
+    with progress.bar:
+        yield progress.show, progress.say
+
+
+@contextmanager
 def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
     """Show a line for each structure; on a terminal also a bar with done, failed, rate and the time left."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

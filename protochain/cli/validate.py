@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.cli.options import BAD_INPUT, CONVERGED, AsJson, check_outputs, inputs_of, with_settings
+from protochain.cli import frames as of_frames
+from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
+from protochain.cli.options import (
+    BAD_INPUT,
+    CONVERGED,
+    AsJson,
+    check_outputs,
+    inputs_of,
+    named_after,
+    with_settings,
+)
 from protochain.cli.printable import printer
 from protochain.core.errors import ProtochainError
 from protochain.core.markup import counted
@@ -46,6 +56,11 @@ def validate(
         Path | None,
         typer.Option(help="CSV to write: torsions, rotamers and motion of each residue from the reference."),
     ] = None,
+    trajectory: Trajectory = None,
+    frames: Chosen = None,
+    workers: Workers = None,
+    resume: Resume = False,
+    report: Annotated[Path | None, typer.Option(help="Of frames: page of distributions, FILE.html.")] = None,
     as_json: AsJson = False,
     *,
     setup: Setup,
@@ -53,9 +68,22 @@ def validate(
     """Say what is wrong with structures: violations, clashes, outliers, cis and twisted peptide bonds.
 
     Heavy atoms are measured where the file has them; those that are missing, and hydrogens, are added first.
+    Of frames of one file, a row for each goes to --csv.
     """
     from protochain.core.storage import write_atomically
     from protochain.structure.matching import measurable
+
+    if of_frames.are_asked(trajectory, frames):
+        of_frames.refuse(residues=residues, changes=changes)
+        ways: dict[str, Any] = {
+            "csv": csv,
+            "report": report,
+            "workers": workers,
+            "resume": resume,
+            "as_json": as_json,
+        }
+        raise typer.Exit(_frames(inputs, trajectory, frames, reference, setup, **ways))
+    of_frames.refuse_without(workers=workers, resume=resume, report=report)
 
     outputs = [path for path in (csv, residues, changes) if path]
     files = _files(inputs, setup)
@@ -106,6 +134,32 @@ def validate(
     elif done:
         _print(done, notes)
     raise typer.Exit(CONVERGED if len(done) == len(rows) else BAD_INPUT)
+
+
+def _frames(
+    inputs: list[str],
+    trajectory: Path | None,
+    frames: str | None,
+    reference: Path | None,
+    setup: Setup,
+    csv: Path | None,
+    report: Path | None,
+    workers: int | None,
+    resume: bool,
+    as_json: bool,
+) -> int:
+    """Measure every frame; return the exit status."""
+    from protochain.batches.frame_tasks import ValidateFrames
+    from protochain.structure.matching import measurable
+
+    source = of_frames.only(inputs)
+    task = ValidateFrames(setup, measurable(reference) if reference else None)
+    done = of_frames.run(
+        source, trajectory, frames, setup, task, csv or Path(f"{named_after(source)[0]}.validated.csv"),
+        report=report, workers=workers, resume=resume, force=not resume,
+        as_json=as_json, reads=[reference] if reference else [],
+    )  # fmt: skip
+    return of_frames.status_of(done)
 
 
 def _validated(

@@ -12,7 +12,6 @@ torsions K = J^T C J, as in torsional elastic networks (Mendez, Bastolla, Phys. 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from protochain.chain import Chain, Pose
 from protochain.contacts import joined, near_pairs
 from protochain.core.arrays import Floats, Integers
 from protochain.minimisers.torsion_kernels import stiffness_in_torsions
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 
 DEPTH = 0.4
 """kJ/mol, well depth of a contact: Lennard-Jones wells of protein atoms are 0.06 to 1 deep. The curvature at
@@ -69,7 +68,7 @@ def contacts(structure: Structure, x: Floats, bonds: int, decay: float = DECAY) 
     return Springs(pairs, 72.0 * DEPTH / touch**2 * np.exp(-decay * (distance / touch - 1.0)))
 
 
-@lru_cache(maxsize=4)
+@of_atoms
 def covalent(structure: Structure) -> Springs:
     """Springs for bonds, angles and dihedrals: between atoms up to three bonds apart."""
     pairs = joined(structure, 3)

@@ -76,6 +76,19 @@ COLUMNS = (
 )
 """In the order in which a reader looks at them."""
 
+_OF_ALL_FRAMES = (
+    "structure", "method", "judge", "frame", "ligands", "rounds", "n_chains", "n_residues", "n_atoms",
+    "n_atoms_moving", "move", "protochain", "engine", "engine_reason", "forcefield", "solvent", "preset",
+    "protocol", "bonds_to_hydrogen", "tolerance", "tolerance_unit", "springs_backbone_kj_mol_nm2",
+    "springs_side_chains_kj_mol_nm2", "max_iterations", "max_outer_iterations", "exclude", "free_ligands",
+    "hydrogens", "repacked", "fixed", "left_out", "lost_atoms", "n_lost_atoms", "far_molecules", "repairs",
+    "threads", "seconds",
+)  # fmt: skip
+"""What frames of one ensemble have in common, and the seconds of rounds alone."""
+
+OF_FRAMES = tuple(column for column in COLUMNS if column.key not in _OF_ALL_FRAMES)
+"""Columns of a frame of an ensemble."""
+
 
 def _beside(relaxation: Any, x: Floats) -> int:
     """Pairs of an atom of the protein and one beside it that overlap."""

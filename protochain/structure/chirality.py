@@ -1,7 +1,6 @@
 """Handedness of C-alpha, of C-beta of threonine, its phosphate and isoleucine, of sugars and of ligands."""
 
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
@@ -11,7 +10,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import neighbours
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.draft import Member
-from protochain.structure.model import BoundLigand, Structure
+from protochain.structure.model import BoundLigand, Structure, of_atoms
 from protochain.structure.residues import NUCLEOTIDES, Atom
 from protochain.structure.sugars import letters_of, sugar_centres
 
@@ -110,7 +109,7 @@ def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) ->
     return np.asarray(atoms[hands * volume(x[atoms]) < 0.0, 0])
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def chiral_atoms(structure: Structure) -> Integers:
     """(n, 4) int: every chiral atom of protein, nucleotides, glycans and ligands, and three neighbours.
 

@@ -17,7 +17,7 @@ from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.bound import Chemistry
 from protochain.structure.draft import Draft, atom
-from protochain.structure.files import check
+from protochain.structure.files import check, number_atoms, place_in_file
 from protochain.structure.model import Structure
 from protochain.structure.prepare import load, parts_of, prepare, user_files
 from protochain.structure.read import Reading, read_structure
@@ -58,6 +58,8 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     if isinstance(source, str | Path):
         return load(source, **settings)
     made = _as_gemmi(source)
+    if len(made) and not any(place_in_file(place.atom) >= 0 for place in made[0].all()):
+        number_atoms(made)
     made.merge_chain_parts()
     check(made, name)
     parts, ph = settings.pop("forcefield", None), settings.pop("ph", defaults.PH)

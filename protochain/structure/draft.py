@@ -171,6 +171,8 @@ class Draft:
         What the file says beside its atoms, as mmCIF text.
     model_number : int
         Number of the model in the file.
+    filed : tuple of str
+        Atoms of the model in the file, in its order.
     """
 
     name: str
@@ -185,6 +187,7 @@ class Draft:
     absent: list[Member] = field(default_factory=list)
     header: str = ""
     model_number: int = 1
+    filed: tuple[str, ...] = ()
 
     @property
     def members(self) -> list[Member]:

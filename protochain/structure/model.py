@@ -1,11 +1,11 @@
 """Structure: a prepared, all-atom protein, on which the rest of the library works."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, wraps
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,29 @@ _DIGITS = 9
 
 
 @dataclass(frozen=True, eq=False)
+class Origin(Value):
+    """Where the atoms of a structure come from, by which other positions of the file's atoms become its own.
+
+    Parameters
+    ----------
+    atoms : tuple of str
+        Atoms of the model in the file, in its order: ``A/17/GLU/CG``; of another library, of its object.
+    place : (na,) int
+        Place of each atom of the structure among these; -1 of an atom that was added.
+    charge : (na,) float, e
+        Charges of the templates, by which added hydroxyls were turned.
+    """
+
+    atoms: tuple[str, ...]
+    place: Integers
+    charge: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "place", read_only(self.place, np.int64))
+        object.__setattr__(self, "charge", read_only(self.charge))
+
+
+@dataclass(frozen=True, eq=False)
 class Structure(Value):
     """Atoms of a prepared protein.
 
@@ -129,6 +152,8 @@ class Structure(Value):
         the molecule that cap it are those of its neighbours, or -1.
     glycans : mapping of int to str
         Codes in GLYCAM-06j, as ``4YB``, of the sugars that move with the protein that bears them, by residue.
+    origin : Origin, optional
+        Which atoms of the file these are; None of a sequence.
 
     Raises
     ------
@@ -155,6 +180,7 @@ class Structure(Value):
     ligands: tuple[BoundLigand, ...] = ()
     modified: tuple[BoundLigand, ...] = ()
     glycans: Mapping[int, str] = field(default_factory=dict)
+    origin: Origin | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", read_only(self.positions))
@@ -281,6 +307,11 @@ class Structure(Value):
         return read_only([atom.formalCharge or 0 for atom in self.topology.atoms()], np.int64)
 
     @cached_property
+    def derived(self) -> dict[Any, Any]:
+        """What functions found of all but the positions, shared by what :meth:`with_positions` makes."""
+        return {}
+
+    @cached_property
     def fingerprint(self) -> str:
         """SHA-256 of all that determines the energy function: atoms, residues, bonds, obstacles, ties."""
         seen = hashlib.sha256()
@@ -328,7 +359,10 @@ class Structure(Value):
 
     def with_positions(self, x: Floats) -> "Structure":
         """Return the same structure with positions x (na, 3), nm."""
-        return replace(self, positions=x)
+        moved, _ = replace(self, positions=x), self.derived
+        # Attributes that are derived do not depend on the positions.
+        moved.__dict__.update({name: its for name, its in vars(self).items() if name not in vars(moved)})
+        return moved
 
     def __repr__(self) -> str:
         return (
@@ -348,3 +382,21 @@ class Structure(Value):
                 "repairs": "; ".join(self.changes) or "none",
             },
         )
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def of_atoms(find: Callable[Concatenate[Structure, P], R]) -> Callable[Concatenate[Structure, P], R]:
+    """Keep what a function finds of a structure, whatever its positions, for all that share its atoms."""
+
+    @wraps(find)
+    def found(structure: Structure, *args: P.args, **kwargs: P.kwargs) -> R:
+        key = (find, args, *kwargs.items())
+        if key not in structure.derived:
+            structure.derived[key] = find(structure, *args, **kwargs)
+        its: R = structure.derived[key]
+        return its
+
+    return found

@@ -28,9 +28,10 @@ from protochain.structure.bound import Chemistry, put_hydrogens, take_up
 from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part
+from protochain.structure.files import place_in_file
 from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.linkage import Link
-from protochain.structure.model import BoundLigand, Structure
+from protochain.structure.model import BoundLigand, Origin, Structure
 from protochain.structure.protonate import protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.sidechains.relief import relieved
@@ -170,12 +171,10 @@ def prepare(
     elements = [atom.element.name for atom in atoms]
     at = _indices(done)
     bonds = _bonds(draft, done, bridges, [*links, *sugars], at)
-    x = place_hydrogens(
-        np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM,
-        elements,
-        np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms]),
-        bonds,
-    )
+    charge = np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms])
+    x = np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM
+    place = np.where(np.isnan(x[:, 0]), -1, [place_in_file(atom) for atom in atoms])
+    x = place_hydrogens(x, elements, charge, bonds)
     owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
     x = relieved(x, owners, elements, bonds, draft.rebuilt)
     _refuse_coincident(draft, owners, x, bonds)
@@ -209,6 +208,7 @@ def prepare(
         ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
         modified=tuple(_modified(draft, at)),
         glycans={r: part.glycan for r, part in enumerate(of_residues) if part.glycan},
+        origin=Origin(draft.filed, place, charge) if (place >= 0).any() else None,
     )
 
 

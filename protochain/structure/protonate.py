@@ -11,7 +11,7 @@ from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.repairs import Kind
 from protochain.structure.templates import Template, rename
 
-_BONDED = 1.5
+BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is dropped."""
 _HYDROGEN_BOND = 3.5
 """Angstrom, donor to acceptor, as in OpenMM's Modeller."""
@@ -156,10 +156,10 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
         # Where atoms overlap, another may be nearer than the one that it is named for.
         own = [
-            a for a in heavy if a.name == named_for.get(hydrogen.name) and a.pos.dist(hydrogen.pos) <= _BONDED
+            a for a in heavy if a.name == named_for.get(hydrogen.name) and a.pos.dist(hydrogen.pos) <= BONDED
         ]
         nearest = min(own or heavy, key=lambda a: a.pos.dist(hydrogen.pos))
-        if nearest.pos.dist(hydrogen.pos) <= _BONDED:
+        if nearest.pos.dist(hydrogen.pos) <= BONDED:
             bonded[nearest.name].append(hydrogen)
         else:
             strange += 1

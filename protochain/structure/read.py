@@ -22,7 +22,7 @@ from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place, without_nan
 from protochain.structure.draft import Address, Draft, Member, Part, losses
-from protochain.structure.files import STANDARD_INPUT, parse, split_name
+from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, water_named
 from protochain.structure.modified import settle
@@ -132,6 +132,7 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     """
     draft.header = take_header(structure, draft.header)
     model = choose_model(draft, structure, reading.model)
+    draft.filed = tuple(name for name, _ in in_file_order(model))
     check_altloc(model, reading.altloc, draft.source)
     if atoms := without_nan(model):
         draft.note(Kind.NOT_A_NUMBER, count=atoms)

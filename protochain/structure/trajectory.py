@@ -8,7 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from openmm import app
+import numpy as np
+from openmm import app, unit
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import StructureError, WriteError
@@ -49,6 +50,13 @@ def _is_whole(path: Path, begin: int, n_atoms: int) -> bool:
     return bool(size == _XTC_HEADER + 4 * -(-n_bytes // 4))
 
 
+def _without_hydrogens(structure: Structure) -> tuple[Any, Any]:
+    """Topology of the other atoms, and their indices."""
+    whole = app.Modeller(structure.topology, structure.positions * unit.nanometer)
+    whole.delete([atom for atom in structure.topology.atoms() if atom.element.symbol == "H"])
+    return whole.topology, np.flatnonzero(structure.atom_element != "H")
+
+
 class TrajectoryFile:
     """Writer of frames to ``NAME.part.dcd``, renamed when the ``with`` block ends.
 
@@ -62,6 +70,8 @@ class TrajectoryFile:
         Time between frames.
     kept : tuple of int and int, optional
         Continue a file from this number of frames and bytes; the rest is cut off.
+    hydrogens : bool
+        Whether to write them.
 
     Raises
     ------
@@ -77,8 +87,12 @@ class TrajectoryFile:
         structure: Structure,
         interval: float = 1.0,
         kept: tuple[int, int] | None = None,
+        hydrogens: bool = True,
     ) -> None:
         self.path = Path(path)
+        topology, self.atoms = structure.topology, slice(None)
+        if not hydrogens:
+            topology, self.atoms = _without_hydrogens(structure)
         check_trajectory(self.path)
         check_writable(self.path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,38 +101,38 @@ class TrajectoryFile:
         if kept is None:
             self.part.unlink(missing_ok=True)
         else:
-            self._check_header(structure)
+            self._check_header(topology)
             self._cut(*kept)
         self._file: Any = None
         try:
             with writing(self.path):
-                self._open(structure, {"dt": interval, "append": kept is not None})
+                self._open(topology, {"dt": interval, "append": kept is not None})
         except WriteError:
             if kept is None:
                 self.discard()
             raise
 
-    def _open(self, structure: Structure, settings: dict[str, Any]) -> None:
+    def _open(self, topology: Any, settings: dict[str, Any]) -> None:
         if self.path.suffix.lower() == ".dcd":
             self._file = self.part.open("r+b" if settings["append"] else "w+b")
-            self._writer: Any = app.DCDFile(self._file, structure.topology, **settings)
+            self._writer: Any = app.DCDFile(self._file, topology, **settings)
             self._file.flush()
         else:
             self.part.touch()
-            self._writer = app.XTCFile(str(self.part), structure.topology, **settings)
+            self._writer = app.XTCFile(str(self.part), topology, **settings)
 
     def _there(self) -> Path:
         """File to continue: under its final name, if the run had ended."""
         return self.part if self.part.exists() else self.path
 
-    def _check_header(self, structure: Structure) -> None:
+    def _check_header(self, topology: Any) -> None:
         """Refuse what is no DCD file of the structure before it is cut."""
         there = self._there()
         if there.suffix.lower() != ".dcd" or not there.exists():
             return
         try:
             with there.open("rb") as file:
-                app.DCDFile(file, structure.topology, 0.0, append=True)
+                app.DCDFile(file, topology, 0.0, append=True)
         except (ValueError, struct.error, OSError) as error:
             raise StructureError(f"{there}: cannot be continued ({error}); start the run anew") from None
 
@@ -144,6 +158,7 @@ class TrajectoryFile:
         """
         with writing(self.path):
             begin = self.part.stat().st_size
+            x = x[self.atoms]
             self._writer.writeModel(x)
             if self._file is None and not _is_whole(self.part, begin, len(x)):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

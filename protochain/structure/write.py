@@ -79,7 +79,7 @@ def as_text(
     """Return the text that :func:`save` writes, in the format of the suffix."""
     models = [structure] if isinstance(structure, Structure) else list(structure)
     format_ = SUFFIXES[suffix.lower()]
-    out = _gemmi_structure(models)
+    out = as_gemmi(models)
     settle(out, whole=format_ == "mmCIF")
     if not hydrogens:
         out.remove_hydrogens()
@@ -140,7 +140,8 @@ def common_suffix(structures: Iterable[Structure]) -> str:
     return ".pdb"
 
 
-def _gemmi_structure(structures: Sequence[Structure]) -> gemmi.Structure:
+def as_gemmi(structures: Sequence[Structure]) -> gemmi.Structure:
+    """Structures of one source as the models of a gemmi Structure, atoms in the same order."""
     first = structures[0]
     out = with_header(first.header)
     out.name = first.name

@@ -1,7 +1,6 @@
 """Clashscore: pairs of atoms that overlap by 0.4 angstrom or more, hydrogens included, per 1000 atoms."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from protochain.contacts import joined
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.validation.layout import positions
 from protochain.validation.rings import rings
 
@@ -135,7 +134,7 @@ class _Kinds:
     lengths: Floats
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _kinds(structure: Structure) -> _Kinds:
     element = np.char.upper(structure.atom_element)
     n, bonds = structure.n_atoms, structure.bonds
@@ -214,7 +213,7 @@ def _is_excluded(structure: Structure, i: Integers, j: Integers) -> NDArray[np.b
     return known[at] == code if len(known) else np.zeros(len(code), dtype=bool)
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _excluded(structure: Structure) -> Integers:
     """Pairs (n,) up to three bonds apart, four if one is a hydrogen, each as one number, ascending."""
     near, far = joined(structure, 3), joined(structure, 4)

@@ -1,7 +1,6 @@
 """Faults beside the protein: broken bonds of nucleotides and of what is fixed, and clashes of the latter."""
 
 from collections import Counter
-from functools import lru_cache
 from typing import NamedTuple
 
 import gemmi
@@ -14,7 +13,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, joined
 from protochain.core.markup import counted, listed
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.templates import DNA, RNA, templates
 from protochain.validation.layout import positions
@@ -91,7 +90,7 @@ def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
     return FixedFaults(broken, _clashes(structure, x))
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _usual_bonds(structure: Structure) -> tuple[Integers, Floats]:
     """Bonds (n, 2) of heavy atoms of nucleotides, and their usual lengths (n,), nm."""
     lengths, known = {**bond_lengths(DNA), **bond_lengths(RNA)}, templates()

@@ -2,13 +2,13 @@
 
 import csv
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, frozen, read_only
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.structure.residues import STANDARD, STATE_PARENT
 
 WIDTH = 14
@@ -100,7 +100,7 @@ def _opposite(
     return float(side), float(np.sqrt(sum(part**2 for part in parts)) / side)
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def places(structure: Structure) -> tuple[Integers, Integers]:
     """Where the heavy atoms of a structure's amino acids are.
 

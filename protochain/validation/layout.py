@@ -1,6 +1,5 @@
 """Where the atoms of each residue are, which residues a peptide bond joins, and dihedrals of many at once."""
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +7,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.core.graph import both_ways
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.structure.residues import BACKBONE
 
 NONE = -1
@@ -50,7 +49,7 @@ def positions(structure: Structure, x: Floats | None) -> Floats:
     return structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def layout(structure: Structure) -> Layout:
     """Find the amino acids of a structure, their atoms and neighbours; the same for all its positions."""
     n, of = structure.n_residues, structure.atom_residue

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.graph import Neighbours, neighbours
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.validation.layout import positions
 
 LARGEST = 20
@@ -94,7 +94,7 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
     ]
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def rings(structure: Structure) -> tuple[tuple[int, ...], ...]:
     """Rings of at most 20 atoms within residues or closed by bonds between side chains or ends of a chain.
 
@@ -159,7 +159,7 @@ def _cycle(near: Neighbours, i: int, j: int) -> tuple[int, ...]:
     return tuple(path[::-1])
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _barred(structure: Structure) -> tuple[frozenset[int], ...]:
     """Atoms of each ring, and of all residues of a ring of several: their bonds do not go through it."""
     of, found = structure.atom_residue, []

@@ -7,7 +7,7 @@ contours may not be distributed: on 20 structures this finds 251 of its 319 outl
 
 import csv
 from collections import defaultdict
-from functools import cache, lru_cache
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.structure.residues import CHI, SYMMETRIC
 from protochain.validation.layout import NONE, dihedrals, layout, positions
 
@@ -101,7 +101,7 @@ def _library() -> dict[str, list[tuple[str, list[float]]]]:
     return of
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _dihedrals(structure: Structure) -> list[tuple[str, Integers, Integers]]:
     """Name, residues (n,), and atoms (n, n_chi, 4) of their dihedrals, of each kind with rotamers."""
     found = layout(structure)

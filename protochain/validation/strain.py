@@ -11,7 +11,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.structure.templates import PHOSPHATES, PROTEIN, Template, standard_name, templates
 from protochain.validation.layout import positions
 
@@ -136,7 +136,7 @@ class _Terms:
     angles: Floats
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
     names, kind = np.unique(_types(structure), return_inverse=True)
     lengths, angles = _parameters(PROTEIN, PHOSPHATES["amber14"])

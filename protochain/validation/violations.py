@@ -5,7 +5,7 @@ with a tolerance of 12 standard deviations for bonds and angles and of 1.5 angst
 """
 
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.graph import both_ways
 from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.validation.geometry import TYPES, distances, places, slots
 from protochain.validation.layout import positions
 
@@ -222,7 +222,7 @@ def _within(structure: Structure, x: Floats) -> Integers:
     return np.asarray(pairs[(distance < lower) | (distance > upper)])
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _neighbours(structure: Structure) -> tuple[Integers, Floats, Floats]:
     """Atoms (n, 2) of one residue, and the least and greatest distances allowed (n,), angstrom."""
     at, kind = places(structure)
@@ -247,7 +247,7 @@ def _bounds() -> tuple[Floats, Floats]:
     return np.where(known, mean - _SIGMAS * sigma, apart), np.where(known, mean + _SIGMAS * sigma, np.inf)
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _joints(structure: Structure) -> tuple[Integers, NDArray[np.bool_]]:
     """Atoms CA, C, N, CA (n, 4) of neighbours in a chain, and whether N is a proline's."""
     at, kind = places(structure)
@@ -275,7 +275,7 @@ def _as_number(text: str) -> float:
         return np.nan
 
 
-@lru_cache(maxsize=16)
+@of_atoms
 def _contacts(structure: Structure) -> tuple[Integers, Floats, Integers]:
     """Atoms (n,) that may clash, radii (na,), and joined pairs C-N, each as one number."""
     at, _ = places(structure)

@@ -78,6 +78,7 @@ REQUIRED = {
     "pull_back": lambda: (C(), at(), np.zeros((C().n_atoms, 3))),
     "quality": lambda: (S(),),
     "relax": lambda: (S(),),
+    "relax_frames": lambda: (S(), S().positions[None]),
     "rmsd": lambda: (S(), S()),
     "save": lambda: (S(), "never-written.pdb"),
     "save_ligands": lambda: (S(), "never-written.sdf"),
@@ -122,6 +123,7 @@ FURTHER = {
         "ph",
     ),
     "EveryFrame": ("hinges", "ph", "threads", "keep"),
+    "relax_frames": ("protocol", "tolerance", "repack", "threads", "ph"),
 }
 """Names that a function takes by ``**``."""
 

@@ -119,3 +119,22 @@ def sidechains_words(rows: pd.DataFrame, kinds: pd.DataFrame) -> str:
         f"no violations in {clean} of {len(rows)}, and clashscores are {clashes.min():.1f} to",
         f"{clashes.max():.1f}, with a median of {clashes.median():.1f}.",
     )
+table_of_rows(
+    "frames", "frames_speed.csv",
+    ("ensemble", "{ensemble}"), ("frames", "{frames}"), ("with violations", "{frames_with_violations_start}"),
+    ("after", "{frames_with_violations_end}"), ("overlaps", "{overlaps_start}"), ("after ", "{overlaps_end}"),
+    ("RMSD angstrom", "{ca_rmsd_angstrom:.2f}"), ("`relax`, s a frame", "{seconds_frame:.2f}"),
+    ("OpenMM, s a frame", "{seconds_frame_openmm:.2f}"), ("ratio", ratio_of("times_sooner")),
+    ("of CPU seconds", ratio_of("times_less_cpu")),
+)  # fmt: skip
+
+
+@table("frames-memory", "frames_memory.csv")
+def frames_memory(r: pd.DataFrame) -> str:
+    """Whether memory grows with the number of frames."""
+    parts = [
+        f"`{command}` {its['peak_mb'].iloc[0]:.0f} MB for {its['frames'].iloc[0]} frames and"
+        f" {its['peak_mb'].iloc[-1]:.0f} MB for {its['frames'].iloc[-1]}"
+        for command, its in r.groupby("command", sort=False)
+    ]
+    return paragraph(f"Peaks of memory, of all processes together: {'; '.join(parts)}.")

@@ -1,0 +1,329 @@
+"""Files of a run over frames: a row a frame as it is done, a trajectory, and where to go on after a kill."""
+
+import csv
+import io
+import json
+import os
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+from time import monotonic
+from typing import TYPE_CHECKING, Any
+
+from protochain.batches.cluster import Processes
+from protochain.batches.frame_tasks import Task
+from protochain.batches.frames import FrameResult, over_frames
+from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.core.interrupts import held_interrupts
+from protochain.core.storage import check_writable, read_arrays, write_arrays, writing
+from protochain.structure.ensemble import Ensemble
+from protochain.structure.files import format_of
+from protochain.structure.frames import Frames, open_frames
+from protochain.structure.trajectory import TrajectoryFile, check_trajectory
+from protochain.structure.write import common_suffix, save
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_KEEP_EVERY = 10.0
+"""s between checkpoints: what is done after the last is done again."""
+_MOST_IN_TEXT = 20_000_000
+"""Atoms of all models of a text file, which is made in memory."""
+_KIND = "run over frames"
+_NOTHING: Mapping[str, Any] = {"rows": 0, "sound": 0, "bytes": 0, "trajectory": None, "counts": {}}
+"""What is kept of a run that has not begun."""
+_FIRST = ("frame", "time_ps", "status", "message")
+
+Watch = Callable[[int, int, FrameResult], None]
+"""Told of each frame: how many are done, how many of these cannot be used, and the last."""
+
+
+@dataclass(frozen=True)
+class FramesRun:
+    """What a run over frames wrote.
+
+    Parameters
+    ----------
+    csv : Path
+        A row a frame.
+    trajectory : Path, optional
+        Frames that could be used, in their order.
+    topology : Path, optional
+        Structure with the atoms of the trajectory.
+    counts : mapping of str to int
+        Frames of each status.
+    written : int
+        Frames in the trajectory.
+    interrupted : bool
+        Whether it was stopped before all frames were done.
+    """
+
+    csv: Path
+    trajectory: Path | None = None
+    topology: Path | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    written: int = 0
+    interrupted: bool = False
+
+    @cached_property
+    def table(self) -> "pd.DataFrame":
+        """The rows."""
+        import pandas as pd
+
+        return pd.read_csv(self.csv, dtype=dict.fromkeys(("status", "message"), "string"))
+
+
+def files_of(table: Path, trajectory: Path | None) -> list[Path]:
+    """Files that a run writes."""
+    made = [table, _checkpoint(table)]
+    return (
+        made
+        if trajectory is None
+        else [*made, trajectory, *([] if _in_text(trajectory) else [_beside(trajectory)])]
+    )
+
+
+def check_output(trajectory: Path) -> None:
+    """Refuse an unknown suffix of the output.
+
+    Raises
+    ------
+    ProtochainError
+        Naming it.
+    """
+    if not format_of(trajectory):
+        check_trajectory(trajectory)
+
+
+def run_frames(
+    ensemble: Ensemble,
+    frames: Frames,
+    task: Task,
+    table: Path,
+    trajectory: Path | None = None,
+    *,
+    hydrogens: bool = True,
+    processes: Processes | None = None,
+    resume: bool = False,
+    force: bool = False,
+    watch: Watch | None = None,
+) -> FramesRun:
+    """Do a task to every frame; write a row for each, and the frames that it changed.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    frames : Frames
+    task : Task
+    table : Path
+        CSV to write.
+    trajectory : Path, optional
+        ``.xtc`` or ``.dcd``, beside which the topology is written, or a PDB or mmCIF file of models, which is
+        made in memory at the end.
+    hydrogens : bool
+        Whether the trajectory has them.
+    processes : Processes, optional
+        As for :func:`over_frames`.
+    resume : bool
+        Go on after the last frame that an interrupted run has kept.
+    force : bool
+        Begin anew where there is such a run.
+    watch : callable, optional
+
+    Returns
+    -------
+    FramesRun
+
+    Raises
+    ------
+    ProtochainError
+        If there is an interrupted run that is neither to be resumed nor replaced, or one of other settings.
+    WriteError
+        If the disk is full; what was kept can be resumed.
+    """
+    settings = _settings(ensemble, frames, task, hydrogens)
+    files = _Files(ensemble, task, table, trajectory, hydrogens, settings, resume, force)
+    interrupted = False
+    with files:
+        try:
+            left = frames.without_first(files.n_rows)
+            for result in over_frames(ensemble, left, task, processes) if len(left) else ():
+                with held_interrupts() as signals:
+                    files.append(result)
+                if watch:
+                    watch(files.n_rows, files.n_rows - files.n_sound, result)
+                if signals:
+                    raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            interrupted = True
+        with held_interrupts():
+            files.keep()
+            if not interrupted:
+                files.finish()
+    made = files.trajectory.n_frames if files.trajectory else 0
+    return FramesRun(
+        table, trajectory, files.topology, files.counts, made, interrupted
+    )  # fmt: skip
+
+
+class _Files:
+    """Table and trajectory, which grow together, and the checkpoint that says how far both are sound."""
+
+    def __init__(
+        self, ensemble: Ensemble, task: Task, table: Path, trajectory: Path | None, hydrogens: bool,
+        settings: Mapping[str, Any], resume: bool, force: bool,
+    ) -> None:  # fmt: skip
+        self.ensemble, self.table, self.output, self.hydrogens = ensemble, table, trajectory, hydrogens
+        self.settings = settings
+        self.columns = tuple(dict.fromkeys((*_FIRST, *task.columns, "seconds")))
+        self.columns += ("output_frame",) * (trajectory is not None)
+        self.checkpoint = _checkpoint(table)
+        check_writable(table)
+        kept = self._kept(resume, force)
+        self.counts: Counter[str] = Counter(kept["counts"])
+        self.n_rows, self.n_sound = kept["rows"], kept["sound"]
+        table.parent.mkdir(parents=True, exist_ok=True)
+        self.trajectory: TrajectoryFile | None = None
+        self.topology: Path | None = None
+        if trajectory is not None:
+            binary = trajectory.with_suffix(".dcd") if _in_text(trajectory) else trajectory
+            place = tuple(kept["trajectory"]) if kept["trajectory"] else None
+            self.trajectory = TrajectoryFile(
+                binary, ensemble.structure, kept=place, hydrogens=hydrogens or _in_text(trajectory)
+            )
+            if not _in_text(trajectory):
+                self.topology = _beside(trajectory, ensemble)
+                save(ensemble.structure, self.topology, hydrogens=hydrogens)
+        with writing(table):
+            self.file = table.open("r+b" if kept["rows"] else "wb")
+            self.file.seek(kept["bytes"])
+            self.file.truncate()
+        self.told = monotonic()
+        if not kept["rows"]:
+            self._write([dict(zip(self.columns, self.columns, strict=True))])
+        self.keep()
+
+    def _kept(self, resume: bool, force: bool) -> Mapping[str, Any]:
+        """How far an interrupted run is sound; nothing of a new one."""
+        if self.checkpoint.exists() and resume:
+            remedy = "give another output, or begin anew with ", Argument("force", True)
+            kept: dict[str, Any] = read_arrays(self.checkpoint, self.settings, _KIND, *remedy)[1]
+            if not kept["rows"]:
+                return _NOTHING
+            if not self.table.exists() or self.table.stat().st_size < kept["bytes"]:
+                raise ProtochainError(f"{self.table}: has lost rows since its checkpoint; ", *remedy)
+            return kept
+        if self.checkpoint.exists() and not force:
+            raise ProtochainError(
+                f"{self.table}: holds an interrupted run; ", Argument("resume", True), " continues it, ",
+                Argument("force", True), " begins anew",
+            )  # fmt: skip
+        if resume and self.table.exists() and not force:
+            raise ProtochainError(f"{self.table}: is of a run that is complete; nothing is left to resume")
+        return _NOTHING
+
+    def append(self, result: FrameResult) -> None:
+        """Add a row, and the frame if it can be used."""
+        row = dict(result.record)
+        if result.structure is not None:
+            self.n_sound += 1
+            if self.trajectory:
+                row["output_frame"] = self.trajectory.n_frames
+                with self._kept_if_full():
+                    self.trajectory.append(result.structure.positions)
+        self._write([row])
+        self.counts[str(row["status"])] += 1
+        self.n_rows += 1
+        if monotonic() - self.told > _KEEP_EVERY:
+            self.keep()
+
+    def _write(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        text = io.StringIO()
+        csv.DictWriter(text, self.columns, extrasaction="ignore", lineterminator="\n").writerows(rows)
+        with self._kept_if_full():
+            self.file.write(text.getvalue().encode(errors="backslashreplace"))
+            self.file.flush()
+
+    @contextmanager
+    def _kept_if_full(self) -> Iterator[None]:
+        """Say what is kept where the disk takes no more."""
+        try:
+            with writing(self.table):
+                yield
+        except WriteError as error:
+            raise error.with_saved(
+                "the frames done before", "free space there, then continue with ", Argument("resume", True)
+            ) from error
+
+    def keep(self) -> None:
+        """Write all to the disk, and how far it is."""
+        with self._kept_if_full():
+            os.fsync(self.file.fileno())
+            place = self.trajectory.stored() if self.trajectory else None
+        kept = {
+            "rows": self.n_rows, "sound": self.n_sound, "bytes": self.file.tell(), "trajectory": place,
+            "counts": dict(self.counts),
+        }  # fmt: skip
+        write_arrays(self.checkpoint, {}, kept, self.settings)
+        self.told = monotonic()
+
+    def finish(self) -> None:
+        """Give the trajectory its name, or make models of it; nothing is left to resume."""
+        if self.trajectory and self.output:
+            if self.trajectory.n_frames and not _in_text(self.output):
+                self.trajectory.finish()
+            elif self.trajectory.n_frames:
+                self.trajectory.close()
+                save(self._models(), self.output, hydrogens=self.hydrogens)
+            self.trajectory.discard()
+        self.checkpoint.unlink(missing_ok=True)
+
+    def _models(self) -> list[Any]:
+        assert self.trajectory
+        s, n = self.ensemble.structure, self.trajectory.n_frames
+        if n * s.n_atoms > _MOST_IN_TEXT:
+            raise ProtochainError(
+                f"{self.output}: {n} models of {s.n_atoms} atoms are made in memory; give .xtc or .dcd"
+            )
+        return [
+            s.with_positions(frame.x) for frame in open_frames(self.trajectory.part) if frame.x is not None
+        ]
+
+    def __enter__(self) -> "_Files":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.file.close()
+        if self.trajectory:
+            self.trajectory.close()
+
+
+def _in_text(path: Path) -> bool:
+    return bool(format_of(path))
+
+
+def _checkpoint(table: Path) -> Path:
+    return table.with_name(f"{table.stem}.checkpoint.npz")
+
+
+def _beside(trajectory: Path, ensemble: Ensemble | None = None) -> Path:
+    """Name of the topology of a trajectory."""
+    return trajectory.with_suffix(common_suffix([ensemble.structure]) if ensemble else ".pdb")
+
+
+def _settings(ensemble: Ensemble, frames: Frames, task: Task, hydrogens: bool) -> dict[str, Any]:
+    """All on which the files depend, as JSON reads it back."""
+    path = Path(frames.source)
+    given = {
+        "task": task.name, "protochain": version("protochain"), "frames": frames.source,
+        "bytes of frames": path.stat().st_size if path.is_file() else None,
+        "selection": [frames.chosen.start, frames.chosen.stop, frames.chosen.step],
+        "structure": ensemble.structure.name, "atoms": ensemble.structure.fingerprint, "hydrogens": hydrogens,
+        **task.settings(),
+    }  # fmt: skip
+    plain: dict[str, Any] = json.loads(json.dumps(given, default=str))
+    return plain

@@ -1,0 +1,272 @@
+"""What is done to the frames of an ensemble, and the part of it that a process does."""
+
+import pickle
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Protocol
+
+from protochain.core.arrays import Floats, Value
+from protochain.core.errors import ProtochainError
+from protochain.energies import Energy
+from protochain.energies.decomposed import TERMS, energy_terms
+from protochain.minimisers.verdict import Status
+from protochain.relaxation.api import relax_structure
+from protochain.relaxation.record import OF_FRAMES
+from protochain.relaxation.settings import RelaxSettings
+from protochain.results.columns import flat, record
+from protochain.setup import Setup
+from protochain.structure import Structure
+from protochain.structure.ensemble import Ensemble
+from protochain.structure.frames import Frame, Reading, open_frames
+from protochain.validation.findings import MEASURES, Found
+from protochain.validation.likeness import LIKENESS, likeness
+
+Act = Callable[[Structure], tuple[dict[str, Any], Floats | None]]
+"""What is done to a frame: its structure -> what its row says, and positions (na, 3), nm, if they change."""
+
+
+class Task(Protocol):
+    """What is done to every frame; pickled once for each process.
+
+    Parameters
+    ----------
+    name : str
+    columns : tuple of str
+        What a row says beside ``frame``, ``time_ps`` and ``message``.
+    at_a_time : int
+        Frames that a process gets at a time.
+    """
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def columns(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def at_a_time(self) -> int: ...  # noqa: D102
+
+    def begin(self, structure: Structure, threads: int | None) -> Act:
+        """Prepare, once, what all frames of a structure share."""
+
+    def settings(self) -> dict[str, Any]:
+        """Plain values on which the rows depend."""
+
+
+@dataclass(frozen=True)
+class RelaxFrames:
+    """Relax each frame: :func:`protochain.relax`, with one energy for all.
+
+    Parameters
+    ----------
+    relaxing : RelaxSettings
+    setup : Setup
+    """
+
+    relaxing: RelaxSettings
+    setup: Setup
+    name = "relax"
+    columns = tuple(column.key for column in OF_FRAMES)
+    at_a_time = 1
+
+    def begin(self, structure: Structure, threads: int | None) -> Act:
+        """Build the energy."""
+        energy = _with_threads(self.setup, threads).energy(structure)
+
+        def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
+            _begin_anew(energy, frame.positions)
+            done = relax_structure(frame, energy, self.relaxing, move=self.setup.move)
+            if done.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+            row = {key: flat(value) for key, value in record(OF_FRAMES, done).items()}
+            return row, done.x if done.is_usable else None
+
+        return act
+
+    def settings(self) -> dict[str, Any]:
+        """Plain values on which the rows depend."""
+        return _plain(self.setup) | vars(self.relaxing)
+
+
+@dataclass(frozen=True)
+class ValidateFrames:
+    """Measure what is wrong with each frame, and how like a reference it is, as :func:`protochain.validate`.
+
+    Parameters
+    ----------
+    setup : Setup
+    reference : Structure, optional
+    """
+
+    setup: Setup
+    reference: Structure | None = None
+    name = "validate"
+    at_a_time = 8
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Measures, and those of likeness."""
+        return (*MEASURES, *(LIKENESS if self.reference else ()))
+
+    def begin(self, structure: Structure, threads: int | None) -> Act:
+        """Nothing to prepare."""
+
+        def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
+            row = Found(frame, frame.positions).measures()
+            if self.reference is not None:
+                row |= likeness(frame, self.reference).measures
+            return row, None
+
+        return act
+
+    def settings(self) -> dict[str, Any]:
+        """Plain values on which the rows depend."""
+        return _plain(self.setup) | {"reference": self.reference and self.reference.name}
+
+
+@dataclass(frozen=True)
+class EnergyFrames:
+    """Tell what the energy of each frame is made of, as :func:`protochain.energy_terms` by term.
+
+    Parameters
+    ----------
+    setup : Setup
+    between : str, optional
+        Two parts, of whose interaction it is.
+    """
+
+    setup: Setup
+    between: str | None = None
+    name = "energy"
+    at_a_time = 8
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Terms; between two parts of their interaction, and of desolvation."""
+        totals = (*TERMS, "total")
+        if self.between is None:
+            return tuple(f"{term}_kj_mol" for term in totals)
+        return tuple(f"{of}_{term}_kj_mol" for of in _OF_PARTS for term in totals)
+
+    def begin(self, structure: Structure, threads: int | None) -> Act:
+        """Build the energy."""
+        energy = _with_threads(self.setup, threads).energy(structure)
+
+        def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
+            _begin_anew(energy, frame.positions)
+            table = energy_terms(frame, between=self.between, energy=energy)
+            named = {"whole": ""} if self.between is None else {of: f"{of}_" for of in _OF_PARTS}
+            rows = table.to_dict("index")
+            return {
+                f"{own}{term}_kj_mol": e for of, own in named.items() for term, e in rows[of].items()
+            }, None
+
+        return act
+
+    def settings(self) -> dict[str, Any]:
+        """Plain values on which the rows depend."""
+        return _plain(self.setup) | {"between": self.between}
+
+
+_OF_PARTS = ("interaction", "desolvation", "sum")
+
+
+def _plain(setup: Setup) -> dict[str, Any]:
+    return {name: value for name, value in vars(setup).items() if name != "threads"}
+
+
+def _with_threads(setup: Setup, threads: int | None) -> Setup:
+    return setup if threads is None else replace(setup, threads=threads)
+
+
+def _begin_anew(energy: Energy, x: Floats) -> None:
+    """Make neighbour lists for a frame, so that its numbers do not depend on the frames before it."""
+    for each in (energy, getattr(energy, "coarse", None)):
+        if each is not None and each.lists_at is not None:
+            each.list_at(x)
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRow(Value):
+    """Row of a frame, and its positions (na, 3) in nm, as a process sends them."""
+
+    index: int
+    record: Mapping[str, Any]
+    x: Floats | None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "record", dict(self.record))
+
+
+@dataclass(frozen=True)
+class FrameJob:
+    """Some frames, for a process.
+
+    Parameters
+    ----------
+    task : Path
+        Pickled ensemble, task and file of the frames.
+    frames : tuple of Frame or int
+        Frames, or their places in the file, which the process reads: damaged ones may end it.
+    """
+
+    task: Path
+    frames: tuple[Frame | int, ...]
+
+    @property
+    def indices(self) -> tuple[int, ...]:
+        """Places of the frames."""
+        return tuple(each if isinstance(each, int) else each.index for each in self.frames)
+
+    def run(self, threads: int) -> Iterator[FrameRow]:
+        """Do the task to each of the frames."""
+        ensemble, act, reading = begun(self.task, threads)
+        for frame in self.frames:
+            yield row_of(ensemble, act, reading.at(frame) if isinstance(frame, int) else frame)
+
+    def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> list[FrameRow]:
+        """Row of the frame at which the process ended, after others were done."""
+        its = self.frames[len(done)]
+        frame = Frame(its, None) if isinstance(its, int) else its
+        row = origin(frame) | failed(frame, status, message) | {"seconds": seconds}
+        return [FrameRow(frame.index, row, None)]
+
+
+@lru_cache(maxsize=1)
+def begun(path: Path, threads: int) -> tuple[Ensemble, Act, Any]:
+    """Ensemble, task and frames of a file, ready."""
+    ensemble, task, source = pickle.loads(path.read_bytes())
+    reading = None if source is None else Reading(open_frames(source))
+    return ensemble, task.begin(ensemble.structure, threads), reading
+
+
+def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
+    """Do the task to a frame; what goes wrong is in its row."""
+    row, began = origin(frame), perf_counter()
+    try:
+        structure = ensemble.at(frame)
+        found, x = act(structure)
+        found["seconds"] = perf_counter() - began
+        return FrameRow(
+            frame.index,
+            row | {"status": "measured", "message": ""} | found,
+            structure.positions if x is None else x,
+        )
+    except ProtochainError as error:
+        wrong = failed(frame, "refused", str(error))
+    except MemoryError:
+        wrong = failed(frame, "killed", "out of memory")
+    except Exception as error:  # A bug met by one frame must not stop the others.
+        wrong = failed(frame, "error", f"{type(error).__name__}: {error}")
+    return FrameRow(frame.index, row | wrong | {"seconds": perf_counter() - began}, None)
+
+
+def origin(frame: Frame) -> dict[str, Any]:
+    """Columns that tell which frame a row is of."""
+    return {"frame": frame.index, "time_ps": frame.time}
+
+
+def failed(frame: Frame, status: str, message: str) -> dict[str, Any]:
+    """Columns of a frame that cannot be used."""
+    return {"status": status, "message": f"frame {frame.index}: {' '.join(message.split())}"}

@@ -1,0 +1,165 @@
+"""Every frame of an ensemble: relaxed or measured, here or by many processes, in their order."""
+
+import pickle
+import tempfile
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any
+
+from protochain.batches.cluster import Processes, at_work
+from protochain.batches.frame_tasks import FrameJob, FrameRow, RelaxFrames, Task, row_of
+from protochain.batches.supervise import supervise
+from protochain.core.arrays import Value
+from protochain.core.checks import at_least, checked, optional
+from protochain.relaxation.settings import split
+from protochain.setup import Setup
+from protochain.structure import Structure
+from protochain.structure.ensemble import Ensemble
+from protochain.structure.frames import Frame, Frames, open_frames
+
+_AHEAD = 3
+"""Jobs handed out for each worker: while one is done, others wait for it."""
+
+
+@dataclass(frozen=True, eq=False)
+class FrameResult(Value):
+    """What became of a frame.
+
+    Parameters
+    ----------
+    frame : int
+        Its place in the source, from 0.
+    record : mapping
+        Its row: ``frame``, ``time_ps``, ``status``, ``message`` and what was measured.
+    structure : Structure, optional
+        Relaxed, or as it was measured; None of a frame that cannot be used.
+    """
+
+    frame: int
+    record: Mapping[str, Any]
+    structure: Structure | None
+
+    def __repr__(self) -> str:
+        return (
+            f"<Frame {self.frame}: {self.record.get('message') or self.record.get('status') or 'measured'}>"
+        )
+
+
+@checked(workers=optional(at_least(1)))
+def relax_frames(
+    top: Any, frames: Any = None, select: Any = None, *, workers: int | None = None, **options: Any
+) -> Iterator[FrameResult]:
+    """Relax every frame of an ensemble; the structure is prepared once, and has one energy.
+
+    Parameters
+    ----------
+    top : Structure, path, or anything that :func:`protochain.as_structure` takes
+        Structure with the atoms of the frames, from which hydrogens and all that a frame lacks are known.
+    frames : path-like, (n, atoms, 3) float, nm, mdtraj.Trajectory, MDAnalysis Universe or AtomGroup, optional
+        Trajectory (``.xtc``, ``.trr``, ``.dcd``, ``.nc``), PDB or mmCIF file with models, or ``.npz`` with
+        ``positions`` or ``pos`` and their ``unit``. Atoms are those of the file of ``top``, or of ``top`` as
+        prepared. It is read frame by frame. By default, the models of the file ``top``.
+    select : int, str or slice, optional
+        Frames to take: a number, or ``"START:STOP:STEP"``; all by default.
+    workers : int, optional
+        Processes. By default all is done in this one, on as many threads as ``threads`` says.
+    **options
+        As for :func:`protochain.relax`.
+
+    Yields
+    ------
+    FrameResult
+        In the order of the frames, whatever the number of processes. A frame that cannot be used has a row
+        with the reason, and stops no other.
+
+    Raises
+    ------
+    ProtochainError
+        If an option makes no sense, or the structure or the frames cannot be used.
+    """
+    relaxing, setup = split(options)
+    ensemble, chosen = ensemble_of(top, frames, select, setup)
+    processes = Processes(workers, threads=setup.threads or 1) if workers else None
+    return over_frames(ensemble, chosen, RelaxFrames(relaxing, setup), processes)
+
+
+def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensemble, Frames]:
+    """Open frames, prepare the structure that they are of, and find its atoms among theirs."""
+    opened = open_frames(top if frames is None else frames, select)
+    structure = setup.load(top)
+    names = ("ph", "disulfide", "forcefield", "ligands", "ligand_charges", "standard_residues")
+    settings = {name: getattr(setup, name) for name in names}
+    return Ensemble.of(structure, opened, settings), opened
+
+
+def over_frames(
+    ensemble: Ensemble, frames: Frames, task: Task, processes: Processes | None = None
+) -> Iterator[FrameResult]:
+    """Do a task to every frame, in their order.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    frames : Frames
+    task : Task
+    processes : Processes, optional
+        By default all is done in this one.
+
+    Yields
+    ------
+    FrameResult
+    """
+    if processes is None:
+        act = task.begin(ensemble.structure, None)
+        for frame in frames:
+            yield _result(ensemble, frame.index, row_of(ensemble, act, frame))
+        return
+    with _shared(ensemble, task, frames.path) as path, at_work(processes) as workers:
+        waiting: Iterator[Frame | int] = iter(frames if frames.path is None else frames.chosen)
+        jobs = deque[FrameJob]()
+        rows: dict[int, FrameRow] = {}
+        ended: SimpleQueue[tuple[FrameJob, Any]] = SimpleQueue()
+        running = set[Any]()
+
+        def submit(job: FrameJob) -> None:
+            future = workers.submit(supervise, job, path.parent, processes.threads, processes.time_limit)
+            running.add(future)
+            future.add_done_callback(lambda future, job=job: ended.put((job, future)))
+
+        while True:
+            # Counted from the oldest that is not done: results that wait for it do not pile up.
+            while len(jobs) < _AHEAD * max(1, workers.count()) and (
+                some := [*islice(waiting, task.at_a_time)]
+            ):
+                jobs.append(FrameJob(path, tuple(some)))
+                submit(jobs[-1])
+            if not jobs:
+                return
+            job, future = ended.get()
+            running.remove(future)
+            done = future.result()
+            rows |= {row.index: row for row in done}
+            if len(done) < len(job.frames):  # Those after one at which the process ended.
+                submit(FrameJob(path, job.frames[len(done) :]))
+            while jobs and all(index in rows for index in jobs[0].indices):
+                for index in jobs.popleft().indices:
+                    yield _result(ensemble, index, rows.pop(index))
+
+
+@contextmanager
+def _shared(ensemble: Ensemble, task: Task, source: Path | None) -> Iterator[Path]:
+    """File of what all processes need, for as long as they do."""
+    with tempfile.TemporaryDirectory(prefix="protochain-") as folder:
+        path = Path(folder) / "task.pickle"
+        path.write_bytes(pickle.dumps((ensemble, task, source and source.absolute())))
+        yield path
+
+
+def _result(ensemble: Ensemble, index: int, row: FrameRow) -> FrameResult:
+    structure = None if row.x is None else ensemble.structure.with_positions(row.x)
+    return FrameResult(index, row.record, structure)

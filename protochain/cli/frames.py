@@ -1,0 +1,219 @@
+"""What ``--trajectory`` and ``--frames`` do, in every command that has them: a row a frame."""
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from protochain.cli.options import CONVERGED, FAILED, UNCONVERGED, check_outputs, fail, inputs_of
+from protochain.core import defaults
+from protochain.core.errors import Argument, ProtochainError
+from protochain.core.markup import counted
+
+if TYPE_CHECKING:
+    from protochain.batches.frame_files import FramesRun, Watch
+    from protochain.batches.frame_tasks import Task
+    from protochain.batches.frames import FrameResult
+    from protochain.setup import Setup
+    from protochain.structure.ensemble import Ensemble
+    from protochain.structure.frames import Frames
+
+Trajectory = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FRAMES",
+        help="Frames of IN, a row for each: XTC, TRR, DCD, NetCDF, NPZ, or a file of models.",
+    ),
+]
+Chosen = Annotated[
+    str | None,
+    typer.Option(
+        "--frames", metavar="START:STOP:STEP",
+        help="Frames to take, from 0, or all; without --trajectory, of the models of IN.",
+    ),
+]  # fmt: skip
+Workers = Annotated[int | None, typer.Option(help="Of frames: processes [default: all cores].")]
+Resume = Annotated[bool, typer.Option("--resume", help="Of frames: continue where a run was stopped.")]
+_SHOWN = 10
+"""Frames that cannot be used that are listed; the table has all."""
+
+
+def are_asked(trajectory: Path | None, frames: str | None) -> bool:
+    """Whether a command is to go over frames."""
+    return trajectory is not None or frames is not None
+
+
+def only(given: Sequence[str | Path]) -> Path:
+    """The one structure that frames are of.
+
+    Raises
+    ------
+    ProtochainError
+        If there are others.
+    """
+    if len(given) != 1 or not (str(given[0]) == "-" or Path(given[0]).is_file()):
+        raise ProtochainError("frames are of one structure; give one file before ", Argument("trajectory"))
+    return Path(given[0])
+
+
+def refuse(**options: Any) -> None:
+    """Refuse options that a run over frames has not."""
+    name = next((name for name, value in options.items() if value), None)
+    if name is not None:
+        raise ProtochainError(Argument(name), ": is none of frames; leave it out")
+
+
+def refuse_without(**options: Any) -> None:
+    """Refuse options that only a run over frames has."""
+    name = next((name for name, value in options.items() if value), None)
+    if name is not None:
+        raise ProtochainError(
+            Argument(name), ": is of frames; give ", Argument("trajectory"), " too, or leave it out"
+        )
+
+
+def opened(
+    source: Path, trajectory: Path | None, frames: str | None, setup: "Setup"
+) -> "tuple[Ensemble, Frames]":
+    """Prepare the structure, and open its frames; say what was changed."""
+    from protochain.batches.frames import ensemble_of
+    from protochain.cli.options import print_changes
+    from protochain.structure.repairs import Kind
+
+    if trajectory is None and str(source) == "-":
+        raise ProtochainError("frames: standard input is read once; give a file")
+    ensemble, chosen = ensemble_of(source, trajectory, frames, setup)
+    told = [each for each in ensemble.structure.repairs if each.kind is not Kind.MODELS_LEFT_OUT]
+    print_changes(source, replace(ensemble.structure, repairs=tuple(told)))
+    return ensemble, chosen
+
+
+def run(
+    source: Path,
+    trajectory: Path | None,
+    frames: str | None,
+    setup: "Setup",
+    task: "Task",
+    table: Path,
+    output: Path | None = None,
+    *,
+    report: Path | None = None,
+    workers: int | None = None,
+    time_limit: float = defaults.TIME_LIMIT,
+    resume: bool = False,
+    force: bool = False,
+    hydrogens: bool = True,
+    as_json: bool = False,
+    reads: Sequence[Path] = (),
+) -> "FramesRun":
+    """Go over frames, with a bar; write table, trajectory and page, and print what became of them."""
+    from protochain.batches import Processes
+    from protochain.batches.frame_files import files_of, run_frames
+
+    # In processes of their own: a damaged file may end the one that reads it.
+    processes = Processes(workers, threads=setup.threads or 1, time_limit=time_limit)
+    outputs = [*files_of(table, output), *([report] if report else [])]
+    check_outputs(inputs_of(setup, source, trajectory, *reads), outputs, force)
+    if report and report.suffix.lower() != ".html":
+        raise ProtochainError(f"{report}: give a name that ends in .html")
+    ensemble, chosen = opened(source, trajectory, frames, setup)
+    with _progress(task.name, len(chosen)) as watch:
+        done = run_frames(
+            ensemble, chosen, task, table, output, hydrogens=hydrogens, processes=processes, resume=resume,
+            force=force, watch=watch,
+        )  # fmt: skip
+    if report:
+        from protochain.batches.frame_report import write_report
+
+        write_report(done, task.name, chosen.source, report)
+    if as_json:
+        told = {
+            "input": str(source), "trajectory": str(trajectory or source),
+            "frames": sum(done.counts.values()), "counts": dict(done.counts), "csv": str(done.csv),
+            "output": done.trajectory and str(done.trajectory), "written": done.written,
+            "topology": done.topology and str(done.topology),
+            "interrupted": done.interrupted, "report": report and str(report),
+        }  # fmt: skip
+        print(json.dumps(told))
+    else:
+        _print(done, report)
+    if done.interrupted:
+        fail("interrupted; --resume does the rest")
+    return done
+
+
+def status_of(done: "FramesRun") -> int:
+    """Exit status, as of a batch."""
+    sound = done.counts.get("converged", 0) + done.counts.get("measured", 0)
+    if sound == sum(done.counts.values()) and sound and not done.interrupted:
+        return CONVERGED
+    return UNCONVERGED if sound or done.written else FAILED
+
+
+@contextmanager
+def _progress(name: str, total: int) -> "Iterator[Watch]":
+    """A bar on a terminal, or a line a minute; the first frames that cannot be used, by name."""
+    from protochain.cli.terminal import frames_progress
+
+    told = 0
+    with frames_progress(name, total) as (show, say):
+
+        def watch(done: int, failed: int, last: "FrameResult") -> None:
+            nonlocal told
+            if last.structure is None:
+                told += 1
+                if told <= _SHOWN:
+                    say(str(last.record["message"]) + ("; more are in the table" if told == _SHOWN else ""))
+            show(done, f"{done} of {total} frames, {failed} failed")
+
+        yield watch
+
+
+def _print(done: "FramesRun", report: Path | None) -> None:
+    """Print how the frames ended, medians, and where all is."""
+    counts = ", ".join(f"{n} {status}" for status, n in done.counts.items())
+    print(f"{counted(sum(done.counts.values()), 'frame')}: {counts or 'none done'}")
+    if done.counts:
+        print(_medians(done))
+    for path in (
+        done.trajectory if done.written and not done.interrupted else None,
+        done.topology,
+        done.csv,
+        report,
+    ):
+        if path:
+            print(f"written: {path}")
+
+
+def _medians(done: "FramesRun") -> str:
+    """Medians of a few columns, in words; of a large table only these are read."""
+    import pandas as pd
+
+    from protochain.results.columns import heading
+
+    there = pd.read_csv(done.csv, nrows=0).columns
+    columns = [name for name in _SHOWN_COLUMNS if name in there]
+    table = pd.read_csv(done.csv, usecols=columns)
+    sums = (
+        [
+            f"residues with violations {table['violations_start'].sum():.0f} before, "
+            f"{table['violations_end'].sum():.0f} after"
+        ]
+        if "violations_end" in columns
+        else []
+    )
+    named = [name for name in columns if name not in ("violations_start", "violations_end")]
+    medians = [f"{heading(name).replace(', ', ' ')} {table[name].median():.4g}" for name in named]
+    return "; ".join([*sums, f"medians: {', '.join(medians)}"])
+
+
+_SHOWN_COLUMNS = (
+    "violations_start", "violations_end", "energy_start_kj_mol", "energy_end_reference_kj_mol",
+    "ca_rmsd_angstrom", "seconds", "violations", "clashscore_per_1000_atoms", "ramachandran_outliers",
+    "rotamer_outliers", "lddt", "total_kj_mol", "sum_total_kj_mol", "rmsd_angstrom", "tm_score",
+)  # fmt: skip
+"""Columns whose medians are printed, of those that a table has."""

@@ -1,0 +1,259 @@
+"""A structure prepared once, for all frames of an ensemble: each frame's atoms as the structure has them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from typing import Any
+
+import gemmi
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import breadth_first_order, connected_components
+from scipy.spatial import KDTree
+
+from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.errors import StructureError
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.convert import as_structure
+from protochain.structure.frames import Frame, Frames
+from protochain.structure.hydrogens import place_hydrogens
+from protochain.structure.model import Structure
+from protochain.structure.protonate import BONDED
+from protochain.structure.residues import BACKBONE
+from protochain.structure.write import as_gemmi
+
+_TORN = 1.0
+"""nm. No bond of a model, however bad, is that long: atoms are in two images of a box, or are others."""
+_BROKEN = "it is of other atoms, or broken across a box that the file does not state"
+_NEAREST = 0.02
+"""nm. A fifth of the shortest bond: nearer, a bond has no direction."""
+_FARTHEST = 1e4
+"""nm, as of atoms in files."""
+_CONTACT = 0.6
+"""nm between atoms of molecules that touch."""
+_OF_FRAMES = ("N", "CA", "C", "O")
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble(Value):
+    """A structure, and which atoms of a frame are its own.
+
+    Parameters
+    ----------
+    structure : Structure
+        Prepared once: all frames have its atoms, bonds and protonation.
+    place : (na,) int
+        Place of each of its atoms in a frame; -1 of one that is placed anew in each.
+    settings : mapping
+        Options of :func:`protochain.as_structure` for frames that lack heavy atoms.
+    """
+
+    structure: Structure
+    place: Integers
+    settings: Mapping[str, Any]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "place", read_only(self.place, np.int64))
+
+    @classmethod
+    def of(
+        cls, structure: Structure, frames: Frames, settings: Mapping[str, Any] | None = None
+    ) -> "Ensemble":
+        """Find the atoms of a structure among those of frames: by their names, where the source tells them.
+
+        Else by their order, that of the structure's own file, or that of its own atoms, as in trajectories
+        that :func:`protochain.simulate` writes. If both have as many, the one that makes shorter bonds.
+
+        Raises
+        ------
+        StructureError
+            If the frames have other atoms.
+        """
+        return cls(structure, _places(structure, frames), dict(settings or {}))
+
+    def at(self, frame: Frame) -> Structure:
+        """Return the structure with the positions of a frame.
+
+        A molecule that is broken across the box is made whole. Hydrogens that the frame lacks are placed as
+        :func:`protochain.load` does, and so are heavy atoms.
+
+        Raises
+        ------
+        StructureError
+            If it cannot be used.
+        """
+        return self.structure.with_positions(self._positions(frame))
+
+    def _positions(self, frame: Frame) -> Floats:
+        if frame.x is None:
+            raise StructureError(frame.why)
+        s, x = self.structure, np.full((self.structure.n_atoms, 3), np.nan)
+        x[self._known] = frame.x[self.place[self._known]]
+        strange = self._known[~(np.abs(x[self._known]) < _FARTHEST).all(axis=1)]
+        if len(strange):
+            raise StructureError(
+                f"the position of {s.describe(int(strange[0]))} is not a number, or far away"
+            )
+        if frame.box is not None:
+            x = self._together(self._whole(x, frame.box), frame.box)
+        ends = x[self._bonds]
+        lengths = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1)
+        if len(lengths) and not _NEAREST < lengths.min() <= lengths.max() < _TORN:
+            worst = int(np.argmax(lengths if lengths.max() >= _TORN else -lengths))
+            first, second = (s.describe(atom) for atom in self._bonds[worst].tolist())
+            why = _BROKEN if lengths.max() >= _TORN else "correct its coordinates"
+            apart = f"{ANGSTROM_PER_NM * lengths[worst]:.2f} angstrom apart"
+            raise StructureError(f"{first} and {second} are bonded, but {apart}: {why}")
+        # As in a file: a hydrogen that is away from what it is bonded to is placed anew.
+        loose = np.unique(self._bonds[ANGSTROM_PER_NM * lengths > BONDED])
+        x[loose[s.atom_element[loose] == "H"]] = np.nan
+        if not np.isnan(x).any():
+            return x
+        if (self._missing & (s.atom_element != "H")).any():
+            x = self._rebuilt(x)
+        charge = s.origin.charge if s.origin else np.zeros(s.n_atoms)
+        return place_hydrogens(x, s.atom_element.tolist(), charge, s.bonds)
+
+    @cached_property
+    def _known(self) -> Integers:
+        """Atoms that frames have."""
+        return np.flatnonzero(self.place >= 0)
+
+    @cached_property
+    def _missing(self) -> Any:
+        """(na,) bool: atoms that frames lack."""
+        return self.place < 0
+
+    @cached_property
+    def _bonds(self) -> Integers:
+        """Bonds of atoms that frames have."""
+        bonds = self.structure.bonds
+        return bonds[~self._missing[bonds].any(axis=1)]
+
+    @cached_property
+    def _outward(self) -> tuple[Integers, Integers, Integers]:
+        """Atoms and their parents, each parent before its children; molecule of each atom."""
+        n = self.structure.n_atoms
+        graph = coo_array((np.ones(len(self._bonds)), self._bonds.T), (n, n)).tocsr()
+        _, molecule = connected_components(graph, directed=False)
+        atoms, parents = [], []
+        for first in np.unique(molecule[self._known], return_index=True)[1]:
+            order, parent = breadth_first_order(graph, self._known[first], directed=False)
+            atoms.append(order[1:])
+            parents.append(parent[order[1:]])
+        each = (np.concatenate(atoms), np.concatenate(parents), molecule)
+        first, second, third = (np.asarray(its, dtype=np.int64) for its in each)
+        return first, second, third
+
+    def _whole(self, x: Floats, box: Floats) -> Floats:
+        """Bring each atom to the image that is nearest to the one that it is bonded to."""
+        atoms, parents, _ = self._outward
+        turns = np.round((x[atoms] - x[parents]) @ np.linalg.inv(box))
+        if not turns.any():
+            return x
+        shift = np.zeros((len(x), 3))
+        for atom, parent, turn in zip(atoms.tolist(), parents.tolist(), turns, strict=True):
+            shift[atom] = shift[parent] - turn
+        return np.asarray(x + shift @ box)
+
+    def _together(self, x: Floats, box: Floats) -> Floats:
+        """Bring molecules that touch none of those before them to an image that does, if there is one."""
+        molecule = self._outward[2]
+        own = [self._known[molecule[self._known] == m] for m in dict.fromkeys(molecule[self._known].tolist())]
+        for k, atoms in enumerate(own[1:], 1):
+            tree = KDTree(x[np.concatenate(own[:k])])
+            if np.min(tree.query(x[atoms])[0]) < _CONTACT:
+                continue
+            images = np.array([*product((-1, 0, 1), repeat=3)]) @ box
+            nearest = [float(np.min(tree.query(x[atoms] + image)[0])) for image in images]
+            if min(nearest) < _CONTACT:
+                x = np.array(x)
+                x[atoms] += images[int(np.argmin(nearest))]
+        return x
+
+    def _rebuilt(self, x: Floats) -> Floats:
+        """Build what the frame lacks, as the preparation of a file with it would; all but other hydrogens."""
+        s, made = self.structure, as_gemmi([self.structure])
+        k = 0
+        for residue in (residue for chain in made[0] for residue in chain):
+            absent = []
+            for i, atom in enumerate(residue):
+                absent += [i] if np.isnan(x[k, 0]) else []
+                atom.pos = gemmi.Position(*(ANGSTROM_PER_NM * x[k]).tolist())
+                k += 1
+            for i in reversed(absent):
+                del residue[i]
+        filled = as_structure(made, s.name, **{"keep": "all", **self.settings})
+        there = dict(zip(_keys(filled), filled.positions, strict=True))
+        x, keys = np.array(x), _keys(s)
+        for k in np.flatnonzero(np.isnan(x[:, 0])).tolist():
+            if keys[k] in there:
+                x[k] = there[keys[k]]
+            elif s.atom_element[k] != "H":
+                raise StructureError(f"{s.describe(k)} cannot be built; give frames with all heavy atoms")
+        return x
+
+
+def _keys(s: Structure) -> list[tuple[str, ...]]:
+    of = s.atom_residue
+    columns = (s.residue_chain[of], s.residue_number[of], s.residue_insertion_code[of], s.atom_name)
+    return [tuple(map(str, row)) for row in zip(*columns, strict=True)]
+
+
+def _places(s: Structure, frames: Frames) -> Integers:
+    if frames.sequence:
+        return _of_backbones(s, frames)
+    origin = s.origin
+    if frames.names and origin:
+        return _by_name(s, frames)
+    n_filed = len(origin.atoms) if origin else s.n_atoms
+    orders = []
+    if origin and frames.n_atoms == n_filed:
+        orders.append(origin.place)
+    if frames.n_atoms == s.n_atoms:
+        orders.append(np.arange(s.n_atoms))
+    if not orders:
+        prepared = "" if s.n_atoms == n_filed else f", and {s.n_atoms} as it is prepared"
+        raise StructureError(
+            f"{frames.source}: has {frames.n_atoms} atoms a frame, but {s.name} {n_filed}{prepared}; "
+            "give the topology of the frames"
+        )
+    if len(orders) > 1:
+        x = next((frame.x for frame in frames if frame.x is not None), None)
+        if x is not None:
+            orders.sort(key=lambda place: _length(s, place, x))
+    return orders[0]
+
+
+def _length(s: Structure, place: Integers, x: Floats) -> float:
+    """Sum of the lengths of all bonds, if the atoms are in these places."""
+    bonds = s.bonds[(place[s.bonds] >= 0).all(axis=1)]
+    return float(np.nansum(np.linalg.norm(x[place[bonds[:, 0]]] - x[place[bonds[:, 1]]], axis=1)))
+
+
+def _by_name(s: Structure, frames: Frames) -> Integers:
+    assert s.origin
+    at = {name: k for k, name in enumerate(frames.names)}
+    named = [s.origin.atoms[place] if place >= 0 else "" for place in s.origin.place.tolist()]
+    absent = [
+        name for name, e in zip(named, s.atom_element, strict=True) if name and e != "H" and name not in at
+    ]
+    if absent:
+        raise StructureError(
+            f"{frames.source}: has no atom {absent[0]}, which {s.name} has; give the topology of the frames"
+        )
+    return np.array([at.get(name, -1) for name in named])
+
+
+def _of_backbones(s: Structure, frames: Frames) -> Integers:
+    amino = [r for r in range(s.n_residues) if {*BACKBONE} <= {*s.atom_name[s.atom_residue == r].tolist()}]
+    own = gemmi.one_letter_code([str(s.residue_name[r]) for r in amino]).upper()
+    if own != frames.sequence or s.kept.any() or len(amino) < s.n_residues:
+        raise StructureError(
+            f"{frames.source}: holds backbones of {frames.sequence}, but {s.name} is {own}"
+            f"{' and other molecules' * bool(s.kept.any())}; give the topology of the frames"
+        )
+    row = {r: k for k, r in enumerate(amino)}
+    atoms = zip(s.atom_name.tolist(), s.atom_residue.tolist(), strict=True)
+    return np.array([4 * row[r] + _OF_FRAMES.index(name) if name in _OF_FRAMES else -1 for name, r in atoms])

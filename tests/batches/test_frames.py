@@ -1,0 +1,305 @@
+"""Runs over frames: the same numbers as each frame by itself, in order, whatever ends in between."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pandas as pd
+import pytest
+from fixtures.command_line import COMMAND
+from fixtures.frames import models, saved, shaken
+from fixtures.samples import load
+
+import protochain as pc
+from protochain.batches import Processes, frames
+from protochain.batches.frame_files import run_frames
+from protochain.batches.frame_report import write_report
+from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ValidateFrames, begun, row_of
+from protochain.batches.frames import ensemble_of, over_frames, relax_frames
+from protochain.relaxation import RelaxSettings
+from protochain.structure.frames import Frame, open_frames
+
+SMALL = "ala10.pdb"
+SETUP = pc.Setup(threads=1)
+RELAX = RelaxFrames(RelaxSettings(), SETUP)
+
+
+@pytest.fixture
+def x():
+    """Five frames, of which one has no numbers."""
+    made = shaken(load(SMALL), 5, by=0.01)
+    made[2, 7] = np.nan
+    return made
+
+
+def opened(x, structure=None):
+    return ensemble_of(structure or load(SMALL), x, None, SETUP)
+
+
+def test_a_frame_is_relaxed_as_it_is_by_itself_whatever_came_before(x):
+    results = [*relax_frames(load(SMALL), x, threads=1)]
+    assert [each.frame for each in results] == [*range(5)]
+    assert [each.record["status"] for each in results] == ["converged"] * 2 + ["refused"] + ["converged"] * 2
+    bad = results.pop(2)
+    assert bad.structure is None and bad.record["message"].startswith("frame 2: ")
+    for each in results:
+        alone = pc.relax(load(SMALL).with_positions(x[each.frame]), threads=1)
+        assert np.array_equal(each.structure.positions, alone.x)
+        assert each.record["energy_end_reference_kj_mol"] == alone.energy_end
+        assert each.record["violations_end"] == alone.measures_end["violations"]
+        assert each.record["ca_rmsd_angstrom"] == alone.ca_rmsd_angstrom
+    (last,) = relax_frames(load(SMALL), x, -1, threads=1)
+    assert np.array_equal(last.structure.positions, results[-1].structure.positions)
+
+
+@pytest.mark.slow
+def test_processes_change_no_bit_and_no_order(tmp_path, x):
+    path = saved(load(SMALL), x, tmp_path / "x.dcd")
+    for given in (x, path):
+        here = [*relax_frames(load(SMALL), given, threads=1)]
+        there = [*relax_frames(load(SMALL), given, workers=2)]
+        for own, other in zip(here, there, strict=True):
+            assert (own.frame, own.record["message"]) == (other.frame, other.record["message"])
+            if own.structure is not None:
+                assert np.array_equal(own.structure.positions, other.structure.positions)
+
+
+def test_models_of_a_file_are_its_frames(tmp_path, x):
+    path = models(load(SMALL), x[:2], tmp_path / "x.pdb")
+    (second,) = relax_frames(path, select=1, threads=1)
+    assert np.array_equal(second.structure.positions, pc.relax(path, model=2, threads=1).x)
+
+
+def in_this_process(monkeypatch, fate):
+    """Do the jobs of processes here; what ``fate`` says of a frame happens to its process."""
+    began = []
+
+    def supervise(job, folder, threads, time_limit):
+        began.append(job.indices)
+        rows = []
+        for k, row in zip(job.indices, job.run(threads), strict=True):
+            if fate(k):
+                return [*rows, *job.lost(rows, "killed", "ended by SIGSEGV", 1.0)]
+            rows.append(row)
+        return rows
+
+    begun.cache_clear()
+    monkeypatch.setattr(frames, "supervise", supervise)
+    return began
+
+
+def test_a_frame_at_which_the_process_ends_is_named_and_all_others_are_done_in_order(monkeypatch, x):
+    """Those after it in the same job, too; a slow frame keeps none of the others from being done."""
+    slow = []
+
+    def fate(k):
+        if k == 0:
+            while len(slow) < 2:  # Until others have come in.
+                time.sleep(0.01)
+        slow.append(k)
+        return k in (1, 9)
+
+    many = np.concatenate([x[:2]] * 10)
+    began = in_this_process(monkeypatch, fate)
+    ensemble, chosen = opened(many)
+    results = [*over_frames(ensemble, chosen, ValidateFrames(SETUP), Processes(3))]
+    assert [each.frame for each in results] == [*range(20)]
+    lost = [each.frame for each in results if each.structure is None]
+    assert lost == [1, 9] and results[9].record["status"] == "killed"
+    assert "frame 9" in results[9].record["message"] and "SIGSEGV" in results[9].record["message"]
+    assert (2, 3, 4, 5, 6, 7) in began and max(map(len, began)) == 8
+
+
+def test_frames_of_a_file_are_read_where_they_are_done(monkeypatch, tmp_path, x):
+    ensemble, chosen = opened(saved(load(SMALL), x, tmp_path / "x.xtc"))
+    given = []
+
+    def supervise(job, *_):
+        given.append(job.frames)
+        return job.lost([], "killed", "", 0.0)
+
+    monkeypatch.setattr(frames, "supervise", supervise)
+    assert len([*over_frames(ensemble, chosen, RELAX, Processes(1))]) == 5
+    assert given == [(0,), (1,), (2,), (3,), (4,)]
+
+
+def test_a_bug_met_by_one_frame_is_in_its_row(x):
+    ensemble, _ = opened(x)
+
+    def act(structure):
+        raise {0: ZeroDivisionError("oops"), 1: MemoryError()}[frame.index]
+
+    for frame, status in ((Frame(0, x[0]), "error"), (Frame(1, x[1]), "killed")):
+        row = row_of(ensemble, act, frame)
+        assert (
+            row.x is None
+            and row.record["status"] == status
+            and f"frame {frame.index}" in row.record["message"]
+        )
+
+
+def test_measures_and_energies_are_those_of_each_model(tmp_path, x):
+    path = models(load("1l2y.pdb"), shaken(load("1l2y.pdb"), 2, by=0.01), tmp_path / "x.pdb")
+    ensemble, chosen = ensemble_of(path, None, None, SETUP)
+    reference = load("1l2y.pdb")
+    measured = [*over_frames(ensemble, chosen, ValidateFrames(SETUP, reference))]
+    energies = [*over_frames(ensemble, chosen, EnergyFrames(SETUP))]
+    shared = [*over_frames(ensemble, chosen, EnergyFrames(SETUP, "A:1-9,A:10-20"))]
+    for k, (found, energy, between) in enumerate(zip(measured, energies, shared, strict=True)):
+        model = pc.load(path, model=k + 1)
+        alone = pc.validate(model, reference, posebusters=False).measures
+        assert {key: found.record[key] for key in alone} == dict(alone)
+        (terms,) = pc.energy_terms(model).to_dict("records")
+        assert {f"{key}_kj_mol" for key in terms} <= energy.record.keys()
+        # Lists of neighbours are made anew, sums are in another order.
+        assert energy.record["total_kj_mol"] == pytest.approx(terms["total"], rel=1e-12)
+        rows = pc.energy_terms(model, between="A:1-9,A:10-20")["total"]
+        assert between.record["interaction_total_kj_mol"] == pytest.approx(rows["interaction"], rel=1e-10)
+
+
+def rows_of(path):
+    """Rows without the seconds, which differ."""
+    with path.open(newline="") as file:
+        return [
+            {key: value for key, value in row.items() if key != "seconds"} for row in csv.DictReader(file)
+        ]
+
+
+def content(path):
+    """Bytes of a trajectory; the head of DCD has the time at which it was made."""
+    return path.read_bytes()[276 if path.suffix == ".dcd" else 0 :]
+
+
+def stop_after(n):
+    def watch(done, failed, last):
+        if done == n:
+            raise KeyboardInterrupt
+
+    return watch
+
+
+@pytest.mark.parametrize("suffix", [".dcd", ".xtc", ".pdb"])
+@pytest.mark.parametrize("n", [1, 3, 5])
+def test_an_interrupted_run_goes_on_without_lost_or_doubled_frames(tmp_path, x, suffix, n):
+    whole, stopped = tmp_path / f"whole{suffix}", tmp_path / f"stopped{suffix}"
+    ensemble, chosen = opened(x)
+    done = run_frames(ensemble, chosen, RELAX, whole.with_suffix(".csv"), whole)
+    assert dict(done.counts) == {"converged": 4, "refused": 1} and done.written == 4
+    first = run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, watch=stop_after(n))
+    assert first.interrupted and not stopped.exists()
+    # What a process wrote after its last checkpoint, when it was killed.
+    with stopped.with_suffix(".csv").open("ab") as file:
+        file.write(b"9,,conver")
+    part = next(tmp_path.glob("stopped.part.*"))
+    part.write_bytes(part.read_bytes() + b"part of a frame")
+    with pytest.raises(pc.ProtochainError, match="resume"):
+        run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped)
+    with pytest.raises(pc.ProtochainError, match="solvent"):
+        other = RelaxFrames(RelaxSettings(), pc.Setup(threads=1, solvent="vacuum"))
+        run_frames(ensemble, chosen, other, stopped.with_suffix(".csv"), stopped, resume=True)
+    again = run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, resume=True)
+    assert not again.interrupted and (again.counts, again.written) == (done.counts, done.written)
+    assert rows_of(stopped.with_suffix(".csv")) == rows_of(whole.with_suffix(".csv"))
+    assert content(stopped) == content(whole) != b""
+    assert {path.stem for path in tmp_path.iterdir()} == {"whole", "stopped"}
+    with pytest.raises(pc.ProtochainError, match="complete"):
+        run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, resume=True)
+
+
+def test_rows_say_where_the_frame_is_in_the_trajectory_and_the_topology_reads_it(tmp_path, x):
+    ensemble, chosen = opened(x)
+    output = tmp_path / "out.dcd"
+    done = run_frames(ensemble, chosen, RELAX, tmp_path / "out.csv", output)
+    table = pd.read_csv(done.csv)
+    assert table["output_frame"].tolist()[:2] == [0, 1] and np.isnan(table["output_frame"][2])
+    assert table["output_frame"].tolist()[3:] == [2, 3]
+    ends = [each.structure for each in over_frames(ensemble, chosen, RELAX)]
+    top, written = pc.load(done.topology), open_frames(output)
+    assert top.fingerprint == load(SMALL).fingerprint and len(written) == 4
+    for k, end in enumerate(each for each in ends if each is not None):
+        (frame,) = written.select(k)
+        assert np.abs(frame.x - end.positions).max() < 1e-6
+
+
+def test_without_hydrogens_the_trajectory_and_its_topology_have_none(tmp_path, x):
+    ensemble, chosen = opened(x[:2])
+    done = run_frames(ensemble, chosen, RELAX, tmp_path / "o.csv", tmp_path / "o.xtc", hydrogens=False)
+    n = int((load(SMALL).atom_element != "H").sum())
+    assert open_frames(done.trajectory).n_atoms == n
+    assert done.topology.read_text().count("\nATOM") == n
+
+
+def test_a_run_in_which_no_frame_can_be_used_writes_rows_and_no_trajectory(tmp_path, x):
+    ensemble, chosen = opened(x[2:3])
+    done = run_frames(ensemble, chosen, RELAX, tmp_path / "o.csv", tmp_path / "o.dcd")
+    assert dict(done.counts) == {"refused": 1} and not (tmp_path / "o.dcd").exists() and len(done.table) == 1
+
+
+def test_the_page_shows_distributions_and_names_the_frames_without_a_result(tmp_path, x):
+    ensemble, chosen = opened(x)
+    done = run_frames(ensemble, chosen, RELAX, tmp_path / "o.csv", tmp_path / "o.dcd")
+    write_report(done, "relax", "x.xtc <b>", tmp_path / "o.html")
+    page = (tmp_path / "o.html").read_text()
+    assert "x.xtc &lt;b&gt;" in page and "frame 2: " in page and page.count("data:image/png") >= 3
+    median = pd.read_csv(done.csv)["ca_rmsd_angstrom"].median()
+    assert f"{median:.3f}" in page
+
+
+@pytest.mark.slow
+def test_a_killed_command_is_resumed_to_the_same_files(tmp_path):
+    """SIGKILL in the middle: whatever was written, the end is that of a run that was left alone."""
+    structure = load("1l2y.pdb")
+    pc.save(structure, tmp_path / "top.pdb")
+    saved(structure, shaken(structure, 40, by=0.01), tmp_path / "x.xtc")
+    common = ["relax", "top.pdb", "--trajectory", "x.xtc", "--workers", "2"]
+    subprocess.run([*COMMAND, *common, "-o", "whole.dcd"], cwd=tmp_path, check=True, capture_output=True)
+    running = subprocess.Popen(
+        [*COMMAND, *common, "-o", "killed.dcd"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    while not (tmp_path / "killed.csv").exists() or len(rows_of(tmp_path / "killed.csv")) < 5:
+        assert running.poll() is None
+        time.sleep(0.05)
+    os.kill(running.pid, signal.SIGKILL)
+    running.communicate()
+    assert (tmp_path / "killed.checkpoint.npz").exists()
+    subprocess.run(
+        [*COMMAND, *common, "-o", "killed.dcd", "--resume"], cwd=tmp_path, check=True, capture_output=True
+    )
+    assert rows_of(tmp_path / "killed.csv") == rows_of(tmp_path / "whole.csv")
+    assert content(tmp_path / "killed.dcd") == content(tmp_path / "whole.dcd") != b""
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_number_of_frames(tmp_path):
+    """Peak of a process that measures a hundred frames, and thirty times as many."""
+    structure = load(SMALL)
+    pc.save(structure, tmp_path / "top.pdb")
+    code = (
+        "import re, sys\n"
+        "from protochain.batches.frame_files import run_frames\n"
+        "from protochain.batches.frame_tasks import EnergyFrames\n"
+        "from protochain.batches.frames import ensemble_of\n"
+        "from protochain import Setup\n"
+        "from pathlib import Path\n"
+        "setup = Setup(threads=1)\n"
+        "e, f = ensemble_of('top.pdb', sys.argv[1], None, setup)\n"
+        "run_frames(e, f, EnergyFrames(setup), Path(sys.argv[1] + '.csv'))\n"
+        "print(int(re.search(r'VmHWM:\\s*(\\d+)', Path('/proc/self/status').read_text())[1]) / 1024)"
+    )
+    peaks = []
+    for n in (100, 3000):
+        saved(structure, shaken(structure, n), tmp_path / f"x{n}.xtc")
+        done = subprocess.run(
+            [sys.executable, "-c", code, f"x{n}.xtc"],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        peaks.append(float(done.stdout))
+    # All frames together, in double precision, are 7 MB; what Python keeps for later varies by some.
+    assert peaks[1] < peaks[0] + 4.0

@@ -1,0 +1,136 @@
+"""``--trajectory`` and ``--frames`` of relax, validate, energy and rmsd: files, exit statuses, refusals."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from fixtures.command_line import refusal, run
+from fixtures.frames import models, saved, shaken
+from fixtures.samples import load
+
+import protochain as pc
+from protochain.cli import frames as of_frames
+from protochain.structure.frames import open_frames
+
+SMALL = "ala10.pdb"
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with a topology, its frames, of which one is damaged, and the same as models."""
+    monkeypatch.chdir(tmp_path)
+    structure = load(SMALL)
+    x = shaken(structure, 4, by=0.01)
+    pc.save(structure, "top.pdb")
+    models(structure, x, tmp_path / "models.pdb")
+    x[1, 5] = np.nan
+    saved(structure, x, tmp_path / "x.dcd")
+    return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def here_alone(monkeypatch):
+    """No processes: those are tested by themselves."""
+    from protochain.batches import frame_files
+
+    over = frame_files.over_frames
+    monkeypatch.setattr(frame_files, "over_frames", lambda e, f, task, processes: over(e, f, task))
+
+
+def test_relax_writes_frames_rows_topology_and_page(here, capsys):
+    given = ["relax", "top.pdb", "--trajectory", "x.dcd", "-o", "o.xtc", "--report", "o.html"]
+    assert run(*given, "--threads", 1) == 3
+    said = capsys.readouterr()
+    assert "3 converged" in said.out and "1 refused" in said.out and "o.xtc" in said.out
+    assert "frame 1: " in said.err
+    table = pd.read_csv("o.csv")
+    assert table["frame"].tolist() == [0, 1, 2, 3] and table["status"].tolist().count("converged") == 3
+    assert len(open_frames(here / "o.xtc")) == 3 and pc.load("o.pdb").n_atoms == load(SMALL).n_atoms
+    assert "frame 1: " in (here / "o.html").read_text()
+    assert sorted(path.name for path in here.iterdir()) == [
+        "models.pdb", "o.csv", "o.html", "o.pdb", "o.xtc", "top.pdb", "x.dcd",
+    ]  # fmt: skip
+
+
+def test_models_are_relaxed_into_models_and_named_after_the_file(here, capsys):
+    assert run("relax", "models.pdb", "--frames", "::2", "--threads", 1, "--json") == 0
+    said = capsys.readouterr()
+    record = json.loads(said.out)
+    assert record["counts"] == {"converged": 2} and record["output"] == "models.relaxed.pdb"
+    assert len(open_frames(here / "models.relaxed.pdb")) == 2 and "left out" not in said.err
+    rows = pd.read_csv("models.relaxed.csv")
+    assert rows["frame"].tolist() == [0, 2]
+    alone = pc.relax("models.pdb", model=3, threads=1)
+    assert rows["energy_end_reference_kj_mol"][1] == alone.energy_end
+
+
+def test_other_commands_write_a_row_a_frame(here, capsys):
+    common = ["--trajectory", "x.dcd"]
+    assert run("validate", "top.pdb", *common, "--csv", "v.csv", "--reference", "top.pdb") == 3
+    assert run("energy", "top.pdb", *common, "-o", "e.csv", "--threads", 1) == 3
+    assert run("rmsd", "top.pdb", "top.pdb", *common, "-o", "r.csv") == 3
+    assert run("rmsd", "top.pdb", "top.pdb", *common, "--frames", "2:", "-o", "r2.csv") == 0
+    for name, key in (("v", "violations"), ("v", "lddt"), ("e", "total_kj_mol"), ("r", "rmsd_angstrom")):
+        table = pd.read_csv(f"{name}.csv")
+        assert table["frame"].tolist() == [0, 1, 2, 3] and table[key].isna().tolist() == [
+            False,
+            True,
+            False,
+            False,
+        ]
+    structure = load(SMALL)
+    x = next(iter(open_frames(here / "x.dcd", 3))).x
+    assert pd.read_csv("r2.csv")["rmsd_angstrom"][1] == pytest.approx(
+        pc.ca_rmsd(structure, x, structure), rel=1e-4
+    )
+
+
+def test_frames_of_which_none_can_be_used_are_a_failure(here):
+    assert run("relax", "top.pdb", "--trajectory", "x.dcd", "--frames", "1", "-o", "o.dcd") == 1
+    assert not (here / "o.dcd").exists() and len(pd.read_csv("o.csv")) == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("relax top.pdb models.pdb --trajectory x.dcd", "one structure"),
+        ("relax top.pdb --trajectory x.dcd -o o.foo", ".foo"),
+        ("relax top.pdb --trajectory x.dcd -o x.dcd", "is the input"),
+        ("relax top.pdb --trajectory absent.xtc -o o.dcd", "absent.xtc: not found"),
+        ("relax top.pdb --trajectory top.csv -o o.dcd", "unknown suffix"),
+        ("relax top.pdb --trajectory x.dcd --frames 9 -o o.dcd", "none of its 4"),
+        ("relax top.pdb --trajectory x.dcd --frames a -o o.dcd", "START:STOP:STEP"),
+        ("relax top.pdb --trajectory x.dcd --ligand-out l.sdf -o o.dcd", "ligand_out"),
+        ("relax top.pdb --trajectory x.dcd --report page.txt -o o.dcd", ".html"),
+        ("relax - --frames all", "standard input"),
+        ("validate top.pdb --resume", "resume"),
+        ("validate top.pdb --trajectory x.dcd --residues r.csv", "residues"),
+        ("energy top.pdb --trajectory x.dcd --by residue", "by"),
+        ("energy top.pdb --workers 2", "workers"),
+        ("rmsd top.pdb top.pdb models.pdb --trajectory x.dcd", "one structure"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_a_line(here, given, said):
+    before = {path.name for path in here.iterdir()}
+    line = refusal(*given.split())
+    assert said in line and "\n" not in line
+    assert {path.name for path in here.iterdir()} == before
+
+
+def test_a_stopped_run_is_not_replaced_by_chance(here, capsys, monkeypatch):
+    begun = ["relax", "top.pdb", "--trajectory", "x.dcd", "-o", "o.dcd", "--threads", 1]
+
+    def stop(done, failed, last):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        from contextlib import contextmanager
+
+        patched.setattr(of_frames, "_progress", contextmanager(lambda name, total: (yield stop)))
+        assert run(*begun) == 3
+    assert "--resume" in capsys.readouterr().err
+    assert "resume" in refusal(*begun)
+    assert run(*begun, "--resume") == 3 and len(pd.read_csv("o.csv")) == 4
+    assert "complete" in refusal(*begun, "--resume")
+    assert run(*begun) == 3
