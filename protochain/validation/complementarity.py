@@ -74,10 +74,10 @@ def complementarity(one: Dots, other: Dots) -> float:
 def _buried(x: Floats, radius: Floats, other: Floats, its: Floats) -> Dots:
     """Dots of a side that the other hides from the probe, but those of the periphery."""
     tree, reach = cKDTree(other), its + PROBE
-    near = tree.query(x)[0] < radius.max() + reach.max() + PROBE + _BEYOND
-    if not near.any():
-        return molecular_surface(np.empty((0, 3)), np.empty(0), PROBE, DENSITY)
+    near = tree.query(x)[0] < (radius + PROBE + _BEYOND + reach.max(initial=0.0))
     dots = molecular_surface(x, radius, PROBE, DENSITY, near)
+    if not len(dots):
+        return dots
     pairs = cKDTree(dots.probe).sparse_distance_matrix(tree, reach.max(), output_type="ndarray")
     hidden = np.zeros(len(dots), dtype=bool)
     hidden[pairs["i"][pairs["v"] < reach[pairs["j"]]]] = True

@@ -63,6 +63,8 @@ def molecular_surface(
         Atoms whose surface is asked for, with that between any two or three of them; all hide it.
     """
     of = np.arange(len(x)) if wanted is None else np.flatnonzero(wanted)
+    if not len(of):
+        return Dots(*np.zeros((2, 0, 3)), np.zeros(0), np.zeros((0, 3)))
     reach, tree = radius + probe, cKDTree(x)
     found = tree.query_ball_point(x[of], reach[of] + reach.max(), return_sorted=True)
     neighbours = [np.array(its)[_meets(x, reach, i, np.array(its))] for i, its in zip(of, found, strict=True)]
