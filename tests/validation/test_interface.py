@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import refusal, run
-from fixtures.samples import STRUCTURES, energy, load
+from fixtures.samples import STRUCTURES, energy, load, shared
 from fixtures.tolerances import NATIVE_ENERGY
 from mdtraj.geometry.sasa import _ATOMIC_RADII
 from scipy.spatial.distance import cdist
@@ -173,7 +173,7 @@ def test_of_sides_that_do_not_touch_all_is_nothing():
         assert found[key] is None, key
     # r^-6 at some 8 nm, of some thousand atoms.
     assert abs(found["lennard_jones_kj_mol"]) < 1e-2
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert json.loads(json.dumps(dict(found), allow_nan=False)) == found
 
 
 def test_sides_change_places():
@@ -185,17 +185,22 @@ def test_sides_change_places():
 
 
 def test_a_ligand_is_a_side_that_the_chains_around_it_do_not_have():
-    s = pc.load(STRUCTURES / "1ake.pdb.gz", chains="A")
-    ligand = s.residue_name == "AP5"
-    assert ligand.sum() == 1 and {*s.residue_chain[ligand].tolist()} == {"A"}
-    for order in (("A", "resname AP5"), ("resname AP5", "A")):
+    s = pc.load(STRUCTURES / MODEL)
+    ligand = s.residue_chain == "C"
+    assert ligand.sum() == 1
+    for order in (("A,B,C", "chainID C"), ("chainID C", "A,B,C")):
         found = sides(s, *order)
-        one, other = found if order[0] == "A" else found[::-1]
+        one, other = found if order[1] == "chainID C" else found[::-1]
         assert np.array_equal(other, ligand)
-        assert np.array_equal(one, ~ligand & (s.residue_name != "HOH"))
-    its = pc.score_interface(s, "A", "resname AP5", solvent="vacuum")
-    assert its.scores["residues_2"] == 1 and its.scores["hydrogen_bonds"] > 5
-    assert 0.5 < its.scores["shape_complementarity"] < 0.9
+        assert np.array_equal(one, np.isin(s.residue_chain, ["A", "B"]))
+
+
+def test_an_inhibitor_is_scored_in_its_pocket():
+    s = pc.load(shared("1hpv_oldformat.pdb"))
+    found = pc.score_interface(s, "A,B", "resname 478", solvent="vacuum").scores
+    assert found["residues_2"] == 1 and found["contacts"] == found["residues_1"] > 20
+    assert found["lennard_jones_kj_mol"] < -200.0 and found["hydrogen_bonds"] > 1
+    assert 0.6 < found["shape_complementarity"] < 0.8
 
 
 @pytest.mark.parametrize(
