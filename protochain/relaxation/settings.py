@@ -45,6 +45,8 @@ class RelaxSettings(Settings):
         Whether PoseBusters' tests are run on ligands before and after; half a minute for a large one.
     free_ligands : bool
         Whether ligands have no springs.
+    interface : str
+        Two sides, as ``A,B:C``, whose interface is scored before and after; empty for none.
 
     Raises
     ------
@@ -95,6 +97,12 @@ class RelaxSettings(Settings):
         False, "Run PoseBusters' tests on ligands before and after: seconds for each.", flag, bool
     )
     free_ligands: bool = setting(False, "No springs on ligands.", flag, bool)
+    interface: str = setting(
+        "",
+        "Also score the interface of two sides before and after, as protochain score does: A:B.",
+        text,
+        metavar="A,B:C",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

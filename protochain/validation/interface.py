@@ -34,10 +34,11 @@ if TYPE_CHECKING:
 
 
 class Score(NamedTuple):
-    """What a column of an interface means: in words, and whether more of it is better (1), less (-1)."""
+    """A column of an interface: in words, whether more of it is better (1) or less (-1), and if it counts."""
 
     what: str
     better: int = 0
+    whole: bool = False
 
 
 SCORES: Mapping[str, Score] = MappingProxyType(
@@ -56,13 +57,15 @@ SCORES: Mapping[str, Score] = MappingProxyType(
         "buried_polar_2_angstrom2": Score("of it polar, of the second side"),
         "buried_apolar_2_angstrom2": Score("of it apolar, of the second side"),
         "shape_complementarity": Score("Sc of Lawrence and Colman", 1),
-        "hydrogen_bonds": Score("hydrogen bonds across", 1),
-        "salt_bridges": Score("salt bridges across", 1),
-        "unsatisfied_polar_atoms": Score("N and O that the other side buries, without a hydrogen bond", -1),
-        "clashes": Score("clashes across", -1),
-        "contacts": Score("pairs of residues in contact", 1),
-        "residues_1": Score("residues of the first side in contact"),
-        "residues_2": Score("residues of the second side in contact"),
+        "hydrogen_bonds": Score("hydrogen bonds across", 1, whole=True),
+        "salt_bridges": Score("salt bridges across", 1, whole=True),
+        "unsatisfied_polar_atoms": Score(
+            "N and O that the other side buries, without a hydrogen bond", -1, whole=True
+        ),
+        "clashes": Score("clashes across", -1, whole=True),
+        "contacts": Score("pairs of residues in contact", 1, whole=True),
+        "residues_1": Score("residues of the first side in contact", whole=True),
+        "residues_2": Score("residues of the second side in contact", whole=True),
         "contacts_per_residue": Score("residues across that a residue in contact touches", 1),
     }
 )
