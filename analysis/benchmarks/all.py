@@ -170,6 +170,7 @@ JOBS = (
         {"relaxed.csv": ("relax_crystals.csv", OF_CRYSTALS)},
     ),
     Job("complexes", f"{HERE}/complexes.py --more MORE -o DIR", 14),
+    Job("interfaces", f"{HERE}/interfaces.py --more MORE -o DIR", 12),
     Job("dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4),
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),
     Job("dynamics-cost", f"{HERE}/dynamics.py cost --more MORE -o DIR", 2),
