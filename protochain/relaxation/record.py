@@ -133,10 +133,9 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))
     said = [(what, _said(before), _said(after)) for what, before, after in rows]
     if "interface" in record:
-        ends = {key: [record[_of_interface(key, when)] for when in ("start", "end")] for key in SCORES}
-        said += [
-            (f"interface {record['interface']}: {heading(key)}", *map(_exactly, ends[key])) for key in _TOLD
-        ]
+        for key in _TOLD:
+            before, after = (_exactly(record[_of_interface(key, when)]) for when in ("start", "end"))
+            said.append((f"interface {record['interface']}: {heading(key)}", before, after))
     return said
 
 

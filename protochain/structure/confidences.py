@@ -10,7 +10,7 @@ from collections.abc import Sequence, Set
 from filecmp import cmp
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
 import numpy as np
@@ -137,7 +137,7 @@ def _read(path: Path) -> Confidence | None:
                 told = {name: file[name].squeeze().tolist() for name in file if "iptm" in name}
         else:
             told = json.loads(path.read_text(encoding="utf-8"))
-        pairs = next((told[name] for name in _OF_PAIRS if name in told), [])
+        pairs: Any = next((told[name] for name in _OF_PAIRS if name in told), [])
         if isinstance(pairs, dict):
             names = sorted(pairs, key=int)
             pairs = [[pairs[a][b] for b in names] for a in names]

@@ -64,11 +64,16 @@ def molecular_surface(
     """
     of = np.arange(len(x)) if wanted is None else np.flatnonzero(wanted)
     if not len(of):
-        return Dots(*np.zeros((2, 0, 3)), np.zeros(0), np.zeros((0, 3)))
+        none = np.zeros((0, 3))
+        return Dots(none, none, np.zeros(0), none)
     reach, tree = radius + probe, cKDTree(x)
     found = tree.query_ball_point(x[of], reach[of] + reach.max(), return_sorted=True)
-    neighbours = [np.array(its)[_meets(x, reach, i, np.array(its))] for i, its in zip(of, found, strict=True)]
-    convex = [_convex(x, radius, probe, density, i, its) for i, its in zip(of, neighbours, strict=True)]
+    neighbours = [
+        np.array(its)[_meets(x, reach, i, np.array(its))] for i, its in zip(of.tolist(), found, strict=True)
+    ]
+    convex = [
+        _convex(x, radius, probe, density, i, its) for i, its in zip(of.tolist(), neighbours, strict=True)
+    ]
     saddles, rests, corners = _rolled(x, reach, probe, density, of, neighbours)
     concave = _concave(x, rests, corners, probe, density)
     return _joined([*convex, *_outside([saddles, concave], rests, probe)])

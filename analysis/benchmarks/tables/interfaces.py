@@ -21,11 +21,12 @@ def words(rows: pd.DataFrame) -> str:
     """What the table of columns says."""
     energy = (rows["energy_kj_mol"] - rows["energy_openmm_kj_mol"]).abs().max()
     area = (rows["area_angstrom2"] / rows["area_freesasa_angstrom2"] - 1.0).abs().max()
-    own = (rows["area_angstrom2"] / rows["area_freesasa_own_angstrom2"] - 1.0).mean()
+    own = 1.0 - (rows["area_freesasa_own_angstrom2"] / rows["area_angstrom2"]).mean()
     fit = (rows["sc"] - rows["sc_sc_rs"]).abs().max()
     return paragraph(
-        f"Energies differ by at most {energy:.2g} kJ/mol, areas by {100 * area:.1f} per cent with the same radii;",
-        f"with FreeSASA's own they are {100 * own:.0f} per cent lower in the mean. Sc differs by at most {fit:.3f}.",
+        f"Energies differ by at most {energy:.2g} kJ/mol, areas by {100 * area:.1f} per cent with the same",
+        f"radii; with FreeSASA's own they are {100 * own:.0f} per cent smaller in the mean. Sc differs by at",
+        f"most {fit:.3f}.",
     )
 
 
@@ -80,10 +81,11 @@ def cost(rows: pd.DataFrame) -> str:
     """Seconds of a complex, and of 200."""
     row = rows.iloc[0]
     return paragraph(
-        f"{row['copies']} copies of {row['complex']} ({row['n_residues']} residues, {row['n_atoms']} atoms) by",
-        f"`relax --interface A:B`, one thread to each of {row['workers']} workers:",
-        f"{row['seconds_each']:.0f} s of a core for each, of which relaxing is {row['seconds_relaxation']:.0f} s",
-        f"and a score, of which there are two, {row['seconds_score']:.1f} s; the workers are busy",
+        f"{row['copies']} copies of {row['complex']} ({row['n_residues']} residues, {row['n_atoms']} atoms)",
+        f"by `relax --interface A:B`, one thread to each of {row['workers']} workers:",
+        f"{row['seconds_each']:.0f} s of a worker for each, of which relaxing is",
+        f"{row['seconds_relaxation']:.0f} s, and a score, of which there are two,",
+        f"{row['seconds_score']:.1f} s; the cores of the workers are busy",
         f"{row['busy_percent']:.0f} per cent of the time. Extrapolated, 200 such complexes take",
         f"{row['minutes_of_200']:.0f} minutes on two cores.",
     )
