@@ -52,5 +52,8 @@ from .structure import save as save
 from .structure import save_ligands as save_ligands
 from .structure import to_mdanalysis as to_mdanalysis
 from .structure import to_mdtraj as to_mdtraj
+from .structure.select import touching_chains as touching_chains
+from .validation import Interface as Interface
 from .validation import Validation as Validation
+from .validation import score_interface as score_interface
 from .validation import validate as validate

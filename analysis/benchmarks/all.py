@@ -178,6 +178,7 @@ JOBS = (
     Job("sidechains", f"{HERE}/sidechains.py --more MORE -o DIR", 5),
     Job("frames", f"{HERE}/frames.py --more MORE -o DIR", 20),
     Job("complexes", f"{HERE}/complexes.py --more MORE -o DIR", 14),
+    Job("interfaces", f"{HERE}/interfaces.py --more MORE -o DIR", 12),
     Job("dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4),
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),
     Job("dynamics-cost", f"{HERE}/dynamics.py cost --more MORE -o DIR", 2),

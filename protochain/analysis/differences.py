@@ -18,6 +18,7 @@ from protochain.structure.matching import Match, match
 from protochain.structure.model import Structure
 from protochain.structure.residues import CHI
 from protochain.structure.superpose import motion, rmsd_angstrom
+from protochain.validation.bonding import hydrogen_bonds, salt_bridges
 from protochain.validation.layout import NONE, dihedrals, layout, peptides
 from protochain.validation.rotamers import side_chains
 
@@ -30,10 +31,6 @@ _FLIPS = {("ASP", 1), ("GLU", 2), ("PHE", 1), ("TYR", 1)}
 """Residues and last dihedrals (from 0) whose half turns only exchange names."""
 _CONTACT, _APART = 4.5, 4
 """Angstrom between heavy atoms of residues in contact, and least distance along the chain."""
-_SALT = 4.0
-"""Angstrom from a nitrogen of Arg or Lys to an oxygen of Asp or Glu: Barlow, Thornton, J. Mol. Biol. 168:867
-(1983)."""
-_CATION, _ANION = ("NZ", "NE", "NH1", "NH2"), ("OD1", "OD2", "OE1", "OE2")
 _RMSD, _TURN, _DOMAIN = "ca_rmsd_angstrom", "turn_degrees", "domain"
 _STRUCTURE = {"H": "helix", "E": "strand", "C": "loop"}
 
@@ -240,7 +237,7 @@ def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFr
     identity = np.full(first.n_residues, NONE)
     identity[found.reference] = found.reference
     rows, counts = list[dict[str, str]](), dict[str, int]()
-    for kind, pairs in (("hydrogen bond", _hydrogen_bonds), ("salt bridge", _salt_bridges)):
+    for kind, pairs in (("hydrogen bond", _hydrogen_bonds), ("salt bridge", salt_bridges)):
         mine, theirs = (
             {(int(of[i]), int(of[j])) for i, j in pairs(s) if of[i] != NONE and of[j] != NONE}
             for s, of in ((first, identity), (second, of_second))
@@ -259,22 +256,8 @@ def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFr
 
 def _hydrogen_bonds(s: Structure) -> set[tuple[int, int]]:
     """Residues of donor and acceptor, of different residues."""
-    import mdtraj
-
-    found = mdtraj.baker_hubbard(to_mdtraj(s), periodic=False)
-    of = s.atom_residue
-    return {(int(of[d]), int(of[a])) for d, _, a in found if of[d] != of[a]}
-
-
-def _salt_bridges(s: Structure) -> set[tuple[int, int]]:
-    of, name = s.atom_residue, s.residue_name[s.atom_residue]
-    plus = np.flatnonzero(np.isin(name, ["ARG", "LYS"]) & np.isin(s.atom_name, _CATION))
-    minus = np.flatnonzero(np.isin(name, ["ASP", "GLU"]) & np.isin(s.atom_name, _ANION))
-    if not len(plus) or not len(minus):
-        return set()
-    x = s.positions * ANGSTROM_PER_NM
-    near = cKDTree(x[plus]).query_ball_tree(cKDTree(x[minus]), _SALT)
-    return {(int(of[plus[i]]), int(of[minus[j]])) for i, its in enumerate(near) for j in its}
+    of = s.atom_residue[hydrogen_bonds(s)[:, [0, 2]]]
+    return {(d, a) for d, a in of.tolist() if d != a}
 
 
 def _contacts_kept(first: Structure, second: Structure, found: Match) -> float:

@@ -20,6 +20,7 @@ from protochain.batches.jobs import (
     find_jobs,
     refuse_unknown,
 )
+from protochain.batches.relaxed import OF_INTERFACE
 from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import supervise
 from protochain.batches.table import SUMMARY, Tables, earlier_rows, read_table
@@ -28,6 +29,7 @@ from protochain.core.checks import checked, flag, function, number, path, severa
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import json_text, write_atomically, write_text
+from protochain.relaxation.record import METHOD as RELAX
 from protochain.results.provenance import of_run
 
 if TYPE_CHECKING:
@@ -187,7 +189,9 @@ def run_batch(
             f"{manifest}: {other.path}: methods {','.join(other.settings.methods)}: {name}.csv is of "
             f"{','.join(common.methods)} alone; protochain batch takes a manifest with methods"
         )
-    tables = Tables(folder, resume, name, {method for job in jobs for method in job.settings.methods})
+    scores = any(RELAX in job.settings.methods and job.settings.relaxing.interface for job in jobs)
+    methods = {method for job in jobs for method in job.settings.methods}
+    tables = Tables(folder, resume, name, methods, OF_INTERFACE if scores else ())
     try:
         tables.check()
         keep_settings(folder, common, jobs, tables.summary.name)

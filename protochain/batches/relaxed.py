@@ -1,6 +1,7 @@
 """What tables and pages show of structures that are relaxed."""
 
 from protochain.relaxation.record import COLUMNS as OF_RECORD
+from protochain.relaxation.record import INTERFACE_COLUMNS
 from protochain.results.columns import Column
 
 COLUMNS = (
@@ -8,6 +9,8 @@ COLUMNS = (
     "seconds_preparation", "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``relaxed.csv``."""
+OF_INTERFACE = tuple(column.key for column in INTERFACE_COLUMNS)
+"""And those of an interface that is scored."""
 
 
 def _column(key: str, heading: str) -> Column:

@@ -19,6 +19,7 @@ from protochain.batches.settings import NAME as SETTINGS
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.storage import check_writable, write_text, writing
 from protochain.minimisers import record
+from protochain.relaxation.record import INTERFACE_COUNTS
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.validation import MEASURES
 
@@ -36,7 +37,7 @@ INTEGERS = (
     "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
     "n_atoms_moving", "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
     "overlaps_start", "overlaps_end", "overlaps_beside_start", "overlaps_beside_end",
-    "n_rounds", "n_residues_let_go", "n_lost_atoms",
+    "n_rounds", "n_residues_let_go", "n_lost_atoms", *INTERFACE_COUNTS,
     *(f"{key}_{when}" for key, each in MEASURES.items() if each.whole for when in ("start", "end")),
 )  # fmt: skip
 """Columns of integers, which a failure lacks: they remain integers, with missing values."""
@@ -73,6 +74,8 @@ class Tables:
         Stem of the name of the table.
     methods : collection of str
         Those of its rows: its columns are theirs, and those that it has.
+    further : sequence of str
+        More columns.
 
     Raises
     ------
@@ -86,7 +89,12 @@ class Tables:
     """
 
     def __init__(
-        self, folder: Path, resume: bool, name: str = SUMMARY, methods: Collection[str] = ()
+        self,
+        folder: Path,
+        resume: bool,
+        name: str = SUMMARY,
+        methods: Collection[str] = (),
+        further: Sequence[str] = (),
     ) -> None:
         self.name = name
         self.summary, self.traces = folder / f"{name}.csv", folder / "traces.csv"
@@ -111,7 +119,7 @@ class Tables:
             )
         minimised = COLUMNS if {*methods} != {RELAX} else ()
         of_relaxed = relaxed.COLUMNS if RELAX in methods else ()
-        self.columns = tuple(dict.fromkeys((*minimised, *of_relaxed)))
+        self.columns = tuple(dict.fromkeys((*minimised, *of_relaxed, *further)))
 
     def check(self) -> None:
         """Refuse damaged tables, before anything is written."""

@@ -210,6 +210,25 @@ def inputs_of(setup: Setup, *given: str | Path | None) -> list[Path]:
     return [*(Path(each) for each in given if each is not None), *user_files(setup.forcefield)]
 
 
+def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:
+    """Name, path and setup of each structure."""
+    given = [each for each in inputs if each != "-"]
+    if all(Path(each).is_file() for each in given) and not isinstance(setup.model, str):
+        found = [(each, Path(each), setup) for each in given]
+    else:
+        # Only here, as it takes a second to load.
+        from protochain.batches.jobs import BatchSettings, find_jobs
+
+        jobs = find_jobs(given, BatchSettings(setup=setup))
+        found = [(_name(job.path), Path(_name(job.path)), job.settings.setup) for job in jobs]
+    return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
+
+
+def _name(path: Path) -> str:
+    """Path as a user would write it: relative to the folder he is in, if it lies there."""
+    return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
+
+
 def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool | None = None) -> None:
     """Refuse, before any work, outputs that would replace an input or one another or cannot be written.
 

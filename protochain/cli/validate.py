@@ -15,6 +15,7 @@ from protochain.cli.options import (
     CONVERGED,
     AsJson,
     check_outputs,
+    files_of,
     inputs_of,
     named_after,
     with_settings,
@@ -86,7 +87,7 @@ def validate(
     of_frames.refuse_without(workers=workers, resume=resume, report=report)
 
     outputs = [path for path in (csv, residues, changes) if path]
-    files = _files(inputs, setup)
+    files = files_of(inputs, setup)
     check_outputs(inputs_of(setup, reference, *(path for _, path, _ in files)), outputs)
     if changes and not reference:
         raise ProtochainError(f"changes {changes}: changes are from a reference; give one")
@@ -174,25 +175,6 @@ def _validated(
             yield named, validate(own.load(path), reference, posebusters)
         except ProtochainError as error:
             yield named, error
-
-
-def _files(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:
-    """Name, path and setup of each structure."""
-    given = [each for each in inputs if each != "-"]
-    if all(Path(each).is_file() for each in given) and not isinstance(setup.model, str):
-        found = [(each, Path(each), setup) for each in given]
-    else:
-        # Only here, as it takes a second to load.
-        from protochain.batches.jobs import BatchSettings, find_jobs
-
-        jobs = find_jobs(given, BatchSettings(setup=setup))
-        found = [(_name(job.path), Path(_name(job.path)), job.settings.setup) for job in jobs]
-    return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
-
-
-def _name(path: Path) -> str:
-    """Path as a user would write it: relative to the folder he is in, if it lies there."""
-    return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
 
 
 def _print(rows: Sequence[dict[str, Any]], notes: Mapping[str, Sequence[str]]) -> None:

@@ -208,28 +208,17 @@ def _between(found: Decomposed, parts: tuple[NDArray[np.bool_], NDArray[np.bool_
     one, other = parts
     across = one[:, None] & other
     pairs = found.pairs * (across | across.T)
-    shares = 0.5 * (pairs.sum(axis=1) + pairs.sum(axis=2))
-    return Decomposed(found.structure, shares, pairs)
+    return Decomposed(found.structure, _shares(pairs), pairs)
 
 
 def _interface(
     structure: Structure, energy: NativeEnergy, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]
 ) -> "pd.DataFrame":
-    """Interaction of two parts, and what it costs to take the solvent from between them."""
     import pandas as pd
 
-    one, other = (part[structure.atom_residue] for part in parts)
-    away = np.zeros((structure.n_atoms, 3))
-    away[~one & ~other, 1] = _AWAY
-    together = decomposed(structure, energy, structure.positions + away, pairs=True)
-    away[other, 0] = _AWAY
-    apart = decomposed(structure, energy, structure.positions + away, pairs=True)
-    solvated = [TERMS.index(name) for name in ("generalised_born", "surface")]
-    within = np.zeros(len(TERMS))
-    for part in parts:
-        own = part[:, None] & part
-        within[solvated] += ((together.pairs - apart.pairs)[solvated] * own).sum(axis=(1, 2))
-    rows = np.array([_between(together, parts).pairs.sum(axis=(1, 2)), within])
+    rows = np.array(
+        [each.sum(axis=1) for each in interaction(structure, energy, structure.positions, *parts)]
+    )
     table = pd.DataFrame([*rows, rows.sum(axis=0)], ["interaction", "desolvation", "sum"], TERMS)
     return _with_total(table)
 
@@ -251,6 +240,47 @@ def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[
     """
     native = native_of(energy)
     return tuple({} if native is None else decomposed(structure, native, x).terms for x in positions)
+
+
+def interaction(
+    structure: Structure,
+    energy: NativeEnergy,
+    x: Floats,
+    one: NDArray[np.bool_],
+    other: NDArray[np.bool_],
+) -> tuple[Floats, Floats]:
+    """Interaction of two parts, and what it costs to take the solvent from between them, all else away.
+
+    Parameters
+    ----------
+    structure : Structure
+    energy : NativeEnergy
+    x : (na, 3) float, nm
+    one, other : (nr,) bool
+        Residues of either part.
+
+    Returns
+    -------
+    interaction, desolvation : (terms, nr) float, kJ/mol
+        Shares of each residue: half of its pairs with the other part, with the Born radii that both have
+        together; and what generalised Born and surface within its own part change.
+    """
+    mine, its = (part[structure.atom_residue] for part in (one, other))
+    away = np.zeros((structure.n_atoms, 3))
+    away[~mine & ~its, 1] = _AWAY
+    together = decomposed(structure, energy, x + away, pairs=True)
+    away[its, 0] = _AWAY
+    apart = decomposed(structure, energy, x + away, pairs=True)
+    within = np.zeros_like(together.pairs)
+    own = (one[:, None] & one) | (other[:, None] & other)
+    for term in map(TERMS.index, ("generalised_born", "surface")):
+        within[term] = (together.pairs[term] - apart.pairs[term]) * own
+    return _between(together, (one, other)).shares, _shares(within)
+
+
+def _shares(pairs: Floats) -> Floats:
+    """(terms, nr): half of its pairs with others and all within it, of each residue."""
+    return np.asarray(0.5 * (pairs.sum(axis=1) + pairs.sum(axis=2)))
 
 
 def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: bool = False) -> Decomposed:

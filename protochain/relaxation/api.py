@@ -28,9 +28,10 @@ from protochain.relaxation.rounds import Ended, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import RelaxSettings, split
 from protochain.structure import Structure
 from protochain.structure.chirality import atoms_named
-from protochain.structure.select import moving, select
+from protochain.structure.select import moving, select, sides_named
 from protochain.validation import threaded_rings, violations
 from protochain.validation.fixed import fixed_counts, fixed_faults
+from protochain.validation.interface import native
 from protochain.validation.omega import bonds_named
 
 _NAMED = 5
@@ -59,8 +60,8 @@ def relax(
     **options
         Further fields of ``RelaxSettings`` (``protocol``, ``tolerance``, ``stiffness``,
         ``max_iterations``, ``max_outer_iterations``, ``exclude``, ``keep_hydrogens``, ``repack``,
-        ``repack_region``) and of :class:`protochain.Setup` (``forcefield``, ``solvent``, ``threads``,
-        ``keep`` ...). With ``move``, a
+        ``repack_region``, ``interface``, two sides to score before and after) and of
+        :class:`protochain.Setup` (``forcefield``, ``solvent``, ``threads``, ``keep`` ...). With ``move``, a
         selection as of :func:`protochain.build_chain` (``sidechain``, ``interface``), all other atoms stay
         where they are, bit for bit.
 
@@ -89,6 +90,9 @@ def relax_structure(
 ) -> Relaxation:
     """Relax a structure whose energy is built; the settings' force field is that of the energy."""
     excluded = _excluded(structure, settings)
+    if settings.interface:
+        native(energy)
+        sides_named(structure, settings.interface)
     mobile = read_only(moving(structure, move), np.bool_)
     held_by = _held_by(mobile, settings)
     check_dihedrals(energy, "relax")

@@ -2,14 +2,25 @@
 
 from collections.abc import Mapping
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from protochain.contacts import overlaps
 from protochain.core.arrays import Floats
 from protochain.energies.decomposed import TERMS
-from protochain.results.columns import Column, of_energy, of_losses, of_measures, of_structure, of_terms
+from protochain.results.columns import (
+    UNITS,
+    Column,
+    heading,
+    of_energy,
+    of_losses,
+    of_measures,
+    of_structure,
+    of_terms,
+)
 from protochain.validation import MEASURES
 from protochain.validation.fixed import fixed_counts
+from protochain.validation.interface import SCORES
 from protochain.validation.ligands import LigandFound, at_both_ends
 
 METHOD = "relax"
@@ -90,6 +101,31 @@ OF_FRAMES = tuple(column for column in COLUMNS if column.key not in _OF_ALL_FRAM
 """Columns of a frame of an ensemble."""
 
 
+def _of_interface(key: str, when: str) -> str:
+    """Name of a column: the unit stays its end."""
+    ending = next((ending for ending in UNITS if key.endswith(ending)), "")
+    return f"interface_{key.removesuffix(ending)}_{when}{ending}"
+
+
+def _score(key: str, when: str, of: Any) -> Any:
+    return getattr(of, f"interface_{when}").scores[key]
+
+
+INTERFACE_COLUMNS = (
+    Column("interface", lambda r: r.settings.interface),
+    *(
+        Column(_of_interface(key, when), partial(_score, key, when))
+        for key in SCORES
+        for when in ("start", "end")
+    ),
+)
+"""Further columns, where an interface is scored."""
+INTERFACE_COUNTS = tuple(
+    _of_interface(key, when) for key, score in SCORES.items() if score.whole for when in ("start", "end")
+)
+"""Those of whole numbers."""
+
+
 def _beside(relaxation: Any, x: Floats) -> int:
     """Pairs of an atom of the protein and one beside it that overlap."""
     return sum(each.beside for each in overlaps(relaxation.start, x))
@@ -112,7 +148,23 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
     rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
     rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))
-    return [(what, _said(before), _said(after)) for what, before, after in rows]
+    said = [(what, _said(before), _said(after)) for what, before, after in rows]
+    if "interface" in record:
+        for key in _TOLD:
+            before, after = (_exactly(record[_of_interface(key, when)]) for when in ("start", "end"))
+            said.append((f"interface {record['interface']}: {heading(key)}", before, after))
+    return said
+
+
+_TOLD = (
+    "energy_kj_mol", "buried_area_angstrom2", "shape_complementarity", "hydrogen_bonds", "salt_bridges",
+    "unsatisfied_polar_atoms", "clashes",
+)  # fmt: skip
+"""Scores of an interface that are compared in words."""
+
+
+def _exactly(value: Any) -> str:
+    return f"{value:.2f}" if isinstance(value, float) and abs(value) < 10.0 else _said(value)
 
 
 def _said(value: Any) -> str:

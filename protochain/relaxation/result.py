@@ -20,15 +20,17 @@ from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
-from protochain.relaxation.record import COLUMNS, METHOD
+from protochain.relaxation.record import COLUMNS, INTERFACE_COLUMNS, METHOD
 from protochain.relaxation.rounds import Round
 from protochain.relaxation.settings import RelaxSettings
 from protochain.results.columns import record
 from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
 from protochain.structure.repairs import Kind, Repair, summarised
+from protochain.structure.select import sides, sides_named
 from protochain.structure.superpose import displacements
 from protochain.validation import MEASURES, measures
+from protochain.validation.interface import Interface, native, scored
 from protochain.validation.ligands import LigandFound, findings_of
 from protochain.validation.omega import PLANAR
 
@@ -182,6 +184,22 @@ class Relaxation(Value):
         return findings_of(self.start, self.x, posebusters=self.settings.posebusters)[0]
 
     @cached_property
+    def interface_start(self) -> Interface | None:
+        """Scores of the interface that the settings name, at the start; None if they name none."""
+        return self._scored(self.start)
+
+    @cached_property
+    def interface_end(self) -> Interface | None:
+        """Scores of the interface at the end."""
+        return self._scored(self.structure)
+
+    def _scored(self, structure: Structure) -> Interface | None:
+        if not self.settings.interface:
+            return None
+        pair = sides_named(structure, self.settings.interface)
+        return scored(structure, native(self.energy_function), *pair, sides(structure, *pair))
+
+    @cached_property
     def displacements(self) -> "pd.DataFrame":
         """Displacement of each C-alpha from the start, superposed on all: a row a residue.
 
@@ -236,7 +254,7 @@ class Relaxation(Value):
 
     def record(self) -> dict[str, Any]:
         """Flat record behind JSON and tables, named as that of a solution; None where there is no number."""
-        return record(COLUMNS, self)
+        return record((*COLUMNS, *(INTERFACE_COLUMNS if self.settings.interface else ())), self)
 
     def ends(self) -> dict[str, Structure]:
         """Start and end, by ``input`` and ``relaxed``."""

@@ -49,6 +49,8 @@ class RelaxSettings(Settings):
         Residues whose side chains are put into the best of their rotamers first, all at once, whether or not
         they are in the way, in the selection language of MDAnalysis: ``chainID A``, ``interface A B``. They
         may stay as they are; ``repack`` is implied.
+    interface : str
+        Two sides, as ``A,B:C``, whose interface is scored before and after; empty for none.
 
     Raises
     ------
@@ -101,6 +103,12 @@ class RelaxSettings(Settings):
     free_ligands: bool = setting(False, "No springs on ligands.", flag, bool)
     repack_region: str = setting(
         "", "First put all side chains there into the best rotamers: 'interface A B', 'chainID A'.", text
+    )
+    interface: str = setting(
+        "",
+        "Also score the interface of two sides before and after, as protochain score does: A:B.",
+        text,
+        metavar="A,B:C",
     )
 
     def __post_init__(self) -> None:

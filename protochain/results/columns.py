@@ -13,8 +13,8 @@ from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 UNITS = {
     "_kj_mol_rad": "kJ/mol/rad", "_kj_mol_rad2": "kJ/mol/rad^2",
     "_kj_mol_nm2": "kJ/mol/nm^2", "_kj_mol_nm": "kJ/mol/nm", "_kj_mol": "kJ/mol",
-    "_kj_mol_per_residue": "kJ/mol per residue", "_angstrom": "angstrom", "_degrees": "degrees", "_nm": "nm",
-    "_ps": "ps", "_fs": "fs", "_k": "K", "_amu": "amu",
+    "_kj_mol_per_residue": "kJ/mol per residue", "_angstrom": "angstrom", "_angstrom2": "angstrom^2",
+    "_degrees": "degrees", "_nm": "nm", "_ps": "ps", "_fs": "fs", "_k": "K", "_amu": "amu",
 }  # fmt: skip
 """Endings of names that are units."""
 

@@ -1,14 +1,19 @@
-"""Confidence files that predictors write beside a model, and copies of them beside a result.
+"""Confidence files that predictors write beside a model: copies of them beside a result, and their ipTM.
 
 They are found by the names that each program gives, never by looking into files or folders.
 """
 
+import json
 import re
 import shutil
+from collections.abc import Sequence, Set
 from filecmp import cmp
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
+from zipfile import BadZipFile
+
+import numpy as np
 
 from protochain.core.storage import write_atomically
 from protochain.structure.files import split_name
@@ -85,3 +90,66 @@ def copy_confidences(model: Path, result: Path) -> Copied:
         elif not cmp(path, to, shallow=False):
             left.append(f"{path}: was not copied beside the result, because another {to.name} is there")
     return Copied(tuple(written), tuple(left))
+
+
+class Confidence(NamedTuple):
+    """What confidence files say of a complex: ipTM, and that of each pair of chains, or nothing."""
+
+    iptm: float | None
+    pairs: tuple[tuple[float, ...], ...] = ()
+
+    def between(self, chains: Sequence[str], one: Set[str], other: Set[str]) -> float | None:
+        """IpTM of two sides.
+
+        Parameters
+        ----------
+        chains : sequence of str
+            All of the model, in its order.
+        one, other : set of str
+            Those of either side.
+
+        Returns
+        -------
+        float or None
+            Mean over the pairs of their chains, either taken as the frame; the whole model's if it has two
+            chains and the files do not tell of pairs.
+        """
+        if len(self.pairs) == len(chains):
+            place = {name: k for k, name in enumerate(chains)}
+            both = [(place[a], place[b]) for a in one for b in other if a != b]
+            values = [self.pairs[i][j] for a, b in both for i, j in ((a, b), (b, a))]
+            return sum(values) / len(values) if values else None
+        return self.iptm if len(chains) == 2 and not self.pairs else None
+
+
+def confidence_in(files: Sequence[Path]) -> Confidence | None:
+    """Read ipTM from the confidence files of a model; None without files. What cannot be read is left out."""
+    found = [each for path in files if (each := _read(path))]
+    return max(found, key=lambda each: len(each.pairs)) if found else Confidence(None) if files else None
+
+
+def _read(path: Path) -> Confidence | None:
+    try:
+        if path.stat().st_size > _LARGEST_READ:
+            return None
+        if path.suffix == ".npz":
+            with np.load(path) as file:
+                told = {name: file[name].squeeze().tolist() for name in file if "iptm" in name}
+        else:
+            told = json.loads(path.read_text(encoding="utf-8"))
+        pairs: Any = next((told[name] for name in _OF_PAIRS if name in told), [])
+        if isinstance(pairs, dict):
+            names = sorted(pairs, key=int)
+            pairs = [[pairs[a][b] for b in names] for a in names]
+        matrix = tuple(tuple(map(float, row)) for row in pairs)
+        if "iptm" not in told or any(len(row) != len(matrix) for row in matrix):
+            return None
+        return Confidence(None if told["iptm"] is None else float(told["iptm"]), matrix)
+    except (OSError, ValueError, TypeError, KeyError, BadZipFile):
+        return None
+
+
+_OF_PAIRS = ("chain_pair_iptm", "pair_chains_iptm", "per_chain_pair_iptm")
+"""Names of what AlphaFold 3 and Protenix, Boltz, and Chai say of pairs of chains."""
+_LARGEST_READ = 20_000_000
+"""Bytes. Larger ones hold the errors of all pairs of residues."""

@@ -1,6 +1,7 @@
 """Atom selection in the language of MDAnalysis, and places named as chain:number:atom."""
 
 import re
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from scipy.spatial import cKDTree
 from protochain.core import defaults
 from protochain.core.arrays import Integers
 from protochain.core.errors import StructureError
+from protochain.core.markup import listed
 from protochain.structure.convert import to_mdanalysis
 from protochain.structure.model import Structure
 
@@ -22,8 +24,8 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     selection : str
         In the language of MDAnalysis, distances in angstrom: ``resid 5:20 and not backbone``, ``chainID A``,
         ``around 5 resid 12``. Two words more: ``sidechain``, atoms of the protein beyond the C-alpha, and
-        ``interface``, residues with a heavy atom within 5 angstrom of one of another chain, water aside;
-        ``interface A B`` are those of chains A and B that touch the other of the two.
+        ``interface``, residues with a heavy atom within 5 angstrom of one of another chain, water aside; or
+        of two sides, ``interface A:B``, ``interface A,B:C``, or of two chains, ``interface A B``.
 
     Returns
     -------
@@ -38,17 +40,14 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     from MDAnalysis.exceptions import SelectionError
 
     universe = to_mdanalysis(structure)
-    masks: dict[str, NDArray[np.bool_]] = {}
+    groups = dict[str, Any]()
 
-    def group(found: re.Match[str]) -> str:
-        word, *pair = found[0].split()
-        name = f"own{len(masks)}"
-        masks[name] = _of_two(structure, *pair) if pair else _OWN[word](structure)
+    def as_group(word: re.Match[str]) -> str:
+        name = f"own{len(groups)}"
+        groups[name] = universe.atoms[_OWN[word[1]](structure, word[2] or "")]
         return f"group {name}"
 
-    between = _between(structure)
-    asked = re.sub(rf"{_AROUND[0]}(?:{between}{'|'.join(_OWN)}){_AROUND[1]}", group, selection)
-    groups = {name: universe.atoms[mask] for name, mask in masks.items()}
+    asked = _word(structure).sub(as_group, selection)
     try:
         # MDAnalysis warns of an empty text.
         chosen = universe.select_atoms(asked, **groups) if asked.strip() else universe.atoms[:0]
@@ -62,9 +61,7 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     return mask
 
 
-_AROUND = r"(?<![\w:'-])", r"(?![\w:'-])"
-"""What a word may not be part of."""
-_EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface A B' or 'around 5 chainID B'"
+_EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface' or 'around 5 chainID B'"
 
 
 def moving(structure: Structure, move: str) -> NDArray[np.bool_]:
@@ -86,30 +83,123 @@ def moving(structure: Structure, move: str) -> NDArray[np.bool_]:
     return chosen
 
 
-def _sidechain(structure: Structure) -> NDArray[np.bool_]:
+def sides(structure: Structure, first: str, second: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Residues of the two sides of an interface, (nr,) bool each, waters on neither.
+
+    Parameters
+    ----------
+    structure : Structure
+    first, second : str
+        Chains with commas between, with all that bears their names, or a selection, of whose residues the
+        other side's chains have none.
+
+    Raises
+    ------
+    StructureError
+        If a side cannot be read or is empty, or a residue is on both.
+    """
+    found = [_side(structure, each) for each in (first, second)]
+    for mine, other in ((0, 1), (1, 0)):
+        if found[other].selected and not found[mine].selected:
+            found[mine] = _Side(found[mine].residues & ~found[other].residues, selected=False)
+    one, two = (each.residues for each in found)
+    if (one & two).any():
+        raise StructureError(
+            f"{structure.name}: interface {first}:{second}: "
+            f"{structure.describe_residue(int(np.argmax(one & two)))} is on both sides; give other chains"
+        )
+    for given, residues in zip((first, second), (one, two), strict=True):
+        if not residues.any():
+            raise StructureError(
+                f"{structure.name}: interface {first}:{second}: nothing is left of side {given!r}; "
+                "give other chains"
+            )
+    return one, two
+
+
+def sides_named(structure: Structure, interface: str) -> tuple[str, str]:
+    """Split ``A:B``, ``A,B:C`` or ``A:resid 5:20`` at the colon that leaves two sides.
+
+    Raises
+    ------
+    StructureError
+        As of :func:`sides`; if there is no such colon.
+    """
+    parts = interface.split(":")
+    splits = [(":".join(parts[:k]).strip(), ":".join(parts[k:]).strip()) for k in range(1, len(parts))]
+    refused = StructureError(
+        f"{structure.name}: interface {interface!r}: give its two sides, as A:B or A,B:C"
+    )
+    for first, second in splits:
+        try:
+            sides(structure, first, second)
+        except StructureError as error:
+            refused = refused if len(splits) > 1 else error
+        else:
+            return first, second
+    raise refused
+
+
+def touching_chains(structure: Structure) -> list[tuple[str, str]]:
+    """Pairs of chains of which heavy atoms are within 5 angstrom, waters aside, in the order of the file."""
+    chain = structure.residue_chain[_touching(structure)]
+    order = {name: k for k, name in enumerate(dict.fromkeys(structure.residue_chain.tolist()))}
+    pairs = {tuple(sorted(pair, key=order.__getitem__)) for pair in chain.tolist() if pair[0] != pair[1]}
+    return sorted(((a, b) for a, b in pairs), key=lambda pair: [order[name] for name in pair])
+
+
+def contacts(structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> Integers:
+    """Residues (n, 2) of two sides, (nr,) bool each, with heavy atoms within 5 angstrom."""
+    pairs = _touching(structure)
+    pairs = np.concatenate([pairs, pairs[:, ::-1]])
+    return pairs[one[pairs[:, 0]] & other[pairs[:, 1]]]
+
+
+def _touching(structure: Structure) -> Integers:
+    """(n, 2) int: residues with heavy atoms within 5 angstrom, waters aside, the smaller index first."""
+    of = structure.atom_residue
+    (heavy,) = np.nonzero((structure.atom_element != "H") & ~is_water(structure)[of])
+    pairs = heavy[cKDTree(structure.positions[heavy]).query_pairs(_TOUCHING, output_type="ndarray")]
+    return np.unique(np.sort(of[pairs], axis=1), axis=0).reshape(-1, 2)
+
+
+def is_water(structure: Structure) -> NDArray[np.bool_]:
+    """(nr,) bool."""
+    return np.asarray(structure.residue_name == "HOH")
+
+
+class _Side(NamedTuple):
+    residues: NDArray[np.bool_]
+    selected: bool
+
+
+def _side(structure: Structure, given: str) -> _Side:
+    names, known = [each.strip() for each in given.split(",")], structure.residue_chain
+    if {*names} <= {*known.tolist()}:
+        return _Side(np.isin(known, names) & ~is_water(structure), selected=False)
+    mask = np.zeros(structure.n_residues, dtype=bool)
+    try:
+        mask[structure.atom_residue[select(structure, given)]] = True
+    except StructureError:
+        raise StructureError(
+            f"{structure.name}: side {given!r} of an interface is no chain, nor a selection with atoms; "
+            f"its chains are {listed([each or '(blank)' for each in dict.fromkeys(known.tolist())])}"
+        ) from None
+    return _Side(mask & ~is_water(structure), selected=True)
+
+
+def _sidechain(structure: Structure, _: str) -> NDArray[np.bool_]:
     return ~structure.kept & ~np.isin(structure.atom_name, _BACKBONE)
 
 
-def _between(structure: Structure) -> str:
-    """What ``interface A B`` looks like, of the chains of a structure, before the words."""
-    chains = sorted({re.escape(str(chain)) for chain in structure.residue_chain if chain}, key=len)[::-1]
-    chain = rf"\s+(?:{'|'.join(chains)})(?![^\s)])"
-    return rf"interface{chain}{chain}|" if chains else ""
-
-
-def _of_two(structure: Structure, one: str, other: str) -> NDArray[np.bool_]:
-    of_two = np.isin(structure.residue_chain, (one, other))[structure.atom_residue]
-    return _interface(structure, of_two)
-
-
-def _interface(structure: Structure, among: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
-    names, of = structure.residue_name, structure.atom_residue
-    looked_at = np.ones(len(of), dtype=bool) if among is None else among
-    (heavy,) = np.nonzero((structure.atom_element != "H") & (names[of] != "HOH") & looked_at)
-    pairs = heavy[cKDTree(structure.positions[heavy]).query_pairs(_TOUCHING, output_type="ndarray")]
-    chain = structure.residue_chain[of]
-    residues = of[pairs[chain[pairs[:, 0]] != chain[pairs[:, 1]]]]
-    return np.isin(of, residues)
+def _interface(structure: Structure, between: str) -> NDArray[np.bool_]:
+    if between:
+        residues = contacts(structure, *sides(structure, *re.split(r":|\s+", between)))
+    else:
+        residues = _touching(structure)
+        chain = structure.residue_chain[residues]
+        residues = residues[chain[:, 0] != chain[:, 1]]
+    return np.isin(structure.atom_residue, residues)
 
 
 _BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
@@ -117,6 +207,13 @@ _TOUCHING = 0.5
 """nm. Distance of heavy atoms of two chains from which on their residues touch, as CAPRI counts contacts."""
 _OWN = {"sidechain": _sidechain, "interface": _interface}
 """Words that MDAnalysis does not have."""
+
+
+def _word(structure: Structure) -> re.Pattern[str]:
+    """One of them, of an interface with its sides, if they are given; not as a part of another word."""
+    chain = "|".join(re.escape(name) for name in {*structure.residue_chain.tolist()} if name) or "(?!)"
+    of = rf"(?<=e)\s+([\w,]+:[\w,]+|(?:{chain})\s+(?:{chain}))"
+    return re.compile(rf"(?<![\w:'-])(sidechain|interface)(?:{of})?(?![\w:'-])")
 
 
 def atoms_at(structure: Structure, place: str) -> Integers:

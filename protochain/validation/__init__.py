@@ -3,6 +3,7 @@
 from protochain.validation.api import measures, validate
 from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.findings import MEASURES
+from protochain.validation.interface import CONFIDENCES, SCORES, Interface, score_interface
 from protochain.validation.ligands import LigandFound
 from protochain.validation.likeness import LIKENESS, likeness
 from protochain.validation.result import Validation
@@ -11,9 +12,12 @@ from protochain.validation.strain import Strain, strain
 from protochain.validation.violations import Violations, violations
 
 __all__ = [
+    "CONFIDENCES",
     "LIKENESS",
     "MEASURES",
+    "SCORES",
     "Clashes",
+    "Interface",
     "LigandFound",
     "Strain",
     "ThreadedRing",
@@ -22,6 +26,7 @@ __all__ = [
     "clashes",
     "likeness",
     "measures",
+    "score_interface",
     "strain",
     "threaded_rings",
     "validate",

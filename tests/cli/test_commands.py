@@ -58,7 +58,7 @@ COMMANDS = {
         "hop_temperature": None, "curvature": False, "seed": 0,
         "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
         "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
-        "posebusters": False, "free_ligands": False, "repack_region": "", **AS_JSON,
+        "posebusters": False, "free_ligands": False, "repack_region": "", "interface": "", **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
     },
     "simulate": {
@@ -82,10 +82,14 @@ COMMANDS = {
         "inputs": None, **OUTPUT, "manifest": None, "preset": "predicted", "protocol": "", "tolerance": None,
         "stiffness": None,
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
-        "repack": False, "posebusters": False, "free_ligands": False, "repack_region": "",
+        "repack": False, "posebusters": False, "free_ligands": False, "repack_region": "", "interface": "",
         "report": None, "ligand_out": None,
         "workers": None, "scheduler": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
         "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "terms")},
+    },
+    "score": {
+        "inputs": None, "interface": None, "rank": None, "csv": None, "residues": None, "report": None,
+        **AS_JSON, **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
     },
     "energy": {
         "source": None, "by": "term", "between": None, **OUTPUT, "report": None, **AS_JSON,
@@ -105,7 +109,8 @@ COMMANDS = {
 }  # fmt: skip
 METAVARS = {
     ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
-    ("inputs", "relax"): "IN...", ("output", "batch"): "DIR",
+    ("inputs", "relax"): "IN...", ("inputs", "score"): "IN...", ("interface", None): "A,B:C",
+    ("rank", None): "COLUMN", ("output", "batch"): "DIR",
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
     ("output", "modes"): "DIR", ("output", "scene"): "DIR", ("name", "scene"): "[NAME]",
     ("between", None): "A:1:N-A:20:C", ("between", "energy"): "A:1-50,B",
@@ -452,6 +457,7 @@ READ = {
     "simulate": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "modes": {"source": "{0}", "to": "--to {0}", "forcefield": "--forcefield amber14,{0}"},
     "validate": {"inputs": "{0}", "reference": "--reference {0}"},
+    "score": {"inputs": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "energy": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "rmsd": {"reference": "{0} b.pdb", "models": "b.pdb {0}"},
     "bench": {"inputs": "kcm {0}"},
@@ -473,6 +479,10 @@ WRITTEN = {
     "validate": {
         "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),
         "changes": ("--changes {0}", "a.csv"),
+    },
+    "score": {
+        "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),
+        "report": ("--report {0}", "a.html"),
     },
     "energy": {"output": ("-o {0}", "a.csv"), "report": ("--report {0}", "a.html")},
     "rmsd": {"output": ("-o {0}", "a.csv")},

@@ -119,6 +119,8 @@ def sidechains_words(rows: pd.DataFrame, kinds: pd.DataFrame) -> str:
         f"no violations in {clean} of {len(rows)}, and clashscores are {clashes.min():.1f} to",
         f"{clashes.max():.1f}, with a median of {clashes.median():.1f}.",
     )
+
+
 table_of_rows(
     "frames", "frames_speed.csv",
     ("ensemble", "{ensemble}"), ("frames", "{frames}"), ("with violations", "{frames_with_violations_start}"),

@@ -1,0 +1,267 @@
+"""Connolly's molecular surface in dots: where a rolling probe touches atoms, and where it rests between them.
+
+Connolly, Science 221:709 (1983). Convex parts lie on atoms, saddles on the probe as it rolls along two of
+them, concave parts on the probe at rest on three. Which arcs of a circle of two atoms the probe may take
+follows from its neighbours in closed form; the ends of the arcs are where it rests.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from protochain.core.arrays import Floats, Integers, Value
+
+_GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
+_SAME = 1e-6
+"""angstrom. Shorter distances between two places of the probe are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dots(Value):
+    """Dots on a surface.
+
+    Parameters
+    ----------
+    x : (n, 3) float, angstrom
+    normal : (n, 3) float
+        Unit vectors out of the molecule.
+    area : (n,) float, angstrom^2
+        What each dot stands for.
+    probe : (n, 3) float, angstrom
+        Centre of the probe that touches there.
+    """
+
+    x: Floats
+    normal: Floats
+    area: Floats
+    probe: Floats
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def __getitem__(self, some: NDArray[np.bool_] | Integers) -> "Dots":
+        return Dots(self.x[some], self.normal[some], self.area[some], self.probe[some])
+
+
+def molecular_surface(
+    x: Floats, radius: Floats, probe: float, density: float, wanted: NDArray[np.bool_] | None = None
+) -> Dots:
+    """Cover the molecular surface with dots.
+
+    Parameters
+    ----------
+    x : (n, 3) float, angstrom
+        Atoms.
+    radius : (n,) float, angstrom
+    probe : float, angstrom
+        Radius of the probe.
+    density : float, 1/angstrom^2
+        Dots to an area.
+    wanted : (n,) bool, optional
+        Atoms whose surface is asked for, with that between any two or three of them; all hide it.
+    """
+    of = np.arange(len(x)) if wanted is None else np.flatnonzero(wanted)
+    if not len(of):
+        none = np.zeros((0, 3))
+        return Dots(none, none, np.zeros(0), none)
+    reach, tree = radius + probe, cKDTree(x)
+    found = tree.query_ball_point(x[of], reach[of] + reach.max(), return_sorted=True)
+    neighbours = [
+        np.array(its)[_meets(x, reach, i, np.array(its))] for i, its in zip(of.tolist(), found, strict=True)
+    ]
+    convex = [
+        _convex(x, radius, probe, density, i, its) for i, its in zip(of.tolist(), neighbours, strict=True)
+    ]
+    saddles, rests, corners = _rolled(x, reach, probe, density, of, neighbours)
+    concave = _concave(x, rests, corners, probe, density)
+    return _joined([*convex, *_outside([saddles, concave], rests, probe)])
+
+
+def _meets(x: Floats, reach: Floats, i: int, others: Integers) -> NDArray[np.bool_]:
+    """Whether the spheres of the probe's centre about others (n,) and atom i cross, or it is swallowed."""
+    apart = np.linalg.norm(x[others] - x[i], axis=1)
+    return np.asarray((apart < reach[i] + reach[others]) & (others != i))
+
+
+def _sphere(n: int) -> Floats:
+    """(n, 3) float: unit vectors, evenly spread on a golden spiral."""
+    z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
+    turn, r = _GOLDEN * np.arange(n), np.sqrt(1.0 - z * z)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+
+
+def _convex(x: Floats, radius: Floats, probe: float, density: float, i: int, its: Integers) -> Dots:
+    """Dots on atom i where the probe is in no neighbour's way."""
+    area = 4.0 * np.pi * radius[i] ** 2
+    way = _sphere(max(int(np.ceil(area * density)), 1))
+    share, reach = area / len(way), radius[i] + probe
+    if len(its):
+        arm = x[its] - x[i]
+        square = (arm**2).sum(axis=1)
+        limit = (square + reach**2 - (radius[its] + probe) ** 2) / (2.0 * reach)
+        way = way[(way @ arm.T <= limit).all(axis=1)]
+    return Dots(x[i] + radius[i] * way, way, np.full(len(way), share), x[i] + reach * way)
+
+
+def _rolled(
+    x: Floats, reach: Floats, probe: float, density: float, of: Integers, neighbours: list[Integers]
+) -> tuple[Dots, Floats, Integers]:
+    """Saddles, the places (n, 3) where the probe rests on three atoms, and which (n, 3) these are."""
+    counts = np.array([len(its) for its in neighbours], dtype=np.int64)
+    start = np.concatenate([[0], np.cumsum(counts)])
+    flat = np.concatenate([np.empty(0, dtype=np.int64), *neighbours])
+    owner = np.repeat(np.arange(len(of)), counts)
+    keep = np.isin(flat, of) & (flat > of[owner])
+    keep &= np.linalg.norm(x[flat] - x[of[owner]], axis=1) > _SAME
+    owner, j = owner[keep], flat[keep]
+    i = of[owner]
+    arm = x[j] - x[i]
+    apart = np.linalg.norm(arm, axis=1)
+    axis = arm / apart[:, None]
+    along = (apart**2 + reach[i] ** 2 - reach[j] ** 2) / (2.0 * apart)
+    square = reach[i] ** 2 - along**2
+    crosses = square > 0.0
+    owner, i, j, apart, axis, along = (v[crosses] for v in (owner, i, j, apart, axis, along))
+    h = np.sqrt(square[crosses])
+    centre = x[i] + along[:, None] * axis
+    one = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
+    one /= np.linalg.norm(one, axis=1, keepdims=True)
+    other = np.cross(axis, one)
+    # Each pair with each further neighbour of its first atom.
+    pair, m = _numbered(counts[owner])
+    k = flat[start[owner[pair]] + m]
+    third = k != j[pair]
+    pair, k = pair[third], k[third]
+    arm = x[k] - centre[pair]
+    height = (arm * axis[pair]).sum(axis=1)
+    u, v = (arm * one[pair]).sum(axis=1), (arm * other[pair]).sum(axis=1)
+    off = np.hypot(u, v)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cosine = (h[pair] ** 2 + off**2 + height**2 - reach[k] ** 2) / (2.0 * h[pair] * off)
+    # On the axis a third atom hides the whole circle or nothing of it.
+    cosine = np.where(off > _SAME, cosine, np.where(np.hypot(h[pair], height) < reach[k], -1.0, 1.0))
+    hidden = np.zeros(len(i), dtype=bool)
+    hidden[pair[cosine <= -1.0]] = True
+    cuts = (cosine < 1.0) & (cosine > -1.0) & ~hidden[pair]
+    pair, k, half = pair[cuts], k[cuts], np.arccos(cosine[cuts])
+    arcs = _free_arcs(pair, np.arctan2(v, u)[cuts], half, k, hidden)
+    on, begin, end = arcs.circle, arcs.begin, arcs.end
+    saddles = _saddles(
+        arcs, centre[on], axis[on], one[on], other[on], h[on], along[on], apart[on], probe, density
+    )  # fmt: skip
+    ends = np.concatenate([np.column_stack([on, k_of]) for k_of in (arcs.before, arcs.after)])
+    angle = np.concatenate([begin, end])
+    real = ends[:, 1] >= 0
+    ends, angle = ends[real], angle[real]
+    at, its = ends[:, 0], np.column_stack([i[ends[:, 0]], j[ends[:, 0]], ends[:, 1]])
+    places = centre[at] + h[at, None] * (
+        np.cos(angle)[:, None] * one[at] + np.sin(angle)[:, None] * other[at]
+    )
+    # Each is the end of an arc of all three pairs.
+    wanted = np.isin(its[:, 2], of)
+    places, its = places[wanted], np.sort(its[wanted], axis=1)
+    key = np.column_stack([its, np.round(places / 1e-3)])
+    first = np.unique(key, axis=0, return_index=True)[1]
+    return saddles, places[first], its[first]
+
+
+@dataclass(frozen=True)
+class _Arcs:
+    """Free arcs of circles: the circle of each, its ends in rad, the atoms that end it (-1: a whole one)."""
+
+    circle: Integers
+    begin: Floats
+    end: Floats
+    before: Integers
+    after: Integers
+
+
+def _free_arcs(
+    circle: Integers, middle: Floats, half: Floats, atom: Integers, hidden: NDArray[np.bool_]
+) -> _Arcs:
+    """Arcs of circles that no interval (middle - half, middle + half) covers."""
+    n, turn = len(hidden), 2.0 * np.pi
+    begin, end = (middle - half) % turn, (middle + half) % turn
+    over = np.bincount(circle, (begin > end), n).astype(np.int64)
+    where = np.concatenate([circle, circle])
+    angle = np.concatenate([begin, end])
+    step = np.repeat([1, -1], len(circle))
+    who = np.concatenate([atom, atom])
+    order = np.lexsort((-step, angle, where))
+    where, angle, step, who = where[order], angle[order], step[order], who[order]
+    total = np.cumsum(step)
+    first = np.searchsorted(where, np.arange(n))
+    before = np.where(first > 0, total[np.maximum(first, 1) - 1], 0) if len(total) else np.zeros(n, int)
+    covered = total - before[where] + over[where]
+    # An arc is free from the event after which nothing covers to the next one of its circle, the first again.
+    free = np.flatnonzero((covered == 0) & (step == -1))
+    last = np.searchsorted(where, np.arange(n), side="right") - 1
+    wraps = free == last[where[free]]
+    following = np.where(wraps, first[where[free]], free + 1)
+    stop = angle[following] + np.where(wraps, turn, 0.0)
+    whole = np.setdiff1d(np.flatnonzero(~hidden), circle)
+    none = np.full(len(whole), -1)
+    return _Arcs(
+        np.concatenate([where[free], whole]),
+        np.concatenate([angle[free], np.zeros(len(whole))]),
+        np.concatenate([stop, np.full(len(whole), turn)]),
+        np.concatenate([who[free], none]), np.concatenate([who[following], none]),
+    )  # fmt: skip
+
+
+def _saddles(
+    arcs: _Arcs, centre: Floats, axis: Floats, one: Floats, other: Floats, h: Floats, along: Floats,
+    apart: Floats, probe: float, density: float,
+) -> Dots:  # fmt: skip
+    """Dots where the probe rolls along two atoms, n arcs of centres about an axis at distance h (n,)."""
+    low, high = -np.arctan2(along, h), np.arctan2(apart - along, h)
+    across = np.maximum(np.ceil(probe * (high - low) * np.sqrt(density)).astype(np.int64), 1)
+    arc, m = _numbered(across)
+    tilt = low[arc] + (high - low)[arc] * (m + 0.5) / across[arc]
+    off = h[arc] - probe * np.cos(tilt)
+    arc, tilt, off = arc[off > 0.0], tilt[off > 0.0], off[off > 0.0]  # Within, the probe meets itself.
+    width = (arcs.end - arcs.begin)[arc]
+    around = np.maximum(np.ceil(off * width * np.sqrt(density)).astype(np.int64), 1)
+    row, m = _numbered(around)
+    arc, tilt, off, width, around = arc[row], tilt[row], off[row], width[row], around[row]
+    angle = arcs.begin[arc] + width * (m + 0.5) / around
+    away = np.cos(angle)[:, None] * one[arc] + np.sin(angle)[:, None] * other[arc]
+    place = centre[arc] + h[arc, None] * away
+    normal = np.cos(tilt)[:, None] * away - np.sin(tilt)[:, None] * axis[arc]
+    area = probe * ((high - low) / across)[arc] * off * width / around
+    return Dots(place - probe * normal, normal, area, place)
+
+
+def _numbered(counts: Integers) -> tuple[Integers, Integers]:
+    """Row of each of so many (n,) items, and its number in the row."""
+    row = np.repeat(np.arange(len(counts)), counts)
+    return row, np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
+
+
+def _concave(x: Floats, rests: Floats, corners: Integers, probe: float, density: float) -> Dots:
+    """Dots on the probe at rest (n, 3), in the triangles of the three atoms (n, 3) that it touches."""
+    way = _sphere(int(np.ceil(4.0 * np.pi * probe**2 * density)))
+    arms = x[corners] - rests[:, None]
+    flat = np.abs(np.linalg.det(arms)) < _SAME
+    rests, arms = rests[~flat], arms[~flat]
+    # A way within the triangle is a sum of the three arms, with no negative part.
+    parts = np.einsum("nij,mi->nmj", np.linalg.inv(arms), way)
+    row, m = np.nonzero((parts >= 0.0).all(axis=2))
+    area = np.full(len(row), 4.0 * np.pi * probe**2 / len(way))
+    return Dots(rests[row] + probe * way[m], -way[m], area, rests[row])
+
+
+def _outside(parts: list[Dots], rests: Floats, probe: float) -> list[Dots]:
+    """Dots of the probe that it does not sweep away at rest elsewhere."""
+    if not len(rests):
+        return parts
+    tree = cKDTree(rests)
+    return [dots[np.asarray(tree.query(dots.x)[0] > probe - _SAME)] if len(dots) else dots for dots in parts]
+
+
+def _joined(parts: list[Dots]) -> Dots:
+    return Dots(
+        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("x", "normal", "area", "probe"))
+    )

@@ -1,0 +1,412 @@
+"""Interfaces of two sides of a complex, scored: energy, area, bonds, fit of the surfaces, and whose share."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.checks import checked, file_name, instance, optional, text
+from protochain.core.errors import ProtochainError
+from protochain.core.graph import both_ways
+from protochain.core.markup import facts
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.energies.decomposed import TERMS, interaction
+from protochain.energies.factory import energy as build_energy
+from protochain.energies.native import NativeEnergy
+from protochain.energies.protocol import Energy, check_is_of
+from protochain.structure.confidences import Confidence, confidence_files, confidence_in
+from protochain.structure.convert import as_structure, to_mdtraj
+from protochain.structure.model import Structure
+from protochain.structure.select import contacts, sides
+from protochain.validation.bonding import hydrogen_bonds, salt_bridges
+from protochain.validation.clashes import clashes
+from protochain.validation.complementarity import shape_complementarity
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Score(NamedTuple):
+    """A column of an interface: in words, whether more of it is better (1) or less (-1), and if it counts."""
+
+    what: str
+    better: int = 0
+    whole: bool = False
+
+
+SCORES: Mapping[str, Score] = MappingProxyType(
+    {
+        "energy_kj_mol": Score("energy of binding of rigid sides, with desolvation", -1),
+        "interaction_kj_mol": Score("the same without desolvation", -1),
+        "lennard_jones_kj_mol": Score("Lennard-Jones energy between the sides", -1),
+        "coulomb_kj_mol": Score("Coulomb energy between the sides", -1),
+        "generalised_born_kj_mol": Score("generalised-Born energy between the sides", -1),
+        "bonded_kj_mol": Score("energy of bonds that join the sides"),
+        "desolvation_kj_mol": Score("what either side loses of its own solvation", -1),
+        "energy_per_area_kj_mol_nm2": Score("energy of binding by buried area", -1),
+        "buried_area_angstrom2": Score("accessible area that both sides lose", 1),
+        "buried_polar_1_angstrom2": Score("of it polar, of the first side"),
+        "buried_apolar_1_angstrom2": Score("of it apolar, of the first side"),
+        "buried_polar_2_angstrom2": Score("of it polar, of the second side"),
+        "buried_apolar_2_angstrom2": Score("of it apolar, of the second side"),
+        "shape_complementarity": Score("Sc of Lawrence and Colman", 1),
+        "hydrogen_bonds": Score("hydrogen bonds across", 1, whole=True),
+        "salt_bridges": Score("salt bridges across", 1, whole=True),
+        "unsatisfied_polar_atoms": Score(
+            "N and O that the other side buries, without a hydrogen bond", -1, whole=True
+        ),
+        "clashes": Score("clashes across", -1, whole=True),
+        "contacts": Score("pairs of residues in contact", 1, whole=True),
+        "residues_1": Score("residues of the first side in contact", whole=True),
+        "residues_2": Score("residues of the second side in contact", whole=True),
+        "contacts_per_residue": Score("residues across that a residue in contact touches", 1),
+    }
+)
+"""Columns of a scored interface, in the order of tables."""
+CONFIDENCES: Mapping[str, Score] = MappingProxyType(
+    {
+        "interface_plddt": Score("pLDDT of the residues in contact", 1),
+        "iptm": Score("ipTM of the two sides", 1),
+        "pdockq": Score("pDockQ", 1),
+    }
+)
+"""Columns of predicted models."""
+
+_NEAR = 0.9
+"""nm from the other side within which the area of an atom may change, and that of its neighbours matters."""
+_PROBE, _POINTS = 0.14, 960
+"""nm, and points of each atom: Shrake, Rupley, J. Mol. Biol. 79:351 (1973)."""
+_HIDDEN = 1.0
+"""angstrom^2 of accessible area, that of its hydrogens included, below which a polar atom is buried."""
+_APOLAR = ("C", "S", "SE", "F", "CL", "BR", "I")
+_SOLVATED = ("generalised_born", "surface")
+_NONBONDED = ("lennard_jones", "coulomb", *_SOLVATED)
+_DOCKQ, _DOCKQ_REACH = (0.724, 152.611, 0.052, 0.018), 0.8
+"""Of pDockQ: L, x0, k, b; nm between C-betas in contact. Bryant, Pozzati, Elofsson, Nat. Commun. 13:1265
+(2022)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Interface(Value):
+    """Scores of an interface.
+
+    Parameters
+    ----------
+    structure : Structure
+    first, second : str
+        The two sides, as given.
+    scores : mapping of str to int or float
+        The keys of ``SCORES`` and ``CONFIDENCES``; None where there is nothing to measure.
+    residues : pandas.DataFrame
+        A row for each residue in contact, or of which area is buried: ``side`` (1 or 2), ``chain``,
+        ``residue``, ``name``, its shares of the energy (``energy_kj_mol``, ``interaction_kj_mol``,
+        ``desolvation_kj_mol``), ``buried_area_angstrom2``, and how many contacts, hydrogen bonds, salt
+        bridges, clashes and unsatisfied polar atoms it has.
+    shares : (nr,) float, kJ/mol
+        Share of the energy of binding of every residue.
+    """
+
+    structure: Structure
+    first: str
+    second: str
+    scores: Mapping[str, Any]
+    residues: "pd.DataFrame"
+    shares: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scores", MappingProxyType(dict(self.scores)))
+
+    @property
+    def name(self) -> str:
+        """The two sides, as ``A,B:C``."""
+        return f"{self.first}:{self.second}"
+
+    def record(self) -> dict[str, Any]:
+        """Flat row: structure, sides, and the scores."""
+        return {"structure": self.structure.name, "interface": self.name, **self.scores}
+
+    def __repr__(self) -> str:
+        its = self.scores
+        sc = its["shape_complementarity"]
+        return (
+            f"<Interface {self.name} of {self.structure.name}: {its['energy_kj_mol']:.1f} kJ/mol, "
+            f"{its['buried_area_angstrom2']:.0f} angstrom^2, Sc {'-' if sc is None else f'{sc:.2f}'}, "
+            f"{its['hydrogen_bonds']} hydrogen bonds, {its['contacts']} contacts>"
+        )
+
+    def _repr_html_(self) -> str:
+        words = {**SCORES, **CONFIDENCES}
+        rows = {
+            words[key].what: f"{value:.4g}" if isinstance(value, float) else "-" if value is None else value
+            for key, value in self.scores.items()
+        }
+        return facts(f"Interface {self.name} of {self.structure.name}", rows)
+
+
+@checked(
+    first=text, second=text, forcefield=file_name, solvent=text,
+    energy=optional(instance(Energy, "protochain.energy(structure)")),
+)  # fmt: skip
+def score_interface(
+    source: Any,
+    first: str,
+    second: str,
+    *,
+    forcefield: str = defaults.FORCEFIELD,
+    solvent: str = defaults.SOLVENT,
+    energy: Energy | None = None,
+    **settings: Any,
+) -> Interface:
+    """Score the interface of two sides of a complex, which are taken as they are, and as rigid.
+
+    Parameters
+    ----------
+    source : Structure, path, or anything that :func:`protochain.as_structure` takes
+        Complex; relax it first if it has clashes. Beside the path of a model, what predictors write is read.
+    first, second : str
+        Chains of either side, as ``"A"`` or ``"A,B"``, with the molecules that bear their names; or
+        selections in the language of MDAnalysis, as ``"resname LIG"``, whose residues the other side's chains
+        do not have. Waters count for neither, and all else is left out.
+    forcefield, solvent : str
+        As for :func:`protochain.energy`.
+    energy : Energy, optional
+        Of the native engine, in place of one of this force field and solvent.
+    **settings
+        Options of :func:`protochain.load`, for a file.
+
+    Returns
+    -------
+    Interface
+        Scores, and a row for each residue. Of sides that do not touch areas and counts are 0, and
+        ``shape_complementarity`` is None; confidences are None of what is no predicted model.
+
+    Raises
+    ------
+    ProtochainError
+        If a side cannot be read or is empty, a residue is on both, or the engine has no kernel for a force.
+
+    Notes
+    -----
+    Hydrogen bonds are Baker and Hubbard's, areas those of Shrake and Rupley for a probe of 1.4 angstrom and
+    Bondi's radii, both by mdtraj; Sc is that of Lawrence and Colman, J. Mol. Biol. 234:946 (1993); residues
+    are in contact with heavy atoms within 5 angstrom.
+    """
+    structure = as_structure(source, **({"forcefield": forcefield} | settings if settings else {}))
+    parts = sides(structure, first, second)
+    made = energy or build_energy(structure, forcefield, solvent, "native")
+    check_is_of(made, structure)
+    beside = confidence_files(Path(source)) if isinstance(source, str | Path) else ()
+    return scored(structure, native(made), first, second, parts, beside)
+
+
+def native(energy: Energy) -> NativeEnergy:
+    """The energy, if the native engine computes it, as that alone tells terms.
+
+    Raises
+    ------
+    ProtochainError
+        If another does.
+    """
+    if not isinstance(energy, NativeEnergy):
+        raise ProtochainError(f"interface: is scored by the native engine alone, not by: {energy.reason}")
+    return energy
+
+
+def scored(
+    structure: Structure,
+    energy: NativeEnergy,
+    first: str,
+    second: str,
+    parts: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    beside: Sequence[Path] = (),
+) -> Interface:
+    """Score an interface whose sides (nr,) and energy are known, with the confidence files of a model."""
+    import pandas as pd
+
+    n, of = structure.n_residues, structure.atom_residue
+    masks = [part[of] for part in parts]
+    between, desolvation = interaction(structure, energy, structure.positions, *parts)
+    terms = dict(zip(TERMS, between.sum(axis=1).tolist(), strict=True))
+    shares = (between + desolvation).sum(axis=0)
+    touching = contacts(structure, *parts)
+    together, lost = _areas(structure, *masks)
+    polar = _polar(structure)
+    near = _near_residues(structure, *masks)
+    bonds = hydrogen_bonds(structure, near) if near.any() else np.empty((0, 3), dtype=np.int64)
+    across = _across(masks, bonds[:, [0, 2]])
+    bridges = [pair for pair in salt_bridges(structure) if _across(parts, np.array([pair]))[0]]
+    clashing = clashes(structure).pairs
+    clashing = clashing[_across(masks, clashing)]
+    unsatisfied = _unsatisfied(structure, together, lost, bonds)
+    area, energy_sum = float(lost.sum()), float(shares.sum())
+    touched = [np.unique(side) for side in touching.T]
+    counts = sum(map(len, touched))
+    scores: dict[str, Any] = {
+        "energy_kj_mol": energy_sum,
+        "interaction_kj_mol": float(between.sum()),
+        **{f"{name}_kj_mol": terms[name] for name in ("lennard_jones", "coulomb", "generalised_born")},
+        "bonded_kj_mol": sum(value for name, value in terms.items() if name not in _NONBONDED),
+        "desolvation_kj_mol": float(desolvation.sum()),
+        "energy_per_area_kj_mol_nm2": energy_sum / area * ANGSTROM_PER_NM**2 if area else None,
+        "buried_area_angstrom2": area,
+        **{
+            f"buried_{kind}_{k + 1}_angstrom2": float(lost[masks[k] & its].sum())
+            for k in (0, 1) for kind, its in (("polar", polar), ("apolar", ~polar))
+        },
+        "shape_complementarity": shape_complementarity(
+            structure, structure.positions, *map(np.flatnonzero, masks)
+        ),
+        "hydrogen_bonds": int(across.sum()),
+        "salt_bridges": len(bridges),
+        "unsatisfied_polar_atoms": len(unsatisfied),
+        "clashes": len(clashing),
+        "contacts": len(touching),
+        "residues_1": len(touched[0]),
+        "residues_2": len(touched[1]),
+        "contacts_per_residue": 2.0 * len(touching) / counts if counts else None,
+        **_confidences(structure, parts, touching, confidence_in(beside)),
+    }  # fmt: skip
+    scores = {key: value if value is None or np.isfinite(value) else None for key, value in scores.items()}
+
+    def count(residues: Integers | Sequence[tuple[int, int]]) -> Integers:
+        return np.bincount(np.array(residues, dtype=np.int64).ravel(), minlength=n)
+
+    table = pd.DataFrame(
+        {
+            "side": np.where(parts[0], 1, 2), "chain": structure.residue_chain,
+            "residue": np.char.add(structure.residue_number, structure.residue_insertion_code),
+            "name": structure.residue_name_in_file, "energy_kj_mol": shares,
+            "interaction_kj_mol": between.sum(axis=0), "desolvation_kj_mol": desolvation.sum(axis=0),
+            "buried_area_angstrom2": np.bincount(of, lost, n), "contacts": count(touching),
+            "hydrogen_bonds": count(of[bonds[across][:, [0, 2]]]), "salt_bridges": count(bridges),
+            "clashes": count(of[clashing]), "unsatisfied_polar_atoms": count(of[unsatisfied]),
+        }
+    )  # fmt: skip
+    shown = (table["contacts"] > 0) | (table["buried_area_angstrom2"] > 0.0)
+    return Interface(structure, first, second, scores, table[shown].reset_index(drop=True), shares)
+
+
+def _across(parts: Sequence[NDArray[np.bool_]], pairs: Integers) -> NDArray[np.bool_]:
+    """Whether one of each pair (n, 2) is of one part, and the other of the other."""
+    (a, b), (i, j) = parts, pairs.reshape(-1, 2).T
+    return np.asarray((a[i] & b[j]) | (b[i] & a[j]))
+
+
+def _within(x: Floats, mine: NDArray[np.bool_], its: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """(na,) bool: atoms of one mask that are near one of the other."""
+    found = np.zeros(len(x), dtype=bool)
+    if mine.any() and its.any():
+        found[mine] = cKDTree(x[its]).query(x[mine], distance_upper_bound=_NEAR)[0] < _NEAR
+    return found
+
+
+def _near_residues(
+    structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """(na,) bool: atoms of residues of either side that are near the other side."""
+    x, of = structure.positions, structure.atom_residue
+    near = _within(x, one, other) | _within(x, other, one)
+    return np.isin(of, of[near]) & (one | other)
+
+
+def _areas(structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """(na,), (na,) float, angstrom^2: accessible areas with both sides there, and what each atom loses."""
+    x = structure.positions
+    changing = [_within(x, one, other), _within(x, other, one)]
+    together, alone = np.zeros(len(x)), np.zeros(len(x))
+    if not changing[0].any():
+        return together, alone
+    around = [_within(x, side, near) for side, near in zip((one, other), changing, strict=True)]
+    whole = to_mdtraj(structure)
+    for side, its in zip(changing, around, strict=True):
+        alone[side] = _area(whole, its)[side]
+    both = changing[0] | changing[1]
+    together[both] = _area(whole, around[0] | around[1])[both]
+    return together, np.maximum(alone - together, 0.0)
+
+
+def _area(whole: Any, some: NDArray[np.bool_]) -> Floats:
+    """(na,) float, angstrom^2: accessible areas of some atoms of a trajectory without the others."""
+    import mdtraj
+
+    found = np.zeros(len(some))
+    own = mdtraj.shrake_rupley(whole.atom_slice(np.flatnonzero(some)), _PROBE, _POINTS)[0]
+    found[some] = ANGSTROM_PER_NM**2 * own
+    return found
+
+
+def _parents(structure: Structure) -> Integers:
+    """(na,) int: of a hydrogen the atom that bears it, of others themselves."""
+    is_h, own = structure.atom_element == "H", np.arange(structure.n_atoms)
+    ends = both_ways(structure.bonds)
+    ends = ends[is_h[ends[:, 0]] & ~is_h[ends[:, 1]]]
+    own[ends[:, 0]] = ends[:, 1]
+    return own
+
+
+def _polar(structure: Structure) -> NDArray[np.bool_]:
+    """(na,) bool: all but carbon, sulphur, selenium, halogens and their hydrogens."""
+    return np.asarray(~np.isin(np.char.upper(structure.atom_element[_parents(structure)]), _APOLAR))
+
+
+def _unsatisfied(structure: Structure, together: Floats, lost: Floats, bonds: Integers) -> Integers:
+    """(n,) int: N and O, accessible without the other side, that it buries, and without a bond."""
+    own, n, element = _parents(structure), structure.n_atoms, structure.atom_element
+    hydrogens = np.bincount(own, minlength=n) - 1
+    degree = np.bincount(structure.bonds.ravel(), minlength=n)
+    # A nitrogen with three bonds and no hydrogen, as of proline, neither gives nor takes.
+    can = (element == "O") | ((element == "N") & ((hydrogens > 0) | (degree < 3)))
+    left, before = np.bincount(own, together, n), np.bincount(own, together + lost, n)
+    can &= (left < _HIDDEN) & (before >= _HIDDEN)
+    can[bonds[:, [0, 2]]] = False
+    return np.flatnonzero(can)
+
+
+def _confidences(
+    structure: Structure,
+    parts: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    touching: Integers,
+    given: Confidence | None,
+) -> dict[str, float | None]:
+    """Columns of ``CONFIDENCES``; of a model whose header or confidence files say that it is one."""
+    if given is None and "_ma_" not in structure.header:
+        return dict.fromkeys(CONFIDENCES)
+    heavy = structure.atom_element != "H"
+    of = structure.atom_residue[heavy]
+    per_residue = np.bincount(of, structure.b_factor[heavy], structure.n_residues) / np.maximum(
+        np.bincount(of, minlength=structure.n_residues), 1
+    )
+    # Some programs write shares.
+    plddt = per_residue * (100.0 if per_residue.max() <= 1.0 else 1.0)
+    chains = [*dict.fromkeys(structure.residue_chain.tolist())]
+    names = [{*structure.residue_chain[part].tolist()} for part in parts]
+    return {
+        "interface_plddt": float(plddt[np.unique(touching)].mean()) if len(touching) else None,
+        "iptm": None if given is None else given.between(chains, *names),
+        "pdockq": _pdockq(structure, parts, plddt),
+    }
+
+
+def _pdockq(structure: Structure, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]], plddt: Floats) -> float:
+    """PDockQ of two sides; 0 without contacts, as its program says."""
+    names, of = structure.atom_name, structure.atom_residue
+    glycine = structure.residue_name[of] == "GLY"
+    beta = ~structure.kept & np.where(glycine, names == "CA", names == "CB")
+    atoms = [np.flatnonzero(beta & part[of]) for part in parts]
+    if not all(map(len, atoms)):
+        return 0.0
+    one, other = (cKDTree(structure.positions[its]) for its in atoms)
+    pairs = one.sparse_distance_matrix(other, _DOCKQ_REACH, output_type="ndarray")
+    if not len(pairs):
+        return 0.0
+    residues = of[np.concatenate([np.unique(atoms[0][pairs["i"]]), np.unique(atoms[1][pairs["j"]])])]
+    top, middle, slope, base = _DOCKQ
+    x = float(plddt[residues].mean()) * np.log10(len(pairs))
+    return float(top / (1.0 + np.exp(-slope * (x - middle))) + base)

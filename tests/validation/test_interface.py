@@ -1,0 +1,385 @@
+"""Scored interfaces: each column against another program or its definition, and what cannot be scored."""
+
+import functools
+import json
+import shutil
+from dataclasses import replace
+
+import freesasa
+import mdtraj
+import numpy as np
+import pandas as pd
+import pytest
+from fixtures.command_line import refusal, run
+from fixtures.samples import STRUCTURES, energy, load, shared
+from fixtures.tolerances import NATIVE_ENERGY
+from mdtraj.geometry.sasa import _ATOMIC_RADII
+from scipy.spatial.distance import cdist
+
+import protochain as pc
+from protochain.structure.confidences import Confidence, confidence_in
+from protochain.structure.select import select, sides, touching_chains
+from protochain.validation import CONFIDENCES, SCORES
+
+MODEL, BESIDE = "6bj9_model_0.cif.gz", "confidence_6bj9_model_0.json"
+
+
+@functools.cache
+def scored(name, first, second):
+    return pc.score_interface(load(name), first, second, energy=energy(name))
+
+
+def masks(s, *given):
+    return [side[s.atom_residue] for side in sides(s, *given)]
+
+
+@pytest.mark.parametrize(("name", "first", "second"), [("1ysa.pdb", "C", "D"), ("1ysa.pdb", "C,D", "A,B")])
+def test_the_energy_is_that_of_the_whole_without_either_side_alone(name, first, second):
+    """By OpenMM's Reference platform, of files with the chains of both sides, and of either."""
+    s, found = load(name), scored(name, first, second).scores
+
+    def alone(chains):
+        mine = pc.load(STRUCTURES / name, chains=chains)
+        of = (
+            np.isin(s.residue_chain[s.atom_residue], chains.split(","))
+            & ~(s.residue_name == "HOH")[s.atom_residue]
+        )
+        assert np.array_equal(mine.atom_name, s.atom_name[of])
+        judge = pc.energy(mine, engine="openmm").reference
+        return judge(s.positions[of])[0]
+
+    parts = [alone(f"{first},{second}"), alone(first), alone(second)]
+    assert found["energy_kj_mol"] == pytest.approx(
+        parts[0] - parts[1] - parts[2], abs=10 * NATIVE_ENERGY * sum(map(abs, parts)) + 1e-6
+    )
+    terms = ("lennard_jones", "coulomb", "generalised_born", "bonded")
+    assert found["interaction_kj_mol"] == pytest.approx(sum(found[f"{name}_kj_mol"] for name in terms))
+    assert found["energy_kj_mol"] == pytest.approx(found["interaction_kj_mol"] + found["desolvation_kj_mol"])
+
+
+def test_terms_are_those_between_two_parts_and_shares_add_up():
+    s, found = load("3i40.pdb"), scored("3i40.pdb", "A", "B")
+    table = pc.energy_terms(s, between="A,B", energy=energy("3i40.pdb"))
+    assert found.scores["interaction_kj_mol"] == pytest.approx(table.loc["interaction", "total"])
+    assert found.scores["desolvation_kj_mol"] == pytest.approx(table.loc["desolvation", "total"])
+    assert found.shares.sum() == pytest.approx(found.scores["energy_kj_mol"])
+    by_residue = pc.energy_terms(s, "residue", between="A,B", energy=energy("3i40.pdb"))["total"]
+    its = s.residue_number.tolist(), s.residue_chain.tolist()
+    place = {key: k for k, key in enumerate(zip(*its, strict=True))}
+    for row in found.residues.itertuples():
+        k = place[row.residue, row.chain]
+        assert row.interaction_kj_mol == pytest.approx(by_residue[k])
+        assert row.energy_kj_mol == found.shares[k]
+
+
+@pytest.mark.parametrize(("name", "first", "second"), [("3i40.pdb", "A", "B"), ("1ysa.pdb", "C,D", "A,B")])
+def test_areas_are_those_of_freesasa(name, first, second):
+    """With the radii of mdtraj; slices of Lee and Richards, where mdtraj has points: per mille of an area."""
+    s, found = load(name), scored(name, first, second).scores
+    radius = np.array([10.0 * _ATOMIC_RADII[symbol] for symbol in s.atom_element.tolist()])
+    one, other = masks(s, first, second)
+    how = freesasa.Parameters({"algorithm": freesasa.LeeRichards, "n-slices": 100})
+
+    def area(mask):
+        x = 10.0 * s.positions[mask]
+        its = np.zeros(s.n_atoms)
+        result = freesasa.calcCoord(x.ravel().tolist(), radius[mask].tolist(), how)
+        its[mask] = [result.atomArea(k) for k in range(mask.sum())]
+        return its
+
+    lost = area(one) + area(other) - area(one | other)
+    assert found["buried_area_angstrom2"] == pytest.approx(lost.sum(), rel=0.005)
+    bears = {i: j for pair in s.bonds.tolist() for i, j in (pair, pair[::-1])}
+    of = [bears[k] if s.atom_element[k] == "H" else k for k in range(s.n_atoms)]
+    apolar = np.isin(s.atom_element[of], ["C", "S"])
+    for k, side in ((1, one), (2, other)):
+        for kind, its in (("apolar", apolar), ("polar", ~apolar)):
+            key = f"buried_{kind}_{k}_angstrom2"
+            assert found[key] == pytest.approx(lost[side & its].sum(), rel=0.01), key
+
+
+@pytest.mark.parametrize(("name", "first", "second"), [("3i40.pdb", "A", "B"), ("1ysa.pdb", "C,D", "A,B")])
+def test_bonds_contacts_and_clashes_are_those_of_their_definitions(name, first, second):
+    s, its = load(name), scored(name, first, second)
+    found, (one, other) = its.scores, masks(s, first, second)
+    x, element, of = 10.0 * s.positions, s.atom_element, s.atom_residue
+    both = one | other
+    bonds = {
+        (d, h, a)
+        for d, h, a in mdtraj.baker_hubbard(pc.to_mdtraj(s), periodic=False).tolist()
+        if both[d] and both[a]
+    }
+    across = [(d, a) for d, _, a in bonds if one[d] != one[a]]
+    assert found["hydrogen_bonds"] == len(across) > 3
+    names = s.residue_name[of]
+    plus = np.isin(names, ["ARG", "LYS"]) & (element == "N") & (s.atom_name != "N")
+    minus = np.isin(names, ["ASP", "GLU"]) & np.isin(s.atom_name, ["OD1", "OD2", "OE1", "OE2"])
+    minus |= np.isin(s.atom_name, ["OP1", "OP2"])
+    i, j = np.nonzero(cdist(x[plus], x[minus]) < 4.0)
+    p, m = np.flatnonzero(plus)[i], np.flatnonzero(minus)[j]
+    crossing = (one[p] & other[m]) | (other[p] & one[m])
+    assert found["salt_bridges"] == len({*zip(of[p[crossing]], of[m[crossing]], strict=True)})
+    heavy = element != "H"
+    a, b = np.flatnonzero(heavy & one), np.flatnonzero(heavy & other)
+    i, j = np.nonzero(cdist(x[a], x[b]) < 5.0)
+    pairs = {*zip(of[a[i]].tolist(), of[b[j]].tolist(), strict=True)}
+    assert found["contacts"] == len(pairs)
+    assert found["residues_1"] == len({i for i, _ in pairs})
+    assert found["residues_2"] == len({j for _, j in pairs})
+    per = 2 * len(pairs) / (found["residues_1"] + found["residues_2"])
+    assert found["contacts_per_residue"] == pytest.approx(per)
+    clashing = pc.validation.clashes(s).pairs
+    assert found["clashes"] == sum(one[i] != one[j] and both[i] and both[j] for i, j in clashing)
+    table = its.residues
+    for column in ("hydrogen_bonds", "salt_bridges", "clashes", "contacts"):
+        assert table[column].sum() == 2 * found[column], column
+    assert table["unsatisfied_polar_atoms"].sum() == found["unsatisfied_polar_atoms"]
+    assert table["buried_area_angstrom2"].sum() == pytest.approx(found["buried_area_angstrom2"])
+
+
+def test_unsatisfied_polar_atoms_are_buried_by_the_other_side_and_without_a_bond():
+    s, found = load("3i40.pdb"), scored("3i40.pdb", "A", "B")
+    one, other = masks(s, "A", "B")
+    whole = pc.to_mdtraj(s)
+    bonded = mdtraj.baker_hubbard(whole.atom_slice(np.flatnonzero(one | other)), periodic=False)
+    bonded = {*np.flatnonzero(one | other)[bonded[:, [0, 2]]].ravel().tolist()}
+
+    def area(mask):
+        its = np.zeros(s.n_atoms)
+        its[mask] = 100.0 * mdtraj.shrake_rupley(whole.atom_slice(np.flatnonzero(mask)))[0]
+        return its
+
+    alone, together = area(one) + area(other), area(one | other)
+    count = 0
+    for k in np.flatnonzero(np.isin(s.atom_element, ["N", "O"]) & (one | other)).tolist():
+        hydrogens = [j for j in s.neighbours[k] if s.atom_element[j] == "H"]
+        if s.atom_element[k] == "N" and len(s.neighbours[k]) == 3 and not hydrogens:
+            continue
+        group = [k, *hydrogens]
+        count += together[group].sum() < 1.0 <= alone[group].sum() and k not in bonded
+    assert found.scores["unsatisfied_polar_atoms"] == count > 0
+
+
+def test_of_sides_that_do_not_touch_all_is_nothing():
+    s = load("1ysa.pdb")
+    away = s.with_positions(s.positions + np.outer((s.residue_chain == "D")[s.atom_residue], [0, 9.0, 0]))
+    found = pc.score_interface(away, "C", "D", solvent="vacuum").scores
+    for key in (
+        "buried_area_angstrom2", "hydrogen_bonds", "salt_bridges", "unsatisfied_polar_atoms", "clashes",
+        "contacts", "residues_1", "residues_2",
+    ):  # fmt: skip
+        assert found[key] == 0, key
+    for key in ("shape_complementarity", "energy_per_area_kj_mol_nm2", "contacts_per_residue"):
+        assert found[key] is None, key
+    # r^-6 at some 8 nm, of some thousand atoms.
+    assert abs(found["lennard_jones_kj_mol"]) < 1e-2
+    assert json.loads(json.dumps(dict(found), allow_nan=False)) == found
+
+
+def test_sides_change_places():
+    there, back = scored("3i40.pdb", "A", "B").scores, scored("3i40.pdb", "B", "A").scores
+    swapped = {key.replace("_1", "_x").replace("_2", "_1").replace("_x", "_2"): v for key, v in back.items()}
+    assert there.keys() == swapped.keys() == {**SCORES, **CONFIDENCES}.keys()
+    for key, value in there.items():
+        assert swapped[key] == (None if value is None else pytest.approx(value)), key
+
+
+def test_a_ligand_is_a_side_that_the_chains_around_it_do_not_have():
+    s = pc.load(STRUCTURES / MODEL)
+    ligand = s.residue_chain == "C"
+    assert ligand.sum() == 1
+    for order in (("A,B,C", "chainID C"), ("chainID C", "A,B,C")):
+        found = sides(s, *order)
+        one, other = found if order[1] == "chainID C" else found[::-1]
+        assert np.array_equal(other, ligand)
+        assert np.array_equal(one, np.isin(s.residue_chain, ["A", "B"]))
+
+
+def test_an_inhibitor_is_scored_in_its_pocket():
+    s = pc.load(shared("1hpv_oldformat.pdb"))
+    found = pc.score_interface(s, "A,B", "resname 478", solvent="vacuum").scores
+    assert found["residues_2"] == 1 and found["contacts"] == found["residues_1"] > 20
+    assert found["lennard_jones_kj_mol"] < -200.0 and found["hydrogen_bonds"] > 1
+    assert 0.6 < found["shape_complementarity"] < 0.8
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "said"),
+    [
+        ("A", "Q", "side 'Q' of an interface is no chain.*its chains are A, B"),
+        ("A", "A", "residue 1 GLY of chain A is on both sides"),
+        ("A,B", "B", "is on both sides"),
+        ("A", "", "side '' of an interface is no chain"),
+        ("A", "resname XYZ", "is no chain"),
+        ("resid 3 and chainID A", "chainID A", "is on both sides"),
+        ("A", "chainID A", "nothing is left of side 'A'"),
+        (3, "B", "first 3"),
+    ],
+)
+def test_sides_that_make_no_sense_are_refused(first, second, said):
+    with pytest.raises(pc.ProtochainError, match=said):
+        pc.score_interface(load("3i40.pdb"), first, second)
+
+
+def test_other_engines_are_refused():
+    s = load("3i40.pdb")
+    with pytest.raises(pc.ProtochainError, match="by the native engine alone"):
+        pc.score_interface(s, "A", "B", energy=pc.energy(s, engine="openmm"))
+
+
+def test_chains_in_contact_are_found_in_their_order():
+    s = load("1ysa.pdb")
+    x, chain = 10.0 * s.positions, s.residue_chain[s.atom_residue]
+    heavy = (s.atom_element != "H") & (s.residue_name != "HOH")[s.atom_residue]
+    order = [*dict.fromkeys(chain.tolist())]
+    expected = [
+        (a, b)
+        for k, a in enumerate(order)
+        for b in order[k + 1 :]
+        if cdist(x[heavy & (chain == a)], x[heavy & (chain == b)]).min() < 5.0
+    ]
+    assert touching_chains(s) == expected and len(expected) > 2
+    assert touching_chains(load("1ubq.pdb")) == []
+
+
+def test_an_interface_of_two_sides_can_be_selected():
+    s = load("1ysa.pdb")
+    assert np.array_equal(select(s, "interface A,B:C,D"), select(s, "interface C,D:A,B"))
+    every, mine = select(s, "interface"), select(s, "interface A:B")
+    names = {*s.residue_chain[s.atom_residue[mine]].tolist()}
+    assert names == {"A", "B"} and (every | mine == every).all() and mine.sum() < every.sum()
+    assert np.array_equal(select(s, "interface A:B and name P"), mine & (s.atom_name == "P"))
+    residues = scored("1ysa.pdb", "C", "D").residues
+    touching = residues[residues["contacts"] > 0]
+    assert len({*s.atom_residue[select(s, "interface C:D")].tolist()}) == len(touching)
+    with pytest.raises(pc.ProtochainError, match="side 'Q' of an interface"):
+        select(s, "interface A:Q")
+
+
+def test_iptm_of_sides_is_the_mean_of_their_chains_both_ways():
+    files = [STRUCTURES / BESIDE]
+    told = json.loads(files[0].read_text())
+    table, given = told["pair_chains_iptm"], confidence_in(files)
+    chains = [chr(ord("A") + k) for k in range(len(table))]
+    assert given.between(chains, {"A"}, {"B"}) == pytest.approx(0.5 * (table["0"]["1"] + table["1"]["0"]))
+    assert given.between(["A", "B"], {"A"}, {"B"}) is None  # Of other chains than the model's.
+    assert Confidence(0.7).between(["A", "B"], {"A"}, {"B"}) == 0.7
+    assert Confidence(0.7).between(["A", "B", "C"], {"A"}, {"B"}) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("x.json", '{"iptm": 0.5, "chain_pair_iptm": [[0.9, 0.4], [0.6, 0.8]]}'),
+        ("x.json", '{"iptm": 0.5, "pair_chains_iptm": {"0": {"0": 1, "1": 0.4}, "1": {"0": 0.6, "1": 1}}}'),
+        ("x.npz", None),
+    ],
+)
+def test_confidences_of_each_program_are_read(tmp_path, name, text):
+    path = tmp_path / name
+    if text is None:
+        np.savez(path, iptm=np.array([0.5]), per_chain_pair_iptm=np.array([[[0.9, 0.4], [0.6, 0.8]]]))
+    else:
+        path.write_text(text)
+    found = confidence_in([path])
+    assert found.iptm == 0.5 and found.between("AB", {"A"}, {"B"}) == pytest.approx(0.5)
+    assert found.pairs[0][1] == 0.4
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"iptm": "x"}', '{"iptm": 1, "chain_pair_iptm": [[1, 2]]}']
+)
+def test_confidences_that_cannot_be_read_are_none(tmp_path, text):
+    (tmp_path / "x.json").write_text(text)
+    assert confidence_in([tmp_path / "x.json"]) == Confidence(None)
+    assert confidence_in([]) is None
+
+
+def test_a_model_has_its_confidences():
+    for name in (MODEL, BESIDE):
+        assert (STRUCTURES / name).exists()
+    s = pc.load(STRUCTURES / MODEL)
+    found = pc.score_interface(STRUCTURES / MODEL, "A", "B", solvent="vacuum")
+    x, of = 10.0 * s.positions, s.atom_residue
+    beta = np.where(s.residue_name[of] == "GLY", s.atom_name == "CA", s.atom_name == "CB") & ~s.kept
+    one, other = (np.flatnonzero(beta & (s.residue_chain[of] == name)) for name in "AB")
+    i, j = np.nonzero(cdist(x[one], x[other]) <= 8.0)
+    heavy = s.atom_element != "H"
+    plddt = np.array([s.b_factor[heavy & (of == r)].mean() for r in range(s.n_residues)])
+    mean = plddt[of[np.concatenate([np.unique(one[i]), np.unique(other[j])])]].mean()
+    expected = 0.724 / (1 + np.exp(-0.052 * (mean * np.log10(len(i)) - 152.611))) + 0.018
+    assert found.scores["pdockq"] == pytest.approx(expected)
+    touching = np.unique(of[select(s, "interface A:B")])
+    assert found.scores["interface_plddt"] == pytest.approx(plddt[touching].mean())
+    assert found.scores["iptm"] == pytest.approx(0.962, abs=1e-3)
+    assert scored("3i40.pdb", "A", "B").scores["iptm"] is None
+
+
+@pytest.fixture
+def three(tmp_path):
+    for name in ("3i40.pdb", "1ysa.pdb", "1l2y.pdb"):
+        shutil.copy(STRUCTURES / name, tmp_path)
+    return tmp_path
+
+
+def test_a_table_of_many_is_ranked_and_one_chain_is_told(three, capsys):
+    csv, residues, page = (three / name for name in ("a.csv", "r.csv", "p.html"))
+    out = ["--csv", csv, "--residues", residues, "--report", page, "--solvent", "vacuum", "--json"]
+    status = run("score", three / "1l2y.pdb", three / "3i40.pdb", three / "1ysa.pdb", "--rank",
+                 "buried_area_angstrom2", *out)  # fmt: skip
+    said, errors = capsys.readouterr()
+    told = json.loads(said)["results"]
+    assert status == 2 and "no two of its chains are in contact" in errors
+    done = [row for row in told if not row["message"]]
+    assert len(done) == 1 + len(touching_chains(load("1ysa.pdb"))) and told[-1]["message"]
+    areas = [row["buried_area_angstrom2"] for row in done]
+    assert areas == sorted(areas, reverse=True)
+    table = pd.read_csv(csv)
+    assert table["interface"].tolist()[:-1] == [row["interface"] for row in done]
+    assert {*SCORES} <= {*table.columns}
+    rows = pd.read_csv(residues, dtype={"residue": str})
+    sums = rows.groupby(["file", "interface"])["buried_area_angstrom2"].sum()
+    for row in done:
+        assert sums[row["file"], row["interface"]] == pytest.approx(row["buried_area_angstrom2"])
+    text = page.read_text()
+    assert text.count("<option value=") >= len(done) and "3i40.pdb A:B" in text
+
+
+def test_lower_energies_rank_first_and_named_sides_alone_are_scored(three, capsys):
+    run("score", three / "3i40.pdb", three / "1ysa.pdb", "--interface", "A:B", "--rank", "energy_kj_mol",
+        "--solvent", "vacuum", "--json")  # fmt: skip
+    told = json.loads(capsys.readouterr().out)["results"]
+    energies = [row["energy_kj_mol"] for row in told]
+    assert len(told) == 2 and energies == sorted(energies)
+    assert {row["interface"] for row in told} == {"A:B"}
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--rank", "beauty"], "rank 'beauty' is not known; choose from energy_kj_mol"),
+        (["--report", "page.pdf"], "ends in .html"),
+        (["--csv", "x.csv", "--residues", "x.csv"], "given for two outputs"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(three, options, said, monkeypatch):
+    monkeypatch.chdir(three)
+    assert said in refusal("score", "3i40.pdb", *options)
+
+
+@pytest.mark.parametrize("given", ["A", "A:Q", "", ":", "A:B:C"])
+def test_interfaces_that_cannot_be_read_are_told(three, given, capsys):
+    assert run("score", three / "3i40.pdb", "--interface", given) == 2
+    said = capsys.readouterr().err
+    assert "interface" in said and said.count("\n") == 1
+
+
+def test_what_is_in_the_way_is_left_out():
+    """Of three chains two are scored as if the third were not in the file."""
+    s = load("1ysa.pdb")
+    alone = pc.load(STRUCTURES / "1ysa.pdb", chains="C,D")
+    of = np.isin(s.residue_chain[s.atom_residue], ["C", "D"]) & (s.residue_name != "HOH")[s.atom_residue]
+    alone = replace(alone, positions=s.positions[of])
+    mine, other = scored("1ysa.pdb", "C", "D").scores, pc.score_interface(alone, "C", "D").scores
+    for key, value in mine.items():
+        assert other[key] == (None if value is None else pytest.approx(value, abs=1e-6)), key
