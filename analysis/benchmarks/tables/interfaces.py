@@ -69,10 +69,14 @@ def ranks(rows: pd.DataFrame) -> str:
             where = ", ".join(
                 f"{row['complex']} {str(row['motion']).removesuffix(', rank')}" for _, row in less.iterrows()
             )
-            told.append(f"{name} does not for {where}")
+            told.append(f"{name} not for {where}")
         elif len(there):
             always.append(name)
-    return paragraph(f"Worse at every step in all: {', '.join(always) or 'none'}.", f"{'; '.join(told)}.")
+    return paragraph(
+        f"Worse at every step of every motion: {', '.join(always) or 'none'}. Not so: {'; '.join(told)}.",
+        "Rigid sides that interlock run into one another, however they move: energies are then those of",
+        "clashes, and a turn may press more residues together, which buries more area.",
+    )
 
 
 @table("interfaces-cost", "interfaces_cost.csv")
