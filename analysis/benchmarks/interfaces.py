@@ -232,8 +232,12 @@ def _cpu() -> float:
 TABLES = {"columns": columns, "moved": moved, "cost": cost}
 
 
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__, TABLES, more=True)
+
+
 def main() -> int:
-    options = made.parser(__doc__, TABLES, more=True).parse_args()
+    options = parser().parse_args()
     files = {"columns": dict.fromkeys(map(file_of, COMPLEXES)), "moved": MOVED, "cost": [LARGE]}
     made.study(options, TABLES, "interfaces", lambda name, _: files[name])
     return 0

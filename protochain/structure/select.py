@@ -11,7 +11,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Integers
 from protochain.core.errors import StructureError
 from protochain.core.markup import listed
-from protochain.structure.convert import to_mdanalysis
+from protochain.structure.convert import as_structure, to_mdanalysis
 from protochain.structure.model import Structure
 
 
@@ -140,8 +140,25 @@ def sides_named(structure: Structure, interface: str) -> tuple[str, str]:
     raise refused
 
 
-def touching_chains(structure: Structure) -> list[tuple[str, str]]:
-    """Pairs of chains of which heavy atoms are within 5 angstrom, waters aside, in the order of the file."""
+def touching_chains(structure: Any) -> list[tuple[str, str]]:
+    """List the pairs of chains of which heavy atoms are within 5 angstrom, waters aside.
+
+    Parameters
+    ----------
+    structure : Structure, or anything that :func:`protochain.as_structure` takes
+        Complex to look at.
+
+    Returns
+    -------
+    list of (str, str)
+        Names of chains, in the order of the file.
+
+    Raises
+    ------
+    StructureError
+        If the structure cannot be used.
+    """
+    structure = as_structure(structure)
     chain = structure.residue_chain[_touching(structure)]
     order = {name: k for k, name in enumerate(dict.fromkeys(structure.residue_chain.tolist()))}
     pairs = {tuple(sorted(pair, key=order.__getitem__)) for pair in chain.tolist() if pair[0] != pair[1]}

@@ -100,6 +100,7 @@ class Interface(Value):
     Parameters
     ----------
     structure : Structure
+        Complex that was scored.
     first, second : str
         The two sides, as given.
     scores : mapping of str to int or float

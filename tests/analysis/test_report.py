@@ -145,6 +145,36 @@ def test_a_notebooks_view_draws_in_its_frame(browser, tmp_path):
     assert said == []
 
 
+def test_the_page_of_interfaces_shows_both_sides_and_is_sorted(browser, tmp_path):
+    from fixtures.command_line import run
+    from fixtures.samples import STRUCTURES
+
+    page_file = tmp_path / "page.html"
+    given = [STRUCTURES / "3i40.pdb", "--interface", "A:B", "--interface", "A:resid 20:30 and chainID B"]
+    run("score", *given, "--report", page_file, "--solvent", "vacuum", "--rank", "contacts")
+    page = browser.new_page(viewport={"width": 500, "height": 900})
+    said = []
+    page.on("console", lambda message: said.append(message.text))
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.goto(page_file.as_uri())
+    page.wait_for_selector("#viewer[data-shown] canvas")
+    shown = [int(page.locator("#viewer").get_attribute("data-shown"))]
+    page.select_option("#interface", "1")
+    shown.append(int(page.locator("#viewer").get_attribute("data-shown")))
+    heavy = [
+        int(sum((s.atom_element != "H")[np.isin(s.atom_residue, np.flatnonzero(its.shares != 0.0))]))
+        for s in [pc.load(STRUCTURES / "3i40.pdb")]
+        for its in [pc.score_interface(s, "A", "B", solvent="vacuum")]
+    ]
+    assert 0 < shown[1] < shown[0] <= heavy[0]
+    drawn = matplotlib.image.imread(io.BytesIO(page.locator("#viewer").screenshot()))[5:-5, 5:-5, :3]
+    assert np.mean(np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1) > 0.01
+    for side in ("1", "2"):
+        page.locator(f'#shown input[value="{side}"]').uncheck()
+    page.select_option("#style", "stick")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 500 and said == []
+
+
 def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_path):
     Chem = pytest.importorskip("rdkit.Chem")
     AllChem = pytest.importorskip("rdkit.Chem.AllChem")

@@ -5,6 +5,7 @@ import pytest
 import shape_complementarity as other_program
 from fixtures.samples import STRUCTURES, load
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial.distance import cdist
 
 import protochain as pc
 from protochain.structure.select import sides
@@ -16,6 +17,7 @@ CLUSTERS = {
     "two apart": ([[0, 0, 0], [9, 0, 0]], [1.5, 1.8]),
     "two that bonds join": ([[0, 0, 0], [1.5, 0, 0]], [1.5, 1.8]),
     "two with the probe between": ([[0, 0, 0], [5.5, 0, 0]], [1.5, 1.8]),
+    "two between which the probe meets itself": ([[0, 0, 0], [6.2, 0, 0]], [1.5, 1.8]),
     "three": ([[0, 0, 0], [4, 0, 0], [2, 3.6, 0]], [1.5, 1.8, 1.7]),
     "four": ([[0, 0, 0], [3, 0, 0], [1.5, 2.6, 0], [1.5, 0.9, 2.4]], [1.5, 1.8, 1.7, 1.6]),
     "one within another": ([[0, 0, 0], [0.2, 0, 0]], [1.9, 1.2]),
@@ -50,6 +52,8 @@ def test_a_surface_is_closed_and_holds_the_volume_that_no_probe_enters(name):
     assert np.allclose(np.linalg.norm(dots.normal, axis=1), 1.0)
     assert np.allclose(dots.probe, dots.x + PROBE * dots.normal)
     away = np.linalg.norm(dots.probe[:, None] - x, axis=2) - radius - PROBE
+    # The probe that touches at one dot sweeps no other away.
+    assert cdist(dots.x, dots.probe).min() > PROBE - 1e-6
     assert away.min() > -1e-9 and np.abs(away.min(axis=1)).max() < 1e-9
 
 

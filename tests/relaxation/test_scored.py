@@ -1,0 +1,87 @@
+"""An interface scored at both ends of a relaxation, in its record, in tables, on its page."""
+
+import json
+
+import pandas as pd
+import pytest
+from fixtures.command_line import refusal, run
+from fixtures.samples import STRUCTURES, load
+
+import protochain as pc
+from protochain.relaxation.record import COLUMNS, INTERFACE_COLUMNS, INTERFACE_COUNTS
+from protochain.validation import SCORES
+
+FILE = STRUCTURES / "3i40.pdb"
+OPTIONS = {"solvent": "vacuum", "max_iterations": 5, "threads": 1}
+
+
+def key_at(key, when):
+    """As ``energy_kj_mol`` of an interface is ``interface_energy_start_kj_mol``."""
+    stem, unit = key, ""
+    for ending in ("_kj_mol_nm2", "_kj_mol", "_angstrom2"):
+        if key.endswith(ending):
+            stem, unit = key.removesuffix(ending), ending
+            break
+    return f"interface_{stem}_{when}{unit}"
+
+
+def test_its_record_has_the_scores_of_both_ends_and_none_that_were_not_asked_for():
+    plain, scored = (pc.relax(load(FILE.name), **OPTIONS, interface=given) for given in ("", "A:B"))
+    assert plain.interface_start is None and plain.interface_end is None
+    assert plain.x.tobytes() == scored.x.tobytes()
+    record = scored.record()
+    assert {*plain.record()} == {each.key for each in COLUMNS}
+    assert {*record} - {*plain.record()} == {each.key for each in INTERFACE_COLUMNS}
+    energy = scored.energy_function
+    for when, structure in (("start", scored.start), ("end", scored.structure)):
+        found = pc.score_interface(structure, "A", "B", energy=energy).scores
+        for key in SCORES:
+            assert record[key_at(key, when)] == found[key], key
+    assert record["interface_energy_start_kj_mol"] != record["interface_energy_end_kj_mol"]
+    counts = {key_at(key, when) for key in SCORES for when in ("start", "end") if isinstance(found[key], int)}
+    assert counts == {*INTERFACE_COUNTS}
+    assert pc.relax(load("1l2y.pdb"), **OPTIONS).interface_end is None
+
+
+def test_only_residues_in_contact_move():
+    s = load(FILE.name)
+    found = pc.relax(s, **OPTIONS, move="interface A:B")
+    touching = pc.score_interface(s, "A", "B", energy=found.energy_function).residues
+    moved = {*s.atom_residue[(found.x != s.positions).any(axis=1)].tolist()}
+    assert len(moved) == (touching["contacts"] > 0).sum() < s.n_protein_residues
+
+
+@pytest.mark.parametrize(
+    ("given", "said"), [("A:Q", "side 'Q'"), ("A", "give its two sides"), ("A:A", "on both")]
+)
+def test_sides_that_make_no_sense_are_refused_before_any_work(given, said, tmp_path):
+    with pytest.raises(pc.ProtochainError, match=said):
+        pc.relax(load(FILE.name), interface=given, watch=lambda row, x: pytest.fail("it has begun"))
+    assert said in refusal("relax", FILE, "-o", tmp_path / "o.pdb", "--interface", given)
+    assert not (tmp_path / "o.pdb").exists()
+
+
+def test_another_engine_is_refused_before_any_work():
+    with pytest.raises(pc.ProtochainError, match="native engine alone"):
+        pc.relax(load(FILE.name), interface="A:B", engine="openmm", max_iterations=1)
+
+
+def test_the_command_prints_them_and_a_folder_has_them(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bounds = ["--solvent", "vacuum", "--max-iterations", "5", "--threads", "1"]
+    run("relax", FILE, "-o", "o.pdb", "--interface", "A:B", "--report", "p.html", *bounds, "--json")
+    told = json.loads(capsys.readouterr().out)
+    assert f"{told['interface_buried_area_end_angstrom2']:.1f}" in (tmp_path / "p.html").read_text()
+    run("relax", FILE, STRUCTURES / "1l2y.pdb", "-o", "many", "--interface", "A:B", "--workers", "1", *bounds)
+    capsys.readouterr()
+    table = pd.read_csv("many/relaxed.csv").set_index("structure")
+    row = table.loc["3i40"]
+    for key in SCORES:
+        for when in ("start", "end"):
+            given = told[key_at(key, when)]
+            assert row[key_at(key, when)] == (None if given is None else pytest.approx(given)), key
+    assert table.loc["1l2y", "status"] == "refused" and "side 'B'" in table.loc["1l2y", "message"]
+    run("relax", FILE, "-o", "plain", "--workers", "1", STRUCTURES / "ala10.pdb", *bounds)
+    assert not any(name.startswith("interface") for name in pd.read_csv("plain/relaxed.csv").columns)
+    said = refusal("batch", FILE, "-o", "none", "--methods", "lbfgs", "--interface", "A:B")
+    assert "interface" in said and "is no setting of lbfgs" in said
