@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,7 +29,7 @@ def write_page(
     job: Job,
     rows: Sequence[Row],
     repairs: Sequence[Repair],
-    ends: Mapping[str, tuple[Structure, Structure | None]],
+    ends: Mapping[str, tuple[Structure, Structure | None]] = MappingProxyType({}),
 ) -> None:
     """Write ``pages/NAME.html``.
 

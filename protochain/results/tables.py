@@ -28,15 +28,15 @@ def energies_by_term(records: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
         those of energies that are not known by term, are left out; restraints are no part of the energy.
     """
     rows = []
-    first = next(iter(records.values()))
-    for key in first:
+    for key in dict.fromkeys(key for each in records.values() for key in each):
         name = key.removeprefix("energy_").removesuffix("_start_kj_mol")
         if key != f"energy_{name}_start_kj_mol":
             continue
-        ends = {f"{of}_kj_mol": each[f"energy_{name}_end_kj_mol"] for of, each in records.items()}
-        row = {"term": heading(name), "start_kj_mol": first[key], **ends}
-        if any(row[name] for name in row if name != "term"):
-            rows.append(row)
+        # A run that failed has no numbers.
+        start = next((each[key] for each in records.values() if each.get(key) is not None), None)
+        ends = {f"{of}_kj_mol": each.get(f"energy_{name}_end_kj_mol") for of, each in records.items()}
+        if start or any(ends.values()):
+            rows.append({"term": heading(name), "start_kj_mol": start, **ends})
     columns = ["term", "start_kj_mol", *(f"{of}_kj_mol" for of in records)]
     return pd.DataFrame(rows, columns=columns)
 

@@ -117,8 +117,10 @@ def test_points_that_moved_each_for_itself_are_no_domain_and_few_are_none():
     assert rigid_domains(x, 3.0 * rng.normal(size=(60, 3))) == []
     assert rigid_domains(x[:19], x[:19]) == [] and rigid_domains(x[:0], x[:0]) == []
     turn = Rotation.from_euler("z", 50, degrees=True).as_matrix()
+    random_turn = Rotation.random(random_state=rng).as_matrix()
     x[35:] += 10.0
-    whole, other = rigid_domains(x, np.concatenate([x[:35] + 1.0, x[35:] @ turn.T]))
+    # All of it is turned, too, which tells nothing of its parts.
+    whole, other = rigid_domains(x, np.concatenate([x[:35] + 1.0, x[35:] @ turn.T]) @ random_turn)
     assert whole.members.tolist() == [*range(35)] and other.members.tolist() == [*range(35, 60)]
     assert other.turn == pytest.approx(50.0) and max(whole.rmsd, other.rmsd) < 1e-12
 

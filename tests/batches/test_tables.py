@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.repairs import noted
+from fixtures.samples import load
 from matplotlib.image import imread
 
 import protochain as pc
@@ -17,6 +18,7 @@ from protochain.batches.report import WORST, plot_distribution, statistics, wors
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
 from protochain.minimisers import record
 from protochain.results.figures import COLOURS
+from protochain.results.tables import energies_by_term
 
 TWO = BatchSettings(methods=("lbfgs", "kcm"))
 JOBS = [Job(name, Path(f"/in/{name}.pdb"), TWO, f"key-{name}") for name in ("one", "two", "three")]
@@ -258,6 +260,25 @@ def test_a_structures_page_is_written_with_its_curves_and_repairs(tmp_path):
     drawn = curves([row])["lines"]["kcm"]
     assert all(text in page for text in ("&lt;CB&gt;", "used up", drawn, f"{WIDTH}", f"{HEIGHT}", "one"))
     assert [path.name for path in (tmp_path / "pages").iterdir()] == ["one.html"]
+
+
+def test_a_structures_page_has_terms_and_changes_also_beside_a_run_that_failed(tmp_path):
+    (tmp_path / "pages").mkdir()
+    failed = failure(JOBS[0], "kcm", "killed", "out of memory").record
+    done = failure(JOBS[0], "lbfgs", "converged", "done").record
+    done |= {"energy_bonds_start_kj_mol": 8.5, "energy_bonds_end_kj_mol": 4.25, "energy_kj_mol": 3.0}
+    done |= {"energy_cmap_start_kj_mol": 0.0, "energy_cmap_end_kj_mol": 0.0}
+    table = energies_by_term({"kcm": failed, "lbfgs": done})
+    assert table.columns.tolist() == ["term", "start_kj_mol", "kcm_kj_mol", "lbfgs_kj_mol"]
+    assert table["term"].tolist() == ["bonds"] and table["start_kj_mol"].tolist() == [8.5]
+    s = load("ala10.pdb")
+    write_page(
+        tmp_path, JOBS[0], [Row(failed, []), Row(done, [])], [],
+        {"kcm": (s, None), "lbfgs": (s, s.with_positions(s.positions * 1.01))},
+    )  # fmt: skip
+    page = (tmp_path / "pages" / "one.html").read_text()
+    assert "<td>4.250</td>" in page and "What changed" in page and "C-alpha RMSD of chain A" in page
+    assert energies_by_term({"kcm": failed}).empty
 
 
 def results(n=4):
