@@ -82,17 +82,17 @@ def run(*words: object) -> Run:
 
 
 def _peaks(pid: int) -> dict[int, float]:
-    """Peak of the memory of a process and all below it, MB."""
-    found, below = dict[int, float](), list[str]()
-    with suppress(OSError):  # It has ended.
-        words = Path(f"/proc/{pid}/status").read_text().split()
-        found[pid] = float(words[words.index("VmHWM:") + 1]) / 1024 if "VmHWM:" in words else 0.0
-    for thread in Path(f"/proc/{pid}/task").glob("*/children"):
-        with suppress(OSError):
-            below += thread.read_text().split()
-    for child in below:
-        found |= _peaks(int(child))
-    return found
+    """Peak of the memory of a process and all below it, MB; nothing of those that have ended."""
+    parent, found = dict[int, int](), dict[int, float]()
+    for path in Path("/proc").glob("[0-9]*/status"):
+        with suppress(OSError, ValueError, IndexError):
+            words = path.read_text().split()
+            parent[int(path.parent.name)] = int(words[words.index("PPid:") + 1])
+            found[int(path.parent.name)] = float(words[words.index("VmHWM:") + 1]) / 1024
+    mine = {pid}
+    while more := {each for each, its in parent.items() if its in mine} - mine:
+        mine |= more
+    return {each: found[each] for each in mine & found.keys()}
 
 
 @cache
