@@ -210,7 +210,7 @@ def memory(options: argparse.Namespace) -> pd.DataFrame:
         for chosen, count in ((f":{n // 10}", n // 10), ("all", n)):
             rows.append(("relax", count, relax(MADE_OF, frames, scratch / "o.dcd", chosen).peak_mb))
         long = _repeated(frames, scratch / "long.dcd", 20)
-        for chosen, count in (("::200", n // 10), ("::10", 2 * n)):
+        for chosen, count in (("::50", 2 * n // 5), ("::10", 2 * n)):
             done = run(
                 PROGRAM, "energy", MADE_OF, "--trajectory", long, "--frames", chosen, "-o", scratch / "e.csv",
                 "--workers", WORKERS, "--keep", "none", "--json",
