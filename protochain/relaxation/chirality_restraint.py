@@ -1,6 +1,7 @@
 """Hands of chiral atoms while a structure is relaxed: wrong ones are turned right, and none is lost."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -43,15 +44,7 @@ class Hands:
         and chains most of whose C-alphas are of the other hand keep what they have. Those of ligands are the
         ones of their sources.
         """
-        centres, rows = chiral_atoms(structure), list[tuple[int, ...]]()
-        for (centre, a, b, c), wanted in zip(centres.tolist(), _wanted(structure, centres), strict=True):
-            a, b = (a, b) if wanted > 0.0 else (b, a)
-            rows.append((centre, a, b, c))
-            for d in {*structure.neighbours[centre]} - {a, b, c}:
-                rows += [(centre, b, a, d), (centre, c, b, d), (centre, a, c, d)]
-        atoms = np.array(rows, dtype=np.int64).reshape(-1, 4)
-        hydrogen = (structure.atom_element[atoms] == "H").any(axis=1)
-        return cls(atoms, np.where(hydrogen, _WITH_HYDROGEN, _HEAVY))
+        return _hands(structure)
 
     def wrong(self, x: Floats) -> Integers:
         """(n,) int: chiral atoms of the wrong hand at positions x (na, 3), nm."""
@@ -73,6 +66,19 @@ class Hands:
             np.add.at(forces, atoms[:, k], push * gradient)
             np.subtract.at(forces, atoms[:, 0], push * gradient)
         return float(0.5 * _STIFFNESS * short @ short), forces
+
+
+@lru_cache(maxsize=2)
+def _hands(structure: Structure) -> Hands:
+    centres, rows = chiral_atoms(structure), list[tuple[int, ...]]()
+    for (centre, a, b, c), wanted in zip(centres.tolist(), _wanted(structure, centres), strict=True):
+        a, b = (a, b) if wanted > 0.0 else (b, a)
+        rows.append((centre, a, b, c))
+        for d in {*structure.neighbours[centre]} - {a, b, c}:
+            rows += [(centre, b, a, d), (centre, c, b, d), (centre, a, c, d)]
+    atoms = np.array(rows, dtype=np.int64).reshape(-1, 4)
+    hydrogen = (structure.atom_element[atoms] == "H").any(axis=1)
+    return Hands(atoms, np.where(hydrogen, _WITH_HYDROGEN, _HEAVY))
 
 
 def _wanted(structure: Structure, centres: Integers) -> Floats:

@@ -1,13 +1,14 @@
 """Peptide bonds while a structure is relaxed: twisted ones are turned to trans or cis, and none is lost."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
 from protochain.structure.model import Structure
-from protochain.validation.layout import dihedrals, layout
+from protochain.validation.layout import cross, dihedrals, layout
 from protochain.validation.omega import PERPENDICULAR, PLANAR, omegas
 
 _STIFFNESS = 1000.0
@@ -47,12 +48,7 @@ class PeptideBonds:
         That is trans, but where the file has it cis, and before proline where cis is nearer; and then only if
         the C-alphas are as near as in a cis bond.
         """
-        bonds, found = omegas(structure), layout(structure)
-        before, own = found.atoms("CA", "C")[found.before], found.atoms("N", "CA")
-        atoms = np.hstack([before, own])[bonds.residue]
-        apart = np.linalg.norm(structure.positions[atoms[:, 0]] - structure.positions[atoms[:, 3]], axis=1)
-        nearer = bonds.proline & (np.abs(bonds.omega) < PERPENDICULAR)
-        return cls(atoms, (bonds.cis | nearer) & (apart < _NEAR))
+        return _bonds(structure)
 
     def away(self, x: Floats) -> Floats:
         """Angles (n,) from the form that each bond should have, degrees, at positions x (na, 3), nm."""
@@ -79,6 +75,16 @@ class PeptideBonds:
         return float(_STIFFNESS * bent @ (beyond - 0.5 * bent)), forces
 
 
+@lru_cache(maxsize=2)
+def _bonds(structure: Structure) -> PeptideBonds:
+    bonds, found = omegas(structure), layout(structure)
+    before, own = found.atoms("CA", "C")[found.before], found.atoms("N", "CA")
+    atoms = np.hstack([before, own])[bonds.residue]
+    apart = np.linalg.norm(structure.positions[atoms[:, 0]] - structure.positions[atoms[:, 3]], axis=1)
+    nearer = bonds.proline & (np.abs(bonds.omega) < PERPENDICULAR)
+    return PeptideBonds(atoms, (bonds.cis | nearer) & (apart < _NEAR))
+
+
 def _slopes(x: Floats) -> Floats:
     """Gradients (n, 4, 3), rad/nm, of dihedrals by the positions (n, 4, 3) of their atoms.
 
@@ -86,7 +92,7 @@ def _slopes(x: Floats) -> Floats:
     """
     f, g, h = x[:, 0] - x[:, 1], x[:, 1] - x[:, 2], x[:, 3] - x[:, 2]
     length = np.maximum(np.linalg.norm(g, axis=1, keepdims=True), _SHORTEST)
-    a, b = np.cross(f, g), np.cross(h, g)
+    a, b = cross(f, g), cross(h, g)
     a /= np.maximum((a**2).sum(axis=1, keepdims=True), _SHORTEST**4)
     b /= np.maximum((b**2).sum(axis=1, keepdims=True), _SHORTEST**4)
     between = ((f * g).sum(axis=1, keepdims=True) * a - (h * g).sum(axis=1, keepdims=True) * b) / length

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 
 _STIFFNESS = 2000.0
 """kJ/mol. Against it, angles of 90 and 180 degrees, which a force field keeps, gain some 700 kJ/mol/rad."""
@@ -33,13 +33,7 @@ class Planes:
     @classmethod
     def of(cls, structure: Structure) -> "Planes":
         """Find carbons of three bonds, and nitrogens of three bonds beside one."""
-        neighbours = structure.neighbours
-        three = np.array([len(its) == 3 for its in neighbours]) & ~structure.obstacle
-        carbon = three & (structure.atom_element == "C")
-        beside = np.array([any(carbon[i] for i in its) for its in neighbours])
-        planar = carbon | (three & (structure.atom_element == "N") & beside)
-        rows = [(centre, *sorted(neighbours[centre])) for centre in np.flatnonzero(planar).tolist()]
-        return cls(np.array(rows, dtype=np.int64).reshape(-1, 4))
+        return _planes(structure)
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
@@ -56,3 +50,14 @@ class Planes:
         np.add.at(forces, self.atoms[far, 1:], pull)
         np.subtract.at(forces, self.atoms[far, 0], pull.sum(axis=1))
         return float(0.5 * _STIFFNESS * beyond @ beyond), forces
+
+
+@of_atoms
+def _planes(structure: Structure) -> Planes:
+    neighbours = structure.neighbours
+    three = np.array([len(its) == 3 for its in neighbours]) & ~structure.obstacle
+    carbon = three & (structure.atom_element == "C")
+    beside = np.array([any(carbon[i] for i in its) for its in neighbours])
+    planar = carbon | (three & (structure.atom_element == "N") & beside)
+    rows = [(centre, *sorted(neighbours[centre])) for centre in np.flatnonzero(planar).tolist()]
+    return Planes(np.array(rows, dtype=np.int64).reshape(-1, 4))

@@ -71,7 +71,7 @@ def test_a_file_that_is_cut_short_names_the_frame_in_which_it_ends(tmp_path, x, 
     path.write_bytes(whole[: int(len(whole) * 0.62)])
     read = [*open_frames(path)]
     assert [each.x is None for each in read] == [False] * 4 + [True]
-    assert read[-1].index == 4 and read[-1].why
+    assert read[-1].index == 4 and (suffix == ".trr" or "ends" in read[-1].why)
     assert np.abs(read[3].x - x[3]).max() < FORMATS[suffix]
 
 

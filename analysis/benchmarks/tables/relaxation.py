@@ -128,6 +128,7 @@ table_of_rows(
     ("RMSD angstrom", "{ca_rmsd_angstrom:.2f}"), ("`relax`, s a frame", "{seconds_frame:.2f}"),
     ("OpenMM, s a frame", "{seconds_frame_openmm:.2f}"), ("ratio", ratio_of("times_sooner")),
     ("of CPU seconds", ratio_of("times_less_cpu")),
+    ("to a command a frame", ratio_of("times_sooner_than_commands")),
 )  # fmt: skip
 
 

@@ -56,6 +56,16 @@ def test_a_frame_is_relaxed_as_it_is_by_itself_whatever_came_before(x):
     assert np.array_equal(last.structure.positions, results[-1].structure.positions)
 
 
+def test_numbers_do_not_depend_on_the_frames_before():
+    """Lists of neighbours hold for frames that are near one another, and sums go in their order."""
+    structure = load("1l2y.pdb")
+    near = structure.positions + np.random.default_rng(0).normal(0.0, 1e-3, (3, structure.n_atoms, 3))
+    *_, last = relax_frames(structure, near, threads=1)
+    (alone,) = relax_frames(structure, near[2:], threads=1)
+    assert np.array_equal(last.structure.positions, alone.structure.positions)
+    assert last.record["energy_start_kj_mol"] == alone.record["energy_start_kj_mol"]
+
+
 @pytest.mark.slow
 def test_processes_change_no_bit_and_no_order(tmp_path, x):
     path = saved(load(SMALL), x, tmp_path / "x.dcd")
