@@ -176,6 +176,9 @@ def of_structure(options: argparse.Namespace, name: str, scratch: Path) -> tuple
     structure, *_ = parse(place(options, name))
     structure.setup_entities()
     del structure[1:]
+    for chain in structure[0]:
+        # A chain without an id would get one on the way.
+        chain.name = chain.name.strip() or "A"
     native = natives(structure[0])
     inner = core(native, structure[0])
     bare, alone, built, by_faspr, relaxed = (
