@@ -37,7 +37,7 @@ from protochain.structure.sidechains.ideal import dihedral, ideal
 CRYSTALS = {
     "1a8o_mse.pdb": 1.7, "1ajj_ldlr.pdb": 1.7, "1ake_full.cif": 2.0, "1bx8_hirustasin.pdb": 1.4,
     "1cih_scop_oldcols.pdb": 1.8, "1ejg_crambin.pdb": 0.54, "1fas_fasciculin.cif": 1.8,
-    "1hel_lysozyme.pdb": 1.7, "1hpv_oldformat.pdb": 1.9, "1mj5_H.pdb": 0.95, "1orc_icode.pdb": 1.54,
+    "1hel_lysozyme.pdb": 1.7, "1hpv_oldformat.pdb": 1.9, "1orc_icode.pdb": 1.54,
     "1ubq_ubiquitin.pdb": 1.8, "1us0_altlocs.pdb": 0.66, "3al1_caps_altloc.pdb": 0.75,
     "3i40_insulin.pdb": 1.85, "4cup_missing.cif": 1.88, "4pti_bpti.pdb": 1.5,
     "astex/1HQ2_PH2_protein.pdb": 1.25, "astex/1IA1_TQ3_protein.pdb": 1.7, "astex/1OQ5_CEL_protein.pdb": 1.5,
