@@ -88,7 +88,8 @@ def relax_crystals(r: pd.DataFrame) -> str:
 
 
 _PLACED = (
-    ("", "{way}"), ("structures", "{structures}"), ("side chains", "{side_chains}"), ("chi1 right, %", "{chi1_percent:.1f}"),
+    ("", "{way}"), ("structures", "{structures}"), ("side chains", "{side_chains}"),
+    ("chi1 right, %", "{chi1_percent:.1f}"),
     ("chi1 and chi2, %", "{chi12_percent:.1f}"), ("error of chi1, degrees", "{chi1_error_degrees:.1f}"),
     ("chi2", "{chi2_error_degrees:.1f}"), ("chi3", "{chi3_error_degrees:.1f}"),
     ("chi4", "{chi4_error_degrees:.1f}"), ("RMSD, angstrom", "{rmsd_angstrom:.2f}"),
