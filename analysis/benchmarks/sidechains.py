@@ -238,8 +238,12 @@ def by_faspr(options: argparse.Namespace, names: list[str]) -> pd.DataFrame:
     return pd.DataFrame([row])
 
 
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__ or "", ("built", "faspr"), more=True)
+
+
 def main() -> None:
-    options = made.parser(__doc__ or "", ("built", "faspr"), more=True).parse_args()
+    options = parser().parse_args()
     chosen = list(CRYSTALS)
     if options.quick:
         chosen, options.more = ["1ubq.pdb", "4pti.pdb"], made.SAMPLES
