@@ -1,11 +1,13 @@
 """Side chains built on the bare backbones of crystals, beside FASPR on the same.
 
-    python analysis/benchmarks/sidechains.py [-o DIR] [--quick] [--more FOLDER]
+    python analysis/benchmarks/sidechains.py [built] [faspr] [-o DIR] [--quick] [--more FOLDER]
 
-Of each crystal to 2 angstrom, all side chains are deleted, with the C-betas, hydrogens and waters; ligands,
-ions and DNA stay. `load` builds them, and `relax` goes on from there. FASPR (Huang, Pearce, Zhang,
-Bioinformatics 36:3758, 2020), which does not see what is beside the protein, does the same where a program of
-this name is on the PATH.
+Of each crystal to 2 angstrom, all side chains are deleted, with the C-betas, hydrogens and waters.
+
+built: ligands, ions and DNA stay. `load` builds the side chains, and `relax` goes on from there.
+
+faspr: the same by FASPR (Huang, Pearce, Zhang, Bioinformatics 36:3758, 2020), of the protein alone, where a
+program of this name is on the PATH.
 
 What counts: side chains of standard residues, all of whose heavy atoms are in the file, with occupancy and
 without alternates. A dihedral of Asp, Glu, Phe, Tyr that repeats after 180 degrees is compared so; equal
@@ -20,6 +22,7 @@ Files are of FOLDER and FOLDER/../complexes. The weights of the energies were ch
 import argparse
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from time import perf_counter
@@ -37,7 +40,7 @@ from protochain.structure.sidechains.ideal import dihedral, ideal
 CRYSTALS = {
     "1a8o_mse.pdb": 1.7, "1ajj_ldlr.pdb": 1.7, "1ake_full.cif": 2.0, "1bx8_hirustasin.pdb": 1.4,
     "1cih_scop_oldcols.pdb": 1.8, "1ejg_crambin.pdb": 0.54, "1fas_fasciculin.cif": 1.8,
-    "1hel_lysozyme.pdb": 1.7, "1hpv_oldformat.pdb": 1.9, "1mj5_H.pdb": 0.95, "1orc_icode.pdb": 1.54,
+    "1hel_lysozyme.pdb": 1.7, "1hpv_oldformat.pdb": 1.9, "1orc_icode.pdb": 1.54,
     "1ubq_ubiquitin.pdb": 1.8, "1us0_altlocs.pdb": 0.66, "3al1_caps_altloc.pdb": 0.75,
     "3i40_insulin.pdb": 1.85, "4cup_missing.cif": 1.88, "4pti_bpti.pdb": 1.5,
     "astex/1HQ2_PH2_protein.pdb": 1.25, "astex/1IA1_TQ3_protein.pdb": 1.7, "astex/1OQ5_CEL_protein.pdb": 1.5,
@@ -56,7 +59,6 @@ NEAR, MANY = 10.0, 20
 """Angstrom, -: C-betas so near, and so many, make a core."""
 WITHIN = 40.0
 """Degrees: a dihedral is right."""
-FASPR = "FASPR"
 
 Places = dict[str, np.ndarray]
 
@@ -172,17 +174,22 @@ def measured(
     return pd.DataFrame(rows, columns=names)
 
 
-def of_structure(options: argparse.Namespace, name: str, scratch: Path) -> tuple[pd.DataFrame, dict]:
+def opened(options: argparse.Namespace, name: str) -> gemmi.Structure:
     structure, *_ = parse(place(options, name))
     structure.setup_entities()
     del structure[1:]
+    for chain in structure[0]:
+        # A chain without an id would get one on the way.
+        chain.name = chain.name.strip() or "A"
+    return structure
+
+
+def of_structure(options: argparse.Namespace, name: str, scratch: Path) -> tuple[pd.DataFrame, dict]:
+    structure = opened(options, name)
     native = natives(structure[0])
     inner = core(native, structure[0])
-    bare, alone, built, by_faspr, relaxed = (
-        scratch / f"{k}.pdb" for k in ("bare", "alone", "built", "faspr", "relaxed")
-    )
+    bare, built, relaxed = (scratch / f"{k}.pdb" for k in ("bare", "built", "relaxed"))
     strip(structure, bare)
-    strip(structure, alone, alone=True)
     began = perf_counter()
     loaded = pc.load(bare)
     seconds = perf_counter() - began
@@ -205,22 +212,50 @@ def of_structure(options: argparse.Namespace, name: str, scratch: Path) -> tuple
         "overlaps_relaxed": record["overlaps_end"], "violations_relaxed": record["violations_end"],
         "clashscore_relaxed_per_1000_atoms": record["clashscore_per_1000_atoms_end"],
     }  # fmt: skip
-    if shutil.which(FASPR):
-        program = str(Path(shutil.which(FASPR) or "").resolve())
-        began = perf_counter()
-        subprocess.run([program, "-i", str(alone), "-o", str(by_faspr)], capture_output=True, check=True)
-        row["seconds_faspr"] = perf_counter() - began
-        tables.append(measured("FASPR", name, native, inner, by_faspr))
-        row["chi1_error_degrees_faspr"] = told(tables[-1])["chi1_error_degrees"]
     return pd.concat(tables), row
 
 
+def by_faspr(options: argparse.Namespace, names: list[str]) -> pd.DataFrame:
+    """FASPR, of the structures that it writes."""
+    program = shutil.which("FASPR")
+    if program is None:
+        sys.exit("there is no program FASPR on the PATH; name built alone, or install it")
+    tables, seconds = [], 0.0
+    for name in names:
+        structure = opened(options, name)
+        native = natives(structure[0])
+        with tempfile.TemporaryDirectory() as scratch:
+            bare, built = Path(scratch) / "bare.pdb", Path(scratch) / "built.pdb"
+            strip(structure, bare, alone=True)
+            began = perf_counter()
+            # Its library is beside it.
+            command = [str(Path(program).resolve()), "-i", str(bare), "-o", str(built)]
+            subprocess.run(command, capture_output=True, check=False)
+            seconds += perf_counter() - began
+            if built.exists():
+                tables.append(measured("FASPR", name, native, core(native, structure[0]), built))
+    row = {"way": "FASPR", "structures": len(tables), **told(pd.concat(tables)), "seconds": seconds}
+    return pd.DataFrame([row])
+
+
+def parser() -> argparse.ArgumentParser:
+    return made.parser(__doc__ or "", ("built", "faspr"), more=True)
+
+
 def main() -> None:
-    options = made.parser(__doc__ or "", more=True).parse_args()
+    options = parser().parse_args()
     chosen = list(CRYSTALS)
     if options.quick:
         chosen, options.more = ["1ubq.pdb", "4pti.pdb"], made.SAMPLES
         CRYSTALS.update({"1ubq.pdb": 1.8, "4pti.pdb": 1.5})
+    inputs = [place(options, name) for name in chosen]
+    if "faspr" in options.studies or (not options.studies and shutil.which("FASPR")):
+        found = by_faspr(options, chosen)
+        print(made.markdown(found.round(2)))
+        if options.output:
+            made.write(found.round(3), options.output / "sidechains_faspr.csv", inputs)
+    if options.studies and "built" not in options.studies:
+        return
     tables, rows = [], []
     with tempfile.TemporaryDirectory() as scratch:
         for name in chosen:
@@ -239,7 +274,6 @@ def main() -> None:
     ]
     print(made.markdown(pd.DataFrame(ways).round(2)))
     if options.output:
-        inputs = [place(options, name) for name in chosen]
         for table, file in (
             (rows, "sidechains.csv"), (ways, "sidechains_all.csv"), (by_residue, "sidechains_residues.csv")
         ):  # fmt: skip

@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 from fixtures.repairs import sentences
+from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
+from protochain.contacts import overlaps
 from protochain.structure import complete as module
+from protochain.structure import residues
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.sidechains.packing import Site
+from protochain.structure.sidechains.ideal import dihedral
+from protochain.structure.sidechains.sites import Site
 from protochain.structure.templates import templates
 
 
@@ -332,3 +336,23 @@ def test_what_no_ideal_geometry_has_is_not_built():
     assert refused(member("ACE", 4, "C", "CH3"), *serines()) == (
         "x: residue 4 ACE of chain A: atom O missing; build it, or remove the residue"
     )
+
+
+def test_a_bare_backbone_gets_its_side_chains(tmp_path):
+    """BPTI: its disulfides, nothing that overlaps, and nine in ten chi1 near the crystal's."""
+    native, path = load("4pti.pdb"), tmp_path / "bare.pdb"
+    lines = (STRUCTURES / "4pti.pdb").read_text().splitlines(True)
+    path.write_text(
+        "".join(x for x in lines if x[:4] == "ATOM" and x[12:16].split()[0] in ["N", "CA", "C", "O"])
+    )
+    built = pc.load(path)
+    assert np.array_equal(built.atom_name, native.atom_name) and len(built.bonds) == len(native.bonds)
+    assert not overlaps(built, built.positions)
+    off = []
+    for r in range(built.n_residues):
+        at = {str(built.atom_name[i]): i for i in np.flatnonzero(built.atom_residue == r)}
+        for quartet in residues.CHI.get(str(built.residue_name[r]), ())[:1]:
+            chi = [float(dihedral(*s.positions[[at[n] for n in quartet]])) for s in (built, native)]
+            off.append(abs((np.rad2deg(chi[0] - chi[1]) + 180) % 360 - 180))
+    assert len(off) == 42 and np.mean(np.array(off) < 40) > 0.9
+    assert np.array_equal(pc.load(path).positions, built.positions)

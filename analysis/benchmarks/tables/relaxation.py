@@ -88,14 +88,19 @@ def relax_crystals(r: pd.DataFrame) -> str:
 
 
 _PLACED = (
-    ("", "{way}"), ("side chains", "{side_chains}"), ("chi1 right, %", "{chi1_percent:.1f}"),
+    ("", "{way}"), ("structures", "{structures}"), ("side chains", "{side_chains}"),
+    ("chi1 right, %", "{chi1_percent:.1f}"),
     ("chi1 and chi2, %", "{chi12_percent:.1f}"), ("error of chi1, degrees", "{chi1_error_degrees:.1f}"),
     ("chi2", "{chi2_error_degrees:.1f}"), ("chi3", "{chi3_error_degrees:.1f}"),
     ("chi4", "{chi4_error_degrees:.1f}"), ("RMSD, angstrom", "{rmsd_angstrom:.2f}"),
     ("core: chi1 right, %", "{core_chi1_percent:.1f}"), ("RMSD", "{core_rmsd_angstrom:.2f}"),
 )  # fmt: skip
 
-table_of_rows("sidechains", "sidechains_all.csv", *_PLACED)
+
+@table("sidechains", "sidechains_all.csv", "sidechains_faspr.csv")
+def sidechains(ours: pd.DataFrame, theirs: pd.DataFrame) -> str:
+    """Errors of side chains by way."""
+    return of_rows(pd.concat([ours, theirs]), *_PLACED)
 
 
 @table("sidechains-words", "sidechains.csv", "sidechains_residues.csv")

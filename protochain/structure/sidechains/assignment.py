@@ -21,6 +21,8 @@ _LARGEST = 1_000_000
 """Entries of a table in the elimination of sites; beyond, branches are smaller."""
 _MOST_TABLES = 200_000
 """Looked at in all branches, some ten seconds."""
+_ENTRIES = 500
+"""Entries from which on a table counts as several."""
 _Found = tuple[float, dict[int, int]]
 
 
@@ -122,7 +124,7 @@ class _Search:
         degree = [sum(k in edge for edge in part.pairs) for k in range(len(part.sites))]
         site = max(range(len(part.sites)), key=lambda k: (degree[k], len(part.own[k]), -k))
         for state in np.argsort(part.own[site], kind="stable").tolist():
-            self.left -= len(part.pairs)
+            self.left -= sum(1 + table.size // _ENTRIES for table in part.pairs.values())
             self.is_spent = self.is_spent or self.left < 0
             if self.is_spent:
                 break

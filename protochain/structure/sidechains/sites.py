@@ -36,11 +36,11 @@ class Site:
     def backbone(self) -> tuple[float, float]:
         """Phi and psi, degrees, of the L-amino acid; those of an end are usual ones."""
         known = self.known
-        inner = [known[name] for name in ("N", "CA", "C")]
+        n, alpha, c = (known[name] for name in ("N", "CA", "C"))
         before = self._places(self.before).get("C") if self.before else None
         after = self._places(self.after).get("N") if self.after else None
-        phi = BACKBONE[0] if before is None else float(np.rad2deg(dihedral(before, *inner)))
-        psi = BACKBONE[1] if after is None else float(np.rad2deg(dihedral(*inner, after)))
+        phi = BACKBONE[0] if before is None else float(np.rad2deg(dihedral(before, n, alpha, c)))
+        psi = BACKBONE[1] if after is None else float(np.rad2deg(dihedral(n, alpha, c, after)))
         return phi, psi
 
     def _places(self, member: Member) -> Places:
