@@ -1,0 +1,1 @@
+"""A backhoe on the ground."""
