@@ -82,10 +82,10 @@ class Soil(Named):
     least: int = 1
 
     def __post_init__(self) -> None:
-        if len(self.bodies) < self.pile.plates.n_bodies:
+        n = self.pile.plates.n_bodies
+        if len(self.bodies) < n:
             raise MechanicsError(
-                f"{self.said}: a plate is on body {self.pile.plates.n_bodies - 1}, but {len(self.bodies)} are "
-                "named; name the body of each number"
+                f"{self.said}: a plate is on body {n - 1}, but {len(self.bodies)} are named; name each"
             )
         if self.least < 1:
             raise MechanicsError(f"{self.said}: least {self.least}: give a whole number from 1")
@@ -251,9 +251,7 @@ def between(
     return Motion(place, turned @ r0, np.concatenate([spin, speed], axis=2))
 
 
-def _hermite(
-    s: Floats, span: float, x0: Floats, x1: Floats, v0: Floats, v1: Floats
-) -> tuple[Floats, Floats]:
+def _hermite(s: Floats, span: float, x0: Floats, x1: Floats, v0: Floats, v1: Floats) -> tuple[Floats, Floats]:
     """Cubic by values and rates at both ends, and its rate, at parts s of a span."""
     a, b = span * v0 - (x1 - x0), (x1 - x0) - span * v1
     value = (1.0 - s) * x0 + s * x1 + s * (1.0 - s) * ((1.0 - s) * a + s * b)

@@ -18,7 +18,6 @@ from protochain.scenes.bucket.dig import (
     DENSITY,
     FRICTION,
     SIDE,
-    STIFFNESS,
     Site,
     before_the_fall,
     bin_plates,
@@ -28,7 +27,11 @@ STEP = 1e-3
 """s. Of the machine; cubes take as many shorter ones as they need."""
 WALL = 0.1
 """m. Half the height of the walls of the bin, once all cubes lie in it."""
-FULL, SMALL = Site((0.45, -0.09), (0.95, 0.09), 700), Site((0.5, -0.09), (0.9, 0.09), 200)
+FULL, SMALL = Site((0.5, -0.09), (0.84, 0.09), 220), Site((0.5, -0.09), (0.84, 0.09), 60)
+SOFT = 2e4
+"""N/m. Stiffness of the cubes, which sets their steps."""
+SWING, ASIDE, END = (0.75, 0.5), np.deg2rad(60.0), 1.3
+"""s, rad, s. When the house begins to turn, and how long it does; how far; end of a cycle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,12 +52,12 @@ class Ground:
     level: float
 
 
-def settled(site: Site, duration: float = 0.5, by: str = "points") -> Ground:
+def settled(site: Site, duration: float = 0.4) -> Ground:
     """Let cubes fall into a bin, and come to rest."""
     high, n = bin_plates(site, 0), site.cubes
     pile = Pile(
-        np.full(n, SIDE), np.full(n, DENSITY * SIDE**3), CubeLaw(STIFFNESS, FRICTION, by=by), np.array(GRAVITY),
-        plates=high,
+        np.full(n, SIDE), np.full(n, DENSITY * SIDE**3), CubeLaw(SOFT, FRICTION, by="volume"),
+        np.array(GRAVITY), plates=high,
     )  # fmt: skip
     h = pile.longest_step
     places, rotations = before_the_fall(site)
@@ -74,22 +77,30 @@ def settled(site: Site, duration: float = 0.5, by: str = "points") -> Ground:
     return Ground(replace(pile, plates=plates), heap, top)
 
 
-def working(level: float, depth: float = 0.3) -> Path:
+def working(level: float, depth: float = 0.4) -> Path:
     """Cycle: the bucket goes into soil of a level, along and up; the house slews; it is held aside."""
     deep = depth * level
     marks = [
-        (0.0, 0.82, 0.03, -75.0, 0.0),
-        (0.25, 0.80, -0.75 * deep, -75.0, 0.0),
-        (0.6, 0.64, -deep, -50.0, 0.0),
-        (0.85, 0.54, -0.25 * deep, -12.0, 0.0),
-        (1.1, 0.55, 0.15, 5.0, 0.0),
-        (1.7, 0.8, 0.3, 5.0, 80.0),
+        (0.0, 0.82, 0.03, -75.0),
+        (0.15, 0.80, -0.75 * deep, -75.0),
+        (0.4, 0.64, -deep, -50.0),
+        (0.6, 0.54, -0.25 * deep, -12.0),
+        (0.8, 0.55, 0.15, 5.0),
+        (1.25, 0.8, 0.3, 5.0),
     ]
     times = np.array([mark[0] for mark in marks])
-    angles = np.array([
-        posture((x, level + z), np.deg2rad(tilt), np.deg2rad(slew)) for _, x, z, tilt, slew in marks
-    ])  # fmt: skip
-    return through(times, angles)
+    arm = through(times, np.array([posture((x, level + z), np.deg2rad(tilt)) for _, x, z, tilt in marks]))
+
+    def path(t: float) -> tuple[Floats, Floats, Floats]:
+        # The house turns by itself, or a spline through all would swing to and fro in the soil.
+        s = min(max((t - SWING[0]) / SWING[1], 0.0), 1.0)
+        rise = (
+            s**3 * (10.0 - 15.0 * s + 6.0 * s**2), 30.0 * s**2 * (1.0 - s) ** 2 / SWING[1],
+            60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / SWING[1] ** 2,
+        )  # fmt: skip
+        return tuple(np.append(ASIDE * own, each[1:]) for own, each in zip(rise, arm(t), strict=True))  # type: ignore[return-value]  # mypy does not count them
+
+    return path
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +135,7 @@ class Worked:
 
 
 def work(
-    design: Design, ground: Ground, until: float = 1.8, step: float = STEP, every: int = 1,
+    design: Design, ground: Ground, until: float = END, step: float = STEP, every: int = 1,
     floor: Surface | Plane | None = None, path: Path | None = None,
 ) -> Worked:  # fmt: skip
     """Run a cycle."""

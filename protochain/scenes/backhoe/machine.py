@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 
 from protochain.core.arrays import Floats
 from protochain.mechanisms import Ball, Friction, Law, Mechanism, Plane, Surface
@@ -27,7 +27,7 @@ PAD = 0.03
 """m. Radius of what touches the ground, at five places along each track."""
 BARREL, ROD = (0.25, 0.1), (0.15, -0.08)
 """Mass (kg) and centre of mass (m along the cylinder, of the rod from its eye)."""
-GROUND = Law(2e5, 1.0, 10.0)
+GROUND = Law(2e5, 1.0, 40.0)
 GRIP = Friction(0.6, 2e5, 200.0)
 
 
@@ -131,8 +131,12 @@ def hold(angles: Floats) -> Path:
 
 
 def through(times: Floats, angles: Floats) -> Path:
-    """Smooth path through four angles (n, 4) at some times, at rest at both ends and beyond them."""
-    spline = CubicSpline(times, angles, bc_type="clamped")
+    """Smooth path through four angles (n, 4) at some times, at rest at both ends and beyond them.
+
+    Of order five, so that accelerations, and forces, do not jump where it begins and ends.
+    """
+    still = [(1, np.zeros(4)), (2, np.zeros(4))]
+    spline = make_interp_spline(times, angles, k=5, bc_type=(still, still))  # type: ignore[arg-type]  # its stubs know one kind only
     rates, accelerations = spline.derivative(1), spline.derivative(2)
 
     def path(t: float) -> tuple[Floats, Floats, Floats]:
@@ -149,12 +153,12 @@ def posture(edge: tuple[float, float], tilt: float, slew: float = 0.0) -> Floats
 
 
 def vehicle(
-    design: Design, path: Path, ground: Surface | Plane | None, law: Law = GROUND, grip: Friction | None = GRIP,
-    gravity: tuple[float, float, float] = (0.0, 0.0, -G), sunk: float | None = None,
+    design: Design, path: Path, ground: Surface | Plane | None, law: Law = GROUND,
+    grip: Friction | None = GRIP, gravity: tuple[float, float, float] = (0.0, 0.0, -G),
 ) -> Mechanism:  # fmt: skip
     """Build the machine, the boom's pin above the world's origin, standing on a ground or, of none, held."""
     m = Mechanism(gravity)
-    deep = design.mass * G / (len(design.feet) * law.stiffness) if sunk is None else sunk
+    deep = design.mass * G / (len(design.feet) * law.stiffness)
     at = (-BEHIND, 0.0, -deep if ground is not None else 0.0)
     x, y = 0.5 * design.length, 0.5 * design.gauge
     inertia = LOWER / 3.0 * np.array([y**2 + 0.0012, x**2 + 0.0012, x**2 + y**2])
@@ -163,7 +167,7 @@ def vehicle(
         m.hinge("ground", "world", "tracks", kind="fixed", at=at)
     else:
         m.body("tracks", LOWER, LOWER_AT, inertia, position=at)
-        balls = [Ball("tracks", PAD, foot + [0.0, 0.0, PAD]) for foot in design.feet]
+        balls = [Ball("tracks", PAD, (*foot[:2], PAD)) for foot in design.feet]
         m.contact("ground", balls, ground, law, grip)
     m.body("house", HOUSE, HOUSE_AT, (0.25, 0.3, 0.35))
     m.hinge("slew", "tracks", "house", at=(0.0, 0.0, RING))
@@ -173,13 +177,11 @@ def vehicle(
         m.hinge("bolts", "house", "counterweight", kind="fixed", at=WEIGHT_AT)
     q = path(0.0)[0]
     for k, (name, cylinder) in enumerate(CYLINDERS.items()):
-        _add(m, name, cylinder, float(q[k + 1]), _length_of(path, cylinder, k + 1))
+        add_link(m, name, float(q[k + 1]), _length_of(path, cylinder, k + 1))
     return m
 
 
-def _length_of(
-    path: Path, cylinder: Cylinder, k: int
-) -> Callable[[float], tuple[float, float, float]]:
+def _length_of(path: Path, cylinder: Cylinder, k: int) -> Callable[[float], tuple[float, float, float]]:
     def motion(t: float) -> tuple[float, float, float]:
         q, qd, qdd = path(t)
         length, rate, acceleration = cylinder.length(float(q[k]), float(qd[k]), float(qdd[k]))
@@ -188,12 +190,11 @@ def _length_of(
     return motion
 
 
-def _add(
-    m: Mechanism, name: str, cylinder: Cylinder, angle: float,
-    motion: Callable[[float], tuple[float, float, float]],
-) -> None:  # fmt: skip
-    """Add a body of the arm on its hinge, and the cylinder that moves it."""
-    mass, com, inertia = BODIES[name]
+def add_link(
+    m: Mechanism, name: str, angle: float, motion: Callable[[float], tuple[float, float, float]]
+) -> None:
+    """Add a body of the arm on its hinge, at an angle, and its cylinder with a prescribed length."""
+    cylinder, (mass, com, inertia) = CYLINDERS[name], BODIES[name]
     (x, z), (fx, fz) = cylinder.pivot, cylinder.foot
     m.body(name, mass, com, inertia)
     m.hinge(name, cylinder.parent, name, at=(x, 0.0, z), axis=(0.0, 1.0, 0.0), q=angle)

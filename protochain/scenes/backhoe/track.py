@@ -7,6 +7,7 @@ has a seat for every pin; the force is the gradient of an energy, so that it pus
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -100,9 +101,8 @@ class _Engaged:
         self.wheels = [(bodies.number(w.body, "teeth"), bodies.axes(bodies.number(w.body)), w)
                        for w in teeth.wheels]  # fmt: skip
 
-    def touches(self, frames: Frames, b: int, axes: Floats, wheel: Wheel) -> tuple[Floats, ...]:
-        """Of pins in a wheel: numbers, arms from their bodies' origins, depths, gradients by the place of the
-        pin and by the angle of the wheel."""
+    def touches(self, frames: Frames, b: int, axes: Floats, wheel: Wheel) -> tuple[Any, ...]:
+        """Of pins in a wheel: numbers, arms, depths, and gradients by place and the wheel's angle."""
         arm = np.einsum("kij,kj->ki", frames.rotation[self.of], self.at)
         off = frames.origin[self.of] + arm - frames.origin[b]
         turn = frames.rotation[b] @ axes
@@ -161,10 +161,10 @@ def loop() -> Floats:
 
 
 def crawler(
-    drive: Callable[[float], tuple[float, float, float]] | None, slope: float = 0.0, grip: float = 0.8,
-    stiffness: float = 1e5, pull: float = 0.0, frame: float = FRAME,
+    drive: Callable[[float], tuple[float, float, float]], slope: float = 0.0, grip: float = 0.8,
+    stiffness: float = 1e5,
 ) -> Mechanism:  # fmt: skip
-    """Build half of the vehicle on one track, in a plane; a drive of None leaves the sprocket free.
+    """Build half of the vehicle on one track, in a plane.
 
     Parameters
     ----------
@@ -175,18 +175,17 @@ def crawler(
     grip : float
         Coefficient of friction.
     stiffness : float
-        Of teeth; the ground under a pad has half of it.
-    pull : float
-        Force on the frame, against its way.
-    frame : float
-        Mass of the frame.
+        Of teeth, and of the ground under a pad.
     """
     m = Mechanism(G * np.array([-np.sin(slope), 0.0, -np.cos(slope)]))
+    wheels = tuple(Wheel(name, SEATS + TIGHT, 0.3 * SEATS) for name in ("sprocket", "idler"))
+    chained = tuple((f"shoe {k}", (0.0, 0.0, 0.0)) for k in range(SHOES))
+    m.force("teeth", Teeth(chained, wheels, stiffness, 1.0))
     pins = loop()
     # All of the weight is on the pads of the bottom run.
-    sag = (frame + 2.0 * WHEEL + SHOES * SHOE) * G / (stiffness * (SHOES - TEETH))
+    sag = (FRAME + 2.0 * WHEEL + SHOES * SHOE) * G / (stiffness * (SHOES - TEETH))
     height = SEATS + THICK - sag
-    for name, mass, z in (("frame", frame, height), ("shoe 0", SHOE, height + pins[0, 1])):
+    for name, mass, z in (("frame", FRAME, height), ("shoe 0", SHOE, height + pins[0, 1])):
         x = 0.0 if name == "frame" else float(pins[0, 0])
         m.body(f"{name} aside", 0.0)
         m.body(f"{name} up", 0.0)
@@ -198,8 +197,7 @@ def crawler(
     for name, x in (("sprocket", -0.5 * APART), ("idler", 0.5 * APART)):
         m.body(name, WHEEL, inertia=0.5 * WHEEL * SEATS**2)
         m.hinge(name, "frame", name, at=(x, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
-    if drive is not None:
-        m.drive("sprocket", drive)
+    m.drive("sprocket", drive)
     steps = np.roll(pins, -1, axis=0) - pins
     slants = -np.arctan2(steps[:, 1], steps[:, 0])
     turns = (np.diff(slants, prepend=0.0) + np.pi) % (2.0 * np.pi) - np.pi
@@ -211,12 +209,11 @@ def crawler(
                 f"pin {k}", f"shoe {k - 1}", f"shoe {k}", at=(PITCH, 0.0, 0.0), axis=(0.0, 1.0, 0.0),
                 q=float(turns[k]),
             )  # fmt: skip
-    m.close("master pin", (f"shoe {SHOES - 1}", (PITCH, 0.0, 0.0)), ("shoe 0", (0.0, 0.0, 0.0)), "spherical")
-    wheels = tuple(Wheel(name, SEATS + TIGHT, 0.3 * SEATS) for name in ("sprocket", "idler"))
-    m.force("teeth", Teeth(tuple((f"shoe {k}", (0.0, 0.0, 0.0)) for k in range(SHOES)), wheels, stiffness, 1.0))
-    pads = [Ball(f"shoe {k}", 0.0, (part * PITCH, 0.0, -THICK)) for k in range(SHOES) for part in (0.25, 0.75)]
+    end = (f"shoe {SHOES - 1}", (PITCH, 0.0, 0.0))
+    m.close("master pin", end, ("shoe 0", (0.0, 0.0, 0.0)), "spherical")
+    pads = [
+        Ball(f"shoe {k}", 0.0, (part * PITCH, 0.0, -THICK)) for k in range(SHOES) for part in (0.25, 0.75)
+    ]
     friction = Friction(grip, stiffness, 2e-4 * stiffness)
     m.contact("ground", pads, Plane(), Law(stiffness, 1.0, 5.0), friction)
-    if pull:
-        m.load("pull", "frame", force=(-pull, 0.0, 0.0))
     return m
