@@ -10,13 +10,14 @@ from protochain.mechanics.multibody.tree import FIRST_MOMENT, MASS
 from protochain.mechanisms import Law, State
 from protochain.mechanisms.reactions import phases, transmitted
 from protochain.scenes.backhoe.cycle import Worked
-from protochain.scenes.backhoe.machine import ARM, GROUND, LOWER, LOWER_AT, Design, G
+from protochain.scenes.backhoe.machine import ARM, GROUND, LOWER, LOWER_AT, PAD, Design, G
 
 
 def loads(state: State, design: Design, law: Law = GROUND) -> Floats:
     """(10,) float: forces of the ground on the feet, upward, on flat ground."""
-    depth = np.array([-state.point("tracks", foot)[2] for foot in design.feet])
-    rate = np.array([-state.velocity("tracks", foot)[2] for foot in design.feet])
+    balls = design.feet + np.array([0.0, 0.0, PAD])
+    depth = np.array([PAD - state.point("tracks", ball)[2] for ball in balls])
+    rate = np.array([-state.velocity("tracks", ball)[2] for ball in balls])
     force = law.stiffness * np.maximum(depth, 0.0) ** law.exponent
     return np.asarray(force * np.maximum(1.0 + law.damping * rate, 0.0))
 
@@ -39,7 +40,7 @@ def inside_by(point: Floats, corners: Floats) -> Floats:
 
 
 def force_angle(corners: Floats, at: Floats, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
-    """Force-angle measure of stability: Papadopoulos, Rey, ICRA 1996, 3111.
+    """Force-angle measure of stability: Papadopoulos, Rey, ICRA 1996, 3111; Veh. Syst. Dyn. 33:29 (2000).
 
     Parameters
     ----------
