@@ -27,7 +27,7 @@ def ram():
     places = [[0.0202, 0, 0], [0.0403, 0.004, 0], [0.0605, 0, 0], [0.0202, 0.021, 0.003]]
     m = Mechanism()
     m.body("ram", 0.5, inertia=1e-3, velocity=(0.5, 0, 0))
-    m.force("soil", Soil("soil", ["ram"], pile, pile.start(places, motion=still(1))))
+    m.add(Soil("soil", ["ram"], pile, pile.start(places, motion=still(1))))
     return m.build()
 
 
@@ -78,7 +78,7 @@ def test_a_tray_carries_what_lies_on_it_and_its_hinge_is_told():
     motion = still(2)
     motion.origin[0, 1] = [0, 0, 0.5]
     heap = pile.start([[0.3, 0, 0.51]], motion=motion)
-    m.force("soil", Soil("soil", ["world", "tray"], pile, heap))
+    m.add(Soil("soil", ["world", "tray"], pile, heap))
     run = m.build().simulate(0.3, 1e-3, every=100)
     # Weights push down on the side of x, which is the way in which the hinge turns.
     assert run.motion["pin drive"].iloc[-1] == pytest.approx(-9.81 * (0.2 + MASS * 0.3), rel=1e-6)
@@ -118,6 +118,6 @@ def test_soil_on_bodies_that_are_not_there_is_refused():
         Soil("s", ["world", "a"], pile, heap, least=0)
     m = Mechanism()
     m.body("a", 1.0, inertia=1.0)
-    m.force("s", Soil("s", ["world", "b"], pile, heap))
+    m.add(Soil("s", ["world", "b"], pile, heap))
     with pytest.raises(MechanicsError, match='soil "s": there is no body "b"'):
         m.build()

@@ -140,7 +140,7 @@ def work(
 ) -> Worked:  # fmt: skip
     """Run a cycle."""
     machine = vehicle(design, path or working(ground.level), floor or Plane())
-    machine.force("soil", Soil("soil", ("world", "bucket"), ground.pile, ground.heap))
+    machine.add(Soil("soil", ("world", "bucket"), ground.pile, ground.heap))
     model = machine.build()
     began = process_time()
     run = model.simulate(until, step, every=every)
