@@ -47,11 +47,11 @@ def statics(designs: tuple[Design, ...]) -> Iterator[Check]:
         carried, middle = loads(state, design), oracle.middle(design, OUT)
         said = design.name
         yield check(f"{said}: load of the feet, N", float(carried.sum()), design.mass * G, 1e-4, "weight")
-        front = 0.5 * design.length - middle[0]
         last = traced(Worked(design, run, None, 0.0)).iloc[-1]  # type: ignore[arg-type]  # without soil
         # The vehicle tilts a little on its feet.
-        yield check(f"{said}: centre of pressure behind the front edge, m", float(last["pressure"]), front,
-                    1e-3, "centre of mass, by trigonometry")  # fmt: skip
+        within = float(np.min(inside_by(middle[:2], design.corners[:, :2])))
+        yield check(f"{said}: centre of pressure inside the edges, m", float(last["pressure"]), within, 1e-3,
+                    "centre of mass, by trigonometry")  # fmt: skip
         edge = np.array([state.point("tracks", corner) for corner in design.corners])
         place = state.rotation("tracks") @ middle + state.point("tracks")
         inside = inside_by(place[:2], edge[:, :2])
@@ -189,7 +189,7 @@ def advance(run: Run) -> tuple[float, float]:
 
 
 def track(run: Run, bound: float) -> Iterator[Check]:
-    """The track rolls, and does not slip: by how much it may seem to, as it gives way within a tooth."""
+    """The track rolls, and hardly creeps: by no more than a bound."""
     way, angle = advance(run)
     yield check("way of the vehicle on its track per tooth, m", way * 2.0 * np.pi / TEETH / angle,
                 ROLLING * 2.0 * np.pi / TEETH, bound, "a pitch")  # fmt: skip

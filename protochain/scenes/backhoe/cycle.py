@@ -27,7 +27,7 @@ STEP = 1e-3
 """s. Of the machine; cubes take as many shorter ones as they need."""
 WALL = 0.1
 """m. Half the height of the walls of the bin, once all cubes lie in it."""
-FULL, SMALL = Site((0.5, -0.09), (0.84, 0.09), 220), Site((0.5, -0.09), (0.84, 0.09), 60)
+FULL, SMALL = Site((0.5, -0.09), (0.84, 0.09), 200), Site((0.5, -0.09), (0.84, 0.09), 60)
 SOFT = 2e4
 """N/m. Stiffness of the cubes, which sets their steps."""
 SWING, ASIDE, END = (0.75, 0.5), np.deg2rad(60.0), 1.3

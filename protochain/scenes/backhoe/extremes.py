@@ -10,7 +10,7 @@ from protochain.core.errors import Fault
 from protochain.lab.cases import Check, Extreme, LeftOut, check, extreme, left_out, vanishes
 from protochain.mechanisms import Friction, Law, Mechanism, Plane, Surface
 from protochain.scenes.backhoe import oracle
-from protochain.scenes.backhoe.checks import COARSE, OUT, Turning, driven
+from protochain.scenes.backhoe.checks import COARSE, OUT, Turning, advance, driven
 from protochain.scenes.backhoe.cycle import SMALL, settled, work, working
 from protochain.scenes.backhoe.machine import (
     DESIGNS,
@@ -153,14 +153,12 @@ def _spins(until: float) -> Check:
     """Without friction nothing from outside moves it along, however the track turns."""
     run = driven(2.0, until, grip=0.0)
     size = float(np.max(np.abs(run.motion["sprocket rate"]))) * ROLLING * 20.0
-    return vanishes("momentum", float(np.max(np.abs(run.momenta[:, 0, 0]))) / size, 1e-4, "no force")
+    return vanishes("momentum", float(np.max(np.abs(run.momenta[:, 0, 0]))) / size, 1e-3, "no force")
 
 
 def _climbs(degrees: float, until: float) -> Check:
-    run = driven(2.0, until, np.deg2rad(degrees))
-    way = float(run.motion["frame x"].iloc[-1]) / (ROLLING * float(run.motion["sprocket"].iloc[-1]))
-    # It begins on springs, which give way by a millimetre.
-    return check("way", way, 1.0, 0.04, "rolling")
+    way, angle = advance(driven(2.0, until, np.deg2rad(degrees)))
+    return check("way", way / angle / ROLLING, 1.0, 0.05, "a pitch to a tooth")
 
 
 def limits(quick: bool) -> Iterator[Extreme]:
@@ -177,7 +175,7 @@ def limits(quick: bool) -> Iterator[Extreme]:
         for off in (-2.0, 2.0):
             said = f"rough slope, {off:+g} degrees from the one that tips it"
             yield extreme(said, partial(_tips_on_slope, off))
-        yield extreme("a track climbs 10 degrees", partial(_climbs, 10.0, 0.6))
+        yield extreme("a track climbs 10 degrees", partial(_climbs, 10.0, 0.8))
     yield extreme("ground 100 times as stiff", partial(_stiff, 100.0, 1e-3, 0.05))
     yield extreme("ground 1000 times as stiff", partial(_stiff, 1e3, 1e-3, 0.05), Fault.STEP)
     yield extreme("no soil", _without_soil)

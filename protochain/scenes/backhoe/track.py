@@ -31,7 +31,7 @@ SHOE, WHEEL, FRAME = 0.2, 1.0, 14.0
 """kg. Of one shoe, one wheel, and half of the machine."""
 THICK = 0.012
 """m. Pads are below the pins."""
-TIGHT = 3e-4
+TIGHT = 1e-3
 """m. By which wheels are too large for the chain, so that it is tight."""
 G = 9.81
 
