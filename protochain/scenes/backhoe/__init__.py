@@ -59,11 +59,11 @@ def run(quick: bool = False) -> Scene:
     cycles = [work(design, ground, until) for design in designs]
     # Of every fourth step.
     traces = [traced(each, 4).assign(design=each.design.name) for each in cycles]
-    rates = {SLOW: 1.1} if quick else {SLOW: 1.75, 6.0: 0.6}
+    rates = {SLOW: 1.1} if quick else {SLOW: 1.75, 2.0: 1.2}
     driven = {rate: checks.driven(rate, time) for rate, time in rates.items()}
     found: list[Check] = [
         *checks.statics(designs), *checks.arm(), *checks.excavation(cycles[0]),
-        *checks.track(driven[SLOW], 0.02 if quick else 0.01),
+        *checks.track(driven[SLOW], 0.03 if quick else 0.02),
     ]  # fmt: skip
     if not quick:
         load, exact = tips_at(DESIGNS[0]), tipping_load(DESIGNS[0])

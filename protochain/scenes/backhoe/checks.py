@@ -189,7 +189,7 @@ def advance(run: Run) -> tuple[float, float]:
 
 
 def track(run: Run, bound: float) -> Iterator[Check]:
-    """The track rolls, and hardly creeps: by no more than a bound."""
+    """The track rolls; by how much it may creep, and its pins move in their seats, in few teeth."""
     way, angle = advance(run)
     yield check("way of the vehicle on its track per tooth, m", way * 2.0 * np.pi / TEETH / angle,
                 ROLLING * 2.0 * np.pi / TEETH, bound, "a pitch")  # fmt: skip
