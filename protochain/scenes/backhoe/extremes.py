@@ -211,5 +211,5 @@ def without(quick: bool) -> Iterator[LeftOut]:
     # Before it rolls evenly the ground has given way a little.
     yield left_out(
         "shoes and wheels of a track: its way", shoes, lambda: ROLLING * Turning(2.0)(rolled)[0],
-        0.1 if quick else 0.03, 1,
+        0.1 if quick else 0.05, 1,
     )  # fmt: skip
