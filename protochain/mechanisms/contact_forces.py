@@ -113,6 +113,15 @@ class ContactForces:
         """End a run, after which forces are again those without a past."""
         self._ended, self.anchors = (at, self.anchors), NO_ANCHORS
 
+    @property
+    def kept(self) -> Anchors:
+        """The anchors."""
+        return self.anchors
+
+    def recall(self, kept: Anchors | None) -> None:
+        """Let friction begin where it did at a row."""
+        self.anchors = kept or NO_ANCHORS
+
     def settle(self, at: Phase) -> None:
         """End a step: drag anchors along, and set those of new touches.
 

@@ -61,6 +61,13 @@ class Memory(Protocol):
     def end(self, at: Phase | None) -> None:
         """End a run at a phase from which another may go on; None if it has failed."""
 
+    @property
+    def kept(self) -> Any:
+        """What forces depend on now, as a frozen value that goes into the rows of a run."""
+
+    def recall(self, kept: Any) -> None:
+        """Let forces be those of a row again; None, those without a past."""
+
 
 @dataclass(frozen=True, eq=False)
 class Acting:

@@ -315,12 +315,15 @@ class Run:
         What has happened.
     end : Phase
         Phase at the end, from which :meth:`Model.simulate` can go on.
+    kept : sequence of tuple
+        What the model's memories kept at each row; empty without memories.
     """
 
     model: Model
     rows: Sequence[Row]
     events: tuple[Happened, ...]
     end: Phase
+    kept: Sequence[tuple[Any, ...]] = ()
 
     @cached_property
     def time(self) -> Floats:
@@ -404,7 +407,7 @@ class Run:
     def motion(self) -> "pd.DataFrame":
         """One row a time: coordinate and rate of each hinge by its name, and what a drive gives it.
 
-        Drives are torques, or forces of slides; NaN where friction remembers what rows do not have.
+        Drives are torques, or forces of slides.
         """
         return motion(self)
 
@@ -426,7 +429,7 @@ class Run:
         Raises
         ------
         MechanicsError
-            If there is no such hinge, or friction remembers what rows do not have.
+            If there is no such hinge.
         """
         return reactions(self, name)
 
@@ -552,10 +555,13 @@ class _Simulation:
         if isinstance(integrator, Rosenbrock) and np.any(taking):
             self.integrator = WithDampers(integrator, taking)
         self.rows: list[Row] = []
+        self.kept: list[tuple[Any, ...]] = []
         self.happened: list[Happened] = []
 
     def run(self, until: float) -> Run:
         """Follow the motion until a time."""
+        for memory in self.model.memories:
+            memory.begin(self.start)
         self.add(self.start)
         end: Phase | None = None
         # What diverges is refused, not warned of.
@@ -579,7 +585,7 @@ class _Simulation:
             finally:
                 for memory in self.model.memories:
                     memory.end(end)
-        return Run(self.model, self.rows, tuple(self.happened), end)
+        return Run(self.model, self.rows, tuple(self.happened), end, self.kept)
 
     @property
     def after(self) -> str:
@@ -590,6 +596,8 @@ class _Simulation:
         """Add a row."""
         jumps = sum(event.energy for event in self.happened)
         self.rows.append((at.time, at.q, at.qd, at.p, at.potential, at.work, jumps))
+        if self.model.memories:
+            self.kept.append(tuple(memory.kept for memory in self.model.memories))
         if len(self.rows) % _LOOK == 0:
             self.look()
 
@@ -648,7 +656,6 @@ class _Simulation:
         model, at, count = self.model, self.start, 0
         watched = [event.watched(model.state, self.happened) for event in model.events]
         for memory in model.memories:
-            memory.begin(at)
             memory.settle(at)
         for at, event in march(model.system, self.integrator, self.start, until, self.time_step, watched):
             for memory in model.memories:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Phase
 from protochain.mechanics.multibody.loop_joints import hold
 from protochain.mechanics.multibody.newton_euler import inertial_loads
@@ -76,19 +75,16 @@ def _given(model: "Model", at: Phase) -> Floats:
 
 
 def phases(run: "Run") -> Iterator[Phase]:
-    """Phases of the rows.
-
-    Raises
-    ------
-    MechanicsError
-        If an element remembers, as friction does, what rows do not have.
-    """
-    if run.model.memories:
-        raise MechanicsError(
-            "forces at rows are not known where friction remembers where it began to stick; leave it out"
-        )
-    for time, q, qd in zip(run.time, run.q, run.qd, strict=True):
-        yield run.model.system.at(q, qd, float(time))
+    """Phases of the rows, each while what elements remember, as where friction began, is as it was there."""
+    memories = run.model.memories
+    try:
+        for k, (time, q, qd) in enumerate(zip(run.time, run.q, run.qd, strict=True)):
+            for memory, kept in zip(memories, run.kept[k] if memories else (), strict=True):
+                memory.recall(kept)
+            yield run.model.system.at(q, qd, float(time))
+    finally:
+        for memory in memories:
+            memory.recall(None)
 
 
 def reactions(run: "Run", name: str) -> "pd.DataFrame":
@@ -132,10 +128,7 @@ def motion(run: "Run") -> "pd.DataFrame":
     columns = {"time": run.time}
     driving = None
     if model.drive is not None:
-        if model.memories:
-            driving = np.full((len(run.time), tree.n_v), np.nan)
-        else:
-            driving = np.array([at.loads[-1] for at in phases(run) if at.loads is not None])
+        driving = np.array([at.loads[-1] for at in phases(run) if at.loads is not None])
     for name, b in model.bodies.hinges.items():
         if tree.v_start[b] == tree.v_start[b + 1]:
             continue

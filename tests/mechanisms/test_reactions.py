@@ -184,12 +184,29 @@ def test_what_has_no_forces_is_refused():
     for name in (["h1"], None, 0):
         with pytest.raises(MechanicsError, match="reactions: there is no hinge"):
             run.reactions(name)
+
+
+def test_a_drive_drags_a_sled_with_what_friction_has_where_it_sticks_and_slips():
+    """Three feet, each on a spring from where it began, until it slips."""
+    mass, coefficient, spring, feet = 2.0, 0.3, 1e3, [(0, 0, 0), (0.1, 0, 0), (0, 0.1, 0)]
     m = Mechanism(gravity=(0, 0, -G))
-    m.body("ball", 1.0, inertia=0.004, position=(0, 0, 0.2))
-    m.body("flag", 0.1, inertia=0.001)
-    m.hinge("pole", "ball", "flag")
-    m.contact("floor", [Ball("ball", 0.1)], Plane(), Law(1e5), Friction(0.3, 1e4))
-    run = m.build().simulate(0.01, 1e-3)
-    with pytest.raises(MechanicsError, match="friction remembers"):
-        run.reactions("pole")
+    m.body("cart", 0.0)
+    m.body("sled", mass, inertia=0.1)
+    m.hinge("pull", "world", "cart", "prismatic", axis=(1, 0, 0))
+    m.hinge("height", "cart", "sled", "prismatic", axis=(0, 0, 1), q=-mass * G / 3e4)
+    m.drive("pull", lambda t: (0.01 * t**2, 0.02 * t, 0.02))
+    m.contact("floor", [Ball("sled", 0.0, foot) for foot in feet], Plane(), Law(1e4, 1.0, 1.0),
+              Friction(coefficient, spring))  # fmt: skip
+    model = m.build()
+    run = model.simulate(1.0, 1e-3, every=20)
+    wanted = np.minimum(3 * spring * run.motion["pull"], coefficient * mass * G) + 0.02 * mass
+    assert wanted.min() < 0.1 and wanted.max() == pytest.approx(coefficient * mass * G + 0.02 * mass)
+    # Anchors are those after a step: the sled stretches its springs by no more until the next.
+    assert np.allclose(run.motion["pull drive"], wanted, atol=3 * spring * 0.02 * 1e-3)
+    assert np.allclose(run.reactions("pull")["force x"], run.motion["pull drive"], atol=1e-9)
+    assert np.allclose(run.reactions("height")["force x"], run.motion["pull drive"], atol=1e-9)
+    # To ask changes nothing of a run that goes on.
+    half = model.simulate(0.5, 1e-3, every=500)
+    half.reactions("pull")
+    assert np.array_equal(model.simulate(1.0, 1e-3, start=half.end).q[-1], run.q[-1])
     assert run.audit().energy < AUDITED

@@ -1,7 +1,7 @@
 """A backhoe's bucket in a soil of cubes: slopes, weights, work of drives, bushings, sleep.
 
 Boom, stick and bucket on drives, the frame on the ground, after Ahmadi and Wasfy's backhoe; free cubes of
-20 mm and 2000 kg/m^3 with faces, edges and corners. A track of 24 shoes on two wheels is left out.
+20 mm and 2000 kg/m^3 with faces, edges and corners. Tracks, and soil that pushes back: scene ``backhoe``.
 """
 
 from collections.abc import Iterator

@@ -87,7 +87,15 @@ def digging(level: float, duration: float = 1.0, depth: float = 0.3) -> Path:
 
 
 def bucket_plates(body: int, model: Model) -> Plates:
-    """Bottom, back and sides of the bucket, for the number of its body."""
+    """Bottom, back and sides of the bucket, for the number of its body, in the frame of the tree."""
+    own = bucket_shape(body)
+    # Its z axis is the hinge's.
+    turn = model.bodies.turn[body].T
+    return Plates(own.body, own.centre @ turn.T, turn @ own.rotation, own.half)
+
+
+def bucket_shape(body: int) -> Plates:
+    """Bottom, back and sides of the bucket, in its own axes, with a number of the body."""
     length, width, height = -EDGE[0], 0.06, -0.5 * EDGE[2]
     centre = np.array(
         [[0, 0, EDGE[2] - THICK], [length, 0, -height], [0, -width, -height], [0, width, -height]],
@@ -96,9 +104,7 @@ def bucket_plates(body: int, model: Model) -> Plates:
     half = np.array(
         [[length, width, THICK], [THICK, width, height], [length, THICK, height], [length, THICK, height]]
     )
-    # In the frame of the tree, whose z axis is the hinge's.
-    turn = model.bodies.turn[body].T
-    return Plates(np.full(4, body), centre @ turn.T, np.tile(turn, (4, 1, 1)), half)
+    return Plates(np.full(4, body), centre, np.tile(np.eye(3), (4, 1, 1)), half)
 
 
 def motion_of(model: Model, path: Path, times: Floats, still: int = 1) -> Motion:

@@ -1,0 +1,123 @@
+"""Soil that pushes a mechanism back: momentum, work of both, weights on a tray, and runs that go on."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from protochain.core.errors import MechanicsError
+from protochain.mechanisms import Mechanism
+from protochain.mechanisms.pile import Pile
+from protochain.mechanisms.pile_parts import Law, Motion, Plates
+from protochain.mechanisms.soil import Soil, between
+
+EDGE, MASS = 0.02, 0.016
+ROUNDING = 1e-14
+"""Of momenta of 0.25 N s: some tens of eps."""
+
+
+def still(n):
+    return Motion(np.zeros((1, n, 3)), np.eye(3)[None, None].repeat(n, axis=1), np.zeros((1, n, 6)))
+
+
+def ram():
+    """A plate of half a kilogram that flies into four cubes, in free space."""
+    plate = Plates(np.array([0]), np.zeros((1, 3)), np.eye(3)[None], np.array([[0.01, 0.03, 0.03]]))
+    law = Law(1e5, 0.5, by="volume")
+    pile = Pile(np.full(4, EDGE), np.full(4, MASS), law, np.zeros(3), plates=plate)
+    places = [[0.0202, 0, 0], [0.0403, 0.004, 0], [0.0605, 0, 0], [0.0202, 0.021, 0.003]]
+    m = Mechanism()
+    m.body("ram", 0.5, inertia=1e-3, velocity=(0.5, 0, 0))
+    m.add(Soil("soil", ["ram"], pile, pile.start(places, motion=still(1))))
+    return m.build()
+
+
+def struck(step, until=0.05):
+    model = ram()
+    run = model.simulate(until, step)
+    (soil,) = model.memories
+    return run, soil
+
+
+def test_momentum_passes_from_a_ram_to_cubes_and_the_works_differ_less_in_shorter_steps():
+    apart = []
+    for step in (1e-3, 1e-4):
+        run, soil = struck(step)
+        heap, last = soil.heap, soil.looks[-1]
+        assert last.work > 0.015 and np.all(last.pushes == 0.0)
+        whole = run.momenta[-1, 0] + soil.pile.mass @ heap.velocity
+        assert whole == pytest.approx([0.25, 0, 0], abs=ROUNDING)
+        assert last.momentum == pytest.approx(soil.pile.mass @ heap.velocity, abs=ROUNDING)
+        own = np.cross(heap.position, heap.velocity) + EDGE**2 / 6 * heap.spin
+        spin = run.momenta[-1, 1] + MASS * own.sum(axis=0)
+        # Arms of some centimetres, which move by the speed times two steps before an impulse comes.
+        assert spin == pytest.approx(np.zeros(3), abs=0.5 * 0.02 * step)
+        apart.append(abs(run.work[-1, 0] + last.work) / last.work)
+    assert apart[0] < 0.1 and apart[1] < 0.1 * apart[0]
+
+
+def test_a_run_that_goes_on_is_the_run_unbroken_and_another_begins_anew():
+    model = ram()
+    (soil,) = model.memories
+    whole = model.simulate(0.02, 5e-4)
+    looks = list(soil.looks)
+    half = model.simulate(0.01, 5e-4)
+    after = model.simulate(0.02, 5e-4, start=half.end)
+    # But for the rounding of the length of a step that ends the first part.
+    assert after.q[-1] == pytest.approx(whole.q[-1], abs=1e-12) and len(soil.looks) == len(looks) == 40
+    assert soil.looks[-1].work == pytest.approx(looks[-1].work, rel=1e-9) and looks[-1].work > 0.01
+
+
+def test_a_tray_carries_what_lies_on_it_and_its_hinge_is_told():
+    """The tray's axes are not those of the tree, whose z axis is the hinge's."""
+    plate = Plates(np.array([1]), np.array([[0.2, 0, -0.01]]), np.eye(3)[None], np.array([[0.2, 0.05, 0.01]]))
+    pile = Pile(np.full(1, EDGE), np.full(1, MASS), Law(1e4, 0.5), np.array([0, 0, -9.81]), plates=plate)
+    m = Mechanism(gravity=(0, 0, -9.81))
+    m.body("tray", 1.0, com=(0.2, 0, 0), inertia=0.01)
+    m.hinge("pin", "world", "tray", at=(0, 0, 0.5), axis=(0, 1, 0))
+    m.drive("pin", lambda t: (0.0, 0.0, 0.0))
+    motion = still(2)
+    motion.origin[0, 1] = [0, 0, 0.5]
+    heap = pile.start([[0.3, 0, 0.51]], motion=motion)
+    m.add(Soil("soil", ["world", "tray"], pile, heap))
+    run = m.build().simulate(0.3, 1e-3, every=100)
+    # Weights push down on the side of x, which is the way in which the hinge turns.
+    assert run.motion["pin drive"].iloc[-1] == pytest.approx(-9.81 * (0.2 + MASS * 0.3), rel=1e-6)
+    assert run.reactions("pin")["force z"].iloc[-1] == pytest.approx(9.81 * (1.0 + MASS), rel=1e-6)
+    assert run.motion["pin drive"].iloc[0] == pytest.approx(-9.81 * 0.2, rel=1e-12)
+
+
+def test_the_motion_between_two_moments_meets_both_and_has_its_derivatives_as_twists():
+    rng = np.random.default_rng(1)
+    first = Rotation.random(2, rng=rng).as_matrix()
+    turn = 0.02 * rng.normal(size=(2, 3))
+    last = Rotation.from_rotvec(turn).as_matrix() @ first
+    span, n = 0.01, 200
+    ends = [rng.normal(size=(2, 3)) for _ in range(2)]
+    twists = [np.hstack([turn / span + 0.3 * rng.normal(size=(2, 3)), rng.normal(size=(2, 3))]) for _ in "ab"]
+    found = between((ends[0], first, twists[0]), (ends[1], last, twists[1]), span, n)
+    for k, place, rotation, twist in ((0, ends[0], first, twists[0]), (n, ends[1], last, twists[1])):
+        assert found.origin[k] == pytest.approx(place, abs=1e-12)
+        assert found.rotation[k] == pytest.approx(rotation, abs=1e-12)
+        # Of turns by 0.03 the series leaves some 1e-7 of rates of 2 rad/s.
+        assert found.twist[k] == pytest.approx(twist, abs=1e-6)
+    h = span / n
+    moved = (found.origin[2:] - found.origin[:-2]) / (2 * h)
+    assert found.twist[1:-1, :, 3:] == pytest.approx(moved, rel=1e-4, abs=1e-2)
+    turned = found.rotation[2:] @ found.rotation[:-2].swapaxes(2, 3)
+    spin = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(n - 1, 2, 3) / (2 * h)
+    assert found.twist[1:-1, :, :3] == pytest.approx(spin, abs=1e-3)
+
+
+def test_soil_on_bodies_that_are_not_there_is_refused():
+    plate = Plates(np.array([1]), np.zeros((1, 3)), np.eye(3)[None], np.full((1, 3), 0.1))
+    pile = Pile(np.full(1, EDGE), np.full(1, MASS), Law(1e4, 0.5), np.zeros(3), plates=plate)
+    heap = pile.start([[1.0, 0, 0]], motion=still(2))
+    with pytest.raises(MechanicsError, match='soil "s": a plate is on body 1, but 1 are named'):
+        Soil("s", ["world"], pile, heap)
+    with pytest.raises(MechanicsError, match="least 0"):
+        Soil("s", ["world", "a"], pile, heap, least=0)
+    m = Mechanism()
+    m.body("a", 1.0, inertia=1.0)
+    m.add(Soil("s", ["world", "b"], pile, heap))
+    with pytest.raises(MechanicsError, match='soil "s": there is no body "b"'):
+        m.build()

@@ -1,0 +1,211 @@
+"""The backhoe: cylinders, teeth and chain, measures of stability; and the whole scene, quick."""
+
+import numpy as np
+import pytest
+from fixtures.tolerances import DIFFERENCE
+
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanisms import Mechanism, Plane
+from protochain.scenes import run
+from protochain.scenes.backhoe import oracle
+from protochain.scenes.backhoe.checks import OUT, Turning, flat
+from protochain.scenes.backhoe.cycle import working
+from protochain.scenes.backhoe.machine import ARM, CYLINDERS, DESIGNS, hold, mesh, posture, vehicle
+from protochain.scenes.backhoe.stability import centre, force_angle, inside_by, loads
+from protochain.scenes.backhoe.track import (
+    APART,
+    PITCH,
+    SEATS,
+    SHOES,
+    TEETH,
+    Teeth,
+    Wheel,
+    crawler,
+    loop,
+)  # fmt: skip
+from protochain.scenes.bucket.backhoe import EDGE
+
+SQUARE = np.array([(1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0)])
+DOWN = np.array([0.0, 0.0, -10.0])
+
+
+@pytest.mark.slow
+def test_a_backhoe_is_right():
+    found = run("backhoe", quick=True)
+    assert found.wrong == () and len(found.checks) == 14
+    assert {each.outcome for each in found.extremes} == {"right", "refused"} and len(found.extremes) == 11
+    assert all(each.ratio > 1.0 for each in found.left_out)
+    assert found.tables["designs"]["least_angle_deg"].item() > 0.0
+
+
+@pytest.mark.parametrize(("name", "angle"), [("boom", -0.5), ("stick", 1.7), ("bucket", -2.0)])
+def test_lengths_of_cylinders_have_their_derivatives(name, angle):
+    cylinder, h = CYLINDERS[name], 1e-5
+
+    def at(t):
+        return cylinder.length(angle + 0.8 * t - 0.7 * t * t, 0.8 - 1.4 * t, -1.4)
+
+    for k in (0, 1):
+        assert (at(h)[k] - at(-h)[k]) / (2 * h) == pytest.approx(at(0.0)[k + 1], abs=1e-8)
+    assert cylinder.lever(angle) == pytest.approx(at(0.0)[1] / 0.8)
+
+
+def test_cylinders_bring_the_edge_where_it_is_sent_and_have_their_lengths():
+    model = vehicle(DESIGNS[0], hold(posture((0.75, 0.2), -0.4, 0.5)), None).build()
+    state = model.state()
+    place = state.rotation("house").T @ (state.point("bucket", EDGE) - state.point("house"))
+    assert place == pytest.approx([0.75 + 0.1, 0.0, 0.2 - 0.1], abs=1e-9)
+    for name, cylinder in CYLINDERS.items():
+        foot, eye = ((x, 0.0, z) for x, z in (cylinder.foot, cylinder.eye))
+        apart = state.point(cylinder.child, eye) - state.point(cylinder.parent, foot)
+        assert np.linalg.norm(apart) == pytest.approx(state.angle(f"{name} cylinder"), abs=1e-12)
+        assert state.point(f"{name} rod") == pytest.approx(state.point(cylinder.child, eye), abs=1e-12)
+
+
+def test_forces_of_cylinders_are_mujocos():
+    """MuJoCo has the open tree, and virtual work of each angle makes forces of its torques."""
+    mujoco = pytest.importorskip("mujoco")
+    path = flat(working(0.06))
+    model = vehicle(DESIGNS[0], path, None).build()
+    moved = model.simulate(0.5, 0.01)
+    parts = {name: model.bodies.number(name) for name in model.bodies.names}
+    spec, made = mujoco.MjSpec(), {}
+    spec.option.gravity = [0, 0, -9.81]
+    built = vehicle(DESIGNS[0], path, None)
+    for name, b in parts.items():
+        body, hinge = built._bodies[name], next(h for h in built._hinges.values() if h.child == name)
+        parent = made.get(hinge.parent, spec.worldbody)
+        quat = np.zeros(4)
+        mujoco.mju_mat2Quat(quat, hinge.rotation.ravel())
+        # As in the tree: a slide's origin is its child's, which moves along.
+        own = parent.add_body(name=name, pos=hinge.at, quat=quat, mass=body.mass, ipos=body.com,
+                              inertia=np.diag(body.inertia), explicitinertial=True)  # fmt: skip
+        made[name] = own
+        if hinge.kind != "fixed":
+            kind = mujoco.mjtJoint.mjJNT_SLIDE if hinge.kind == "prismatic" else mujoco.mjtJoint.mjJNT_HINGE
+            own.add_joint(name=hinge.name, type=kind, axis=hinge.rotation.T @ hinge.axis)
+        assert b == len(made) - 1
+    theirs = spec.compile()
+    data = mujoco.MjData(theirs)
+    names = [theirs.joint(k).name for k in range(theirs.njnt)]
+    places = [model.bodies.freedom(name) for name in names]
+    motion = moved.motion
+    for row in (10, 25, 40):
+        at = model.system.at(moved.q[row], moved.qd[row], float(moved.time[row]))
+        qdd, _ = model.system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)
+        data.qpos[:], data.qvel[:] = at.q[[q for q, _ in places]], at.qd[[v for _, v in places]]
+        data.qacc[:] = qdd[[v for _, v in places]]
+        mujoco.mj_inverse(theirs, data)
+        angles = path(at.time)[0][1:]
+        for k, name in enumerate(ARM):
+            # How all joints follow one angle: from two closed mechanisms, by differences.
+            ends = []
+            for sign in (1, -1):
+                turned = hold(np.append(0.0, angles + sign * 1e-5 * np.eye(3)[k]))
+                other = vehicle(DESIGNS[0], turned, None).build()
+                # Barrels turn from where each was built.
+                state = other.state()
+                for each in ARM:
+                    line = state.rotation(f"{each} barrel")[:, 0]
+                    base = state.rotation(CYLINDERS[each].parent)
+                    ends.append(-np.arctan2(base[:, 2] @ line, base[:, 0] @ line))
+            barrels = dict(zip(ARM, (np.array(ends[:3]) - ends[3:]) / 2e-5, strict=True))
+            along = {name: 1.0} | {f"{each} barrel": barrels[each] for each in ARM}
+            work = sum(float(data.qfrc_inverse[names.index(joint)]) * rate for joint, rate in along.items())
+            # Slides as far as they follow: their axial torques are the rods' own, which the cylinder has too.
+            length = CYLINDERS[name].lever(float(angles[k]))
+            rod = float(data.qfrc_inverse[names.index(f"{name} cylinder")])
+            assert work / length + rod == pytest.approx(
+                motion[f"{name} cylinder drive"][row], rel=1e-6, abs=1e-5
+            )
+
+
+def test_the_plane_oracle_has_the_centre_of_mass_of_the_bodies():
+    for design in DESIGNS:
+        angles = posture((0.8, 0.3), 0.1, 0.7)
+        state = vehicle(design, hold(angles), None).build().state()
+        assert centre(state) - state.point("tracks") == pytest.approx(
+            oracle.middle(design, angles), abs=1e-12
+        )
+
+
+def test_loads_of_the_feet_are_the_forces_of_the_contact():
+    triangles = mesh((-0.6, -0.5), (0.4, 0.5), 0.1)
+    for ground in (Plane(), triangles):
+        model = vehicle(DESIGNS[0], hold(OUT), ground, grip=None).build()
+        at = model.simulate(0.05, 1e-3).end
+        root = int(model.tree.v_start[model.bodies.number("tracks")]) + 5
+        force = at.torque[root] + DESIGNS[0].mass * 9.81
+        assert loads(model.state(at), DESIGNS[0]).sum() == pytest.approx(force, rel=1e-9)
+
+
+def test_the_distance_inside_a_polygon_is_that_to_its_edges():
+    found = inside_by(np.array([0.5, -0.25]), SQUARE[:, :2])
+    assert found == pytest.approx([0.5, 1.25, 1.5, 0.75])
+    assert inside_by(np.array([1.5, 0.0]), SQUARE[:, :2]).min() == pytest.approx(-0.5)
+
+
+def test_the_force_angle_measure_of_a_cart():
+    """A square of half width 1, its centre of mass at a height of 2: atan(1/2) on all sides."""
+    at = np.array([0.0, 0.0, 2.0])
+    angle, measure = force_angle(SQUARE, at, DOWN, np.zeros(3))
+    assert angle == pytest.approx(np.full(4, np.arctan2(1, 2))) and measure == pytest.approx(10 * angle)
+    # A push forward turns the force towards the front edge, and from the rear.
+    angle, _ = force_angle(SQUARE, at, np.array([3.0, 0.0, -10.0]), np.zeros(3))
+    tilt = np.arctan2(3, 10)
+    assert angle[[0, 2]] == pytest.approx([np.arctan2(1, 2) - tilt, np.arctan2(1, 2) + tilt])
+    assert angle[[1, 3]] == pytest.approx(np.full(2, np.arctan2(1, 2)))
+    # It tips where the moment about the edge changes sign, whether of a force or of a couple.
+    for share in (0.99, 1.01):
+        for force, moment in (((5 * share, 0, 0), (0, 0, 0)), ((0, 0, 0), (0, 10 * share, 0))):
+            angle, _ = force_angle(SQUARE, at, DOWN + force, np.array(moment, float))
+            assert (angle[0] > 0.0) == (share < 1.0) and angle[2] > 0.0
+
+
+def test_the_chain_has_shoes_of_one_pitch_and_pins_in_the_seats():
+    pins = loop()
+    assert len(pins) == SHOES
+    assert np.linalg.norm(np.roll(pins, -1, axis=0) - pins, axis=1) == pytest.approx(np.full(SHOES, PITCH))
+    for side in (-1, 1):
+        off = pins - [0.5 * side * APART, 0.0]
+        seated = np.isclose(np.linalg.norm(off, axis=1), SEATS)
+        assert seated.sum() == TEETH // 2 + 1
+        angles = np.arctan2(*off[seated].T[::-1]) * TEETH / (2 * np.pi)
+        assert angles == pytest.approx(np.round(angles), abs=1e-9)
+
+
+def pins_on_a_wheel():
+    m = Mechanism()
+    m.body("wheel", 1.0, inertia=1.0, position=(0.1, 0, 0.2), spin=(0, 1.5, 0))
+    for k in range(3):
+        place = (0.1 + 0.05 * np.cos(k + 0.3), 0, 0.2 + 0.05 * np.sin(k + 0.3))
+        m.body(f"pin {k}", 1.0, inertia=1.0, position=place)
+    pins = tuple((f"pin {k}", (0.003, 0.0, 0.002)) for k in range(3))
+    m.force("teeth", Teeth(pins, (Wheel("wheel", SEATS, 0.02),), 1e3, 0.1))
+    return m.build()
+
+
+def test_teeth_push_by_the_gradient_of_their_energy_and_keep_momentum_and_spin():
+    model = pins_on_a_wheel()
+    system, at = model.system, model.system.at(model.q, np.zeros(24))
+    for k, step in enumerate(1e-6 * np.eye(24)):
+        ends = [
+            system.at(multibody.integrate(model.tree, at.q, s * step), at.qd).potential for s in (1.0, -1.0)
+        ]
+        assert at.torque[k] == pytest.approx(-(ends[0] - ends[1]) / 2e-6, abs=DIFFERENCE)
+    run = model.simulate(0.2, 1e-3)
+    assert run.dissipation[-1] > 1e-3
+    for what in (0, 1):
+        assert np.allclose(run.momenta[:, what], run.momenta[0, what], atol=1e-9)
+
+
+def test_a_track_stands_and_the_turning_of_its_sprocket_has_its_derivatives():
+    turning, h = Turning(2.0), 1e-6
+    for t in (0.05, 0.15, 0.3):
+        before, at, after = (np.array(turning(t + s)) for s in (-h, 0.0, h))
+        assert (after[:2] - before[:2]) / (2 * h) == pytest.approx(at[1:], abs=1e-8)
+    run = crawler(Turning(0.0)).build().simulate(0.02, 5e-4)
+    assert abs(run.motion["frame x"].iloc[-1]) < 1e-6 and run.audit().gap < 1e-11
+    with pytest.raises(MechanicsError, match="stiffness 0"):
+        crawler(Turning(1.0), stiffness=0.0)
