@@ -228,7 +228,7 @@ def cost(relaxed: list[Path], as_is: list[str]) -> Iterator[dict[str, object]]:
         yield shown({"structure": path.name.partition(".")[0], **in_process(minimum.structure)})
     for given in as_is:
         file, _, chains = given.partition(":")
-        structure = pc.load(file, chains=chains or None)
+        structure = pc.load(file, **({"chains": chains} if chains else {}))
         name = Path(file).name.partition(".")[0] + (f", {chains}" if chains else "")
         yield shown({"structure": name, **in_process(structure)})
 
@@ -333,10 +333,14 @@ def main() -> None:
     for name in options.only:
         if name == "pairs" and options.quick:
             continue
-        table = pd.DataFrame(made_by[name]())
-        print(table.round(3).to_string(index=False))
-        if options.output:
-            made.write(table, options.output / f"modes_{name}.csv", inputs.get(name, options.crystals))
+        rows = []
+        for row in made_by[name]():
+            rows.append(row)
+            # Large structures come last, and take long.
+            if options.output:
+                given = inputs.get(name, options.crystals)
+                made.write(pd.DataFrame(rows), options.output / f"modes_{name}.csv", given)
+        print(pd.DataFrame(rows).round(3).to_string(index=False))
 
 
 if __name__ == "__main__":
