@@ -9,12 +9,12 @@ from scipy.integrate import quad, solve_ivp
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, Rosenbrock, RungeKutta4
 from protochain.mechanics.multibody import integrate, mass_matrix, pose
-from protochain.mechanisms import Mechanism
+from protochain.mechanisms import Mechanism, state_matrix
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, add_beam
 from protochain.scenes import run
-from protochain.scenes.helicopter import landing, resonance
+from protochain.scenes.helicopter import landing, resonance, safety
 from protochain.scenes.helicopter.legs import Legs
 from protochain.scenes.helicopter.lift import Lift, Strip
 from protochain.scenes.helicopter.parts import (
@@ -58,6 +58,53 @@ def test_legs_push_only_and_have_the_energy_of_their_springs():
         assert stored == pytest.approx(1.5 * 500.0 * max(depth, 0.0) ** 2, abs=1e-12)
 
 
+def test_a_block_slides_down_a_slope_as_in_closed_form():
+    """In the axes of the ground: g sin less mu g cos, friction regularised; it presses with g cos."""
+    slope, mu = 0.7, 0.4
+    legs = Legs("block", FEET, 5e4, friction=mu, slip=0.3, slope=slope)
+    along, up = np.array([0.0, np.cos(slope), np.sin(slope)]), legs.normal
+    turn = np.column_stack([[1.0, 0.0, 0.0], along, up])
+    depth = 98.1 * np.cos(slope) / 1.5e5
+    model = block(legs, position=3.0 * along - depth * up, rotation=turn)
+    np.testing.assert_allclose(legs.forces(model.state()), 98.1 * np.cos(slope) / 3.0, rtol=1e-9)
+    moved = model.simulate(1.0, 0.01, DormandPrince(1e-9))
+    pull, most = 9.81 * np.sin(slope), mu * 9.81 * np.cos(slope)
+    exact = solve_ivp(
+        lambda t, v: pull - most * v / np.hypot(v, 0.3), (0, 1.0), [0.0], rtol=1e-11, atol=1e-12
+    )
+    velocity = model.state(moved.end).velocity("block")
+    np.testing.assert_allclose(velocity, -exact.y[0, -1] * along, atol=1e-6)
+    assert moved.audit().energy < 1e-7
+    # A block off the ground, which is lower downhill, bears nothing.
+    away = block(legs, position=3.0 * along + 1e-3 * up, rotation=turn)
+    assert np.max(legs.forces(away.state())) == 0.0
+
+
+def test_a_landing_is_judged_by_what_is_worst():
+    fine = safety.Landing(1e3, 1.0)
+    for found, growth, said in (
+        (fine, 0.0, "safe"), (fine, 0.2, "resonance"), (fine._replace(leg=1.3e4), 0.2, "leg overload"),
+        (safety.Landing(1.3e4, 9.0), 0.2, "tips"),
+    ):  # fmt: skip
+        assert safety.verdict(found, growth) == said
+
+
+def test_components_of_the_disc_have_constant_coefficients():
+    """Eigenvalues of small motions are the same wherever the shaft stands."""
+    helicopter, at = safety.standing(55.0, Given(cells=2))
+    first = safety.of_small_motions(helicopter, at)[0]
+    model = helicopter.model
+    # A third of a turn later the next blade is there.
+    later = model.system.at(at.q.copy(), at.qd, time=2.0 * np.pi / 3.0 / 55.0)
+    q = later.q.copy()
+    q[model.bodies.freedom("shaft")[0]] += 2.0 * np.pi / 3.0
+    other = safety.of_small_motions(helicopter, model.system.at(q, at.qd, time=later.time))[0]
+    assert np.max(other.real) == pytest.approx(np.max(first.real), abs=1e-3)
+    # In the blades' own components they are not eigenvalues of what does not turn.
+    turning = np.linalg.eigvals(state_matrix(model, at))
+    assert np.max(turning.real) != pytest.approx(np.max(first.real), abs=0.1)
+
+
 def test_friction_opposes_the_motion_and_stops_it_as_in_closed_form():
     legs, depth = Legs("block", FEET, 500.0, friction=0.4, slip=0.3), 98.1 / 1500.0
     model = block(legs, position=(0, 0, -depth), velocity=(3.0, 4.0, 0.0))
@@ -77,7 +124,8 @@ def test_friction_opposes_the_motion_and_stops_it_as_in_closed_form():
     [
         ({"stiffness": 0.0}, "must be above zero"), ({"damping": -1.0}, "not below it"),
         ({"squared": np.nan}, "not below it"), ({"friction": np.inf}, "finite"),
-        ({"slip": 0.0}, "slip 0; give a speed"), ({"body": "world"}, "the world has none"),
+        ({"slip": 0.0}, "slip 0; give a speed"), ({"slope": 1.6}, "slope 1.6; give an"),
+        ({"body": "world"}, "the world has none"),
         ({"body": "wheel"}, 'no body "wheel"'),
     ],
 )  # fmt: skip
@@ -275,7 +323,7 @@ def test_the_oscillator_solves_its_equation_also_where_it_creeps():
 
 def test_a_helicopter_is_right():
     found = run("helicopter", quick=True)
-    assert found.wrong == () and len(found.checks) == 27
+    assert found.wrong == () and len(found.checks) == 41
     outcomes = {each.name: each.outcome for each in found.extremes}
     assert {name for name, outcome in outcomes.items() if outcome == "refused"} == {
         "EI times 1e6, explicit",
@@ -283,7 +331,16 @@ def test_a_helicopter_is_right():
         "legs damped 300 times more, explicit",
         "legs without stiffness",
     }
-    assert {"resonance", "touchdown", "gust", "pitch", "run_up", "limits"} == set(found.tables)
+    own = {"resonance", "touchdown", "gust", "pitch", "run_up", "limits", "legs", "map"}
+    assert own | {"gust_on_the_ground", "pitch_on_the_ground", "take_off"} == set(found.tables)
+    seen = found.tables["map"].set_index(["by", "value", "sink"])["verdict"]
+    assert seen["drift", 6.0, 1.0] == "tips" and seen["rate", 35.0, 3.0] == "leg overload"
+    assert seen["rate", 55.0, 1.0] == "resonance" and seen["slope", 4.0, 1.0] == "safe"
+    borne = found.tables["legs"].set_index(["case", "blades"])
+    # A gust of 5 m/s lifts it off its legs, a pitch of 0.02 rad does not.
+    assert (borne.loc["gust on the ground", "leg_min"] == 0.0).all()
+    assert (borne.loc["pitch on the ground", "leg_min"] > 100.0).all()
+    assert borne["leg_max"].max() < 12e3 and borne.loc[("take-off", "bend"), "in_the_air"] > 0.0
     assert len(found.left_out) == 2 and np.isfinite(found.work["error"]).all()
     landed = found.tables["touchdown"]
     assert landed["legs"].iloc[0] == pytest.approx(4.0 * (3000.0 + 500.0), rel=1e-9)

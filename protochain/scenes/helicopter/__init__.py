@@ -1,9 +1,10 @@
-"""A helicopter that lands: ground resonance, touchdown, run-up, gusts, limits.
+"""A helicopter that lands and takes off: ground resonance, touchdown, gusts, limits, a map of what is safe.
 
 After Stanislawski, Trans. Aerosp. Res. 2019(2):59, whose data were not found: those of ``parts`` are chosen.
 Fuselage and transmission are free bodies, joined by mounts; the shaft turns as prescribed; blades of segments
 bend in two modes of flap, and one of lag and torsion each; legs push only, with friction. Rigid blades have
 a closed form. Ground resonance is that of Hammond, J. Am. Helicopter Soc. 19(4):14 (1974).
+Left out: cyclic pitch and forward flight, whose lift is not that of a hover; an engine: the shaft is driven.
 """
 
 from dataclasses import replace
@@ -18,13 +19,11 @@ from protochain.lab.cost import work_table
 from protochain.lab.fits import extrapolated
 from protochain.mechanics.motion import Integrator, Rosenbrock, RungeKutta4
 from protochain.scenes.beam.parts import at_rest
-from protochain.scenes.helicopter import checks, landing
+from protochain.scenes.helicopter import checks, ground, landing, safety
 from protochain.scenes.helicopter.extremes import limits, without
-from protochain.scenes.helicopter.parts import BLADE, LEGS, Given
+from protochain.scenes.helicopter.parts import BLADE, Given
 
 FULL = Given(cells=6)
-TILT = 8.0
-"""Degrees. Largest tilt that is allowed in a landing."""
 
 
 def run(quick: bool = False) -> Scene:
@@ -33,11 +32,18 @@ def run(quick: bool = False) -> Scene:
     resonance, found = checks.ground_resonance(rates, 3 if quick else 12)
     sinks = landing.SINKS[-1:] if quick else landing.SINKS
     found += [*checks.rigid_landing(sinks), *checks.flight(), *checks.blades(8 if quick else 12)]
+    found += [*ground.against_heave(quick), *safety.on_a_slope(), *safety.against_eigenvalues(quick)]
     tables, energies = _cases(quick)
+    stood, legs, more = ground.leg_loads(FULL, quick)
+    most = safety.limits(quick)
     return Scene(
-        "helicopter", "a landing helicopter: the blades' tips after a step of the pitch", (*found, *energies),
+        "helicopter", "a landing helicopter: the blades' tips after a step of the pitch",
+        (*found, *energies, *more, safety.largest_sink(most)),
         _work(quick), tuple(limits(quick)), tuple(without(quick)),
-        {"resonance": resonance, **tables, "limits": _limits((1.0,) if quick else landing.SINKS, quick)},
+        {
+            "resonance": resonance, **tables, **stood, "legs": legs, "limits": most,
+            "map": safety.safe_map(quick),
+        },
         "error of the flap of a blade's tip, m",
     )  # fmt: skip
 
@@ -47,7 +53,7 @@ def _cases(quick: bool) -> tuple[dict[str, pd.DataFrame], list[Check]]:
     tables, found, until = {}, [], 0.3 if quick else 1.5
     traces = []
     for sink in landing.SINKS[1:2] if quick else landing.SINKS:
-        helicopter, run = landing.touchdown(FULL, sink, until, 5e-4, every=10)
+        helicopter, run = landing.touchdown(FULL, sink, until, 1e-3, every=5)
         traces.append(landing.traced(helicopter, run).assign(sink=sink))
         found.append(checks.balance(f"touchdown at {sink:g} m/s", run, 0.01))
     tables["touchdown"] = pd.concat(traces, ignore_index=True)
@@ -62,30 +68,6 @@ def _cases(quick: bool) -> tuple[dict[str, pd.DataFrame], list[Check]]:
     # In half a second its torque makes the feet slide, and friction is rough.
     found.append(checks.balance("run-up", run, 1e-8 if not quick else 1e-6))
     return tables, found
-
-
-def _limits(sinks: tuple[float, ...], quick: bool) -> pd.DataFrame:
-    """Largest drift sideways in which it tilts by no more than a limit, by bisection; loads, by the sink."""
-    rows, until = [], 0.3 if quick else 1.0
-    for sink in sinks:
-        low, high = 0.0, 8.0
-        for _ in range(1 if quick else 5):
-            drift = 0.5 * (low + high)
-            low, high = (drift, high) if _drifting(sink, drift, until)[1] <= TILT else (low, drift)
-        rows.append((sink, low, high, *_drifting(sink, 0.0, until)[:1], *_drifting(sink, low, until)))
-    names = ["sink", "drift", "drift_too_much", "leg", "leg_in_drift", "tilt_in_drift", "clear_in_drift"]
-    return pd.DataFrame(rows, columns=names)
-
-
-def _drifting(sink: float, drift: float, until: float) -> tuple[float, float, float]:
-    """Largest force of a leg, largest tilt (degrees), and least height of the disc, of a landing in drift.
-
-    With blades and mounts rigid, which are left out.
-    """
-    given = replace(landing.RIGID, legs=LEGS)
-    trace = landing.traced(*landing.touchdown(given, sink, until, 5e-4, None, drift, 10))
-    legs = trace[[f"leg {k + 1}" for k in range(4)]].to_numpy()
-    return float(legs.max()), float(trace["tilt"].max()), landing.lowest_tip(trace)
 
 
 def _work(quick: bool) -> pd.DataFrame:

@@ -14,6 +14,7 @@ from protochain.mechanics.motion import DormandPrince, Integrator, Rosenbrock
 from protochain.mechanisms.segments import Beam
 from protochain.scenes.helicopter import landing, resonance
 from protochain.scenes.helicopter.checks import LINEAR, RIGID, THIN, exactly, frequencies_about
+from protochain.scenes.helicopter.ground import take_off
 from protochain.scenes.helicopter.legs import Legs
 from protochain.scenes.helicopter.parts import (
     BLADE,
@@ -27,6 +28,7 @@ from protochain.scenes.helicopter.parts import (
     build,
     settled,
 )  # fmt: skip
+from protochain.scenes.helicopter.safety import landed
 
 BLOW = 0.004
 """s. For which a blade is struck."""
@@ -140,6 +142,22 @@ def _standing(speed: float, until: float) -> Check:
     return vanishes("lag", grown, 0.9, "decay")
 
 
+def _hard(sink: float) -> Check:
+    """Legs straight down bear most at the touch, by their dampers."""
+    exact = LEGS.damping * sink + LEGS.squared * sink**2
+    return check("leg", landed(sink, 0.1).leg, exact, 1e-9, "c v + c2 v^2")
+
+
+def _takes_off(factor: float) -> Check:
+    """Height after a take-off with stiff blades, and rigid ones."""
+    stiff = Given(cells=2, mounts=False, beam=stiffer(factor))
+    found, exact = (
+        float(helicopter.model.state(run.end).point("fuselage")[2])
+        for helicopter, run in (take_off(each, 2.0, 2.0, 1e-3, 100) for each in (stiff, landing.RIGID))
+    )
+    return check("height", found, exact, 1e-3, "rigid blades", "absolute")
+
+
 def limits(quick: bool) -> Iterator[Extreme]:
     """Helicopters that are stiff, soft, quick, struck, undamped, or make no sense."""
     cells = 8 if quick else 12
@@ -168,6 +186,8 @@ def limits(quick: bool) -> Iterator[Extreme]:
         "legs without stiffness", lambda: _bare(replace(LEGS, stiffness=0.0), 1.0, 0.1, 1e-3),
         Fault.NO_STIFFNESS,
     )  # fmt: skip
+    yield extreme("sink 20 m/s, blades that bend", partial(_hard, 20.0))
+    yield extreme("take-off with blades a hundred times as stiff", partial(_takes_off, 1e2))
     bare = replace(resonance.HAMMOND, lag_damping=0.0, hub_damping=(0.0, 0.0))
     yield extreme("ground resonance without any damper", partial(_undamped_growth, bare))
 

@@ -1,5 +1,6 @@
 """Cases: touchdown, run-up, gust and a step of the pitch, with their traces; and their closed forms."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,8 +17,8 @@ from protochain.scenes.helicopter.parts import (
     BLADES,
     FUSELAGE,
     GRAVITY,
+    HEIGHT,
     MOUNT,
-    RADIUS,
     RATE,
     TRANSMISSION,
     WEIGHT,
@@ -38,13 +39,28 @@ def touchdown(
     given: Given, sink: float, until: float, time_step: float,
     integrator: Integrator | None = None, drift: float = 0.0, every: int = 1, share: float = LIFT,
 ) -> tuple[Helicopter, Run]:  # fmt: skip
-    """Let a helicopter touch the ground at time zero, at a rate of sinking, and drifting sideways."""
+    """Let a helicopter touch the ground at time zero, at a rate of sinking, and drifting sideways.
+
+    On a slope, its shaft upright, it touches with the feet that are uphill.
+    """
     helicopter = flying(given, share, -sink) if share else build(given)
     # In the air still, where the legs do nothing.
     above = replace(helicopter.given, legs=None)
     start = settled(build(above).model, (0.0, drift, -sink))
-    start = helicopter.model.system.at(start.q, start.qd)
+    q = _raised(helicopter, start.q)
+    start = helicopter.model.system.at(q, start.qd)
     return helicopter, helicopter.model.simulate(until, time_step, integrator, every, start)
+
+
+def _raised(helicopter: Helicopter, q: Floats) -> Floats:
+    """Coordinates at which the first foot just touches, if it would stand in a slope."""
+    legs, tree = helicopter.given.legs, helicopter.model.tree
+    if legs is None or not legs.slope:
+        return q
+    depths = -np.add(legs.feet, (0.0, 0.0, HEIGHT)) @ legs.normal
+    up = np.zeros(tree.n_v)
+    up[tree.v_start[:-1][tree.parent < 0] + 5] = np.max(depths) / legs.normal[2]
+    return multibody.integrate(tree, q, up)
 
 
 def traced(helicopter: Helicopter, run: Run) -> pd.DataFrame:
@@ -132,8 +148,8 @@ def two_masses(times: Floats, helicopter: Helicopter, sink: float, share: float 
     return np.asarray(k * found[:, 0] + c * found[:, 2])
 
 
-def run_up(given: Given, until: float, time_step: float, every: int) -> tuple[Helicopter, Run]:
-    """Spin the rotor up on the ground, without lift, smoothly to its rate."""
+def spun_up(until: float) -> Callable[[float], tuple[float, float, float]]:
+    """Motion of a shaft that reaches its rate at a time, smoothly: time -> angle, rate and acceleration."""
 
     def motion(t: float) -> tuple[float, float, float]:
         if t >= until:
@@ -142,7 +158,12 @@ def run_up(given: Given, until: float, time_step: float, every: int) -> tuple[He
         angle = RATE * until * s**3 * (1.0 - 0.5 * s)
         return angle, RATE * s * s * (3.0 - 2.0 * s), 6.0 * RATE / until * s * (1.0 - s)
 
-    helicopter = build(replace(given, motion=motion))
+    return motion
+
+
+def run_up(given: Given, until: float, time_step: float, every: int) -> tuple[Helicopter, Run]:
+    """Spin the rotor up on the ground, without lift, smoothly to its rate."""
+    helicopter = build(replace(given, motion=spun_up(until)))
     depth = WEIGHT / (4.0 * given.legs.stiffness) if given.legs else None
     start = settled(helicopter.model, (0.0, 0.0, 0.0), depth)
     return helicopter, helicopter.model.simulate(until, time_step, every=every, start=start)
@@ -184,10 +205,3 @@ def climbing(helicopter: Helicopter, until: float, wind: Motion | None, change: 
         )
         total += float(weights @ (pushing * np.exp(-air / MASS * (until - t)))) * 0.5 * until / pieces / MASS
     return total
-
-
-def lowest_tip(table: pd.DataFrame) -> float:
-    """Height of the lowest point of the disc, over a trace."""
-    tilt = np.radians(table["tilt"])
-    hub = table["height"] + 1.3 * np.cos(tilt)
-    return float(np.min(hub - RADIUS * np.sin(tilt)))

@@ -11,14 +11,14 @@ from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
-from protochain.mechanics.multibody.algebra import kernel, vector
+from protochain.mechanics.multibody.algebra import add, dot, kernel, scale, subtract, vector
 from protochain.mechanisms import Acting, Bodies, State
 from protochain.mechanisms.springs import end_of, push, speed_of
 
 
 @dataclass(frozen=True)
 class Legs:
-    """Feet of a body on the ground z = 0, each with a force F = max(0, k d + c d' + c2 d'|d'|) up.
+    """Feet on a plane ground, each with a force F = max(0, k d + c d' + c2 d'|d'|) along its normal.
 
     d is the depth of a foot, and nothing acts above the ground. Friction is mu F v / sqrt(v^2 + slip^2),
     against the velocity v along the ground.
@@ -35,6 +35,8 @@ class Legs:
         Coefficient mu.
     slip : float
         Speed at which friction has 0.7 of its full size.
+    slope : float
+        Angle, rad, by which the ground rises with y from the origin: it is z = y tan(slope).
     """
 
     body: str
@@ -44,6 +46,7 @@ class Legs:
     squared: float = 0.0
     friction: float = 0.0
     slip: float = 0.05
+    slope: float = 0.0
 
     def __post_init__(self) -> None:
         constants = (self.stiffness, self.damping, self.squared, self.friction)
@@ -54,6 +57,13 @@ class Legs:
             )
         if not 0.0 < self.slip < np.inf:
             raise MechanicsError(f"legs: slip {self.slip:g}; give a speed above zero")
+        if not abs(self.slope) < 0.5 * np.pi:
+            raise MechanicsError(f"legs: slope {self.slope:g}; give an angle below a right one")
+
+    @property
+    def normal(self) -> Floats:
+        """(3,) float: normal of the ground."""
+        return np.array([0.0, -np.sin(self.slope), np.cos(self.slope)])
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return what acts: the springs have an energy, all else is counted as dissipation."""
@@ -61,7 +71,9 @@ class Legs:
         if number < 0:
             raise MechanicsError("legs: the world has none; name a body")
         feet = np.array([bodies.inside(number, foot) for foot in self.feet])
-        constants = np.array([self.stiffness, self.damping, self.squared, self.friction, self.slip])
+        constants = np.array([
+            self.stiffness, self.damping, self.squared, self.friction, self.slip, *self.normal
+        ])  # fmt: skip
         standing = _Standing(number, feet, constants)
 
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
@@ -75,8 +87,8 @@ class Legs:
 
     def forces(self, state: State) -> Floats:
         """(n,) float: forces of the legs on the ground, in a state."""
-        depth = np.array([-state.point(self.body, foot)[2] for foot in self.feet])
-        rate = np.array([-state.velocity(self.body, foot)[2] for foot in self.feet])
+        depth = -np.array([state.point(self.body, foot) for foot in self.feet]) @ self.normal
+        rate = -np.array([state.velocity(self.body, foot) for foot in self.feet]) @ self.normal
         force = self.stiffness * depth + self.damping * rate + self.squared * rate * np.abs(rate)
         return np.where(depth >= 0.0, np.maximum(force, 0.0), 0.0)
 
@@ -91,22 +103,20 @@ class _Standing:
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the forces of the springs."""
-        energy: float = _stand(
-            frames.rotation, frames.origin, self.body, self.feet, self.constants[0], wrenches
-        )
+        energy: float = _stand(frames.rotation, frames.origin, self.body, self.feet, self.constants, wrenches)
         return energy
 
 
 @kernel
 def _stand(
-    rotation: Floats, origin: Floats, body: int, feet: Floats, stiffness: float, wrenches: Floats
+    rotation: Floats, origin: Floats, body: int, feet: Floats, constants: Floats, wrenches: Floats
 ) -> float:
-    energy = 0.0
+    energy, stiffness, up = 0.0, constants[0], (constants[5], constants[6], constants[7])
     for i in range(len(feet)):
         arm, place = end_of(rotation, origin, body, vector(feet, i, 0))
-        depth = max(0.0, -place[2])
+        depth = max(0.0, -dot(up, place))
         energy += 0.5 * stiffness * depth * depth
-        push((0.0, 0.0, stiffness * depth), arm, body, wrenches)
+        push(scale(stiffness * depth, up), arm, body, wrenches)
     return energy
 
 
@@ -115,13 +125,16 @@ def _resist(
     rotation: Floats, origin: Floats, twists: Floats, body: int, feet: Floats, constants: Floats,
     wrenches: Floats,
 ) -> None:  # fmt: skip
-    stiffness, damping, squared, friction, slip = constants
+    stiffness, damping, squared, friction, slip, x, y, z = constants
+    up = x, y, z
     for i in range(len(feet)):
         arm, place = end_of(rotation, origin, body, vector(feet, i, 0))
-        depth = -place[2]
+        depth = -dot(up, place)
         if depth >= 0.0:
-            vx, vy, vz = speed_of(twists, body, arm)
+            speed = speed_of(twists, body, arm)
+            rising = dot(up, speed)
+            along = subtract(speed, scale(rising, up))
             elastic = stiffness * depth
-            force = max(0.0, elastic - damping * vz - squared * vz * abs(vz))
-            drag = -friction * force / np.sqrt(vx * vx + vy * vy + slip * slip)
-            push((drag * vx, drag * vy, force - elastic), arm, body, wrenches)
+            force = max(0.0, elastic - damping * rising - squared * rising * abs(rising))
+            drag = -friction * force / np.sqrt(dot(along, along) + slip * slip)
+            push(add(scale(drag, along), scale(force - elastic, up)), arm, body, wrenches)
