@@ -1,4 +1,4 @@
-"""Closed loops: a four-bar, a slider-crank, a platform of six legs, rows of parallelograms.
+"""Closed loops: a four-bar, a slider-crank, a platform of six legs, parallelograms.
 
 Loops are closed by joints (``Mechanism.close``), and beside them by stiff bushings.
 """
