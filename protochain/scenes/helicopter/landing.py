@@ -57,7 +57,7 @@ def _raised(helicopter: Helicopter, q: Floats) -> Floats:
     legs, tree = helicopter.given.legs, helicopter.model.tree
     if legs is None or not legs.slope:
         return q
-    depths = -np.add(legs.feet, (0.0, 0.0, HEIGHT)) @ legs.normal
+    depths = -np.add(np.asarray(legs.feet), (0.0, 0.0, HEIGHT)) @ legs.normal
     up = np.zeros(tree.n_v)
     up[tree.v_start[:-1][tree.parent < 0] + 5] = np.max(depths) / legs.normal[2]
     return multibody.integrate(tree, q, up)
