@@ -18,10 +18,12 @@ from protochain.mechanics.multibody import (
     HingeKind,
     Rows,
     Tree,
+    centre_of_mass,
     close_loops,
     impact,
     kinetic_energy,
     mass_matrix,
+    momentum,
     operational_inverse,
     point_rows,
     pose,
@@ -372,6 +374,123 @@ def test_known_factors_give_the_same_bits():
     assert np.array_equal(
         solve_closed(tree, frames, qd, rows, factors=factors), solve_closed(tree, frames, qd, rows)
     )
+
+
+# --- Impulses that are given
+
+
+def free_body(rng):
+    """Factors of a free body in motion, whose centre of mass is not its origin, and its velocities."""
+    half = rng.normal(size=(3, 3))
+    second = half @ half.T
+    tree = Tree(
+        np.array([-1]), np.array([HingeKind.FREE]), np.zeros((1, 3)), np.eye(3)[None], np.array([1.7]),
+        rng.normal(size=(1, 3)), (np.trace(second) * np.eye(3) - second)[None],
+    )  # fmt: skip
+    q = np.concatenate([Rotation.random(random_state=rng).as_quat(), rng.normal(size=3)])
+    return articulate(tree, pose(tree, q)), rng.normal(size=6)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_free_body_takes_the_impulse_and_its_moment(seed):
+    rng = np.random.default_rng(seed)
+    factors, qd = free_body(rng)
+    point, blow = rng.normal(size=(2, 3))
+    tree, frames = factors.tree, factors.frames
+    found = impact(factors, qd, (), external={0: (point, blow)})
+    change = np.subtract(momentum(tree, frames, found.qd), momentum(tree, frames, qd))
+    arm = point - centre_of_mass(tree, frames)
+    np.testing.assert_allclose(change, [blow, np.cross(arm, blow)], rtol=1e-11, atol=ROUND_OFF)
+    gained = kinetic_energy(tree, frames, found.qd) - kinetic_energy(tree, frames, qd)
+    assert found.work == pytest.approx(gained, rel=1e-11)
+    assert found.impulse.shape == (0, 3) and not len(found.loops)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 2.0 / 3.0, 1.0])
+def test_a_rod_struck_at_its_centre_of_percussion_leaves_its_pin_alone(share):
+    mass, length, blow = 3.0, 1.2, 0.7
+    rod = {
+        "parent": np.array([-1]), "offset": np.zeros((1, 3)), "placement": np.eye(3)[None],
+        "mass": np.array([mass]), "com": np.array([[0.5 * length, 0.0, 0.0]]),
+        "inertia": mass * length**2 / 12.0 * np.diag([0.0, 1.0, 1.0])[None] + np.diag([1e-3, 0, 0]),
+    }  # fmt: skip
+    external = {0: ((share * length, 0.0, 0.0), (0.0, blow, 0.0))}
+    turn = blow * share * length / (mass * length**2 / 3.0)
+    # Hinged, about z.
+    hinged = Tree(kind=np.array([HingeKind.REVOLUTE]), **rod)
+    found = impact(articulate(hinged, pose(hinged, np.zeros(1))), np.zeros(1), [], external=external)
+    assert found.qd[0] == pytest.approx(turn, rel=EXACT)
+    # Free, its end held by rows whose impulse is the pin's reaction.
+    free = Tree(kind=np.array([HingeKind.FREE]), **rod)
+    factors = articulate(free, pose(free, np.array([1.0, 0, 0, 0, 0, 0, 0])))
+    pin = point_rows(factors.frames, (-1, 0), np.zeros((2, 3)))
+    held = impact(factors, np.zeros(6), [], loops=pin, external=external)
+    np.testing.assert_allclose(held.qd, [0, 0, turn, 0, 0, 0], atol=ROUND_OFF)
+    np.testing.assert_allclose(held.loops, [0.0, blow * (1.5 * share - 1.0), 0.0], atol=ROUND_OFF)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("closed", [False, True])
+def test_the_work_of_a_blow_is_impulse_times_mean_velocity(seed, closed):
+    """Kelvin's theorem; and velocities through the dense matrix, of two bodies struck at once."""
+    factors, qd, rng = struck(seed, n=8)
+    loops = random_loops(factors, rng) if closed else None
+    qd = qd if loops is None else close_loops(factors, qd, loops)
+    external = {b: tuple(rng.normal(size=(2, 3))) for b in (1, 6)}
+    found = impact(factors, qd, [], loops=loops, external=external)
+    tree, frames = factors.tree, factors.frames
+    m, pushed, mean = mass_matrix(tree, frames), np.zeros(tree.n_v), 0.0
+    for body, (point, blow) in external.items():
+        rows = row_matrix(tree, frames, point_rows(frames, (-1, body), np.stack([point, point])))
+        pushed += rows.T @ blow
+        mean += blow @ rows @ (qd + found.qd) / 2.0
+    if closed:
+        pushed += row_matrix(tree, frames, loops).T @ found.loops
+    np.testing.assert_allclose(m @ (found.qd - qd), pushed, rtol=1e-9, atol=1e-10)
+    assert found.work == pytest.approx(mean, rel=1e-9)
+    gained = 0.5 * (found.qd @ m @ found.qd - qd @ m @ qd)
+    assert found.work == pytest.approx(gained, rel=1e-8, abs=1e-10)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_ball_at_rest_is_driven_into_the_floor_and_comes_back(law):
+    mass, radius, inertia, e = 2.0, 0.3, 0.1, 0.6
+    factors = ball(mass, radius, inertia)
+    middle, down, along = (0.0, 0.0, radius), 3.0, 0.8
+    for mu in (0.05, 5.0):
+        floor = ContactPoint("floor", (-1, 0), np.zeros(3), UP, mu, e)
+        found = impact(factors, np.zeros(6), [floor], law, external={0: (middle, (along, 0.0, -down))})
+        grip = along / mass / (1.0 / mass + radius**2 / inertia)
+        rub = min(mu * (1.0 + e) * down, grip)
+        np.testing.assert_allclose(found.impulse[0], [-rub, 0.0, (1.0 + e) * down], rtol=EXACT, atol=EXACT)
+        np.testing.assert_allclose(found.before[0], [along / mass, 0.0, -down / mass], rtol=EXACT, atol=EXACT)
+        np.testing.assert_allclose(found.qd[3:], [(along - rub) / mass, 0.0, e * down / mass], atol=EXACT)
+        change = kinetic_energy(factors.tree, factors.frames, found.qd)
+        assert found.work == pytest.approx(change, rel=1e-12)
+        # Struck upwards it leaves the floor alone, which would have met it.
+        sinking = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0])
+        lifted = impact(factors, sinking, [floor], law, external={0: (middle, (0.0, 0.0, 4.0))})
+        assert not lifted.impulse.any() and lifted.qd[5] == pytest.approx(1.0, rel=EXACT)
+
+
+def test_no_blow_changes_no_bit_and_wrong_ones_are_refused():
+    factors, qd, rng = struck(5)
+    point = approaching(factors, qd, touching(factors, rng)[0])
+    plain, empty = impact(factors, qd, [point]), impact(factors, qd, [point], external={})
+    assert np.array_equal(plain.qd, empty.qd) and plain.work == empty.work
+    zero, n = np.zeros(3), factors.tree.n_bodies
+    for external, words in (
+        ([zero, zero], "give {body: "), ({n: (zero, zero)}, f"no body {n}; give a number from 0 to {n - 1}"),
+        ({-1: (zero, zero)}, "no body -1"), ({"arm": (zero, zero)}, "no body 'arm'"),
+        ({True: (zero, zero)}, "no body True"), ({0: zero}, "body 0: give a pair"),
+        ({0: 1.0}, "body 0: give a pair"), ({2: (zero, [0, np.nan, 0])}, "body 2: its impulse is not finite"),
+        ({2: ([np.inf, 0, 0], zero)}, "body 2: its point is not finite"),
+        ({2: (zero, [1.0])}, r"body 2: impulse has shape \(1,\)"),
+        ({0: ("a", zero)}, "body 0: point: give an array"),
+    ):  # fmt: skip
+        with pytest.raises(ProtochainError, match=words) as refused:
+            impact(factors, qd, [], external=external)
+        assert len(str(refused.value).splitlines()) == 1
 
 
 # --- Several points

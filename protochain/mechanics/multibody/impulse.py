@@ -16,6 +16,7 @@ from protochain.core.arrays import Floats, Value, floats, frozen, read_only
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import complementarity, impulse_path
 from protochain.mechanics.multibody.articulated import Articulated, solve
+from protochain.mechanics.multibody.impulse_external import External, strike
 from protochain.mechanics.multibody.impulse_points import ContactPoint, Struck, twists_of
 from protochain.mechanics.multibody.operational import Rows
 
@@ -42,7 +43,8 @@ class Impact(Value):
     impulse : (k, 3) float
         Impulse on the second body of each point, world axes.
     before, after : (k, 3) float
-        Velocities of the second body relative to the first at each point, world axes.
+        Velocities of the second body relative to the first at each point, world axes; before: when external
+        impulses have acted.
     compression : (k,) float
         Normal impulse up to the end of the compression; of points in turn, the sum of all.
     loops : (m,) float
@@ -67,6 +69,7 @@ def impact(
     law: Law = "poisson",
     loops: Rows | None = None,
     order: Order = "together",
+    external: External | None = None,
 ) -> Impact:
     """Find impulses and velocities of an impact with Coulomb friction.
 
@@ -86,6 +89,9 @@ def impact(
     order : str
         Whether several points act ``together``, by Poisson's law, or ``in turn``, as if the bodies were a
         little apart: the fastest first, until none approaches, by any law.
+    external : mapping of int to ((3,) float, (3,) float), optional
+        Impulses that are given, as of a hammer: body -> world point and impulse on it, world axes. They act
+        first, and may make points approach that did not; points may be none.
 
     Returns
     -------
@@ -97,7 +103,7 @@ def impact(
     MechanicsError
         If a point cannot be met, named with the reason: nothing gives way, friction too high for one
         solution; M singular, rows of loops dependent; unknown laws and orders, and laws other than Poisson's
-        for several points together.
+        for several points together; of external, bodies that there are not, and what is not finite.
 
     Notes
     -----
@@ -111,6 +117,7 @@ def impact(
     qd = floats(qd, (factors.tree.n_v,), "qd")
     if not np.isfinite(qd).all():
         raise MechanicsError("the velocities before an impact are not finite", fault=Fault.NOT_FINITE)
+    qd, work = (qd, 0.0) if external is None else strike(factors, qd, external)
     struck = Struck.of(factors, qd, points, loops)
     local = np.zeros((2, 3 * len(points)))
     approaching = struck.u[::3] < -struck.slow
@@ -127,7 +134,7 @@ def impact(
             local[:, rows] = _together(some, chosen)
         else:
             local[:, rows] = _in_turn(some, chosen, law)
-    return _after(struck, local[0], local[1, ::3])
+    return _after(struck, local[0], local[1, ::3], work)
 
 
 def close_loops(factors: Articulated, qd: Floats, rows: Rows) -> Floats:
@@ -155,8 +162,8 @@ def close_loops(factors: Articulated, qd: Floats, rows: Rows) -> Floats:
     return impact(factors, qd, (), loops=rows).qd
 
 
-def _after(struck: Struck, local: Floats, compression: Floats) -> Impact:
-    """What impulses (3 k,) along the points' axes do."""
+def _after(struck: Struck, local: Floats, compression: Floats, work: float) -> Impact:
+    """What impulses (3 k,) along the points' axes do, after work done before."""
     tree, k = struck.factors.tree, len(struck.axes)
     loops = struck.closed + struck.closing @ local
     impulses = np.concatenate([loops, local])
@@ -172,7 +179,7 @@ def _after(struck: Struck, local: Floats, compression: Floats) -> Impact:
     impulse, seen, left = (
         frozen(np.einsum("kij,ki->kj", struck.axes, x.reshape(k, 3))) for x in (local, before[m:], after[m:])
     )
-    work = 0.5 * float(impulses @ (before + after))
+    work += 0.5 * float(impulses @ (before + after))
     return Impact(frozen(qd), impulse, seen, left, read_only(compression), frozen(loops), work)
 
 

@@ -1,0 +1,65 @@
+"""Impulses that are given, as those of a hammer: M (qd+ - qd-) = sum of J_p^T P over the points p struck."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from protochain.core.arrays import Floats, floats
+from protochain.core.checks import shown
+from protochain.core.errors import Fault, MechanicsError
+from protochain.mechanics.multibody.articulated import Articulated, solve
+from protochain.mechanics.multibody.kinematics import velocities
+
+External = Mapping[int, tuple[ArrayLike, ArrayLike]]
+"""Body -> world point (3,) and impulse on the body there (3,), world axes."""
+
+
+def strike(factors: Articulated, qd: Floats, external: External) -> tuple[Floats, float]:
+    """Velocities after given impulses, and their work.
+
+    Parameters
+    ----------
+    factors : Articulated
+        Bodies, their frames, and factors of M there.
+    qd : (n_v,) float
+        Velocities before.
+    external : mapping of int to ((3,) float, (3,) float)
+        Body -> world point and impulse there.
+
+    Returns
+    -------
+    (n_v,) float
+        Velocities after.
+    float
+        Work: sum of P . (v- + v+)/2 (Thomson, Tait, *Treatise on Natural Philosophy*, 1879).
+
+    Raises
+    ------
+    MechanicsError
+        If there is no such body, a point or impulse is not finite, or is no point and impulse.
+    """
+    tree, frames = factors.tree, factors.frames
+    wrench = np.zeros((tree.n_bodies, 6))
+    for body, (point, impulse) in _checked(external, tree.n_bodies).items():
+        wrench[body] = *np.cross(point - frames.origin[body], impulse), *impulse
+    after = qd + solve(factors, np.zeros(tree.n_v), -wrench)
+    return after, 0.5 * float(np.sum(wrench * velocities(tree, frames, qd + after)))
+
+
+def _checked(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
+    if not isinstance(external, Mapping):
+        raise MechanicsError(f"external {shown(external)}: give {{body: (point, impulse)}}")
+    found = {}
+    for body, given in external.items():
+        if isinstance(body, bool) or not isinstance(body, int | np.integer) or not 0 <= body < n:
+            raise MechanicsError(f"external: there is no body {shown(body)}; give a number from 0 to {n - 1}")
+        said = f"external, body {body}"
+        if not (isinstance(given, tuple | list | np.ndarray) and len(given) == 2):
+            raise MechanicsError(f"{said}: give a pair, (point, impulse)")
+        pair = floats(given[0], (3,), f"{said}: point"), floats(given[1], (3,), f"{said}: impulse")
+        for what, values in zip(("point", "impulse"), pair, strict=True):
+            if not np.isfinite(values).all():
+                raise MechanicsError(f"{said}: its {what} is not finite", fault=Fault.NOT_FINITE)
+        found[int(body)] = pair
+    return found
