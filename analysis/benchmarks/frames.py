@@ -29,14 +29,12 @@ from pathlib import Path
 from time import perf_counter
 
 import made
+import mdtraj
 import numpy as np
 import pandas as pd
 from made import MORE, SAMPLES
 
 import protochain as pc
-from protochain.structure.ensemble import Ensemble
-from protochain.structure.frames import open_frames
-from protochain.structure.trajectory import TrajectoryFile
 
 NMR = "2k39_ubiquitin_nmr15.pdb"
 MADE_OF = SAMPLES / "1ubq.pdb"
@@ -191,13 +189,11 @@ def _ends(table: pd.DataFrame) -> dict[str, object]:
 
 def _models(top: Path, frames: Path, scratch: Path, n: int) -> list[Path]:
     """Some of the frames, evenly spaced, as files."""
-    opened, made_of = open_frames(frames), pc.load(top, keep="none")
-    ensemble = Ensemble.of(made_of, opened)
-    chosen = opened.select(slice(None, None, max(1, len(opened) // n)))
-    paths = []
-    for frame in [*chosen][:n]:
-        paths.append(scratch / f"{frames.stem}-{frame.index}.pdb")
-        pc.save(ensemble.at(frame), paths[-1])
+    made_of, paths = pc.load(top, keep="none"), []
+    models = mdtraj.load(frames, top=None if top == frames else pc.to_mdtraj(made_of))
+    for k in range(0, len(models), max(1, len(models) // n))[:n]:
+        paths.append(scratch / f"{frames.stem}-{k}.pdb")
+        models[k].save_pdb(paths[-1])
     return paths
 
 
@@ -221,22 +217,23 @@ def memory(options: argparse.Namespace) -> pd.DataFrame:
 
 def _repeated(frames: Path, output: Path, times: int) -> Path:
     """The same frames as often, one after the other."""
-    opened = open_frames(frames)
-    with TrajectoryFile(output, pc.load(MADE_OF, keep="none")) as file:
-        for _ in range(times):
-            for frame in opened:
-                file.append(frame.x)
+    opened = mdtraj.load(frames, top=pc.to_mdtraj(pc.load(MADE_OF, keep="none")))
+    mdtraj.join([opened] * times).save_dcd(output)
     return output
 
 
 STUDIES = {"speed": speed, "memory": memory}
 
 
-def main() -> None:
+def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", STUDIES, more=True)
     own.add_argument("--frames", type=int, default=1000, help="of the ensemble made by dynamics")
     own.add_argument("--sample", type=int, default=10, help="frames that OpenMM relaxes")
-    options = own.parse_args()
+    return own
+
+
+def main() -> None:
+    options = parser().parse_args()
     if options.quick:
         options.frames, options.sample = 10, 2
     os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:WORKERS])

@@ -35,9 +35,8 @@ from mdtraj.geometry.sasa import _ATOMIC_RADII
 from scipy.stats import spearmanr
 
 import protochain as pc
-from protochain.batches.relaxing import relax_files
-from protochain.relaxation.settings import RelaxSettings
-from protochain.structure.select import sides, sides_named
+from protochain.batches import relax_files
+from protochain.relaxation import RelaxSettings
 from protochain.validation import SCORES
 
 COMPLEXES = {
@@ -113,20 +112,32 @@ def by_wernet_nilsson(structure: pc.Structure, one: np.ndarray, other: np.ndarra
     return int(((one[d] & other[a]) | (other[d] & one[a])).sum())
 
 
+def atoms_of(structure: pc.Structure, *pair: str) -> list[np.ndarray]:
+    """(na,) bool of each of two sides: chains, without water and the other side, or a residue by its name."""
+    names, chains = structure.residue_name, structure.residue_chain
+    named = [names == side.split()[-1] if side.startswith("resname") else None for side in pair]
+    rest = (names != "HOH") & ~np.any([each for each in named if each is not None], axis=0)
+    sides = [
+        rest & np.isin(chains, side.split(",")) if own is None else own
+        for side, own in zip(pair, named, strict=True)
+    ]
+    return [side[structure.atom_residue] for side in sides]
+
+
 def columns(options: argparse.Namespace) -> pd.DataFrame:
     """Columns of an interface, and by other programs."""
     rows = []
     for name, interface in [*COMPLEXES.items()][: 2 if options.quick else None]:
         structure = pc.load(path_of(options, name))
-        energy, pair = pc.energy(structure, threads=1), sides_named(structure, interface)
-        one, other = (side[structure.atom_residue] for side in sides(structure, *pair))
+        energy, pair = pc.energy(structure, threads=1), interface.split(":")
+        one, other = atoms_of(structure, *pair)
         began = perf_counter()
         found = pc.score_interface(structure, *pair, energy=energy).scores
         seconds = perf_counter() - began
         rows.append(
             {
                 "complex": Path(file_of(name)).stem, "interface": interface,
-                "n_residues": int(sum(side.sum() for side in sides(structure, *pair))),
+                "n_residues": len(np.unique(structure.atom_residue[one | other])),
                 "energy_kj_mol": found["energy_kj_mol"],
                 "energy_openmm_kj_mol": np.nan if name in JOINED else by_openmm(structure, one, other),
                 "area_angstrom2": found["buried_area_angstrom2"],
@@ -156,8 +167,8 @@ def moved(options: argparse.Namespace) -> pd.DataFrame:
     rows = []
     for name in MOVED[: 1 if options.quick else None]:
         structure = pc.relax(pc.load(path_of(options, name)), threads=1).structure
-        energy, pair = pc.energy(structure, threads=1), sides_named(structure, COMPLEXES[name])
-        one, other = (side[structure.atom_residue] for side in sides(structure, *pair))
+        energy, pair = pc.energy(structure, threads=1), COMPLEXES[name].split(":")
+        one, other = atoms_of(structure, *pair)
         its = pc.score_interface(structure, *pair, energy=energy).residues
         number = np.char.add(structure.residue_number, structure.residue_insertion_code)
         keys = np.char.add(np.char.add(structure.residue_chain, ":"), number)

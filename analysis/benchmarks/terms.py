@@ -16,7 +16,7 @@ import pandas as pd
 from made import SAMPLES
 
 import protochain as pc
-from protochain.energies.decomposed import decomposed
+from protochain.energies import decomposed
 
 STRUCTURES = ("1l2y", "1ubq", "1hel", "4ake")
 SETTINGS = (("amber14", "obc2"), ("amber19", "gbn2"), ("charmm36", "vacuum"))

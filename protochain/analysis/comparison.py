@@ -28,7 +28,7 @@ from protochain.results.columns import flat
 from protochain.results.figures import data_url
 from protochain.results.page import render
 from protochain.results.provenance import of_run
-from protochain.results.tables import energies_by_term
+from protochain.results.terms import energies_by_term
 from protochain.results.viewer import View, scene
 from protochain.structure import Structure, ca_rmsd, save
 from protochain.structure.losses import told

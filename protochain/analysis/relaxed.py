@@ -13,7 +13,7 @@ from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
 from protochain.results.figures import data_url
 from protochain.results.page import write_page
-from protochain.results.tables import energies_by_term
+from protochain.results.terms import energies_by_term
 from protochain.results.viewer import DISPLACEMENT, pockets, scene
 from protochain.structure.losses import told
 

@@ -66,7 +66,9 @@ def _figures(numbers: pd.DataFrame) -> dict[str, str]:
     pairs: dict[str, dict[str, str]] = {}
     for name in numbers:
         when = next((when for when in ("start", "end_reference", "end") if f"_{when}" in str(name)), "")
-        pairs.setdefault(str(name).replace(f"_{when}", "") if when else str(name), {})[when.split("_")[0]] = str(name)
+        pairs.setdefault(str(name).replace(f"_{when}", "") if when else str(name), {})[when.split("_")[0]] = (
+            str(name)
+        )
     ranked = sorted(pairs, key=lambda name: not name.startswith(_FIRST))
     drawn: dict[str, str] = {}
     for name in ranked[:_MOST_FIGURES]:

@@ -71,9 +71,9 @@ def relax_frames(
     **options
         As for :func:`protochain.relax`.
 
-    Yields
-    ------
-    FrameResult
+    Returns
+    -------
+    iterator of FrameResult
         In the order of the frames, whatever the number of processes. A frame that cannot be used has a row
         with the reason, and stops no other.
 

@@ -12,7 +12,7 @@ from protochain.batches.relaxed import SHOWN_RELAXED
 from protochain.minimisers.record import SHOWN
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.results.page import write_page as fill
-from protochain.results.tables import energies_by_term
+from protochain.results.terms import energies_by_term
 from protochain.structure import Structure
 from protochain.structure.losses import told
 from protochain.structure.repairs import Repair

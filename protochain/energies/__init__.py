@@ -1,12 +1,13 @@
 """Potential energies and forces of Cartesian positions; independent of chains."""
 
 from protochain.energies.custom import CustomEnergy, as_energy
+from protochain.energies.decomposed import Decomposed, decomposed
 from protochain.energies.factory import build_system, energy
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.openmm_engine import OpenMMEnergy, constrain_hydrogens
 from protochain.energies.protocol import Energy
 
 __all__ = [
-    "CustomEnergy", "Energy", "NativeEnergy", "OpenMMEnergy", "UnsupportedForceError", "as_energy",
-    "build_system", "constrain_hydrogens", "energy",
+    "CustomEnergy", "Decomposed", "Energy", "NativeEnergy", "OpenMMEnergy", "UnsupportedForceError",
+    "as_energy", "build_system", "constrain_hydrogens", "decomposed", "energy",
 ]  # fmt: skip

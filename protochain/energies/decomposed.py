@@ -284,7 +284,21 @@ def _shares(pairs: Floats) -> Floats:
 
 
 def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: bool = False) -> Decomposed:
-    """Decompose an energy at positions x (na, 3) in nm; if asked, also by pairs of residues."""
+    """Decompose an energy: its terms, and the shares of residues in them.
+
+    Parameters
+    ----------
+    structure : Structure
+    energy : NativeEnergy
+    x : (na, 3) float, nm
+        Positions.
+    pairs : bool
+        Whether to sum it by pairs of residues, too.
+
+    Returns
+    -------
+    Decomposed
+    """
     terms, of, n = energy.terms, structure.atom_residue, structure.n_residues
     of_pairs, born = energy.halves(x)
     shares = np.zeros((len(TERMS), n))

@@ -18,7 +18,7 @@ from protochain.batches.report import WORST, plot_distribution, statistics, wors
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
 from protochain.minimisers import record
 from protochain.results.figures import COLOURS
-from protochain.results.tables import energies_by_term
+from protochain.results.terms import energies_by_term
 
 TWO = BatchSettings(methods=("lbfgs", "kcm"))
 JOBS = [Job(name, Path(f"/in/{name}.pdb"), TWO, f"key-{name}") for name in ("one", "two", "three")]

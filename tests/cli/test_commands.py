@@ -43,6 +43,8 @@ MINIMISE = {
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
 NOT_IN_VALIDATE = ("hinges", "move", "forcefield", "solvent", "engine", "cutoff", *NOT_IN_BATCH)
+FRAMES = {"trajectory": None, "frames": None, "workers": None, "resume": False}
+
 COMMANDS = {
     "minimise": MINIMISE,
     "minimize": MINIMISE,
@@ -75,7 +77,7 @@ COMMANDS = {
     },
     "validate": {
         "inputs": None, "reference": None, "csv": None, "residues": None, "changes": None,
-        "posebusters": True, **AS_JSON,
+        "posebusters": True, **FRAMES, "report": None, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_VALIDATE},
     },
     "relax": {
@@ -83,8 +85,7 @@ COMMANDS = {
         "stiffness": None,
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
         "repack": False, "posebusters": False, "free_ligands": False, "repack_region": "", "interface": "",
-        "report": None, "ligand_out": None,
-        "workers": None, "scheduler": None, "time_limit": 3600.0, "resume": False, **AS_JSON,
+        "report": None, "ligand_out": None, **FRAMES, "scheduler": None, "time_limit": 3600.0, **AS_JSON,
         "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "terms")},
     },
     "score": {
@@ -92,10 +93,12 @@ COMMANDS = {
         **AS_JSON, **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
     },
     "energy": {
-        "source": None, "by": "term", "between": None, **OUTPUT, "report": None, **AS_JSON,
+        "source": None, "by": "term", "between": None, **OUTPUT, "report": None, **FRAMES, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
     },
-    "rmsd": {"reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **AS_JSON},
+    "rmsd": {
+        "reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **FRAMES, **AS_JSON,
+    },
     "bench": {
         "name": None, "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None,
         "threads": None, "minutes": None, "jobs": None, "starts": None, "evaluations": None,

@@ -1,4 +1,4 @@
-"""A helicopter that lands and takes off: ground resonance, touchdown, gusts, limits, a map of what is safe.
+"""A helicopter that lands and takes off: resonance, gusts, slopes, where it is safe.
 
 After Stanislawski, Trans. Aerosp. Res. 2019(2):59, whose data were not found: those of ``parts`` are chosen.
 Fuselage and transmission are free bodies, joined by mounts; the shaft turns as prescribed; blades of segments

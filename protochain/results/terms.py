@@ -1,0 +1,31 @@
+"""Energies of a start and its ends, term by term, as a table."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import pandas as pd
+
+from protochain.results.columns import heading
+
+
+def energies_by_term(records: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """Energy of each term at the start and at each end, from records by the names of the ends.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``term``, ``start_kj_mol``, and of each end ``NAME_kj_mol``. Terms that are 0 everywhere, and
+        those of energies that are not known by term, are left out; restraints are no part of the energy.
+    """
+    rows = []
+    for key in dict.fromkeys(key for each in records.values() for key in each):
+        name = key.removeprefix("energy_").removesuffix("_start_kj_mol")
+        if key != f"energy_{name}_start_kj_mol":
+            continue
+        # A run that failed has no numbers.
+        start = next((each[key] for each in records.values() if each.get(key) is not None), None)
+        ends = {f"{of}_kj_mol": each.get(f"energy_{name}_end_kj_mol") for of, each in records.items()}
+        if start or any(ends.values()):
+            rows.append({"term": heading(name), "start_kj_mol": start, **ends})
+    columns = ["term", "start_kj_mol", *(f"{of}_kj_mol" for of in records)]
+    return pd.DataFrame(rows, columns=columns)
