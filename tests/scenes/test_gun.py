@@ -106,7 +106,11 @@ def test_the_equilibrator_balances_the_barrel_at_any_elevation():
         assert abs(planar.pull(y)[CRADLE]) < 1e-9
         y[SLIDE] = -0.5
         assert planar.pull(y)[CRADLE] == pytest.approx(0.5 * 800.0 * 9.81 * np.cos(elevation), rel=1e-12)
-        assert Planar(replace(gun, balanced=0.0)).pull(y)[CRADLE] < 0.0
+        y[SLIDE] = 0.0
+        bare, half = (Planar(replace(gun, balanced=share)).pull(y)[CRADLE] for share in (0.0, 0.5))
+        assert bare < 0.0 and half == pytest.approx(0.5 * bare, rel=1e-12)
+    soft = Gun(axle=1e6)
+    assert replace(soft, ratio=2.0 * soft.ratio).dampers[2] == pytest.approx(2.0 * soft.dampers[2], rel=1e-15)
 
 
 @pytest.mark.parametrize("cells", [0, 2])
