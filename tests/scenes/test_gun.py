@@ -11,7 +11,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import DormandPrince
 from protochain.mechanics.multibody import mass_matrix, pose
 from protochain.scenes import run
-from protochain.scenes.gun import parts, study
+from protochain.scenes.gun import parts, search, study
 from protochain.scenes.gun.extremes import REFUSED
 from protochain.scenes.gun.oracle import CRADLE, ROLL, SLIDE, Planar
 from protochain.scenes.gun.parts import Gun, built
@@ -28,7 +28,7 @@ def test_a_gun_is_right(scene):
     assert len(set(names)) == len(names) > 30
     refused = {each.name for each in scene.extremes if each.outcome == "refused"}
     assert refused == {"tube 1e6 times as stiff, explicit steps", *(name for name, *_ in REFUSED)}
-    assert set(scene.tables) == {"isolation", "claim", "flexible", "decks", "cells", "bursts"}
+    assert set(scene.tables) == {"isolation", "claim", "search", "flexible", "decks", "cells", "bursts"}
     assert set(scene.work["method"]) == {"Kutta", "Dormand-Prince", "midpoint", "Rosenbrock"}
     assert all(np.diff(own["error"])[-1] < 0.0 for _, own in scene.work.groupby("method"))
 
@@ -44,6 +44,39 @@ def test_a_soft_axle_keeps_the_deck_from_the_muzzle_but_not_the_shot(scene):
     assert not claim.loc[~early & (claim["case"] == "shot, no couple"), "ten_per_cent"].any()
     soft = scene.tables["isolation"].groupby("case")["sag_mrad"].max()
     assert soft["shot, no equilibrator"] > 7.0 > 1.0 > soft["shot"]
+
+
+def test_the_search_finds_no_axle_that_keeps_a_shot_from_the_muzzle(scene):
+    table = scene.tables["search"].set_index(["when", "case"])
+    early, late = table.loc[search.EARLY], table.loc[search.LATE]
+    assert early["ten_per_cent"].to_dict() == {
+        "shot": False, "shot, no couple": True, "blow to the deck": True,
+    }  # fmt: skip
+    assert not late.loc["shot", "ten_per_cent"] and (table["share"] <= 1.0).all()
+    # What it varies is another gun, and as good as it says.
+    best = early.loc["blow to the deck"]
+    gun = replace(dict(search.CASES)["blow to the deck"], deck=search.DECK)
+    least = study.amplitudes(
+        built(replace(gun, axle=best["axle"], ratio=best["ratio"], balanced=best["balanced"])), study.EXIT
+    )[0]
+    stiff = study.amplitudes(built(replace(gun, axle=search.STIFFEST)), study.EXIT)[0]
+    assert best["muzzle_mm"] == pytest.approx(1e3 * least, rel=1e-12)
+    assert best["share"] == pytest.approx(least / stiff, rel=1e-12)
+    # Nelder and Mead go on from the grid.
+    assert best["ratio"] not in 10.0 ** np.array([search.LOW[1], search.HIGH[1]])
+
+
+def test_a_search_ends_at_the_least_within_its_ends_and_passes_by_what_falls():
+    middle = 0.5 * (search.LOW + search.HIGH)
+    for least in (middle, np.array([search.HIGH[0] + 1.0, *middle[1:]])):
+        x, value = search.refined(lambda x, at=least: float(np.sum((x - at) ** 2)), search.LOW + 0.2, 300)
+        within = np.minimum(least, search.HIGH)
+        np.testing.assert_allclose(x, within, atol=0.02)
+        assert value == pytest.approx(np.sum((x - least) ** 2), rel=1e-12)
+    asked = []
+    search.refined(lambda x: asked.append(x) or float(x[0]), search.HIGH, 10)
+    assert len(asked) == 10 and all((x >= search.LOW).all() and (x <= search.HIGH).all() for x in asked)
+    assert search.moved(Gun(), 0.01, np.array([0.0, -1.0, 0.0])) == (np.inf, np.inf)
 
 
 def test_claims_are_counted_at_a_tenth():
@@ -73,7 +106,11 @@ def test_the_equilibrator_balances_the_barrel_at_any_elevation():
         assert abs(planar.pull(y)[CRADLE]) < 1e-9
         y[SLIDE] = -0.5
         assert planar.pull(y)[CRADLE] == pytest.approx(0.5 * 800.0 * 9.81 * np.cos(elevation), rel=1e-12)
-        assert Planar(replace(gun, balanced=False)).pull(y)[CRADLE] < 0.0
+        y[SLIDE] = 0.0
+        bare, half = (Planar(replace(gun, balanced=share)).pull(y)[CRADLE] for share in (0.0, 0.5))
+        assert bare < 0.0 and half == pytest.approx(0.5 * bare, rel=1e-12)
+    soft = Gun(axle=1e6)
+    assert replace(soft, ratio=2.0 * soft.ratio).dampers[2] == pytest.approx(2.0 * soft.dampers[2], rel=1e-15)
 
 
 @pytest.mark.parametrize("cells", [0, 2])
@@ -91,7 +128,7 @@ def test_the_gun_stands_and_its_other_equations_are_its_own(cells):
     # What is not the same gun is seen.
     end, times = found.end(DormandPrince(1e-10), 0.01, 0.02), np.array([0.02])
     np.testing.assert_allclose(planar.moved(times)[0], end, atol=1e-9)
-    for other in (replace(gun, offset=-0.02), replace(gun, balanced=False), replace(gun, damped=0.9)):
+    for other in (replace(gun, offset=-0.02), replace(gun, balanced=0.0), replace(gun, damped=0.9)):
         assert np.abs(Planar(other).moved(times)[0] - end).max() > 1e-6
 
 
@@ -119,7 +156,7 @@ def test_a_rigid_deck_is_left_out_and_what_falls_is_refused():
     assert built(Gun(deck=np.inf)).model.tree.n_v == 2 and built(Gun()).model.tree.n_v == 4
     assert built(Gun(cells=3)).model.tree.n_v == 7
     with pytest.raises(MechanicsError, match="the gun falls"):
-        built(Gun(axle=0.0, balanced=False))
+        built(Gun(axle=0.0, balanced=0.0))
     # A balanced barrel that slides back as it rises leans on the axle the more: it needs some stiffness.
     assert built(Gun(axle=1e4)).start.q[2] > parts.ELEVATION
     with pytest.raises(MechanicsError, match="the gun falls"):

@@ -8,6 +8,7 @@ against recuperator and brake, rigid or of finite segments.
 from protochain.lab.cases import Scene
 from protochain.scenes.gun import checks, study
 from protochain.scenes.gun.extremes import limits, without
+from protochain.scenes.gun.search import searched
 
 
 def run(quick: bool = False) -> Scene:
@@ -19,16 +20,18 @@ def run(quick: bool = False) -> Scene:
         study.flexible(2, ((1e7, 1e9),), 0.05) if quick
         else study.flexible(8, ((1e6, 1e6), (1e6, 1e9), (1e10, 1e6), (1e10, 1e9)))
     )  # fmt: skip
+    search = searched((2, 2, 2), 8, 0.05) if quick else searched()
     found = (
         *checks.against_equations(quick), *checks.against_modes(0), *checks.against_modes(2 if quick else 4),
-        *convergence, *order, *checks.energies(quick),
+        *convergence, *order, *checks.energies(quick), *checks.of_search(search),
     )  # fmt: skip
     return Scene(
         "gun", "a gun on a deck: where its muzzle is 0.05 s after a shot", found, checks.work(quick),
         tuple(limits(quick)), tuple(without(quick)),
         {
-            "isolation": isolation, "claim": study.claimed(isolation), "flexible": bending, "decks": decks,
-            "cells": cells, "bursts": study.bursts(2 if quick else 8, 1 if quick else 3),
+            "isolation": isolation, "claim": study.claimed(isolation), "search": search,
+            "flexible": bending, "decks": decks, "cells": cells,
+            "bursts": study.bursts(2 if quick else 8, 1 if quick else 3),
         },
         "error of the muzzle, m",
     )  # fmt: skip

@@ -13,7 +13,7 @@ from protochain.scenes.gun.oracle import Planar
 from protochain.scenes.gun.parts import Gun, built
 
 REFUSED: tuple[tuple[str, Gun, Fault], ...] = (
-    ("no axle, no equilibrator", Gun(axle=0.0, balanced=False), Fault.NO_EQUILIBRIUM),
+    ("no axle, no equilibrator", Gun(axle=0.0, balanced=0.0), Fault.NO_EQUILIBRIUM),
     ("an equilibrator, but no axle: the barrel slides", Gun(axle=0.0), Fault.NO_EQUILIBRIUM),
     ("a deck without stiffness", Gun(deck=0.0), Fault.NO_STIFFNESS),
     ("an axle below zero", Gun(axle=-1.0), Fault.NEGATIVE),

@@ -32,8 +32,8 @@ TUBE = Beam(3.5, 483.5 / 3.5, 2.1e11 * np.pi / 64.0 * (0.18**4 - 0.1**4))
 """3.5 m of steel, 0.18 m outside and 0.1 m inside: 9.8e6 N m^2."""
 RECUPERATOR, BRAKE = 4e4, 1600.0
 """N/m, and N s^2/m^2 of speed times its size."""
-DECK_RATIO, AXLE_RATIO, TUBE_TIME = 0.05, 0.2, 1e-4
-"""Dampers of deck and axle, relative to critical; time constant of those of the tube, s."""
+DECK_RATIO, TUBE_TIME = 0.05, 1e-4
+"""Dampers of the deck, relative to critical; time constant of those of the tube, s."""
 IMPULSE, PULSE, PERIOD = 7.5e3, 2.5e-3, 0.5
 """N s, s to the peak, s from shot to shot."""
 LEVER = 0.5, 0.6
@@ -52,8 +52,11 @@ class Gun:
         Stiffness k_d of the deck in heave, N/m; ``inf`` leaves the deck out.
     axle : float
         Stiffness of the axle, N m/rad.
-    balanced : bool
-        Whether there is an equilibrator: a spring that balances cradle and barrel at any elevation.
+    balanced : float
+        Stiffness of the equilibrator, relative to the one that balances cradle and barrel at any elevation; 0
+        leaves it out.
+    ratio : float
+        Damper of the axle, relative to critical.
     cells : int
         Cells of the tube; none is a rigid one.
     bending : float
@@ -72,7 +75,8 @@ class Gun:
 
     deck: float = 1e8
     axle: float = 1e8
-    balanced: bool = True
+    balanced: float = 1.0
+    ratio: float = 0.2
     cells: int = 0
     bending: float = 1.0
     offset: float = 0.02
@@ -90,7 +94,7 @@ class Gun:
     def equilibrator(self) -> float:
         """Stiffness of the equilibrator, N/m, without a length at rest."""
         above, before = LEVER
-        return GRAVITY * MOMENT / (above * before) if self.balanced else 0.0
+        return self.balanced * GRAVITY * MOMENT / (above * before)
 
     @property
     def dampers(self) -> tuple[float, float, float]:
@@ -98,7 +102,7 @@ class Gun:
         deck = self.deck if self.floats else 0.0
         heave = 2.0 * DECK_RATIO * np.sqrt(deck * (DECK + MOUNT + CRADLE + BREECH + _TUBE_MASS))
         roll = 2.0 * DECK_RATIO * SPAN * np.sqrt(deck * HEELING)
-        axle = 2.0 * AXLE_RATIO * np.sqrt(self.axle * SWING)
+        axle = 2.0 * self.ratio * np.sqrt(self.axle * SWING)
         return self.damped * heave, self.damped * roll, self.damped * axle
 
     def thrust(self, time: float) -> float:

@@ -45,7 +45,7 @@ def isolation(
     """
     rows = []
     for case, gun in (
-        ("shot", Gun()), ("shot, no equilibrator", Gun(balanced=False)), ("shot, no couple", Gun(offset=0.0)),
+        ("shot", Gun()), ("shot, no equilibrator", Gun(balanced=0.0)), ("shot, no couple", Gun(offset=0.0)),
         ("blow to the deck", Gun(charge=0.0, blow=BLOW)),
     ):  # fmt: skip
         for deck in decks:
