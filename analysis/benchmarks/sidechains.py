@@ -24,6 +24,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from time import perf_counter
 
@@ -31,11 +33,9 @@ import gemmi
 import made
 import numpy as np
 import pandas as pd
+from mdtraj.geometry.dihedral import CHI1_ATOMS, CHI2_ATOMS, CHI3_ATOMS, CHI4_ATOMS
 
 import protochain as pc
-from protochain.structure import residues
-from protochain.structure.files import parse
-from protochain.structure.sidechains.ideal import dihedral, ideal
 
 CRYSTALS = {
     "1a8o_mse.pdb": 1.7, "1ajj_ldlr.pdb": 1.7, "1ake_full.cif": 2.0, "1bx8_hirustasin.pdb": 1.4,
@@ -54,6 +54,8 @@ EQUAL = {
     "ARG": {"NH1": "NH2"}, "ASP": {"OD1": "OD2"}, "GLU": {"OE1": "OE2"},
     "PHE": {"CD1": "CD2", "CE1": "CE2"}, "TYR": {"CD1": "CD2", "CE1": "CE2"},
 }  # fmt: skip
+SYMMETRIC = ("ASP", "GLU", "PHE", "TYR")
+"""Residues whose last dihedral repeats after half a turn."""
 BACKBONE = ("N", "CA", "C", "O", "OXT")
 NEAR, MANY = 10.0, 20
 """Angstrom, -: C-betas so near, and so many, make a core."""
@@ -61,6 +63,16 @@ WITHIN = 40.0
 """Degrees: a dihedral is right."""
 
 Places = dict[str, np.ndarray]
+
+
+@cache
+def complete() -> dict[str, set[str]]:
+    """Heavy atoms of each standard residue, by its name."""
+    whole, found = pc.from_sequence("GACDEFGHIKLMNPQRSTVWYG"), dict[str, set[str]]()
+    for name, element, of in zip(whole.atom_name, whole.atom_element, whole.atom_residue, strict=True):
+        if element != "H" and name != "OXT":
+            found.setdefault(str(whole.residue_name[of]), set()).add(str(name))
+    return found
 
 
 def place(options: argparse.Namespace, name: str) -> Path:
@@ -73,11 +85,11 @@ def natives(model: gemmi.Model) -> dict[tuple[str, str], tuple[str, Places]]:
     found = {}
     for chain in model:
         for residue in chain:
-            if residue.name not in residues.STANDARD or residue.name in ("ALA", "GLY"):
+            if residue.name not in complete() or residue.name in ("ALA", "GLY"):
                 continue
             heavy = [a for a in residue if not a.is_hydrogen() and a.name != "OXT"]
             seen = all(a.occ > 0.0 and a.altloc in ("\0", " ", "") for a in heavy)
-            if seen and {a.name for a in heavy} == set(ideal(residue.name).x):
+            if seen and {a.name for a in heavy} == complete()[residue.name]:
                 at = {a.name: np.array(a.pos.tolist()) for a in heavy}
                 found[chain.name, str(residue.seqid)] = residue.name, at
     return found
@@ -92,7 +104,7 @@ def strip(structure: gemmi.Structure, path: Path, alone: bool = False) -> None:
     for residue in [each for chain in bare[0] for each in chain]:
         if residue.name == "MSE":
             residue.name, residue.het_flag = "MET", "A"
-        if residue.name in residues.STANDARD:
+        if residue.name in complete():
             for k in reversed(range(len(residue))):
                 if residue[k].name not in BACKBONE:
                     del residue[k]
@@ -106,7 +118,7 @@ def strip(structure: gemmi.Structure, path: Path, alone: bool = False) -> None:
 
 
 def places_of(path: Path) -> dict[tuple[str, str], Places]:
-    structure, *_ = parse(path)
+    structure = gemmi.read_structure(str(path))
     return {
         (chain.name, str(residue.seqid)): {a.name: np.array(a.pos.tolist()) for a in residue}
         for chain in structure[0]
@@ -124,13 +136,19 @@ def core(native: dict[tuple[str, str], tuple[str, Places]], model: gemmi.Model) 
     }
 
 
+def dihedral(at: Places, quartet: Sequence[str]) -> float:
+    """In radians."""
+    return gemmi.calculate_dihedral(*(gemmi.Position(*at[name]) for name in quartet))
+
+
 def errors(name: str, at: Places, model: Places) -> np.ndarray:
     """(5,) float: errors of chi1 to chi4, degrees, NaN where there is none, and RMSD, angstrom."""
     row = np.full(5, np.nan)
-    quartets = residues.CHI.get(name, ())[:4]
+    known = () if name == "PRO" else (CHI1_ATOMS, CHI2_ATOMS, CHI3_ATOMS, CHI4_ATOMS)
+    quartets = [own for some in known if (own := next((q for q in some if {*q} <= at.keys()), None))]
     for k, quartet in enumerate(quartets):
-        period = 180.0 if name in residues.SYMMETRIC and k == len(quartets) - 1 else 360.0
-        off = np.rad2deg(dihedral(*(model[n] for n in quartet)) - dihedral(*(at[n] for n in quartet)))
+        period = 180.0 if name in SYMMETRIC and k == len(quartets) - 1 else 360.0
+        off = np.rad2deg(dihedral(model, quartet) - dihedral(at, quartet))
         row[k] = abs((off + period / 2) % period - period / 2)
     side = [n for n in at if n not in BACKBONE]
     swapped = EQUAL.get(name, {}) | {b: a for a, b in EQUAL.get(name, {}).items()}
@@ -175,7 +193,7 @@ def measured(
 
 
 def opened(options: argparse.Namespace, name: str) -> gemmi.Structure:
-    structure, *_ = parse(place(options, name))
+    structure = gemmi.read_structure(str(place(options, name)))
     structure.setup_entities()
     del structure[1:]
     for chain in structure[0]:

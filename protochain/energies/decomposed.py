@@ -62,6 +62,7 @@ class Decomposed(Value):
     Parameters
     ----------
     structure : Structure
+        Whose energy it is.
     shares : (terms, nr) float, kJ/mol
         Of each residue, in the order of ``TERMS``.
     pairs : (terms, nr, nr) float, kJ/mol
@@ -289,7 +290,9 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
     Parameters
     ----------
     structure : Structure
+        Whose atoms belong to residues.
     energy : NativeEnergy
+        Of its atoms.
     x : (na, 3) float, nm
         Positions.
     pairs : bool
@@ -298,6 +301,7 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
     Returns
     -------
     Decomposed
+        Terms, shares, and pairs if asked for.
     """
     terms, of, n = energy.terms, structure.atom_residue, structure.n_residues
     of_pairs, born = energy.halves(x)

@@ -122,6 +122,8 @@ METAVARS = {
     "bench"): "[IN...]",
     ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40", ("chains", None): "A,B",
     ("ligands", None): "NAME=SDF|MOL2|SMILES",
+    **{("trajectory", command): "FRAMES" for command in ("relax", "validate", "energy", "rmsd")},
+    ("frames", None): "START:STOP:STEP",
 }  # fmt: skip
 FLAGS = {
     "ligands": ["--ligand"],

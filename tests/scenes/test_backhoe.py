@@ -206,8 +206,8 @@ def test_a_track_stands_and_the_turning_of_its_sprocket_has_its_derivatives():
     for t in (0.05, 0.15, 0.3):
         before, at, after = (np.array(turning(t + s)) for s in (-h, 0.0, h))
         assert (after[:2] - before[:2]) / (2 * h) == pytest.approx(at[1:], abs=1e-8)
-    # It settles by a quarter of what its pins have room for, and back.
+    # It settles by less than half of what its pins have room for, and back.
     run = crawler(Turning(0.0)).build().simulate(0.16, 5e-4)
-    assert np.abs(run.motion["frame x"]).max() < 0.25 * TIGHT and run.audit().gap < 1e-11
+    assert np.abs(run.motion["frame x"]).max() < 0.5 * TIGHT and run.audit().gap < 1e-11
     with pytest.raises(MechanicsError, match="stiffness 0"):
         crawler(Turning(1.0), stiffness=0.0)

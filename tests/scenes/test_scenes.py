@@ -279,7 +279,7 @@ def test_a_beam_is_right():
 
 def test_a_manipulator_is_right():
     found = run("manipulator", quick=True)
-    assert found.wrong == () and len(found.checks) == 10
+    assert found.wrong == () and len(found.checks) == 8
     refused = [each.name for each in found.extremes if each.outcome == "refused"]
     assert len(refused) == 2 and "explicit steps of 1.1 of" in refused[0]
     assert refused[1] == "steps three times too long for Kutta's method"
