@@ -24,8 +24,6 @@ LONGEST = 180
 FULL, QUICK = "QUICK = False", "QUICK = True"
 """Line of the notebooks of scenes, and the one that the tests put in its place."""
 
-BARE = {"gear", "gun"}
-"""Notebooks of scenes that are not yet stored with what they show: analysis/scenes/remake.py NAME."""
 MOST_BYTES = 300_000
 
 QUICKEST = {"01-first-steps", "04-stability", "serial", "impact"}
@@ -70,7 +68,7 @@ def test_it_is_committed_plain(path):
     """As one command writes it; of those of scenes, also what cells show, and a stamp of what they were."""
     text = path.read_text(encoding="utf-8")
     notebook = json.loads(text)
-    shows = path in OF_SCENES and path.stem not in BARE
+    shows = path in OF_SCENES
     assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
     assert notebook["metadata"].pop(remake.STAMP, None) is None or shows
     assert notebook["metadata"] == {"kernelspec": {"display_name": "Python 3", "name": "python3"}}
@@ -89,7 +87,7 @@ def test_it_is_committed_plain(path):
     assert not shows or '"image/png"' in text
 
 
-@pytest.mark.parametrize("path", [p for p in OF_SCENES if p.stem not in BARE], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", OF_SCENES, ids=lambda path: path.stem)
 def test_what_it_shows_is_of_its_code_and_of_its_scene(path):
     """Of the code of both; whether what they stand on gives other numbers now, the slow test below says."""
     assert remake.is_current(json.loads(path.read_text(encoding="utf-8")), path.stem), (
@@ -111,9 +109,7 @@ def test_a_stamp_changes_with_code_and_not_with_words():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [p.stem for p in OF_SCENES if p.stem not in BARE | ALONE], ids=lambda name: name
-)
+@pytest.mark.parametrize("name", [p.stem for p in OF_SCENES if p.stem not in ALONE], ids=lambda name: name)
 def test_its_checks_have_the_values_that_it_shows(name):
     """Run anew, in full: each is off by as much as its bound allows, now and then."""
     path = ROOT / "analysis" / "scenes" / f"{name}.ipynb"
