@@ -4,8 +4,9 @@
 
 columns: each complex as its file has it, hydrogens added. The energy of binding against OpenMM's Reference
 platform, with both sides there and 1e5 nm apart; the buried area against FreeSASA's slices (Mitternacht,
-F1000Research 5:189, 2016) with the same radii, and with its own, which stand for hydrogens, too; Sc against
-sc-rs, which follows CCP4's program; hydrogen bonds against the criterion of Wernet and Nilsson, by mdtraj.
+F1000Research 5:189, 2016; where it is installed) with the same radii, and with its own, which stand for
+hydrogens, too; Sc against sc-rs, which follows CCP4's program; hydrogen bonds against the criterion of Wernet
+and Nilsson, by mdtraj.
 Bonds join the chains of insulin, so that they cannot be parted; other programs know no radii of ligands.
 
 moved: relaxed complexes, the second side moved out along the line from the first, or turned about it; ranks
@@ -22,10 +23,10 @@ import resource
 import shutil
 import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
 
-import freesasa
 import made
 import mdtraj
 import numpy as np
@@ -38,6 +39,10 @@ import protochain as pc
 from protochain.batches import relax_files
 from protochain.relaxation import RelaxSettings
 from protochain.validation import SCORES
+
+freesasa = None
+with suppress(ImportError):
+    import freesasa
 
 COMPLEXES = {
     "3i40_insulin.pdb": "A:B", "4zhl_icodes.cif": "U:P", "1hpv_oldformat.pdb": "A:B",
@@ -79,6 +84,8 @@ def by_openmm(structure: pc.Structure, one: np.ndarray, other: np.ndarray) -> fl
 
 def by_freesasa(structure: pc.Structure, one: np.ndarray, other: np.ndarray, united: bool) -> float:
     """Area that both sides lose, square angstrom, with mdtraj's radii or its own of heavy atoms."""
+    if freesasa is None:
+        return np.nan
     how = freesasa.Parameters({"algorithm": freesasa.LeeRichards, "n-slices": 50})
     of, element = structure.atom_residue, structure.atom_element
     classes = freesasa.Classifier()
