@@ -80,6 +80,12 @@ def place(options: argparse.Namespace, name: str) -> Path:
     return folder / name
 
 
+def read(path: Path) -> gemmi.Structure:
+    """A file; of the PDB's old form the ids and serial numbers in columns 73 to 80 are no elements."""
+    is_pdb = ".pdb" in path.suffixes
+    return gemmi.read_pdb(str(path), max_line_length=72) if is_pdb else gemmi.read_structure(str(path))
+
+
 def natives(model: gemmi.Model) -> dict[tuple[str, str], tuple[str, Places]]:
     """Name and heavy atoms, angstrom, of the residues that count, by chain and number."""
     found = {}
@@ -118,7 +124,7 @@ def strip(structure: gemmi.Structure, path: Path, alone: bool = False) -> None:
 
 
 def places_of(path: Path) -> dict[tuple[str, str], Places]:
-    structure = gemmi.read_structure(str(path))
+    structure = read(path)
     return {
         (chain.name, str(residue.seqid)): {a.name: np.array(a.pos.tolist()) for a in residue}
         for chain in structure[0]
@@ -193,7 +199,7 @@ def measured(
 
 
 def opened(options: argparse.Namespace, name: str) -> gemmi.Structure:
-    structure = gemmi.read_structure(str(place(options, name)))
+    structure = read(place(options, name))
     structure.setup_entities()
     del structure[1:]
     for chain in structure[0]:
