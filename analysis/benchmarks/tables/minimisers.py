@@ -4,7 +4,18 @@ import numpy as np
 import pandas as pd
 from made import RECORD
 
-from tables import between, digits, made_by, markdown, of_rows, paragraph, ratio, table, table_of_rows
+from tables import (
+    between,
+    digits,
+    digits_of,
+    made_by,
+    markdown,
+    of_rows,
+    paragraph,
+    ratio,
+    table,
+    table_of_rows,
+)
 
 TORSIONS = ("kcm", "kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs")
 CARTESIAN = ("cartesian", "hybrid", "openmm")
@@ -255,7 +266,7 @@ def _or_dash(value: float) -> str:
 table_of_rows(
     "modes-cost", "modes_cost.csv",
     ("structure", "{structure}"), ("residues", "{residues}"), ("freedoms", "{freedoms}"),
-    ("seconds", "{seconds:.2g}"),
+    ("seconds", digits_of("seconds")),
     ("of one evaluation", lambda r: f"{r.seconds / r.evaluation_seconds:.0f}"), ("peak, MB", "{peak_mb:.0f}"),
 )  # fmt: skip
 
