@@ -213,7 +213,8 @@ def test_sugars_without_a_protein_have_their_hydroxyl(tmp_path):
 
 
 def test_a_glycan_and_its_residue_have_a_whole_charge(fc):
-    (force,) = (f for f in pc.energy(fc).system.getForces() if isinstance(f, openmm.NonbondedForce))
+    system = pc.energy(fc).system  # held here: OpenMM frees its forces with it
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
     charge = np.array([force.getParticleParameters(i)[0]._value for i in range(fc.n_atoms)])
     its = fc.mobile | (fc.atom_residue == fc.atom_residue[fc.links[0, 0]])
     assert charge[its].sum() == pytest.approx(0.0, abs=1e-9)

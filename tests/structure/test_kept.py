@@ -303,9 +303,8 @@ def test_a_force_field_that_knows_the_ligand_is_used(tmp_path):
     written(tmp_path, text.replace("</HarmonicBondForce>", f"{bond}</HarmonicBondForce>"), "own.xml")
     s = pc.load(shared("1bx8_hirustasin.pdb"), forcefield=path)
     assert not any("by element" in line for line in sentences(s))
-    nonbonded = next(
-        f for f in pc.energy(s, str(path)).system.getForces() if isinstance(f, openmm.NonbondedForce)
-    )
+    system = pc.energy(s, str(path)).system  # held here: OpenMM frees its forces with it
+    nonbonded = next(f for f in system.getForces() if isinstance(f, openmm.NonbondedForce))
     rows = [[v._value for v in nonbonded.getParticleParameters(i)] for i in np.flatnonzero(s.mobile)]
     assert rows[0] == [1.4, 0.36, 1.0] and rows[1:] == [[-0.85, 0.3, 0.5]] * 4
 
