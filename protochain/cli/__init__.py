@@ -26,6 +26,7 @@ from protochain.cli.options import BAD_INPUT, RENAMED, as_option, fail
 from protochain.cli.printable import Printable
 from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
+from protochain.cli.schema import schema
 from protochain.cli.score import score
 from protochain.cli.simulate import simulate
 from protochain.cli.validate import validate
@@ -44,7 +45,7 @@ app = typer.Typer(
 
 _COMMANDS = (
     minimise, relax, compare, batch, simulate, modes, validate, score, energy, rmsd, bench, scene, info,
-    build,
+    build, schema,
 )  # fmt: skip
 
 
