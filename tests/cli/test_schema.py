@@ -7,7 +7,6 @@ from collections import Counter
 import jsonschema
 import pytest
 from fixtures.command_line import COMMANDS, run
-from fixtures.recipes import BENZAMIDINE, after
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
@@ -125,7 +124,10 @@ def test_versions_are_counted_and_none_is_taken_back():
 
 def test_what_is_not_finite_is_null():
     values = {"a": [float("nan"), {"b": (float("inf"), 1.5)}], "c": -float("inf")}
-    assert json.loads(json_text(values), parse_constant=refused) == {"a": [None, {"b": [None, 1.5]}], "c": None}
+    assert json.loads(json_text(values), parse_constant=refused) == {
+        "a": [None, {"b": [None, 1.5]}],
+        "c": None,
+    }
 
 
 def test_schema_prints_what_is_there(capsys):
@@ -156,9 +158,20 @@ def test_relax(told, tmp_path):
 
 
 def test_relax_with_a_ligand_and_an_interface(told, tmp_path):
-    path = tmp_path / "complex.pdb"
-    path.write_text(after("peptide.pdb", BENZAMIDINE) if False else "")
-    assert path
+    lines = (tmp_path / "peptide.pdb").read_text().splitlines()
+    x, y, z = max(10.0 * pc.load("peptide.pdb").positions, key=lambda place: place[0])
+    for k, (name, off) in enumerate({"C1": 3.0, "C2": 4.5, "O1": 5.9}.items()):
+        place = f"{x + off:8.3f}{y:8.3f}{z:8.3f}"
+        lines.insert(
+            -1, f"HETATM{900 + k:5d}  {name:<3} LIG B   1    {place}  1.00  0.00           {name[0]}"
+        )
+    (tmp_path / "complex.pdb").write_text("\n".join(lines) + "\n")
+    given = ["complex.pdb", "--ligand", "LIG=CCO"]
+    found = told("relax", *given, "--ligand-out", "out.sdf", "--posebusters", "--interface", "A:B")
+    assert found["ligands"][0]["name"] == "LIG" and found["interface_contacts_end"] is not None
+    assert told("validate", *given)["results"][0]["ligands"][0]["contacts"] > 0
+    told("relax", *given, "peptide.pdb", "--interface", "A:B", "--workers", "1", "-o", "folder")
+    tables("relax", tmp_path / "folder")
 
 
 def test_compare(told, tmp_path):
@@ -179,7 +192,9 @@ def test_batch(told, tmp_path):
     assert len(tables("batch", tmp_path / "folder")) == 3
 
 
-@pytest.mark.parametrize("more", [[], ["--pull", "A:1:N-A:5:C", "--thermostat", "none"], ["--thermostat", "hmc"]])
+@pytest.mark.parametrize(
+    "more", [[], ["--pull", "A:1:N-A:5:C", "--thermostat", "none"], ["--thermostat", "hmc"]]
+)
 def test_simulate(told, tmp_path, more):
     found = told("simulate", "peptide.pdb", "--steps", "60", "--every", "20", "-o", "folder", *more)
     assert found["steps"] == 60
@@ -214,7 +229,9 @@ def test_score(told, tmp_path):
     tables("score", None, **options)
 
 
-@pytest.mark.parametrize("more", [["--by", "term"], ["--by", "residue"], ["--by", "pair"], ["--between", "A:1,A:3"]])
+@pytest.mark.parametrize(
+    "more", [["--by", "term"], ["--by", "residue"], ["--by", "pair"], ["--between", "A:1,A:3"]]
+)
 def test_energy(told, tmp_path, more):
     told("energy", "peptide.pdb", *more, "-o", "table.csv")
     tables("energy", None, **{"--output": tmp_path / "table.csv"})
