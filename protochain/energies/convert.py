@@ -115,6 +115,7 @@ def to_simulation(structure: Any, simulation: Any) -> None:
     structure : Structure, Solution, or anything that :func:`protochain.as_structure` takes
         With the simulation's atoms in their order, as of :func:`from_simulation`.
     simulation : openmm.app.Simulation
+        Whose context gets them.
 
     Raises
     ------
