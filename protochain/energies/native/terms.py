@@ -296,9 +296,7 @@ def _types_of(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce) 
     if force.getNonbondedMethod() != force.NoCutoff:
         one_cutoff("CustomNonbondedForce", plain(table.getCutoffDistance()), plain(force.getCutoffDistance()))
     excluded = {tuple(sorted(table.getExclusionParticles(i))) for i in range(table.getNumExclusions())}
-    exceptions = {
-        tuple(sorted(row[:2])) for row in rows(force, "getNumExceptions", "getExceptionParameters")
-    }
+    exceptions = {tuple(sorted(row[:2])) for row in rows(force, "getNumExceptions", "getExceptionParameters")}
     if excluded != exceptions:
         raise UnsupportedForceError("CustomNonbondedForce with other exclusions than NonbondedForce")
     return [table.getParticleParameters(i)[0] for i in range(table.getNumParticles())]
