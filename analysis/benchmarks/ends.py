@@ -5,11 +5,10 @@
 Every start is the structure as prepared, moved by Gaussian displacements of 0.001 nm. From each, every method
 minimises the same energy (ff14SB, OBC2): `cartesian`, `hybrid`, `openmm`, and L-BFGS-B of scipy, which knows
 nothing of proteins. A run ends at 1 kJ/mol/nm RMS; what is left of its way is gone by `cartesian` to 0.01, for
-all alike, so that ends are minima. The table has each end; differences are those of two methods from one start.
+all alike, so that ends are minima. The table has each end. Structures that it has already are not done again.
 """
 
 import argparse
-from itertools import chain as joined
 from pathlib import Path
 from time import process_time
 
@@ -65,7 +64,8 @@ def rows(path: Path, starts: int) -> list[dict[str, object]]:
     energy, found = pc.energy(structure, threads=1), []
     for seed in range(starts):
         rng = np.random.default_rng(seed)
-        start = structure.with_positions(structure.positions + MOVED * rng.normal(size=(structure.n_atoms, 3)))
+        moved = structure.positions + MOVED * rng.normal(size=(structure.n_atoms, 3))
+        start = structure.with_positions(moved)
         for method in METHODS:
             began = process_time()
             x = end(start, method, energy)
@@ -90,14 +90,15 @@ def main() -> None:
     options = parser().parse_args()
     if options.quick:
         options.structures, options.starts = [SAMPLES / "ala10.pdb"], 2
-    every = []
+    done = options.output and options.output / "ends.csv"
+    table = pd.read_csv(done) if done and done.exists() else pd.DataFrame({"structure": []})
     for path in options.structures:
-        every.append(rows(path, options.starts))
-        table = pd.DataFrame(every[-1])
-        print(path.stem, table.groupby("method")["end_kj_mol"].median().round(1).to_dict(), flush=True)
-    table = pd.DataFrame(joined.from_iterable(every))
-    if options.output:
-        made.write(table, options.output / "ends.csv", options.structures)
+        if path.stem not in set(table["structure"]):
+            table = pd.concat([table, pd.DataFrame(rows(path, options.starts))])
+            if options.output:
+                made.write(table, done, options.structures)
+        of = table[table["structure"] == path.stem].groupby("method")["end_kj_mol"]
+        print(path.stem, of.median().round(1).to_dict(), flush=True)
 
 
 if __name__ == "__main__":

@@ -17,8 +17,8 @@ project, release, author = _project["name"], _project["version"], _project["auth
 copyright = author
 root_doc = "analysis/site/index"
 include_patterns = [
-    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "analysis/README.md", "analysis/docs/**.md",
-    "analysis/site/**", "analysis/notebooks/*.ipynb", "analysis/scenes/*.ipynb", "analysis/results/README.md",
+    "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "analysis/README.md",
+    "analysis/docs/**.md", "analysis/site/**", "analysis/notebooks/*.ipynb", "analysis/scenes/*.ipynb", "analysis/results/README.md",
 ]  # fmt: skip
 extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax"]
 
@@ -38,10 +38,10 @@ html_extra_path = ["root"]
 html_copy_source = False
 
 PACKAGES = (
-    "analysis", "batches", "mechanics.motion", "mechanics.multibody", "dynamics", "energies", "lab", "ligands",
-    "mechanisms", "minimisers", "relaxation", "results", "scenes", "structure", "validation",
+    "analysis", "batches", "mechanics.motion", "mechanics.multibody", "dynamics", "energies", "lab",
+    "ligands", "mechanisms", "minimisers", "relaxation", "results", "scenes", "structure", "validation",
 )  # fmt: skip
-"""Of the reference, beside what ``import protochain`` has: a page each. A name is on the first that it is in."""
+"""Of the reference, beside what ``import protochain`` has: a page each. A name is on the first of its pages."""
 
 
 def write_reference(folder: Path) -> None:

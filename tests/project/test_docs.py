@@ -13,7 +13,7 @@ from enum import Enum
 import pytest
 import yaml
 from fixtures.command_line import COMMANDS
-from fixtures.public_names import PACKAGES, PUBLIC
+from fixtures.public_names import PUBLIC
 from fixtures.samples import ROOT
 from fixtures.texts import DOCS, blocks
 from numpydoc.validate import validate
