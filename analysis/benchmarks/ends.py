@@ -4,8 +4,8 @@
 
 Every start is the structure as prepared, moved by Gaussian displacements of 0.001 nm. From each, every method
 minimises the same energy (ff14SB, OBC2): `cartesian`, `hybrid`, `openmm`, and L-BFGS-B of scipy, which knows
-nothing of proteins. A run ends at 1 kJ/mol/nm RMS; what is left of its way is gone by `cartesian` to 0.01, for
-all alike, so that ends are minima. The table has each end. Structures that it has already are not done again.
+nothing of proteins. A run ends at 1 kJ/mol/nm RMS; what is left of its way is gone by `cartesian` to 0.01,
+for all alike, so that ends are minima. The table has each end. Structures that it has are not done again.
 """
 
 import argparse

@@ -18,7 +18,8 @@ copyright = author
 root_doc = "analysis/site/index"
 include_patterns = [
     "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "analysis/README.md",
-    "analysis/docs/**.md", "analysis/site/**", "analysis/notebooks/*.ipynb", "analysis/scenes/*.ipynb", "analysis/results/README.md",
+    "analysis/docs/**.md", "analysis/site/**", "analysis/notebooks/*.ipynb", "analysis/scenes/*.ipynb",
+    "analysis/results/README.md",
 ]  # fmt: skip
 extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax"]
 
@@ -41,7 +42,7 @@ PACKAGES = (
     "analysis", "batches", "mechanics.motion", "mechanics.multibody", "dynamics", "energies", "lab",
     "ligands", "mechanisms", "minimisers", "relaxation", "results", "scenes", "structure", "validation",
 )  # fmt: skip
-"""Of the reference, beside what ``import protochain`` has: a page each. A name is on the first of its pages."""
+"""Of the reference, beside what ``import protochain`` has: a page each. A name is on its first page."""
 
 
 def write_reference(folder: Path) -> None:
