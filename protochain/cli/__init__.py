@@ -27,6 +27,7 @@ from protochain.cli.printable import Printable
 from protochain.cli.relax import relax
 from protochain.cli.rmsd import rmsd
 from protochain.cli.score import score
+from protochain.cli.search import search
 from protochain.cli.simulate import simulate
 from protochain.cli.validate import validate
 from protochain.core.errors import Argument, ProtochainError, WriteError
@@ -43,7 +44,7 @@ app = typer.Typer(
 )
 
 _COMMANDS = (
-    minimise, relax, compare, batch, simulate, modes, validate, score, energy, rmsd, bench, scene, info,
+    minimise, relax, compare, batch, simulate, search, modes, validate, score, energy, rmsd, bench, scene, info,
     build,
 )  # fmt: skip
 
