@@ -44,8 +44,8 @@ app = typer.Typer(
 )
 
 _COMMANDS = (
-    minimise, relax, compare, batch, simulate, search, modes, validate, score, energy, rmsd, bench, scene, info,
-    build,
+    minimise, relax, compare, batch, simulate, search, modes, validate, score, energy, rmsd, bench, scene,
+    info, build,
 )  # fmt: skip
 
 

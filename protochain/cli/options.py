@@ -190,15 +190,9 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
 RENAMED = {"between": "pull"} | {
     name: its.column(name)
     for kind in (
-        Setup,
-        MinimiseSettings,
-        StartSettings,
-        RelaxSettings,
-        SimulationSettings,
-        RunSettings,
-        SearchSettings,
-        SearchRunSettings,
-    )  # fmt: skip
+        *(Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings),
+        *(SearchSettings, SearchRunSettings),
+    )
     for name, its in settings_of(kind)
     if its.option
 }

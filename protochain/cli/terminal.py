@@ -265,22 +265,18 @@ def search_progress(name: str) -> Iterator["Callable[[SearchProgress], None]"]:
 def print_search(done: "Search", output: object) -> None:
     """Print the lowest minima of a search, and the populations of replicas."""
     print(f"{done.chain.structure.name}: {done.energy:.2f} kJ/mol, the lowest of {len(done.q)} minima")
-    shown = done.minima.head(_SHOWN_MINIMA)
-    for row in shown.itertuples():
-        free = (
-            ""
-            if row.free_energy_kj_mol != row.free_energy_kj_mol
-            else (f", free energy {row.free_energy_kj_mol:+.2f}")
-        )
+    for row in done.minima.head(_SHOWN_MINIMA).to_dict("records"):
+        free = row["free_energy_kj_mol"]
+        told = "" if math.isnan(free) else f", free energy {free:+.2f}"
         print(
-            f"  {row.minimum}: {row.above_lowest_kj_mol:+.2f} kJ/mol{free}, {row.conformer}, "
-            f"{row.ca_rmsd_to_lowest_angstrom:.2f} angstrom"
+            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{told}, {row['conformer']}, "
+            f"C-alpha RMSD {_distance(row['ca_rmsd_to_lowest_angstrom'])} angstrom"
         )
-    for row in done.populations.itertuples():
-        print(
-            f"  {row.temperature_k:.0f} K: {row.energy_kj_mol:.1f} +- {row.energy_error_kj_mol:.1f} kJ/mol, "
-            f"helix {100.0 * row.helix_share:.0f} +- {100.0 * row.helix_share_error:.0f} %"
-        )
+    for row in done.populations.to_dict("records"):
+        energy = f"{row['energy_kj_mol']:.1f} +- {row['energy_error_kj_mol']:.1f} kJ/mol"
+        share, error = 100.0 * row["helix_share"], 100.0 * row["helix_share_error"]
+        folded = "" if math.isnan(share) else f", helix {share:.1f} +- {error:.1f} %"
+        print(f"  {row['temperature_k']:.0f} K: {energy}{folded}")
     print(f"written: {output}")
 
 

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from protochain.core.storage import json_text, write_text
@@ -26,7 +27,7 @@ TABLES = ("minima.csv", "populations.csv", "conformers.csv", "energy-rmsd.png")
 def write_search(search: "Search", folder: Path) -> None:
     """Write the tables, structures, ``summary.json`` and ``report.html``; the page last, which links them."""
     figure = drawn(search)
-    files = {"minima.csv": search.minima, "energy-rmsd.png": figure}
+    files: dict[str, pd.DataFrame | Figure | str] = {"minima.csv": search.minima, "energy-rmsd.png": figure}
     if len(search.temperatures):
         files |= {"populations.csv": search.populations, "conformers.csv": search.conformers}
     folder.mkdir(parents=True, exist_ok=True)
@@ -34,14 +35,12 @@ def write_search(search: "Search", folder: Path) -> None:
         old.unlink(missing_ok=True)
     save(folder, files)
     (folder / "minima").mkdir(exist_ok=True)
-    for row in search.minima.head(WRITTEN).itertuples():
+    for number, row in enumerate(search.minima.head(WRITTEN).to_dict("records"), 1):
         remarks = [
-            f"MINIMUM {row.minimum} OF A SEARCH BY {search.settings.method.upper()}",
-            f"ENERGY {row.energy_kj_mol:.4f} KJ/MOL, {row.above_lowest_kj_mol:.4f} ABOVE THE LOWEST",
+            f"MINIMUM {number} OF A SEARCH BY {search.settings.method.upper()}",
+            f"ENERGY {row['energy_kj_mol']:.4f} KJ/MOL, {row['above_lowest_kj_mol']:.4f} ABOVE THE LOWEST",
         ]
-        save_structure(
-            search.structure(row.minimum), folder / "minima" / f"minimum-{row.minimum:03d}.pdb", remarks
-        )
+        save_structure(search.structure(number), folder / "minima" / f"minimum-{number:03d}.pdb", remarks)
     record = search.record()
     write_text(folder / "summary.json", json_text(record))
     at_lowest = search.conformers

@@ -1,8 +1,10 @@
 """The energy of one chain over its torsions: descended, and sampled by hybrid Monte Carlo."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -31,6 +33,9 @@ from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import PATIENCE
 from protochain.searching.moves import Moves
+
+if TYPE_CHECKING:
+    from protochain.mechanics.multibody.articulated import Articulated
 
 TRAJECTORY_LENGTH = 20
 """Steps of a trajectory of hybrid Monte Carlo."""
@@ -78,7 +83,7 @@ class Landscape(Value):
     energy: Energy
 
     @classmethod
-    def of(cls, chain: Chain, energy: Energy) -> "Landscape":
+    def of(cls, chain: Chain, energy: Energy) -> Landscape:
         """Fix the root of a chain.
 
         Raises
@@ -148,15 +153,14 @@ class Landscape(Value):
             Of their velocities and choices.
         """
         self._varying.list_at(self.positions(q))
-        evaluations = [0]
+        kt, evaluations = MOLAR_GAS * temperature, [0]
+        bias, own = fixman(kt), chain_potential(self.chain, self._varying)
 
-        def energy(x: Floats) -> tuple[float, Floats]:
+        def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:
             evaluations[0] += 1
-            return self._varying(x)
+            return own(q, factors)
 
-        kt = MOLAR_GAS * temperature
-        bias = fixman(kt)
-        system = System(self.chain.tree, total([chain_potential(self.chain, energy), bias]))
+        system = System(self.chain.tree, total([potential, bias]))
         thermostat = HybridMonteCarlo(kt, TRAJECTORY_LENGTH)
         propagator = Propagator(system, Leapfrog(), thermostat, time_step, kt, seed, False)
         energies = []

@@ -67,7 +67,7 @@ def unique(q: Floats, energy: Floats, period: Floats) -> Integers:
 
 
 def clusters(positions: Sequence[Floats], height: float = ALIKE) -> Integers:
-    """Number, from 1, of the cluster of each of m sets of C-alphas (n, 3), nm, in the order of the first in it.
+    """Number, from 1, of the cluster of each of m sets of C-alphas (n, 3), nm, in order of the first in it.
 
     By average linkage over the RMSD of pairs, superposed; ``height`` in angstrom.
     """

@@ -1,19 +1,27 @@
 """Moves in torsions that lead from one minimum towards another."""
 
+from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from protochain.chain import Chain
-from protochain.core.arrays import Floats, Value
-from protochain.hinges import Hinge
+from protochain.core.arrays import Floats, Value, read_only
 from protochain.structure.sidechains.rotamers import BACKBONE, rotamers
 from protochain.validation.ramachandran import CLASSES, FAVOURED, tables
+
+if TYPE_CHECKING:
+    from protochain.hinges import Hinge
 
 JITTER = np.deg2rad(10.0)
 """Standard deviation of a side chain's dihedral about that of its rotamer: about as wide as their peaks."""
 NONE = -1
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -63,7 +71,7 @@ class Moves(Value):
     others: tuple[int, ...]
 
     @classmethod
-    def of(cls, chain: Chain) -> "Moves":
+    def of(cls, chain: Chain) -> Moves:
         """Sort the hinges of a chain by residue."""
         structure = chain.structure
         names = [str(name) for name in structure.residue_name]
@@ -81,7 +89,7 @@ class Moves(Value):
                 others.append(coordinate)
         residues = []
         for r, its in sorted(by_residue.items()):
-            chi = []
+            chi: list[int] = []
             while (kind := f"chi{len(chi) + 1}") in its:
                 chi.append(its[kind])
             after = names[r + 1] if r + 1 < len(names) else ""
@@ -127,8 +135,8 @@ def moved(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Gen
     kind : str
         ``backbone`` (phi and psi of a residue, from the favoured regions of its Ramachandran plot),
         ``rotamer`` (the chi of one, from its rotamers), ``crankshaft`` (a peptide bond's plane: psi by a turn
-        and the next phi back by as much, which leaves both ends in place to first order), or ``turn`` (one
-        other hinge).
+        and the next phi back by as much, which hardly turns both ends against each other, and shifts them),
+        or ``turn`` (one other hinge).
     q : (n,) float, rad
     size : float, rad
         Standard deviation of the turn of a crankshaft, and of another hinge.
@@ -184,7 +192,7 @@ def _favoured(kind: int) -> tuple[Floats, Floats, Floats]:
     table = tables()[kind]
     i, j = np.nonzero(table >= FAVOURED)
     share = np.cumsum(table[i, j])
-    return -179.0 + 2.0 * i, -179.0 + 2.0 * j, share / share[-1]
+    return read_only(-179.0 + 2.0 * i), read_only(-179.0 + 2.0 * j), read_only(share / share[-1])
 
 
 def _class(name: str, after: str) -> int:
@@ -205,5 +213,5 @@ def _residue(chain: Chain, hinge: Hinge) -> int:
     return int(chain.structure.atom_residue[hinge.atoms[1]])
 
 
-def _one(of: tuple, random: np.random.Generator):  # type: ignore[no-untyped-def, type-arg]
+def _one(of: Sequence[T], random: np.random.Generator) -> T:
     return of[int(random.integers(len(of)))]

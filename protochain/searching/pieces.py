@@ -89,8 +89,9 @@ class State(Protocol):
 class Method(Protocol):
     """A way to search, of one walker: pure functions of a landscape and a state."""
 
-    state: type
-    """Frozen dataclass of arrays and numbers."""
+    @property
+    def state(self) -> type:
+        """Frozen dataclass of arrays and numbers."""
 
     def begin(self, landscape: Landscape) -> tuple[Any, Finding]:
         """State at the start."""

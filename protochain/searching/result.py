@@ -115,8 +115,8 @@ class Search(Value):
     def minima(self) -> pd.DataFrame:
         """The lowest minima, a row each, with their clusters and harmonic free energies.
 
-        ``free_energy_kj_mol`` counts torsions of stiff bonds, as Fixman's potential samples them, at the lowest
-        temperature of the search, ``free_energy_rigid_kj_mol`` those of rigid bonds, whose masses matter; both
+        ``free_energy_kj_mol`` is of stiff bonds, as Fixman's potential samples them, at the lowest
+        temperature of the search, ``free_energy_rigid_kj_mol`` of rigid bonds, whose masses matter; both
         from the lowest minimum, and only of the few lowest.
         """
         import pandas as pd
@@ -168,8 +168,8 @@ class Search(Value):
     def populations(self) -> pd.DataFrame:
         """Of tempering, a row for each temperature: means and their standard errors, by blocks of all walks.
 
-        ``exchanges`` is the share of exchanges accepted with the next temperature; ``slope`` that of the energy
-        histograms of the two, relative to the canonical one, and ``slope_error`` its standard error.
+        ``exchanges`` is the share of exchanges accepted with the next temperature; ``slope`` that of the
+        energy histograms of the two, relative to the canonical one, and ``slope_error`` its standard error.
         """
         import pandas as pd
 
@@ -216,7 +216,7 @@ class Search(Value):
         return conformers.helix(*conformers.backbone(self.chain, q))
 
     def _slope(self, k: int) -> tuple[float, float]:
-        """Slope of the histograms at a temperature and the next, relative to the canonical one, and its error."""
+        """Slope of the histograms at a temperature and the next over the canonical one, and its error."""
         pairs = [warm(each)[:, k : k + 2, 0] for each in self._samples]
         beta = 1.0 / (MOLAR_GAS * self.temperatures[[k, k + 1]])
         wanted = float(beta[0] - beta[1])
@@ -267,6 +267,6 @@ class Search(Value):
 
     def __repr__(self) -> str:
         return (
-            f"<Search of {self.chain.structure.name} by {self.settings.method}: {self.energy:.2f} kJ/mol, lowest "
-            f"of {len(self._unique)} minima by {self.n_evaluations} evaluations>"
+            f"<Search of {self.chain.structure.name} by {self.settings.method}: {self.energy:.2f} kJ/mol, "
+            f"lowest of {len(self._unique)} minima by {self.n_evaluations} evaluations>"
         )
