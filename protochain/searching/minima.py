@@ -19,8 +19,9 @@ by half are not quite symmetrical."""
 ALIKE = 1.0
 """angstrom. C-alpha RMSD at which clusters are cut, on average over their pairs."""
 
-HALF_TURNS = {("PHE", "chi2"), ("TYR", "chi2"), ("ASP", "chi2"), ("GLU", "chi3"), ("ARG", "chi5")}
-"""Torsions after half a turn of which a residue is as it was."""
+HALF_TURNS = {("PHE", "chi2"), ("ASP", "chi2"), ("GLU", "chi3"), ("ARG", "chi5")}
+"""Torsions after half a turn of which a residue is as it was. Not tyrosine's: its hydroxyl then points to the
+other side."""
 
 
 def periods(chain: Chain) -> Floats:

@@ -103,13 +103,16 @@ class Method(Protocol):
 def advance(
     landscape: Landscape, method: Method, state: Any | None, budget: float, seconds: float = SECONDS
 ) -> tuple[Any | None, Finding]:
-    """Take steps until the time or the evaluations of the walker are spent.
+    """Take steps, at least one, until the time or the evaluations of the walker are spent.
 
     What an interrupt has cut short is not a step; the state before it stands.
     """
     began, found = perf_counter(), []
     with threadpool_limits(1, "blas"), held_interrupts() as interrupts:
-        while state is None or (state.n_evaluations < budget and perf_counter() - began < seconds):
+        # At least one: a step may take longer than a piece.
+        while state is None or (
+            state.n_evaluations < budget and not (found and perf_counter() - began >= seconds)
+        ):
             after, its = method.begin(landscape) if state is None else method.step(landscape, state)
             if interrupts:
                 break

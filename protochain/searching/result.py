@@ -33,7 +33,7 @@ LISTED = 200
 FREE = 10
 """Minima, the lowest, of which free energies are known: each takes a Hessian."""
 NAMED = 12
-"""Conformers, the most frequent at the lowest temperature, in tables."""
+"""Conformers, the most frequent, in tables."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +203,7 @@ class Search(Value):
         if not self._samples:
             return pd.DataFrame(columns=["temperature_k", "conformer", "share", "share_error"])
         named = [conformers.names(*conformers.backbone(self.chain, each[:, :, 1:])) for each in self._samples]
-        counted, counts = np.unique(np.concatenate([each[:, 0] for each in named]), return_counts=True)
+        counted, counts = np.unique(np.concatenate([each.ravel() for each in named]), return_counts=True)
         frequent = counted[np.argsort(-counts, kind="stable")][:NAMED]
         rows = []
         for k, temperature in enumerate(self.temperatures):

@@ -51,7 +51,7 @@ def slope(lower: Floats, upper: Floats) -> float:
     energy = energy - energy.mean()
     above = np.concatenate([np.zeros(len(lower)), np.ones(len(upper))])
     width = float(energy.std())
-    if width == 0.0:
+    if width == 0.0 or max(lower) < min(upper) or max(upper) < min(lower):
         return np.nan
     scaled, parameters = energy / width, np.zeros(2)
     design = np.stack([np.ones_like(scaled), scaled], axis=1)
