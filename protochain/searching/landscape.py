@@ -96,12 +96,10 @@ class Landscape(Value):
         fixed = build_chain(
             chain.structure, chain.opened, "fixed", move=chain.move, hydrogen_mass=chain.hydrogen_mass
         )
-        if fixed.n_q != fixed.n_hinges or chain.structure.obstacle.any():
+        if np.sum(fixed.tree.parent < 0) != 1 or chain.structure.obstacle.any():
             raise ProtochainError(
                 f"{name}: a search turns the bonds of one chain; give one, as chains='A', keep='none'"
             )
-        if not fixed.n_hinges:
-            raise ProtochainError(f"{name}: has no hinge that turns; open some")
         return cls(fixed, energy)
 
     @cached_property

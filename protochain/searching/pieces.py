@@ -107,7 +107,7 @@ def advance(
 
     What an interrupt has cut short is not a step; the state before it stands.
     """
-    began, found = perf_counter(), []
+    began, found = perf_counter(), list[Finding]()
     with threadpool_limits(1, "blas"), held_interrupts() as interrupts:
         # At least one: a step may take longer than a piece.
         while state is None or (

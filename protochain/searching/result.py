@@ -45,6 +45,7 @@ class Search(Value):
     landscape : Landscape
         Chain, with a fixed root, and energy.
     settings : SearchSettings
+        What defines it.
     states : tuple of State or None
         Where each walk stands.
     findings : tuple of Finding
@@ -52,6 +53,7 @@ class Search(Value):
     seconds : float
         Of this run.
     interrupted : bool
+        Whether it was stopped before evaluations or time were spent.
     """
 
     landscape: Landscape

@@ -5,7 +5,7 @@ import pytest
 
 import protochain as pc
 from protochain.core.units import MOLAR_GAS
-from protochain.searching.minima import clusters, free_energy, periods, unique
+from protochain.searching.minima import SAME_ENERGY, clusters, free_energy, periods, unique
 
 KT = MOLAR_GAS * 300.0
 
@@ -26,7 +26,7 @@ def test_half_turns_of_what_is_symmetrical_change_nothing():
         q = chain.q0.copy()
         q[chain.tree.q_start[chain.hinge_body[k]]] += np.pi
         rise = abs(energy(pc.pose(chain, q).x)[0] - energy(chain.structure.positions)[0])
-        assert (rise < 1.0) == ((hinge.residue_name, hinge.kind) in half), hinge
+        assert (rise < SAME_ENERGY) == ((hinge.residue_name, hinge.kind) in half), hinge
 
 
 def test_minima_are_told_apart_by_torsions_and_energy():

@@ -230,6 +230,3 @@ def test_only_one_chain_by_itself_is_searched():
     two = pc.load("structures/3i40.pdb")
     with pytest.raises(pc.ProtochainError, match="one chain"):
         pc.search(two, evaluations=10)
-    alone = pc.build_chain(pc.from_sequence("GG"), "chi")
-    with pytest.raises(pc.ProtochainError, match="no hinge"):
-        pc.search(alone, evaluations=10)
