@@ -123,10 +123,10 @@ def checks(quick: bool) -> Iterator[Check]:
     source = "2 A sin f + pi k A cos f = D, k A w cos f"
     # Blows take time, which they have not in the closed form; and the motion begins beside it.
     bound = 0.02 if quick else 0.003
-    yield check(
-        "speed between blows, without drag, m/s", float(np.median(np.abs(last))), speed, bound, source
-    )
-    yield check("share of the time to and fro", float(np.mean(last > 0.0)), 0.5, 0.02, "two blows alike")
+    found = float(np.median(np.abs(last)))
+    yield check("speed between blows, without drag, m/s", found, speed, bound, source)
+    # Of 41 rows.
+    yield check("share of the time to and fro", float(np.mean(last > 0.0)), 0.5, 0.05, "two blows alike")
 
 
 def rattling(quick: bool) -> pd.DataFrame:
