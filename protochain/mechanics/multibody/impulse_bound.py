@@ -31,7 +31,7 @@ def friction_bound(
     Returns
     -------
     float
-        sqrt(s / w): s the least eigenvalue of W_nn - W_nt W_tt^-1 W_tn, w the largest of W_tt. Infinite
+        Bound sqrt(s / w): s the least eigenvalue of W_nn - W_nt W_tt^-1 W_tn, w the largest of W_tt. Infinite
         without points; 0, which says nothing, where impulses of points depend on each other.
 
     Raises
