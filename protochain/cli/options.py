@@ -21,6 +21,7 @@ from protochain.core.settings import Made, Setting, settings_of
 from protochain.dynamics.settings import RunSettings, SimulationSettings
 from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.relaxation.settings import RelaxSettings
+from protochain.searching.settings import SearchRunSettings, SearchSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -195,7 +196,10 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
 
 RENAMED = {"between": "pull"} | {
     name: its.column(name)
-    for kind in (Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings)
+    for kind in (
+        *(Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings),
+        *(SearchSettings, SearchRunSettings),
+    )
     for name, its in settings_of(kind)
     if its.option
 }

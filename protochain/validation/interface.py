@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.checks import checked, file_name, instance, optional, text
+from protochain.core.checks import checked, file_name, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.graph import both_ways
 from protochain.core.markup import facts
@@ -20,7 +20,7 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.decomposed import TERMS, interaction
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.native import NativeEnergy
-from protochain.energies.protocol import Energy, check_is_of
+from protochain.energies.protocol import Energy, an_energy, check_is_of
 from protochain.structure.confidences import Confidence, confidence_files, confidence_in
 from protochain.structure.convert import as_structure, to_mdtraj
 from protochain.structure.model import Structure
@@ -155,7 +155,7 @@ class Interface(Value):
 
 @checked(
     first=text, second=text, forcefield=file_name, solvent=text,
-    energy=optional(instance(Energy, "protochain.energy(structure)")),
+    energy=optional(an_energy),
 )  # fmt: skip
 def score_interface(
     source: Any,
