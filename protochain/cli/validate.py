@@ -83,7 +83,9 @@ def validate(
             "resume": resume,
             "as_json": as_json,
         }
-        raise typer.Exit(_frames(inputs, trajectory, frames, reference, setup, **ways))
+        with of_frames.started_early(setup, workers):
+            status = _frames(inputs, trajectory, frames, reference, setup, **ways)
+        raise typer.Exit(status)
     of_frames.refuse_without(workers=workers, resume=resume, report=report)
 
     outputs = [path for path in (csv, residues, changes) if path]
