@@ -24,7 +24,7 @@ from protochain.minimisers.verdict import Status, verdict
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
-from protochain.relaxation.rounds import Ended, Relaxer, fewest_left, mendable
+from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import RelaxSettings, split
 from protochain.structure import Structure
 from protochain.structure.chirality import atoms_named
@@ -98,7 +98,8 @@ def relax_structure(
     check_dihedrals(energy, "relax")
     first = _repacked(structure, energy, mobile, settings)
     trace = _Trace(watch)
-    relaxer = Relaxer(first, energy, settings.strength, settings.max_iterations, trace, mobile)
+    known: Any = LastKnown(energy)
+    relaxer = Relaxer(first, known, settings.strength, settings.max_iterations, trace, mobile)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with threadpool_limits(1, "blas"):
         done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
@@ -106,7 +107,7 @@ def relax_structure(
     end = fewest_left(done)
     frame = Frame(structure, held_by)
     restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any()
-    value, force = _judged(structure, energy, end, restraint, mobile)
+    value, force = _judged(structure, known, end, restraint, mobile)
     status, message = _verdict(structure, energy, settings, end, force)
     return Relaxation(
         start=structure,
@@ -118,7 +119,9 @@ def relax_structure(
         best=done.index(end),
         status=status,
         message=message,
-        energy_start=_judge(energy)(structure.positions)[0],
+        energy_start=known.at_first(structure.positions)
+        if energy.is_exact
+        else energy.reference(structure.positions)[0],
         energy_end=value,
         rms_force=force,
         judge=NATIVE if energy.is_exact else REFERENCE,

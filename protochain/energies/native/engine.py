@@ -177,7 +177,8 @@ class NativeEnergy:
         before = self._lists
         try:
             evaluation = self._evaluation_at(x)
-            evaluation(x)
+            if not evaluation.was_at(x):
+                evaluation(x)
         finally:
             self._lists = before
         return evaluation.workspace.atoms

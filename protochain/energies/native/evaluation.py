@@ -49,6 +49,8 @@ class Workspace:
         self.parts = np.empty((len(KINDS), CHUNKS))
         self.worth = Worth()
         self.integral, self.slope, self.pull = np.empty((3, len(self.atoms) * W))
+        self.of: Evaluation | None = None
+        """Evaluation whose sums it holds; None while one computes them."""
 
 
 class Evaluation:
@@ -84,6 +86,7 @@ class Evaluation:
     def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind in kJ/mol, and forces (na, 3) in kJ/mol/nm, at x (na, 3) in nm."""
         w = self.workspace
+        w.of = None
         np.copyto(w.x, x)
         asks = self._most > 0 and w.worth.asks(monotonic())
         self._counters[QUIT] = not asks
@@ -98,7 +101,12 @@ class Evaluation:
             tasks, led, waited, took = self._counters[[ALL, LED, WAITED, TOOK]].tolist()
             worked = min(TICK * (took - waited), thread_time() - used)
             w.worth.note(monotonic(), TICK * took, worked, led / tasks)
+        w.of = self
         return dict(zip(KINDS, w.parts.sum(axis=1).tolist(), strict=True)), w.forces.copy()
+
+    def was_at(self, x: Floats) -> bool:
+        """Whether the workspace holds what this evaluation computed at x (na, 3)."""
+        return self.workspace.of is self and np.array_equal(self.workspace.x, x)
 
     def _call_helpers(self, them: Helpers) -> None:
         with self._state:
