@@ -39,7 +39,7 @@ class Simulation:
     freedoms : int
         Number of degrees of freedom, without constraints and without the centre-of-mass motion if that is
         removed.
-    state : State
+    state : protochain.dynamics.State
         Last valid state.
     ending : Ending
         Outcome.
