@@ -38,7 +38,7 @@ def main() -> None:
 
 
 def _rows(job: Any, folder: Path, threads: int) -> Iterator[Any]:
-    """Rows of a job: of frames, which needs no more than they do, or of a structure."""
+    """Rows of a job: jobs of files are settings, others know what they do, and need no more than that."""
     if hasattr(job, "run"):
         return job.run(threads)
     from protochain.batches.task import run
