@@ -11,13 +11,15 @@ import numba
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, floats, read_only
-from protochain.energies.native.evaluate import Layout, lists_of
+from protochain.energies.native.evaluate import Layout, in_order, lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace
+from protochain.energies.native.far import Far, Opening, least_distance
 from protochain.energies.native.halves import halves
 from protochain.energies.native.layout import BORN, ROWS, W, put_positions
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system
+from protochain.energies.native.tree import plant, screened_pairs
 from protochain.energies.openmm_engine import OpenMMEnergy
 
 _SETTINGS: Any = numba.config
@@ -40,6 +42,8 @@ class NativeEnergy:
         The same energy by OpenMM, whose System is compiled.
     threads : int
         Number of threads.
+    opening : Opening, optional
+        How a tree sums what is far; all pairs are summed without.
 
     Raises
     ------
@@ -50,16 +54,18 @@ class NativeEnergy:
     engine = "native"
     is_exact = True
 
-    def __init__(self, by_openmm: OpenMMEnergy, threads: int) -> None:
+    def __init__(self, by_openmm: OpenMMEnergy, threads: int, opening: Opening | None = None) -> None:
         terms = compile_system(by_openmm.system)
         nobody = np.full((terms.n_atoms, 1), -1)
         layout = Layout(terms, nobody, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
         if terms.nonbonded.cutoff < layout.near:
             raise UnsupportedForceError(f"NonbondedForce with a cutoff below {layout.near:.2g} nm")
-        self._set(by_openmm, threads, layout)
+        self._set(by_openmm, threads, layout, opening)
 
-    def _set(self, by_openmm: OpenMMEnergy, threads: int, layout: Layout) -> None:
-        self.by_openmm = by_openmm
+    def _set(
+        self, by_openmm: OpenMMEnergy, threads: int, layout: Layout, opening: Opening | None = None
+    ) -> None:
+        self.by_openmm, self.opening = by_openmm, opening
         self.system, self.atoms = by_openmm.system, by_openmm.atoms
         self.forcefield, self.solvent = by_openmm.forcefield, by_openmm.solvent
         self.threads = min(threads, MOST_THREADS)
@@ -73,7 +79,7 @@ class NativeEnergy:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Made anew, without the neighbour lists of earlier evaluations."""
-        given = self.by_openmm, self.threads
+        given = self.by_openmm, self.threads, self.opening
         rigid = None if self._all is None else (self._layout.groups, self._all[3])
         return _remade, (*given, rigid)
 
@@ -283,6 +289,8 @@ class NativeEnergy:
 
     def _evaluation_at(self, x: Floats) -> Evaluation:
         """Evaluation with neighbour lists that are valid at x."""
+        if self.opening is not None:
+            return self._by_tree(x, self.opening)
         if self._lists is None or not self._lists.still_hold(x):
             self._lists = lists_of(self._layout, x)
         last = self._evaluation
@@ -296,12 +304,36 @@ class NativeEnergy:
         assert self._evaluation is not None
         return self._evaluation
 
+    def _by_tree(self, x: Floats, opening: Opening) -> Evaluation:
+        """Evaluation with a tree that is valid at x."""
+        last, was = self._evaluation, self._lists
+        if last is not None and was is not None and last.lists is was and was.still_hold(x):
+            return last
+        at = was.x if was is not None and was.still_hold(x) else x
+        tree = plant(at, opening.angle, least_distance(self._layout))
+        layout = in_order(self._layout, tree.order)
+        lists = replace(lists_of(layout, at[tree.order], tree.near), x=at.copy())
+        workspace = last.workspace if last else Workspace(layout)
+        workspace.atoms[:] = layout.blocks
+        far, fixed = Far(layout, opening, tree), self._constants[1][tree.order]
+        if layout.terms.solvent is not None:
+            born = Evaluation(layout, lists, fixed, workspace, self.threads, far).born_radii(at)
+            screened = screened_pairs(tree, at[tree.order], born, opening.screened)
+            far = replace(far, screened=screened)
+        self._lists = lists
+        self._evaluation = Evaluation(layout, lists, fixed, workspace, self.threads, far)
+        if last:
+            last.dismiss()
+        return self._evaluation
+
     def __repr__(self) -> str:
         return f"<NativeEnergy {self.forcefield}, {self.solvent}: {self.reason}>"
 
 
-def _remade(by_openmm: OpenMMEnergy, threads: int, rigid: tuple[Integers, Floats] | None) -> NativeEnergy:
-    made = NativeEnergy(by_openmm, threads)
+def _remade(
+    by_openmm: OpenMMEnergy, threads: int, opening: Opening | None, rigid: tuple[Integers, Floats] | None
+) -> NativeEnergy:
+    made = NativeEnergy(by_openmm, threads, opening)
     return made if rigid is None else made.without_constants(*rigid)
 
 
