@@ -38,7 +38,7 @@ _SHOWN = 10
 """Residues listed of each structure; the tables have all."""
 
 
-@with_settings(setup="hinges move forcefield solvent engine cutoff threads trust_forcefield")
+@with_settings(setup="hinges move forcefield solvent engine cutoff accuracy threads trust_forcefield")
 def validate(
     inputs: Annotated[
         list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")

@@ -180,7 +180,7 @@ def _polar(
 def screened_sums(
     mine: Share, atoms: Floats, tiles: Integers, rows: np.ndarray, sums: Floats, energies: Floats
 ) -> None:  # fmt: skip
-    """Add by how much 1/f differs from 1/r to energy, forces and 2 dE/dB, in some rows of tiles of far blocks."""
+    """Add by how much 1/f differs from 1/r to energy, forces and 2 dE/dB, in some rows of far tiles."""
     for c in range(*mine):
         begin, end = part(len(tiles), c)
         energy, room = 0.0, np.empty(4 * W)
@@ -213,7 +213,11 @@ def _screened_tile(
             rows[3 * W + j] = r2
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            inverse_f, inverse, qq = inverse_root(rows[j]), inverse_root(rows[3 * W + j]), qi * b[GB_CHARGE * W + j]
+            inverse_f, inverse, qq = (
+                inverse_root(rows[j]),
+                inverse_root(rows[3 * W + j]),
+                qi * b[GB_CHARGE * W + j],
+            )
             energy += qq * (inverse_f - inverse)
             cube = qq * (inverse_f * inverse_f * inverse_f)
             f = cube - 0.25 * cube * rows[W + j] - qq * (inverse * inverse * inverse)

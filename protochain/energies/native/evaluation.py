@@ -86,7 +86,7 @@ class Evaluation:
         far: Far | None = None,
     ) -> None:  # fmt: skip
         self.lists, self.workspace = lists, workspace
-        self._order = far.tree.order if far else None
+        self.order = far.tree.order if far else None
         self._counters = np.zeros(COUNTERS, np.int64)
         self._arguments = arguments(layout, lists, fixed, workspace, far)
         self._most = min(threads, CHUNKS) - 1
@@ -103,10 +103,10 @@ class Evaluation:
     def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind in kJ/mol, and forces (na, 3) in kJ/mol/nm, at x (na, 3) in nm."""
         w = self.workspace
-        if self._order is None:
+        if self.order is None:
             np.copyto(w.x, x)
         else:
-            np.take(x, self._order, axis=0, out=w.x)
+            np.take(x, self.order, axis=0, out=w.x)
         asks = self._most > 0 and w.worth.asks(monotonic())
         self._counters[QUIT] = not asks
         self._runs, used = True, thread_time()
@@ -121,15 +121,19 @@ class Evaluation:
             worked = min(TICK * (took - waited), thread_time() - used)
             w.worth.note(monotonic(), TICK * took, worked, led / tasks)
         forces = w.forces.copy()
-        if self._order is not None:
-            forces[self._order] = w.forces
+        if self.order is not None:
+            forces[self.order] = w.forces
         return dict(zip(KINDS, w.parts.sum(axis=1).tolist(), strict=True)), forces
 
-    def born_radii(self, x: Floats) -> Floats:
-        """(na,) float, nm: Born radii at x, in the order of the layout; it can do nothing else afterwards."""
+    @property
+    def born(self) -> Floats:
+        """(blocks * W,) float, nm: Born radii of the last evaluation, in the order of the layout."""
+        return self.workspace.atoms.reshape(-1, ROWS, W)[:, BORN].ravel()
+
+    def put_born_radii(self, x: Floats) -> None:
+        """Compute Born radii at x alone; it can do nothing else afterwards."""
         self._counters[STEPS] = TO_RADII
         self(x)
-        return self.workspace.atoms.reshape(-1, ROWS, W)[:, BORN].ravel()[: len(x)].copy()
 
     def _call_helpers(self, them: Helpers) -> None:
         with self._state:
@@ -170,8 +174,10 @@ def arguments(
     of_tree = None
     if far is not None:
         touch(writes, far.screened[0])
-        settings, room = far.arguments(), far.room()
-        of_tree = room, _fixed(*far.geometry()), tuple(_fixed(*each) if isinstance(each, tuple) else _fixed(each)[0] for each in settings), _fixed(*far.screened)
+        settings = tuple(
+            _fixed(*each) if isinstance(each, tuple) else _fixed(each)[0] for each in far.arguments()
+        )
+        of_tree = far.room(), _fixed(*far.geometry()), settings, _fixed(*far.screened)
     state = w.x, w.atoms, w.sums, *_fixed(writes), w.parts, w.forces
     pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
     vacuum = *_fixed(layout.lj, layout.lj_type, lists.changing, lists.is_near, layout.block_near), pairwise

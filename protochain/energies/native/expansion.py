@@ -4,9 +4,9 @@ Of two groups about fixed centres R apart, with moments M_b = sum w e^b / b! and
 
     sum_ij v_i w_j k(r_ij) ~ sum over |a| + |b| <= p of M'_a (-1)^|b| D_(a+b)(R) M_b,
 
-D_n the derivatives of k: Dehnen, J. Comput. Phys. 179:27 (2002); Duan, Krasny, J. Comput. Chem. 22:184 (2001).
-This is symmetric in the two, and a polynomial in their atoms' positions: forces are its gradient, exactly.
-Interactions are computed W at a time, each quantity in one row of W numbers.
+D_n the derivatives of k: Dehnen, J. Comput. Phys. 179:27 (2002); Duan, Krasny, J. Comput. Chem. 22:184
+(2001). This is symmetric in the two, and a polynomial in their atoms' positions: forces are its gradient,
+exactly. Interactions are computed W at a time, each quantity in one row of W numbers.
 """
 
 from functools import cache
@@ -20,8 +20,9 @@ from protochain.energies.native.tree import FIRST, LEFT, PARENT
 
 LARGEST_ORDER = 10
 POWER, ORDER, KIND, FIELD, BEGIN, END = range(6)
-"""Columns of an interaction: s of its kernel r^-s, with a multiple of r^-(s + 2) beside it; order p; kind of charge whose moments it takes; field that it
-adds to; first row of the couples of its order, and that after the last."""
+"""Columns of an interaction: s of its kernel r^-s, with a multiple of r^-(s + 2) beside it; order p; kind
+of charge whose moments it takes; field that it adds to; first row of the couples of its order, and that after
+the last."""
 COUPLE = 2
 """Products added at a time: a row of sums is then read and written half as often."""
 
@@ -42,7 +43,9 @@ def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
     (k, 1 + 2 * COUPLE) int
         The same, COUPLE of one a in a row: a, then b and a + b of each. Row n in place of a b for none.
     """
-    powers = [(i, j, n - i - j) for n in range(order + 1) for i in range(n, -1, -1) for j in range(n - i, -1, -1)]
+    powers = [
+        (i, j, n - i - j) for n in range(order + 1) for i in range(n, -1, -1) for j in range(n - i, -1, -1)
+    ]
     place = {each: row for row, each in enumerate(powers)}
     monomials = []
     for each in powers:
@@ -53,7 +56,9 @@ def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
         (place[a], place[b], place[tuple(np.add(a, b))])
         for degree in range(order + 1) for a in powers for b in powers if sum(a) + sum(b) == degree
     ]  # fmt: skip
-    raised = [[place[tuple(np.add(a, unit))] for unit in np.eye(3, dtype=int)] for a in powers if sum(a) < order]
+    raised = [
+        [place[tuple(np.add(a, unit))] for unit in np.eye(3, dtype=int)] for a in powers if sum(a) < order
+    ]
     couples = []
     for row in range(len(powers)):
         mine = [product[1:] for product in products if product[0] == row]
@@ -185,10 +190,10 @@ def _contract(couples: Integers, moments: Floats, derivatives: Floats, out: Floa
 
 @shared
 def put_moments(
-    mine: Share, atoms: Floats, charges: Floats, first: int, orders: Integers, nodes: Integers, roots: Integers,
-    centre: Floats, tabled: Any, moments: Floats,
+    mine: Share, atoms: Floats, charges: Floats, first: int, orders: Integers, nodes: Integers,
+    roots: Integers, centre: Floats, tabled: Any, moments: Floats,
 ) -> None:  # fmt: skip
-    """Put the moments of the nodes of some chunks, inward: of the kinds from ``first`` on, up to their orders."""
+    """Put the moments of the nodes of some chunks, inward: of kinds from ``first`` on, to their orders."""
     monomials, products, _, _ = tabled
     rows, shifts = np.empty((len(monomials), W)), np.empty(len(monomials))
     for c in range(*mine):
@@ -199,7 +204,9 @@ def put_moments(
                 block_monomials(atoms[block], x, y, z, monomials, rows)
             for k in range(len(orders)):
                 for row in range(n_terms(orders[k])):
-                    moments[node, first + k, row] = dot(charges[block, first + k], rows[row]) if is_leaf else 0.0
+                    moments[node, first + k, row] = (
+                        dot(charges[block, first + k], rows[row]) if is_leaf else 0.0
+                    )
             for side in range(0 if is_leaf else 2):
                 child = nodes[node, LEFT + side]
                 put_monomials(
@@ -212,15 +219,16 @@ def put_moments(
 
 @shared
 def put_fields(
-    mine: Share, uses: Integers, seconds: Floats, nodes: Integers, roots: Integers, centre: Floats, start: Integers,
+    mine: Share, interactions: Any, nodes: Integers, roots: Integers, centre: Floats, start: Integers,
     source: Integers, tabled: Any, moments: Floats, fields: Floats,
 ) -> None:  # fmt: skip
     """Put the fields of all that is far about the nodes of some chunks, outward.
 
-    ``uses`` (n, 6) are the interactions, those of one kernel side by side, of falling order, and of one field
-    that of the highest order first; ``seconds`` (n,) the factors of r^-(s + 2).
+    ``interactions`` are their columns (n, 6), those of one kernel side by side, of falling order, and of one
+    field that of the highest order first; and the factors (n,) of r^-(s + 2).
     """
     monomials, products, _, couples = tabled
+    uses, seconds = interactions
     n = len(monomials)
     derivatives, gathered = np.empty((n + 1, W)), np.zeros((n + 1, W))
     sums, powers, at = np.empty((len(uses), n, W)), np.empty((LARGEST_ORDER + 1, W)), np.empty((6, W))
@@ -233,8 +241,8 @@ def put_fields(
                     mine_of[uses[use, FIELD], row] = 0.0
             if start[node] < start[node + 1]:
                 _far_fields(
-                    node, uses, seconds, centre, start, source, monomials, couples, moments, derivatives, gathered, sums,
-                    powers, at, mine_of,
+                    node, uses, seconds, centre, start, source, monomials, couples, moments, derivatives,
+                    gathered, sums, powers, at, mine_of,
                 )  # fmt: skip
             parent = nodes[node, PARENT]
             if parent < 0:
@@ -298,8 +306,8 @@ def _far_fields(
 
 @shared
 def add_potential(
-    mine: Share, atoms: Floats, field: int, order: int, leaves: Integers, centre: Floats, tabled: Any, fields: Floats,
-    values: Floats,
+    mine: Share, atoms: Floats, field: int, order: int, leaves: Integers, centre: Floats, tabled: Any,
+    fields: Floats, values: Floats,
 ) -> None:  # fmt: skip
     """Add a field to ``values`` (blocks * W,) at the atoms of some chunks."""
     monomials, _, _, _ = tabled

@@ -1,9 +1,9 @@
 """What acts far away: charges of the atoms by kind, the fields of their nodes, and what these act on.
 
-Where exp(-r^2 / 4 B B) is negligible, Coulomb and generalised Born are one interaction, q q / (78.5 r): summed
-together, their far field is a 78th of Coulomb's alone. Where it is not, tiles add how 1/f differs from 1/r.
-Born integrals of far atoms are s^3 (c_0 / r^4 + c_1 s^2 / r^6), Lennard-Jones -B / r^6 of atoms whose B are few
-products of two factors.
+Where exp(-r^2 / 4 B B) is negligible, Coulomb and generalised Born are one interaction, q q / (78.5 r):
+summed together, their far field is a 78th of Coulomb's alone. Where it is not, tiles add how 1/f differs from
+1/r. Born integrals of far atoms are s^3 (c_0 / r^4 + c_1 s^2 / r^6), Lennard-Jones -B / r^6 with B as a sum
+of few products of two factors.
 """
 
 from dataclasses import dataclass
@@ -48,15 +48,17 @@ class Opening:
     angle : float
         Two nodes are far if their radii add up to less than this share of their distance.
     order : int
-        Of charges; integrals and dispersion, which fall sooner, have ``lower`` less.
+        Of charges and Born integrals.
     screened : float
         r^2 / (4 B B) up to which f of generalised Born differs from r.
+    lower : int
+        By how much less the order of dispersion is, which falls sooner.
     """
 
     angle: float
     order: int
-    screened: float = 6.0
-    lower: int = 1
+    screened: float = 8.0
+    lower: int = 2
 
 
 def one_kind(terms: Terms) -> bool:
@@ -73,6 +75,30 @@ def least_distance(layout: Layout) -> float:
     solvent = layout.terms.solvent
     s = 0.0 if solvent is None else float(np.abs(solvent.scaled_radius).max())
     return max(_LEAST, layout.near, layout.necked, s / _SMALLEST)
+
+
+FEWEST_BLOCKS = 64
+"""Blocks below which no tree is grown: each chunk needs some."""
+_OPENINGS = (
+    (Opening(0.6, 5), 3e-2, 1.0),
+    (Opening(0.55, 6), 1e-2, 0.3),
+    (Opening(0.47, 6, 8.0), 1e-3, 0.1),
+    (Opening(0.45, 7, 9.0, 3), 3e-4, 0.03),
+    (Opening(0.4, 8, 11.0, 3), 1e-4, 5e-3),
+    (Opening(0.35, 9, 13.0, 3), 2e-5, 1e-3),
+    (Opening(0.3, 10, 16.0, 3), 3e-6, 1e-4),
+)
+"""Openings from quick to accurate, with the least RMS errors of forces in kJ/mol/nm that they are tried for:
+in a solvent, where far charges are screened, and in vacuum."""
+
+
+def openings(accuracy: float, in_solvent: bool) -> list[Opening]:
+    """Return the openings to try for an accuracy, quickest first."""
+    return [
+        opening
+        for opening, solvated, in_vacuum in _OPENINGS
+        if (solvated if in_solvent else in_vacuum) <= accuracy
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +154,7 @@ class Far:
 
     @cached_property
     def charges(self) -> Floats:
-        """(blocks, kinds, W) float: charge; factors of B; what makes integrals, and its rest; dE/d(integral)."""
+        """(blocks, kinds, W) float: charge; factors of B; s^3 c_0 / 2, and its rest; dE/d(integral)."""
         terms = self.layout.terms
         rows = [terms.nonbonded.charge, *self._factors[1][:, terms.nonbonded.lj_type]]
         if terms.solvent is not None:
@@ -149,7 +175,7 @@ class Far:
         (kinds,) int, (1,) int
             Order of each kind of charge, without dE/d(integral); and of that.
         (fields,) int, (fields,) int, (fields, 3) float
-            Kind that each field acts on; its order; factors of force, Lennard-Jones with Coulomb, and polar energy.
+            Kind that each field acts on; its order; factors of force, of energy in vacuum, and polar.
         tuple
             Tables of the expansions.
         """
@@ -166,7 +192,11 @@ class Far:
             # Field of the integrals, on dE/d(integral); fields of that, on what makes integrals.
             first += [(4, high, near, near), (6, _REST, rest, near)]
             second += [(4, high, pull, rest), (6, _REST, pull, pull)]
-            kinds, acts, orders = [*kinds, high, _REST], [*acts, pull, near, rest], [*orders, high, high, _REST]
+            kinds, acts, orders = (
+                [*kinds, high, _REST],
+                [*acts, pull, near, rest],
+                [*orders, high, high, _REST],
+            )
             factors += 3 * [(1.0, 0.0, 0.0)]
         first = sorted(first + dispersion, key=lambda use: (use[0], -use[1]))
         used = sorted({high, low, _REST}, reverse=True)
@@ -174,7 +204,9 @@ class Far:
         ends = dict(zip(used, np.cumsum([len(couples[order]) for order in used]).tolist(), strict=True))
         monomials, products, raised, _ = tables(high)
         uses = [
-            np.array([(*u, ends[u[1]] - len(couples[u[1]]), ends[u[1]]) for u in some], np.int64).reshape(-1, 6)
+            np.array([(*u, ends[u[1]] - len(couples[u[1]]), ends[u[1]]) for u in some], np.int64).reshape(
+                -1, 6
+            )
             for some in (first, second)
         ]
         return (
@@ -191,6 +223,6 @@ class Far:
     @cached_property
     def _mean_square(self) -> float:
         """nm^2. Mean square of the scaled radii, by what they weigh."""
-        assert self.layout.terms.solvent is not None
-        s = np.abs(self.layout.terms.solvent.scaled_radius)
+        solvent = self.layout.terms.solvent
+        s = np.abs(solvent.scaled_radius) if solvent else np.zeros(1)
         return float((s**5).sum() / max((s**3).sum(), 1e-300))

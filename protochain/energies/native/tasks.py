@@ -30,8 +30,8 @@ COUNTERS = 96
 """Length of the array of counters."""
 NEXT, OPEN, DONE, LAST, QUIT, TASKS, STEPS, ALL, LED, WAITED, TOOK = 0, 16, 32, 48, 64, 65, 66, 80, 81, 82, 83
 """Places in it, far apart for the cache: next task to take; tasks opened; done; of all energies so far;
-whether helpers shall leave; tasks of a step, a divisor of CHUNKS; steps to take; of the last energy, its tasks, those
-that the leading thread did, the ticks that it waited, and those that it took."""
+whether helpers shall leave; tasks of a step, a divisor of CHUNKS; steps to take; of the last energy, its
+tasks, those that the leading thread did, the ticks that it waited, and those that it took."""
 _SPINS = 2000
 """Looks at the counters before a waiting thread lets the operating system run others: some 50 us."""
 _PATIENCE = 8000
@@ -175,8 +175,10 @@ def far_moments(mine: Share, atoms: Floats, far: Any) -> None:
 @inlined
 def far_fields(mine: Share, far: Any) -> None:
     """Fields of these."""
-    (_, moments, fields, _), (_, nodes, roots, centre, start, source), (uses, _, _, _, _, _, _, tabled), _ = far
-    expansion.put_fields(mine, *uses, nodes, roots, centre, start, source, tabled, moments, fields)
+    (_, moments, fields, _), (_, nodes, roots, centre, start, source), (uses, _, _, _, _, _, _, tabled), _ = (
+        far
+    )
+    expansion.put_fields(mine, uses, nodes, roots, centre, start, source, tabled, moments, fields)
 
 
 @inlined
@@ -193,17 +195,22 @@ def moments_of_pulls(mine: Share, atoms: Floats, pull: Floats, far: Any) -> None
 @inlined
 def fields_of_pulls(mine: Share, far: Any) -> None:
     """Fields of these."""
-    (_, moments, fields, _), (_, nodes, roots, centre, start, source), (_, uses, _, _, _, _, _, tabled), _ = far
-    expansion.put_fields(mine, *uses, nodes, roots, centre, start, source, tabled, moments, fields)
+    (_, moments, fields, _), (_, nodes, roots, centre, start, source), (_, uses, _, _, _, _, _, tabled), _ = (
+        far
+    )
+    expansion.put_fields(mine, uses, nodes, roots, centre, start, source, tabled, moments, fields)
 
 
 @inlined
 def far_forces(mine: Share, state: Any, far: Any) -> None:
     """Add forces and energies of all fields."""
     x, atoms, _, _, parts, forces = state
-    (charges, _, fields, of_fields), (leaves, _, _, centre, _, _), (_, _, _, _, acts, orders, factors, tabled), _ = (
-        far
-    )
+    (
+        (charges, _, fields, of_fields),
+        (leaves, _, _, centre, _, _),
+        (_, _, _, _, acts, orders, factors, tabled),
+        _,
+    ) = far
     expansion.put_far_forces(
         mine, atoms, charges, orders, acts, factors, leaves, centre, tabled, fields, of_fields,
         parts[NONBONDED : POLAR + 1],

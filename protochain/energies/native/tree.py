@@ -1,8 +1,9 @@
 """A tree over blocks of atoms, and the pairs of its nodes that act as near or far.
 
-Atoms are ordered by recursive bisection of the longest side of their box, so that blocks of W atoms and groups
-of them are compact. Each of the CHUNKS has a tree of its own: what it sums inward and outward needs no other.
-Barnes, Hut, Nature 324:446 (1986); both nodes are opened in turn: Dehnen, J. Comput. Phys. 179:27 (2002).
+Atoms are ordered by recursive bisection of the longest side of their box, so that blocks of W atoms and
+groups of them are compact. Each of the CHUNKS has a tree of its own: what it sums inward and outward needs
+no other. Barnes, Hut, Nature 324:446 (1986); both nodes are opened in turn: Dehnen, J. Comput. Phys. 179:27
+(2002).
 """
 
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from protochain.energies.native.layout import CHUNKS, W, scalar
 from protochain.energies.native.neighbours import SKIN, wider
 
 FIRST, END, LEFT, RIGHT, PARENT = range(5)
-"""Columns of a node: its first block, that after its last; its children, -1 for a leaf; its parent, -1 for a root."""
+"""Columns of a node: first block, that after the last; children, -1 for a leaf; parent, -1 for a root."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +69,20 @@ def plant(x: Floats, opening: float, least: float) -> Tree:
     both = both[np.lexsort((both[:, 1], both[:, 0]))]
     start = np.searchsorted(both[:, 0], np.arange(len(nodes) + 1)).astype(np.int64)
     return Tree(
-        order, nodes, np.append(roots, len(nodes)), centre, radius, start, np.ascontiguousarray(both[:, 1]), near
+        order,
+        nodes,
+        np.append(roots, len(nodes)),
+        centre,
+        radius,
+        start,
+        np.ascontiguousarray(both[:, 1]),
+        near,
     )
 
 
 @scalar
 def _bisected(x: Floats, n_blocks: int) -> tuple[Integers, Integers]:
-    """Order of the atoms, and nodes: halves are bounded by chunks as far as there are several, then by blocks."""
+    """Order of the atoms, and nodes: halves of several chunks are chunks, those of one are blocks."""
     n = len(x)
     order, nodes, count = np.arange(n), np.empty((2 * n_blocks, 5), np.int64), 0
     # Pending: first and last chunk (0, 0 within one), first and last block, parent, whether the right child.
