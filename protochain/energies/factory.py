@@ -154,16 +154,17 @@ def energy(
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
     if terms not in TERMS:
         raise ForceFieldError(f"terms {terms!r} are not known; choose from {', '.join(TERMS)}")
-    if accuracy not in ("auto", "exact") and cutoff not in ("auto", None):
-        raise ForceFieldError(
-            Argument("accuracy"), f" {accuracy:g} is of all pairs; with it, no ", Argument("cutoff")
-        )
-    is_long = cutoff == "auto" and solvent != "vacuum" and structure.n_atoms > defaults.FULL_UP_TO
+    is_free = accuracy == "auto" and cutoff == "auto"
+    if accuracy not in ("auto", "exact") and (cutoff not in ("auto", None) or engine == "openmm"):
+        other = ("the engine of OpenMM",) if engine == "openmm" else ("a ", Argument("cutoff"))
+        raise ForceFieldError(Argument("accuracy"), " is of a tree by the native engine, and not of ", *other)
+    is_long = is_free and solvent != "vacuum" and structure.n_atoms > defaults.FULL_UP_TO
     if accuracy == "auto":
-        by_tree = cutoff == "auto" and structure.n_atoms >= defaults.TREE_FROM
+        fewest = defaults.TREE_FROM_IN_VACUUM if solvent == "vacuum" else defaults.TREE_FROM
+        by_tree = is_free and engine != "openmm" and structure.n_atoms >= fewest
         accuracy = defaults.TREE_ACCURACY if by_tree else "exact"
     if cutoff == "auto":
-        cutoff = defaults.LONG_CUTOFF if is_long and (engine == "openmm" or accuracy == "exact") else None
+        cutoff = defaults.LONG_CUTOFF if is_long and accuracy == "exact" else None
     is_given = system is not None
     if system is None:
         system = build_system(structure, forcefield, solvent, trust_forcefield, cutoff)

@@ -20,7 +20,7 @@ from protochain.energies.native.terms import Terms
 from protochain.energies.native.tree import FIRST, LEFT, Tree
 
 _SMALLEST = 0.15
-"""s / r up to which two terms are the descreening integral, to 5e-5."""
+"""s / r up to which two terms are the descreening integral, to 1.7e-4 of it."""
 _LEAST = 1.0
 """nm. Far atoms are no nearer: r^-12 is negligible, and no pair is bonded."""
 _REST = 2
@@ -80,13 +80,17 @@ def least_distance(layout: Layout) -> float:
 FEWEST_BLOCKS = 64
 """Blocks below which no tree is grown: each chunk needs some."""
 _OPENINGS = (
-    (Opening(0.6, 5), 3e-2, 1.0),
-    (Opening(0.55, 6), 1e-2, 0.3),
-    (Opening(0.47, 6, 8.0), 1e-3, 0.1),
-    (Opening(0.45, 7, 9.0, 3), 3e-4, 0.03),
-    (Opening(0.4, 8, 11.0, 3), 1e-4, 5e-3),
-    (Opening(0.35, 9, 13.0, 3), 2e-5, 1e-3),
-    (Opening(0.3, 10, 16.0, 3), 3e-6, 1e-4),
+    (Opening(0.6, 5, 6.0), 1e-2, 1.0),
+    (Opening(0.5, 5, 7.0), 5e-3, 0.5),
+    (Opening(0.5, 6), 2e-3, 0.2),
+    (Opening(0.47, 6), 1e-3, 0.1),
+    (Opening(0.43, 6), 7e-4, 0.07),
+    (Opening(0.45, 7, 9.0, 3), 5e-4, 0.04),
+    (Opening(0.45, 8, 10.0, 3), 2e-4, 0.01),
+    (Opening(0.4, 8, 10.0, 3), 1e-4, 3e-3),
+    (Opening(0.4, 9, 12.0, 3), 3e-5, 1e-3),
+    (Opening(0.35, 10, 14.0, 3), 1e-5, 1e-4),
+    (Opening(0.3, 10, 16.0, 3), 3e-6, 3e-5),
 )
 """Openings from quick to accurate, with the least RMS errors of forces in kJ/mol/nm that they are tried for:
 in a solvent, where far charges are screened, and in vacuum."""
