@@ -14,7 +14,7 @@ from protochain.core.arrays import Floats, Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
 from protochain.core.interrupts import answering, held_interrupts
 from protochain.core.markup import counted, listed
-from protochain.energies import Energy
+from protochain.energies import Energy, NativeEnergy
 from protochain.frame import Frame
 from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.recipes import check_dihedrals
@@ -187,6 +187,8 @@ def _repacked(
 
 def _judge(energy: Energy) -> Energy:
     """What judges: the native engine, which equals OpenMM's Reference platform, or else that."""
+    if isinstance(energy, NativeEnergy):
+        return energy.exact
     return energy if energy.is_exact else energy.reference
 
 
@@ -197,6 +199,8 @@ def _judged(
     judge = _judge(energy)
     value, forces = judge(end.x) if judge is energy else answering(lambda: judge(end.x))
     space = Cartesian(structure, mobile)
+    if isinstance(energy, NativeEnergy):
+        energy.note_error(end.x, forces)
     total = forces + restraint(end.x)[1]
     return value, space.residual(space.torque(space.place(space.start(end.x)), total))
 
