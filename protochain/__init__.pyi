@@ -42,6 +42,8 @@ from .minimisers.recipes import kcm as kcm
 from .relaxation import Relaxation as Relaxation
 from .relaxation import relax as relax
 from .results.viewer import view as view
+from .searching import Search as Search
+from .searching import search as search
 from .setup import Setup as Setup
 from .structure import Structure as Structure
 from .structure import as_structure as as_structure

@@ -29,12 +29,12 @@ def main() -> None:
     _warm_up()
     _send(results, READY)
 
-    from protochain.batches.frame_tasks import FrameJob
     from protochain.batches.task import run
 
     while True:
         job, folder, threads = jobs.get()
-        for row in job.run(threads) if isinstance(job, FrameJob) else run(job, folder, threads):
+        # Jobs of files are settings; others know what they do.
+        for row in job.run(threads) if hasattr(job, "run") else run(job, folder, threads):
             _send(results, row)
         _send(results, DONE)
 

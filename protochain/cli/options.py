@@ -21,6 +21,7 @@ from protochain.core.settings import Made, Setting, settings_of
 from protochain.dynamics.settings import RunSettings, SimulationSettings
 from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.relaxation.settings import RelaxSettings
+from protochain.searching.settings import SearchRunSettings, SearchSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
@@ -122,6 +123,13 @@ def fail(message: str, status: int = FAILED) -> int:
     return status
 
 
+def print_json(record: Mapping[str, Any]) -> None:
+    """Print one object on one line; null where a number is not finite."""
+    from protochain.core.storage import json_text
+
+    print(json_text(record, None))
+
+
 def named_after(source: Path) -> tuple[str, str]:
     """Return stem and suffix for outputs named after an input."""
     from protochain.structure.files import split_name, suffix_of
@@ -188,7 +196,10 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
 
 RENAMED = {"between": "pull"} | {
     name: its.column(name)
-    for kind in (Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings)
+    for kind in (
+        *(Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings),
+        *(SearchSettings, SearchRunSettings),
+    )
     for name, its in settings_of(kind)
     if its.option
 }

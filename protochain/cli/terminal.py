@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from protochain.core.arrays import Watcher
     from protochain.energies import Energy
     from protochain.minimisers import Recipe
+    from protochain.searching import Search, SearchProgress
     from protochain.structure import Structure
 
 _WIDTH = 80
@@ -28,6 +29,9 @@ _WIDTH = 80
 
 _SHOWN_FAILURES = 10
 """Structures without a result to list; the table and the page have all."""
+
+_SHOWN_MINIMA = 5
+"""Of a search, the lowest; the table and the page have more."""
 
 _LINE_EVERY = 60.0
 """s between lines where there is no terminal."""
@@ -240,6 +244,40 @@ def frames_progress(
     progress = _Progress(name, total, total)
     with progress.bar:
         yield progress.show, progress.say
+
+
+@contextmanager
+def search_progress(name: str) -> Iterator["Callable[[SearchProgress], None]"]:
+    """Show the lowest energy, the acceptance, evaluations and the time left of a search."""
+    progress = _Progress(name, 100, 100)
+
+    def watch(so_far: "SearchProgress") -> None:
+        now = (
+            f"lowest {so_far.lowest:.2f} kJ/mol, {100.0 * so_far.acceptance:.0f} % accepted, "
+            f"{so_far.evaluations} evaluations"
+        )
+        progress.show(100.0 * min(so_far.share, 1.0), now)
+
+    with progress.bar:
+        yield watch
+
+
+def print_search(done: "Search", output: object) -> None:
+    """Print the lowest minima of a search, and the populations of replicas."""
+    print(f"{done.chain.structure.name}: {done.energy:.2f} kJ/mol, the lowest of {len(done.q)} minima")
+    for row in done.minima.head(_SHOWN_MINIMA).to_dict("records"):
+        free = row["free_energy_kj_mol"]
+        told = "" if math.isnan(free) else f", free energy {free:+.2f}"
+        print(
+            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{told}, {row['conformer']}, "
+            f"C-alpha RMSD {_distance(row['ca_rmsd_to_lowest_angstrom'])} angstrom"
+        )
+    for row in done.populations.to_dict("records"):
+        energy = f"{row['energy_kj_mol']:.1f} +- {row['energy_error_kj_mol']:.1f} kJ/mol"
+        share, error = 100.0 * row["helix_share"], 100.0 * row["helix_share_error"]
+        folded = "" if math.isnan(share) else f", helix {share:.1f} +- {error:.1f} %"
+        print(f"  {row['temperature_k']:.0f} K: {energy}{folded}")
+    print(f"written: {output}")
 
 
 @contextmanager

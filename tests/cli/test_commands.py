@@ -71,6 +71,11 @@ COMMANDS = {
         "between": None, "stiffness": 1000.0, "speed": 0.01, "hinge_springs": None, "relax": True,
         "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
     },
+    "search": {
+        "source": None, **OUTPUT, "workers": None, "scheduler": None, "method": "hopping",
+        "temperatures": None, "n_walkers": 4, "n_replicas": 6, "seed": 0, "evaluations": None, "hours": None,
+        "resume": False, "force": False, **AS_JSON, **{k: v for k, v in SETUP.items() if k != "threads"},
+    },
     "modes": {
         "source": None, **OUTPUT, "modes": 20, "to": None, "method": "auto", "temperature": 300.0,
         "amplitude": 1.0, "trajectory": "dcd", "relax": True, **AS_JSON, **SETUP,
@@ -109,17 +114,20 @@ COMMANDS = {
         **{k: v for k, v in SETUP.items() if k not in ("engine", "move")},
     },
     "build": {"sequence": None, **OUTPUT},
+    "schema": {"command": None},
 }  # fmt: skip
 METAVARS = {
     ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
     ("inputs", "relax"): "IN...", ("inputs", "score"): "IN...", ("interface", None): "A,B:C",
     ("rank", None): "COLUMN", ("output", "batch"): "DIR",
     ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
-    ("output", "modes"): "DIR", ("output", "scene"): "DIR", ("name", "scene"): "[NAME]",
+    ("output", "search"): "DIR", ("temperatures", None): "LOW-HIGH", ("output", "modes"): "DIR",
+    ("output", "scene"): "DIR", ("name", "scene"): "[NAME]",
     ("between", None): "A:1:N-A:20:C", ("between", "energy"): "A:1-50,B",
     ("stiffness", "simulate"): "K", ("speed", None): "NM/PS", ("hinge_springs", None): "'KIND K C'",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
+    ("command", "schema"): "[COMMAND]",
     ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40", ("chains", None): "A,B",
     ("ligands", None): "NAME=SDF|MOL2|SMILES",
     **{("trajectory", command): "FRAMES" for command in ("relax", "validate", "energy", "rmsd")},
@@ -132,7 +140,7 @@ FLAGS = {
     "hop_temperature": ["--hop"], "curvature": ["--no-curvature"], "n_steps": ["--steps"],
     "between": ["--pull"], "speed": ["--pull-speed"], "hinge_springs": ["--hinge-spring"],
     ("between", "energy"): ["--between"], ("stiffness", "simulate"): ["--pull-stiffness"],
-    "terms": ["--energy"],
+    "terms": ["--energy"], "n_walkers": ["--walkers"], "n_replicas": ["--replicas"],
 }  # fmt: skip
 SECONDARY = {
     "relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"],
@@ -144,6 +152,7 @@ ARGUMENTS = {
     ("reference", "rmsd"),
     ("models", None),
     ("name", None),
+    ("command", None),
     ("sequence", None),
 }
 
@@ -460,6 +469,7 @@ READ = {
     "compare": {"source": "{0}", "reference": "--reference {0}", "forcefield": "--forcefield amber14,{0}"},
     "batch": {"inputs": "{0}", "manifest": "--manifest {0}", "forcefield": "--forcefield amber14,{0}"},
     "simulate": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
+    "search": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "modes": {"source": "{0}", "to": "--to {0}", "forcefield": "--forcefield amber14,{0}"},
     "validate": {"inputs": "{0}", "reference": "--reference {0}"},
     "score": {"inputs": "{0}", "forcefield": "--forcefield amber14,{0}"},
@@ -480,6 +490,7 @@ WRITTEN = {
     "compare": {"output": ("--force -o d", "d/in.kcm.pdb", "d/in.start.cif", "d/summary.csv")},
     "batch": {"output": ("-o d", "d/summary.csv", "d/traces.csv", "d/report.html")},
     "simulate": {"output": ("--force -o d", "d/last.pdb", "d/log.csv", "d/trajectory.dcd")},
+    "search": {"output": ("--force -o d", "d/summary.json", "d/report.html")},
     "modes": {"output": ("-o d", "d/modes.csv", "d/minimum.pdb", "d/mode-1.dcd", "d/report.html")},
     "validate": {
         "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),

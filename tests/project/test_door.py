@@ -83,6 +83,7 @@ REQUIRED = {
     "save": lambda: (S(), "never-written.pdb"),
     "score_interface": lambda: (S(), "resid 1:4", "resid 6:10"),
     "save_ligands": lambda: (S(), "never-written.sdf"),
+    "search": lambda: (C(), vacuum()),
     "simulate": lambda: (C(), vacuum()),
     "solve_mass": lambda: (C(), at(), np.zeros(C().n_v)),
     "to_ase": lambda: (S(), vacuum()),

@@ -1,0 +1,81 @@
+"""``protochain search``."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protochain.cli.options import (
+    CONVERGED,
+    UNCONVERGED,
+    AsJson,
+    Scheduler,
+    check_outputs,
+    inputs_of,
+    named_after,
+    prepare,
+    with_settings,
+)
+from protochain.cli.terminal import print_search, search_progress
+from protochain.core.processors import processors
+from protochain.searching.settings import SearchRunSettings, SearchSettings
+from protochain.setup import Setup
+
+Source = Annotated[
+    Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, or a sequence of one-letter codes.")
+]
+Output = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-search].")
+]
+Workers = Annotated[int | None, typer.Option(help="Processes of one thread [default: all cores].")]
+
+
+@with_settings(setup="threads root")
+def search(
+    source: Source,
+    output: Output = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    as_json: AsJson = False,
+    *,
+    searching: SearchSettings,
+    running: SearchRunSettings,
+    setup: Setup,
+) -> None:
+    """Search for low minima of one chain in torsions, or sample it at several temperatures."""
+    from protochain.searching import search as run
+    from protochain.searching.api import check_folder
+    from protochain.structure import from_sequence
+
+    named = str(source) if is_sequence(source) else named_after(source)[0]
+    output = output or Path(f"{named}-search")
+    check_folder(output, running.resume, running.force)
+    setup = replace(setup, threads=1)
+    if is_sequence(source):
+        structure = from_sequence(str(source))
+        chain, energy = setup.chain(structure), setup.energy(structure)
+    else:
+        check_outputs(inputs_of(setup, source), [output / name for name in ("summary.json", "report.html")])
+        chain, energy, _ = prepare(source, setup)
+    count = workers or min(processors(), searching.n_walkers)
+    with search_progress(named) as watch:
+        done = run(
+            chain, energy, output=output, workers=count, scheduler=scheduler, watch=watch,
+            **vars(running), **vars(searching),
+        )  # fmt: skip
+    if as_json:
+        print((output / "summary.json").read_text())
+    else:
+        print_search(done, output)
+    if done.interrupted:
+        print("protochain: interrupted; --resume goes on", file=sys.stderr)
+    raise typer.Exit(UNCONVERGED if done.interrupted else CONVERGED)
+
+
+def is_sequence(source: Path) -> bool:
+    """Whether the input is no file, but could be one-letter codes."""
+    from protochain.structure.residues import STANDARD
+
+    return not source.exists() and {*str(source)} <= {*STANDARD.values()}

@@ -1,0 +1,4 @@
+from .api import SearchProgress as SearchProgress
+from .api import search as search
+from .result import Search as Search
+from .settings import SearchSettings as SearchSettings

@@ -1,0 +1,373 @@
+"""``search``: the way down to low minima, by pieces in processes, from settings to a folder and a result."""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from time import perf_counter
+from typing import Any
+
+from protochain.articulate import as_chain
+from protochain.batches.cluster import Processes, at_work
+from protochain.batches.supervise import supervise
+from protochain.core import defaults
+from protochain.core.checks import at_least, checked, function, optional, path, text
+from protochain.core.errors import Argument, ProtochainError
+from protochain.core.interrupts import held_interrupts
+from protochain.core.settings import taken
+from protochain.core.storage import check_writable, claimed
+from protochain.energies import as_energy
+from protochain.searching.annealing import Coolings
+from protochain.searching.hopping import Hops
+from protochain.searching.landscape import Landscape
+from protochain.searching.pieces import (
+    SECONDS,
+    Done,
+    Finding,
+    Method,
+    Piece,
+    advance,
+    read_piece,
+    write_piece,
+)
+from protochain.searching.result import Search
+from protochain.searching.settings import SearchRunSettings, SearchSettings
+from protochain.searching.tempering import Replicas
+
+_ATTEMPTS = 3
+"""At a piece whose process ends: memory that ran out may be there the next time."""
+_POLL = 0.2
+"""s between looks whether there was an interrupt."""
+_LONG = 600.0
+"""s. Time for a piece, of which a single step may take long."""
+
+
+@dataclass(frozen=True)
+class SearchProgress:
+    """How far a search is.
+
+    Parameters
+    ----------
+    evaluations : int
+        So far, of all walkers.
+    budget : float
+        In all; infinite where only the time ends it.
+    share : float
+        Of evaluations or of time that is done, whichever is more.
+    lowest : float, kJ/mol
+    acceptance : float
+        Mean over walkers.
+    """
+
+    evaluations: int
+    budget: float
+    share: float
+    lowest: float
+    acceptance: float
+
+
+@checked(
+    output=optional(path), workers=optional(at_least(1)), scheduler=optional(text), watch=function("progress")
+)
+def search(
+    chain: Any,
+    energy: Any = None,
+    method: str = defaults.SEARCH,
+    evaluations: int | None = None,
+    *,
+    hours: float | None = None,
+    temperatures: Any = defaults.SEARCH_TEMPERATURES,
+    n_walkers: int = defaults.N_WALKERS,
+    n_replicas: int = defaults.N_REPLICAS,
+    seed: int = defaults.SEED,
+    output: str | Path | None = None,
+    resume: bool = False,
+    force: bool = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    watch: Callable[[SearchProgress], None] | None = None,
+) -> Search:
+    """Search for low minima of one chain in its torsions, or sample them at several temperatures.
+
+    Parameters
+    ----------
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+        One chain by itself, of which all walks begin; :func:`protochain.from_sequence` makes one.
+    energy : Energy, optional
+        Default: that of :func:`protochain.energy`.
+    method : str
+        ``hopping`` (Metropolis over minima), ``annealing`` (cooled hybrid Monte Carlo, again and again) or
+        ``tempering`` (replica exchange, which also yields populations).
+    evaluations : int, optional
+        Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: 100,000,
+        without end if ``hours`` are given.
+    hours : float, optional
+        Time after which the search ends.
+    temperatures : (float, float) or str, K
+        Lowest and highest, as ``"300-600"``. Hopping takes the lowest.
+    n_walkers : int
+        Independent walks.
+    n_replicas : int
+        Temperatures of each walk of tempering; a pilot places them.
+    seed : int
+        Seed of all random numbers: the same seed gives the same bits, killed or not, on any number of
+        processes.
+    output : path-like, optional
+        Folder for pieces, from which the search can go on, tables, structures, ``summary.json`` and
+        ``report.html``.
+    resume : bool
+        Continue the search in the folder, also with more evaluations.
+    force : bool
+        Replace the search in the folder.
+    workers : int, optional
+        Processes of one thread each. By default all is done in this one.
+    scheduler : str, optional
+        Address of a Dask cluster to use instead, as of :func:`protochain.batch`.
+    watch : callable, optional
+        Called with a :class:`SearchProgress` after every piece.
+
+    Returns
+    -------
+    Search
+        Also after an interrupt: with all pieces that are complete.
+
+    Raises
+    ------
+    ProtochainError
+        If a setting is unknown or out of range, or the input or the folder cannot be used.
+    """
+    given = locals()
+    settings, running = taken(SearchSettings, given), taken(SearchRunSettings, given)
+    folder = None if output is None else Path(output)
+    if folder is None and resume:
+        raise ProtochainError(Argument("resume", True), ": give the folder of the search as output")
+    if folder is not None:
+        check_folder(folder, resume, force)
+    chain = as_chain(chain)
+    landscape = Landscape.of(chain, as_energy(energy, chain.structure))
+    processes = Processes(workers, scheduler, 1, _LONG) if workers or scheduler else None
+    with nullcontext() if folder is None else claimed(folder, "search"):
+        walks = _Walks(landscape, settings, folder, running)
+        began = perf_counter()
+        interrupted = _work(walks, running, processes, watch)
+        if all(state is None for state in walks.states):
+            raise KeyboardInterrupt
+        found = Search(
+            landscape, settings, tuple(walks.states), tuple(map(Finding.joined, walks.found)),
+            perf_counter() - began, interrupted,
+        )  # fmt: skip
+        if folder is not None:
+            with held_interrupts():
+                found.save(folder)
+    return found
+
+
+def method_of(settings: SearchSettings, walker: int) -> Method:
+    """Return the method of a walker."""
+    low, _ = settings.temperatures
+    if settings.method == "hopping":
+        return Hops(low, settings.seed, walker)
+    if settings.method == "annealing":
+        return Coolings(settings.temperatures, settings.seed, walker)
+    return Replicas(settings.temperatures, settings.n_replicas, settings.seed, walker)
+
+
+def check_folder(folder: Path, resume: bool, force: bool) -> None:
+    """Check the output folder before any work is done.
+
+    Raises
+    ------
+    ProtochainError
+        If it holds a search that is neither to be resumed nor, by ``force``, replaced, holds none to resume,
+        or is not writable.
+    """
+    check_writable(folder / "summary.json")
+    is_there = next(_pieces(folder), None) is not None
+    if is_there and not (resume or force):
+        raise ProtochainError(
+            f"{folder}: holds a search; ", Argument("resume", True), " continues it, ",
+            Argument("force", True), " replaces it",
+        )  # fmt: skip
+    if resume and not is_there:
+        raise ProtochainError(f"{folder}: holds no search to resume; leave out ", Argument("resume", True))
+
+
+def _pieces(folder: Path, walker: str = "*") -> Iterator[Path]:
+    return iter(sorted((folder / "pieces").glob(f"walker-{walker}/*.npz")))
+
+
+class _Walks:
+    """States of all walkers and what they found, in memory and, piece by piece, in a folder."""
+
+    def __init__(
+        self, landscape: Landscape, settings: SearchSettings, folder: Path | None, running: SearchRunSettings
+    ) -> None:
+        self.landscape, self.folder = landscape, folder
+        self.methods = tuple(method_of(settings, k) for k in range(settings.n_walkers))
+        self.states: list[Any] = [None] * settings.n_walkers
+        self.found: list[list[Finding]] = [
+            [Finding.none(landscape.chain.n_hinges, settings.n_replicas * (settings.method == "tempering"))]
+            for _ in self.methods
+        ]
+        self.identity = {
+            "search": settings.method,
+            **{name: value for name, value in vars(settings).items() if name != "method"},
+            "temperatures": list(settings.temperatures),
+            "hinges": landscape.chain.opened,
+            "move": landscape.chain.move,
+            "engine": landscape.energy.engine,
+            "system": landscape.energy.fingerprint,
+            "start": hashlib.sha256(landscape.chain.structure.positions.tobytes()).hexdigest(),
+        }
+        self.n_pieces = [0] * settings.n_walkers
+        if folder is not None and running.resume:
+            for walker in range(settings.n_walkers):
+                self._read(folder, walker)
+        elif folder is not None:
+            for piece in _pieces(folder):
+                piece.unlink()
+
+    def _read(self, folder: Path, walker: int) -> None:
+        kind = self.methods[walker].state
+        for number, piece in enumerate(_pieces(folder, str(walker))):
+            if piece != self._path(folder, walker, number):
+                raise ProtochainError(
+                    f"{piece}: the piece before it is missing; put it back, or search again with ",
+                    Argument("force", True),
+                )
+            state, found = read_piece(piece, kind, self.identity)
+            self.states[walker] = state
+            self.found[walker].append(found)
+            self.n_pieces[walker] = number + 1
+
+    @staticmethod
+    def _path(folder: Path, walker: int, number: int) -> Path:
+        return folder / "pieces" / f"walker-{walker}" / f"{number:06d}.npz"
+
+    def take(self, walker: int, state: Any, found: Finding) -> None:
+        """Keep a piece; what is on the disk is complete."""
+        if state is None or state is self.states[walker]:
+            return
+        if self.folder is not None:
+            write_piece(self._path(self.folder, walker, self.n_pieces[walker]), state, found, self.identity)
+        self.states[walker] = state
+        self.found[walker].append(found)
+        self.n_pieces[walker] += 1
+
+    def wants(self, walker: int, budget: float) -> bool:
+        """Whether a walker has evaluations left."""
+        state = self.states[walker]
+        return state is None or state.n_evaluations < budget
+
+    def progress(self, budget: float, share_of_time: float) -> SearchProgress:
+        """How far all of them are."""
+        known = [state for state in self.states if state is not None]
+        done = sum(state.n_evaluations for state in known)
+        energies = [each.minima[:, 1].min() for its in self.found for each in its if len(each.minima)]
+        return SearchProgress(
+            done, budget, max(share_of_time, done / budget), float(min(energies)),
+            sum(state.acceptance for state in known) / len(known),
+        )  # fmt: skip
+
+
+def _work(
+    walks: _Walks,
+    running: SearchRunSettings,
+    processes: Processes | None,
+    watch: Callable[[SearchProgress], None] | None,
+) -> bool:
+    """Do pieces until evaluations or time are spent; return whether it was interrupted."""
+    began, seconds = perf_counter(), 3600.0 * running.hours if running.hours else float("inf")
+    share = running.budget / len(walks.states)
+
+    def left() -> float:
+        return seconds - (perf_counter() - began)
+
+    def take(walker: int, state: Any, found: Finding) -> None:
+        walks.take(walker, state, found)
+        if watch and any(each is not None for each in walks.states):
+            watch(walks.progress(running.budget, (perf_counter() - began) / seconds))
+
+    with held_interrupts() as interrupts:
+        if processes is None:
+            while wanting := [k for k in range(len(walks.states)) if walks.wants(k, share)]:
+                for walker in wanting:
+                    if left() <= 0.0:
+                        return False
+                    span = min(SECONDS, left())
+                    take(
+                        walker,
+                        *advance(walks.landscape, walks.methods[walker], walks.states[walker], share, span),
+                    )
+                    if interrupts:
+                        return True
+            return False
+        with _shared(walks.landscape, walks.methods, walks.folder) as task, at_work(processes) as crew:
+            return _hand_out(walks, task, crew, processes, share, left, take, interrupts)
+
+
+def _hand_out(
+    walks: _Walks,
+    task: Path,
+    crew: Any,
+    processes: Processes,
+    share: float,
+    left: Callable[[], float],
+    take: Callable[[int, Any, Finding], None],
+    interrupts: Sequence[int],
+) -> bool:
+    """Let processes do the pieces, of each walker one after the other; return whether it was interrupted.
+
+    Raises
+    ------
+    ProtochainError
+        If the process of one piece ended several times; those before it are kept.
+    """
+    ended: SimpleQueue[tuple[int, Any]] = SimpleQueue()
+    running: dict[int, Any] = {}
+    failures = [0] * len(walks.states)
+    while True:
+        for walker in range(len(walks.states)):
+            if walker not in running and walks.wants(walker, share) and left() > 0.0:
+                piece = Piece(task, walker, walks.states[walker], share)
+                future = crew.submit(supervise, piece, task.parent, processes.threads, processes.time_limit)
+                running[walker] = future  # Dask gives up what nobody holds.
+                future.add_done_callback(lambda future, walker=walker: ended.put((walker, future)))
+        if not running:
+            return False
+        while True:
+            if interrupts:
+                return True
+            try:
+                walker, future = ended.get(timeout=_POLL)
+                break
+            except Empty:
+                continue
+        del running[walker]
+        rows: list[Done] = future.result()
+        (done,) = rows
+        if done.found is not None:
+            failures[walker] = 0
+            take(walker, done.state, done.found)
+        elif failures[walker] + 1 >= _ATTEMPTS:
+            raise ProtochainError(
+                f"walker {walker}: {done.message}; what was found before is in the folder, ",
+                Argument("resume", True), " goes on",
+            )  # fmt: skip
+        else:
+            failures[walker] += 1
+
+
+@contextmanager
+def _shared(landscape: Landscape, methods: Sequence[Method], folder: Path | None) -> Iterator[Path]:
+    """File of what all processes need, for as long as they do."""
+    with tempfile.TemporaryDirectory(prefix=".search-", dir=folder) as own:
+        task = Path(own).absolute() / "task.pickle"
+        task.write_bytes(pickle.dumps((landscape, tuple(methods))))
+        yield task

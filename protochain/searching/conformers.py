@@ -1,0 +1,57 @@
+"""What the backbone's torsions look like: regions of its residues, and helix."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.chain import Chain
+from protochain.core.arrays import Floats
+from protochain.searching.moves import NONE, Moves
+from protochain.structure.build import PROLINE_PHI
+
+REGIONS = "ABL"
+"""Alpha (phi < 0, psi from -150 to 60 degrees), beta and polyproline II (other psi), left (phi >= 0)."""
+
+_HELIX = (-100.0, -30.0), (-67.0, -7.0)
+"""Degrees of phi and psi of a residue in a helix, if its neighbours are in it: three in a row (Best, Hummer,
+J. Phys. Chem. B 113:9004, 2009)."""
+
+
+def backbone(chain: Chain, q: Floats) -> tuple[Floats, Floats]:
+    """Phi and psi, degrees, (..., r) of the residues between others, at torsions (..., n)."""
+    residues = [each for each in Moves.of(chain).residues if each.psi != NONE and not each.is_last]
+    residues = [each for each in residues if each.phi != NONE or each.name == "PRO"]
+    phi = [
+        np.rad2deg(q[..., each.phi]) if each.phi != NONE else np.full(q.shape[:-1], PROLINE_PHI)
+        for each in residues
+    ]
+    psi = [np.rad2deg(q[..., each.psi]) for each in residues]
+    shape = (*q.shape[:-1], len(residues))
+    return np.stack(phi, axis=-1) if phi else np.empty(shape), np.stack(psi, axis=-1) if psi else np.empty(
+        shape
+    )
+
+
+def regions(phi: Floats, psi: Floats) -> NDArray[np.int64]:
+    """Region of each residue, as an index of ``REGIONS``."""
+    alpha = (psi > -150.0) & (psi <= 60.0)
+    return np.where(phi >= 0.0, 2, np.where(alpha, 0, 1))
+
+
+def names(phi: Floats, psi: Floats) -> NDArray[np.str_]:
+    """Regions of all residues in a row, as ``BAAB``: phi and psi (..., r) -> (...)."""
+    letters = np.array([*REGIONS])[regions(phi, psi)]
+    joined = np.array(["".join(row) for row in letters.reshape(-1, letters.shape[-1])], dtype=object)
+    return joined.reshape(letters.shape[:-1])
+
+
+def helix(phi: Floats, psi: Floats) -> Floats:
+    """Share of the residues in a helix: phi and psi (..., r) -> (...). NaN of fewer than three residues."""
+    (a, b), (c, d) = _HELIX
+    here = (phi >= a) & (phi <= b) & (psi >= c) & (psi <= d)
+    if here.shape[-1] < 3:
+        return np.full(here.shape[:-1], np.nan)
+    three = here[..., :-2] & here[..., 1:-1] & here[..., 2:]
+    inside = np.zeros_like(here)
+    for k in range(3):
+        inside[..., k : here.shape[-1] - 2 + k] |= three
+    return np.asarray(inside.mean(axis=-1))

@@ -1,0 +1,179 @@
+"""The energy of one chain over its torsions: descended, and sampled by hybrid Monte Carlo."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from protochain.articulate import build_chain
+from protochain.chain import Chain, pose
+from protochain.core.arrays import Floats, Value
+from protochain.core.errors import ProtochainError
+from protochain.core.units import MOLAR_GAS
+from protochain.dynamics import (
+    HybridMonteCarlo,
+    Leapfrog,
+    Propagator,
+    State,
+    System,
+    chain_potential,
+    fixman,
+    initial,
+    run,
+    total,
+)
+from protochain.energies import Energy
+from protochain.minimisers.curvature import near_terms
+from protochain.minimisers.loop import run as descend
+from protochain.minimisers.problem import Problem
+from protochain.minimisers.recipes import RECIPES
+from protochain.minimisers.spaces import Torsions
+from protochain.minimisers.stages import PATIENCE
+from protochain.searching.moves import Moves
+
+if TYPE_CHECKING:
+    from protochain.mechanics.multibody.articulated import Articulated
+
+TRAJECTORY_LENGTH = 20
+"""Steps of a trajectory of hybrid Monte Carlo."""
+
+_MOST = 2000
+"""Evaluations of one descent; a tenth is usual from random torsions."""
+
+
+class Descended(NamedTuple):
+    """Where a descent ended: torsions (n,), energy in kJ/mol, and the evaluations that it took."""
+
+    q: Floats
+    energy: float
+    n_evaluations: int
+
+
+class Swept(NamedTuple):
+    """Some trajectories of hybrid Monte Carlo.
+
+    Torsions (n,) at the end, energies (k,) in kJ/mol after each, without Fixman's potential, the share of
+    trajectories accepted, and evaluations.
+    """
+
+    q: Floats
+    energies: Floats
+    accepted: float
+    n_evaluations: int
+
+
+@dataclass(frozen=True, eq=False)
+class Landscape(Value):
+    """Energy of one chain over its torsions, whose root stays where it is.
+
+    A fixed root takes nothing away: the energy knows no place, and with Fixman's potential no mass.
+
+    Parameters
+    ----------
+    chain : Chain
+        Whose coordinates are its torsions and nothing else.
+    energy : Energy
+        With all terms.
+    """
+
+    chain: Chain
+    energy: Energy
+
+    @classmethod
+    def of(cls, chain: Chain, energy: Energy) -> Landscape:
+        """Fix the root of a chain.
+
+        Raises
+        ------
+        ProtochainError
+            If there are several chains or molecules, whose places among each other are freedoms too, or if
+            the energy depends on the place.
+        """
+        name = chain.structure.name
+        fixed = build_chain(
+            chain.structure, chain.opened, "fixed", move=chain.move, hydrogen_mass=chain.hydrogen_mass
+        )
+        if np.sum(fixed.tree.parent < 0) != 1 or chain.structure.obstacle.any():
+            raise ProtochainError(
+                f"{name}: a search turns the bonds of one chain; give one, as chains='A', keep='none'"
+            )
+        return cls(fixed, energy)
+
+    @cached_property
+    def _varying(self) -> Energy:
+        return self.energy.without_constants(self.chain.rigid_groups, self.chain.structure.positions)
+
+    @cached_property
+    def _space(self) -> Torsions:
+        return Torsions(self.chain, near_terms(self.energy))
+
+    @cached_property
+    def constant(self) -> float:
+        """Energy, kJ/mol, of the terms that turning hinges leaves as they are."""
+        x = pose(self.chain, self.chain.q0).x
+        return self.energy(x)[0] - self._varying(x)[0]
+
+    @cached_property
+    def moves(self) -> Moves:
+        """What its torsions allow."""
+        return Moves.of(self.chain)
+
+    def positions(self, q: Floats) -> Floats:
+        """Positions (na, 3), nm, at torsions (n,)."""
+        return pose(self.chain, q).x
+
+    def minimise(self, q: Floats, tolerance: float = 0.1) -> Descended:
+        """Descend by L-BFGS to a largest torque, kJ/mol/rad, from torsions (n,), which may overlap."""
+        # Sums have an order that neighbour lists set: it must not depend on what was evaluated before.
+        self._varying.list_at(self.positions(q))
+        problem = Problem(self._space, self._varying, _MOST)
+        method = RECIPES["lbfgs"].runs[0].method
+        descend(problem, method, q, tolerance, PATIENCE, lambda at: None)
+        best = problem.best
+        if best is None or not best.is_finite:
+            return Descended(q, np.inf, problem.n_evaluations)
+        return Descended(_wrapped(best.q), best.energy + self.constant, problem.n_evaluations)
+
+    def sweep(self, q: Floats, temperature: float, time_step: float, n_trajectories: int, seed: int) -> Swept:
+        """Sample torsions from exp(-E/kT) by trajectories with Fixman's potential.
+
+        Parameters
+        ----------
+        q : (n,) float, rad
+            Where to begin.
+        temperature : float, K
+        time_step : float, ps
+        n_trajectories : int
+        seed : int
+            Of their velocities and choices.
+        """
+        self._varying.list_at(self.positions(q))
+        kt, evaluations = MOLAR_GAS * temperature, [0]
+        bias, own = fixman(kt), chain_potential(self.chain, self._varying)
+
+        def potential(q: Floats, factors: Articulated) -> tuple[float, Floats]:
+            evaluations[0] += 1
+            return own(q, factors)
+
+        system = System(self.chain.tree, total([potential, bias]))
+        thermostat = HybridMonteCarlo(kt, TRAJECTORY_LENGTH)
+        propagator = Propagator(system, Leapfrog(), thermostat, time_step, kt, seed, False)
+        energies = []
+
+        def note(state: State) -> None:
+            at = state.at
+            energies.append(at.potential - bias(at.q, at.factors)[0] + self.constant)
+
+        n_steps = n_trajectories * TRAJECTORY_LENGTH
+        state, _, _ = run(propagator, initial(propagator, q), n_steps, TRAJECTORY_LENGTH, note)
+        _, accepted, tried, _ = state.bath.memory[:4]
+        share = float(accepted / max(tried, 1.0))
+        return Swept(_wrapped(state.at.q), np.array(energies), share, evaluations[0])
+
+
+def _wrapped(q: Floats) -> Floats:
+    """Torsions from -pi to pi."""
+    return np.asarray(q - 2.0 * np.pi * np.rint(q / (2.0 * np.pi)))

@@ -1,0 +1,109 @@
+"""Minima that a search found: which are the same, which are alike, and how free they are."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+
+from protochain.chain import Chain
+from protochain.core.arrays import Floats, Integers
+from protochain.core.units import MOLAR_GAS
+from protochain.structure.superpose import rmsd_angstrom
+
+SAME_ENERGY, SAME_TORSION = 0.5, 0.2
+"""kJ/mol, and rad of the torsion that differs most, within which two minima are one: a descent ends where
+torques are 0.1 kJ/mol/rad, a hundredth of a radian from the minimum along soft torsions, and rings that turn
+by half are not quite symmetrical."""
+
+ALIKE = 1.0
+"""angstrom. C-alpha RMSD at which clusters are cut, on average over their pairs."""
+
+HALF_TURNS = {("PHE", "chi2"), ("ASP", "chi2"), ("GLU", "chi3"), ("ARG", "chi5")}
+"""Torsions after half a turn of which a residue is as it was. Not tyrosine's: its hydroxyl then points to the
+other side."""
+
+
+def periods(chain: Chain) -> Floats:
+    """(n,) float, rad: turn of each coordinate that changes nothing."""
+    period = np.full(chain.n_q, 2.0 * np.pi)
+    for hinge, coordinate in zip(chain.hinges, chain.tree.q_start[chain.hinge_body], strict=True):
+        # psi of the last residue turns a carboxylate.
+        of_carboxylate = hinge.kind == "psi" and chain.structure.atom_name[hinge.atoms[3]] == "O"
+        if of_carboxylate or (hinge.residue_name, hinge.kind) in HALF_TURNS:
+            period[coordinate] = np.pi
+    return period
+
+
+def farthest(q: Floats, other: Floats, period: Floats) -> Floats:
+    """Difference, rad, of the torsion that differs most; q (..., n) and other (..., n)."""
+    away = q - other
+    return np.asarray(np.max(np.abs(away - period * np.rint(away / period)), axis=-1))
+
+
+def unique(q: Floats, energy: Floats, period: Floats) -> Integers:
+    """Which minima differ from all lower ones, the lowest first.
+
+    Parameters
+    ----------
+    q : (m, n) float, rad
+    energy : (m,) float, kJ/mol
+    period : (n,) float, rad
+
+    Returns
+    -------
+    (k,) int
+    """
+    kept: list[int] = []
+    first = 0
+    for k in np.argsort(energy, kind="stable").tolist():
+        if not np.isfinite(energy[k]):
+            break
+        while first < len(kept) and energy[kept[first]] < energy[k] - SAME_ENERGY:
+            first += 1
+        near = kept[first:]
+        if not near or np.min(farthest(q[near], q[k], period)) > SAME_TORSION:
+            kept.append(k)
+    return np.array(kept, dtype=np.int64)
+
+
+def clusters(positions: Sequence[Floats], height: float = ALIKE) -> Integers:
+    """Number, from 1, of the cluster of each of m sets of C-alphas (n, 3), nm, in order of the first in it.
+
+    By average linkage over the RMSD of pairs, superposed; ``height`` in angstrom.
+    """
+    m = len(positions)
+    if m < 2:
+        return np.ones(m, dtype=np.int64)
+    away = np.zeros((m, m))
+    for i in range(m):
+        for j in range(i):
+            away[i, j] = away[j, i] = rmsd_angstrom(positions[i], positions[j])
+    found = fcluster(linkage(squareform(away, checks=False), "average"), height, "distance")
+    _, first = np.unique(found, return_index=True)
+    renamed = {int(found[k]): number for number, k in enumerate(sorted(first.tolist()), 1)}
+    return np.array([renamed[int(each)] for each in found], dtype=np.int64)
+
+
+def free_energy(energy: float, hessian: Floats, temperature: float, log_det_mass: float = 0.0) -> float:
+    """Free energy of a minimum in the harmonic way, kJ/mol.
+
+    Parameters
+    ----------
+    energy : float, kJ/mol
+    hessian : (n, n) float, kJ/mol/rad^2
+    temperature : float, K
+    log_det_mass : float
+        Of the mass matrix, amu nm^2, for rigid bonds and angles; without it for stiff ones, which is what
+        Fixman's potential samples.
+
+    Returns
+    -------
+    float
+        E + kT/2 ln det (H / 2 pi kT), and -kT/2 ln det M; up to a constant of the chain. NaN at no minimum.
+    """
+    kt = MOLAR_GAS * temperature
+    sign, log_det = np.linalg.slogdet(hessian / (2.0 * np.pi * kt))
+    if sign <= 0.0 or np.linalg.eigvalsh(hessian)[0] <= 0.0:
+        return np.nan
+    return float(energy + 0.5 * kt * (log_det - log_det_mass))

@@ -1,0 +1,217 @@
+"""Moves in torsions that lead from one minimum towards another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+
+from protochain.chain import Chain
+from protochain.core.arrays import Floats, Value, read_only
+from protochain.structure.sidechains.rotamers import BACKBONE, rotamers
+from protochain.validation.ramachandran import CLASSES, FAVOURED, tables
+
+if TYPE_CHECKING:
+    from protochain.hinges import Hinge
+
+JITTER = np.deg2rad(10.0)
+"""Standard deviation of a side chain's dihedral about that of its rotamer: about as wide as their peaks."""
+NONE = -1
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Residue:
+    """Coordinates of the torsions of one residue.
+
+    Parameters
+    ----------
+    name : str
+    kind : int
+        Index of its class in ``ramachandran.CLASSES``.
+    hand : float
+        1, or -1 of a D-amino acid.
+    phi, psi : int
+        ``NONE`` where it does not turn.
+    chi : tuple of int
+        From chi1 outwards, as far as they turn.
+    is_last : bool
+        Whether psi is that of a carboxylate, by its first oxygen.
+    """
+
+    name: str
+    kind: int
+    hand: float
+    phi: int = NONE
+    psi: int = NONE
+    chi: tuple[int, ...] = ()
+    is_last: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Moves(Value):
+    """What a chain's torsions allow.
+
+    Parameters
+    ----------
+    residues : tuple of Residue
+        Those of which anything turns, in the order of the sequence.
+    flips : tuple of (int, int)
+        Coordinates of psi of a residue and phi of the next, on either side of a peptide bond.
+    others : tuple of int
+        Coordinates of all hinges that are neither phi, psi nor chi.
+    """
+
+    residues: tuple[Residue, ...]
+    flips: tuple[tuple[int, int], ...]
+    others: tuple[int, ...]
+
+    @classmethod
+    def of(cls, chain: Chain) -> Moves:
+        """Sort the hinges of a chain by residue."""
+        structure = chain.structure
+        names = [str(name) for name in structure.residue_name]
+        by_residue: dict[int, dict[str, int]] = {}
+        others, last_ones = [], set()
+        for hinge, coordinate in zip(
+            chain.hinges, chain.tree.q_start[chain.hinge_body].tolist(), strict=True
+        ):
+            if hinge.kind in ("phi", "psi") or hinge.kind.startswith("chi"):
+                r = _residue(chain, hinge)
+                by_residue.setdefault(r, {})[hinge.kind] = coordinate
+                if hinge.kind == "psi" and structure.atom_name[hinge.atoms[3]] == "O":
+                    last_ones.add(r)
+            else:
+                others.append(coordinate)
+        residues = []
+        for r, its in sorted(by_residue.items()):
+            chi: list[int] = []
+            while (kind := f"chi{len(chi) + 1}") in its:
+                chi.append(its[kind])
+            after = names[r + 1] if r + 1 < len(names) else ""
+            hand = -1.0 if structure.mirrored[r] else 1.0
+            own = its.get("phi", NONE), its.get("psi", NONE)
+            last = r in last_ones
+            residues.append(Residue(names[r], _class(names[r], after), hand, *own, tuple(chi), last))
+        flips = tuple(
+            (its["psi"], by_residue[r + 1]["phi"])
+            for r, its in sorted(by_residue.items())
+            if "psi" in its and "phi" in by_residue.get(r + 1, {})
+        )
+        return cls(tuple(residues), flips, tuple(others))
+
+    @cached_property
+    def kinds(self) -> tuple[str, ...]:
+        """Moves that the chain has."""
+        known = {
+            "backbone": self.with_backbone,
+            "rotamer": self.with_chi,
+            "crankshaft": self.flips,
+            "turn": self.others,
+        }
+        return tuple(kind for kind, its in known.items() if its)
+
+    @cached_property
+    def with_backbone(self) -> tuple[Residue, ...]:
+        """Residues whose phi or psi turns."""
+        return tuple(each for each in self.residues if max(each.phi, each.psi) >= 0)
+
+    @cached_property
+    def with_chi(self) -> tuple[Residue, ...]:
+        """Residues whose side chain turns."""
+        return tuple(each for each in self.residues if each.chi)
+
+
+def moved(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Generator) -> Floats:
+    """Torsions (n,) after a move of this kind at a place drawn at random.
+
+    Parameters
+    ----------
+    moves : Moves
+    kind : str
+        ``backbone`` (phi and psi of a residue, from the favoured regions of its Ramachandran plot),
+        ``rotamer`` (the chi of one, from its rotamers), ``crankshaft`` (a peptide bond's plane: psi by a turn
+        and the next phi back by as much, which hardly turns both ends against each other, and shifts them),
+        or ``turn`` (one other hinge).
+    q : (n,) float, rad
+    size : float, rad
+        Standard deviation of the turn of a crankshaft, and of another hinge.
+    random : Generator
+    """
+    q = q.copy()
+    if kind == "backbone":
+        residue = _one(moves.with_backbone, random)
+        for coordinate, angle in zip((residue.phi, residue.psi), backbone(residue, random), strict=True):
+            if coordinate != NONE:
+                q[coordinate] = angle
+    elif kind == "rotamer":
+        residue = _one(moves.with_chi, random)
+        q[list(residue.chi)] = side_chain(residue, q, random)
+    elif kind == "crankshaft":
+        psi, phi = _one(moves.flips, random)
+        turn = random.normal(scale=size)
+        q[psi] += turn
+        q[phi] -= turn
+    else:
+        q[_one(moves.others, random)] += random.normal(scale=size)
+    return q
+
+
+def backbone(residue: Residue, random: np.random.Generator) -> tuple[float, float]:
+    """Phi and psi, rad, from the favoured regions of a residue, drawn as often as their score says."""
+    phi, psi, share = _favoured(residue.kind)
+    at = int(np.searchsorted(share, random.random()))
+    within = random.uniform(-1.0, 1.0, 2)
+    return (
+        float(residue.hand * np.deg2rad(phi[at] + within[0])),
+        float(residue.hand * np.deg2rad(psi[at] + within[1])),
+    )
+
+
+def side_chain(residue: Residue, q: Floats, random: np.random.Generator) -> Floats:
+    """Dihedrals of a side chain, rad: a rotamer as often as it occurs at this phi and psi, and near it."""
+    n = len(residue.chi)
+    here = [
+        usual if k == NONE else residue.hand * float(np.rad2deg(q[k]))
+        for k, usual in zip((residue.phi, residue.psi), BACKBONE, strict=True)
+    ]
+    chi, frequency = rotamers(residue.name, *here)
+    if not len(frequency) or chi.shape[1] < n:
+        return random.uniform(-np.pi, np.pi, n)
+    drawn = chi[random.choice(len(frequency), p=frequency), :n]
+    return np.asarray(residue.hand * (drawn + random.normal(scale=JITTER, size=n)))
+
+
+@cache
+def _favoured(kind: int) -> tuple[Floats, Floats, Floats]:
+    """Phi and psi of the favoured points of a class, degrees, and their shares added up."""
+    table = tables()[kind]
+    i, j = np.nonzero(table >= FAVOURED)
+    share = np.cumsum(table[i, j])
+    return read_only(-179.0 + 2.0 * i), read_only(-179.0 + 2.0 * j), read_only(share / share[-1])
+
+
+def _class(name: str, after: str) -> int:
+    """Class of a residue, as of :func:`protochain.validation.ramachandran.ramachandran`; omega is trans."""
+    if name == "GLY":
+        kind = "glycine"
+    elif name == "PRO":
+        kind = "trans_proline"
+    elif after == "PRO":
+        kind = "pre_proline"
+    else:
+        kind = "ile_val" if name in ("ILE", "VAL") else "general"
+    return CLASSES.index(kind)
+
+
+def _residue(chain: Chain, hinge: Hinge) -> int:
+    """Residue of a hinge: of both atoms of its bond."""
+    return int(chain.structure.atom_residue[hinge.atoms[1]])
+
+
+def _one(of: Sequence[T], random: np.random.Generator) -> T:
+    return of[int(random.integers(len(of)))]

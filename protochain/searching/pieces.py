@@ -1,0 +1,197 @@
+"""Pieces of a search: steps of one walker from one state to the next, in a process that may be killed.
+
+A step is a pure function of the state before it, and its random numbers depend on its number alone. So a
+piece that is lost is done again, bit for bit, and where pieces begin and end changes nothing.
+"""
+
+import pickle
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from pathlib import Path
+from time import perf_counter
+from typing import Any, Protocol
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from protochain.core.arrays import Floats, Value, read_only
+from protochain.core.errors import Argument
+from protochain.core.interrupts import held_interrupts
+from protochain.core.storage import read_arrays, undamaged, write_arrays
+from protochain.searching.landscape import Landscape
+
+SECONDS = 5.0
+"""Length of a piece: what a kill may cost. Starting one takes a thousandth of it."""
+_STREAMS = 1 << 16
+"""Streams of random numbers that a walker has, one for each of its replicas and one for itself."""
+
+
+def stream(walker: int, replica: int = -1) -> int:
+    """Stream of random numbers of a walker, or of one of its replicas."""
+    return walker * _STREAMS + replica + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Finding(Value):
+    """What steps of a walker found.
+
+    Parameters
+    ----------
+    minima : (m, n + 2) float
+        Of each descent: evaluations of the walker by then, energy in kJ/mol, torsions.
+    samples : (k, r, n + 1) float
+        Of each round of replicas: energy in kJ/mol and torsions at each temperature.
+    """
+
+    minima: Floats
+    samples: Floats
+
+    @classmethod
+    def none(cls, n: int, r: int = 0) -> "Finding":
+        """Nothing, of n torsions and r replicas."""
+        return cls(np.empty((0, n + 2)), np.empty((0, r, n + 1)))
+
+    @classmethod
+    def minimum(cls, q: Floats, energy: float, n_evaluations: int, r: int = 0) -> "Finding":
+        """One minimum."""
+        return cls(np.array([[n_evaluations, energy, *q]]), np.empty((0, r, len(q) + 1)))
+
+    @classmethod
+    def joined(cls, parts: "Sequence[Finding]") -> "Finding":
+        """One after the other."""
+        return cls(
+            read_only(np.concatenate([each.minima for each in parts])),
+            read_only(np.concatenate([each.samples for each in parts])),
+        )
+
+
+class State(Protocol):
+    """Where a walker is."""
+
+    @property
+    def n_done(self) -> int:
+        """Steps so far."""
+
+    @property
+    def n_evaluations(self) -> int:
+        """Evaluations so far."""
+
+    @property
+    def energy(self) -> Any:
+        """Energy, or those of replicas, kJ/mol."""
+
+    @property
+    def acceptance(self) -> float:
+        """Share of what was proposed that was accepted."""
+
+
+class Method(Protocol):
+    """A way to search, of one walker: pure functions of a landscape and a state."""
+
+    @property
+    def state(self) -> type:
+        """Frozen dataclass of arrays and numbers."""
+
+    def begin(self, landscape: Landscape) -> tuple[Any, Finding]:
+        """State at the start."""
+
+    def step(self, landscape: Landscape, state: Any) -> tuple[Any, Finding]:
+        """State one step later."""
+
+
+def advance(
+    landscape: Landscape, method: Method, state: Any | None, budget: float, seconds: float = SECONDS
+) -> tuple[Any | None, Finding]:
+    """Take steps, at least one, until the time or the evaluations of the walker are spent.
+
+    What an interrupt has cut short is not a step; the state before it stands.
+    """
+    began, found = perf_counter(), list[Finding]()
+    with threadpool_limits(1, "blas"), held_interrupts() as interrupts:
+        # At least one: a step may take longer than a piece.
+        while state is None or (
+            state.n_evaluations < budget and not (found and perf_counter() - began >= seconds)
+        ):
+            after, its = method.begin(landscape) if state is None else method.step(landscape, state)
+            if interrupts:
+                break
+            state = after
+            found.append(its)
+    return state, Finding.joined(found) if found else Finding.none(landscape.chain.n_hinges)
+
+
+@dataclass(frozen=True, eq=False)
+class Done(Value):
+    """A piece as its process sends it; ``message`` says why there is none."""
+
+    walker: int
+    state: Any | None
+    found: Finding | None
+    message: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Piece(Value):
+    """A piece for a process.
+
+    Parameters
+    ----------
+    task : Path
+        Pickled landscape and methods of all walkers.
+    walker : int
+    state : State or None
+        Where it begins; None at the start.
+    budget : float
+        Evaluations of the walker in all.
+    """
+
+    task: Path
+    walker: int
+    state: Any | None
+    budget: float
+
+    def run(self, threads: int) -> Iterator[Done]:
+        """Do it, on one thread."""
+        landscape, methods = _begun(self.task)
+        yield Done(self.walker, *advance(landscape, methods[self.walker], self.state, self.budget))
+
+    def lost(self, done: Sequence[Done], status: str, message: str, seconds: float) -> list[Done]:
+        """Say why there is no more of it."""
+        return [] if done else [Done(self.walker, self.state, None, message)]
+
+
+@lru_cache(maxsize=1)
+def _begun(task: Path) -> tuple[Landscape, tuple[Method, ...]]:
+    landscape, methods = pickle.loads(task.read_bytes())
+    return landscape, methods
+
+
+def write_piece(path: Path, state: Any, found: Finding, settings: Mapping[str, Any]) -> None:
+    """Write the state after a piece, and what it found, atomically."""
+    its = {field.name: getattr(state, field.name) for field in fields(state)}
+    arrays = {f"state_{name}": value for name, value in its.items() if isinstance(value, np.ndarray)}
+    numbers = {name: value for name, value in its.items() if not isinstance(value, np.ndarray)}
+    write_arrays(path, arrays | {"minima": found.minima, "samples": found.samples}, numbers, settings)
+
+
+def read_piece(path: Path, kind: type, settings: Mapping[str, Any]) -> tuple[Any, Finding]:
+    """Read a piece of a search with the same settings.
+
+    Raises
+    ------
+    ProtochainError
+        If the file cannot be read, is damaged, or of another search.
+    """
+    again = "search again with ", Argument("force", True)
+    arrays, numbers = read_arrays(path, settings, "search", *again)
+    with undamaged(path, *again):
+        state = kind(
+            **{
+                name.removeprefix("state_"): read_only(value, value.dtype.type)
+                for name, value in arrays.items()
+                if name.startswith("state_")
+            },
+            **{field.name: numbers[field.name] for field in fields(kind) if field.name in numbers},
+        )
+        return state, Finding(read_only(arrays["minima"]), read_only(arrays["samples"]))

@@ -1,0 +1,274 @@
+"""Result of a search: the minima it found, and what replicas say of populations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from protochain.analysis.hessian import hessian
+from protochain.articulate import build_chain, transferred
+from protochain.chain import log_det_mass, pose
+from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.units import MOLAR_GAS
+from protochain.energies import Energy
+from protochain.searching import conformers
+from protochain.searching.landscape import Landscape
+from protochain.searching.minima import clusters, free_energy, periods, unique
+from protochain.searching.pieces import Finding
+from protochain.searching.settings import SearchSettings
+from protochain.searching.statistics import WARM_UP, blocked, mean_and_error, slope, warm
+from protochain.structure.superpose import rmsd_angstrom
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from protochain.structure import Structure
+
+LISTED = 200
+"""Minima, the lowest, in tables: clusters take the RMSD of all their pairs."""
+FREE = 10
+"""Minima, the lowest, of which free energies are known: each takes a Hessian."""
+NAMED = 12
+"""Conformers, the most frequent, in tables."""
+
+
+@dataclass(frozen=True, eq=False)
+class Search(Value):
+    """Minima of a search, and samples of its replicas.
+
+    Parameters
+    ----------
+    landscape : Landscape
+        Chain, with a fixed root, and energy.
+    settings : SearchSettings
+        What defines it.
+    states : tuple of State or None
+        Where each walk stands.
+    findings : tuple of Finding
+        What each walk found.
+    seconds : float
+        Of this run.
+    interrupted : bool
+        Whether it was stopped before evaluations or time were spent.
+    """
+
+    landscape: Landscape
+    settings: SearchSettings
+    states: tuple[Any, ...]
+    findings: tuple[Finding, ...]
+    seconds: float
+    interrupted: bool
+
+    @property
+    def chain(self) -> Any:
+        """The chain whose hinges turned."""
+        return self.landscape.chain
+
+    @property
+    def energy_function(self) -> Energy:
+        """The energy of all terms."""
+        return self.landscape.energy
+
+    @property
+    def n_evaluations(self) -> int:
+        """Energy evaluations of all walks."""
+        return sum(state.n_evaluations for state in self.states if state is not None)
+
+    @cached_property
+    def _all(self) -> tuple[Integers, Floats]:
+        """Walker of each descent, and all descents, a row each as in :class:`Finding`."""
+        walker = np.repeat(np.arange(len(self.findings)), [len(each.minima) for each in self.findings])
+        return walker, np.concatenate([each.minima for each in self.findings])
+
+    @cached_property
+    def _unique(self) -> Integers:
+        found = self._all[1]
+        return unique(found[:, 2:], found[:, 1], periods(self.chain))
+
+    @property
+    def q(self) -> Floats:
+        """(m, n) float, rad: torsions of the different minima, the lowest first."""
+        return np.asarray(self._all[1][self._unique, 2:])
+
+    @property
+    def energies(self) -> Floats:
+        """(m,) float, kJ/mol: energies of the different minima, the lowest first."""
+        return np.asarray(self._all[1][self._unique, 1])
+
+    @property
+    def energy(self) -> float:
+        """Lowest energy, kJ/mol."""
+        return float(self.energies[0])
+
+    def structure(self, number: int = 1) -> Structure:
+        """Structure of a minimum, numbered from 1, superposed on the lowest."""
+        from protochain.results.viewer import superposed
+
+        lowest, its = (
+            self.chain.structure.with_positions(pose(self.chain, self.q[k]).x) for k in (0, number - 1)
+        )
+        return superposed(its, lowest)
+
+    @cached_property
+    def minima(self) -> pd.DataFrame:
+        """The lowest minima, a row each, with their clusters and harmonic free energies.
+
+        ``free_energy_kj_mol`` is of stiff bonds, as Fixman's potential samples them, at the lowest
+        temperature of the search, ``free_energy_rigid_kj_mol`` of rigid bonds, whose masses matter; both
+        from the lowest minimum, and only of the few lowest.
+        """
+        import pandas as pd
+
+        walker, found = self._all
+        rows = self._unique[:LISTED]
+        q, energy = found[rows, 2:], found[rows, 1]
+        alpha = self.chain.structure.alpha_carbons
+        at = [pose(self.chain, each).x[alpha] for each in q]
+        phi, psi = conformers.backbone(self.chain, q)
+        free = np.full((len(rows), 2), np.nan)
+        for k, each in enumerate(q[:FREE]):
+            free[k] = self._free(each, float(energy[k]))
+        return pd.DataFrame(
+            {
+                "minimum": np.arange(1, len(rows) + 1),
+                "energy_kj_mol": energy,
+                "above_lowest_kj_mol": energy - energy[0],
+                "ca_rmsd_to_lowest_angstrom": [rmsd_angstrom(each, at[0]) for each in at],
+                "cluster": clusters(at),
+                "conformer": conformers.names(phi, psi),
+                "helix_share": conformers.helix(phi, psi),
+                "free_energy_kj_mol": free[:, 0] - free[0, 0],
+                "free_energy_rigid_kj_mol": free[:, 1] - free[0, 1],
+                "walker": walker[rows],
+                "evaluations_of_walker": found[rows, 0].astype(np.int64),
+            }
+        )
+
+    def _free(self, q: Floats, energy: float) -> tuple[float, float]:
+        """Free energies with stiff and with rigid bonds, kJ/mol."""
+        chain, temperature = self.chain, self.settings.temperatures[0]
+        free = build_chain(chain.structure, chain.opened, "free", move=chain.move)
+        second = hessian(chain, self.energy_function, q)
+        mass = log_det_mass(free, pose(free, transferred(chain, free, q)))
+        return free_energy(energy, second, temperature), free_energy(energy, second, temperature, mass)
+
+    @cached_property
+    def _samples(self) -> list[Floats]:
+        """Samples (k, r, n + 1) of each walk of replicas that has any."""
+        return [each.samples for each in self.findings if len(each.samples) > 1 / WARM_UP]
+
+    @property
+    def temperatures(self) -> Floats:
+        """(r,) float, K: where the pilot has placed the replicas; empty without any."""
+        return self.states[0].temperatures if self._samples else np.empty(0)
+
+    @cached_property
+    def populations(self) -> pd.DataFrame:
+        """Of tempering, a row for each temperature: means and their standard errors, by blocks of all walks.
+
+        ``exchanges`` is the share of exchanges accepted with the next temperature; ``slope`` that of the
+        energy histograms of the two, relative to the canonical one, and ``slope_error`` its standard error.
+        """
+        import pandas as pd
+
+        rows = []
+        odds = sum(state.odds for state in self.states if state is not None) if self._samples else ()
+        tried = sum(state.tried for state in self.states if state is not None) if self._samples else ()
+        for k, temperature in enumerate(self.temperatures):
+            energy = mean_and_error([each[:, k, 0] for each in self._samples])
+            folded = mean_and_error([self._helix(each[:, k, 1:]) for each in self._samples])
+            row = {
+                "temperature_k": float(temperature),
+                "energy_kj_mol": float(energy[0]),
+                "energy_error_kj_mol": float(energy[1]),
+                "helix_share": float(folded[0]),
+                "helix_share_error": float(folded[1]),
+                "exchanges": np.nan,
+                "slope": np.nan,
+                "slope_error": np.nan,
+            }
+            if k + 1 < len(self.temperatures):
+                row["exchanges"] = float(odds[k] / max(tried[k], 1.0))
+                row["slope"], row["slope_error"] = self._slope(k)
+            rows.append(row)
+        return pd.DataFrame(rows)
+
+    @cached_property
+    def conformers(self) -> pd.DataFrame:
+        """Of tempering, a row for each temperature and conformer: its share with the standard error."""
+        import pandas as pd
+
+        if not self._samples:
+            return pd.DataFrame(columns=["temperature_k", "conformer", "share", "share_error"])
+        named = [conformers.names(*conformers.backbone(self.chain, each[:, :, 1:])) for each in self._samples]
+        counted, counts = np.unique(np.concatenate([each.ravel() for each in named]), return_counts=True)
+        frequent = counted[np.argsort(-counts, kind="stable")][:NAMED]
+        rows = []
+        for k, temperature in enumerate(self.temperatures):
+            for name in frequent:
+                share = mean_and_error([(each[:, k] == name).astype(float) for each in named])
+                rows.append((float(temperature), str(name), float(share[0]), float(share[1])))
+        return pd.DataFrame(rows, columns=["temperature_k", "conformer", "share", "share_error"])
+
+    def _helix(self, q: Floats) -> Floats:
+        return conformers.helix(*conformers.backbone(self.chain, q))
+
+    def _slope(self, k: int) -> tuple[float, float]:
+        """Slope of the histograms at a temperature and the next over the canonical one, and its error."""
+        pairs = [warm(each)[:, k : k + 2, 0] for each in self._samples]
+        beta = 1.0 / (MOLAR_GAS * self.temperatures[[k, k + 1]])
+        wanted = float(beta[0] - beta[1])
+        parts = [part for each in pairs for part in blocked(each)]
+        # Each block left out in turn.
+        n = len(parts)
+        without = [slope(*np.concatenate(parts[:i] + parts[i + 1 :]).T) for i in range(n)]
+        error = np.sqrt((n - 1) * np.var(without)) if n > 1 else np.nan
+        return slope(*np.concatenate(pairs).T) / wanted, float(error) / wanted
+
+    def record(self) -> dict[str, Any]:
+        """Flat record, as written to ``summary.json``."""
+        from protochain.results.provenance import of_run
+
+        known = [state for state in self.states if state is not None]
+        its = {name: value for name, value in vars(self.settings).items() if name != "temperatures"}
+        return {
+            "structure": self.chain.structure.name,
+            "energy_lowest_kj_mol": self.energy,
+            "n_minima": len(self._unique),
+            "evaluations": self.n_evaluations,
+            "steps": sum(state.n_done for state in known),
+            "acceptance": sum(state.acceptance for state in known) / len(known),
+            "round_trips": sum(state.n_trips for state in known) if self._samples else None,
+            "seconds": self.seconds,
+            "interrupted": self.interrupted,
+            **its,
+            "temperature_lowest_k": self.settings.temperatures[0],
+            "temperature_highest_k": self.settings.temperatures[1],
+            "temperatures_k": self.temperatures.tolist(),
+            "n_hinges": self.chain.n_hinges,
+            "hinges": self.chain.opened,
+            "forcefield": self.energy_function.forcefield,
+            "solvent": self.energy_function.solvent,
+            "engine": self.energy_function.engine,
+            **of_run("openmm", "numpy", "scipy", "numba"),
+        }
+
+    def save(self, folder: str | Path) -> None:
+        """Write tables, the lowest minima as PDB files, ``summary.json`` and the page ``report.html``."""
+        from protochain.searching.folder import write_search
+
+        write_search(self, Path(folder))
+
+    def ends(self) -> dict[str, Structure]:
+        """The lowest minima by name, for :func:`protochain.view`."""
+        return {f"minimum {number}": self.structure(number) for number in range(1, min(len(self.q), 5) + 1)}
+
+    def __repr__(self) -> str:
+        return (
+            f"<Search of {self.chain.structure.name} by {self.settings.method}: {self.energy:.2f} kJ/mol, "
+            f"lowest of {len(self._unique)} minima by {self.n_evaluations} evaluations>"
+        )

@@ -1,0 +1,87 @@
+"""Settings of a search, as the call and the command share them."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from protochain.core import defaults
+from protochain.core.checks import at_least, flag, limited, number, optional, plain, shown, text
+from protochain.core.errors import refused
+from protochain.core.settings import Settings, setting
+
+METHODS = ("hopping", "annealing", "tempering")
+
+_LOWEST, _HIGHEST = 1.0, 1e5
+
+
+def interval(value: Any, name: str) -> tuple[float, float]:
+    """Return two temperatures, K, the lower first, also of a text ``300-600``."""
+    given = value.split("-") if isinstance(value, str) else plain(value, "kelvin", name)
+    try:
+        low, high = (float(each) for each in given)
+    except (TypeError, ValueError):
+        low = high = math.nan
+    if not _LOWEST <= low < high <= _HIGHEST:
+        raise refused(name, shown(value), "give two temperatures in K, the lower first, as 300-600")
+    return low, high
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings(Settings):
+    """Settings that define a search; for their meaning see :func:`protochain.search`.
+
+    Raises
+    ------
+    ProtochainError
+        If a setting is unknown or out of range; the message says what to do.
+    """
+
+    method: str = setting(defaults.SEARCH, "hopping, annealing or tempering.", text)
+    temperatures: tuple[float, float] = setting(
+        defaults.SEARCH_TEMPERATURES,
+        "Lowest and highest temperature, K: hopping takes the lowest [default: 300-600].",
+        interval,
+        str,
+        metavar="LOW-HIGH",
+    )
+    n_walkers: int = setting(
+        defaults.N_WALKERS, "Independent walks, which share the evaluations.", at_least(1), int, "--walkers"
+    )
+    n_replicas: int = setting(
+        defaults.N_REPLICAS, "Temperatures of each walk of tempering.", at_least(2), int, "--replicas"
+    )
+    seed: int = setting(defaults.SEED, "Seed of all random numbers.", at_least(0), int)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        from protochain.core.checks import refuse_unknown
+
+        refuse_unknown(self.method, "method", METHODS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchRunSettings(Settings):
+    """How long a search goes on, and what is in its folder; another run may continue it with others."""
+
+    evaluations: int | None = setting(
+        None,
+        f"Energy evaluations in all, also those of an earlier run [default: {defaults.SEARCH_EVALUATIONS}, "
+        "without end with --hours].",
+        optional(at_least(1)),
+        int,
+    )
+    hours: float | None = setting(
+        None,
+        "Hours of this run.",
+        optional(limited(number, lambda hours: 0.0 < hours < math.inf, "give a number above 0")),
+        float,
+    )
+    resume: bool = setting(False, "Continue the search in DIR.", flag, bool)
+    force: bool = setting(False, "Replace the search in DIR.", flag, bool)
+
+    @property
+    def budget(self) -> float:
+        """Evaluations in all."""
+        if self.evaluations is not None:
+            return self.evaluations
+        return defaults.SEARCH_EVALUATIONS if self.hours is None else math.inf

@@ -1,0 +1,67 @@
+"""What samples at several temperatures say: means with their errors, and whether they are canonical."""
+
+import numpy as np
+from scipy.special import expit
+
+from protochain.core.arrays import Floats
+
+WARM_UP = 0.1
+"""Share of the samples of each walk that is left out: all begin at one minimum."""
+BLOCKS = 10
+"""Of each walk; the error of an error from n blocks is 1 / sqrt(2 n) of it."""
+
+
+def blocked(series: Floats) -> Floats:
+    """Equal parts (b, k, ...) of a series (n, ...), of which what does not fit is left out at the start."""
+    n = max(min(BLOCKS, len(series)), 1)
+    return series[len(series) % n :].reshape(n, -1, *series.shape[1:])
+
+
+def warm(walk: Floats) -> Floats:
+    """Leave out the beginning of a walk (k, ...)."""
+    return walk[int(WARM_UP * len(walk)) :]
+
+
+def mean_and_error(walks: list[Floats]) -> tuple[Floats, Floats]:
+    """Mean of walks (k, ...) and its standard error, from blocks of all of them.
+
+    It is right if a block is longer than the memory of a walk; of walks that have not come far, too small.
+    """
+    parts = np.concatenate([blocked(warm(walk)).mean(axis=1) for walk in walks])
+    error = np.std(parts, axis=0, ddof=1) / np.sqrt(len(parts)) if len(parts) > 1 else np.nan * parts[0]
+    return np.mean(parts, axis=0), np.asarray(error)
+
+
+def slope(lower: Floats, upper: Floats) -> float:
+    """Slope of ln P'/P over the energy, from samples (k,) at a lower and (k',) at an upper temperature.
+
+    Canonical samples have 1/kT - 1/kT' (Shirts, J. Chem. Theory Comput. 9:909, 2013), whatever the density of
+    states. The most likely slope of a logistic regression.
+
+    Parameters
+    ----------
+    lower, upper : (k,) float, kJ/mol
+
+    Returns
+    -------
+    float, mol/kJ
+        NaN if the energies do not overlap, or are all the same.
+    """
+    energy = np.concatenate([lower, upper])
+    energy = energy - energy.mean()
+    above = np.concatenate([np.zeros(len(lower)), np.ones(len(upper))])
+    width = float(energy.std())
+    if width == 0.0 or max(lower) < min(upper) or max(upper) < min(lower):
+        return np.nan
+    scaled, parameters = energy / width, np.zeros(2)
+    design = np.stack([np.ones_like(scaled), scaled], axis=1)
+    for _ in range(50):
+        share = expit(design @ parameters)
+        information = design.T @ (design * (share * (1.0 - share))[:, None])
+        if np.linalg.cond(information) > 1e12:
+            return np.nan
+        change = np.linalg.solve(information, design.T @ (above - share))
+        parameters = parameters + change
+        if np.max(np.abs(change)) < 1e-10:
+            break
+    return float(parameters[1] / width)

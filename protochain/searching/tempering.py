@@ -1,0 +1,207 @@
+"""Tempering: replica exchange of hybrid Monte Carlo in torsions, with Fixman's potential.
+
+Each replica samples exp(-E/kT) of its temperature; neighbours exchange their torsions by Metropolis'
+criterion (Swendsen, Wang, Phys. Rev. Lett. 57:2607, 1986; Sugita, Okamoto, Chem. Phys. Lett. 314:141, 1999).
+Fixman's term is kT times the same function of the torsions at every temperature: it cancels there.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Value, read_only
+from protochain.core.units import MOLAR_GAS
+from protochain.dynamics.loop import noise
+from protochain.searching.ladder import equally_spaced, geometric, length_of_acceptance
+from protochain.searching.landscape import Landscape
+from protochain.searching.pieces import Finding, stream
+
+STAGES, ROUNDS = 3, 25
+"""Of the pilot: after each stage but the last temperatures are placed anew, by so many rounds; then they
+stay. Every walker does the same pilot, so that all have the same temperatures and none waits for others."""
+QUENCHED = 5
+"""Rounds from one descent to the next, which begins at each temperature in turn."""
+WANTED = 0.8
+"""Share of trajectories that is accepted with the time step at which a pilot ends."""
+_GAIN = 0.1
+_STEPS = 0.002, 0.04
+"""Shortest and longest time step, ps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tempering(Value):
+    """State of r replicas.
+
+    Parameters
+    ----------
+    q : (r, n) float, rad
+        Torsions at each temperature.
+    energy : (r,) float, kJ/mol
+    temperatures : (r,) float, K
+    time_steps : (r,) float, ps
+    replica : (r,) float
+        Number of the replica at each temperature.
+    heading : (r,) float
+        Of each replica: 1 if it was last at the lowest temperature, -1 at the highest, 0 if at neither.
+    odds, tried : (r - 1,) float
+        Sum of the probabilities of exchanges between neighbours, and their number, since the last change.
+    accepted : float
+        Sum over rounds, since the last change, of the share of trajectories that was accepted.
+    n_done, n_evaluations, n_trips : int
+        Rounds, evaluations, and ways of a replica from the lowest temperature to the highest and back.
+    """
+
+    q: Floats
+    energy: Floats
+    temperatures: Floats
+    time_steps: Floats
+    replica: Floats
+    heading: Floats
+    odds: Floats
+    tried: Floats
+    accepted: float
+    n_done: int
+    n_evaluations: int
+    n_trips: int
+
+    @property
+    def acceptance(self) -> float:
+        """Mean acceptance of exchanges."""
+        return float(np.sum(self.odds) / max(np.sum(self.tried), 1.0))
+
+
+@dataclass(frozen=True)
+class Replicas:
+    """The method of tempering.
+
+    Parameters
+    ----------
+    temperatures : (float, float), K
+        Lowest and highest.
+    n_replicas : int
+    seed, walker : int
+        Random numbers of a round depend on these and its number alone.
+    """
+
+    temperatures: tuple[float, float]
+    n_replicas: int
+    seed: int
+    walker: int
+    state = Tempering
+
+    def begin(self, landscape: Landscape) -> tuple[Tempering, Finding]:
+        """Put all replicas at the minimum to which the chain descends."""
+        done = landscape.minimise(landscape.chain.q0)
+        r = self.n_replicas
+        state = Tempering(
+            read_only([done.q] * r), read_only([done.energy] * r),
+            read_only(geometric(*self.temperatures, r)), read_only(np.full(r, 2.0 * defaults.TIME_STEP)),
+            read_only(np.arange(r)), read_only(np.zeros(r)), read_only(np.zeros(r - 1)),
+            read_only(np.zeros(r - 1)), 0.0, 0, done.n_evaluations, 0,
+        )  # fmt: skip
+        return state, Finding.minimum(done.q, done.energy, done.n_evaluations, r)
+
+    def step(self, landscape: Landscape, state: Tempering) -> tuple[Tempering, Finding]:
+        """Let every replica move by a trajectory, then exchange neighbours, every other pair in turn."""
+        number, r = state.n_done + 1, self.n_replicas
+        own = 0 if number <= STAGES * ROUNDS else self.walker
+        swept = [
+            landscape.sweep(
+                state.q[k], float(state.temperatures[k]), float(state.time_steps[k]), 1,
+                int(noise(self.seed, number, stream(own, k)).integers(2**63)),
+            )
+            for k in range(r)
+        ]  # fmt: skip
+        q, energy = np.array([each.q for each in swept]), np.array([each.energies[-1] for each in swept])
+        kept = np.array([each.accepted for each in swept])
+        random = noise(self.seed, number, stream(own))
+        order, odds, tried = exchanged(energy, state.temperatures, number % 2, random)
+        replica = state.replica[order]
+        heading, trips = headed(state.heading, replica)
+        n_evaluations = state.n_evaluations + sum(each.n_evaluations for each in swept)
+        after = replace(
+            state,
+            q=read_only(q[order]),
+            energy=read_only(energy[order]),
+            replica=read_only(replica),
+            heading=read_only(heading),
+            odds=read_only(state.odds + odds),
+            tried=read_only(state.tried + tried),
+            accepted=state.accepted + float(kept.mean()),
+            n_done=number,
+            n_evaluations=n_evaluations,
+            n_trips=state.n_trips + trips,
+        )
+        if number <= STAGES * ROUNDS:
+            return _adapted(after, kept), Finding.none(q.shape[1], r)
+        found = Finding(
+            np.empty((0, q.shape[1] + 2)), np.concatenate([after.energy[:, None], after.q], axis=1)[None]
+        )
+        if number % QUENCHED:
+            return after, found
+        done = landscape.minimise(after.q[number // QUENCHED % r])
+        n_evaluations += done.n_evaluations
+        minimum = Finding.minimum(done.q, done.energy, n_evaluations, r)
+        return replace(after, n_evaluations=n_evaluations), Finding.joined([found, minimum])
+
+
+def exchanged(
+    energy: Floats, temperatures: Floats, first: int, random: np.random.Generator
+) -> tuple[np.ndarray, Floats, Floats]:
+    """Exchange the pairs (k, k + 1) of neighbours with k = first, first + 2, ...
+
+    Parameters
+    ----------
+    energy : (r,) float, kJ/mol
+    temperatures : (r,) float, K
+    first : int
+    random : Generator
+
+    Returns
+    -------
+    (r,) int
+        Which torsions each temperature has afterwards.
+    (r - 1,) float
+        Probability with which each pair was exchanged, 0 where it was not tried.
+    (r - 1,) float
+        1 where it was tried.
+    """
+    beta = 1.0 / (MOLAR_GAS * temperatures)
+    order = np.arange(len(energy))
+    odds, tried = np.zeros(len(energy) - 1), np.zeros(len(energy) - 1)
+    for k in range(first, len(energy) - 1, 2):
+        odds[k] = np.exp(min(0.0, (beta[k] - beta[k + 1]) * (energy[k] - energy[k + 1])))
+        tried[k] = 1.0
+        if random.random() < odds[k]:
+            order[[k, k + 1]] = order[[k + 1, k]]
+    return order, odds, tried
+
+
+def headed(heading: Floats, replica: Floats) -> tuple[Floats, int]:
+    """Note which replicas are at the ends; return also how many came back to the lowest temperature."""
+    heading = heading.copy()
+    lowest, highest = int(replica[0]), int(replica[-1])
+    trips = int(heading[lowest] < 0.0)
+    heading[lowest] = 1.0
+    if heading[highest] > 0.0:
+        heading[highest] = -1.0
+    return heading, trips
+
+
+def _adapted(state: Tempering, kept: Floats) -> Tempering:
+    """Follow the acceptance by the time steps; at the end of a stage place the temperatures anew."""
+    steps = np.clip(state.time_steps * np.exp(_GAIN * (kept - WANTED)), *_STEPS)
+    state = replace(state, time_steps=read_only(steps))
+    if state.n_done % ROUNDS:
+        return state
+    last, r = state.n_done == STAGES * ROUNDS, len(steps)
+    if not last:
+        lengths = length_of_acceptance(state.odds / state.tried)
+        placed = equally_spaced(state.temperatures, lengths)
+        steps = np.interp(placed, state.temperatures, steps)
+        state = replace(state, temperatures=read_only(placed), time_steps=read_only(steps))
+    nothing = read_only(np.zeros(r - 1))
+    return replace(
+        state, odds=nothing, tried=nothing, accepted=0.0, heading=read_only(np.zeros(r)), n_trips=0
+    )

@@ -1,0 +1,76 @@
+"""Temperatures: lengths between them, and how they are placed."""
+
+import numpy as np
+import pytest
+
+from protochain.core.units import MOLAR_GAS
+from protochain.searching.ladder import (
+    acceptance_of_length,
+    equally_spaced,
+    geometric,
+    length_of_acceptance,
+    length_of_widths,
+)
+from protochain.searching.tempering import exchanged, headed
+
+
+def test_exchanges_of_normal_energies_are_accepted_as_the_length_says():
+    """Energies of one width whose means are as far apart as the width demands of canonical ensembles."""
+    random = np.random.default_rng(0)
+    beta, width = np.array([0.4, 0.3]), 6.0
+    means = -(width**2) * beta
+    energy = means + width * random.standard_normal((200_000, 2))
+    odds = np.exp(np.minimum(0.0, (beta[0] - beta[1]) * (energy[:, 0] - energy[:, 1])))
+    length = length_of_widths(1.0 / (MOLAR_GAS * beta), np.array([width, width]))
+    assert length == pytest.approx([0.6], rel=1e-12)
+    assert np.mean(odds) == pytest.approx(acceptance_of_length(length)[0], abs=0.003)
+    assert length_of_acceptance(acceptance_of_length(length)) == pytest.approx(length, rel=1e-9)
+
+
+def test_a_constant_heat_capacity_has_constant_ratios():
+    """Energies as wide as kT: lengths follow ln T, but for the trapezoid."""
+    start = np.array([300.0, 310.0, 320.0, 400.0, 500.0, 600.0])
+    for _ in range(3):
+        start = equally_spaced(start, np.diff(np.log(start)))
+    assert start == pytest.approx(geometric(300.0, 600.0, 6), rel=1e-9)
+    fine = geometric(300.0, 600.0, 200)
+    assert length_of_widths(fine, MOLAR_GAS * fine).sum() == pytest.approx(np.log(2.0), rel=1e-4)
+
+
+def test_falling_temperatures_are_placed_as_rising_ones():
+    rising = geometric(200.0, 900.0, 7)
+    lengths = np.array([1.0, 2.0, 3.0, 1.0, 0.5, 4.0])
+    up = equally_spaced(rising, lengths)
+    assert equally_spaced(rising[::-1], lengths[::-1])[::-1] == pytest.approx(up, rel=1e-12)
+    assert up[[0, -1]].tolist() == [rising[0], rising[-1]]
+
+
+LEVELS = np.array([0.0, 3.0, 5.0, 9.0])
+MULTIPLICITY = np.array([1.0, 4.0, 2.0, 12.0])
+
+
+def test_exchanges_keep_every_temperature_canonical():
+    """Levels with multiplicities, drawn canonically: after exchanges they are as frequent as before."""
+    random, temperatures = np.random.default_rng(4), np.array([300.0, 400.0, 700.0])
+    weights = MULTIPLICITY * np.exp(-LEVELS / (MOLAR_GAS * temperatures[:, None]))
+    shares = weights / weights.sum(axis=1, keepdims=True)
+    n, counts, moved = 20_000, np.zeros((3, 4)), 0
+    for number in range(n):
+        drawn = np.array([random.choice(4, p=its) for its in shares])
+        order, odds, tried = exchanged(LEVELS[drawn], temperatures, number % 2, random)
+        assert sorted(order) == [0, 1, 2] and tried.tolist() == [1 - number % 2, number % 2]
+        assert np.all(odds[tried == 0] == 0.0) and np.all(odds[tried == 1] > 0.0)
+        moved += order[0] != 0
+        counts[np.arange(3), drawn[order]] += 1
+    assert moved > n / 10
+    error = np.sqrt(shares * (1.0 - shares) / n)
+    assert np.max(np.abs(counts / n - shares) / error) < 3.5
+
+
+def test_round_trips_are_ways_up_and_back():
+    heading, trips = np.zeros(3), 0
+    for replica in ([0, 1, 2], [1, 0, 2], [1, 2, 0], [1, 2, 0], [1, 0, 2], [0, 1, 2], [0, 1, 2]):
+        heading, back = headed(heading, np.array(replica, dtype=float))
+        trips += back
+    # Replica 0 was at the bottom, the top, and the bottom again; 2 began at the top.
+    assert trips == 1 and heading.tolist() == [1.0, 1.0, 0.0]

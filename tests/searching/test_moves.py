@@ -1,0 +1,111 @@
+"""Moves in torsions: where they lead, and that nothing else moves."""
+
+import numpy as np
+import pytest
+
+import protochain as pc
+from protochain.searching.moves import NONE, Moves, moved
+from protochain.structure.sidechains.rotamers import rotamers
+from protochain.validation.ramachandran import FAVOURED, score
+
+
+def moves_of(sequence, hinges="phi psi chi"):
+    chain = pc.build_chain(pc.from_sequence(sequence), hinges, "fixed")
+    return chain, Moves.of(chain)
+
+
+def changed(before, after):
+    return set(np.flatnonzero(before != after).tolist())
+
+
+def test_hinges_are_sorted_by_residue():
+    chain, moves = moves_of("AFPGS", "phi psi chi polar")
+    own = {(h.residue_number, h.kind): k for k, h in enumerate(chain.hinges)}
+    place = chain.tree.q_start[chain.hinge_body]
+    names = {each.name: each for each in moves.residues}
+    phe, pro = names["PHE"], names["PRO"]
+    assert (phe.phi, phe.psi) == (place[own["2", "phi"]], place[own["2", "psi"]])
+    assert phe.chi == (place[own["2", "chi1"]], place[own["2", "chi2"]])
+    assert pro.phi == NONE and names["ALA"].phi == NONE
+    assert [each.is_last for each in moves.residues] == [False] * 4 + [True]
+    assert len(moves.others) == sum(h.kind == "rotor" for h in chain.hinges) > 0
+    # Not into proline, whose phi does not turn.
+    assert set(moves.flips) == {(place[own[str(k), "psi"]], place[own[str(k + 1), "phi"]]) for k in (1, 3, 4)}
+
+
+def test_the_backbone_goes_to_favoured_regions_of_its_own_residue():
+    chain, moves = moves_of("AFIGPA")
+    random = np.random.default_rng(0)
+    by_phi = {each.phi: each for each in moves.residues if each.phi != NONE}
+    seen = set()
+    for _ in range(300):
+        after = moved(moves, "backbone", chain.q0, 1.0, random)
+        where = changed(chain.q0, after)
+        residue = next((by_phi[k] for k in where if k in by_phi), None)
+        if residue is None:
+            continue
+        assert where <= {residue.phi, residue.psi}
+        phi, psi = np.rad2deg(after[[residue.phi, residue.psi]])
+        # A point of the table, and up to half a cell beside it.
+        assert score(np.array([residue.kind]), np.array([phi]), np.array([psi]))[0] > 0.5 * FAVOURED
+        seen.add((residue.name, phi > 0))
+    assert {("GLY", True), ("GLY", False), ("PHE", False), ("ILE", False)} <= seen
+
+
+def test_a_residue_of_the_other_hand_goes_to_the_mirror_image():
+    from dataclasses import replace
+
+    chain, moves = moves_of("AIA")
+    (residue,) = [each for each in moves.residues if each.name == "ILE"]
+    other = Moves((replace(residue, hand=-1.0),), (), ())
+    same, mirrored = (
+        moved(its, "backbone", chain.q0, 1.0, np.random.default_rng(3))[[residue.phi, residue.psi]]
+        for its in (Moves((residue,), (), ()), other)
+    )
+    assert mirrored == pytest.approx(-same, abs=1e-12)
+
+
+def test_side_chains_go_to_rotamers():
+    chain, moves = moves_of("AMA")
+    (met,) = moves.with_chi
+    phi, psi = np.rad2deg(chain.q0[[met.phi, met.psi]])
+    usual, _ = rotamers("MET", phi, psi)
+    random = np.random.default_rng(0)
+    near, which = [], set()
+    for _ in range(200):
+        after = moved(moves, "rotamer", chain.q0, 1.0, random)
+        assert changed(chain.q0, after) == set(met.chi)
+        away = np.abs((after[list(met.chi)] - usual + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
+        near.append(away.min())
+        which.add(int(away.argmin()))
+    # The largest of three normal deviates of 10 degrees.
+    assert 8.0 < np.rad2deg(np.median(near)) < 16.0 and len(which) > 8
+
+
+def test_a_crankshaft_turns_the_ends_little_against_each_other():
+    chain, moves = moves_of("AAAAAA", "phi psi")
+    random = np.random.default_rng(1)
+    ends = [np.flatnonzero(chain.structure.atom_residue == r) for r in (0, 5)]
+    for _ in range(20):
+        after = moved(moves, "crankshaft", chain.q0, 0.3, random)
+        (psi, phi) = next(pair for pair in moves.flips if set(pair) == changed(chain.q0, after))
+        turn = after[psi] - chain.q0[psi]
+        assert after[phi] - chain.q0[phi] == pytest.approx(-turn, abs=1e-12)
+        alone = chain.q0.copy()
+        alone[psi] = after[psi]
+
+        def between(q):
+            """Angle by which the last residue has turned, seen from the first."""
+            x, x0 = pc.pose(chain, q).x, pc.pose(chain, chain.q0).x
+            turns = [rotation(x[end], x0[end]) for end in ends]
+            return np.arccos(np.clip((np.trace(turns[0].T @ turns[1]) - 1.0) / 2.0, -1.0, 1.0))
+
+        if psi in (moves.flips[0][0], moves.flips[-1][0]):
+            continue  # The ends themselves turn.
+        assert between(after) < 0.2 * between(alone)
+
+
+def rotation(x, reference):
+    from protochain.structure.superpose import motion
+
+    return motion(x, reference)[0]
