@@ -160,9 +160,9 @@ def ends(rows: pd.DataFrame) -> str:
     found = ", ".join(f"`{method}`" for method in open_) or "none"
     n_structures, n_starts = rows["structure"].nunique(), rows["start"].nunique()
     return f"{table}\n" + paragraph(
-        f"{n_structures} structures, {n_starts} starts each; medians of the structures' medians, and intervals",
-        f"by resampling structures. Zero is in the interval of {found}: which end is lower is then chance, as",
-        f"far as these can tell. Starts of a structure end more than {SAME:g} kJ/mol apart in",
+        f"{n_structures} structures, {n_starts} starts each; medians of the structures' medians, and",
+        f"intervals by resampling structures. Zero is in the interval of {found}: which end is lower is then",
+        f"chance, as far as these can tell. Starts of a structure end more than {SAME:g} kJ/mol apart in",
         f"{100 * scatter:.0f} % of all pairs of structure and method.",
     )
 
