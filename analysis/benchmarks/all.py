@@ -148,6 +148,7 @@ JOBS = (
         },
         threads=1,
     ),
+    Job("ends", f"{HERE}/ends.py {SAMPLES} {SMALL} -o DIR", 60, threads=1),
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job(
         "modes",
