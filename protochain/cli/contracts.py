@@ -33,6 +33,7 @@ from protochain.relaxation.rounds import Round
 from protochain.results.columns import Column
 from protochain.results.kinds import Kind, kind_of, row
 from protochain.results.schema import OTHERS, Contract, cell
+from protochain.searching.settings import SearchSettings
 from protochain.setup import Setup
 from protochain.validation import MEASURES
 from protochain.validation.findings import RESIDUE_COLUMNS
@@ -196,6 +197,21 @@ _FLUCTUATION = _row(
     "ca_fluctuation_angstrom ca_b_factor_angstrom2 b_factor_angstrom2 ca_b_factor_in_file_angstrom2"
 )
 
+_SEARCHED = {
+    **_row("structure energy_lowest_kj_mol n_minima evaluations steps acceptance round_trips seconds"),
+    **_row("interrupted temperature_lowest_k temperature_highest_k temperatures_k n_hinges hinges"),
+    **_row("forcefield solvent engine"), **_RUN,
+    **{name: kind for name, kind in get_type_hints(SearchSettings).items() if name != "temperatures"},
+}  # fmt: skip
+_MINIMUM = _row(
+    "minimum energy_kj_mol above_lowest_kj_mol ca_rmsd_to_lowest_angstrom cluster conformer helix_share "
+    "free_energy_kj_mol free_energy_rigid_kj_mol walker evaluations_of_walker"
+)
+_POPULATION = _row(
+    "temperature_k energy_kj_mol energy_error_kj_mol helix_share helix_share_error exchanges slope "
+    "slope_error"
+)
+
 _VALIDATED = {
     **_row("file structure model n_chains n_residues n_atoms heavy_atoms_added"), **_row(MEASURES),
     **_optional(_row([*LIKENESS, "chain_mapping"])), **_row("added message"),
@@ -272,6 +288,15 @@ CONTRACTS: Mapping[str, Contract] = {
         },
         ("modes.csv", "summary.json", "report.html"),
         (r"^fluctuations\.csv$", r"^minimum\.(pdb|cif)", r"^mode-\d+\.(dcd|xtc)$"),
+    ),
+    "search": Contract(
+        (_SEARCHED,),
+        {
+            "minima.csv": (_cells(_MINIMUM),), "populations.csv": (_cells(_POPULATION),),
+            "conformers.csv": (_cells(_row("temperature_k conformer share share_error")),),
+        },
+        ("minima.csv", "energy-rmsd.png", "summary.json", "report.html"),
+        (r"^(populations|conformers)\.csv$", r"^minima/minimum-\d+\.pdb$", r"\.npz$"),
     ),
     "validate": Contract(
         (_told(Findings, results=[{**_VALIDATED, **_LISTED}, _FAILED]), Frames),
