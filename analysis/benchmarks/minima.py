@@ -24,7 +24,7 @@ from scipy.optimize import basinhopping, dual_annealing
 
 import protochain as pc
 from protochain.energies import constrain_hydrogens
-from protochain.searching.landscape import Landscape
+from protochain.searching import Landscape
 
 KT = 300.0 * constants.R / 1000.0
 NEAR = 0.5
@@ -134,7 +134,7 @@ def populations(options: argparse.Namespace) -> pd.DataFrame:
     structure = pc.from_sequence(HELIX[: 5 if options.quick else None])
     chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
     done = pc.search(
-        chain, energy, "tempering", 25_000 if options.quick else options.evaluations * 5, n_walkers=2,
+        chain, energy, "tempering", 25_000 if options.quick else options.evaluations * 4, n_walkers=2,
         n_replicas=3 if options.quick else 6, workers=WORKERS,
     )  # fmt: skip
     table = done.populations
@@ -204,7 +204,7 @@ TABLES = {"found": found, "populations": populations, "truth": truth, "cost": co
 
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", TABLES)
-    own.add_argument("--evaluations", type=int, default=25_000, help="of each walk")
+    own.add_argument("--evaluations", type=int, default=40_000, help="of each walk")
     own.add_argument("--seeds", type=int, default=10, help="walks of each method")
     return own
 
