@@ -325,6 +325,14 @@ table_of_rows(
     ("slope", _slope),
 )  # fmt: skip
 table_of_rows(
+    "minima-folds", "minima_folds.csv",
+    ("walk", "{walk}"),
+    ("evaluations", "{evaluations}"),
+    ("all atoms minimised, kJ/mol", "{energy_kj_mol:.0f}"),
+    ("above the native", lambda row: f"{row['energy_kj_mol'] - row['native_kj_mol']:.0f}"),
+    ("C-alpha RMSD to the native, angstrom", "{ca_rmsd_to_native_angstrom:.1f}"),
+)  # fmt: skip
+table_of_rows(
     "minima-truth", "minima_truth.csv",
     ("temperature, K", "{temperature_k:.0f}"),
     ("mean energy, kJ/mol", "{energy_kj_mol:.3f} ± {energy_error_kj_mol:.3f}"),
