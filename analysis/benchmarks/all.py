@@ -127,6 +127,7 @@ JOBS = (
     Job("search", f"{HERE}/search.py -o DIR", 1),
     Job("mechanisms", f"{HERE}/mechanisms.py -o DIR", 8),
     Job("loops", f"{HERE}/loops.py -o DIR", 2),
+    Job("minima", f"{HERE}/minima.py -o DIR", 25),
     Job("guide", f"{HERE}/guide.py -o DIR", 1),
     Job("startup", f"{HERE}/startup.py -o DIR", 4),
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
