@@ -126,7 +126,7 @@ class Setup(Settings):
     accuracy: float | Literal["auto", "exact"] = setting(
         defaults.ACCURACY,
         "RMS error of forces in kJ/mol/nm up to which a tree may sum far pairs, exact, or auto: 0.001 from "
-        "6,000 atoms.",
+        "5,000 atoms.",
         accuracy_of,
     )
     threads: int | None = setting(None, "Threads to compute on [default: all].", optional(at_least(1)), int)

@@ -170,14 +170,14 @@ class Search(Value):
     def populations(self) -> pd.DataFrame:
         """Of tempering, a row for each temperature: means and their standard errors, by blocks of all walks.
 
-        ``exchanges`` is the share of exchanges accepted with the next temperature; ``slope`` that of the
+        ``exchanges`` is the mean probability of exchanges with the next temperature; ``slope`` that of the
         energy histograms of the two, relative to the canonical one, and ``slope_error`` its standard error.
         """
         import pandas as pd
 
         rows = []
-        odds = sum(state.odds for state in self.states if state is not None) if self._samples else ()
-        tried = sum(state.tried for state in self.states if state is not None) if self._samples else ()
+        known = [state for state in self.states if state is not None] if self._samples else []
+        odds, rounds = sum(state.odds for state in known), sum(state.n_counted for state in known)
         for k, temperature in enumerate(self.temperatures):
             energy = mean_and_error([each[:, k, 0] for each in self._samples])
             folded = mean_and_error([self._helix(each[:, k, 1:]) for each in self._samples])
@@ -192,7 +192,7 @@ class Search(Value):
                 "slope_error": np.nan,
             }
             if k + 1 < len(self.temperatures):
-                row["exchanges"] = float(odds[k] / max(tried[k], 1.0))
+                row["exchanges"] = float(odds[k] / rounds)
                 row["slope"], row["slope_error"] = self._slope(k)
             rows.append(row)
         return pd.DataFrame(rows)

@@ -17,7 +17,7 @@ from protochain.searching.ladder import equally_spaced, geometric, length_of_acc
 from protochain.searching.landscape import Landscape
 from protochain.searching.pieces import Finding, stream
 
-STAGES, ROUNDS = 3, 25
+STAGES, ROUNDS = 3, 40
 """Of the pilot: after each stage but the last temperatures are placed anew, by so many rounds; then they
 stay. Every walker does the same pilot, so that all have the same temperatures and none waits for others."""
 QUENCHED = 5
@@ -44,10 +44,12 @@ class Tempering(Value):
         Number of the replica at each temperature.
     heading : (r,) float
         Of each replica: 1 if it was last at the lowest temperature, -1 at the highest, 0 if at neither.
-    odds, tried : (r - 1,) float
-        Sum of the probabilities of exchanges between neighbours, and their number, since the last change.
+    odds : (r - 1,) float
+        Sum over rounds, since the last change, of the probability that neighbours would be exchanged.
     accepted : float
-        Sum over rounds, since the last change, of the share of trajectories that was accepted.
+        Sum over these rounds of the share of trajectories that was accepted.
+    n_counted : int
+        These rounds.
     n_done, n_evaluations, n_trips : int
         Rounds, evaluations, and ways of a replica from the lowest temperature to the highest and back.
     """
@@ -59,8 +61,8 @@ class Tempering(Value):
     replica: Floats
     heading: Floats
     odds: Floats
-    tried: Floats
     accepted: float
+    n_counted: int
     n_done: int
     n_evaluations: int
     n_trips: int
@@ -68,7 +70,7 @@ class Tempering(Value):
     @property
     def acceptance(self) -> float:
         """Mean acceptance of exchanges."""
-        return float(np.sum(self.odds) / max(np.sum(self.tried), 1.0))
+        return float(np.mean(self.odds) / max(self.n_counted, 1))
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ class Replicas:
             read_only([done.q] * r), read_only([done.energy] * r),
             read_only(geometric(*self.temperatures, r)), read_only(np.full(r, 2.0 * defaults.TIME_STEP)),
             read_only(np.arange(r)), read_only(np.zeros(r)), read_only(np.zeros(r - 1)),
-            read_only(np.zeros(r - 1)), 0.0, 0, done.n_evaluations, 0,
+            0.0, 0, 0, done.n_evaluations, 0,
         )  # fmt: skip
         return state, Finding.minimum(done.q, done.energy, done.n_evaluations, r)
 
@@ -116,7 +118,7 @@ class Replicas:
         q, energy = np.array([each.q for each in swept]), np.array([each.energies[-1] for each in swept])
         kept = np.array([each.accepted for each in swept])
         random = noise(self.seed, number, stream(own))
-        order, odds, tried = exchanged(energy, state.temperatures, number % 2, random)
+        order, odds = exchanged(energy, state.temperatures, number % 2, random)
         replica = state.replica[order]
         heading, trips = headed(state.heading, replica)
         n_evaluations = state.n_evaluations + sum(each.n_evaluations for each in swept)
@@ -127,8 +129,8 @@ class Replicas:
             replica=read_only(replica),
             heading=read_only(heading),
             odds=read_only(state.odds + odds),
-            tried=read_only(state.tried + tried),
             accepted=state.accepted + float(kept.mean()),
+            n_counted=state.n_counted + 1,
             n_done=number,
             n_evaluations=n_evaluations,
             n_trips=state.n_trips + trips,
@@ -148,7 +150,7 @@ class Replicas:
 
 def exchanged(
     energy: Floats, temperatures: Floats, first: int, random: np.random.Generator
-) -> tuple[np.ndarray, Floats, Floats]:
+) -> tuple[np.ndarray, Floats]:
     """Exchange the pairs (k, k + 1) of neighbours with k = first, first + 2, ...
 
     Parameters
@@ -163,19 +165,15 @@ def exchanged(
     (r,) int
         Which torsions each temperature has afterwards.
     (r - 1,) float
-        Probability with which each pair was exchanged, 0 where it was not tried.
-    (r - 1,) float
-        1 where it was tried.
+        Probability with which each pair would be exchanged, also of those that are not tried.
     """
     beta = 1.0 / (MOLAR_GAS * temperatures)
     order = np.arange(len(energy))
-    odds, tried = np.zeros(len(energy) - 1), np.zeros(len(energy) - 1)
+    odds = np.exp(np.minimum(0.0, np.diff(beta) * np.diff(energy)))
     for k in range(first, len(energy) - 1, 2):
-        odds[k] = np.exp(min(0.0, (beta[k] - beta[k + 1]) * (energy[k] - energy[k + 1])))
-        tried[k] = 1.0
         if random.random() < odds[k]:
             order[[k, k + 1]] = order[[k + 1, k]]
-    return order, odds, tried
+    return order, odds
 
 
 def headed(heading: Floats, replica: Floats) -> tuple[Floats, int]:
@@ -197,11 +195,11 @@ def _adapted(state: Tempering, kept: Floats) -> Tempering:
         return state
     last, r = state.n_done == STAGES * ROUNDS, len(steps)
     if not last:
-        lengths = length_of_acceptance(state.odds / state.tried)
+        lengths = length_of_acceptance(state.odds / state.n_counted)
         placed = equally_spaced(state.temperatures, lengths)
         steps = np.interp(placed, state.temperatures, steps)
         state = replace(state, temperatures=read_only(placed), time_steps=read_only(steps))
-    nothing = read_only(np.zeros(r - 1))
     return replace(
-        state, odds=nothing, tried=nothing, accepted=0.0, heading=read_only(np.zeros(r)), n_trips=0
-    )
+        state, odds=read_only(np.zeros(r - 1)), accepted=0.0, n_counted=0, heading=read_only(np.zeros(r)),
+        n_trips=0,
+    )  # fmt: skip

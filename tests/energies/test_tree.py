@@ -4,6 +4,7 @@ import pickle
 import re
 
 import numpy as np
+import openmm
 import pytest
 from fixtures.oracles import far_potential
 from fixtures.samples import load
@@ -12,6 +13,7 @@ from fixtures.tolerances import DIFFERENCE, ROUND_OFF
 import protochain as pc
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
+from protochain.energies import NativeEnergy, OpenMMEnergy
 from protochain.energies.native import expansion
 from protochain.energies.native.far import FAR_TERMS, Opening, openings
 from protochain.energies.native.layout import CHUNKS, W, in_blocks
@@ -174,3 +176,42 @@ def test_openings_cost_more_the_smaller_the_error():
     y = np.linspace(0.0, 0.15**2, 50)[1:]
     series = sum(2 * k / (2 * k + 1) * y ** (k - 1) for k in range(1, 40))
     assert np.abs(FAR_TERMS[0] + FAR_TERMS[1] * y - series).max() < 1.2e-4
+
+
+def particles(x, charges, radii=0.17):
+    """Energy of particles with Lennard-Jones, charges and generalised Born, and nothing bonded."""
+    n = len(x)
+    built, pairs, solvent = openmm.System(), openmm.NonbondedForce(), openmm.GBSAOBCForce()
+    for charge, radius in zip(np.broadcast_to(charges, n), np.broadcast_to(radii, n), strict=True):
+        built.addParticle(12.0)
+        pairs.addParticle(charge, 0.3, 0.2)
+        solvent.addParticle(charge, radius, 0.8)
+    built.addForce(pairs)
+    built.addForce(solvent)
+    return NativeEnergy(OpenMMEnergy(built, threads=1), 1)
+
+
+N = 2100
+RANDOM = np.random.default_rng(0)
+GRID = 0.4 * np.stack(np.unravel_index(np.arange(N), (13, 13, 13)), axis=1) + 0.05 * RANDOM.random((N, 3))
+ALIKE = RANDOM.normal(scale=0.4, size=N)
+EXTREMES = {
+    "all in a line": (0.3 * np.arange(N)[:, None] * [1.0, 0.0, 0.0], ALIKE, 0.17),
+    "all in one point but two": (np.where(np.arange(N)[:, None] < N - 2, 0.0, GRID + 3.0), ALIKE, 0.17),
+    "two clusters 1000 nm apart": (GRID + 1000.0 * (np.arange(N) % 3 == 0)[:, None], ALIKE, 0.17),
+    "one charge": (GRID, np.eye(1, N)[0], 0.17),
+    "no charge": (GRID, 0.0, 0.17),
+    "net charge 1000": (GRID, 1000.0 / N, 0.17),
+    "radii of 3 nm beside 0.1": (GRID, ALIKE, np.where(np.arange(N) % 100, 0.1, 3.0)),
+}
+
+
+@pytest.mark.parametrize("name", EXTREMES)
+def test_extremes_are_right_to_the_accuracy_or_summed_one_by_one_with_a_word(name):
+    x, charges, radii = EXTREMES[name]
+    exact = particles(x, charges, radii)
+    found = exact.to_accuracy(1e-3, x)
+    off = rms(found(x)[1] - exact(x)[1])
+    assert off <= 1e-3
+    assert (found.opening is None) == ("one by one" in found.reason)
+    assert found.opening is None or not np.isnan(found.errors[0])

@@ -50,8 +50,8 @@ def program(path):
     return ast.parse("\n".join(line for line in lines if not line.startswith("%")))
 
 
-def test_all_eight_are_there():
-    assert [path.name[:3] for path in LONG] == [f"{k:02}-" for k in range(1, 9)]
+def test_all_nine_are_there():
+    assert [path.name[:3] for path in LONG] == [f"{k:02}-" for k in range(1, 10)]
 
 
 def test_every_scene_has_one():

@@ -29,7 +29,7 @@ def two_hinges():
 def test_replicas_of_two_hinges_agree_with_quadrature(two_hinges):
     landscape, at, grid = two_hinges
     method = Replicas((300.0, 600.0), 2, 1, 0)
-    state, found = advance(landscape, method, None, 13_000, np.inf)
+    state, found = advance(landscape, method, None, 15_000, np.inf)
     samples = found.samples
     assert len(samples) == state.n_done - STAGES * ROUNDS > 200
     assert state.temperatures == pytest.approx([300.0, 600.0])

@@ -31,7 +31,7 @@ def whole(peptide):
     return {
         "hopping": pc.search(*peptide, "hopping", 1500, **SMALL),
         "annealing": pc.search(*peptide, "annealing", 1500, **SMALL),
-        "tempering": pc.search(*peptide, "tempering", 9000, n_replicas=2, **SMALL),
+        "tempering": pc.search(*peptide, "tempering", 12000, n_replicas=2, **SMALL),
     }
 
 
@@ -44,7 +44,7 @@ def same(one, other):
 
 
 def options(method):
-    return {"hopping": (1500, {}), "annealing": (1500, {}), "tempering": (9000, {"n_replicas": 2})}[method]
+    return {"hopping": (1500, {}), "annealing": (1500, {}), "tempering": (12000, {"n_replicas": 2})}[method]
 
 
 @pytest.mark.parametrize("method", ["hopping", "annealing", "tempering"])

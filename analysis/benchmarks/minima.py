@@ -1,0 +1,246 @@
+"""Search for low minima in torsions: three methods beside scipy's, populations, and what a step costs.
+
+    python analysis/benchmarks/minima.py [STUDY ...] [-o DIR] [--quick] [--evaluations N] [--seeds N]
+
+found: Met-enkephalin (YGGFM, ff14SB, OBC2) from the extended chain, by ten walks of each method, and by
+scipy's basinhopping and dual_annealing on the same energy and torques, with as many evaluations each. A walk
+succeeds where it comes within 0.5 kJ/mol of the lowest that any of them found.
+populations: decaalanine by tempering, from the extended chain.
+folds: Trp-cage from the extended chain in GBn2, five walks of hopping of some minutes each; the
+lowest of each, and the native, minimised with all atoms free.
+truth: trialanine with two hinges against quadrature.
+cost: processor time of a step of hybrid Monte Carlo in torsions, and of OpenMM's Langevin dynamics of all
+atoms (bonds to hydrogen constrained, 2 fs, one thread), the engine of a replica exchange of the same peptide.
+"""
+
+import argparse
+import os
+from time import process_time
+
+import made
+import numpy as np
+import openmm
+import pandas as pd
+from openmm import unit
+from scipy import constants
+from scipy.optimize import basinhopping, dual_annealing
+
+import protochain as pc
+from protochain.energies import constrain_hydrogens
+from protochain.searching import Landscape
+
+KT = 300.0 * constants.R / 1000.0
+NEAR = 0.5
+"""kJ/mol above the lowest that any walk found."""
+PEPTIDE, HELIX = "YGGFM", "AAAAAAAAAA"
+TEMPERATURES = {"hopping": "300-600", "annealing": "200-900", "tempering": "300-600"}
+WORKERS = 2
+
+
+class SpentError(Exception):
+    """The evaluations allowed are used up."""
+
+
+class Counted:
+    """Energy over torsions as scipy takes it, which counts and keeps the lowest of all."""
+
+    def __init__(self, chain: pc.Chain, energy, budget: int) -> None:
+        self.chain, self.energy, self.budget = chain, energy, budget
+        self.n, self.falls = 0, []
+
+    def __call__(self, q: np.ndarray) -> tuple[float, np.ndarray]:
+        """Energy and gradient, counted."""
+        if self.n == self.budget:
+            raise SpentError
+        self.n += 1
+        return self.at(q)
+
+    def slope(self, q: np.ndarray) -> np.ndarray:
+        """Gradient where the energy was called before: no evaluation of its own."""
+        return self.at(q)[1]
+
+    def at(self, q: np.ndarray) -> tuple[float, np.ndarray]:
+        """Energy and gradient; a new low is kept."""
+        at = pc.pose(self.chain, q)
+        value, forces = self.energy(at.x)
+        if not self.falls or value < self.falls[-1][1]:
+            self.falls.append((self.n, value))
+        return value, -pc.pull_back(self.chain, at, forces)
+
+
+def wrapped(q: np.ndarray) -> np.ndarray:
+    """Torsions between -pi and pi."""
+    return (q + np.pi) % (2 * np.pi) - np.pi
+
+
+def by_scipy(method: str, chain: pc.Chain, energy, budget: int, seed: int) -> list[tuple[int, float]]:
+    """Evaluations and energy of each new low, by scipy's method with its defaults and L-BFGS-B."""
+    counted = Counted(chain, energy, budget)
+    local = {"method": "L-BFGS-B", "jac": True}
+    try:
+        if method == "basinhopping":
+            basinhopping(counted, chain.q0, 10**9, KT, minimizer_kwargs=local, rng=seed)
+        else:
+            local = {"method": "L-BFGS-B", "jac": counted.slope}
+            dual_annealing(
+                lambda q: counted(q)[0], [(-np.pi, np.pi)] * chain.n_q, maxiter=10**9, maxfun=10**9,
+                x0=wrapped(chain.q0), minimizer_kwargs=local, rng=seed,
+            )  # fmt: skip
+    except SpentError:
+        pass
+    return counted.falls
+
+
+def falls_of(found: pc.Search, walker: int) -> list[tuple[int, float]]:
+    """Evaluations and energy of each new low of a walk."""
+    its = found.findings[walker].minima[:, :2]
+    low = np.minimum.accumulate(its[:, 1])
+    new = np.concatenate([[True], np.diff(low) < 0.0])
+    return [(int(n), float(e)) for n, e in its[new]]
+
+
+def found(options: argparse.Namespace) -> pd.DataFrame:
+    """Evaluations to within 0.5 kJ/mol of the lowest that any walk found, and how many came there."""
+    structure = pc.from_sequence(PEPTIDE)
+    chain, energy = pc.build_chain(structure, root="fixed"), pc.energy(structure, threads=1)
+    budget, seeds = (1500, 2) if options.quick else (options.evaluations, options.seeds)
+    falls, seconds = {}, {}
+    for method in ("hopping", "annealing", "tempering", "basinhopping", "dual_annealing"):
+        began = sum(os.times()[:4])
+        if method in TEMPERATURES:
+            done = pc.search(
+                chain, energy, method, budget * seeds, temperatures=TEMPERATURES[method], n_walkers=seeds,
+                n_replicas=3, workers=WORKERS,
+            )  # fmt: skip
+            falls[method] = [falls_of(done, walker) for walker in range(seeds)]
+        else:
+            falls[method] = [by_scipy(method, chain, energy, budget, seed) for seed in range(seeds)]
+        seconds[method] = (sum(os.times()[:4]) - began) / seeds
+        print(method, [round(its[-1][1], 2) for its in falls[method]], flush=True)
+    lowest = min(its[-1][1] for each in falls.values() for its in each)
+    rows = []
+    for method, each in falls.items():
+        to = [next((n for n, e in its if e <= lowest + NEAR), np.inf) for its in each]
+        ends = np.array([its[-1][1] for its in each]) - lowest
+        first, middle, third = np.quantile(to, [0.25, 0.5, 0.75], method="nearest")
+        rows.append({
+            "method": method, "walks": seeds, "evaluations": budget, "reached": int(np.isfinite(to).sum()),
+            "first_quartile": first, "median": middle, "third_quartile": third,
+            "lowest_kj_mol": ends.min() + lowest, "above_lowest_median_kj_mol": np.median(ends),
+            "above_lowest_worst_kj_mol": ends.max(), "seconds_of_a_core": seconds[method],
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def populations(options: argparse.Namespace) -> pd.DataFrame:
+    """Decaalanine by tempering from the extended chain: helix, energies, exchanges and slopes."""
+    structure = pc.from_sequence(HELIX[: 5 if options.quick else None])
+    chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
+    done = pc.search(
+        chain, energy, "tempering", 25_000 if options.quick else 80_000, n_walkers=2,
+        n_replicas=3 if options.quick else 4, workers=WORKERS,
+    )  # fmt: skip
+    table = done.populations
+    table["round_trips"] = done.record()["round_trips"]
+    table["evaluations"] = done.n_evaluations
+    table["lowest_kj_mol"] = done.energy
+    table["helix_share_of_lowest"] = done.minima.loc[0, "helix_share"]
+    return table
+
+
+def folds(options: argparse.Namespace) -> pd.DataFrame:
+    """Trp-cage by hopping: what is lowest, chosen by energy alone, beside the native; all atoms minimised."""
+    native = pc.load(made.SAMPLES / "1l2y.pdb")
+    structure = pc.from_sequence("NLYIQWLKDGGPSSGRPPPS")
+    chain, energy = pc.build_chain(structure), pc.energy(structure, solvent="gbn2", threads=1)
+    seeds, minutes = (2, 0.2) if options.quick else (5, options.minutes)
+    done = pc.search(
+        chain, energy, "hopping", hours=minutes * seeds / WORKERS / 60.0, n_walkers=seeds, workers=WORKERS
+    )
+    own = pc.energy(native, solvent="gbn2", threads=1)
+    reference = pc.minimise(native, own, "hybrid").end.energy
+    rows = []
+    for walker, its in enumerate(done.findings):
+        low = its.minima[np.argmin(its.minima[:, 1])]
+        start = structure.with_positions(pc.pose(done.chain, low[2:]).x)
+        end = pc.minimise(start, energy, "hybrid")
+        rows.append({
+            "walk": walker, "minutes": minutes, "evaluations": int(its.minima[-1, 0]),
+            "in_torsions_kj_mol": low[1], "energy_kj_mol": end.end.energy, "native_kj_mol": reference,
+            "ca_rmsd_to_native_angstrom": pc.rmsd(end.structure, native),
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def truth(options: argparse.Namespace) -> pd.DataFrame:
+    """Two hinges of trialanine by tempering, against quadrature over a grid."""
+    structure = pc.from_sequence("AAA")
+    chain, energy = pc.build_chain(structure, "phi", "fixed"), pc.energy(structure, threads=1)
+    n = 30 if options.quick else 90
+    at = 2.0 * np.pi * (np.arange(n) + 0.5) / n - np.pi
+    grid = np.array([[energy(pc.pose(chain, np.array([a, b])).x)[0] for b in at] for a in at])
+    budget = 16_000 if options.quick else 50_000
+    done = pc.search(chain, energy, "tempering", budget, n_walkers=2, n_replicas=2, workers=WORKERS)
+    rows = []
+    for row in done.populations.to_dict("records"):
+        weight = np.exp(-(grid - grid.min()) * 1000.0 / (constants.R * row["temperature_k"]))
+        exact = float((weight * grid).sum() / weight.sum())
+        rows.append({
+            "temperature_k": row["temperature_k"], "energy_kj_mol": row["energy_kj_mol"],
+            "energy_error_kj_mol": row["energy_error_kj_mol"], "by_quadrature_kj_mol": exact,
+            "errors_away": (row["energy_kj_mol"] - exact) / row["energy_error_kj_mol"],
+            "slope": row["slope"], "slope_error": row["slope_error"], "exchanges": row["exchanges"],
+        })  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def cost(options: argparse.Namespace) -> pd.DataFrame:
+    """Processor time of a step, and picoseconds of dynamics in a second of it, one thread each."""
+    structure = pc.from_sequence(PEPTIDE)
+    energy = pc.energy(structure, threads=1)
+    landscape = Landscape.of(pc.build_chain(structure), energy)
+    q, step = landscape.minimise(landscape.chain.q0).q, 0.03
+    landscape.sweep(q, 300.0, step, 1, 0)
+    n = 5 if options.quick else 60
+    began = process_time()
+    done = landscape.sweep(q, 300.0, step, n, 1)
+    own = (process_time() - began) / done.n_evaluations
+    system = openmm.XmlSerializer.clone(energy.system)
+    constrain_hydrogens(system)
+    integrator = openmm.LangevinMiddleIntegrator(300, 1, 0.002)
+    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), {"Threads": "1"})
+    context.setPositions(landscape.positions(q))
+    context.setVelocitiesToTemperature(300 * unit.kelvin, 0)
+    integrator.step(100)
+    began = process_time()
+    integrator.step(20 * n)
+    context.getState(getEnergy=True)
+    theirs = (process_time() - began) / (20 * n)
+    return pd.DataFrame([
+        {"engine": name, "ms_a_step": 1000.0 * seconds, "fs_a_step": 1000.0 * h,
+         "ps_a_second": h / seconds, "trajectories_of_20_steps_a_second": 1.0 / (20 * seconds)}
+        for name, seconds, h in (
+            ("torsions, hybrid Monte Carlo with Fixman's potential", own, step),
+            ("OpenMM, all atoms, Langevin", theirs, 0.002),
+        )
+    ])  # fmt: skip
+
+
+TABLES = {"found": found, "populations": populations, "folds": folds, "truth": truth, "cost": cost}
+
+
+def parser() -> argparse.ArgumentParser:
+    own = made.parser(__doc__ or "", TABLES)
+    own.add_argument("--evaluations", type=int, default=15_000, help="of each walk")
+    own.add_argument("--seeds", type=int, default=10, help="walks of each method")
+    own.add_argument("--minutes", type=float, default=1.0, help="of each walk of folds")
+    return own
+
+
+def main() -> None:
+    options = parser().parse_args()
+    made.study(options, TABLES, "minima", lambda name, table: (), WORKERS)
+
+
+if __name__ == "__main__":
+    main()
