@@ -261,7 +261,8 @@ def main() -> None:
         if options.output:
             table = pd.DataFrame(rows)
             of = table["structure"].unique() if "structure" in table else ["copies of 1ubq"]
-            made.write(table, options.output / f"{name}.csv", of, options.threads)
+            threads = 1 if measure is by_accuracy else options.threads
+            made.write(table, options.output / f"{name}.csv", of, threads)
 
 
 if __name__ == "__main__":

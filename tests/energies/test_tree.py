@@ -14,7 +14,7 @@ import protochain as pc
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
 from protochain.energies import NativeEnergy, OpenMMEnergy
-from protochain.energies.native import expansion
+from protochain.energies.native import engine, expansion
 from protochain.energies.native.far import FAR_TERMS, Opening, openings
 from protochain.energies.native.layout import CHUNKS, W, in_blocks
 from protochain.energies.native.tree import FIRST, LEFT, plant
@@ -167,6 +167,14 @@ def test_all_pairs_judge_where_the_reference_platform_would_take_long(monkeypatc
     assert judged.energy == pytest.approx(energy()(s.positions)[0], rel=ROUND_OFF)
     assert abs(judged.energy - tree(s.positions)[0]) > 1e-3
     assert "native" in judge_of(tree) and len(tree.errors) == 1 and "differ" in tree.reason
+
+
+def test_a_tree_that_does_not_keep_the_accuracy_is_not_taken(monkeypatch):
+    x, exact, coarse = load(SAMPLE).positions, energy(), Opening(0.7, 2, 1.0)
+    monkeypatch.setattr(engine, "openings", lambda accuracy, in_solvent: [coarse, NEAR])
+    assert exact.to_accuracy(10.0, x).opening == coarse
+    assert exact.to_accuracy(5e-3, x).opening == NEAR
+    assert exact.to_accuracy(1e-7, x) is exact and "one by one" in exact.reason
 
 
 def test_openings_cost_more_the_smaller_the_error():
