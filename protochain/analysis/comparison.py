@@ -19,7 +19,7 @@ from protochain.analysis.quality import quality
 from protochain.analysis.spread import spreads
 from protochain.analysis.work import at_equal_cost, work_to_reach
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.core.storage import write_atomically, write_text
+from protochain.core.storage import json_text, write_atomically, write_text
 from protochain.minimisers import Solution
 from protochain.minimisers.record import SHOWN
 from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
@@ -325,7 +325,7 @@ def _write_files(comparison: Comparison, directory: Path) -> Path:
         "bonds_changed": joined(comparison.differences, "bonds"),
     }
     # First, since it names the structures: what an incomplete comparison left can be replaced, too.
-    write_text(directory / "summary.json", json.dumps(summary, indent=2, allow_nan=False))
+    write_text(directory / "summary.json", json_text(summary))
     for stem, table in tables.items():
         write_text(directory / f"{stem}.csv", table.to_csv(index=False))
     write_text(directory / "quality.csv", comparison.quality.to_csv())

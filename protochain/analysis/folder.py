@@ -36,7 +36,7 @@ def check_folder(folder: Path, force: bool) -> None:
     other = [name for name in _OF_OTHERS if (folder / name).exists()]
     if other:
         raise ProtochainError(f"{folder}: holds a batch or simulation ({other[0]}); give another folder")
-    there = [name for name in (_PAGE, *_names()) if (folder / name).exists()]
+    there = [name for name in (_PAGE, *names()) if (folder / name).exists()]
     if there and not force:
         raise ProtochainError(
             f"{folder}: holds a comparison ({there[0]}); give another folder, or ",
@@ -48,16 +48,17 @@ def check_folder(folder: Path, force: bool) -> None:
 def files_of(folder: Path, name: str, methods: Iterable[str]) -> list[Path]:
     """Files that a comparison of a structure of this name may write or delete in its folder."""
     ends = [f"{name}.{method}{suffix}" for method in ("start", *methods) for suffix in _SUFFIXES]
-    return [folder / each for each in dict.fromkeys([_PAGE, *_structures(folder), *ends, *_names()])]
+    return [folder / each for each in dict.fromkeys([_PAGE, *_structures(folder), *ends, *names()])]
 
 
 def clear(folder: Path) -> None:
     """Delete the files of an earlier comparison, and no others: no old structure stays beside new tables."""
-    for name in (_PAGE, *_structures(folder), *_names()):
+    for name in (_PAGE, *_structures(folder), *names()):
         (folder / name).unlink(missing_ok=True)
 
 
-def _names() -> list[str]:
+def names() -> list[str]:
+    """Names of all files that each comparison has beside its structures and its page."""
     # The summary last: it names the structures.
     return [*(f"{stem}.csv" for stem in TABLES), *(f"{stem}.png" for stem in FIGURES), _SUMMARY]
 

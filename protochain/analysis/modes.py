@@ -55,7 +55,7 @@ class NormalModes(Value):
     modes : (n_v, k) float
         Rates of all freedoms, with a^T M a = 1 in amu nm^2, and without momentum where nothing holds it.
     residuals : (k,) float
-        |K a - w^2 M a|, of |K| |a|.
+        ``|K a - w^2 M a|``, of ``|K| |a|``.
     errors : (k,) float, 1/ps^2
         What the error of the differences of torques, 1e-8 of K, may be of an eigenvalue at most.
     largest_eigenvalue : float, 1/ps^2
@@ -190,7 +190,7 @@ class NormalModes(Value):
         Returns
         -------
         (na,) float, angstrom^2
-            kT sum |J a|^2 / w^2. Modes that were not asked for are not in it.
+            ``kT sum |J a|^2 / w^2``. Modes that were not asked for are not in it.
 
         Raises
         ------
@@ -268,7 +268,7 @@ class NormalModes(Value):
         Returns
         -------
         (k,) float
-            |d . D| / |d| |D| over C-alphas, with d the displacements of a mode and D the change after
+            ``|d . D| / |d| |D|`` over C-alphas, with d the displacements of a mode and D the change after
             superposition, both without their rigid motion: Marques, Sanejouand, Proteins 23:557 (1995).
 
         Raises

@@ -1,6 +1,5 @@
 """What `protochain modes` writes to a folder: tables, the structure, swings, and a page where modes move."""
 
-import json
 import shlex
 import sys
 from collections.abc import Mapping
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 
 from protochain.analysis.modes import NormalModes
 from protochain.core.markup import counted
-from protochain.core.storage import write_text
+from protochain.core.storage import json_text, write_text
 from protochain.results.columns import Column, of_energy, of_losses, of_structure, record
 from protochain.results.figures import COLOURS, data_url, panels
 from protochain.results.page import write_page
@@ -144,7 +143,7 @@ def write_modes(
         command=shlex.join(sys.argv),
         size=counted(structure.n_protein_residues, "residue"),
     )
-    write_text(folder / "summary.json", json.dumps(found, indent=1, allow_nan=False) + "\n")
+    write_text(folder / "summary.json", json_text(found, 1) + "\n")
     return found
 
 

@@ -36,7 +36,7 @@ _MOST_IN_TEXT = 20_000_000
 _KIND = "run over frames"
 _NOTHING: Mapping[str, Any] = {"rows": 0, "sound": 0, "bytes": 0, "trajectory": None, "counts": {}}
 """What is kept of a run that has not begun."""
-_FIRST = ("frame", "time_ps", "status", "message")
+FIRST = ("frame", "time_ps", "status", "message")
 
 Watch = Callable[[int, int, FrameResult], None]
 """Told of each frame: how many are done, how many of these cannot be used, and the last."""
@@ -179,7 +179,7 @@ class _Files:
     ) -> None:  # fmt: skip
         self.ensemble, self.table, self.output, self.hydrogens = ensemble, table, trajectory, hydrogens
         self.settings = settings
-        self.columns = tuple(dict.fromkeys((*_FIRST, *task.columns, "seconds")))
+        self.columns = tuple(dict.fromkeys((*FIRST, *task.columns, "seconds")))
         self.columns += ("output_frame",) * (trajectory is not None)
         self.checkpoint = _checkpoint(table)
         check_writable(table)

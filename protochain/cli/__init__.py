@@ -7,46 +7,65 @@ import os
 import signal
 import sys
 from contextlib import redirect_stderr, redirect_stdout
-from importlib import metadata
-from typing import Annotated
+from functools import cached_property
+from importlib import import_module, metadata
+from typing import Annotated, Any
 
 import typer
-from typer.core import TyperOption
+from typer.core import TyperGroup, TyperOption
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from protochain.cli.batch import batch
-from protochain.cli.bench import bench, scene
-from protochain.cli.compare import compare
-from protochain.cli.energy import energy
-from protochain.cli.inspect import build, info
-from protochain.cli.minimise import minimise
-from protochain.cli.modes import modes
 from protochain.cli.options import BAD_INPUT, RENAMED, as_option, fail
 from protochain.cli.printable import Printable
-from protochain.cli.relax import relax
-from protochain.cli.rmsd import rmsd
-from protochain.cli.score import score
-from protochain.cli.search import search
-from protochain.cli.simulate import simulate
-from protochain.cli.validate import validate
 from protochain.core.errors import Argument, ProtochainError, WriteError
 
 __all__ = ["main"]
 
 _INTERRUPTED = 130
 
+_COMMANDS = {
+    "minimise": "minimise", "relax": "relax", "compare": "compare", "batch": "batch", "simulate": "simulate",
+    "modes": "modes", "validate": "validate", "score": "score", "energy": "energy", "rmsd": "rmsd",
+    "bench": "bench", "scene": "bench", "info": "inspect", "build": "inspect",
+    "search": "search", "schema": "schema",
+}  # fmt: skip
+"""Name of each command, which is that of its function, and the module that has it."""
+_ALIASES = {"minimize": "minimise"}
+
+
+class _Commands(TyperGroup):
+    """Commands, each of which is imported and built when it is asked for: one run needs one."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        del self.commands  # Of Typer, which knows of none.
+
+    @cached_property
+    def commands(self) -> dict[str, Any]:  # type: ignore[override]  # an attribute there
+        """All commands by name."""
+        return {name: _command(name) for name in (*_COMMANDS, *_ALIASES)}
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """One command; None if there is none of that name."""
+        return _command(cmd_name) if cmd_name in {*_COMMANDS, *_ALIASES} else None
+
+
+def _command(name: str) -> Any:
+    function = _ALIASES.get(name, name)
+    alone = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
+    module = import_module(f"protochain.cli.{_COMMANDS[function]}")
+    alone.command(name, hidden=name in _ALIASES)(getattr(module, function))
+    return get_command(alone)
+
+
 app = typer.Typer(
+    cls=_Commands,
     help="Minimise the energy of protein chains, and compare how.",
     rich_markup_mode=None,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-
-_COMMANDS = (
-    minimise, relax, compare, batch, simulate, search, modes, validate, score, energy, rmsd, bench, scene,
-    info, build,
-)  # fmt: skip
 
 
 @app.callback(invoke_without_command=True)
@@ -59,11 +78,6 @@ def about(
     if version:
         print(f"protochain {metadata.version('protochain')}")
         raise typer.Exit
-
-
-for command in _COMMANDS:
-    app.command()(command)
-app.command("minimize", hidden=True)(minimise)
 
 
 def as_said(error: ProtochainError, of: typer.Typer = app) -> str:

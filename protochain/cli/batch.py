@@ -1,9 +1,8 @@
 """``protochain batch``."""
 
-import json
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypedDict
 
 import typer
 
@@ -16,6 +15,7 @@ from protochain.cli.options import (
     Scheduler,
     check_outputs,
     inputs_of,
+    print_json,
     with_settings,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
@@ -42,6 +42,14 @@ ByNul = Annotated[
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, with the same settings.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
+
+
+class Planned(TypedDict):
+    """A structure of ``--dry-run``."""
+
+    structure: str
+    methods: list[str]
+    input: str
 
 
 @with_settings(setup="trust_forcefield")
@@ -78,8 +86,10 @@ def batch(
     if dry_run:
         jobs = find_jobs(given, settings, manifest, output)
         if as_json:
-            found = [{"structure": j.name, "methods": j.settings.methods, "input": str(j.path)} for j in jobs]
-            print(json.dumps({"structures": found}))
+            found = [
+                Planned(structure=j.name, methods=[*j.settings.methods], input=str(j.path)) for j in jobs
+            ]
+            print_json({"structures": found})
         else:
             print_jobs(jobs)
         raise typer.Exit(CONVERGED)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.cli.options import CONVERGED, AsJson, fail
+from protochain.cli.options import CONVERGED, AsJson, fail, print_json
 from protochain.cli.printable import printer
 from protochain.core.checks import words
 
@@ -145,7 +145,6 @@ def scene(
 
 def _scene(name: str, folder: Path, quick: bool, as_json: bool = False) -> list[str]:
     """Run a scene, write its folder, print what it has found; say what is wrong."""
-    from protochain.core.storage import json_text
     from protochain.lab.cases import write
     from protochain.scenes import run
 
@@ -157,7 +156,7 @@ def _scene(name: str, folder: Path, quick: bool, as_json: bool = False) -> list[
         frames = found.frames()
         told = {key: frames[key].to_dict("records") for key in ("checks", "work", "extremes", "left_out")}
         head = {"scene": found.name, "title": found.title, "wrong": list(found.wrong), **told}
-        print(json_text({**head, "error_of": found.error_of, "made": made, "output": str(folder)}, None))
+        print_json({**head, "error_of": found.error_of, "made": made, "output": str(folder)})
     else:
         _print(found)
         print(f"made by {made['versions']}, commit {made['commit']}, on {made['machine']}, 1 thread")
@@ -167,11 +166,11 @@ def _scene(name: str, folder: Path, quick: bool, as_json: bool = False) -> list[
 
 
 def _list(lines: dict[str, str], as_json: bool = False) -> None:
-    from protochain.core.storage import json_text
-
+    if as_json:
+        print_json({"scenes": lines})
+        return
     width = max(map(len, lines))
-    listed = "\n".join(f"{name:<{width}}  {line}" for name, line in lines.items())
-    print(json_text({"scenes": lines}) if as_json else listed)
+    print("\n".join(f"{name:<{width}}  {line}" for name, line in lines.items()))
 
 
 def _print(scene: "Scene") -> None:

@@ -1,6 +1,5 @@
 """``protochain compare``."""
 
-import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -20,6 +19,7 @@ from protochain.cli.options import (
     inputs_of,
     named_after,
     prepare,
+    print_json,
     print_lost,
     with_settings,
 )
@@ -90,7 +90,7 @@ def compare(
     if missing:
         print(f"protochain: interrupted: {', '.join(missing)} left out", file=sys.stderr)
     if as_json:
-        print(json.dumps(summary | {"output": str(output)}, allow_nan=False))
+        print_json(summary | {"output": str(output)})
     else:
         print_table(summary["results"])
         print_lost(summary["results"])

@@ -1,8 +1,7 @@
 """``protochain energy``."""
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import typer
 
@@ -15,6 +14,7 @@ from protochain.cli.options import (
     check_page,
     inputs_of,
     named_after,
+    print_json,
     with_settings,
 )
 from protochain.core.errors import ProtochainError
@@ -25,6 +25,18 @@ if TYPE_CHECKING:
 
 _MOST_ROWS = 25
 """Rows that are printed; those of the largest totals."""
+
+
+class Told(TypedDict):
+    """What is told of an energy; rows are those of the table."""
+
+    input: str
+    by: str
+    between: str | None
+    unit: str
+    solvent: str
+    forcefield: str
+    rows: list[Any]
 
 
 @with_settings(setup="hinges root move engine terms")
@@ -77,9 +89,11 @@ def energy(
 
         write_energies(structure, energy, report, between)
     if as_json:
-        asked = {"input": str(source), "by": by, "between": between, "unit": "kJ/mol"}
-        rows = json.loads(table.to_json(orient="records", double_precision=15))
-        print(json.dumps(asked | {"solvent": setup.solvent, "forcefield": setup.forcefield, "rows": rows}))
+        told: Told = {
+            "input": str(source), "by": by, "between": between, "unit": "kJ/mol", "solvent": setup.solvent,
+            "forcefield": setup.forcefield, "rows": table.to_dict("records"),
+        }  # fmt: skip
+        print_json(told)
     else:
         _print(table, by)
         if report:

@@ -1,15 +1,22 @@
 """What ``--trajectory`` and ``--frames`` do, in every command that has them: a row a frame."""
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import typer
 
-from protochain.cli.options import CONVERGED, FAILED, UNCONVERGED, check_outputs, fail, inputs_of
+from protochain.cli.options import (
+    CONVERGED,
+    FAILED,
+    UNCONVERGED,
+    check_outputs,
+    fail,
+    inputs_of,
+    print_json,
+)
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.markup import counted
@@ -40,6 +47,21 @@ Workers = Annotated[int | None, typer.Option(help="Of frames: processes [default
 Resume = Annotated[bool, typer.Option("--resume", help="Of frames: continue where a run was stopped.")]
 _SHOWN = 10
 """Frames that cannot be used that are listed; the table has all."""
+
+
+class Told(TypedDict):
+    """What is told of a run over frames."""
+
+    input: str
+    trajectory: str
+    frames: int
+    counts: dict[str, int]
+    csv: str
+    output: str | None
+    written: int
+    topology: str | None
+    interrupted: bool
+    report: str | None
 
 
 def are_asked(trajectory: Path | None, frames: str | None) -> bool:
@@ -131,14 +153,14 @@ def run(
 
         write_report(done, task.name, chosen.source, report)
     if as_json:
-        told = {
+        told: Told = {
             "input": str(source), "trajectory": str(trajectory or source),
             "frames": sum(done.counts.values()), "counts": dict(done.counts), "csv": str(done.csv),
-            "output": done.trajectory and str(done.trajectory), "written": done.written,
-            "topology": done.topology and str(done.topology),
-            "interrupted": done.interrupted, "report": report and str(report),
+            "output": str(done.trajectory) if done.trajectory else None, "written": done.written,
+            "topology": str(done.topology) if done.topology else None,
+            "interrupted": done.interrupted, "report": str(report) if report else None,
         }  # fmt: skip
-        print(json.dumps(told))
+        print_json(told)
     else:
         _print(done, report)
     if done.interrupted:

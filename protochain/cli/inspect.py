@@ -1,18 +1,44 @@
 """``protochain info`` and ``protochain build``."""
 
-import json
 import sys
 from collections import Counter
 from importlib import import_module
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, Any
+from typing import Annotated, TypedDict
 
 import typer
 
-from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, as_option, with_settings
+from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, as_option, print_json, with_settings
 from protochain.core.markup import counted
 from protochain.setup import Setup
+
+
+class Facts(TypedDict):
+    """What ``protochain info`` tells."""
+
+    input: str
+    n_chains: int
+    n_residues: int
+    n_atoms: int
+    n_bodies: int
+    n_hinges: int
+    n_q: int
+    n_v: int
+    hinges: dict[str, int]
+    loops: list[str]
+    left_out: dict[str, int]
+    lost_atoms: list[str]
+    repairs: list[str]
+    overlaps: list[str]
+    engine: str
+    engine_reason: str
+    threads: int | None
+    constant_terms: dict[str, int]
+    seconds_import: float
+    seconds_preparation: float
+    seconds_chain: float
+    seconds_energy: float
 
 
 @with_settings(setup="engine move")
@@ -31,7 +57,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
     chain = setup.chain(structure)
     built = perf_counter()
     energy = setup.energy(structure).without_constants(chain.rigid_groups, structure.positions)
-    facts: dict[str, Any] = {
+    facts: Facts = {
         "input": str(source),
         "n_chains": structure.n_chains,
         "n_residues": structure.n_residues,
@@ -56,7 +82,7 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
         "seconds_energy": perf_counter() - built,
     }
     if as_json:
-        print(json.dumps(facts))
+        print_json(facts)
         return
     for key, value in facts.items():
         if isinstance(value, list):

@@ -1,6 +1,5 @@
 """``protochain minimise``."""
 
-import json
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -27,6 +26,7 @@ from protochain.cli.options import (
     inputs_of,
     named_after,
     prepare,
+    print_json,
     print_lost,
     with_confidences,
     with_settings,
@@ -335,7 +335,7 @@ def _often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple["Solution
 
 def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> None:
     if as_json:
-        print(json.dumps({"models": records} if of_models else records[0], allow_nan=False))
+        print_json({"models": records} if of_models else records[0])
         return
     for record in records:
         if "starts_summary" in record:

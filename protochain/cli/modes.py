@@ -1,6 +1,5 @@
 """``protochain modes``."""
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +15,7 @@ from protochain.cli.options import (
     inputs_of,
     named_after,
     prepare,
+    print_json,
     print_lost,
     with_settings,
 )
@@ -96,7 +96,7 @@ def modes(
         other=other,
     )  # fmt: skip
     if as_json:
-        print(json.dumps(record, allow_nan=False))
+        print_json(record)
     else:
         _print(found, record)
     raise typer.Exit(CONVERGED if found.is_minimum else UNCONVERGED)

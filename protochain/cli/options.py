@@ -123,6 +123,13 @@ def fail(message: str, status: int = FAILED) -> int:
     return status
 
 
+def print_json(record: Mapping[str, Any]) -> None:
+    """Print one object on one line; null where a number is not finite."""
+    from protochain.core.storage import json_text
+
+    print(json_text(record, None))
+
+
 def named_after(source: Path) -> tuple[str, str]:
     """Return stem and suffix for outputs named after an input."""
     from protochain.structure.files import split_name, suffix_of

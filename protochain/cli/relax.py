@@ -1,6 +1,5 @@
 """``protochain relax``."""
 
-import json
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -25,6 +24,7 @@ from protochain.cli.options import (
     check_outputs,
     fail,
     inputs_of,
+    print_json,
     with_confidences,
     with_settings,
     write_models,
@@ -199,7 +199,7 @@ def _one(
         record["not_written"] = lost
         fail(f"{lost}; saved: {output}")
     if as_json:
-        print(json.dumps(record, allow_nan=False))
+        print_json(record)
     else:
         with beside_structure(output):
             print_relaxed(result, record)

@@ -2,14 +2,31 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypedDict
 
 import typer
 
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
-from protochain.cli.options import CONVERGED, FAILED, UNCONVERGED, AsJson, check_outputs, named_after
+from protochain.cli.options import (
+    CONVERGED,
+    FAILED,
+    UNCONVERGED,
+    AsJson,
+    check_outputs,
+    named_after,
+    print_json,
+)
 from protochain.cli.terminal import print_deviations
+
+
+class Told(TypedDict):
+    """What is told of deviations; results are the rows of the table."""
+
+    reference: str
+    align: str
+    measure: str
+    results: list[Any]
 
 
 def rmsd(
@@ -51,8 +68,10 @@ def rmsd(
         write_atomically(output, lambda to: table.to_csv(to, index=False))
     rows = json.loads(table.to_json(orient="records", double_precision=15))
     if as_json:
-        asked = {"reference": str(reference), "align": align, "measure": measure or align}
-        print(json.dumps(asked | {"results": rows}))
+        told: Told = {
+            "reference": str(reference), "align": align, "measure": measure or align, "results": rows,
+        }  # fmt: skip
+        print_json(told)
     else:
         print_deviations(rows)
     failed = sum(bool(row["message"]) for row in rows)

@@ -1,10 +1,9 @@
 """``protochain score``."""
 
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import typer
 
@@ -15,6 +14,7 @@ from protochain.cli.options import (
     check_outputs,
     files_of,
     inputs_of,
+    print_json,
     with_settings,
 )
 from protochain.cli.printable import printer
@@ -32,6 +32,16 @@ _SHOWN = {
     "interface_plddt": "pLDDT", "iptm": "ipTM", "pdockq": "pDockQ",
 }  # fmt: skip
 """Columns of the terminal; kJ/mol and square angstrom."""
+
+
+class Told(TypedDict):
+    """What is told of interfaces; results are the rows of the table."""
+
+    interface: list[str] | None
+    rank: str | None
+    solvent: str
+    forcefield: str
+    results: list[Any]
 
 
 @with_settings(setup="hinges root move engine terms")
@@ -106,8 +116,11 @@ def score(
 
         write_scored([each for each in found if each], done, report, setup, rank or "")
     if as_json:
-        asked = {"interface": interface, "rank": rank, "solvent": setup.solvent}
-        print(json.dumps(asked | {"forcefield": setup.forcefield, "results": rows}, allow_nan=False))
+        told: Told = {
+            "interface": interface, "rank": rank, "solvent": setup.solvent, "forcefield": setup.forcefield,
+            "results": rows,
+        }  # fmt: skip
+        print_json(told)
     elif done:
         _print(done)
     raise typer.Exit(CONVERGED if len(done) == len(rows) else BAD_INPUT)

@@ -1,6 +1,5 @@
 """``protochain simulate``."""
 
-import json
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from protochain.cli.options import (
     inputs_of,
     named_after,
     prepare,
+    print_json,
     with_settings,
 )
 from protochain.cli.terminal import (
@@ -91,7 +91,7 @@ def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
     """Print what a simulation came to, and exit."""
     record = {**done.record(), **beside}
     if as_json:
-        print(json.dumps(record, allow_nan=False))
+        print_json(record)
     elif done.is_sound:
         print_simulation(record)
     if not done.is_sound:

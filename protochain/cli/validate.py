@@ -1,10 +1,9 @@
 """``protochain validate``."""
 
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
 import typer
 
@@ -18,6 +17,7 @@ from protochain.cli.options import (
     files_of,
     inputs_of,
     named_after,
+    print_json,
     with_settings,
 )
 from protochain.cli.printable import printer
@@ -36,6 +36,13 @@ _LISTS = ["findings", "ligands", "nucleotides", "changes", "bonds_changed"]
 """What JSON has of a structure, and a table of many cannot."""
 _SHOWN = 10
 """Residues listed of each structure; the tables have all."""
+
+
+class Told(TypedDict):
+    """What is told of structures; results are the rows of the table, and what it cannot have."""
+
+    reference: str | None
+    results: list[Any]
 
 
 @with_settings(setup="hinges move forcefield solvent engine cutoff threads trust_forcefield")
@@ -131,7 +138,7 @@ def validate(
         write_atomically(changes, lambda to: of_all.to_csv(to, index=False))
     done = [row for row in rows if not row["message"]]
     if as_json:
-        print(json.dumps({"reference": str(reference) if reference else None, "results": rows}))
+        print_json(Told(reference=str(reference) if reference else None, results=rows))
     elif done:
         _print(done, notes)
     raise typer.Exit(CONVERGED if len(done) == len(rows) else BAD_INPUT)

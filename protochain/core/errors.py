@@ -60,6 +60,7 @@ class Fault(Enum):
     ONLY_ALPHA = "C-alpha atoms only"
     OPEN = "a loop that does not close"
     OVERLAP = "overlap"
+    POINTED = "pointed"
     SHAPE = "another shape"
     STEP = "time step too long"
     UNDERCUT = "undercut"

@@ -202,7 +202,7 @@ class _Run:
         biases = self._biases(at)
         bias = sum(biases.values())
         alpha = self.chain.structure.alpha_carbons
-        row = {
+        row: dict[str, float] = {
             "step": state.step,
             "time_ps": state.step * s.time_step,
             "kinetic_kj_mol": at.kinetic,

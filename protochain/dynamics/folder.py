@@ -1,7 +1,6 @@
 """Output files of a simulation: trajectory, log, checkpoint, final structure and summary."""
 
 import csv
-import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -15,6 +14,7 @@ from protochain.core.errors import Argument, ProtochainError, StructureError, Wr
 from protochain.core.storage import (
     check_writable,
     fitting,
+    json_text,
     read_arrays,
     undamaged,
     write_arrays,
@@ -255,8 +255,7 @@ class Folder:
 
     def summarise(self, record: Mapping[str, Any]) -> None:
         """Write ``summary.json``."""
-        text = json.dumps(record, indent=2, allow_nan=False)
-        write_text(self.path / "summary.json", text)
+        write_text(self.path / "summary.json", json_text(record))
 
 
 @contextmanager

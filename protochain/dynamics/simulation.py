@@ -1,5 +1,6 @@
 """Result of a simulation."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
@@ -39,7 +40,7 @@ class Simulation:
     freedoms : int
         Number of degrees of freedom, without constraints and without the centre-of-mass motion if that is
         removed.
-    state : State
+    state : protochain.dynamics.State
         Last valid state.
     ending : Ending
         Outcome.
@@ -139,53 +140,9 @@ class Simulation:
 
     def record(self) -> dict[str, Any]:
         """Return the simulation as flat values for JSON."""
-        chain, e, s = self.chain, self.energy_function, self.chain.structure
-        warm = [row["temperature_k"] for row in self.rows[len(self.rows) // 2 :]]
-        settings = self.settings.record()
-        superposed, filed = self.frame.ca_rmsds(self.x)
-        return {
-            "protochain": version("protochain"),
-            "structure": s.name,
-            "engine": e.engine,
-            "engine_reason": e.reason,
-            "forcefield": e.forcefield,
-            "solvent": e.solvent,
-            "hinges": chain.opened,
-            "move": chain.move,
-            "n_chains": s.n_chains,
-            "n_residues": s.n_residues,
-            "n_atoms": s.n_atoms,
-            "n_bodies": chain.n_bodies,
-            "n_hinges": chain.n_hinges,
-            "freedoms": self.freedoms,
-            "temperature_k": settings.pop("temperature"),
-            "time_step_fs": 1000 * settings.pop("time_step"),
-            "friction_per_ps": settings.pop("friction"),
-            "hydrogen_mass_amu": settings.pop("hydrogen_mass"),
-            "every_steps": settings.pop("every"),
-            **settings,
-            "steps": self.state.step,
-            "time_ps": self.state.step * self.settings.time_step,
-            "mean_temperature_second_half_k": float(np.mean(warm)),
-            "potential_end_kj_mol": self.rows[-1]["potential_kj_mol"],
-            "conserved_drift_kj_mol_ps_per_100_atoms": self.drift if len(self.rows) > 2 else None,
-            "accepted": self.accepted,
-            **self._pulled(),
-            "ca_rmsd_angstrom": self.rows[-1]["ca_rmsd_angstrom"],
-            "ca_rmsd_input_angstrom": superposed,
-            "ca_rmsd_input_as_filed_angstrom": filed,
-            "frame": str(self.frame),
-            "seconds": self.seconds,
-            "ns_per_day": self.ns_per_day,
-            "status": str(self.ending),
-            "message": self.message,
-            "left_out": dict(s.left_out),
-            "lost_atoms": lost_atoms(s.losses),
-            "n_lost_atoms": n_lost(s.losses),
-            "far_molecules": far_molecules(s.losses),
-            "repairs": [str(each) for each in s.repairs],
-            "threads": e.threads,
-        }
+        settings = {RENAMED.get(name, name): value for name, value in self.settings.record().items()}
+        settings["time_step_fs"] *= 1000
+        return {name: value(self) for name, value in RECORD.items()} | settings | self._pulled()
 
     def _pulled(self) -> dict[str, float]:
         """What a pull has come to; nothing without one."""
@@ -219,3 +176,55 @@ def said_of(
         f"({1000 * settings.time_step:g} fs) or heavier hydrogens, or minimise first"
         + ("; or pull more slowly, by a softer spring" if settings.pull else "")
     )
+
+
+RENAMED = {
+    "temperature": "temperature_k", "time_step": "time_step_fs", "friction": "friction_per_ps",
+    "hydrogen_mass": "hydrogen_mass_amu", "every": "every_steps",
+}  # fmt: skip
+"""Settings whose names in a record have units; the time step has another one there."""
+
+RECORD: Mapping[str, Callable[[Simulation], Any]] = {
+    "protochain": lambda r: version("protochain"),
+    "structure": lambda r: r.chain.structure.name,
+    "engine": lambda r: r.energy_function.engine,
+    "engine_reason": lambda r: r.energy_function.reason,
+    "forcefield": lambda r: r.energy_function.forcefield,
+    "solvent": lambda r: r.energy_function.solvent,
+    "hinges": lambda r: r.chain.opened,
+    "move": lambda r: r.chain.move,
+    "n_chains": lambda r: r.chain.structure.n_chains,
+    "n_residues": lambda r: r.chain.structure.n_residues,
+    "n_atoms": lambda r: r.chain.structure.n_atoms,
+    "n_bodies": lambda r: r.chain.n_bodies,
+    "n_hinges": lambda r: r.chain.n_hinges,
+    "freedoms": lambda r: r.freedoms,
+    "steps": lambda r: r.state.step,
+    "time_ps": lambda r: r.state.step * r.settings.time_step,
+    "mean_temperature_second_half_k": lambda r: float(
+        np.mean([row["temperature_k"] for row in r.rows[len(r.rows) // 2 :]])
+    ),
+    "potential_end_kj_mol": lambda r: r.rows[-1]["potential_kj_mol"],
+    "conserved_drift_kj_mol_ps_per_100_atoms": lambda r: r.drift if len(r.rows) > 2 else None,
+    "accepted": lambda r: r.accepted,
+    "ca_rmsd_angstrom": lambda r: r.rows[-1]["ca_rmsd_angstrom"],
+    "ca_rmsd_input_angstrom": lambda r: r.frame.ca_rmsds(r.x)[0],
+    "ca_rmsd_input_as_filed_angstrom": lambda r: r.frame.ca_rmsds(r.x)[1],
+    "frame": lambda r: str(r.frame),
+    "seconds": lambda r: r.seconds,
+    "ns_per_day": lambda r: r.ns_per_day,
+    "status": lambda r: str(r.ending),
+    "message": lambda r: r.message,
+    "left_out": lambda r: dict(r.chain.structure.left_out),
+    "lost_atoms": lambda r: lost_atoms(r.chain.structure.losses),
+    "n_lost_atoms": lambda r: n_lost(r.chain.structure.losses),
+    "far_molecules": lambda r: far_molecules(r.chain.structure.losses),
+    "repairs": lambda r: [str(each) for each in r.chain.structure.repairs],
+    "threads": lambda r: r.energy_function.threads,
+}
+"""Values of a record beside the settings, by name."""
+PULLED = (
+    "pull_stiffness_kj_mol_nm2", "pull_speed_nm_ps", "pull_distance_start_nm", "pull_distance_end_nm",
+    "pull_work_end_kj_mol", "pull_force_largest_kj_mol_nm",
+)  # fmt: skip
+"""And those of a run that pulls."""

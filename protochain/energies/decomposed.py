@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.checks import checked, file_name, instance, optional, text
+from protochain.core.checks import checked, file_name, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
@@ -26,7 +26,7 @@ from protochain.energies.native.pairs import CLOSEST
 from protochain.energies.native.shares import residue_sums
 from protochain.energies.native.terms import Bonded, Terms
 from protochain.energies.openmm_engine import OpenMMEnergy
-from protochain.energies.protocol import Energy, check_is_of
+from protochain.energies.protocol import Energy, an_energy, check_is_of
 from protochain.structure import as_structure
 from protochain.structure.model import Structure
 from protochain.structure.select import select
@@ -83,7 +83,7 @@ class Decomposed(Value):
     forcefield=file_name,
     solvent=text,
     by=text,
-    energy=optional(instance(Energy, "protochain.energy(structure)")),
+    energy=optional(an_energy),
 )
 def energy_terms(
     source: Any,

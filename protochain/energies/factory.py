@@ -1,5 +1,6 @@
 """Energies built from names of force field, solvent and engine."""
 
+import copy
 import io
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
@@ -118,7 +119,7 @@ def energy(
         then says by how much forces differ. In vacuum, where charges are not screened, no distance will do.
         Below 0.5 nm, where atoms that touch would not act on each other, none is taken.
     system : openmm.System, optional
-        System to use instead of building one.
+        System to use instead of building one; copied, so that later changes do not affect a run.
     threads : int, optional
         Number of threads; all by default.
     trust_forcefield : bool
@@ -156,7 +157,8 @@ def energy(
             forcefield += " (nonbonded)"
         by_openmm = OpenMMEnergy(system, "CPU", threads, forcefield, solvent, note, structure.fingerprint)
     elif system.getNumParticles() == structure.n_atoms:
-        cutoff, by_openmm = None, OpenMMEnergy(system, threads=threads, note="System given by the caller")
+        cutoff, system = None, copy.deepcopy(system)
+        by_openmm = OpenMMEnergy(system, threads=threads, note="System given by the caller")
     else:
         raise ForceFieldError(
             f"the System has {system.getNumParticles()} particles but {structure.name} has "

@@ -24,7 +24,7 @@ class OpenMMEnergy:
     Parameters
     ----------
     system : openmm.System
-        Copied, so that later changes by the caller do not affect a run.
+        Not copied, which for thousands of atoms takes longer than to build it: nobody may change it later.
     platform : str
         ``CPU`` (single precision, fast) or ``Reference`` (double precision).
     threads : int or None
@@ -49,7 +49,7 @@ class OpenMMEnergy:
         note: str = "",
         atoms: str = "",
     ) -> None:
-        self.system = copy.deepcopy(system)
+        self.system = system
         self.platform = platform
         self.threads = (threads or processors()) if platform == "CPU" else 1
         self.forcefield = forcefield

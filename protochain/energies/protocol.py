@@ -1,14 +1,14 @@
 """Interface of all energies."""
 
 from collections.abc import Mapping
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.errors import ProtochainError
+from protochain.core.checks import shown
+from protochain.core.errors import ProtochainError, refused
 from protochain.structure.model import Structure
 
 
-@runtime_checkable
 class Energy(Protocol):
     """Potential energy of atom positions, by any engine."""
 
@@ -82,6 +82,13 @@ class Energy(Protocol):
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
+
+
+def an_energy(value: Any, name: str) -> Energy:
+    """Return an Energy as it is, known by a method: what asked for all would compute the properties, too."""
+    if hasattr(value, "without_constants"):
+        return value
+    raise refused(name, shown(value), "give an Energy, as of protochain.energy(structure)")
 
 
 def check_is_of(energy: Energy, structure: Structure) -> None:

@@ -6,6 +6,7 @@ Never from distances: orders of bonds, charges and hydrogens do not follow from 
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -17,6 +18,7 @@ from protochain.core.checks import MOLECULE_SUFFIXES
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands.dictionary import component
 from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly, to_rdkit
 from protochain.ligands.tables import CATEGORY, stereo
 
@@ -87,6 +89,7 @@ def read(given: str | Path) -> Molecule:
     return from_rdkit(made, _short(given))
 
 
+@lru_cache(maxsize=64)
 def from_dictionary(name: str) -> Molecule:
     """Return a molecule of the Chemical Component Dictionary, which biotite carries.
 
@@ -99,7 +102,7 @@ def from_dictionary(name: str) -> Molecule:
         with warnings.catch_warnings():
             # Of some entries coordinates lack; those of the model are used.
             warnings.simplefilter("ignore", UserWarning)
-            atoms = library("biotite.structure.info").residue(name)
+            atoms = component(name)
     except KeyError:
         raise _unknown(name) from None
     kinds = library("biotite.structure").BondType

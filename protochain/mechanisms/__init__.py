@@ -5,6 +5,8 @@ A :class:`Mechanism` is the builder, its :meth:`~Mechanism.build` gives a frozen
 of units will do.
 """
 
+from protochain.mechanisms.assumed import assumed_modes
+from protochain.mechanisms.bending import bending
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.bushing import Bushing
 from protochain.mechanisms.closing import Closing
@@ -35,6 +37,7 @@ __all__ = [
     "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Block", "Bodies", "BoxTree", "Bushing", "Closing",
     "Conservative", "Contact", "CustomForce", "Element", "Event", "Friction", "Happened", "HingeTorque",
     "Law", "Mechanism", "Memory", "Model", "Movie", "Named", "Plane", "Rod", "Run", "Segments", "Spring",
-    "State", "Surface", "Torsion", "add_beam", "box_tree", "flores", "frequencies", "in_modes",
-    "lankarani_nikravesh", "overlapping", "real_restitution", "state_matrix", "touching",
+    "State", "Surface", "Torsion", "add_beam", "assumed_modes", "bending", "box_tree", "flores",
+    "frequencies", "in_modes", "lankarani_nikravesh", "overlapping", "real_restitution", "state_matrix",
+    "touching",
 ]  # fmt: skip

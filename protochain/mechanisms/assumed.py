@@ -47,7 +47,7 @@ def clamped(x: Floats, k: int) -> tuple[Floats, Floats, Floats]:
 def assumed_modes(
     of: Beam, flap: int = 0, lag: int = 0, twist: int = 0, sections: int | None = None
 ) -> Shapes:
-    """Sections and shapes of a beam along the x axis of its body, clamped there at x = 0.
+    """Make sections and shapes of a beam along the x axis of its body, clamped there at x = 0.
 
     Parameters
     ----------

@@ -185,7 +185,9 @@ def respond(
     drag, grip, most = scale(kt, slip), kt * rolled, mu * total
     size = np.sqrt(dot(drag, drag) + grip * grip)
     if size > most:
-        sums[RUBBED] += most * (size - most) / kt
+        # The work is of the mean of this step's drag and the last one's, whose spring held 1/2 F^2 / kt.
+        before = np.sqrt(2.0 * kt * memory[row, HELD])
+        sums[RUBBED] += 0.5 * (before + most) * (size - most) / kt
         slip, rolled = scale(most / size, slip), most / size * rolled
         drag, grip = scale(kt, slip), kt * rolled
     else:

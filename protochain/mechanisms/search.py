@@ -35,7 +35,7 @@ def touching(centre: Floats, radius: Floats) -> Integers:
     Returns
     -------
     (k, 2) int
-        Pairs (i, j), i < j, in order, with |c_i - c_j| <= r_i + r_j.
+        Pairs (i, j), i < j, in order, with ``|c_i - c_j| <= r_i + r_j``.
 
     Raises
     ------

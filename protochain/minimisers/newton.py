@@ -59,10 +59,10 @@ class Newton(Direction):
 class PseudoTransient:
     """Pseudo-transient continuation of d theta/dt = tau by linearly implicit Euler steps.
 
-    (1/delta + H) d = tau, with delta growing as the torque falls, delta_{k+1} = delta_k |tau_{k-1}| / |tau_k|
-    (switched evolution relaxation): Kelley, Keyes, SIAM J. Numer. Anal. 35:508 (1998); for the
-    compliance method, Robotics 13(10):150 (2024). From small steps along the torques it turns into Newton's
-    method. A step that raises the energy is taken back, and delta made smaller.
+    (1/delta + H) d = tau, with delta growing as the torque falls, ``delta_{k+1} =
+    delta_k |tau_{k-1}| / |tau_k|`` (switched evolution relaxation): Kelley, Keyes, SIAM J. Numer. Anal.
+    35:508 (1998); for the compliance method, Robotics 13(10):150 (2024). From small steps along the torques
+    it turns into Newton's method. A step that raises the energy is taken back, and delta made smaller.
 
     Parameters
     ----------

@@ -1,5 +1,6 @@
 """OpenMM's own minimiser, as the reference: all atoms free, Cartesian L-BFGS."""
 
+import copy
 from collections.abc import Callable
 from functools import partial
 
@@ -166,7 +167,7 @@ def langevin_dynamics(
     Takes and returns what :func:`local_energy_minimizer` does, but ends at its last positions; each step is
     one iteration and one evaluation of the forces.
     """
-    own = OpenMMEnergy(energy.system, platform, energy.threads)
+    own = OpenMMEnergy(copy.deepcopy(energy.system), platform, energy.threads)
     constrain_hydrogens(own.system)
     integrator = openmm.LangevinMiddleIntegrator(300.0, 1.0, 0.002)
     integrator.setRandomNumberSeed(seed + 1)
@@ -198,7 +199,7 @@ _MD_STEPS, _MD_FRAME = 1000, 20
 
 
 def _minimise(energy: Energy, platform: str, x: Floats, tolerance: float, reporter: _Reporter) -> None:
-    counted = OpenMMEnergy(energy.system, platform, energy.threads)
+    counted = OpenMMEnergy(copy.deepcopy(energy.system), platform, energy.threads)
     counter = openmm.PythonForce(reporter.count)
     counter.setParticles([0])
     counted.system.addForce(counter)

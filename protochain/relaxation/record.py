@@ -101,7 +101,7 @@ OF_FRAMES = tuple(column for column in COLUMNS if column.key not in _OF_ALL_FRAM
 """Columns of a frame of an ensemble."""
 
 
-def _of_interface(key: str, when: str) -> str:
+def interface_column(key: str, when: str) -> str:
     """Name of a column: the unit stays its end."""
     ending = next((ending for ending in UNITS if key.endswith(ending)), "")
     return f"interface_{key.removesuffix(ending)}_{when}{ending}"
@@ -114,14 +114,14 @@ def _score(key: str, when: str, of: Any) -> Any:
 INTERFACE_COLUMNS = (
     Column("interface", lambda r: r.settings.interface),
     *(
-        Column(_of_interface(key, when), partial(_score, key, when))
+        Column(interface_column(key, when), partial(_score, key, when))
         for key in SCORES
         for when in ("start", "end")
     ),
 )
 """Further columns, where an interface is scored."""
 INTERFACE_COUNTS = tuple(
-    _of_interface(key, when) for key, score in SCORES.items() if score.whole for when in ("start", "end")
+    interface_column(key, when) for key, score in SCORES.items() if score.whole for when in ("start", "end")
 )
 """Those of whole numbers."""
 
@@ -151,7 +151,7 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     said = [(what, _said(before), _said(after)) for what, before, after in rows]
     if "interface" in record:
         for key in _TOLD:
-            before, after = (_exactly(record[_of_interface(key, when)]) for when in ("start", "end"))
+            before, after = (_exactly(record[interface_column(key, when)]) for when in ("start", "end"))
             said.append((f"interface {record['interface']}: {heading(key)}", before, after))
     return said
 

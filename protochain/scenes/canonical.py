@@ -1,7 +1,17 @@
 """Chains of links that bend by assumed modes: Hamilton's equations against accelerations.
 
+After Tong, J. Comput. Nonlinear Dyn. 5:041002 (2010), whose text was not found. What is known of it from
+others, and where it is:
+
+=====================================  ============================================================
+velocities from momenta, by recursion  ``multibody.canonical``: articulated bodies, O(n)
+other ways beside it                   amplitudes first, in blocks; the whole matrix
+bodies that bend by shapes             ``multibody.flexible``, with what stiffens a beam that turns
+=====================================  ============================================================
+
 Chosen are links of 1 m and 1 kg in a plane, hinged end to end, EI 3 N m^2, two shapes of bending each; the
-first hinge is free: nothing depends on its angle, and its momentum is the whole chain's spin.
+first hinge is free: nothing depends on its angle, and its momentum is the whole chain's spin. Left out:
+loops, whose rows the recursion does not have.
 """
 
 from collections.abc import Callable, Iterator

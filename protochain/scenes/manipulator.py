@@ -1,7 +1,16 @@
 """An arm of three flexible links: cells, explicit and implicit integrators, rigid ends.
 
-Of the arm of Megahed, Hamza, Robotica 22:285 (2004), no data were found: chosen are steel links of 1, 0.8 and
-0.6 m, 40 mm high and 10 mm thick, on a smooth table, whose motors turn with a sin(2 pi t) for a second.
+After Megahed, Hamza, Robotica 22:285 (2004), of which no data were found. What is known of it from others,
+and where it is:
+
+===========================================  ====================================================
+flexible links as rigid segments on springs  ``mechanisms.segments``; frequencies: scene ``beam``
+links with rigid ends                        ``Beam.rigid``, here and in the scene ``beam``
+an arm whose motors move as prescribed       here, against Exudyn and scipy
+===========================================  ====================================================
+
+Chosen are steel links of 1, 0.8 and 0.6 m, 40 mm high and 10 mm thick, on a smooth table, whose motors turn
+with a sin(2 pi t) for a second. Left out: its own figures, which are not known.
 """
 
 from collections.abc import Callable, Iterator

@@ -1,7 +1,15 @@
 """Serial chains of revolute hinges: M^-1 by three routes, long, light, thin and straight.
 
-Accelerations of serial chains in O(n): Lee, Wang, Chirikjian, Robotica 25:739 (2007). The extreme chains are
-those of ``protochain bench stability``.
+After Lee, Wang, Chirikjian, Robotica 25:739 (2007), of which the abstract was read. What it says, and where
+it is:
+
+=========================================  ==============================================================
+M^-1 of serial arms in O(n), after Fixman  ``multibody.fixman``: by locked directions, on any tree
+recursions beside it                       ``multibody.articulated``; dense matrices
+polypeptide chains                         not here, but in ``bench stability``, whose extremes these are
+=========================================  ==============================================================
+
+Left out: its own arms, which are not known; random and extreme chains take their place.
 """
 
 from collections.abc import Iterator

@@ -1,11 +1,12 @@
 """What is found wrong with a structure at some positions: measured when asked for, counted and listed."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.markup import counted
@@ -75,40 +76,21 @@ class Found(Value):
         """Return a row for each residue of the protein; see :attr:`Validation.residues`."""
         import pandas as pd
 
-        s, of = self.structure, self.structure.atom_residue
-        rama, peptides, sides = self.ramachandran, self.peptides, self.side_chains
-        nonplanar = np.where(peptides.cis, "cis", np.where(peptides.twisted, "twisted", "trans"))
-        columns = {
-            "chain": s.residue_chain,
-            "residue": np.char.add(s.residue_number, s.residue_insertion_code),
-            "name": s.residue_name,
-            "violation": self.violations.per_residue,
-            "clashes": self._count(self.clashes.pairs),
-            "phi_degrees": self._spread(rama.residue, rama.phi),
-            "psi_degrees": self._spread(rama.residue, rama.psi),
-            "ramachandran_class": self._spread(rama.residue, np.array(CLASSES)[rama.kind]),
-            "ramachandran_percent": self._spread(rama.residue, 100.0 * rama.score),
-            "ramachandran": self._spread(rama.residue, np.array(REGIONS)[rama.region]),
-            "omega_degrees": self._spread(peptides.residue, peptides.omega),
-            "peptide_bond": self._spread(peptides.residue, nonplanar),
-            "rotamer": self._spread(sides.residue, sides.rotamer),
-            "rotamer_outlier": np.isin(np.arange(s.n_residues), sides.outliers),
-            "cbeta_deviation_angstrom": self._spread(self.cbeta.residue, self.cbeta.deviation),
-            "wrong_hands": np.bincount(of[self.wrong_hands], minlength=s.n_residues),
-            "bond_outliers": self._count(self.strain.bonds),
-            "angle_outliers": self._count(self.strain.angles),
-            "threaded_rings": np.bincount([ring.residue for ring in self.rings], minlength=s.n_residues),
-            "atoms_added": np.bincount(of[s.built], minlength=s.n_residues),
-        }
-        return pd.DataFrame(columns).loc[np.unique(of[~s.kept])]
+        s = self.structure
+        columns = {name: value(self) for name, value in RESIDUE_COLUMNS.items()}
+        return pd.DataFrame(columns).loc[np.unique(s.atom_residue[~s.kept])]
 
-    def _count(self, atoms: Integers) -> Integers:
+    def per_residue(self, atoms: Integers | NDArray[np.bool_]) -> Integers:
+        """(nr,) int: how many of some atoms each residue has."""
+        return np.bincount(self.structure.atom_residue[atoms], minlength=self.structure.n_residues)
+
+    def count(self, atoms: Integers) -> Integers:
         """(nr,) int: how many rows of atoms touch each residue."""
         residues = np.sort(self.structure.atom_residue[atoms], axis=1)
         first = np.diff(residues, axis=1, prepend=-1) > 0
         return np.bincount(residues[first], minlength=self.structure.n_residues)
 
-    def _spread(self, residue: Integers, values: Any) -> Any:
+    def spread(self, residue: Integers, values: Any) -> Any:
         """(nr,): values of some residues; empty text or NaN for the others."""
         of_all = np.full(self.structure.n_residues, np.nan if values.dtype.kind == "f" else "", object)
         of_all[residue] = values
@@ -156,6 +138,35 @@ class Found(Value):
                 apart = ANGSTROM_PER_NM * np.linalg.norm(self.x[i] - self.x[j])
                 other = "" if of[i] == of[j] else f" of {s.describe_residue(int(of[j]))}"
                 yield int(of[i]), f"{s.atom_name[i]} to {s.atom_name[j]}{other} {said} ({apart:.2f} angstrom)"
+
+
+RESIDUE_COLUMNS: Mapping[str, Callable[[Found], Any]] = {
+    "chain": lambda f: f.structure.residue_chain,
+    "residue": lambda f: np.char.add(f.structure.residue_number, f.structure.residue_insertion_code),
+    "name": lambda f: f.structure.residue_name,
+    "violation": lambda f: f.violations.per_residue,
+    "clashes": lambda f: f.count(f.clashes.pairs),
+    "phi_degrees": lambda f: f.spread(f.ramachandran.residue, f.ramachandran.phi),
+    "psi_degrees": lambda f: f.spread(f.ramachandran.residue, f.ramachandran.psi),
+    "ramachandran_class": lambda f: f.spread(f.ramachandran.residue, np.array(CLASSES)[f.ramachandran.kind]),
+    "ramachandran_percent": lambda f: f.spread(f.ramachandran.residue, 100.0 * f.ramachandran.score),
+    "ramachandran": lambda f: f.spread(f.ramachandran.residue, np.array(REGIONS)[f.ramachandran.region]),
+    "omega_degrees": lambda f: f.spread(f.peptides.residue, f.peptides.omega),
+    "peptide_bond": lambda f: f.spread(
+        f.peptides.residue, np.where(f.peptides.cis, "cis", np.where(f.peptides.twisted, "twisted", "trans"))
+    ),
+    "rotamer": lambda f: f.spread(f.side_chains.residue, f.side_chains.rotamer),
+    "rotamer_outlier": lambda f: np.isin(np.arange(f.structure.n_residues), f.side_chains.outliers),
+    "cbeta_deviation_angstrom": lambda f: f.spread(f.cbeta.residue, f.cbeta.deviation),
+    "wrong_hands": lambda f: f.per_residue(f.wrong_hands),
+    "bond_outliers": lambda f: f.count(f.strain.bonds),
+    "angle_outliers": lambda f: f.count(f.strain.angles),
+    "threaded_rings": lambda f: np.bincount(
+        [ring.residue for ring in f.rings], minlength=f.structure.n_residues
+    ),
+    "atoms_added": lambda f: f.per_residue(f.structure.built),
+}  # fmt: skip
+"""Columns of :meth:`Found.table`."""
 
 
 class Measure(NamedTuple):

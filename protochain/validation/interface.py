@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.checks import checked, file_name, instance, optional, text
+from protochain.core.checks import checked, file_name, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.graph import both_ways
 from protochain.core.markup import facts
@@ -20,7 +20,7 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.decomposed import TERMS, interaction
 from protochain.energies.factory import energy as build_energy
 from protochain.energies.native import NativeEnergy
-from protochain.energies.protocol import Energy, check_is_of
+from protochain.energies.protocol import Energy, an_energy, check_is_of
 from protochain.structure.confidences import Confidence, confidence_files, confidence_in
 from protochain.structure.convert import as_structure, to_mdtraj
 from protochain.structure.model import Structure
@@ -83,6 +83,8 @@ _NEAR = 0.9
 """nm from the other side within which the area of an atom may change, and that of its neighbours matters."""
 _PROBE, _POINTS = 0.14, 960
 """nm, and points of each atom: Shrake, Rupley, J. Mol. Biol. 79:351 (1973)."""
+_ONE_PLACE = 2e-5
+"""nm apart: mdtraj takes 1e-5 for one place."""
 _HIDDEN = 1.0
 """angstrom^2 of accessible area, that of its hydrogens included, below which a polar atom is buried."""
 _APOLAR = ("C", "S", "SE", "F", "CL", "BR", "I")
@@ -153,7 +155,7 @@ class Interface(Value):
 
 @checked(
     first=text, second=text, forcefield=file_name, solvent=text,
-    energy=optional(instance(Energy, "protochain.energy(structure)")),
+    energy=optional(an_energy),
 )  # fmt: skip
 def score_interface(
     source: Any,
@@ -337,9 +339,12 @@ def _area(whole: Any, some: NDArray[np.bool_]) -> Floats:
     """(na,) float, angstrom^2: accessible areas of some atoms of a trajectory without the others."""
     import mdtraj
 
-    found = np.zeros(len(some))
-    own = mdtraj.shrake_rupley(whole.atom_slice(np.flatnonzero(some)), _PROBE, _POINTS)[0]
-    found[some] = ANGSTROM_PER_NM**2 * own
+    found, atoms = np.zeros(len(some)), np.flatnonzero(some)
+    # Of two atoms in one place, for which mdtraj ends the process, one has the area.
+    doubled = cKDTree(whole.xyz[0][atoms]).query_pairs(_ONE_PLACE, output_type="ndarray")[:, 1]
+    atoms = np.delete(atoms, doubled)
+    own = mdtraj.shrake_rupley(whole.atom_slice(atoms), _PROBE, _POINTS)[0]
+    found[atoms] = ANGSTROM_PER_NM**2 * own
     return found
 
 

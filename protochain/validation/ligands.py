@@ -215,3 +215,7 @@ def _at(key: str, when: str) -> str:
     """Name of a column at the start or end; the unit comes last."""
     unit = "_kj_mol"
     return f"{key.removesuffix(unit)}_{when}{unit}" if key.endswith(unit) else f"{key}_{when}"
+
+
+LIGAND_ENDS = tuple(_at(key, when) for key in LIGAND_COLUMNS[4:] for when in ("start", "end"))
+"""What :func:`at_both_ends` tells beside residue and source."""

@@ -114,6 +114,7 @@ COMMANDS = {
         **{k: v for k, v in SETUP.items() if k not in ("engine", "move")},
     },
     "build": {"sequence": None, **OUTPUT},
+    "schema": {"command": None},
 }  # fmt: skip
 METAVARS = {
     ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
@@ -126,6 +127,7 @@ METAVARS = {
     ("stiffness", "simulate"): "K", ("speed", None): "NM/PS", ("hinge_springs", None): "'KIND K C'",
     ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
     "bench"): "[IN...]",
+    ("command", "schema"): "[COMMAND]",
     ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40", ("chains", None): "A,B",
     ("ligands", None): "NAME=SDF|MOL2|SMILES",
     **{("trajectory", command): "FRAMES" for command in ("relax", "validate", "energy", "rmsd")},
@@ -150,6 +152,7 @@ ARGUMENTS = {
     ("reference", "rmsd"),
     ("models", None),
     ("name", None),
+    ("command", None),
     ("sequence", None),
 }
 

@@ -115,6 +115,19 @@ def test_without_loss_a_tumbling_cube_keeps_its_energy_better_with_shorter_steps
     assert errors[0] < 1e-2 and errors[1] < errors[0] / 8.0
 
 
+def test_what_friction_takes_in_an_oblique_blow_is_counted():
+    """Its bound rises and falls within the blow: work is of the mean of both ends of a step."""
+    law, off = Law(STIFFNESS, 0.3, damping=0.0), []
+    for part in (0.2, 0.1):
+        scene = pile(law=law, gravity=(0, 0, 0), **GROUND)
+        start = scene.start([[0, 0, 0.501 * EDGE]], velocity=[[2.0, 0.3, -1.0]])
+        end, _ = scene.advance(start, round(0.01 / (part * scene.longest_step)), part * scene.longest_step)
+        assert end.dissipated > 0.1 * scene.kinetic(start)
+        off.append(abs(scene.total(end) - scene.total(start)) / end.dissipated)
+    # Ten times less than of the end of a step alone.
+    assert max(off) < 3e-4
+
+
 def test_two_cubes_keep_momentum_and_spin_in_an_impact():
     scene = pile(2, gravity=(0, 0, 0))
     rotation = Rotation.from_euler("xyz", [[0.3, 0.5, 0.7], [1.0, -0.4, 0.2]]).as_matrix()

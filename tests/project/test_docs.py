@@ -13,7 +13,7 @@ from enum import Enum
 import pytest
 import yaml
 from fixtures.command_line import COMMANDS
-from fixtures.public_names import PACKAGES, PUBLIC
+from fixtures.public_names import PUBLIC
 from fixtures.samples import ROOT
 from fixtures.texts import DOCS, blocks
 from numpydoc.validate import validate
@@ -170,20 +170,3 @@ def test_citation_is_of_this_version():
     assert cited["authors"] == project["authors"]
     for work in cited["references"]:
         assert {"type", "title", "authors", "journal", "volume", "start", "year"} == set(work)
-
-
-def test_reference_holds_every_public_name(tmp_path):
-    pytest.importorskip("pdoc")
-    spec = importlib.util.spec_from_file_location("reference", ROOT / "analysis" / "docs" / "reference.py")
-    reference = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(reference)
-    reference.build(tmp_path)
-    assert (tmp_path / "index.html").exists()
-    names = [package.__name__ for package in PACKAGES]
-    pages = {name: (tmp_path / f"{name.replace('.', '/')}.html").read_text() for name in names}
-    for name in PUBLIC:
-        module, _, own = name.rpartition(".")
-        assert f'id="{own}"' in pages[module], name
-    for page in pages.values():
-        assert str(ROOT) not in page
-        assert ":func:" not in page and ":class:" not in page

@@ -9,9 +9,9 @@ from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.mechanics.motion import System
 from protochain.mechanics.multibody import kinetic_energy, pose
 from protochain.scenes import run
-from protochain.scenes.gear import flanks_of, started
+from protochain.scenes.gear import started
 from protochain.scenes.gear.geometry import GearPair, outer, overlap
-from protochain.scenes.gear.mesh import Gear, gears
+from protochain.scenes.gear.mesh import Gear, gears, meshing_of
 from protochain.scenes.gear.oracle import corner_place
 from protochain.scenes.gear.quasi import at_rest, lag_of
 
@@ -53,6 +53,55 @@ def test_gaps_are_those_of_drawn_involutes_on_the_path_of_contact_and_beyond_it(
             assert depth == pytest.approx(-5e-5, rel=1e-12)
         else:
             assert depth < -5.1e-5
+
+
+def back_flank(wheel, place):
+    """Points of the back of a tooth whose front is at a place, drawn from its thickness."""
+    thick = 0.5 * np.pi + 2.0 * wheel.shift * np.tan(wheel.pressure_angle)
+    # Its front crosses the pitch circle at this angle, and the tooth follows.
+    middle = np.exp(1j * (place / wheel.base - thick / wheel.teeth))
+    return middle**2 * involute(wheel, place).conj()
+
+
+@pytest.mark.parametrize("pair", [GearPair(), GearPair((9, 40), shift=0.45), GearPair((33, 25), shift=-0.2)])
+def test_gaps_of_back_flanks_are_those_of_drawn_teeth(pair):
+    gear = Gear(pair, backlash=3e-5)
+    model = gears(gear, rigid=True)
+    one, other = pair.wheels
+    for turned in (0.0, 1e-3, -2.5e-3):
+        q = np.array([turned / one.base, (turned - 5e-5) / other.base])
+        pairs = meshing_of(model).pressing(q, np.zeros(2))
+        back = pairs[pairs[:, 3] == 1]
+        # As drawn, teeth fill the gaps, and the driven wheel is 50 um back, into the fronts.
+        steps = np.arange(-3, 4) * pair.base_pitch
+        driving, driven = (
+            np.concatenate([back_flank(wheel, sign * (turned + n) + back) for n in steps])
+            for wheel, sign, back in ((one, 1.0, 0.0), (other, -1.0, 5e-5))
+        )
+        driven = one.pitch + other.pitch - driven
+        tree = cKDTree(np.column_stack([driving.real, driving.imag]))
+        gap = tree.query(np.column_stack([driven.real, driven.imag]))[0]
+        assert gap.min() == pytest.approx(5e-5, abs=DRAWN)
+        # Where, along the line of action of back flanks, whose curves are 30 nm farther apart 30 um away.
+        line = np.sin(pair.pressure_angle) - 1j * np.cos(pair.pressure_angle)
+        place = ((driven[gap.argmin()] - one.pitch) * line.conjugate()).real - back[back[:, 1].argmax(), 0]
+        assert abs(place - pair.base_pitch * round(place / pair.base_pitch)) < 1e-4
+        assert back[:, 1].max() == pytest.approx(-8e-5, rel=1e-9)
+
+
+def test_the_back_of_a_tooth_meets_the_tooth_behind_it():
+    gear = Gear(backlash=2e-5)
+    model = gears(gear)
+    q, torques = np.zeros(model.tree.n_q), np.zeros(model.tree.n_v)
+    # Tooth 0 of the driven wheel is ahead of tooth 0 of the driving one, tooth 39 behind it.
+    q[model.bodies.freedom("tooth 1 39")[0]] = 3e-5 / gear.pair.wheels[1].base
+    energy = meshing_of(model).add(q, model.start().factors.frames, None, torques)
+    assert energy == pytest.approx(0.4 * 1e12 * 1e-5**2.5, rel=1e-6)
+    names = {name for name in model.bodies.hinges if torques[model.bodies.freedom(name)[1]]}
+    assert names == {"wheel 0", "tooth 0 0", "wheel 1", "tooth 1 39"}
+    assert torques[model.bodies.freedom("wheel 0")[1]] == pytest.approx(
+        1e12 * 1e-5**1.5 * 37.588e-3, rel=1e-4
+    )
 
 
 def test_the_slope_of_a_gap_and_its_other_derivation():
@@ -98,7 +147,7 @@ def test_all_wheels_and_teeth_together_have_the_inertia_of_discs():
 
 def test_flanks_push_with_the_gradient_of_their_energy():
     model = started(Gear(), 1e-3)
-    flanks = flanks_of(model)
+    flanks = meshing_of(model)
     rng = np.random.default_rng(1)
     factors = model.start().factors
     # Where two pairs touch, one at a tip corner.
@@ -116,7 +165,7 @@ def test_flanks_push_with_the_gradient_of_their_energy():
 
 def test_damping_of_flanks_opposes_their_approach_and_never_pulls():
     model = started(Gear(), 1e-3)
-    flanks, frames = flanks_of(model), model.start().factors.frames
+    flanks, frames = meshing_of(model), model.start().factors.frames
     one = model.bodies.freedom("wheel 0")[1]
     elastic = np.zeros(model.tree.n_v)
     flanks.add(model.q, frames, None, elastic)

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from fixtures.command_line import refusal, run
 from fixtures.samples import STRUCTURES, energy, load, shared
-from fixtures.tolerances import NATIVE_ENERGY
+from fixtures.tolerances import NATIVE_ENERGY, TWIN_AREA
 from mdtraj.geometry.sasa import _ATOMIC_RADII
 from scipy.spatial.distance import cdist
 
@@ -382,3 +382,16 @@ def test_what_is_in_the_way_is_left_out():
     mine, other = scored("1ysa.pdb", "C", "D").scores, pc.score_interface(alone, "C", "D").scores
     for key, value in mine.items():
         assert other[key] == (None if value is None else pytest.approx(value, abs=1e-6)), key
+
+
+def test_an_atom_in_the_place_of_another_adds_no_area():
+    """mdtraj would end the process."""
+    s = load("3i40.pdb")
+    at = int(np.flatnonzero(masks(s, "A", "B")[1] & (s.atom_element == "C"))[0])
+    twin = next(k for k in s.neighbours[at] if s.atom_element[k] == "C")
+    x = np.array([s.positions, s.positions])
+    x[:, twin] = x[:, at] + [[0.0, 0.0, 0.0], [2e-4, 0.0, 0.0]]
+    areas = [
+        pc.score_interface(s.with_positions(each), "A", "B").scores["buried_area_angstrom2"] for each in x
+    ]
+    assert areas[0] == pytest.approx(areas[1], abs=TWIN_AREA)

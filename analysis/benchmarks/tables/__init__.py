@@ -109,10 +109,10 @@ def made_by(record: pd.DataFrame, *files: str) -> str:
 @table("made", RECORD, dtype=str, keep_default_na=False)
 def made(record: pd.DataFrame) -> str:
     """How every table was made."""
-    lines = ["| table | command | commit | threads | load |", "|---|---|---|--:|--:|"]
+    lines = ["| table | command | commit | machine | threads | load |", "|---|---|---|---|--:|--:|"]
     for r in record.itertuples():
-        cells = (f"[{r.table}](../../results/{r.table})", f"`{r.command}`", r.commit, r.threads, r.load)
+        name = f"[{r.table}](../../results/{r.table})"
+        cells = (name, f"`{r.command}`", r.commit, r.machine, r.threads, r.load)
         lines.append(f"| {' | '.join(cells)} |")
-    machines = "; ".join(dict.fromkeys(filter(None, record["machine"])))
     versions = ", ".join(dict.fromkeys(v for row in record["versions"] for v in row.split(", ") if v))
-    return "\n".join([*lines, "", paragraph(f"Machines: {machines}. Versions: {versions}.")])
+    return "\n".join([*lines, "", paragraph(f"Versions: {versions}.")])

@@ -9,7 +9,7 @@ import openmm
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import COULOMB
 from protochain.energies.native.neck import REACH
-from protochain.energies.native.reading import UnsupportedForceError, bare, plain
+from protochain.energies.native.reading import UnsupportedForceError, bare, plain, rows
 
 COULOMB_CUSTOM = 138.935485
 """COULOMB as the implicit-solvent files round it."""
@@ -78,8 +78,7 @@ def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
     if force.getNonbondedMethod() == force.CutoffPeriodic:
         raise UnsupportedForceError("GBSAOBCForce with a periodic cutoff")
     cut = force.getNonbondedMethod() != force.NoCutoff
-    values = [force.getParticleParameters(i) for i in range(force.getNumParticles())]
-    charge, radius, scale = np.array([[plain(v) for v in row] for row in values]).T
+    charge, radius, scale = np.array(rows(force, "getNumParticles", "getParticleParameters")).T
     polar = _polar(force.getSoluteDielectric(), force.getSolventDielectric())
     area = 4.0 * np.pi * plain(force.getSurfaceAreaEnergy())
     offset_radius = radius - OBC_OFFSET
@@ -131,8 +130,8 @@ def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
     if force.getNumExclusions() or force.getNumGlobalParameters():
         raise UnsupportedForceError("CustomGBForce with exclusions or global parameters")
     names = [force.getPerParticleParameterName(i) for i in range(force.getNumPerParticleParameters())]
-    rows = np.array([force.getParticleParameters(i) for i in range(force.getNumParticles())])
-    of = dict(zip(names, rows.T, strict=True))
+    table = np.array(rows(force, "getNumParticles", "getParticleParameters"))
+    of = dict(zip(names, table.T, strict=True))
     values = [force.getComputedValueParameters(i) for i in range(force.getNumComputedValues())]
     terms = [force.getEnergyTermParameters(i) for i in range(force.getNumEnergyTerms())]
     pairs, single = force.ParticlePairNoExclusions, force.SingleParticle
@@ -140,7 +139,7 @@ def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
         raise UnsupportedForceError("CustomGBForce that is none of HCT, OBC1, OBC2, GBn and GBn2")
     bend, radius = _bend(bare(values[1][1]), of)
     polar, area = _energy_terms([(bare(expression), kind) for expression, kind in terms], cutoff, force)
-    surface = np.zeros(len(rows))
+    surface = np.zeros(len(table))
     if area is not None:
         surface = _AREA_CUSTOM * (of["or"] + area + _PROBE) ** 2 * (of["or"] + area) ** 6
     return Solvent(

@@ -13,7 +13,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.units import COULOMB
 from protochain.energies.native.implicit import Solvent, from_custom_gb, from_gbsa_obc
 from protochain.energies.native.maps import spline_coefficients
-from protochain.energies.native.reading import UnsupportedForceError, bare, one_cutoff, plain
+from protochain.energies.native.reading import UnsupportedForceError, bare, one_cutoff, plain, rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,25 +171,20 @@ def _stacked(kind: str, found: dict[str, list[openmm.Force]]) -> tuple[Integers,
         for force in found.get(name, []) if (force.getName() == TIES) == (kind in _TIED)
         for row in read(force)
     ]  # fmt: skip
-    atoms = np.array([row[:n_atoms] for row in rows], dtype=np.int64).reshape(-1, n_atoms)
-    values = [[plain(value) for value in row[n_atoms:]] for row in rows]
-    return atoms, np.array(values, dtype=float).reshape(-1, n_parameters)
-
-
-def _rows(force: openmm.Force, count: str, get: str) -> list[list[Any]]:
-    return [list(getattr(force, get)(i)) for i in range(getattr(force, count)())]
+    table = np.array(rows, dtype=float).reshape(-1, n_atoms + n_parameters)
+    return table[:, :n_atoms].astype(np.int64), table[:, n_atoms:].copy()
 
 
 def _bonds(force: openmm.HarmonicBondForce) -> list[list[Any]]:
-    return _rows(force, "getNumBonds", "getBondParameters")
+    return rows(force, "getNumBonds", "getBondParameters")
 
 
 def _angles(force: openmm.HarmonicAngleForce) -> list[list[Any]]:
-    return _rows(force, "getNumAngles", "getAngleParameters")
+    return rows(force, "getNumAngles", "getAngleParameters")
 
 
 def _torsions(force: openmm.PeriodicTorsionForce) -> list[list[Any]]:
-    return _rows(force, "getNumTorsions", "getTorsionParameters")
+    return rows(force, "getNumTorsions", "getTorsionParameters")
 
 
 def _impropers(force: openmm.CustomTorsionForce) -> list[list[Any]]:
@@ -197,12 +192,12 @@ def _impropers(force: openmm.CustomTorsionForce) -> list[list[Any]]:
     if bare(force.getEnergyFunction()) != "k*(theta-theta0)^2" or sorted(names) != ["k", "theta0"]:
         raise UnsupportedForceError(f"CustomTorsionForce {force.getEnergyFunction()!r}")
     order = [names.index("theta0"), names.index("k")]
-    read = _rows(force, "getNumTorsions", "getTorsionParameters")
+    read = rows(force, "getNumTorsions", "getTorsionParameters")
     return [[*row[:4], *(row[4][place] for place in order)] for row in read]
 
 
 def _map_torsions(force: openmm.CMAPTorsionForce) -> list[list[Any]]:
-    read = _rows(force, "getNumTorsions", "getTorsionParameters")
+    read = rows(force, "getNumTorsions", "getTorsionParameters")
     return [[*row[1:], row[0]] for row in read]
 
 
@@ -239,7 +234,7 @@ def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> N
         # Tironi, Sperb, Smith, van Gunsteren, J. Chem. Phys. 102:5451 (1995).
         krf = (dielectric - 1.0) / (2.0 * dielectric + 1.0) / cutoff**3
         crf = 3.0 * dielectric / (2.0 * dielectric + 1.0) / cutoff
-    particles = np.array([[plain(v) for v in force.getParticleParameters(i)] for i in range(n)])
+    particles = np.array(rows(force, "getNumParticles", "getParticleParameters"))
     charge, sigma, epsilon = particles.T
     # Without a well, sigma has no meaning: all such atoms share a type.
     kinds = np.column_stack([np.where(epsilon == 0.0, 0.0, sigma), epsilon, np.zeros(n)])
@@ -262,9 +257,7 @@ def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> N
 
 def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force]]) -> Bonded:
     pairs, parameters = [], []
-    for i in range(force.getNumExceptions()):
-        first, second, *values = force.getExceptionParameters(i)
-        qq, sigma, epsilon = (plain(v) for v in values)
+    for first, second, qq, sigma, epsilon in rows(force, "getNumExceptions", "getExceptionParameters"):
         b6 = 4.0 * epsilon * sigma**6
         pairs.append((min(first, second), max(first, second)))
         parameters.append([b6 * sigma**6, b6, qq * COULOMB])
@@ -303,7 +296,7 @@ def _types_of(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce) 
     if force.getNonbondedMethod() != force.NoCutoff:
         one_cutoff("CustomNonbondedForce", plain(table.getCutoffDistance()), plain(force.getCutoffDistance()))
     excluded = {tuple(sorted(table.getExclusionParticles(i))) for i in range(table.getNumExclusions())}
-    exceptions = {tuple(sorted(force.getExceptionParameters(i)[:2])) for i in range(force.getNumExceptions())}
+    exceptions = {tuple(sorted(row[:2])) for row in rows(force, "getNumExceptions", "getExceptionParameters")}
     if excluded != exceptions:
         raise UnsupportedForceError("CustomNonbondedForce with other exclusions than NonbondedForce")
     return [table.getParticleParameters(i)[0] for i in range(table.getNumParticles())]

@@ -167,6 +167,13 @@ class Flexible(Value):
         place = np.where(np.arange(most) < counts[:, None], place, -1)
         return read_only(stiffness), read_only(place, np.int64)
 
+    def node(self, body: int, section: int = -1) -> int:
+        """Number of a node: of a section of a body, or by default of its frame."""
+        most = int(self.node_start[body + 1] - self.node_start[body]) - 1
+        if not -1 <= section < most:
+            raise BodyError(body, f"it has no section {section}; give one from 0 to {most - 1}, or -1")
+        return int(self.node_start[body]) + 1 + section
+
     @property
     def n_v(self) -> int:
         """Number of freedoms."""

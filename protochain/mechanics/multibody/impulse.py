@@ -15,9 +15,11 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Value, floats, frozen, read_only
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import complementarity, impulse_path
-from protochain.mechanics.multibody.articulated import Articulated, solve
+from protochain.mechanics.multibody.articulated import Articulated
+from protochain.mechanics.multibody.impulse_bodies import Bending, Bodies, bodies_of, row_speeds
+from protochain.mechanics.multibody.impulse_bound import bound_of
 from protochain.mechanics.multibody.impulse_external import External, strike
-from protochain.mechanics.multibody.impulse_points import ContactPoint, Struck, twists_of
+from protochain.mechanics.multibody.impulse_points import ContactPoint, Struck
 from protochain.mechanics.multibody.operational import Rows
 
 Law = Literal["newton", "poisson", "stronge"]
@@ -63,7 +65,7 @@ class Impact(Value):
 
 
 def impact(
-    factors: Articulated,
+    factors: Articulated | Bending,
     qd: Floats,
     points: Sequence[ContactPoint],
     law: Law = "poisson",
@@ -75,8 +77,8 @@ def impact(
 
     Parameters
     ----------
-    factors : Articulated
-        Rigid bodies, their frames, and factors of M there (:func:`articulate`).
+    factors : Articulated or Bending
+        Rigid bodies, their frames, and factors of M there (``State.factors``); or bodies that bend.
     qd : (n_v,) float
         Velocities before.
     points : sequence of ContactPoint
@@ -113,11 +115,12 @@ def impact(
     differ, all are lowered by a common factor if the impact would add energy otherwise. O(n + k^2), and the
     solution for k points.
     """
-    _check(factors, points, law, order)
-    qd = floats(qd, (factors.tree.n_v,), "qd")
+    bodies = bodies_of(factors)
+    _check(bodies, points, law, order)
+    qd = floats(qd, (bodies.n_v,), "qd")
     if not np.isfinite(qd).all():
         raise MechanicsError("the velocities before an impact are not finite", fault=Fault.NOT_FINITE)
-    qd, work = (qd, 0.0) if external is None else strike(factors, qd, external)
+    qd, work = (qd, 0.0) if external is None else strike(bodies, qd, external)
     struck = Struck.of(factors, qd, points, loops)
     local = np.zeros((2, 3 * len(points)))
     approaching = struck.u[::3] < -struck.slow
@@ -164,18 +167,13 @@ def close_loops(factors: Articulated, qd: Floats, rows: Rows) -> Floats:
 
 def _after(struck: Struck, local: Floats, compression: Floats, work: float) -> Impact:
     """What impulses (3 k,) along the points' axes do, after work done before."""
-    tree, k = struck.factors.tree, len(struck.axes)
+    bodies, k = struck.bodies, len(struck.axes)
     loops = struck.closed + struck.closing @ local
     impulses = np.concatenate([loops, local])
-    loads = np.zeros((tree.n_bodies, 6))
-    for side in (0, 1):
-        on = struck.rows.body[:, side] >= 0
-        np.add.at(loads, struck.rows.body[on, side], -impulses[on, None] * struck.rows.wrench[on, side])
-    change = solve(struck.factors, np.zeros(tree.n_v), loads) if np.any(impulses) else np.zeros(tree.n_v)
+    change = bodies.change(loads_of(bodies, struck.rows, impulses)) if np.any(impulses) else 0.0
     qd = struck.qd + change
     m = len(loops)
-    before = struck.before
-    after = np.einsum("msk,msk->m", struck.rows.wrench, twists_of(struck.factors, struck.rows, qd))
+    before, after = struck.before, row_speeds(bodies, struck.rows, qd)
     impulse, seen, left = (
         frozen(np.einsum("kij,ki->kj", struck.axes, x.reshape(k, 3))) for x in (local, before[m:], after[m:])
     )
@@ -183,7 +181,16 @@ def _after(struck: Struck, local: Floats, compression: Floats, work: float) -> I
     return Impact(frozen(qd), impulse, seen, left, read_only(compression), frozen(loops), work)
 
 
-def _check(factors: Articulated, points: Sequence[ContactPoint], law: str, order: str) -> None:
+def loads_of(bodies: Bodies, rows: Rows, impulses: Floats) -> Floats:
+    """(nb, 6) float: impulses (m,) along rows as wrenches on the bodies."""
+    loads = np.zeros((len(bodies.origin), 6))
+    for side in (0, 1):
+        on = rows.body[:, side] >= 0
+        np.add.at(loads, rows.body[on, side], impulses[on, None] * rows.wrench[on, side])
+    return loads
+
+
+def _check(bodies: Bodies, points: Sequence[ContactPoint], law: str, order: str) -> None:
     if isinstance(points, ContactPoint) or not all(isinstance(each, ContactPoint) for each in points):
         raise MechanicsError("points: give a list of them, as [ContactPoint(...)]")
     if not (isinstance(law, str) and law in _LAWS):
@@ -196,7 +203,7 @@ def _check(factors: Articulated, points: Sequence[ContactPoint], law: str, order
         )
     for point in points:
         for body in point.bodies:
-            if not -1 <= body < factors.tree.n_bodies:
+            if not -1 <= body < len(bodies.origin):
                 raise MechanicsError(f"contact {point.name!r}: there is no body {body}")
 
 
@@ -227,9 +234,11 @@ def _together(struck: Struck, points: Sequence[ContactPoint], plastic: bool = Fa
         # Of several solutions, where they differ most; otherwise where friction is highest.
         differ = np.linalg.norm(out[0].reshape(-1, 3), axis=1) * (friction > 0.0)
         worst = points[int(np.argmax(differ if status == complementarity.SEVERAL else friction))]
+        sure = bound_of(struck.w)
+        below = f" (below {sure:.2g} there is one)" if sure else ""
         raise MechanicsError(
             f"contact {worst.name!r}: friction {worst.friction:g} is too high for one solution together with "
-            "the others; lower it, or take the points in turn",
+            f"the others; lower it{below}, or take the points in turn",
             fault=Fault.FRICTION,
         )
     return out

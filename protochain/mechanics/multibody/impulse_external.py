@@ -8,20 +8,19 @@ from numpy.typing import ArrayLike
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import shown
 from protochain.core.errors import Fault, MechanicsError
-from protochain.mechanics.multibody.articulated import Articulated, solve
-from protochain.mechanics.multibody.kinematics import velocities
+from protochain.mechanics.multibody.impulse_bodies import Bodies
 
 External = Mapping[int, tuple[ArrayLike, ArrayLike]]
 """Body -> world point (3,) and impulse on the body there (3,), world axes."""
 
 
-def strike(factors: Articulated, qd: Floats, external: External) -> tuple[Floats, float]:
+def strike(bodies: Bodies, qd: Floats, external: External) -> tuple[Floats, float]:
     """Velocities after given impulses, and their work.
 
     Parameters
     ----------
-    factors : Articulated
-        Bodies, their frames, and factors of M there.
+    bodies : Bodies
+        Bodies at one pose.
     qd : (n_v,) float
         Velocities before.
     external : mapping of int to ((3,) float, (3,) float)
@@ -39,15 +38,21 @@ def strike(factors: Articulated, qd: Floats, external: External) -> tuple[Floats
     MechanicsError
         If there is no such body, a point or impulse is not finite, or is no point and impulse.
     """
-    tree, frames = factors.tree, factors.frames
-    wrench = np.zeros((tree.n_bodies, 6))
-    for body, (point, impulse) in _checked(external, tree.n_bodies).items():
-        wrench[body] = *np.cross(point - frames.origin[body], impulse), *impulse
-    after = qd + solve(factors, np.zeros(tree.n_v), -wrench)
-    return after, 0.5 * float(np.sum(wrench * velocities(tree, frames, qd + after)))
+    wrench = external_wrench(bodies, external)
+    after = qd + bodies.change(wrench)
+    return after, 0.5 * float(np.sum(wrench * bodies.twists(qd + after)))
 
 
-def _checked(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
+def external_wrench(bodies: Bodies, external: External) -> Floats:
+    """(nb, 6) float: given impulses as wrenches about the bodies' origins; checked as by :func:`strike`."""
+    wrench = np.zeros((len(bodies.origin), 6))
+    for body, (point, impulse) in checked(external, len(wrench)).items():
+        wrench[body] = *np.cross(point - bodies.origin[body], impulse), *impulse
+    return wrench
+
+
+def checked(external: External, n: int) -> dict[int, tuple[Floats, Floats]]:
+    """Body -> world point and impulse, of n bodies; refused as by :func:`strike`."""
     if not isinstance(external, Mapping):
         raise MechanicsError(f"external {shown(external)}: give {{body: (point, impulse)}}")
     found = {}

@@ -10,9 +10,9 @@ from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read
 from protochain.core.checks import number, shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated
-from protochain.mechanics.multibody.kinematics import Frames, velocities
+from protochain.mechanics.multibody.impulse_bodies import Bending, Bodies, bodies_of, twists_of
 from protochain.mechanics.multibody.loops import factor_closed
-from protochain.mechanics.multibody.operational import Rows, operational_inverse
+from protochain.mechanics.multibody.operational import Rows
 
 _APART, _LOCKED = 1e-12, 1e-13
 """Speed of approach, relative to those of the bodies there, and inverse inertia, relative to that without
@@ -28,7 +28,7 @@ class ContactPoint(Value):
     name : str
         Name, for messages.
     bodies : tuple of 2 int
-        Bodies; -1 for the world.
+        Bodies, or nodes of bodies that bend; -1 for the world.
     point : (3,) float
         Its world position.
     normal : (3,) float
@@ -84,7 +84,7 @@ class Struck:
 
     Parameters
     ----------
-    factors, qd, rows : Articulated, (n_v,) float, Rows
+    bodies, qd, rows : Bodies, (n_v,) float, Rows
         Rows: of the loops, then of the points along their own axes (normal, two tangential).
     axes : (k, 3, 3) float
         Axes of the points, as rows.
@@ -102,7 +102,7 @@ class Struck:
         Impulses of the loops without those.
     """
 
-    factors: Articulated
+    bodies: Bodies
     qd: Floats
     rows: Rows
     axes: Floats
@@ -116,17 +116,18 @@ class Struck:
 
     @classmethod
     def of(
-        cls, factors: Articulated, qd: Floats, points: Sequence[ContactPoint], loops: Rows | None
+        cls, factors: Articulated | Bending, qd: Floats, points: Sequence[ContactPoint], loops: Rows | None
     ) -> "Struck":
         """Of points in the frames of the factors; the velocities are those after the loops have closed."""
+        bodies = bodies_of(factors)
         axes = np.array([_axes(*point.normal.tolist()) for point in points]).reshape(-1, 3, 3)
-        rows = _rows(factors.frames, points, axes)
+        rows = _rows(bodies.origin, points, axes)
         m = 0
         if loops is not None:
             m = len(loops.body)
             rows = Rows(np.concatenate([loops.body, rows.body]), np.concatenate([loops.wrench, rows.wrench]))
-        whole = operational_inverse(factors.tree, factors.frames, rows, factors)
-        twists = twists_of(factors, rows, qd)
+        whole = bodies.inverse(rows)
+        twists = twists_of(bodies, rows, qd)
         before = np.einsum("msk,msk->m", rows.wrench, twists)
         w, u = whole[m:, m:], before[m:]
         closing, closed = np.zeros((m, len(u))), np.zeros(m)
@@ -139,20 +140,12 @@ class Struck:
         slow = _APART * largest.reshape(-1, 3).max(axis=1, initial=0.0)
         free = np.diagonal(whole)[m:].reshape(-1, 3).max(axis=1, initial=0.0)
         movable = np.diagonal(w)[::3] > _LOCKED * free
-        return cls(factors, qd, rows, axes, before, w, u.copy(), slow, movable, closing, closed)
+        return cls(bodies, qd, rows, axes, before, w, u.copy(), slow, movable, closing, closed)
 
     def part(self, rows: Integers, take: Integers) -> "Struck":
         """Some of the points: inverse inertia and velocities only."""
         w, u = np.ascontiguousarray(self.w[np.ix_(rows, rows)]), self.u[rows]
         return replace(self, w=w, u=u, slow=self.slow[take])
-
-
-def twists_of(factors: Articulated, rows: Rows, qd: Floats) -> Floats:
-    """(m, 2, 6) float: twists of the two bodies of each row; the world's is zero."""
-    twists = np.zeros((factors.tree.n_bodies + 1, 6))
-    twists[:-1] = velocities(factors.tree, factors.frames, qd)
-    # Index -1 finds the last, of the world.
-    return np.asarray(twists[rows.body])
 
 
 def _axes(x: float, y: float, z: float) -> list[list[float]]:
@@ -172,14 +165,14 @@ def _axes(x: float, y: float, z: float) -> list[list[float]]:
     return [[x, y, z], first, [y * r - z * q, z * p - x * r, x * q - y * p]]
 
 
-def _rows(frames: Frames, points: Sequence[ContactPoint], axes: Floats) -> Rows:
+def _rows(origin: Floats, points: Sequence[ContactPoint], axes: Floats) -> Rows:
     """Rows of the velocities of the second bodies relative to the first, along the points' axes."""
     k = len(points)
     bodies = np.array([point.bodies for point in points], dtype=np.int64).reshape(k, 2)
     at = np.array([point.point for point in points]).reshape(k, 1, 3)
     # (k, 3, 2, 3): forces of 1 along each axis on the second body, of -1 on the first.
     force = axes[:, :, None, :] * np.array([[-1.0], [1.0]])
-    arm = (at - frames.origin[bodies])[:, None]
+    arm = (at - origin[bodies])[:, None]
     wrench = np.concatenate([np.cross(arm, force), force], axis=3)
     wrench[np.broadcast_to((bodies < 0)[:, None], (k, 3, 2))] = 0.0
     return Rows(np.repeat(bodies, 3, axis=0), wrench.reshape(3 * k, 2, 6))

@@ -15,7 +15,7 @@ STEEL = 7850.0
 
 @dataclass(frozen=True)
 class Wheel:
-    """Standard involute wheel.
+    """Involute wheel.
 
     Parameters
     ----------
@@ -23,11 +23,14 @@ class Wheel:
         Number of teeth.
     module, pressure_angle : float
         m and rad: pitch diameter by teeth, and angle of the line of action.
+    shift : float
+        Outward shift of its teeth's profile, in modules.
     """
 
     teeth: int
     module: float
     pressure_angle: float
+    shift: float = 0.0
 
     @property
     def pitch(self) -> float:
@@ -41,13 +44,25 @@ class Wheel:
 
     @property
     def tip(self) -> float:
-        """Tip radius: addendum of one module."""
-        return self.pitch + self.module
+        """Tip radius: addendum of one module, and the shift."""
+        return self.pitch + (1.0 + self.shift) * self.module
 
     @property
     def root(self) -> float:
-        """Root radius: dedendum of 1.25 modules."""
-        return self.pitch - 1.25 * self.module
+        """Root radius: dedendum of 1.25 modules, less the shift."""
+        return self.pitch - (1.25 - self.shift) * self.module
+
+    @property
+    def thickness(self) -> float:
+        """Of a tooth on the pitch circle, along the arc."""
+        return self.module * (0.5 * np.pi + 2.0 * self.shift * float(np.tan(self.pressure_angle)))
+
+    @property
+    def land(self) -> float:
+        """Width of a tooth at its tip: 2 r_a (s/2r + inv a - inv a_a), inv x = tan x - x."""
+        at_tip = float(np.arccos(self.base / self.tip))
+        involutes = [float(np.tan(angle) - angle) for angle in (self.pressure_angle, at_tip)]
+        return 2.0 * self.tip * (0.5 * self.thickness / self.pitch + involutes[0] - involutes[1])
 
     @property
     def reach(self) -> float:
@@ -57,7 +72,7 @@ class Wheel:
 
 @dataclass(frozen=True)
 class GearPair:
-    """Two wheels at their standard distance.
+    """Two wheels at their standard distance, whose teeth fill each other's gaps but for play.
 
     A flank's place s is where it crosses the line of action, from the pitch point in the direction in which
     it moves. With base radius r and angle a of its wheel, positive in that direction, s = r a + n p for
@@ -69,12 +84,15 @@ class GearPair:
         Of the driving and of the driven wheel.
     module, pressure_angle, width : float
         m, rad and m.
+    shift : float
+        Of the teeth of the driving wheel outwards, and of the driven one's inwards, in modules.
     """
 
     teeth: tuple[int, int] = (20, 40)
     module: float = 4e-3
     pressure_angle: float = float(np.radians(20.0))
     width: float = 20e-3
+    shift: float = 0.0
 
     def __post_init__(self) -> None:
         if len(self.teeth) != 2:
@@ -84,24 +102,41 @@ class GearPair:
         for name in ("module", "pressure_angle", "width"):
             if not 0.0 < getattr(self, name) < (0.5 * np.pi if name == "pressure_angle" else np.inf):
                 raise MechanicsError(f"the {name} of gears must be positive")
+        if not abs(self.shift) < 1.0:
+            raise MechanicsError(f"gears: teeth shifted by {self.shift:g} modules; give less than 1")
         for one, other in (self.wheels, self.wheels[::-1]):
+            if not one.land > 0.0:
+                raise MechanicsError(
+                    f"the {one.teeth} teeth of a wheel, shifted by {one.shift:g} modules, end in points "
+                    "below its tip circle; shift them less",
+                    fault=Fault.POINTED,
+                )
             if other.reach >= one.pitch * np.sin(self.pressure_angle):
                 raise MechanicsError(
                     f"a wheel of {one.teeth} teeth is undercut by one of {other.teeth}: its involute begins "
-                    "beyond the other's tip; take more teeth or a larger angle",
+                    "beyond the other's tip; take more teeth, a larger angle or a shift",
                     fault=Fault.UNDERCUT,
                 )
 
     @cached_property
     def wheels(self) -> tuple[Wheel, Wheel]:
         """Driving and driven wheel."""
-        one, other = (Wheel(z, self.module, self.pressure_angle) for z in self.teeth)
+        one, other = (
+            Wheel(z, self.module, self.pressure_angle, x)
+            for z, x in zip(self.teeth, (self.shift, -self.shift), strict=True)
+        )
         return one, other
 
     @property
     def base_pitch(self) -> float:
         """From a flank to the next along the line of action."""
         return float(np.pi * self.module * np.cos(self.pressure_angle))
+
+    @property
+    def across(self) -> float:
+        """From a flank of the driving wheel to the other of its tooth, along the base circle."""
+        one = self.wheels[0]
+        return one.base * one.thickness / one.pitch
 
     @property
     def path(self) -> tuple[float, float]:

@@ -1,14 +1,14 @@
 """The flanks' forces as an element of mechanisms, and the mechanism: wheels, and teeth on springs."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
 
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.core.checks import check_fields, number
+from protochain.core.checks import check_fields, number, shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
@@ -40,6 +40,9 @@ class Gear:
         Of a tooth on its spring, relative to critical damping of the wheels on one pair of teeth.
     tooth : float
         Inertia of the teeth relative to steel; what they lack is the wheel's, so that both together stay.
+    backlash : float
+        Play between the back flanks, m along their line of action, while the front ones touch; infinite:
+        they are left out.
     """
 
     pair: GearPair = field(default_factory=GearPair)
@@ -49,9 +52,12 @@ class Gear:
     flank: Law = field(default_factory=lambda: lankarani_nikravesh(1e12, 0.8, 0.1))
     damping: float = 0.07
     tooth: float = 1.0
+    backlash: float = np.inf
 
     def __post_init__(self) -> None:
         check_fields(self, torque=number)
+        if not self.backlash >= 0.0:
+            raise MechanicsError(f"backlash {shown(self.backlash)}: give a length, 0 or more")
 
     @property
     def ratio(self) -> float:
@@ -111,6 +117,8 @@ class Flanks:
         Geometry.
     law : Law
         Normal force.
+    backlash : float
+        Play of the back flanks.
     wheels : (str, str)
         Hinges of the driving and of the driven wheel.
     teeth : tuple of two tuples of str
@@ -119,6 +127,7 @@ class Flanks:
 
     pair: GearPair
     law: Law
+    backlash: float
     wheels: tuple[str, str]
     teeth: tuple[tuple[str, ...], tuple[str, ...]]
 
@@ -129,7 +138,8 @@ class Flanks:
         freedoms = [[bodies.freedom(wheel)[1]] for wheel in self.wheels]
         for own, names in zip(freedoms, self.teeth, strict=True):
             own += [bodies.freedom(name)[1] if name else NO_TOOTH for name in names]
-        numbers = (*(wheel.base for wheel in self.pair.wheels), self.pair.base_pitch, *self.pair.path)
+        bases = [wheel.base for wheel in self.pair.wheels]
+        numbers = (*bases, self.pair.base_pitch, *self.pair.path, self.pair.across, self.backlash)
         meshing = Meshing(
             read_only(freedoms[0], np.int64), read_only(freedoms[1], np.int64), read_only(numbers),
             self.pair.corners, read_only([self.law.stiffness, self.law.exponent, self.law.damping]),
@@ -145,8 +155,8 @@ class Meshing:
     ----------
     one, other : (1 + teeth,) int
         Freedoms of each wheel and of its teeth, -1 for a tooth that is part of the wheel.
-    numbers : (5,) float
-        Base radii, base pitch, beginning and end of the path of contact.
+    numbers : (7,) float
+        Base radii, base pitch, beginning and end of the path of contact; across a tooth, play.
     corners : tuple
         Tip corners: :attr:`GearPair.corners`.
     law : (3,) float
@@ -170,7 +180,10 @@ class Meshing:
         return Applied(torques=torques)
 
     def pressing(self, q: Floats, qd: Floats) -> Floats:
-        """(k, 3) float: place on the line of action, overlap and force of each pair of teeth near it."""
+        """(k, 4) float: place on the line of action, overlap and force of each pair of teeth near it.
+
+        Last, 0 of front flanks, 1 of back flanks, whose line of action is the other one.
+        """
         return self._press(q, qd, np.zeros(len(qd)), 2)[1]
 
     def _press(self, q: Floats, qd: Floats, torques: Floats, part: int) -> tuple[float, Floats]:
@@ -185,38 +198,54 @@ def _press(
     one: Integers, other: Integers, numbers: Floats, first: tuple[float, ...], second: tuple[float, ...],
     law: Floats, q: Floats, qd: Floats, torques: Floats, part: int,
 ) -> tuple[float, Floats]:  # fmt: skip
-    """Add torques of the elastic force (part 0), of its damping (1) or of both (2); energy, and each pair."""
-    r1, r2, pitch, begin, end = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
-    middle = 0.5 * (r1 * q[one[0]] + r2 * q[other[0]])
-    # Half a pitch beyond either tip circle the gap is half a millimetre, far more than teeth give way.
-    lowest, highest = np.ceil((begin - middle) / pitch - 0.5), np.floor((end - middle) / pitch + 0.5)
-    count = int(highest - lowest) + 1
-    pairs, energy = np.zeros((count, 3)), 0.0
-    for k in range(count):
-        n = int(lowest) + k
-        tooth_1, tooth_2 = one[1 + n % (len(one) - 1)], other[1 + n % (len(other) - 1)]
-        a1, a2, rate_1, rate_2 = q[one[0]], q[other[0]], qd[one[0]], qd[other[0]]
-        if tooth_1 >= 0:
-            a1, rate_1 = a1 + q[tooth_1], rate_1 + qd[tooth_1]
-        if tooth_2 >= 0:
-            a2, rate_2 = a2 + q[tooth_2], rate_2 + qd[tooth_2]
-        depth, by_1, by_2 = overlap(r1 * a1 + n * pitch, r2 * a2 + n * pitch, first, second)
-        pairs[k, 0], pairs[k, 1] = 0.5 * (r1 * a1 + r2 * a2) + n * pitch, depth
-        if depth <= 0.0:
-            continue
-        elastic = law[0] * depth ** law[1]
-        energy += elastic * depth / (law[1] + 1.0)
-        closing = by_1 * r1 * rate_1 + by_2 * r2 * rate_2
-        pressed = max(0.0, elastic * (1.0 + law[2] * closing))
-        force = elastic if part == 0 else pressed - elastic if part == 1 else pressed
-        pairs[k, 2] = force
-        torques[one[0]] -= force * by_1 * r1
-        torques[other[0]] -= force * by_2 * r2
-        if tooth_1 >= 0:
-            torques[tooth_1] -= force * by_1 * r1
-        if tooth_2 >= 0:
-            torques[tooth_2] -= force * by_2 * r2
-    return energy, pairs
+    """Add torques of the elastic force (part 0), of its damping (1) or of both (2); energy, and each pair.
+
+    Back flanks are the front flanks of the mirror image, in which everything turns the other way.
+    """
+    r1, r2, pitch, begin, end, across, play = numbers
+    sides = 1 if play == np.inf else 2
+    most = int((end - begin) / pitch) + 3
+    pairs, energy, count = np.zeros((sides * most, 4)), 0.0, 0
+    for side in range(sides):
+        sign, ahead, behind = (1.0, 0.0, 0.0) if side == 0 else (-1.0, across, across + play)
+        middle = 0.5 * (sign * (r1 * q[one[0]] + r2 * q[other[0]]) + ahead + behind)
+        # Half a pitch beyond either tip circle the gap is half a millimetre, far more than teeth give way.
+        lowest, highest = np.ceil((begin - middle) / pitch - 0.5), np.floor((end - middle) / pitch + 0.5)
+        for k in range(int(highest - lowest) + 1):
+            n = int(lowest) + k
+            # Flank n of the mirror image is of tooth -n; it meets the tooth before that.
+            n1, n2 = (n, n) if side == 0 else (-n, -n - 1)
+            tooth_1, tooth_2 = one[1 + n1 % (len(one) - 1)], other[1 + n2 % (len(other) - 1)]
+            a1, a2, rate_1, rate_2 = q[one[0]], q[other[0]], qd[one[0]], qd[other[0]]
+            if tooth_1 >= 0:
+                a1, rate_1 = a1 + q[tooth_1], rate_1 + qd[tooth_1]
+            if tooth_2 >= 0:
+                a2, rate_2 = a2 + q[tooth_2], rate_2 + qd[tooth_2]
+            place_1, place_2 = sign * r1 * a1 + ahead + n * pitch, sign * r2 * a2 + behind + n * pitch
+            depth, by_1, by_2 = overlap(place_1, place_2, first, second)
+            pairs[count, 0], pairs[count, 1], pairs[count, 3] = 0.5 * (place_1 + place_2), depth, side
+            count += 1
+            if depth <= 0.0:
+                continue
+            elastic = law[0] * depth ** law[1]
+            energy += elastic * depth / (law[1] + 1.0)
+            closing = sign * (by_1 * r1 * rate_1 + by_2 * r2 * rate_2)
+            pressed = max(0.0, elastic * (1.0 + law[2] * closing))
+            force = elastic if part == 0 else pressed - elastic if part == 1 else pressed
+            pairs[count - 1, 2] = force
+            force *= sign
+            torques[one[0]] -= force * by_1 * r1
+            torques[other[0]] -= force * by_2 * r2
+            if tooth_1 >= 0:
+                torques[tooth_1] -= force * by_1 * r1
+            if tooth_2 >= 0:
+                torques[tooth_2] -= force * by_2 * r2
+    return energy, pairs[:count]
+
+
+def meshing_of(model: Model) -> Meshing:
+    """What presses in a model of gears."""
+    return next(part for part in model.conservative if isinstance(part, Meshing))
 
 
 def gears(
@@ -224,6 +253,7 @@ def gears(
     live: tuple[range, range] | None = None,
     rigid: bool = False,
     start: Mapping[str, float] = MappingProxyType({}),
+    drive: Callable[[float], tuple[float, float, float]] | None = None,
 ) -> Model:
     """Build the mechanism.
 
@@ -237,6 +267,8 @@ def gears(
         Whether no tooth is: wheels with rigid teeth, which give way at the flanks only.
     start : mapping of str to float
         Coordinates of hinges at the start, by name; 0 of the others.
+    drive : callable, optional
+        Time -> angle, rate and acceleration of the driving wheel, in place of its torque.
 
     Returns
     -------
@@ -250,13 +282,19 @@ def gears(
     names = []
     for k, wheel in enumerate(gear.pair.wheels):
         whole, tooth = gear.inertias[k]
-        axis, turns = (0, 0, 1 - 2 * k), gear.speed / (1.0 if k == 0 else gear.ratio)
+        axis = (0, 0, 1 - 2 * k)
         own = sorted({n % wheel.teeth for n in live[k]})
         body = f"wheel {k}"
         inertia = whole - len(own) * tooth
         m.body(body, STEEL * np.pi * wheel.pitch**2 * gear.pair.width, inertia=(inertia, inertia, inertia))
-        m.hinge(body, "world", body, at=(k * distance, 0, 0), axis=axis, q=start.get(body, 0.0), qd=turns)
-        m.torque(f"torque {k}", body, gear.torque * (1.0 if k == 0 else -gear.ratio))
+        pin = partial(m.hinge, body, "world", body, at=(k * distance, 0, 0), axis=axis)
+        if k == 0 and drive:
+            pin()
+            m.drive(body, drive)
+        else:
+            one = k == 0
+            pin(q=start.get(body, 0.0), qd=gear.speed / (1.0 if one else gear.ratio))
+            m.torque(f"torque {k}", body, gear.torque * (1.0 if one else -gear.ratio))
         for n in own:
             name = f"tooth {k} {n}"
             # Its inertia about the wheel's axis, where its hinge is.
@@ -264,5 +302,7 @@ def gears(
             m.hinge(name, body, name, axis=axis, q=start.get(name, 0.0))
             m.torsion(name, name, gear.tooth_stiffness[k], damping=gear.tooth_damping[k])
         names.append(tuple(f"tooth {k} {n}" if n in own else "" for n in range(wheel.teeth)))
-    m.force("flanks", Flanks(gear.pair, gear.flank, ("wheel 0", "wheel 1"), (names[0], names[1])))
+    m.force(
+        "flanks", Flanks(gear.pair, gear.flank, gear.backlash, ("wheel 0", "wheel 1"), (names[0], names[1]))
+    )
     return m.build()

@@ -1,8 +1,17 @@
 """A gun on a deck: recoil, a tube that bends, and if a soft axle keeps its muzzle still.
 
-After Wang, Xiao, Ouyang (ASME DETC 1999), whose data were not found. A deck heaves and rolls on springs; on
-it a mount holds a cradle on an axle with a spring and an equilibrator; in the cradle the barrel recoils
-against recuperator and brake, rigid or of finite segments.
+After Wang, Xiao, Ouyang (ASME DETC 1999), whose data were not found: those of ``parts`` are chosen. What is
+known of it from others, and where it is:
+
+=============================================  ===========================================================
+deck, mount, cradle on an axle, recoil         ``parts``: the deck heaves and rolls; recuperator and brake
+equilibrator                                   ``parts``: a spring hooked to mount and cradle
+barrel that bends                              ``parts``: rigid, or of finite segments
+blow to the deck, shot, bursts                 ``study``
+a soft axle leaves ten per cent at the muzzle  ``search``: of a blow; of a shot, till it is out
+=============================================  ===========================================================
+
+Left out: motions of the deck out of the plane of fire, and the projectile, whose push is a pulse.
 """
 
 from protochain.lab.cases import Scene

@@ -1,10 +1,20 @@
 """A helicopter that lands and takes off: resonance, gusts, slopes, where it is safe.
 
 After Stanislawski, Trans. Aerosp. Res. 2019(2):59, whose data were not found: those of ``parts`` are chosen.
-Fuselage and transmission are free bodies, joined by mounts; the shaft turns as prescribed; blades of segments
-bend in two modes of flap, and one of lag and torsion each; legs push only, with friction. Rigid blades have
-a closed form. Ground resonance is that of Hammond, J. Am. Helicopter Soc. 19(4):14 (1974).
-Left out: cyclic pitch and forward flight, whose lift is not that of a hover; an engine: the shaft is driven.
+What is known of it from others, and where it is:
+
+=======================================  ==================================================================
+fuselage, transmission on mounts, rotor  ``parts``: free bodies; the shaft turns as prescribed
+blades that bend                         ``parts``: segments, in modes: two of flap, one of lag and torsion
+legs with springs, dampers and friction  ``legs``: they push only
+touchdown, limits of sink and drift      ``landing``, ``safety``: by bisection, with a map of what is safe
+landing on a slope                       ``safety``
+run-up, take-off; gust, pitch on ground  ``ground``: what each leg bears
+ground resonance                         ``resonance``: Hammond's, J. Am. Helicopter Soc. 19(4):14 (1974)
+=======================================  ==================================================================
+
+Rigid blades have a closed form. Left out: cyclic pitch and forward flight, whose lift is not that of a hover;
+an engine: the shaft is driven.
 """
 
 from dataclasses import replace

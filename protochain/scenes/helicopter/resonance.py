@@ -164,12 +164,13 @@ def growth(trace: Floats) -> float:
 
 
 def multipliers(rotor: Rotor, rate: float, steps: int = 64, size: float = 1e-6) -> Floats:
-    """Rates of growth (8,), ascending, of all motions over one turn, of the simulated mechanism alone.
+    """Rates of growth (8,), ascending, of all motions, of the simulated mechanism alone.
 
-    The states after a turn, of small states along each of the axes, are the columns of Floquet's matrix.
+    The states after a turn by one blade, of small states along each of the axes, are the columns of Floquet's
+    matrix: where blades have taken each other's places, the disc sees the same again. Steps are of a turn.
     """
-    model, columns = build(rotor, rate), []
-    time = 2.0 * np.pi / rate
+    model, columns, steps = build(rotor, rate), [], steps // rotor.blades
+    time = 2.0 * np.pi / (rate * rotor.blades)
     for one in np.eye(8):
         ends = []
         for sign in (size, -size):

@@ -1,7 +1,18 @@
 """Impacts with friction by Newton, Poisson and Stronge; one point, several, loops.
 
-After Lidstrom (2015), for trees with and without loops. Two rods whose tip strikes a floor: after Kane and
-Levinson, *Dynamics* (1985).
+After Lidstrom (2015), of which the outline is known. What it treats, and where it is:
+
+=======================================  ==============================================================
+impulses on trees of rigid bodies        ``multibody.impact``: any tree, with and without loops
+laws of restitution, Coulomb's friction  one point, or several, together or in turn
+two rods whose tip strikes a floor       ``systems.rods``: of Kane and Levinson, *Dynamics* (1985)
+uniqueness                               starts that must agree; a priori: ``multibody.friction_bound``
+impulses that are given                  ``impact(external=)``
+impulse stress                           ``multibody.impulse_stress``: its mean in each rigid body
+bodies that bend                         ``impact`` of a ``multibody.Bending``
+=======================================  ==============================================================
+
+Left out: waves in bodies, since instantaneous impulses move all of a body at once; stress where loops bear.
 """
 
 from collections.abc import Iterator

@@ -1,0 +1,309 @@
+"""What commands print and write, from the columns and types that they use themselves."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NotRequired, get_type_hints
+
+from protochain.analysis import folder as of_comparison
+from protochain.analysis import modes_folder as of_modes
+from protochain.analysis.deviation import RmsdFrames
+from protochain.analysis.differences import TORSIONS
+from protochain.analysis.work import WITHIN
+from protochain.batches import relaxed, table
+from protochain.batches.frame_files import FIRST
+from protochain.batches.frame_tasks import EnergyFrames
+from protochain.cli.batch import Planned
+from protochain.cli.energy import Told as Energies
+from protochain.cli.frames import Told as Frames
+from protochain.cli.inspect import Facts
+from protochain.cli.rmsd import Told as Deviations
+from protochain.cli.score import Told as Scores
+from protochain.cli.validate import Told as Findings
+from protochain.dynamics import simulation
+from protochain.dynamics.loop import Ending
+from protochain.dynamics.settings import SimulationSettings
+from protochain.energies.decomposed import TERMS
+from protochain.lab.cases import Check, Extreme, LeftOut
+from protochain.minimisers import record as of_minimising
+from protochain.minimisers.solution import TRACE_COLUMNS
+from protochain.minimisers.verdict import Status
+from protochain.relaxation import record as of_relaxing
+from protochain.relaxation.record import interface_column
+from protochain.relaxation.rounds import Round
+from protochain.results.columns import Column
+from protochain.results.kinds import Kind, kind_of, row
+from protochain.results.schema import OTHERS, Contract, cell
+from protochain.setup import Setup
+from protochain.validation import MEASURES
+from protochain.validation.findings import RESIDUE_COLUMNS
+from protochain.validation.interface import CONFIDENCES, SCORES
+from protochain.validation.ligands import LIGAND_COLUMNS, LIGAND_ENDS
+from protochain.validation.likeness import LIKENESS
+from protochain.validation.nucleic import NUCLEOTIDE_COLUMNS
+
+Kinds = dict[str, Kind]
+
+
+def _number(of: Any) -> Kind:
+    return int | None if of.whole else float | None
+
+
+_ENDS = ("start", "end")
+_KNOWN: Kinds = {
+    **{key: _number(each) for key, each in {**MEASURES, **SCORES, **CONFIDENCES}.items()},
+    **{f"{key}_{when}": _number(each) for key, each in MEASURES.items() for when in _ENDS},
+    **{
+        interface_column(key, when): _number(each)
+        for key, each in {**SCORES, **CONFIDENCES}.items()
+        for when in _ENDS
+    },
+    **dict.fromkeys((*LIKENESS, *TERMS), float | None),
+    **dict(zip(LIGAND_ENDS, (kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS), strict=True)),
+}
+"""Kinds of measures, which say themselves what they are."""
+
+
+def _row(names: str | Iterable[str | Column], **own: Kind) -> Kinds:
+    given = names.split() if isinstance(names, str) else names
+    return row((each.key if isinstance(each, Column) else each for each in given), _KNOWN, **own)
+
+
+def _optional(kinds: Kinds) -> Kinds:
+    return {name: NotRequired[kind] for name, kind in kinds.items()}
+
+
+def _cells(*kinds: Kinds) -> Kinds:
+    """Columns of a table: cells may be empty."""
+    return {name: cell(kind) for each in kinds for name, kind in each.items()}
+
+
+def _told(told: type, **rows: Kind) -> Kinds:
+    return get_type_hints(told) | rows
+
+
+_ORIGIN = _row("input output seconds_preparation")
+_WRITTEN = _optional(_row("report ligands_written confidences not_written"))
+_RUN = _row("command python versions")
+_FAILED = _row("file message")
+_SOLUTION = _row(of_minimising.COLUMNS, status=Status)
+_INTERFACE = _optional(_row(of_relaxing.INTERFACE_COLUMNS))
+_RESIDUE = _row("chain residue name")
+
+_START = _row(
+    "start energy_start_kj_mol energy_end_reference_kj_mol ca_rmsd_angstrom evaluations seconds accepted",
+    status=Status,
+)
+_STARTS = _row(
+    "n_starts energy_lowest_kj_mol energy_first_quartile_kj_mol energy_median_kj_mol "
+    "energy_third_quartile_kj_mol energy_highest_kj_mol n_within_1_kj_mol_of_lowest"
+)
+_MINIMISED = {
+    **_SOLUTION, **_ORIGIN, **_WRITTEN,
+    **_optional({"model": int, "starts": [_START], "starts_summary": _STARTS}),
+}  # fmt: skip
+_RELAXED = {
+    **_row(
+        of_relaxing.COLUMNS, status=Status, rounds=list[Round],
+        ligands=[_row([*LIGAND_COLUMNS[:4], *LIGAND_ENDS])],
+    ),
+    **_INTERFACE, **_ORIGIN, **_WRITTEN, "not_written": NotRequired[str],
+}  # fmt: skip
+
+
+def _frames(columns: Iterable[str | Column], optional: Iterable[str] = ()) -> Kinds:
+    """Columns of a table of frames, which only those have that could be used."""
+    its = {**_row(columns), **_optional(_row(optional))}
+    return _cells(_row(FIRST, frame=int), its, _row("seconds"), _optional(_row("output_frame")))
+
+
+_TRACE = _row(TRACE_COLUMNS)
+_BATCH: Kinds = {
+    **_row("n_structures table n_rows"), "status": dict[str, int], "lost_atoms": dict[str, str],
+    "far_molecules": dict[str, str], **_RUN, "settings": dict[str, Any],
+}  # fmt: skip
+_BATCH_TABLES = {
+    "traces.csv": (_cells(_row(table.TRACE_COLUMNS)),),
+    "statistics.csv": (_cells(_row("method quantity first_quartile median third_quartile highest")),),
+}
+_BATCH_FILES = ("statistics.csv", "energy.png", "rmsd.png", "seconds.png")
+_STRUCTURE = r"\.(pdb|cif)(\.(gz|bz2|xz|zst))?$"
+_BATCH_MORE = (r"^pages/.+\.html$", _STRUCTURE, r"\.(json|npz)$")
+
+
+def _of_batch(columns: Iterable[str], others: Iterable[str]) -> Kinds:
+    """Columns of a batch; ``others`` are there if their method, or an interface, is."""
+    return _cells(_row(columns), _optional(_row(others)))
+
+
+_BOTH = [name for name in table.COLUMNS if name in relaxed.COLUMNS]
+_ALL = dict.fromkeys((*table.COLUMNS, *relaxed.COLUMNS, *relaxed.OF_INTERFACE))
+_EITHER = [name for name in _ALL if name not in _BOTH]
+
+_QUALITY = {
+    **_row(
+        "radius_of_gyration_angstrom ca_rmsd_to_start_angstrom tm_score_to_start secondary_structure_kept"
+    ),
+    **_row(["overlaps", "hydrogen_bonds", *MEASURES], hydrogen_bonds=int),
+    **_row("bond_length_change_rms_angstrom bond_angle_change_rms_degrees"),
+    **_optional(_row("reference_rmsd_angstrom reference_tm_score reference_coverage")),
+}
+_WORK = _row(
+    ["method", "lowest_kj_mol"]
+    + [f"{cost}_within_{near:g}_kj_mol" for cost in ("evaluations", "seconds") for near in WITHIN]
+)
+_SPREAD = _row(
+    "method runs repeats_exactly converged energy_lowest_kj_mol energy_median_kj_mol energy_highest_kj_mol "
+    "ca_rmsd_between_angstrom evaluations_median seconds_median"
+)
+_COMPARED = {**_SOLUTION, **_ORIGIN, "output": str | None}
+_COMPARISON = {
+    **_row("structure input output seconds_preparation engine_reason system_sha256 judge seed threads"),
+    **_RUN, "results": [_COMPARED], "ca_rmsd_angstrom": {OTHERS: {OTHERS: float | None}},
+    "quality": {OTHERS: _QUALITY}, "work": [_WORK], "spread": [_SPREAD], "repeats": [_SOLUTION],
+}  # fmt: skip
+_TOTALS = {
+    **_row("rotamers_changed hydrogen_bonds_kept hydrogen_bonds_gained hydrogen_bonds_lost"),
+    **_row("salt_bridges_kept salt_bridges_gained salt_bridges_lost contacts_kept ca_rmsd_angstrom"),
+    **_row("rigid_domains"), OTHERS: float | None,
+}  # fmt: skip
+_CHANGED = {
+    **_RESIDUE, **_row(["secondary_structure", "domain", *TORSIONS]),
+    **_row("torsions_degrees rotamer_before rotamer_after ca_moved_angstrom"),
+}  # fmt: skip
+_BOND = _row("kind change first second")
+
+_SETTINGS = {
+    simulation.RENAMED.get(name, name): kind
+    for name, kind in get_type_hints(SimulationSettings).items()
+} | {"pull": str | None, "hinge_springs": list[str] | None}  # fmt: skip
+_SIMULATED = {
+    **_row(simulation.RECORD, status=Ending, accepted=float | None), **_SETTINGS,
+    **_optional(_row(simulation.PULLED)), **_ORIGIN,
+}  # fmt: skip
+_LOG = {
+    **_row("step time_ps kinetic_kj_mol potential_kj_mol total_kj_mol conserved_kj_mol temperature_k"),
+    **_row("ca_rmsd_angstrom"),
+    **_optional(_row("fixman_kj_mol hinge_springs_kj_mol dampers_kj_mol closure_error_nm pull_distance_nm")),
+    **_optional(_row("pull_extension_nm pull_force_kj_mol_nm pull_work_kj_mol")),
+}
+_MODES = {
+    **_row(of_modes.COLUMNS), **_ORIGIN,
+    **_row("temperature_k entropy_kj_mol_k entropy_classical_kj_mol_k log_det_hessian first"),
+    **_optional(_row("other cumulative_overlap")),
+}  # fmt: skip
+_MODE = _row("mode frequency_per_cm eigenvalue_per_ps2 collectivity residual")
+_FLUCTUATION = _row(
+    "ca_fluctuation_angstrom ca_b_factor_angstrom2 b_factor_angstrom2 ca_b_factor_in_file_angstrom2"
+)
+
+_VALIDATED = {
+    **_row("file structure model n_chains n_residues n_atoms heavy_atoms_added"), **_row(MEASURES),
+    **_optional(_row([*LIKENESS, "chain_mapping"])), **_row("added message"),
+}  # fmt: skip
+_LISTED = {
+    "findings": list[str], "ligands": [_row(LIGAND_COLUMNS)], "nucleotides": [_row(NUCLEOTIDE_COLUMNS)],
+    **_optional({"changes": _TOTALS, "bonds_changed": [_BOND]}),
+}  # fmt: skip
+_MODEL = {"file": str | None, "model": int | None}
+_SCORED = _row(["file", "structure", "interface", *SCORES, *CONFIDENCES, "message"])
+_SHARES = {
+    **_row("side chain residue name energy_kj_mol interaction_kj_mol desolvation_kj_mol"),
+    **_row("buried_area_angstrom2 contacts hydrogen_bonds salt_bridges clashes unsatisfied_polar_atoms"),
+    **_row("file interface"),
+}
+_ENERGIES = _row([*TERMS, "total"])
+_SIDES = _row("chain_1 residue_1 name_1 chain_2 residue_2 name_2")
+_BY = ({"of": str, **_ENERGIES}, {**_RESIDUE, **_ENERGIES}, {**_SIDES, **_ENERGIES})
+_DEVIATION = _row(["reference", "file", "model", *RmsdFrames.columns, "message"])
+_WHOLE = EnergyFrames(Setup()).columns
+_PARTS = EnergyFrames(Setup(), "A,B").columns
+_VERDICT = {"verdict": str}
+_CHECKED, _LEFT_OUT = (_cells(get_type_hints(kind), _VERDICT) for kind in (Check, LeftOut))
+_EXTREME, _POINT = _cells(get_type_hints(Extreme)), _cells(_row("method setting seconds error"))
+_SCENE = {
+    **_row("scene title"), "wrong": list[str], "checks": [_CHECKED], "work": [_POINT], "extremes": [_EXTREME],
+    "left_out": [_LEFT_OUT], "error_of": str, "made": dict[str, str], "output": str,
+}  # fmt: skip
+
+
+def _names(paths: Iterable[Path]) -> tuple[str, ...]:
+    return tuple(path.name for path in paths)
+
+
+CONTRACTS: Mapping[str, Contract] = {
+    "minimise": Contract((_MINIMISED, {"models": [_MINIMISED]}), {"--trace": (_cells(_TRACE),)}),
+    "relax": Contract(
+        (_RELAXED, Frames, _BATCH),
+        {
+            "relaxed.csv": (_of_batch(relaxed.COLUMNS, relaxed.OF_INTERFACE),), **_BATCH_TABLES,
+            "--trajectory": (_frames(of_relaxing.OF_FRAMES),),
+        },
+        (*_names(table.files_of(Path(), "relaxed")), *_BATCH_FILES), _BATCH_MORE,
+    ),
+    "compare": Contract(
+        (_COMPARISON,),
+        {
+            "summary.csv": (_cells(_COMPARED),),
+            "equal_cost.csv": (_cells(_row("cost at"), {OTHERS: float}),),
+            "work.csv": (_cells(_WORK),), "spread.csv": (_cells(_SPREAD),),
+            "displacement.csv": (_cells(_RESIDUE, {OTHERS: float}),),
+            "traces.csv": (_cells(_row("structure method"), _TRACE),),
+            "differences.csv": (_cells(_row("method"), _TOTALS),),
+            "residue_differences.csv": (_cells(_row("method"), _CHANGED),),
+            "bonds_changed.csv": (_cells(_row("method"), _BOND),),
+            "quality.csv": (_cells(_row("structure"), _QUALITY),),
+        },
+        ("report.html", *of_comparison.names()), (_STRUCTURE,),
+    ),
+    "batch": Contract(
+        (_BATCH, {"structures": list[Planned]}),
+        {"summary.csv": (_of_batch(_BOTH, _EITHER),), **_BATCH_TABLES},
+        (*_names(table.files_of(Path())), *_BATCH_FILES), _BATCH_MORE,
+    ),
+    "simulate": Contract(
+        (_SIMULATED,), {"log.csv": (_cells(_LOG),)}, ("log.csv", "summary.json", "checkpoint.npz"),
+        (r"^trajectory\.(dcd|xtc)$", r"^last\.(pdb|cif)$"),
+    ),
+    "modes": Contract(
+        (_MODES,),
+        {
+            "modes.csv": (_cells(_MODE, _optional(_row("overlap cumulative_overlap"))),),
+            "fluctuations.csv": (_cells(_RESIDUE, _FLUCTUATION),),
+        },
+        ("modes.csv", "summary.json", "report.html"),
+        (r"^fluctuations\.csv$", r"^minimum\.(pdb|cif)", r"^mode-\d+\.(dcd|xtc)$"),
+    ),
+    "validate": Contract(
+        (_told(Findings, results=[{**_VALIDATED, **_LISTED}, _FAILED]), Frames),
+        {
+            "--csv": (_cells(_optional(_VALIDATED), _row("file message")),),
+            "--residues": (_cells(_row(RESIDUE_COLUMNS), _optional(_row("lddt")), _MODEL),),
+            "--changes": (_cells(_CHANGED, _MODEL),),
+            "--trajectory": (_frames(MEASURES, LIKENESS),),
+        },
+    ),
+    "score": Contract(
+        (_told(Scores, results=[_SCORED, _FAILED]),),
+        {"--csv": (_cells(_optional(_SCORED), _row("file message")),), "--residues": (_cells(_SHARES),)},
+    ),
+    "energy": Contract(
+        (*(_told(Energies, rows=[kind]) for kind in _BY), Frames),
+        {"--output": tuple(map(_cells, _BY)), "--trajectory": (_frames(_WHOLE), _frames(_PARTS))},
+    ),
+    "rmsd": Contract(
+        (_told(Deviations, results=[_cells(_optional(_DEVIATION), _row("reference file model message"))]),
+         Frames),
+        {"--output": (_cells(_optional(_DEVIATION), _row("reference file model message")),),
+         "--trajectory": (_frames(RmsdFrames.columns),)},
+    ),
+    "info": Contract((Facts,)),
+    "scene": Contract(
+        (_SCENE, {"scenes": dict[str, str]}),
+        {
+            "checks.csv": (_CHECKED,), "work.csv": (_POINT,), "extremes.csv": (_EXTREME,),
+            "left_out.csv": (_LEFT_OUT,),
+        },
+        ("checks.csv", "work.csv", "extremes.csv", "left_out.csv", "work.png", "made.json"), (r"\.csv$",),
+    ),
+}  # fmt: skip
+"""By command. The tables of ``bench`` are those of each study, and have no contract."""

@@ -1,0 +1,58 @@
+"""``protochain schema``: what the commands print and write, as JSON Schema."""
+
+import hashlib
+import json
+from importlib.resources import files
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from protochain.results.schema import Schema
+
+_VERSIONS = "schemas.txt"
+"""A line for each version of each command's results: command, version, and digest of the schema."""
+
+
+def schema(
+    command: Annotated[
+        str | None, typer.Argument(metavar="[COMMAND]", help="A command; none lists them.")
+    ] = None,
+) -> None:
+    """Show the JSON Schema of what a command prints with --json, and of its tables and its folder.
+
+    Each has a version of its own, and changes only with it.
+    """
+    from protochain.cli.contracts import CONTRACTS
+    from protochain.core.checks import refuse_unknown
+
+    known = versions()
+    if command is None:
+        for name, (version, _) in known.items():
+            print(f"{name:<9} {version}  {', '.join(['--json', *CONTRACTS[name].tables])}")
+        return
+    refuse_unknown(command, "command", known)
+    print(json.dumps(schema_of(command), indent=2))
+
+
+def schema_of(command: str) -> "Schema":
+    """Schema of what a command prints, tables and folder in its ``$defs``."""
+    from protochain.cli.contracts import CONTRACTS
+    from protochain.results.schema import document
+
+    return document(command, versions()[command][0], CONTRACTS[command])
+
+
+def digest(command: str) -> str:
+    """Digest of a schema, without its version."""
+    from protochain.cli.contracts import CONTRACTS
+    from protochain.results.schema import document
+
+    text = json.dumps(document(command, 0, CONTRACTS[command]), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def versions() -> dict[str, tuple[int, str]]:
+    """Latest version of each command's results, and the digest of its schema."""
+    lines = (files("protochain.cli") / _VERSIONS).read_text(encoding="utf-8").splitlines()
+    return {command: (int(version), its) for command, version, its in map(str.split, lines)}

@@ -1,0 +1,131 @@
+"""What an impact asks of bodies, rigid ones or such that bend: velocities, and what impulses change."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Value
+from protochain.mechanics.multibody import flexible_dynamics
+from protochain.mechanics.multibody.articulated import Articulated, solve
+from protochain.mechanics.multibody.flexible import Bent, Flexible, bend
+from protochain.mechanics.multibody.kinematics import velocities
+from protochain.mechanics.multibody.operational import Rows, operational_inverse
+
+
+class Bodies(Protocol):
+    """Bodies at one pose; those that bend count node by node."""
+
+    @property
+    def n_v(self) -> int:
+        """Number of freedoms."""
+
+    @property
+    def origin(self) -> Floats:
+        """(nb, 3) float: points to which twists and wrenches belong."""
+
+    def twists(self, qd: Floats) -> Floats:
+        """(nb, 6) float: twists for velocities (n_v,)."""
+
+    def change(self, wrench: Floats) -> Floats:
+        """(n_v,) float: change of the velocities by impulses (nb, 6) on the bodies."""
+
+    def inverse(self, rows: Rows) -> Floats:
+        """(m, m) float: inverse inertia G M^-1 G^T of rows."""
+
+
+@dataclass(frozen=True, eq=False)
+class RigidBodies:
+    """Rigid bodies, by factors of M."""
+
+    factors: Articulated
+
+    @property
+    def n_v(self) -> int:
+        """Number of freedoms."""
+        return self.factors.tree.n_v
+
+    @property
+    def origin(self) -> Floats:
+        """(nb, 3) float: of the bodies."""
+        return self.factors.frames.origin
+
+    def twists(self, qd: Floats) -> Floats:
+        """(nb, 6) float: of the bodies."""
+        return velocities(self.factors.tree, self.factors.frames, qd)
+
+    def change(self, wrench: Floats) -> Floats:
+        """(n_v,) float: M^-1 J^T wrench."""
+        return solve(self.factors, np.zeros(self.n_v), -wrench)
+
+    def inverse(self, rows: Rows) -> Floats:
+        """(m, m) float: O(n + m^2)."""
+        return operational_inverse(self.factors.tree, self.factors.frames, rows, self.factors)
+
+
+@dataclass(frozen=True, eq=False)
+class Bending(Value):
+    """Bodies of which some bend, at one q: what an impact takes in place of factors.
+
+    An instantaneous impulse moves all shapes at once: elastic forces are finite, and do nothing in no time.
+
+    Parameters
+    ----------
+    flexible, bent : Flexible, Bent
+        Bodies, and where their nodes are. The nodes are the bodies of points of contact
+        (:meth:`Flexible.node`).
+    """
+
+    flexible: Flexible
+    bent: Bent
+
+    @classmethod
+    def at(cls, flexible: Flexible, q: Floats) -> "Bending":
+        """Of bodies at their coordinates (n_q,)."""
+        return cls(flexible, bend(flexible, q))
+
+    @property
+    def n_v(self) -> int:
+        """Number of freedoms."""
+        return self.flexible.n_v
+
+    @property
+    def origin(self) -> Floats:
+        """(nn, 3) float: of the nodes."""
+        return self.bent.origin
+
+    def twists(self, qd: Floats) -> Floats:
+        """(nn, 6) float: of the nodes."""
+        return flexible_dynamics.velocities(self.flexible, self.bent, qd)
+
+    def change(self, wrench: Floats) -> Floats:
+        """(n_v,) float: M^-1 J^T wrench."""
+        pulled = flexible_dynamics.pull_back(self.flexible, self.bent, wrench)
+        return flexible_dynamics.solve(self.flexible, self.bent, pulled)
+
+    def inverse(self, rows: Rows) -> Floats:
+        """(m, m) float: O(n m)."""
+        found = np.empty((len(rows.body), len(rows.body)))
+        for i, (bodies, wrenches) in enumerate(zip(rows.body, rows.wrench, strict=True)):
+            load = np.zeros((len(self.origin), 6))
+            on = bodies >= 0
+            np.add.at(load, bodies[on], wrenches[on])
+            found[:, i] = row_speeds(self, rows, self.change(load))
+        return found
+
+
+def bodies_of(given: "Articulated | Bending") -> Bodies:
+    """Bodies, of what an impact is given."""
+    return given if isinstance(given, Bending) else RigidBodies(given)
+
+
+def twists_of(bodies: Bodies, rows: Rows, qd: Floats) -> Floats:
+    """(m, 2, 6) float: twists of the two bodies of each row; the world's is zero."""
+    # Index -1 finds the last, of the world.
+    twists = np.vstack([bodies.twists(qd), np.zeros(6)])
+    return np.asarray(twists[rows.body])
+
+
+def row_speeds(bodies: Bodies, rows: Rows, qd: Floats) -> Floats:
+    """(m,) float: velocities along the rows."""
+    return np.asarray(np.einsum("msk,msk->m", rows.wrench, twists_of(bodies, rows, qd)))

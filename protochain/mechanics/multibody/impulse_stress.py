@@ -1,0 +1,94 @@
+"""Impulse stress in rigid bodies: its mean, which their motion and the impulses on them leave no doubt of."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.multibody.articulated import Articulated
+from protochain.mechanics.multibody.impulse import Impact
+from protochain.mechanics.multibody.impulse_bodies import RigidBodies
+from protochain.mechanics.multibody.impulse_external import External, checked
+from protochain.mechanics.multibody.impulse_points import ContactPoint
+
+
+def impulse_stress(
+    factors: Articulated,
+    qd: Floats,
+    found: Impact,
+    points: Sequence[ContactPoint],
+    external: External | None = None,
+) -> Floats:
+    """Integral of the impulse stress over each body; by its volume, the mean of Cauchy's impulse tensor.
+
+    Parameters
+    ----------
+    factors : Articulated
+        Rigid bodies, as for :func:`impact`.
+    qd : (n_v,) float
+        Velocities before.
+    found : Impact
+        What the impact did.
+    points : sequence of ContactPoint
+        Points of contact.
+    external : mapping of int to ((3,) float, (3,) float), optional
+        Impulses that were given.
+
+    Returns
+    -------
+    (nb, 3, 3) float
+        Symmetric, world axes; impulse times length, negative where compressed.
+
+    Raises
+    ------
+    MechanicsError
+        If the impact had loops, the rows of which do not say where in a body their joints bear; or of
+        external, as :func:`impact`.
+
+    Notes
+    -----
+    With impulse stress S, div S = rho dv inside and S n = p on the surface, so that the integral of S is the
+    sum of P r^T over impulses P at r, less the integral of rho dv r^T. A hinge bears at the origin of its
+    outward body; of its couple C, which tells of no place, [C]/2 is taken, the part that makes S symmetric.
+    O(n).
+    """
+    tree, frames, bodies = factors.tree, factors.frames, RigidBodies(factors)
+    if len(found.loops):
+        raise MechanicsError(
+            "impulse stress: rows of loops do not say where their joints bear; leave loops out, or close "
+            "them by points"
+        )
+    loads, out = np.zeros((tree.n_bodies, 6)), np.zeros((tree.n_bodies, 3, 3))
+
+    def push(body: int, at: Floats, impulse: Floats, couple: Floats) -> None:
+        if body >= 0:
+            arm = at - frames.origin[body]
+            loads[body] += *(np.cross(arm, impulse) + couple), *impulse
+            out[body] += np.outer(impulse, arm) + 0.5 * _cross(couple)
+
+    none = np.zeros(3)
+    for point, impulse in zip(points, found.impulse, strict=True):
+        push(point.bodies[0], point.point, -impulse, none)
+        push(point.bodies[1], point.point, impulse, none)
+    for body, (at, impulse) in checked(external or {}, tree.n_bodies).items():
+        push(body, at, impulse, none)
+    change = bodies.twists(found.qd) - bodies.twists(qd)
+    for b in reversed(range(tree.n_bodies)):
+        turn, shift = change[b, :3], change[b, 3:]
+        axes = frames.rotation[b]
+        inertia, centre, mass = axes @ tree.inertia[b] @ axes.T, axes @ tree.com[b], tree.mass[b]
+        spread = 0.5 * np.trace(inertia) * np.eye(3) - inertia + mass * np.outer(centre, centre)
+        moved = np.outer(mass * shift, centre) + _cross(turn) @ spread
+        momentum = mass * (shift + np.cross(turn, centre))
+        # Twice the part of rho dv r^T that is not symmetric is the moment of momentum.
+        moment = np.array([moved[2, 1] - moved[1, 2], moved[0, 2] - moved[2, 0], moved[1, 0] - moved[0, 1]])
+        through = np.concatenate([moment, momentum]) - loads[b]
+        out[b] += 0.5 * _cross(through[:3]) - moved
+        push(int(tree.parent[b]), frames.origin[b], -through[3:], -through[:3])
+    return out
+
+
+def _cross(v: Floats) -> Floats:
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,0 +1,131 @@
+"""JSON Schema (draft 2020-12) of kinds of values."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from enum import Enum
+from types import NoneType, UnionType
+from typing import Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
+
+from protochain.results.columns import UNITS, heading
+from protochain.results.kinds import Kind
+
+Schema = dict[str, Any]
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+OTHERS = "*"
+"""Name whose kind is that of values under all other names."""
+_PLAIN = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What a command prints and writes.
+
+    Parameters
+    ----------
+    json : tuple of kinds
+        What ``--json`` prints is one of them.
+    tables : mapping of str to kinds
+        By the name of the CSV or the option that names it: one of these is a row.
+    files : tuple of str
+        Names that its folder always has, in it.
+    more : tuple of str
+        Patterns of the names of other files there.
+    """
+
+    json: tuple[Kind, ...] = ()
+    tables: Mapping[str, tuple[Kind, ...]] = field(default_factory=dict)
+    files: tuple[str, ...] = ()
+    more: tuple[str, ...] = ()
+
+
+def document(command: str, version: int, contract: Contract) -> Schema:
+    """Schema of what a command prints; of its tables and its folder in ``$defs``.
+
+    A table is an array of its rows, in which an empty cell is null; a folder is an array of the names in it.
+    """
+    defs: dict[str, Schema] = {
+        name: {"type": "array", "items": _one_of(rows)} for name, rows in contract.tables.items()
+    }
+    if contract.files:
+        names: list[Schema] = [{"const": name} for name in contract.files]
+        names += [{"pattern": each} for each in contract.more]
+        defs["folder"] = {
+            "type": "array", "items": {"anyOf": names},
+            "allOf": [{"contains": {"const": name}} for name in contract.files],
+        }  # fmt: skip
+    return {
+        "$schema": DRAFT,
+        "$id": f"urn:protochain:{command}:{version}",
+        "title": f"protochain {command}, version {version} of its results",
+        **_one_of(contract.json),
+        **({"$defs": defs} if defs else {}),
+    }
+
+
+def _one_of(kinds: Sequence[Kind]) -> Schema:
+    return schema(kinds[0]) if len(kinds) == 1 else {"anyOf": [schema(kind) for kind in kinds]}
+
+
+def schema(kind: Kind) -> Schema:
+    """Schema of the values of a kind."""
+    if get_origin(kind) is NotRequired:
+        return schema(get_args(kind)[0])
+    if isinstance(kind, Mapping):
+        needed = [name for name, its in kind.items() if get_origin(its) is not NotRequired]
+        return _object(kind, needed)
+    if isinstance(kind, list):
+        return {"type": "array", "items": _one_of(kind)}
+    if kind in _PLAIN:
+        return {"type": _PLAIN[kind]}
+    if kind is Any:
+        return {}
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return {"enum": [each.value for each in kind]}
+    if is_typeddict(kind):
+        return _object(get_type_hints(kind), sorted(kind.__required_keys__))
+    if is_dataclass(kind):
+        hints = get_type_hints(kind)
+        return _object(hints, [each.name for each in fields(kind)])
+    origin, args = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return {"enum": [*args]}
+    if origin in (Union, UnionType):
+        return _union([schema(each) for each in args])
+    if origin in (list, tuple):
+        return {"type": "array", "items": schema(args[0])}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": schema(args[1])}
+    raise TypeError(f"{kind!r} has no schema")
+
+
+def _object(kinds: Mapping[str, Kind], needed: Sequence[str]) -> Schema:
+    """Schema of an object with no names but these, and ``OTHERS`` if it may have any; units in words."""
+    named = {name: kind for name, kind in kinds.items() if name != OTHERS}
+    return {
+        "type": "object",
+        "properties": {name: schema(kind) | _told(name) for name, kind in named.items()},
+        "required": [name for name in needed if name in named],
+        "additionalProperties": schema(kinds[OTHERS]) if OTHERS in kinds else False,
+    }
+
+
+def _told(name: str) -> Schema:
+    return {"description": heading(name)} if any(name.endswith(unit) for unit in UNITS) else {}
+
+
+def _union(schemas: Sequence[Schema]) -> Schema:
+    """Plain types in one list, which is shorter than ``anyOf``."""
+    if all({*each} == {"type"} for each in schemas):
+        return {"type": [each["type"] for each in schemas]}
+    return {"anyOf": [*schemas]}
+
+
+def cell(kind: Kind) -> Kind:
+    """Kind of a cell of a table, where a value of this kind may be missing: lists and counts are text."""
+    if get_origin(kind) is NotRequired:
+        return NotRequired[cell(get_args(kind)[0])]
+    origin = get_origin(kind)
+    plain = get_args(kind) if origin in (Union, UnionType) else (kind,)
+    if any(each not in _PLAIN for each in plain):
+        return str | None
+    return Union[(*plain, NoneType)]  # of types known at run time only

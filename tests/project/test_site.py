@@ -1,0 +1,57 @@
+"""The site: it is built without a warning, holds every public name, and is read on a phone."""
+
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+from fixtures.public_names import PUBLIC
+from fixtures.samples import ROOT
+
+InventoryFile = pytest.importorskip("sphinx.util.inventory").InventoryFile
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """Folder of the site: of warnings, such as a link to nothing, none passes."""
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "-c", "analysis/site", ".", str(folder)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_the_reference_holds_every_public_name(site):
+    inventory = InventoryFile.loads((site / "objects.inv").read_bytes(), uri="")
+    shown = {name for kind, entries in inventory.data.items() if kind.startswith("py:") for name in entries}
+    # A name of two packages is on the page of the first.
+    assert {name.rpartition(".")[2] for name in PUBLIC} <= {name.rpartition(".")[2] for name in shown}
+    assert {name for name in PUBLIC if name.count(".") == 1} <= shown
+
+
+def test_pages_name_no_place_of_this_machine_and_no_markup(site):
+    pages = list(site.rglob("*.html"))
+    assert len(pages) > 50
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
+        assert str(ROOT) not in text, page
+        assert ":func:" not in text and ":class:" not in text, page
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
+def test_no_page_is_wider_than_a_phone_and_all_are_dark_where_one_asks(site):
+    from playwright.sync_api import Error, sync_playwright
+
+    with sync_playwright() as driver:
+        try:
+            browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        except Error as error:
+            pytest.skip(f"chromium does not start here: {str(error).splitlines()[0]}")
+        page = browser.new_page(viewport={"width": 390, "height": 844}, color_scheme="dark")
+        for path in (site / "analysis").rglob("*.html"):
+            page.goto(path.as_uri())
+            assert page.evaluate("document.documentElement.scrollWidth") <= 390, path
+            ground = page.evaluate("getComputedStyle(document.body).backgroundColor")
+            assert max(map(int, re.findall(r"\d+", ground)[:3])) < 64, path
