@@ -196,6 +196,23 @@ _FLUCTUATION = _row(
     "ca_fluctuation_angstrom ca_b_factor_angstrom2 b_factor_angstrom2 ca_b_factor_in_file_angstrom2"
 )
 
+_SEARCHED = {
+    **_row("structure method energy_lowest_kj_mol n_minima evaluations steps seconds n_walkers n_replicas"),
+    **_row("seed temperature_lowest_k temperature_highest_k n_hinges hinges forcefield solvent engine"),
+    **_row("", acceptance=float, round_trips=int | None, interrupted=bool, temperatures_k=list[float]),
+    **_RUN,
+}
+_MINIMUM = {
+    **_row("energy_kj_mol above_lowest_kj_mol ca_rmsd_to_lowest_angstrom free_energy_kj_mol"),
+    **_row("free_energy_rigid_kj_mol", minimum=int, cluster=int, conformer=str, helix_share=float),
+    **_row("", walker=int, evaluations_of_walker=int),
+}
+_POPULATION = {
+    **_row("temperature_k energy_kj_mol energy_error_kj_mol", helix_share=float, helix_share_error=float),
+    **_row("", exchanges=float, slope=float, slope_error=float),
+}
+_CONFORMER = _row("temperature_k", conformer=str, share=float, share_error=float)
+
 _VALIDATED = {
     **_row("file structure model n_chains n_residues n_atoms heavy_atoms_added"), **_row(MEASURES),
     **_optional(_row([*LIKENESS, "chain_mapping"])), **_row("added message"),
@@ -263,6 +280,15 @@ CONTRACTS: Mapping[str, Contract] = {
     "simulate": Contract(
         (_SIMULATED,), {"log.csv": (_cells(_LOG),)}, ("log.csv", "summary.json", "checkpoint.npz"),
         (r"^trajectory\.(dcd|xtc)$", r"^last\.(pdb|cif)$"),
+    ),
+    "search": Contract(
+        (_SEARCHED,),
+        {
+            "minima.csv": (_cells(_MINIMUM),), "populations.csv": (_cells(_POPULATION),),
+            "conformers.csv": (_cells(_CONFORMER),),
+        },
+        ("minima.csv", "summary.json", "report.html", "energy-rmsd.png"),
+        (r"^(populations|conformers)\.csv$", r"^minima/minimum-\d+\.pdb$", r"^pieces/walker-\d+/\d+\.npz$"),
     ),
     "modes": Contract(
         (_MODES,),
