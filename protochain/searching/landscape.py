@@ -111,12 +111,6 @@ class Landscape(Value):
         return Torsions(self.chain, near_terms(self.energy))
 
     @cached_property
-    def constant(self) -> float:
-        """Energy, kJ/mol, of the terms that turning hinges leaves as they are."""
-        x = pose(self.chain, self.chain.q0).x
-        return self.energy(x)[0] - self._varying(x)[0]
-
-    @cached_property
     def moves(self) -> Moves:
         """What its torsions allow."""
         return Moves.of(self.chain)
@@ -135,7 +129,7 @@ class Landscape(Value):
         best = problem.best
         if best is None or not best.is_finite:
             return Descended(q, np.inf, problem.n_evaluations)
-        return Descended(_wrapped(best.q), best.energy + self.constant, problem.n_evaluations)
+        return Descended(_wrapped(best.q), best.energy, problem.n_evaluations)
 
     def sweep(self, q: Floats, temperature: float, time_step: float, n_trajectories: int, seed: int) -> Swept:
         """Sample torsions from exp(-E/kT) by trajectories with Fixman's potential.
@@ -165,7 +159,7 @@ class Landscape(Value):
 
         def note(state: State) -> None:
             at = state.at
-            energies.append(at.potential - bias(at.q, at.factors)[0] + self.constant)
+            energies.append(at.potential - bias(at.q, at.factors)[0])
 
         n_steps = n_trajectories * TRAJECTORY_LENGTH
         state, _, _ = run(propagator, initial(propagator, q), n_steps, TRAJECTORY_LENGTH, note)

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -10,8 +11,9 @@ import pytest
 
 import protochain as pc
 from protochain.searching import api
-from protochain.searching.annealing import PILOTS, RUNGS
+from protochain.searching.annealing import PILOTS, RUNGS, scheduled
 from protochain.searching.hopping import ADAPTED, metropolis
+from protochain.searching.ladder import geometric, length_of_widths
 from protochain.searching.landscape import Landscape
 from protochain.searching.pieces import advance, read_piece, write_piece
 from protochain.searching.settings import SearchSettings
@@ -148,9 +150,14 @@ def test_coolings_fall_and_begin_again_at_the_top(peptide):
         assert np.all(np.diff(state.temperatures) < 0.0)
         assert state.temperatures[[0, -1]].tolist() == [900.0, 250.0]
     assert minima == PILOTS and np.all(state.widths > 0.0)
-    # Where energies are wide, temperatures are close.
-    gaps = np.diff(1.0 / state.temperatures)
-    assert np.corrcoef(gaps, state.widths[1:])[0, 1] < 0.3
+    assert not np.allclose(state.temperatures, geometric(900.0, 250.0, RUNGS), rtol=1e-3)
+    # Thrice as wide below 500 K: there the temperatures are closer, with the same lengths between them.
+    ladder = geometric(900.0, 250.0, RUNGS)
+    widths = np.where(ladder < 500.0, 12.0, 4.0)
+    placed = scheduled(replace(state, temperatures=ladder, widths=widths)).temperatures
+    lengths = length_of_widths(placed, np.interp(placed, ladder[::-1], widths[::-1]))
+    assert np.ptp(lengths) < 0.3 * np.mean(lengths)
+    assert np.sum(placed < 500.0) > np.sum(ladder < 500.0) + 5
 
 
 def test_pieces_are_read_as_they_were_written(peptide, tmp_path):
