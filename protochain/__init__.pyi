@@ -28,7 +28,9 @@ from .dynamics import Pull as Pull
 from .dynamics import Simulation as Simulation
 from .dynamics import simulate as simulate
 from .energies import energy as energy
+from .energies.convert import from_simulation as from_simulation
 from .energies.convert import to_ase as to_ase
+from .energies.convert import to_simulation as to_simulation
 from .energies.decomposed import energy_terms as energy_terms
 from .ligands import ligand as ligand
 from .mechanics import multibody as multibody

@@ -10,6 +10,7 @@ from protochain.core.checks import (
     NO_BONDS,
     Bond,
     LigandSource,
+    accuracy_of,
     acidity,
     at_least,
     bonds,
@@ -55,6 +56,8 @@ class Setup(Settings):
     forcefield, solvent, engine, terms : str
         As in :func:`protochain.energy`.
     cutoff : float, "auto" or None
+        As in :func:`protochain.energy`.
+    accuracy : float, "auto" or "exact"
         As in :func:`protochain.energy`.
     threads : int, optional
         Threads for the energy; all by default.
@@ -117,8 +120,14 @@ class Setup(Settings):
     )
     cutoff: float | Literal["auto"] | None = setting(
         defaults.CUTOFF,
-        "Distance in nm up to which pairs act, none, or auto: none below 20,000 atoms.",
+        "Distance in nm up to which pairs act, none, or auto: none, or 2 above 20,000 atoms without a tree.",
         cutoff_of,
+    )
+    accuracy: float | Literal["auto", "exact"] = setting(
+        defaults.ACCURACY,
+        "RMS error of forces in kJ/mol/nm up to which a tree may sum far pairs, exact, or auto: 0.001 from "
+        "5,000 atoms.",
+        accuracy_of,
     )
     threads: int | None = setting(None, "Threads to compute on [default: all].", optional(at_least(1)), int)
     trust_forcefield: bool = setting(False, "Allow a force-field file to run its scripts.", flag, bool)
@@ -222,8 +231,8 @@ class Setup(Settings):
 
         return (build_energy or energy)(
             structure, forcefield=self.forcefield, solvent=self.solvent, engine=self.engine,
-            cutoff=self.cutoff, threads=self.threads, trust_forcefield=self.trust_forcefield,
-            terms=self.terms,
+            cutoff=self.cutoff, accuracy=self.accuracy, threads=self.threads,
+            trust_forcefield=self.trust_forcefield, terms=self.terms,
         )  # fmt: skip
 
 

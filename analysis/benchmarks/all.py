@@ -120,6 +120,7 @@ JOBS = (
     Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1),
     Job("engines", f"{HERE}/engines.py energies -o DIR", 6),
     Job("engines-cutoff", f"{HERE}/engines.py cutoff -o DIR", 4),
+    Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 20, threads=1),
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
     Job("large", f"{HERE}/large.py -o DIR", 10),
     Job("threads", f"{HERE}/threads.py -o DIR", 1),
@@ -149,6 +150,7 @@ JOBS = (
         },
         threads=1,
     ),
+    Job("ends", f"{HERE}/ends.py {SAMPLES} {SMALL} -o DIR", 60, threads=1),
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job(
         "modes",

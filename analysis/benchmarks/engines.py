@@ -4,7 +4,8 @@
 
 Medians of calls taken in turn in one process, and their ratios; OpenMM's implicit solvents as its force field
 builds them (CustomGBForce), OBC2 also as GBSAOBCForce. STUDY is any of energies, that comparison; cutoff, at
-growing sizes (copies of ubiquitin side by side); and moving, what leaving out constant terms saves, and what
+growing sizes (copies of ubiquitin side by side); accuracy, error against seconds of a processor by trees and
+cutoffs, at growing sizes; and moving, what leaving out constant terms saves, and what
 the chain's sweeps add (all by default).
 """
 
@@ -12,7 +13,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import cycle
-from time import perf_counter
+from time import perf_counter, process_time
 
 import made
 import numba
@@ -149,6 +150,53 @@ def with_cutoff(threads: int, quick: bool) -> Iterator[dict[str, object]]:
         yield {"atoms": len(x)} | {f"{name}_us_an_atom": 1e3 * taken / len(x) for name, taken in ms.items()}
 
 
+ACCURACIES = (1e-2, 1e-3, 1e-4)
+"""kJ/mol/nm, RMS error of the forces asked of a tree."""
+CUTOFFS = (1.0, 2.0, 3.0)
+
+
+def by_accuracy(threads: int, quick: bool) -> Iterator[dict[str, object]]:
+    """Error of energy and forces against seconds of a processor, on one thread, by trees and cutoffs."""
+    s = pc.load(SAMPLES / "1ubq.pdb")
+    for n in (3,) if quick else (4, 16):
+        topology, x = copies(s, n)
+        # GBn2 differs from OBC2 in what is near; by OpenMM it takes minutes.
+        for solvent in ("obc2",) if quick else ("obc2", "gbn2", "vacuum") if n == 4 else ("obc2", "vacuum"):
+            named = None if solvent == "vacuum" else solvent
+            built = with_gbsa_obc(topology) if solvent == "obc2" else system(topology, named)
+            exact = NativeEnergy(OpenMMEnergy(built, threads=1), 1)
+            energies: dict[str, Energy] = {"all pairs": exact}
+            for accuracy in ACCURACIES:
+                energies[f"tree, {accuracy:g} asked"] = exact.to_accuracy(accuracy, x)
+            if n <= 4:
+                energies["OpenMM CPU, all pairs"] = exact.by_openmm
+            for cutoff in CUTOFFS if n <= 4 else CUTOFFS[1:2]:
+                cut = NativeEnergy(OpenMMEnergy(system(topology, named, cutoff), threads=1), 1)
+                energies[f"cutoff {cutoff:g} nm"] = cut
+            (expected, forces), all_ms = exact(x), 1.0
+            for name, energy in energies.items():
+                if name.startswith("tree") and energy is exact:
+                    continue
+                value, its = energy(x)
+                taken = processor_ms(partial(energy, x))
+                all_ms = taken if energy is exact else all_ms
+                yield {
+                    "atoms": len(x), "solvent": solvent, "by": name, "processor_ms": taken,
+                    "of_all_pairs": taken / all_ms, "energy_off_kj_mol": abs(value - expected),
+                    "rms_force_off_kj_mol_nm": np.sqrt(((its - forces) ** 2).sum(axis=1).mean()),
+                }  # fmt: skip
+
+
+def processor_ms(run: Callable[[], object]) -> float:
+    """Least of three: seconds of a processor, which other work on the machine changes little."""
+    found = []
+    for _ in range(3):
+        began = process_time()
+        run()
+        found.append(1e3 * (process_time() - began))
+    return min(found)
+
+
 MOVING = (
     ("phi psi", "all"), ("phi psi chi", "all"), ("phi psi chi omega rotors", "all"),
     ("phi psi chi", "resid 10"), ("phi psi chi", "resid 5:14 and not backbone"), ("", "resid 10"),
@@ -189,6 +237,7 @@ def torques(c: pc.Chain, f: np.ndarray) -> np.ndarray:
 STUDIES = {
     "energies": ("engines", energies),
     "cutoff": ("engines_cutoff", with_cutoff),
+    "accuracy": ("engines_accuracy", by_accuracy),
     "moving": ("engines_moving", left_out),
 }
 
@@ -212,7 +261,8 @@ def main() -> None:
         if options.output:
             table = pd.DataFrame(rows)
             of = table["structure"].unique() if "structure" in table else ["copies of 1ubq"]
-            made.write(table, options.output / f"{name}.csv", of, options.threads)
+            threads = 1 if measure is by_accuracy else options.threads
+            made.write(table, options.output / f"{name}.csv", of, threads)
 
 
 if __name__ == "__main__":

@@ -59,7 +59,9 @@ class Run:
 def run(*words: object) -> Run:
     """Run a command, and watch the memory of its processes."""
     began, before = perf_counter(), os.times()
-    process = subprocess.Popen([*map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [*map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=made.surroundings()
+    )
     peaks: dict[int, float] = {}
     over = threading.Event()
 
@@ -131,7 +133,7 @@ def by_openmm(models: Sequence[Path]) -> np.ndarray:
         "    left += told['violations']\n"
         "print(json.dumps([seconds, cpu, left]))"
     )
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path[1:]])}
+    env = made.surroundings(PYTHONPATH=os.pathsep.join([str(Path(__file__).parent), *sys.path[1:]]))
     running = [
         subprocess.Popen([sys.executable, "-c", code, *map(str, own)], env=env, stdout=subprocess.PIPE)
         for own in (models[k::WORKERS] for k in range(WORKERS))
@@ -144,7 +146,7 @@ def by_openmm(models: Sequence[Path]) -> np.ndarray:
 
 def start_of_openmm() -> float:
     """Seconds that a command of its protocol takes before it begins."""
-    env = os.environ | {"PYTHONPATH": str(Path(__file__).parent)}
+    env = made.surroundings(PYTHONPATH=str(Path(__file__).parent))
     began = perf_counter()
     subprocess.run([sys.executable, "-c", "import relax_openmm"], env=env, check=True)
     return perf_counter() - began
@@ -156,6 +158,7 @@ def speed(options: argparse.Namespace) -> pd.DataFrame:
     with tempfile.TemporaryDirectory() as folder:
         scratch = Path(folder)
         for name, (top, frames) in ensembles(options, scratch).items():
+            relax(top, frames, scratch / "first.dcd", ":1")  # compiles kernels on a new installation
             models = _models(top, frames, scratch, options.sample)
             half = len(models) // 2
             before = by_openmm(models[:half])

@@ -86,6 +86,14 @@ def write(
     rows.sort_values("table").to_csv(record, index=False)
 
 
+def surroundings(**more: str) -> dict[str, str]:
+    """Environment of a command that is timed: modules are compiled once, as `pip install` does.
+
+    Where Python is told to write no bytecode, each start would compile all of an editable installation anew.
+    """
+    return {name: its for name, its in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | more
+
+
 def command(words: list[str] | None = None) -> str:
     """Command of this process, or one, as others would type it: -o DIR, and MORE for the folder of --more."""
     program, *given = words or ["python", *sys.argv]

@@ -78,7 +78,7 @@ def command(way: str, model: Path, output: Path, threads: int = 2) -> list[str]:
 def run(arguments: list[str]) -> Run:
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         began = perf_counter()
-        process = subprocess.Popen(arguments, stdout=out, stderr=err)
+        process = subprocess.Popen(arguments, stdout=out, stderr=err, env=made.surroundings())
         _, status, used = os.wait4(process.pid, 0)
         seconds = perf_counter() - began
         process.returncode = os.waitstatus_to_exitcode(status)
@@ -292,7 +292,9 @@ def throughput(n: int, sample: int, scratch: Path) -> tuple[pd.DataFrame, pd.Dat
     seconds = by_openmm(chosen[::2], scratch)
     program = [PROGRAM, "relax", str(folder), "-o", str(ends), "--workers", "2"]
     began = perf_counter()
-    done = subprocess.run([*program, "--threads", "1"], capture_output=True, text=True)
+    done = subprocess.run(
+        [*program, "--threads", "1"], capture_output=True, text=True, env=made.surroundings()
+    )
     ours = perf_counter() - began
     seconds += by_openmm(chosen[1::2], scratch)
     theirs = seconds * n / len(chosen)

@@ -62,7 +62,7 @@ print(json.dumps(seconds))
 
 def timed(command: list[str], cache: Path, cores: set[int] | None = None) -> tuple[float, float]:
     """Seconds of the wall and of the processors of a command; helpers that it ends count."""
-    surroundings = os.environ | {"NUMBA_CACHE_DIR": str(cache), "OMP_WAIT_POLICY": "passive"}
+    surroundings = made.surroundings(NUMBA_CACHE_DIR=str(cache), OMP_WAIT_POLICY="passive")
     before, began = resource.getrusage(resource.RUSAGE_CHILDREN), perf_counter()
     limit = None if cores is None else lambda: os.sched_setaffinity(0, cores)
     run = subprocess.run(command, env=surroundings, capture_output=True, text=True, preexec_fn=limit)
@@ -75,7 +75,7 @@ def timed(command: list[str], cache: Path, cores: set[int] | None = None) -> tup
 def imports(program: str, arguments: list[str], cache: Path) -> Counter[str]:
     """Seconds that the modules of each package take to load, without those that they import."""
     command = [str(Path(program).with_name("python")), "-X", "importtime", program, *arguments]
-    surroundings = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+    surroundings = made.surroundings(NUMBA_CACHE_DIR=str(cache))
     told = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True).stderr
     found: Counter[str] = Counter()
     for line in told.splitlines():
@@ -115,6 +115,7 @@ def main() -> None:
             program, seconds = installed(scratch / "venv")
             rows.append(("pip install .", "", seconds, float("nan")))
         python = str(Path(program).with_name("python"))
+        subprocess.run([python, "-m", "compileall", "-q", str(ROOT / "protochain")], check=True)
         one = {min(os.sched_getaffinity(0))}
         arguments = {name: [name, options.structure, "-o", str(scratch / f"{name}.pdb")] for name in names}
         for name in names:
@@ -131,7 +132,7 @@ def main() -> None:
             for name in names:
                 runs[name].append(timed([program, *arguments[name]], cache))
             loaded.append(imports(program, arguments["minimise"], cache))
-            surroundings = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
+            surroundings = made.surroundings(NUMBA_CACHE_DIR=str(cache))
             command = [python, "-c", STEPS, options.structure]
             told = subprocess.run(command, env=surroundings, capture_output=True, text=True, check=True)
             steps.append(json.loads(told.stdout))

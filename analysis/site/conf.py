@@ -19,7 +19,8 @@ root_doc = "analysis/site/index"
 include_patterns = [
     "README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md", "analysis/README.md",
     "analysis/docs/**.md", "analysis/site/**", "analysis/notebooks/*.ipynb", "analysis/scenes/*.ipynb",
-    "analysis/results/README.md",
+    "analysis/results/README.md", "analysis/workflows/README.md", "analysis/packaging/README.md",
+    "analysis/plugins/README.md",
 ]  # fmt: skip
 extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax"]
 

@@ -1,8 +1,5 @@
 """Many structures, on one machine or, by Dask, on a cluster."""
 
-from protochain.batches.api import Batch, BatchProgress, batch
-from protochain.batches.cluster import Processes
-from protochain.batches.jobs import BatchSettings, Job, find_jobs
-from protochain.batches.relaxing import relax_files
+import lazy_loader
 
-__all__ = ["Batch", "BatchProgress", "BatchSettings", "Job", "Processes", "batch", "find_jobs", "relax_files"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

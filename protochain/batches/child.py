@@ -9,6 +9,7 @@ import pickle
 import queue
 import sys
 import threading
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -29,14 +30,20 @@ def main() -> None:
     _warm_up()
     _send(results, READY)
 
-    from protochain.batches.task import run
-
     while True:
         job, folder, threads = jobs.get()
-        # Jobs of files are settings; others know what they do.
-        for row in job.run(threads) if hasattr(job, "run") else run(job, folder, threads):
+        for row in _rows(job, folder, threads):
             _send(results, row)
         _send(results, DONE)
+
+
+def _rows(job: Any, folder: Path, threads: int) -> Iterator[Any]:
+    """Rows of a job: jobs of files are settings, others know what they do, and need no more than that."""
+    if hasattr(job, "run"):
+        return job.run(threads)
+    from protochain.batches.task import run
+
+    return run(job, folder, threads)
 
 
 def _read(source: BinaryIO, jobs: "queue.Queue[Any]") -> None:

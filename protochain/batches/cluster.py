@@ -2,13 +2,13 @@
 
 import logging
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
-from protochain.batches.supervise import crew
+from protochain.batches.supervise import crew, started_early
 from protochain.core import defaults
 from protochain.core.checks import check_fields, integer, number, optional, text
 from protochain.core.errors import Argument, ProtochainError
@@ -63,6 +63,15 @@ class Processes:
                 ": give numbers above 0",
             )
 
+    @property
+    def count(self) -> int:
+        """Processes on this machine."""
+        return self.workers or max(1, processors() // self.threads)
+
+    def started_early(self) -> AbstractContextManager[None]:
+        """Start processes on this machine now, for :func:`at_work`: they import while this one reads."""
+        return nullcontext() if self.scheduler else started_early(self.count, self.threads)
+
 
 @dataclass(frozen=True)
 class Workers:
@@ -95,9 +104,8 @@ def at_work(processes: Processes) -> Iterator[Workers]:
     """
     if processes.scheduler is None:
         # Without sockets: whoever could reach them would run any code as the user.
-        count = processes.workers or max(1, processors() // processes.threads)
-        with crew(count) as executor:
-            yield Workers(executor.submit, lambda: count)
+        with crew(processes.count) as executor:
+            yield Workers(executor.submit, lambda: processes.count)
     else:
         with _connected(processes.scheduler) as client:
             yield Workers(

@@ -189,11 +189,12 @@ def _begin_anew(energy: Energy, x: Floats) -> None:
 
 @dataclass(frozen=True, eq=False)
 class FrameRow(Value):
-    """Row of a frame, and its positions (na, 3) in nm, as a process sends them."""
+    """Row of a frame, and its positions (na, 3) in nm, as a process sends them; whether it ended there."""
 
     index: int
     record: Mapping[str, Any]
     x: Floats | None
+    ended: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "record", dict(self.record))
@@ -230,7 +231,7 @@ class FrameJob:
         its = self.frames[len(done)]
         frame = Frame(its, None) if isinstance(its, int) else its
         row = origin(frame) | failed(frame, status, message) | {"seconds": seconds}
-        return [FrameRow(frame.index, row, None)]
+        return [FrameRow(frame.index, row, None, status == "killed")]
 
 
 @lru_cache(maxsize=1)

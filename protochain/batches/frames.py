@@ -125,6 +125,7 @@ def over_frames(
         rows: dict[int, FrameRow] = {}
         ended: SimpleQueue[tuple[FrameJob, Any]] = SimpleQueue()
         running = set[Any]()
+        again = set[int]()
 
         def submit(job: FrameJob) -> None:
             future = workers.submit(supervise, job, path.parent, processes.threads, processes.time_limit)
@@ -143,8 +144,11 @@ def over_frames(
             job, future = ended.get()
             running.remove(future)
             done = future.result()
+            # A damaged frame may spoil memory, so that the process ends at a sound one after it.
+            if done[-1].ended and done[-1].index not in again:
+                again.add(done.pop().index)
             rows |= {row.index: row for row in done}
-            if len(done) < len(job.frames):  # Those after one at which the process ended.
+            if len(done) < len(job.frames):  # From or after the one at which the process ended.
                 submit(FrameJob(path, job.frames[len(done) :]))
             while jobs and all(index in rows for index in jobs[0].indices):
                 for index in jobs.popleft().indices:

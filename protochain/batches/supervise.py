@@ -152,6 +152,43 @@ class _Children(list[Child]):
             child.process.kill()
 
 
+_ahead: list[Child] = []
+"""Children that no thread has taken yet."""
+_MOST_AHEAD = 8
+"""Of them: there may be fewer jobs than processors."""
+
+
+@contextmanager
+def started_early(count: int, threads: int) -> Iterator[None]:
+    """Start children while this process still imports and reads; :func:`supervise` takes them up.
+
+    Parameters
+    ----------
+    count : int
+        Threads of the crew to come.
+    threads : int
+        Threads for each child.
+    """
+    _ahead.extend(Child(threads) for _ in range(min(count, _MOST_AHEAD)))
+    try:
+        yield
+    finally:
+        while _ahead:
+            _ahead.pop().kill()
+
+
+def _begun(threads: int) -> Child:
+    """A child that was started early, or else one that is started now."""
+    try:
+        child = _ahead.pop()
+    except IndexError:
+        return Child(threads)
+    if child.threads == threads:
+        return child
+    child.kill()
+    return Child(threads)
+
+
 @contextmanager
 def crew(count: int) -> Iterator[Executor]:
     """Threads that each :func:`supervise` with a child of its own.
@@ -200,7 +237,7 @@ def supervise(job: Any, folder: Path, threads: int, time_limit: float) -> list[A
     if child is None or not child.is_alive or child.threads != threads:
         if child is not None:
             child.kill()
-        child = _here.child = Child(threads)
+        child = _here.child = _begun(threads)
         children: _Children | None = getattr(_here, "children", None)
         if children is not None:
             children.add(child)

@@ -33,6 +33,7 @@ from protochain.relaxation.rounds import Round
 from protochain.results.columns import Column
 from protochain.results.kinds import Kind, kind_of, row
 from protochain.results.schema import OTHERS, Contract, cell
+from protochain.searching.settings import SearchSettings
 from protochain.setup import Setup
 from protochain.validation import MEASURES
 from protochain.validation.findings import RESIDUE_COLUMNS
@@ -197,21 +198,19 @@ _FLUCTUATION = _row(
 )
 
 _SEARCHED = {
-    **_row("structure method energy_lowest_kj_mol n_minima evaluations steps seconds n_walkers n_replicas"),
-    **_row("seed temperature_lowest_k temperature_highest_k n_hinges hinges forcefield solvent engine"),
-    **_row("", acceptance=float, round_trips=int | None, interrupted=bool, temperatures_k=list[float]),
-    **_RUN,
-}
-_MINIMUM = {
-    **_row("energy_kj_mol above_lowest_kj_mol ca_rmsd_to_lowest_angstrom free_energy_kj_mol"),
-    **_row("free_energy_rigid_kj_mol", minimum=int, cluster=int, conformer=str, helix_share=float),
-    **_row("", walker=int, evaluations_of_walker=int),
-}
-_POPULATION = {
-    **_row("temperature_k energy_kj_mol energy_error_kj_mol", helix_share=float, helix_share_error=float),
-    **_row("", exchanges=float, slope=float, slope_error=float),
-}
-_CONFORMER = _row("temperature_k", conformer=str, share=float, share_error=float)
+    **_row("structure energy_lowest_kj_mol n_minima evaluations steps acceptance round_trips seconds"),
+    **_row("interrupted temperature_lowest_k temperature_highest_k temperatures_k n_hinges hinges"),
+    **_row("forcefield solvent engine"), **_RUN,
+    **{name: kind for name, kind in get_type_hints(SearchSettings).items() if name != "temperatures"},
+}  # fmt: skip
+_MINIMUM = _row(
+    "minimum energy_kj_mol above_lowest_kj_mol ca_rmsd_to_lowest_angstrom cluster conformer helix_share "
+    "free_energy_kj_mol free_energy_rigid_kj_mol walker evaluations_of_walker"
+)
+_POPULATION = _row(
+    "temperature_k energy_kj_mol energy_error_kj_mol helix_share helix_share_error exchanges slope "
+    "slope_error"
+)
 
 _VALIDATED = {
     **_row("file structure model n_chains n_residues n_atoms heavy_atoms_added"), **_row(MEASURES),
@@ -281,15 +280,6 @@ CONTRACTS: Mapping[str, Contract] = {
         (_SIMULATED,), {"log.csv": (_cells(_LOG),)}, ("log.csv", "summary.json", "checkpoint.npz"),
         (r"^trajectory\.(dcd|xtc)$", r"^last\.(pdb|cif)$"),
     ),
-    "search": Contract(
-        (_SEARCHED,),
-        {
-            "minima.csv": (_cells(_MINIMUM),), "populations.csv": (_cells(_POPULATION),),
-            "conformers.csv": (_cells(_CONFORMER),),
-        },
-        ("minima.csv", "summary.json", "report.html", "energy-rmsd.png"),
-        (r"^(populations|conformers)\.csv$", r"^minima/minimum-\d+\.pdb$", r"^pieces/walker-\d+/\d+\.npz$"),
-    ),
     "modes": Contract(
         (_MODES,),
         {
@@ -298,6 +288,15 @@ CONTRACTS: Mapping[str, Contract] = {
         },
         ("modes.csv", "summary.json", "report.html"),
         (r"^fluctuations\.csv$", r"^minimum\.(pdb|cif)", r"^mode-\d+\.(dcd|xtc)$"),
+    ),
+    "search": Contract(
+        (_SEARCHED,),
+        {
+            "minima.csv": (_cells(_MINIMUM),), "populations.csv": (_cells(_POPULATION),),
+            "conformers.csv": (_cells(_row("temperature_k conformer share share_error")),),
+        },
+        ("minima.csv", "energy-rmsd.png", "summary.json", "report.html"),
+        (r"^(populations|conformers)\.csv$", r"^minima/minimum-\d+\.pdb$", r"\.npz$"),
     ),
     "validate": Contract(
         (_told(Findings, results=[{**_VALIDATED, **_LISTED}, _FAILED]), Frames),

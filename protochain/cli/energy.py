@@ -71,7 +71,9 @@ def energy(
     if of_frames.are_asked(trajectory, frames):
         of_frames.refuse(by=by if by != "term" else "", report=report)
         whole = {"workers": workers, "resume": resume, "as_json": as_json}
-        raise typer.Exit(_frames(source, trajectory, frames, between, output, setup, whole))
+        with of_frames.started_early(setup, workers):
+            done = _frames(source, trajectory, frames, between, output, setup, whole)
+        raise typer.Exit(done)
     of_frames.refuse_without(workers=workers, resume=resume)
     check_outputs(inputs_of(setup, source), [path for path in (output, report) if path])
     structure = setup.load(source)

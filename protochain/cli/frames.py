@@ -1,7 +1,7 @@
 """What ``--trajectory`` and ``--frames`` do, in every command that has them: a row a frame."""
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict
@@ -22,6 +22,7 @@ from protochain.core.errors import Argument, ProtochainError
 from protochain.core.markup import counted
 
 if TYPE_CHECKING:
+    from protochain.batches.cluster import Processes
     from protochain.batches.frame_files import FramesRun, Watch
     from protochain.batches.frame_tasks import Task
     from protochain.batches.frames import FrameResult
@@ -98,6 +99,18 @@ def refuse_without(**options: Any) -> None:
         )
 
 
+def _processes(setup: "Setup", workers: int | None, time_limit: float = defaults.TIME_LIMIT) -> "Processes":
+    """Who does the frames: processes of their own, as a damaged file may end the one that reads it."""
+    from protochain.batches.cluster import Processes
+
+    return Processes(workers, threads=setup.threads or 1, time_limit=time_limit)
+
+
+def started_early(setup: "Setup", workers: int | None) -> AbstractContextManager[None]:
+    """Start the processes of :func:`run`, which takes a second to import what it needs, as they do."""
+    return _processes(setup, workers).started_early()
+
+
 def opened(
     source: Path, trajectory: Path | None, frames: str | None, setup: "Setup"
 ) -> "tuple[Ensemble, Frames]":
@@ -133,11 +146,9 @@ def run(
     reads: Sequence[Path] = (),
 ) -> "FramesRun":
     """Go over frames, with a bar; write table, trajectory and page, and print what became of them."""
-    from protochain.batches import Processes
     from protochain.batches.frame_files import files_of, run_frames
 
-    # In processes of their own: a damaged file may end the one that reads it.
-    processes = Processes(workers, threads=setup.threads or 1, time_limit=time_limit)
+    processes = _processes(setup, workers, time_limit)
     outputs = [*files_of(table, output), *([report] if report else [])]
     check_outputs(inputs_of(setup, source, trajectory, *reads), outputs, force)
     if report and report.suffix.lower() != ".html":

@@ -92,9 +92,11 @@ def relax(
         of_frames.refuse(manifest=manifest, scheduler=scheduler, ligand_out=ligand_out)
         each = {"workers": workers, "time_limit": time_limit}
         given = of_frames.only(inputs or [])
-        raise typer.Exit(
-            _frames(given, trajectory, frames, output, relaxing, setup, report, each, as_json, resume, force)
-        )
+        with of_frames.started_early(setup, workers):
+            done = _frames(
+                given, trajectory, frames, output, relaxing, setup, report, each, as_json, resume, force
+            )
+        raise typer.Exit(done)
     poses = any(not name and Path(given).is_dir() for name, given in setup.ligands)
     several = manifest or scheduler or poses or isinstance(setup.model, str)
     if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not several:
@@ -107,8 +109,13 @@ def relax(
         )
     if ligand_out:
         raise ProtochainError(f"ligand-out {ligand_out}: is of one structure; relax them one by one")
-    processes = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
-    raise typer.Exit(_several(inputs or [], output, manifest, relaxing, setup, processes, as_json, resume))
+    from protochain.batches.cluster import Processes
+
+    processes: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
+    processes |= {} if setup.threads is None else {"threads": setup.threads}
+    with Processes(**processes).started_early():
+        done = _several(inputs or [], output, manifest, relaxing, setup, processes, as_json, resume)
+    raise typer.Exit(done)
 
 
 def _frames(

@@ -45,7 +45,7 @@ class Told(TypedDict):
     results: list[Any]
 
 
-@with_settings(setup="hinges move forcefield solvent engine cutoff threads trust_forcefield")
+@with_settings(setup="hinges move forcefield solvent engine cutoff accuracy threads trust_forcefield")
 def validate(
     inputs: Annotated[
         list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")
@@ -90,7 +90,9 @@ def validate(
             "resume": resume,
             "as_json": as_json,
         }
-        raise typer.Exit(_frames(inputs, trajectory, frames, reference, setup, **ways))
+        with of_frames.started_early(setup, workers):
+            status = _frames(inputs, trajectory, frames, reference, setup, **ways)
+        raise typer.Exit(status)
     of_frames.refuse_without(workers=workers, resume=resume, report=report)
 
     outputs = [path for path in (csv, residues, changes) if path]

@@ -72,3 +72,13 @@ def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "")
     if array.shape != shape:
         raise ProtochainError(f"{name} has shape {array.shape}, not {shape}")
     return frozen(array.view())
+
+
+def cross(a: Floats, b: Floats) -> Floats:
+    """Vector products (..., 3) of vectors (..., 3), bit for bit numpy's, which mostly looks at shapes."""
+    (ax, ay, az), (bx, by, bz) = ((each[..., 0], each[..., 1], each[..., 2]) for each in (a, b))
+    product = np.empty(np.broadcast(a, b).shape)
+    product[..., 0] = ay * bz - az * by
+    product[..., 1] = az * bx - ax * bz
+    product[..., 2] = ax * by - ay * bx
+    return product

@@ -69,7 +69,8 @@ _TAKEN_BY = {
     "pc.load(file, {}=...)": "model altloc keep disulfide ph strict chains ligands ligand_charges "
     "standard_residues",
     "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
-    "pc.energy(structure, {}=...)": "forcefield solvent engine cutoff threads trust_forcefield system",
+    "pc.energy(structure, {}=...)": "forcefield solvent engine cutoff accuracy threads trust_forcefield "
+    "system",
 }
 """Options of a run that are decided before it, by the calls that take them."""
 
@@ -177,6 +178,19 @@ def cutoff_of(value: Any, name: str) -> Any:
             f"cuts off atoms that touch; give {SHORTEST_CUTOFF:g} nm or more, or none",
         )
     return distance
+
+
+def accuracy_of(value: Any, name: str) -> Any:
+    """Return an RMS error of forces in kJ/mol/nm, also one in a text; "auto"; or "exact"."""
+    if value in ("auto", "exact"):
+        return value
+    try:
+        error = float(value) if isinstance(value, str) else float(number(value, name))
+    except ValueError:
+        error = 0.0
+    if 0.0 < error < float("inf"):
+        return error
+    raise refused(name, shown(value), "give an RMS error of the forces in kJ/mol/nm, auto, or exact")
 
 
 LONGEST_CUTOFF = 1e6

@@ -7,8 +7,13 @@ SOLVENT = "obc2"
 ENGINE = "auto"
 CUTOFF: Literal["auto"] = "auto"
 FULL_UP_TO = 20_000
-"""Atoms up to which all pairs are summed in a solvent: for twice as many, a minimisation takes an hour."""
+"""Atoms up to which engines without a tree sum all pairs in a solvent, and OpenMM's Reference judges."""
 LONG_CUTOFF = 2.0  # nm. Forces differ by 1 to 4 kJ/mol/nm RMS from those of all pairs.
+ACCURACY: Literal["auto"] = "auto"
+TREE_FROM = 5_000
+TREE_FROM_IN_VACUUM = 16_000
+"""Atoms from which far pairs are summed by a tree, as that is quicker; in vacuum no solvent screens them."""
+TREE_ACCURACY = 1e-3  # kJ/mol/nm, RMS error of the forces
 
 HINGES = "phi psi chi"
 ROOT = "auto"

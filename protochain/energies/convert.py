@@ -1,10 +1,18 @@
-"""Conversion of energies for other libraries."""
+"""Conversion of energies for other libraries, and of simulations of OpenMM."""
 
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+import openmm
+from openmm import app, unit
+
+from protochain.core.checks import checked, instance
 from protochain.core.errors import ProtochainError
 from protochain.energies.custom import as_energy
+from protochain.energies.factory import energy
+from protochain.energies.protocol import Energy
 from protochain.structure.convert import as_structure
+from protochain.structure.model import Structure
 
 if TYPE_CHECKING:
     from ase import Atoms
@@ -45,3 +53,80 @@ def to_ase(structure: Any, energy: Any = None) -> "Atoms":
         masses=structure.atom_mass,
         calculator=EnergyCalculator(energy),
     )
+
+
+_SAME_PLACE = 1e-6
+"""nm. Positions go through angstrom on their way."""
+_SIMULATION = instance(app.Simulation, "openmm.app.Simulation(topology, system, integrator)")
+
+
+@checked(simulation=_SIMULATION)
+def from_simulation(simulation: Any) -> tuple[Structure, Energy]:
+    """Structure and energy of a simulation of OpenMM, as it is now.
+
+    Parameters
+    ----------
+    simulation : openmm.app.Simulation
+        Of a protein in vacuum or implicit solvent, with all hydrogens.
+
+    Returns
+    -------
+    structure : Structure
+        With the simulation's atoms in their order, at their places.
+    energy : Energy
+        Of the simulation's System, by native kernels if they have all its forces.
+
+    Raises
+    ------
+    ProtochainError
+        If the prepared structure would have other atoms, or bonds are constrained that have no force.
+    """
+    state = simulation.context.getState(getPositions=True)
+    x = np.asarray(state.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
+    structure = as_structure((simulation.topology, x), "simulation")
+    if structure.n_atoms != len(x) or not np.allclose(structure.positions, x, rtol=0.0, atol=_SAME_PLACE):
+        raise ProtochainError(
+            f"simulation: its {len(x)} atoms are not the {structure.n_atoms} of the prepared structure; "
+            "give one of a whole protein without explicit water, made from structure.topology"
+        )
+    bare = _bare(simulation.system)
+    if bare:
+        raise ProtochainError(
+            f"simulation: its System constrains {bare} bonds that have no force, and would break; "
+            "create it with constraints=None or flexibleConstraints=True"
+        )
+    return structure, energy(structure, system=simulation.system)
+
+
+def _bare(system: openmm.System) -> int:
+    """Number of constraints without a bond's force between the same atoms."""
+    bonds = [force for force in system.getForces() if isinstance(force, openmm.HarmonicBondForce)]
+    held = {frozenset(of.getBondParameters(k)[:2]) for of in bonds for k in range(of.getNumBonds())}
+    pairs = (system.getConstraintParameters(k)[:2] for k in range(system.getNumConstraints()))
+    return sum(frozenset(pair) not in held for pair in pairs)
+
+
+@checked(simulation=_SIMULATION)
+def to_simulation(structure: Any, simulation: Any) -> None:
+    """Give a simulation of OpenMM the positions of a structure; velocities stay as they are.
+
+    Parameters
+    ----------
+    structure : Structure, Solution, or anything that :func:`protochain.as_structure` takes
+        With the simulation's atoms in their order, as of :func:`from_simulation`.
+    simulation : openmm.app.Simulation
+        Whose context gets them.
+
+    Raises
+    ------
+    ProtochainError
+        If it has another number of atoms.
+    """
+    structure = as_structure(structure)
+    n = simulation.system.getNumParticles()
+    if structure.n_atoms != n:
+        raise ProtochainError(
+            f"{structure.name}: has {structure.n_atoms} atoms, not the {n} of the simulation; "
+            "give one of from_simulation"
+        )
+    simulation.context.setPositions(structure.positions)

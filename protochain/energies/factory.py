@@ -14,6 +14,7 @@ from openmm import app, unit
 
 from protochain.core import defaults
 from protochain.core.checks import (
+    accuracy_of,
     at_least,
     checked,
     cutoff_of,
@@ -76,13 +77,16 @@ as of those that a force field does not know, by element."""
 
 ENGINES = ("auto", "native", "openmm")
 
+NONBONDED = " (nonbonded)"
+"""Behind the name of a force field without its dihedrals."""
 TERMS = ("all", "nonbonded")
 """Terms of a force field that count. ``nonbonded``: pairs of atoms, and what holds rings closed (bonds and
 angles); no dihedrals, impropers or CMAP, as where rigid peptide planes only attract and repel each other."""
 
 
 @checked(
-    forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, threads=optional(at_least(1)),
+    forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, accuracy=accuracy_of,
+    threads=optional(at_least(1)),
     trust_forcefield=flag, terms=text, system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 def energy(
@@ -92,6 +96,7 @@ def energy(
     engine: str = defaults.ENGINE,
     *,
     cutoff: float | Literal["auto"] | None = defaults.CUTOFF,
+    accuracy: float | Literal["auto", "exact"] = defaults.ACCURACY,
     system: openmm.System | None = None,
     threads: int | None = None,
     trust_forcefield: bool = False,
@@ -114,10 +119,15 @@ def energy(
         ``native`` (compiled kernels, double precision), ``openmm`` (CPU platform, single precision), or
         ``auto``: native if it supports every force, otherwise openmm; ``reason`` of the energy says why.
     cutoff : float, "auto" or None, optional
-        Distance in nm up to which pairs of atoms act on each other; None for all pairs. ``auto``: all, but
-        2 nm in a solvent for more than 20,000 atoms, where all would take hours; ``reason`` of the energy
-        then says by how much forces differ. In vacuum, where charges are not screened, no distance will do.
-        Below 0.5 nm, where atoms that touch would not act on each other, none is taken.
+        Distance in nm up to which pairs of atoms act on each other; None for all, one by one unless
+        ``accuracy`` is a number. ``auto``: all; but where no tree sums them, in a solvent for more than
+        20,000 atoms, 2 nm. ``reason`` of the energy then says by how much forces differ. In vacuum, where
+        charges are not screened, no distance will do. Below 0.5 nm, where atoms that touch would not act on
+        each other, none is taken.
+    accuracy : float, "auto" or "exact", optional
+        RMS error of the forces in kJ/mol/nm up to which the native engine may sum far pairs by a tree, in
+        a time that grows as the number of atoms. It is measured against the sum over all pairs, and told
+        by ``reason``. ``exact``: all pairs one by one. ``auto``: 1e-3 where that is quicker, by size.
     system : openmm.System, optional
         System to use instead of building one; copied, so that later changes do not affect a run.
     threads : int, optional
@@ -145,16 +155,25 @@ def energy(
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
     if terms not in TERMS:
         raise ForceFieldError(f"terms {terms!r} are not known; choose from {', '.join(TERMS)}")
+    is_free = accuracy == "auto" and cutoff == "auto"
+    if accuracy not in ("auto", "exact") and (cutoff not in ("auto", None) or engine == "openmm"):
+        other = ("the engine of OpenMM",) if engine == "openmm" else ("a ", Argument("cutoff"))
+        raise ForceFieldError(Argument("accuracy"), " is of a tree by the native engine, and not of ", *other)
+    is_long = is_free and solvent != "vacuum" and structure.n_atoms > defaults.FULL_UP_TO
+    if accuracy == "auto":
+        fewest = defaults.TREE_FROM_IN_VACUUM if solvent == "vacuum" else defaults.TREE_FROM
+        by_tree = is_free and engine != "openmm" and structure.n_atoms >= fewest
+        accuracy = defaults.TREE_ACCURACY if by_tree else "exact"
     if cutoff == "auto":
-        is_long = solvent != "vacuum" and structure.n_atoms > defaults.FULL_UP_TO
-        cutoff = defaults.LONG_CUTOFF if is_long else None
+        cutoff = defaults.LONG_CUTOFF if is_long and accuracy == "exact" else None
+    is_given = system is not None
     if system is None:
         system = build_system(structure, forcefield, solvent, trust_forcefield, cutoff)
         note = f"cutoff {cutoff:g} nm" if cutoff else "no cutoff"
         note += _use_gbsa_obc(system) if solvent == "obc2" else ""
         if terms == "nonbonded":
             _leave_out_torsions(system)
-            forcefield += " (nonbonded)"
+            forcefield += NONBONDED
         by_openmm = OpenMMEnergy(system, "CPU", threads, forcefield, solvent, note, structure.fingerprint)
     elif system.getNumParticles() == structure.n_atoms:
         cutoff, system = None, copy.deepcopy(system)
@@ -165,6 +184,14 @@ def energy(
             f"{structure.n_atoms} atoms; build it from structure.topology"
         )
     made = by_engine(engine, by_openmm)
+    if isinstance(made, NativeEnergy) and accuracy != "exact":
+        return made.to_accuracy(float(accuracy), structure.positions)
+    if is_long and cutoff is None and not is_given and not isinstance(made, NativeEnergy):
+        forcefield = forcefield.removesuffix(NONBONDED)
+        return energy(
+            structure, forcefield, solvent, engine, cutoff=defaults.LONG_CUTOFF, threads=threads,
+            trust_forcefield=trust_forcefield, terms=terms,
+        )  # fmt: skip
     if isinstance(made, NativeEnergy) and cutoff is not None and structure.n_atoms <= _MEASURED_UP_TO:
         by_openmm.note += f"; {made.cutoff_error(structure.positions)}"
     return made

@@ -1,19 +1,19 @@
 """Simulated annealing and damped dynamics: constrained dynamics with a falling temperature."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.core.units import MOLAR_GAS
-from protochain.dynamics.loop import noise
-from protochain.dynamics.thermostats import Langevin
 from protochain.mechanics import multibody
-from protochain.mechanics.motion.leapfrog import Leapfrog
-from protochain.mechanics.motion.system import Phase, StepTooLargeError, System
 from protochain.mechanics.multibody.articulated import Articulated, articulate, solve
 from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.spaces import Torsions
+
+if TYPE_CHECKING:
+    from protochain.mechanics.motion.system import Phase
 
 LONGEST_TURN = 0.1
 """rad. Largest turn of a freedom in one step; overlaps would otherwise throw the chain apart."""
@@ -59,6 +59,9 @@ class Annealing:
 
     def init(self, problem: Problem, at: Evaluation) -> AnnealingState:
         """Start at rest, or with velocities of the initial temperature."""
+        # Dynamics is imported where it is run: few minimisations need it, and it takes a while.
+        from protochain.dynamics.loop import noise
+
         tree = _torsions(problem).chain.tree
         kt = MOLAR_GAS * self.temperature
         qd = multibody.sample_velocities(tree, multibody.pose(tree, at.q), kt, noise(self.seed, 0))
@@ -70,6 +73,11 @@ class Annealing:
 
     def step(self, problem: Problem, state: AnnealingState) -> AnnealingState | None:
         """State after one time step; None when all steps are taken."""
+        from protochain.dynamics.loop import noise
+        from protochain.dynamics.thermostats import Langevin
+        from protochain.mechanics.motion.leapfrog import Leapfrog
+        from protochain.mechanics.motion.system import Phase, StepTooLargeError, System
+
         if state.n_steps == self.n_steps:
             return None
         space = _torsions(problem)
@@ -99,7 +107,7 @@ class Annealing:
         phase, _ = thermostat.apply(system, phase, thermostat.init(phase), time_step, noise(self.seed, done))
         return AnnealingState(seen[-1], phase.qd, done)
 
-    def _time_step(self, space: Torsions, phase: Phase) -> float:
+    def _time_step(self, space: Torsions, phase: "Phase") -> float:
         """Time step, shortened where velocities or accelerations would turn a freedom too far."""
         fastest = float(np.max(np.abs(phase.qd / space.scale)))
         pushed = float(np.max(np.abs(solve(phase.factors, phase.torque) / space.scale)))

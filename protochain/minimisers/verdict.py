@@ -11,6 +11,7 @@ from protochain.contacts import overlaps
 from protochain.core.arrays import Floats
 from protochain.core.interrupts import answering
 from protochain.core.markup import listed
+from protochain.energies.native import NativeEnergy
 from protochain.energies.protocol import Energy
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
@@ -60,10 +61,12 @@ class Judgement:
 
 
 def judge(chain: Chain, energy: Energy, at: Pose, restraint: Force | None = None) -> Judgement:
-    """Judge a pose of a chain on the Reference platform; a restraint counts in the residuals only."""
+    """Judge a pose of a chain by an energy's reference; a restraint counts in the residuals only."""
     # OpenMM's Reference platform takes many seconds for a large protein. A callable may not like threads.
     evaluate = partial(energy.reference, at.x)
     value, forces = evaluate() if energy.engine == "custom" else answering(evaluate)
+    if isinstance(energy, NativeEnergy):
+        energy.note_error(at.x, forces)
     total = forces + restraint(at.x)[1] if restraint else forces
     torsions, atoms = spaces(chain)
     torque, force = torsions.torque(at, total), atoms.torque(at, total)
@@ -72,10 +75,17 @@ def judge(chain: Chain, energy: Energy, at: Pose, restraint: Force | None = None
 
 def judge_of(energy: Energy) -> str:
     """Name the judge of results on an energy."""
-    return "the callable itself" if energy.engine == "custom" else _JUDGE
+    if energy.engine == "custom":
+        return "the callable itself"
+    return (
+        ALL_PAIRS
+        if energy.reference.engine == "native"
+        else "OpenMM's Reference platform, in double precision"
+    )
 
 
-_JUDGE = "OpenMM's Reference platform, in double precision"
+ALL_PAIRS = "native kernels, in double precision, all pairs one by one"
+"""What judges where the Reference platform would take hours."""
 
 
 def rebuilt(chain: Chain, x: Floats) -> Chain:

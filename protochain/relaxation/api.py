@@ -14,7 +14,7 @@ from protochain.core.arrays import Floats, Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
 from protochain.core.interrupts import answering, held_interrupts
 from protochain.core.markup import counted, listed
-from protochain.energies import Energy
+from protochain.energies import Energy, NativeEnergy
 from protochain.frame import Frame
 from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.recipes import check_dihedrals
@@ -24,7 +24,7 @@ from protochain.minimisers.verdict import Status, verdict
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
-from protochain.relaxation.rounds import Ended, Relaxer, fewest_left, mendable
+from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import RelaxSettings, split
 from protochain.structure import Structure
 from protochain.structure.chirality import atoms_named
@@ -98,7 +98,8 @@ def relax_structure(
     check_dihedrals(energy, "relax")
     first = _repacked(structure, energy, mobile, settings)
     trace = _Trace(watch)
-    relaxer = Relaxer(first, energy, settings.strength, settings.max_iterations, trace, mobile)
+    known: Any = LastKnown(energy)
+    relaxer = Relaxer(first, known, settings.strength, settings.max_iterations, trace, mobile)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with threadpool_limits(1, "blas"):
         done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
@@ -106,7 +107,7 @@ def relax_structure(
     end = fewest_left(done)
     frame = Frame(structure, held_by)
     restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any()
-    value, force = _judged(structure, energy, end, restraint, mobile)
+    value, force = _judged(structure, known, end, restraint, mobile)
     status, message = _verdict(structure, energy, settings, end, force)
     return Relaxation(
         start=structure,
@@ -118,7 +119,9 @@ def relax_structure(
         best=done.index(end),
         status=status,
         message=message,
-        energy_start=_judge(energy)(structure.positions)[0],
+        energy_start=known.at_first(structure.positions)
+        if energy.is_exact
+        else energy.reference(structure.positions)[0],
         energy_end=value,
         rms_force=force,
         judge=NATIVE if energy.is_exact else REFERENCE,
@@ -184,6 +187,8 @@ def _repacked(
 
 def _judge(energy: Energy) -> Energy:
     """What judges: the native engine, which equals OpenMM's Reference platform, or else that."""
+    if isinstance(energy, NativeEnergy):
+        return energy.exact
     return energy if energy.is_exact else energy.reference
 
 
@@ -194,6 +199,8 @@ def _judged(
     judge = _judge(energy)
     value, forces = judge(end.x) if judge is energy else answering(lambda: judge(end.x))
     space = Cartesian(structure, mobile)
+    if isinstance(energy, NativeEnergy):
+        energy.note_error(end.x, forces)
     total = forces + restraint(end.x)[1]
     return value, space.residual(space.torque(space.place(space.start(end.x)), total))
 

@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, cross
 from protochain.structure.chirality import WELL_FORMED, chiral_atoms, volume
 from protochain.structure.model import Structure
 from protochain.validation.layout import peptides
@@ -62,7 +62,7 @@ class Hands:
         atoms, short = self.atoms[low], short[low]
         a, b, c = (x[atoms[:, k]] - x[atoms[:, 0]] for k in (1, 2, 3))
         push = _STIFFNESS * short[:, None]
-        for k, gradient in enumerate((np.cross(b, c), np.cross(c, a), np.cross(a, b)), start=1):
+        for k, gradient in enumerate((cross(b, c), cross(c, a), cross(a, b)), start=1):
             np.add.at(forces, atoms[:, k], push * gradient)
             np.subtract.at(forces, atoms[:, 0], push * gradient)
         return float(0.5 * _STIFFNESS * short @ short), forces

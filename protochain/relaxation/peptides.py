@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, cross
 from protochain.structure.model import Structure
-from protochain.validation.layout import cross, dihedrals, layout
+from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import PERPENDICULAR, PLANAR, omegas
 
 _STIFFNESS = 1000.0

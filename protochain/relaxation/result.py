@@ -152,16 +152,17 @@ class Relaxation(Value):
 
         Empty where the energy is a callable, or a System that the native engine cannot compute.
         """
-        return self._terms[0]
+        return self._terms[1]
 
     @property
     def terms_end(self) -> dict[str, float]:
         """Energy of each term at the end, kJ/mol."""
-        return self._terms[1]
+        return self._terms[0]
 
     @cached_property
     def _terms(self) -> tuple[dict[str, float], ...]:
-        return terms_at(self.energy_function, self.start, self.start.positions, self.x)
+        # The end first: Born radii there may be those of the last evaluation.
+        return terms_at(self.energy_function, self.start, self.x, self.start.positions)
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ _KINDS: Mapping[str, Kind] = {
             residue_2 name_2 of ramachandran_class ramachandran peptide_bond rotamer secondary_structure
             rotamer_before rotamer_after kind change first second pucker paired_with source matched_by
             chain_mapping added cost quantity held_by system_sha256 other setting outcome detail what verdict
-            table title scene error_of ligands_written report
+            conformer table title scene error_of ligands_written report
             """),
         (int, """
             iteration iterations evaluations start seed max_iterations max_outer_iterations overlaps
@@ -29,8 +29,9 @@ _KINDS: Mapping[str, Kind] = {
             hydrogen_bonds_kept hydrogen_bonds_gained hydrogen_bonds_lost salt_bridges_kept
             salt_bridges_gained salt_bridges_lost runs converged mode products side unsatisfied_polar_atoms
             step steps every_steps freedoms output_frame residues_1 residues_2 n_q n_v
+            minimum cluster walker evaluations_of_walker
             """),
-        (int | None, "threads model"),
+        (int | None, "threads model round_trips"),
         (float | None, """
             seconds seconds_preparation tolerance coverage identity tm_score lddt contacts_kept phi psi omega
             chi1 chi2 chi3 chi4 frequency_per_cm eigenvalue_per_ps2 collectivity residual overlap
@@ -39,9 +40,11 @@ _KINDS: Mapping[str, Kind] = {
             secondary_structure_kept tm_score_to_start reference_tm_score reference_coverage at median
             first_quartile third_quartile highest evaluations_median seconds_median value oracle error bound
             ratio difference total ns_per_day conserved_drift_kj_mol_ps_per_100_atoms friction_per_ps
+            acceptance helix_share helix_share_error exchanges slope slope_error share share_error
             """),
         (bool, """
             free_ligands repacked violation rotamer_outlier pucker_outlier accepted repeats_exactly is_minimum
+            interrupted
             """),
         (list[str], """
             lost_atoms far_molecules repairs side_chains_turned hands_turned peptides_turned confidences
@@ -50,7 +53,7 @@ _KINDS: Mapping[str, Kind] = {
         (dict[str, int], "left_out constant_terms fixed"),
         (dict[str, str], "versions"),
         (list[float | str], "restraint_kj_mol_nm2"),
-        (list[float], "springs_backbone_kj_mol_nm2 springs_side_chains_kj_mol_nm2"),
+        (list[float], "temperatures_k springs_backbone_kj_mol_nm2 springs_side_chains_kj_mol_nm2"),
         (bool | None, "posebusters_passed"),
         (list[str] | None, "posebusters_failed"),
     )

@@ -61,7 +61,7 @@ class SearchProgress:
     share : float
         Of evaluations or of time that is done, whichever is more.
     lowest : float, kJ/mol
-        Lowest energy so far.
+        Lowest energy found so far.
     acceptance : float
         Mean over walkers.
     """

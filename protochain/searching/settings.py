@@ -28,7 +28,20 @@ def interval(value: Any, name: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings(Settings):
-    """Settings that define a search; for their meaning see :func:`protochain.search`.
+    """Settings that define a search.
+
+    Parameters
+    ----------
+    method : str
+        ``hopping``, ``annealing`` or ``tempering``.
+    temperatures : (float, float), K
+        Lowest and highest.
+    n_walkers : int
+        Independent walks, which share the evaluations.
+    n_replicas : int
+        Temperatures of each walk of tempering.
+    seed : int
+        Of all random numbers.
 
     Raises
     ------

@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, cross
 from protochain.core.graph import neighbours
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.draft import Member
@@ -48,7 +48,7 @@ def volume(x: Floats) -> Floats:
         Positive in an L-amino acid, negative in its mirror image.
     """
     arms = x[..., 1:, :] - x[..., :1, :]
-    return np.asarray((arms[..., 0, :] * np.cross(arms[..., 1, :], arms[..., 2, :])).sum(-1))
+    return np.asarray((arms[..., 0, :] * cross(arms[..., 1, :], arms[..., 2, :])).sum(-1))
 
 
 def hand(member: Member, centre: str = "CA", least: float = 0.0) -> int:

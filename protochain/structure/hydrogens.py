@@ -9,7 +9,7 @@ Hydroxyls and thiols are rotated, one after the other, to the minimum of a Coulo
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, cross
 from protochain.core.graph import neighbours
 
 _LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
@@ -110,7 +110,7 @@ class _Placing:
             back = _unit(-to.sum(axis=0))
             if planar:
                 return back[None]
-            up = _unit(np.cross(to[1], to[0]))
+            up = _unit(cross(to[1], to[0]))
             along, across = np.cos(0.5 * _TETRAHEDRAL), np.sin(0.5 * _TETRAHEDRAL)
             return np.array([along * back + across * up, along * back - across * up])[:n]
         if len(known) == 1 and planar:
@@ -127,8 +127,8 @@ class _Placing:
         heavy = [k for k in behind if self.element[k] != "H"]
         arm = self.x[(heavy or behind)[0]] - self.x[near] if behind else _least(axis)
         arm = arm - (arm @ axis) * axis
-        m = _unit(arm) if np.linalg.norm(arm) > 1e-6 else _unit(np.cross(axis, _least(axis)))
-        n = np.cross(axis, m)
+        m = _unit(arm) if np.linalg.norm(arm) > 1e-6 else _unit(cross(axis, _least(axis)))
+        n = cross(axis, m)
         aside = np.cos(turns)[:, None] * m + np.sin(turns)[:, None] * n
         return np.asarray(np.cos(angle) * axis + np.sin(angle) * aside)
 

@@ -283,10 +283,13 @@ class Structure(Value):
         pairs = [(bond.atom1.index, bond.atom2.index) for bond in self.topology.bonds()]
         return read_only(np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1), np.int64)
 
-    @cached_property
+    @property
     def neighbours(self) -> Neighbours:
-        """Atoms bonded to each atom, in the order of the bonds."""
-        return neighbours(self.bonds, self.n_atoms)
+        """Atoms bonded to each atom, in the order of the bonds; found once for all frames."""
+        if neighbours not in self.derived:
+            self.derived[neighbours] = neighbours(self.bonds, self.n_atoms)
+        its: Neighbours = self.derived[neighbours]
+        return its
 
     @cached_property
     def alpha_carbons(self) -> Integers:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, cross
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure
 from protochain.validation.layout import NONE, layout, positions
@@ -72,8 +72,8 @@ def _placed(a: Floats, b: Floats, c: Floats, length: Floats, angle: Floats, dihe
     """Points (n, 3) at a distance from c, with an angle to b and a dihedral to a, both in degrees."""
     theta, phi = np.radians(angle)[:, None], np.radians(dihedral)[:, None]
     back = _unit(b - c)
-    up = _unit(np.cross(a - b, back))
-    aside = np.cross(up, back)
+    up = _unit(cross(a - b, back))
+    aside = cross(up, back)
     way = np.cos(theta) * back + np.sin(theta) * (np.cos(phi) * -aside + np.sin(phi) * up)
     return np.asarray(c + length[:, None] * way)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.arrays import Floats, Integers, Value, cross
 
 _GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 _SAME = 1e-6
@@ -126,9 +126,9 @@ def _rolled(
     owner, i, j, apart, axis, along = (v[crosses] for v in (owner, i, j, apart, axis, along))
     h = np.sqrt(square[crosses])
     centre = x[i] + along[:, None] * axis
-    one = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
+    one = cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
     one /= np.linalg.norm(one, axis=1, keepdims=True)
-    other = np.cross(axis, one)
+    other = cross(axis, one)
     # Each pair with each further neighbour of its first atom.
     pair, m = _numbered(counts[owner])
     k = flat[start[owner[pair]] + m]

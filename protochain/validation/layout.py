@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers, floats, read_only
+from protochain.core.arrays import Floats, Integers, cross, floats, read_only
 from protochain.core.graph import both_ways
 from protochain.structure.model import Structure, of_atoms
 from protochain.structure.residues import BACKBONE
@@ -96,12 +96,6 @@ def dihedrals(x: Floats, atoms: Integers) -> Floats:
     far -= np.sum(far * axis, axis=1, keepdims=True) * axis
     found = np.degrees(np.arctan2(np.sum(cross(near, far) * axis, axis=1), np.sum(near * far, axis=1)))
     return np.where((atoms == NONE).any(axis=1), np.nan, found)
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    """Vector products (n, 3) of vectors (n, 3), as numpy's, which spends most of its time on the shapes."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 def peptides(structure: Structure, x: Floats) -> tuple[Floats, Floats, Floats]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.arrays import Floats, Integers, cross, read_only
 from protochain.core.graph import Neighbours, neighbours
 from protochain.structure.model import Structure, of_atoms
 from protochain.validation.layout import positions
@@ -218,7 +218,7 @@ def _least_area(corners: Floats) -> Integers:
     for width in range(2, n):
         for i in range(n - width):
             k, j = np.arange(i + 1, i + width), i + width
-            area = 0.5 * np.linalg.norm(np.cross(corners[k] - corners[i], corners[j] - corners[i]), axis=1)
+            area = 0.5 * np.linalg.norm(cross(corners[k] - corners[i], corners[j] - corners[i]), axis=1)
             total = cost[i, k] + cost[k, j] + area
             best[i, j] = k[np.argmin(total)]
             cost[i, j] = total.min()
@@ -239,9 +239,9 @@ def _crossed(triangles: Floats, start: Floats, end: Floats) -> NDArray[np.bool_]
     """
     along = (end - start)[:, None]
     a, b, c = (triangles[:, :, k] - start[:, None] for k in range(3))
-    normal = np.cross(b - a, c - a)
+    normal = cross(b - a, c - a)
     apart = (normal * a).sum(axis=-1) * (normal * (a - along)).sum(axis=-1) < 0
-    turns = np.stack([(np.cross(p, q) * along).sum(axis=-1) for p, q in ((a, b), (b, c), (c, a))])
+    turns = np.stack([(cross(p, q) * along).sum(axis=-1) for p, q in ((a, b), (b, c), (c, a))])
     within = (turns > 0).all(axis=0) | (turns <= 0).all(axis=0)
     return np.asarray((apart & within).sum(axis=1) % 2 == 1)
 

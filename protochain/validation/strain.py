@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.arrays import Floats, Integers, Value, cross, read_only
 from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure, of_atoms
@@ -122,7 +122,7 @@ def _lengths(bonds: Integers, x: Floats) -> Floats:
 def _angles(triples: Integers, x: Floats) -> Floats:
     """Angles (n,) at the middle atoms, rad."""
     u, v = (x[triples[:, k]] - x[triples[:, 1]] for k in (0, 2))
-    across = np.linalg.norm(np.cross(u, v), axis=1)
+    across = np.linalg.norm(cross(u, v), axis=1)
     return np.arctan2(across, (u * v).sum(axis=1))
 
 

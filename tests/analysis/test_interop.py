@@ -8,7 +8,9 @@ import sys
 import numpy as np
 import pytest
 from fixtures.repairs import noted
-from fixtures.samples import chain, energy, load
+from fixtures.samples import chain, energy, load, simulation
+from fixtures.tolerances import NATIVE_ENERGY
+from openmm import app, unit
 
 import protochain as pc
 from protochain.energies.shared import shared_energy
@@ -186,3 +188,29 @@ def test_an_energy_of_other_atoms_is_refused():
 def test_notebooks_draw_the_figures():
     k = pc.compare(chain("ala10.pdb"), ("lbfgs",), energy("ala10.pdb"), max_evaluations=5)
     assert k.plot_energy()._repr_png_().startswith(b"\x89PNG")
+
+
+def test_a_simulation_of_openmm_comes_and_goes():
+    of = simulation("ala10.pdb")
+    s, e = pc.from_simulation(of)
+    judged = of.context.getState(getEnergy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    assert np.allclose(s.positions, load("ala10.pdb").positions, atol=SINGLE_NM)
+    assert e(s.positions)[0] == pytest.approx(judged, rel=NATIVE_ENERGY * 100)
+    r = pc.minimise(s, e, max_evaluations=50)
+    pc.to_simulation(r, of)
+    found = of.context.getState(getEnergy=True, getPositions=True)
+    assert np.allclose(found.getPositions(asNumpy=True).value_in_unit(unit.nanometer), r.x, atol=SINGLE_NM)
+    ended = found.getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
+    assert ended == pytest.approx(r.end.energy, rel=1e-9) and ended < judged
+    of.step(1)
+
+
+def test_simulations_that_cannot_be_taken_are_refused():
+    with pytest.raises(pc.ProtochainError, match="flexibleConstraints"):
+        pc.from_simulation(simulation("ala10.pdb", constraints=app.HBonds))
+    kept = simulation("ala10.pdb", constraints=app.HBonds, flexibleConstraints=True)
+    assert pc.from_simulation(kept)[1].engine == "native"
+    with pytest.raises(pc.ProtochainError, match="304 atoms, not the 103"):
+        pc.to_simulation(load("1l2y.pdb"), kept)
+    with pytest.raises(pc.ProtochainError, match="explicit water"):
+        pc.from_simulation(simulation("ala10.pdb", water=5.0))

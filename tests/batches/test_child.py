@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from protochain.batches import child
+from protochain.batches import child, supervise
 from protochain.batches.supervise import Child
 
 
@@ -112,3 +112,41 @@ def test_a_child_that_is_killed_is_waited_for_and_its_pipes_are_closed(error):
     assert log == ["kill", "wait", "join", "in", "out", "said"]
     for status[0] in (0, -9):
         assert not made.is_alive
+
+
+class Started:
+    """A child as who supervises sees it."""
+
+    def __init__(self, threads):
+        self.threads, self.is_alive, self.killed = threads, True, 0
+        everyone.append(self)
+
+    def kill(self):
+        self.is_alive, self.killed = False, self.killed + 1
+
+    def do(self, job, folder, time_limit):
+        return [job, self]
+
+
+everyone = []
+
+
+def test_children_started_early_are_taken_up_or_ended(monkeypatch):
+    monkeypatch.setattr(supervise, "Child", Started)
+    everyone.clear()
+
+    def do(threads):
+        monkeypatch.setattr(supervise, "_here", SimpleNamespace())  # As in a thread that has none.
+        return supervise.supervise("job", "folder", threads, 1.0)[1]
+
+    with supervise.started_early(100, 2):
+        early = tuple(everyone)
+        assert len(early) == supervise._MOST_AHEAD
+        assert {do(2), do(2)} <= {*early}
+        assert sum(each.killed for each in early) == 0
+        other = do(3)
+        assert other.threads == 3 and other not in early
+        # It had been started for another number of threads.
+        assert sum(each.killed for each in early) == 1
+    assert [each.killed for each in early].count(1) == len(early) - 2 and not supervise._ahead
+    assert do(2) not in early

@@ -3,6 +3,7 @@
 import csv
 import os
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -134,7 +135,37 @@ def test_frames_of_a_file_are_read_where_they_are_done(monkeypatch, tmp_path, x)
 
     monkeypatch.setattr(frames, "supervise", supervise)
     assert len([*over_frames(ensemble, chosen, RELAX, Processes(1))]) == 5
-    assert given == [(0,), (1,), (2,), (3,), (4,)]
+    # Each once more, in another process, before it is given up.
+    assert sorted(given) == sorted([(0,), (1,), (2,), (3,), (4,)] * 2)
+
+
+def test_a_frame_at_which_the_process_ended_is_tried_again(monkeypatch, x):
+    """What was read before it may have been the fault."""
+    ends = [3, 4, 4]
+
+    def fate(k):
+        return k in ends and not ends.remove(k)
+
+    began = in_this_process(monkeypatch, fate)
+    ensemble, chosen = opened(np.concatenate([x[:2]] * 3))
+    results = [*over_frames(ensemble, chosen, ValidateFrames(SETUP), Processes(1))]
+    assert [each.record["status"] for each in results] == ["measured"] * 4 + ["killed", "measured"]
+    assert began == [(0, 1, 2, 3, 4, 5), (3, 4, 5), (4, 5), (5,)]
+
+
+def test_a_damaged_frame_of_a_file_takes_no_other_with_it(tmp_path):
+    """mdtraj writes beyond its memory where the bits of a frame of XTC are wrong, and ends later."""
+    structure = load(SMALL)
+    path = saved(structure, shaken(structure, 5, by=0.01), tmp_path / "x.xtc")
+    content, start = bytearray(path.read_bytes()), struct.pack(">ii", 1995, structure.n_atoms)
+    # Behind the start of the third frame: header, box, limits and the length of its bits.
+    place = content.find(start, content.find(start, 4) + 4) + 92 + 60
+    content[place : place + 60] = b"\xff" * 60
+    path.write_bytes(content)
+    ensemble, chosen = ensemble_of(structure, path, None, SETUP)
+    results = [*over_frames(ensemble, chosen, ValidateFrames(SETUP), Processes(1))]
+    assert [each.frame for each in results if each.structure is None] == [2]
+    assert "frame 2: " in results[2].record["message"]
 
 
 def test_a_bug_met_by_one_frame_is_in_its_row(x):

@@ -1,6 +1,7 @@
 """``--trajectory`` and ``--frames`` of relax, validate, energy and rmsd: files, exit statuses, refusals."""
 
 import json
+from contextlib import nullcontext
 
 import numpy as np
 import pandas as pd
@@ -36,6 +37,7 @@ def here_alone(monkeypatch):
 
     over = frame_files.over_frames
     monkeypatch.setattr(frame_files, "over_frames", lambda e, f, task, processes: over(e, f, task))
+    monkeypatch.setattr(of_frames, "started_early", lambda setup, workers: nullcontext())
 
 
 def test_relax_writes_frames_rows_topology_and_page(here, capsys):

@@ -224,6 +224,13 @@ def test_modes(told, tmp_path):
     assert len(tables("modes", tmp_path / "folder")) == 2
 
 
+@pytest.mark.parametrize(("method", "evaluations"), [("hopping", 2000), ("tempering", 30_000)])
+def test_search(told, tmp_path, method, evaluations):
+    given = ["--method", method, "--walkers", "1", "--replicas", "2", "--workers", "1", "-o", "folder"]
+    assert told("search", "GAVS", *given, "--evaluations", evaluations)["method"] == method
+    assert len(tables("search", tmp_path / "folder")) == (1 if method == "hopping" else 3)
+
+
 def test_validate(told, tmp_path):
     options = {f"--{name}": tmp_path / f"{name}.csv" for name in ("csv", "residues", "changes")}
     (tmp_path / "bad.pdb").write_text("END\n")

@@ -10,7 +10,6 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion.leapfrog import Leapfrog
 from protochain.mechanics.motion.system import Phase, StepTooLargeError, System
 from protochain.mechanics.multibody.articulated import articulate
-from protochain.minimisers import annealing
 from protochain.minimisers.annealing import LONGEST_TURN, Annealing, AnnealingState
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.restraints import Tethers
@@ -141,7 +140,7 @@ def test_a_step_that_is_too_large_is_halved_up_to_thirty_times(monkeypatch):
                 raise StepTooLargeError("too large")
             return super().step(system, at, time_step)
 
-    monkeypatch.setattr(annealing, "Leapfrog", Fussy)
+    monkeypatch.setattr("protochain.mechanics.motion.leapfrog.Leapfrog", Fussy)
     limit, method = 0.0011, Annealing(friction=3.0)
     at, qd = problem.evaluate(c.q0), 0.1 * np.ones(c.n_v)
     after = method.step(problem, AnnealingState(at, qd, 0))

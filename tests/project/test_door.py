@@ -12,7 +12,7 @@ import gemmi
 import numpy as np
 import pandas as pd
 import pytest
-from fixtures.samples import STRUCTURES, chain, load
+from fixtures.samples import STRUCTURES, chain, load, simulation
 from fixtures.tolerances import RMSD_ANGSTROM
 from openmm import app, unit
 
@@ -65,6 +65,7 @@ REQUIRED = {
     "energy_terms": lambda: (S(),),
     "explore": lambda: (C(), vacuum()),
     "from_sequence": lambda: ("AA",),
+    "from_simulation": lambda: (simulation(FILE.name),),
     "hessian": lambda: (C(), vacuum()),
     "hessian_product": lambda: (C(), vacuum(), C().q0, np.ones(C().n_v)),
     "kcm": tuple,
@@ -87,6 +88,7 @@ REQUIRED = {
     "simulate": lambda: (C(), vacuum()),
     "solve_mass": lambda: (C(), at(), np.zeros(C().n_v)),
     "to_ase": lambda: (S(), vacuum()),
+    "to_simulation": lambda: (S(), simulation(FILE.name)),
     "to_mdanalysis": lambda: (S(),),
     "to_mdtraj": lambda: (S(),),
     "touching_chains": lambda: (S(),),

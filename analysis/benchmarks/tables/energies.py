@@ -18,6 +18,13 @@ table_of_rows(
     ("OBC2: us per atom", "{obc2_us_an_atom:.2f}"), ("OBC2, new lists", "{anew_us_an_atom:.2f}"),
 )  # fmt: skip
 table_of_rows(
+    "engines-accuracy", "engines_accuracy.csv",
+    ("atoms", "{atoms}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("by", "{by}"),
+    ("ms of a processor", "{processor_ms:.1f}"), ("of all pairs", "{of_all_pairs:.2f}"),
+    ("force off kJ/mol/nm", "{rms_force_off_kj_mol_nm:.1e}"),
+    ("energy off kJ/mol", "{energy_off_kj_mol:.1e}"),
+)  # fmt: skip
+table_of_rows(
     "engines-moving", "engines_moving.csv",
     ("structure", "{structure}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("hinges", "{hinges}"),
     ("moves", "{move}"), ("freedoms", "{freedoms}"), ("all ms", "{all_ms:.2f}"),

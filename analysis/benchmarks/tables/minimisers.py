@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 from made import RECORD
+from scipy.stats import bootstrap
 
 from tables import (
     between,
@@ -20,6 +21,8 @@ from tables import (
 TORSIONS = ("kcm", "kcm-adaptive", "kcm-metric", "kcm-stiffness", "newton", "lbfgs")
 CARTESIAN = ("cartesian", "hybrid", "openmm")
 LEVELS = (100.0, 10.0, 1.0)
+SAME = 1.0
+"""kJ/mol, within which two ends are one."""
 
 
 def _needed(rows: pd.DataFrame, cost: str) -> pd.Series:
@@ -130,6 +133,38 @@ def near_basins(rows: pd.DataFrame) -> str:
 
 
 FORCES = {"gbsa": "OBC2, GBSAOBCForce", "obc2": "OBC2, CustomGBForce", "gbn2": "GBn2", "vacuum": "vacuum"}
+
+
+@table("ends", "ends.csv")
+def ends(rows: pd.DataFrame) -> str:
+    """Ends of each method less those of OpenMM from the same start, and whether zero is likely."""
+    of = rows.pivot(index=["structure", "residues", "start"], columns="method", values="end_kj_mol")
+    lines, open_ = [], []
+    for method in ("cartesian", "hybrid", "scipy"):
+        apart = of[method] - of["openmm"]
+        middle = apart.groupby("structure").median()
+        low, high = bootstrap(
+            (middle,), np.median, method="percentile", n_resamples=10_000, rng=np.random.default_rng(0)
+        ).confidence_interval
+        open_ += [method] if low <= 0.0 <= high else []
+        same = apart.abs() <= SAME
+        shares = (~same & (apart < 0.0), same, ~same & (apart > 0.0))
+        lines.append([
+            f"`{method}`", *(f"{100 * share.mean():.0f}" for share in shares),
+            f"{middle.median():+.1f} ({low:+.1f} to {high:+.1f})",
+        ])  # fmt: skip
+    scatter = rows.groupby(["structure", "method"])["end_kj_mol"].agg(np.ptp).gt(SAME).mean()
+    table = markdown(
+        ("against `openmm`", "lower, %", "the same, %", "higher, %", "difference, kJ/mol (95 %)"), lines
+    )
+    found = ", ".join(f"`{method}`" for method in open_) or "none"
+    n_structures, n_starts = rows["structure"].nunique(), rows["start"].nunique()
+    return f"{table}\n" + paragraph(
+        f"{n_structures} structures, {n_starts} starts each; medians of the structures' medians, and",
+        f"intervals by resampling structures. Zero is in the interval of {found}: which end is lower is then",
+        f"chance, as far as these can tell. Starts of a structure end more than {SAME:g} kJ/mol apart in",
+        f"{100 * scatter:.0f} % of all pairs of structure and method.",
+    )
 
 
 @table("race-medians", "race_*.csv")

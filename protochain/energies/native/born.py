@@ -177,6 +177,67 @@ def _polar(
 
 
 @shared
+def screened_sums(
+    mine: Share, atoms: Floats, tiles: Integers, rows: np.ndarray, sums: Floats, energies: Floats
+) -> None:  # fmt: skip
+    """Add by how much 1/f differs from 1/r to energy, forces and 2 dE/dB, in some rows of far tiles."""
+    for c in range(*mine):
+        begin, end = part(len(tiles), c)
+        energy, room = 0.0, np.empty(4 * W)
+        for k in range(begin, end):
+            i, j = tiles[k, 0], tiles[k, 1]
+            energy -= _screened_tile(atoms[i], atoms[j], rows[k], room, sums[c, i], sums[c, j])
+        energies[c] += energy
+
+
+@tiled
+def _screened_tile(
+    a: Floats, b: Floats, counts: np.ndarray, rows: Floats, a_sums: Floats, b_sums: Floats
+) -> float:
+    """As :func:`_polar`, less the energy and force of 1/r."""
+    energy = 0.0
+    for i in range(W):
+        if not counts[i]:
+            continue
+        xi, yi, zi, qi = a[X * W + i], a[Y * W + i], a[Z * W + i], a[GB_CHARGE * W + i]
+        born, half = a[BORN * W + i], -_LOG2E * a[HALF_INVERSE_BORN * W + i]
+        fx, fy, fz, slope = 0.0, 0.0, 0.0, 0.0
+        for j in range(W):
+            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+            r2 = dx * dx + dy * dy + dz * dz
+            exponent = r2 * (half * b[HALF_INVERSE_BORN * W + j])
+            decay = power_of_two(exponent)
+            rows[j] = r2 + born * b[BORN * W + j] * decay
+            rows[W + j] = decay
+            rows[2 * W + j] = decay - decay * exponent * _LN2
+            rows[3 * W + j] = r2
+        for j in range(W):
+            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+            inverse_f, inverse, qq = (
+                inverse_root(rows[j]),
+                inverse_root(rows[3 * W + j]),
+                qi * b[GB_CHARGE * W + j],
+            )
+            energy += qq * (inverse_f - inverse)
+            cube = qq * (inverse_f * inverse_f * inverse_f)
+            f = cube - 0.25 * cube * rows[W + j] - qq * (inverse * inverse * inverse)
+            with_born = cube * rows[2 * W + j]
+            slope += with_born * b[BORN * W + j]
+            fx += f * dx
+            fy += f * dy
+            fz += f * dz
+            b_sums[FX * W + j] += f * dx
+            b_sums[FY * W + j] += f * dy
+            b_sums[FZ * W + j] += f * dz
+            b_sums[SCALAR * W + j] += with_born * born
+        a_sums[FX * W + i] -= fx
+        a_sums[FY * W + i] -= fy
+        a_sums[FZ * W + i] -= fz
+        a_sums[SCALAR * W + i] += slope
+    return energy
+
+
+@shared
 def near_integral_sums(
     mine: Share, x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers,
     near: float, slopes: Floats, sums: Floats,

@@ -10,15 +10,19 @@ from typing import Any
 import numba
 import numpy as np
 
+from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, floats, read_only
-from protochain.energies.native.evaluate import Layout, lists_of
+from protochain.energies.native.evaluate import Layout, in_order, lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace
+from protochain.energies.native.far import FEWEST_BLOCKS, Far, Opening, least_distance, one_kind, openings
 from protochain.energies.native.halves import halves
-from protochain.energies.native.layout import BORN, ROWS, W, put_positions
+from protochain.energies.native.layout import BORN, ROWS, W, n_blocks, put_positions
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system
+from protochain.energies.native.tree import plant, screened_pairs
 from protochain.energies.openmm_engine import OpenMMEnergy
+from protochain.energies.protocol import Energy
 
 _SETTINGS: Any = numba.config
 MOST_THREADS: int = _SETTINGS.NUMBA_NUM_THREADS
@@ -40,6 +44,8 @@ class NativeEnergy:
         The same energy by OpenMM, whose System is compiled.
     threads : int
         Number of threads.
+    opening : Opening, optional
+        How a tree sums what is far; all pairs are summed without.
 
     Raises
     ------
@@ -50,16 +56,20 @@ class NativeEnergy:
     engine = "native"
     is_exact = True
 
-    def __init__(self, by_openmm: OpenMMEnergy, threads: int) -> None:
+    def __init__(self, by_openmm: OpenMMEnergy, threads: int, opening: Opening | None = None) -> None:
         terms = compile_system(by_openmm.system)
         nobody = np.full((terms.n_atoms, 1), -1)
         layout = Layout(terms, nobody, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
         if terms.nonbonded.cutoff < layout.near:
             raise UnsupportedForceError(f"NonbondedForce with a cutoff below {layout.near:.2g} nm")
-        self._set(by_openmm, threads, layout)
+        self._set(by_openmm, threads, layout, opening)
 
-    def _set(self, by_openmm: OpenMMEnergy, threads: int, layout: Layout) -> None:
-        self.by_openmm = by_openmm
+    def _set(
+        self, by_openmm: OpenMMEnergy, threads: int, layout: Layout, opening: Opening | None = None
+    ) -> None:
+        self.by_openmm, self.opening = by_openmm, opening
+        self.errors: tuple[float, ...] = ()
+        """RMS errors of the forces in kJ/mol/nm: the first and the last that were measured."""
         self.system, self.atoms = by_openmm.system, by_openmm.atoms
         self.forcefield, self.solvent = by_openmm.forcefield, by_openmm.solvent
         self.threads = min(threads, MOST_THREADS)
@@ -73,14 +83,21 @@ class NativeEnergy:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Made anew, without the neighbour lists of earlier evaluations."""
-        given = self.by_openmm, self.threads
+        given = self.by_openmm, self.threads, self.opening
         rigid = None if self._all is None else (self._layout.groups, self._all[3])
         return _remade, (*given, rigid)
 
     @property
     def reason(self) -> str:
-        """Kernels, precision, threads, and the constant terms left out."""
+        """Kernels, precision, threads, the accuracy of far pairs, and the constant terms left out."""
         text = f"native kernels, double precision, {self.threads} threads"
+        if self.opening is not None:
+            text += "; far pairs by a tree"
+        if self.errors:
+            found = f"{self.errors[0]:.2g}" + (
+                f", at last by {self.errors[-1]:.2g}" if self.errors[1:] else ""
+            )
+            text += f", forces differ by {found} kJ/mol/nm RMS from those of all pairs"
         if self.left_out:
             text += "; constant in this chain: " + ", ".join(
                 f"{n} {kind}" for kind, n in self.left_out.items()
@@ -104,9 +121,54 @@ class NativeEnergy:
         }  # fmt: skip
 
     @property
-    def reference(self) -> OpenMMEnergy:
-        """The same energy on OpenMM's Reference platform."""
+    def reference(self) -> "Energy":
+        """The same energy on OpenMM's Reference platform; of very many atoms all pairs by native kernels."""
+        if self.opening is not None and self._layout.terms.n_atoms > defaults.FULL_UP_TO:
+            return self.exact
         return self.by_openmm.reference
+
+    @cached_property
+    def exact(self) -> "NativeEnergy":
+        """The same energy with all pairs summed one by one; itself if it does so."""
+        return self if self.opening is None else self.by_tree(None)
+
+    def by_tree(self, opening: Opening | None) -> "NativeEnergy":
+        """Return a copy whose far pairs are summed by a tree; None: one by one."""
+        copy = NativeEnergy.__new__(NativeEnergy)
+        copy._set(self.by_openmm, self.threads, self._layout, opening)
+        return copy
+
+    def to_accuracy(self, accuracy: float, x: Floats) -> "NativeEnergy":
+        """Choose the quickest tree with which forces at x (na, 3) in nm are right to an RMS in kJ/mol/nm.
+
+        Each is measured against the sum over all pairs; ``reason`` says by how much it differs, or why all
+        pairs are summed.
+        """
+        terms, because = self._layout.terms, "no tree is as accurate as asked"
+        if terms.nonbonded.cutoff < np.inf or (terms.solvent and terms.solvent.cutoff < np.inf):
+            because = "the System has a cutoff"
+        elif not one_kind(terms):
+            because = "generalised Born has other charges than Coulomb"
+        elif n_blocks(terms.n_atoms) < FEWEST_BLOCKS:
+            because = "so few are summed sooner than by a tree"
+        else:
+            _, forces = self(x)
+            self._lists = self._evaluation = None
+            for opening in openings(accuracy, terms.solvent is not None):
+                tree = self.by_tree(opening)
+                if tree.note_error(x, forces) <= accuracy:
+                    return tree
+        note = f"all pairs one by one: {because}"
+        self.by_openmm.note = f"{self.by_openmm.note}; {note}".removeprefix("; ")
+        return self
+
+    def note_error(self, x: Floats, forces: Floats) -> float:
+        """RMS difference of the forces at x (na, 3) in nm from exact ones, which ``reason`` tells."""
+        if self.opening is None:
+            return 0.0
+        error = float(np.sqrt(((self(x)[1] - forces) ** 2).sum(axis=1).mean()))
+        self.errors = (*self.errors[:1], error)
+        return error
 
     @property
     def fingerprint(self) -> str:
@@ -170,6 +232,8 @@ class NativeEnergy:
 
         The neighbour lists remain as they are: what is asked between two runs changes no bit of the second.
         """
+        if self.opening is not None:
+            return self.exact._with_born(x)
         if self._layout.terms.solvent is None:
             blocks = self._layout.blocks.copy()
             put_positions(x, blocks)
@@ -177,7 +241,8 @@ class NativeEnergy:
         before = self._lists
         try:
             evaluation = self._evaluation_at(x)
-            evaluation(x)
+            if not evaluation.was_at(x):
+                evaluation(x)
         finally:
             self._lists = before
         return evaluation.workspace.atoms
@@ -196,8 +261,16 @@ class NativeEnergy:
         -------
         NativeEnergy
             The same function of positions that keep the groups rigid, with the same force and torque on each
-            group.
+            group. With a tree, itself, which sums all; or pairs that change, if they are fewer than its near.
         """
+        if self.opening is not None:
+            less = self.exact.without_constants(groups, x)
+            with self._one_at_a_time:
+                near = len(self._evaluation_at(x).lists.tiles)
+            is_less = (
+                self.terms.solvent is None and len(less._all[2].changing) <= near if less._all else False
+            )
+            return less if is_less else self
         x = read_only(floats(x, (self._layout.terms.n_atoms, 3), "x"))
         terms = self._layout.terms
         kept, left_out = {}, {}
@@ -283,6 +356,8 @@ class NativeEnergy:
 
     def _evaluation_at(self, x: Floats) -> Evaluation:
         """Evaluation with neighbour lists that are valid at x."""
+        if self.opening is not None:
+            return self._by_tree(x, self.opening)
         if self._lists is None or not self._lists.still_hold(x):
             self._lists = lists_of(self._layout, x)
         last = self._evaluation
@@ -296,12 +371,36 @@ class NativeEnergy:
         assert self._evaluation is not None
         return self._evaluation
 
+    def _by_tree(self, x: Floats, opening: Opening) -> Evaluation:
+        """Evaluation with a tree that is valid at x."""
+        last, was = self._evaluation, self._lists
+        if last is not None and was is not None and last.lists is was and was.still_hold(x):
+            return last
+        at = was.x if was is not None and was.still_hold(x) else x
+        tree = plant(at, opening.angle, least_distance(self._layout))
+        layout = in_order(self._layout, tree.order)
+        lists = replace(lists_of(layout, at[tree.order], tree.near), x=at.copy())
+        workspace = last.workspace if last else Workspace(layout)
+        workspace.atoms[:] = layout.blocks
+        far, fixed = Far(layout, opening, tree), np.zeros(len(x))
+        if layout.terms.solvent is not None:
+            first = Evaluation(layout, lists, fixed, workspace, self.threads, far)
+            first.put_born_radii(at)
+            far = replace(far, screened=screened_pairs(tree, at[tree.order], first.born, opening.screened))
+        self._lists = lists
+        self._evaluation = Evaluation(layout, lists, fixed, workspace, self.threads, far)
+        if last:
+            last.dismiss()
+        return self._evaluation
+
     def __repr__(self) -> str:
         return f"<NativeEnergy {self.forcefield}, {self.solvent}: {self.reason}>"
 
 
-def _remade(by_openmm: OpenMMEnergy, threads: int, rigid: tuple[Integers, Floats] | None) -> NativeEnergy:
-    made = NativeEnergy(by_openmm, threads)
+def _remade(
+    by_openmm: OpenMMEnergy, threads: int, opening: Opening | None, rigid: tuple[Integers, Floats] | None
+) -> NativeEnergy:
+    made = NativeEnergy(by_openmm, threads, opening)
     return made if rigid is None else made.without_constants(*rigid)
 
 

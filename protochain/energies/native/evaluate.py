@@ -1,6 +1,6 @@
 """Compiled terms in the memory layout of the kernels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,9 +18,9 @@ from protochain.energies.native.layout import (
     in_blocks,
     n_blocks,
 )
-from protochain.energies.native.neighbours import Lists, block_groups, make_lists
+from protochain.energies.native.neighbours import Lists, block_groups, make_lists, partners
 from protochain.energies.native.series import FAR_RATIO, NEAR_RATIO
-from protochain.energies.native.terms import Terms
+from protochain.energies.native.terms import Bonded, Terms
 
 CLOSE = 0.35
 """nm. Pairs nearer than this come from a list, among them all excluded and clashing ones."""
@@ -155,9 +155,40 @@ def in_types(table: Floats, kind: Integers) -> Floats:
     return np.ascontiguousarray(wide.reshape(len(table), -1, W).swapaxes(0, 1))
 
 
-def lists_of(layout: Layout, x: Floats) -> Lists:
-    """Build the neighbour lists at x."""
+def lists_of(layout: Layout, x: Floats, tiles: Integers | None = None) -> Lists:
+    """Build the neighbour lists at x; of pairs of blocks ``tiles``, if given."""
     return make_lists(
         x, layout.near, layout.block_near, layout.necked, layout.terms.nonbonded.cutoff, layout.exceptions,
-        layout.groups, layout.block_group,
+        layout.groups, layout.block_group, tiles,
     )  # fmt: skip
+
+
+def in_order(layout: Layout, order: Integers) -> Layout:
+    """Return the layout of the same atoms in another order (na,)."""
+    terms, n = layout.terms, layout.terms.n_atoms
+    place = np.empty(n, np.int64)
+    place[order] = np.arange(n)
+
+    def moved(some: Bonded) -> Bonded:
+        return Bonded(np.ascontiguousarray(place[some.atoms]), some.parameters)
+
+    pairs = terms.nonbonded
+    nonbonded = replace(
+        pairs, charge=pairs.charge[order], lj_type=pairs.lj_type[order], exceptions=moved(pairs.exceptions)
+    )
+    solvent = terms.solvent
+    if solvent is not None:
+        each = {
+            name: getattr(solvent, name)[order]
+            for name in ("charge", "offset_radius", "scaled_radius", "radius", "bend", "surface")
+        }
+        necks = solvent.necks and replace(solvent.necks, kind=solvent.necks.kind[order])
+        solvent = replace(solvent, necks=necks, **each)
+    bonded = {kind: moved(some) for kind, some in terms.bonded.items()}
+    start, partner = layout.exceptions
+    listed = np.stack([np.repeat(np.arange(n), np.diff(start)), partner], axis=1)
+    return Layout(
+        replace(terms, bonded=bonded, nonbonded=nonbonded, solvent=solvent),
+        layout.groups[order],
+        partners(np.sort(place[listed], axis=1), n),
+    )

@@ -8,11 +8,25 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.energies.native.atomic import TICK
-from protochain.energies.native.evaluate import Layout, touched
+from protochain.energies.native.evaluate import Layout, touch, touched
+from protochain.energies.native.far import Far
 from protochain.energies.native.helpers import Helpers, Worth, helpers
-from protochain.energies.native.layout import CHUNKS, SUMS, W, aligned
+from protochain.energies.native.layout import BORN, CHUNKS, ROWS, SUMS, W, aligned
 from protochain.energies.native.neighbours import Lists
-from protochain.energies.native.tasks import ALL, COUNTERS, LED, QUIT, TASKS, TOOK, WAITED, work
+from protochain.energies.native.tasks import (
+    ALL,
+    COUNTERS,
+    IN_SOLVENT,
+    IN_VACUUM,
+    LED,
+    QUIT,
+    STEPS,
+    TASKS,
+    TO_RADII,
+    TOOK,
+    WAITED,
+    work,
+)
 
 KINDS = (
     "bonds",
@@ -49,6 +63,8 @@ class Workspace:
         self.parts = np.empty((len(KINDS), CHUNKS))
         self.worth = Worth()
         self.integral, self.slope, self.pull = np.empty((3, len(self.atoms) * W))
+        self.of: Evaluation | None = None
+        """Evaluation whose sums it holds; None while one computes them."""
 
 
 class Evaluation:
@@ -63,16 +79,21 @@ class Evaluation:
     workspace : Workspace
         Of the same layout; one evaluation at a time may use it.
     threads : int
+    far : Far, optional
+        What is summed by a tree, in whose order atoms are in layout, lists and workspace.
     """
 
     def __init__(
-        self, layout: Layout, lists: Lists, fixed: Floats, workspace: Workspace, threads: int
-    ) -> None:
+        self, layout: Layout, lists: Lists, fixed: Floats, workspace: Workspace, threads: int,
+        far: Far | None = None,
+    ) -> None:  # fmt: skip
         self.lists, self.workspace = lists, workspace
+        self.order = far.tree.order if far else None
         self._counters = np.zeros(COUNTERS, np.int64)
-        self._arguments = arguments(layout, lists, fixed, workspace)
+        self._arguments = arguments(layout, lists, fixed, workspace, far)
         self._most = min(threads, CHUNKS) - 1
         self._counters[TASKS] = tasks_of_a_step(threads, len(workspace.atoms))
+        self._counters[STEPS] = IN_VACUUM if layout.terms.solvent is None else IN_SOLVENT
         self._state = threading.Lock()
         self._runs, self._helping, self._helpers = False, 0, helpers()
 
@@ -84,7 +105,11 @@ class Evaluation:
     def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Evaluate energies by kind in kJ/mol, and forces (na, 3) in kJ/mol/nm, at x (na, 3) in nm."""
         w = self.workspace
-        np.copyto(w.x, x)
+        w.of = None
+        if self.order is None:
+            np.copyto(w.x, x)
+        else:
+            np.take(x, self.order, axis=0, out=w.x)
         asks = self._most > 0 and w.worth.asks(monotonic())
         self._counters[QUIT] = not asks
         self._runs, used = True, thread_time()
@@ -98,7 +123,26 @@ class Evaluation:
             tasks, led, waited, took = self._counters[[ALL, LED, WAITED, TOOK]].tolist()
             worked = min(TICK * (took - waited), thread_time() - used)
             w.worth.note(monotonic(), TICK * took, worked, led / tasks)
-        return dict(zip(KINDS, w.parts.sum(axis=1).tolist(), strict=True)), w.forces.copy()
+        w.of = self
+        forces = w.forces.copy()
+        if self.order is not None:
+            forces[self.order] = w.forces
+        return dict(zip(KINDS, w.parts.sum(axis=1).tolist(), strict=True)), forces
+
+    @property
+    def born(self) -> Floats:
+        """(blocks * W,) float, nm: Born radii of the last evaluation, in the order of the layout."""
+        return self.workspace.atoms.reshape(-1, ROWS, W)[:, BORN].ravel()
+
+    def put_born_radii(self, x: Floats) -> None:
+        """Compute Born radii at x alone; it can do nothing else afterwards."""
+        self._counters[STEPS] = TO_RADII
+        self(x)
+
+    def was_at(self, x: Floats) -> bool:
+        """Whether the workspace holds what this evaluation computed at x (na, 3)."""
+        its = self.workspace.x
+        return self.workspace.of is self and np.array_equal(its, x if self.order is None else x[self.order])
 
     def _call_helpers(self, them: Helpers) -> None:
         with self._state:
@@ -130,10 +174,20 @@ def tasks_of_a_step(threads: int, n_blocks: int) -> int:
     return CHUNKS if threads > 2 or n_blocks > _FEW_BLOCKS else CHUNKS // 2
 
 
-def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tuple[Any, ...]:
+def arguments(
+    layout: Layout, lists: Lists, fixed: Floats, w: Workspace, far: Far | None = None
+) -> tuple[Any, ...]:
     """Return the arguments of :func:`tasks.work` behind its counters, by subject; None for what is absent."""
     terms, nonbonded, solvent = layout.terms, layout.terms.nonbonded, layout.terms.solvent
-    state = w.x, w.atoms, w.sums, *_fixed(touched(layout, lists)), w.parts, w.forces
+    writes = touched(layout, lists)
+    of_tree = None
+    if far is not None:
+        touch(writes, far.screened[0])
+        settings = tuple(
+            _fixed(*each) if isinstance(each, tuple) else _fixed(each)[0] for each in far.arguments()
+        )
+        of_tree = far.room(), _fixed(*far.geometry()), settings, _fixed(*far.screened)
+    state = w.x, w.atoms, w.sums, *_fixed(writes), w.parts, w.forces
     pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
     vacuum = *_fixed(layout.lj, layout.lj_type, lists.changing, lists.is_near, layout.block_near), pairwise
     kinds = _fixed(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
@@ -146,7 +200,7 @@ def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tupl
         which = maps.parameters[:, 0].astype(np.int64)
         of_maps = _fixed(maps.atoms, which, terms.map_coefficients)
     if solvent is None:
-        return state, vacuum, some, of_maps, None, None
+        return state, vacuum, some, of_maps, None, None, of_tree
     each = (
         *_fixed(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
         bool(solvent.engulfs), *_fixed(solvent.charge, solvent.surface), float(solvent.cutoff),
@@ -154,9 +208,9 @@ def arguments(layout: Layout, lists: Lists, fixed: Floats, w: Workspace) -> tupl
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
     born = each, _fixed(lists.close, fixed, lists.tiles), written
     if solvent.necks is None:
-        return state, vacuum, some, of_maps, born, None
+        return state, vacuum, some, of_maps, born, None, of_tree
     necks = *_fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.necked
-    return state, vacuum, some, of_maps, born, necks
+    return state, vacuum, some, of_maps, born, necks, of_tree
 
 
 def _fixed(*arrays: Any) -> tuple[Any, ...]:

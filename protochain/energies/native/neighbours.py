@@ -50,6 +50,7 @@ class Lists:
 def make_lists(
     x: Floats, near: float, block_near: Floats, necked: float, cutoff: float,
     exceptions: tuple[Integers, Integers], groups: Integers, block_group: Integers,
+    tiles: Integers | None = None,
 ) -> Lists:  # fmt: skip
     """Build the neighbour lists.
 
@@ -69,8 +70,14 @@ def make_lists(
         Rigid groups of each atom, -1 for none; atoms that share a group keep their distance.
     block_group : (blocks,) int
         Rigid group to which all atoms of a block belong, -1 for none.
+    tiles : (n, 2) int, optional
+        Pairs of blocks; by default those within the cutoff.
     """
-    tiles, is_near, is_necked = _tiles(*_boxes(x), block_near + SKIN, necked + SKIN, cutoff + SKIN)
+    boxes, reaches = _boxes(x), (block_near + SKIN, necked + SKIN)
+    if tiles is None:
+        tiles, is_near, is_necked = _tiles(*boxes, *reaches, cutoff + SKIN)
+    else:
+        is_near, is_necked = _kinds(tiles, *boxes, *reaches).T
     first, second = block_group[tiles.T]
     changes = (first != second) | (first < 0)
     changing, is_near = tiles[changes], is_near[changes]
@@ -129,10 +136,7 @@ def _swept(
             j = order[b]
             if low[j, axis] >= high[i, axis] + cutoff:
                 break
-            apart = 0.0
-            for k in range(3):
-                gap = max(low[i, k] - high[j, k], low[j, k] - high[i, k], 0.0)
-                apart += gap * gap
+            apart = _apart2(low, high, i, j)
             if apart < cutoff * cutoff:
                 if count == room:
                     room *= 2
@@ -142,6 +146,29 @@ def _swept(
                 kinds[count, 1] = apart < necked * necked
                 count += 1
     return tiles[:count].copy(), kinds[:count].copy()
+
+
+@scalar
+def _kinds(
+    tiles: Integers, low: Floats, high: Floats, near: Floats, necked: float
+) -> np.ndarray:  # fmt: skip
+    """Which pairs of blocks are near, and which have necks, as two columns."""
+    kinds = np.empty((len(tiles), 2), np.bool_)
+    for k in range(len(tiles)):
+        apart = _apart2(low, high, tiles[k, 0], tiles[k, 1])
+        kinds[k, 0] = apart < max(near[tiles[k, 0]], near[tiles[k, 1]]) ** 2
+        kinds[k, 1] = apart < necked * necked
+    return kinds
+
+
+@scalar
+def _apart2(low: Floats, high: Floats, i: int, j: int) -> float:
+    """Squared distance of two boxes."""
+    apart = 0.0
+    for k in range(3):
+        gap = max(low[i, k] - high[j, k], low[j, k] - high[i, k], 0.0)
+        apart += gap * gap
+    return apart
 
 
 @scalar

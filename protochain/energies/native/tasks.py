@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.energies.native import bonded, born, neck, pairs
+from protochain.energies.native import bonded, born, expansion, neck, pairs
 from protochain.energies.native.atomic import add, give_way, load, pause, replace, ticks
 from protochain.energies.native.layout import (
     CHUNKS,
     Share,
+    W,
     add_forces,
     atoms_of,
     inlined,
@@ -27,16 +28,16 @@ from protochain.energies.native.layout import (
 
 COUNTERS = 96
 """Length of the array of counters."""
-NEXT, OPEN, DONE, LAST, QUIT, TASKS, ALL, LED, WAITED, TOOK = 0, 16, 32, 48, 64, 65, 80, 81, 82, 83
+NEXT, OPEN, DONE, LAST, QUIT, TASKS, STEPS, ALL, LED, WAITED, TOOK = 0, 16, 32, 48, 64, 65, 66, 80, 81, 82, 83
 """Places in it, far apart for the cache: next task to take; tasks opened; done; of all energies so far;
-whether helpers shall leave; tasks of a step, a divisor of CHUNKS; of the last energy, its tasks, those
-that the leading thread did, the ticks that it waited, and those that it took."""
+whether helpers shall leave; tasks of a step, a divisor of CHUNKS; steps to take; of the last energy, its
+tasks, those that the leading thread did, the ticks that it waited, and those that it took."""
 _SPINS = 2000
 """Looks at the counters before a waiting thread lets the operating system run others: some 50 us."""
 _PATIENCE = 8000
 """Looks at the counters before a helper leaves, and must be woken for the next energy: some 200 us."""
-_IN_VACUUM, _IN_SOLVENT = 2, 6
-"""Steps of an energy."""
+IN_VACUUM, IN_SOLVENT, TO_RADII = 2, 6, 2
+"""Steps of an energy, and up to the Born radii."""
 Pairwise = tuple[float, float, float, float]
 """Least distance in tiles, cutoff, and the constants of the reaction field."""
 Term = tuple[Integers, Floats]
@@ -51,14 +52,15 @@ BONDS, ANGLES, TORSIONS, IMPROPERS, MAPS, TIES, TIE_ANGLES, NONBONDED, POLAR, SU
 
 @shared
 def work(
-    leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any
-) -> None:
+    leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any,
+    far: Any,
+) -> None:  # fmt: skip
     """Do tasks: the thread that leads until its energy is done, a helper until none has come for a while."""
     room = np.empty(2, np.int64)
     began = since = ticks(room)
     if leads:
         put_positions(state[0], state[1])
-        counters[ALL] = counters[TASKS] * (_IN_VACUUM if solvent is None else _IN_SOLVENT)
+        counters[ALL] = counters[TASKS] * counters[STEPS]
         add(counters, LAST, counters[ALL])
         add(counters, OPEN, counters[TASKS])
     did, looks, waited = 0, 0, 0
@@ -70,7 +72,7 @@ def work(
         if load(counters, NEXT) < load(counters, OPEN):
             waited += ticks(room) - since if looks else 0
             looks = 0
-            did += take(counters, state, vacuum, terms, maps, solvent, necks)
+            did += take(counters, state, vacuum, terms, maps, solvent, necks, far)
             continue
         if looks == 0:
             since = ticks(room)
@@ -87,7 +89,7 @@ def work(
 
 @inlined
 def take(
-    counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any
+    counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any, far: Any
 ) -> bool:
     """Do the next task, if one is open, and return whether one was."""
     task = load(counters, NEXT)
@@ -97,9 +99,9 @@ def take(
     each = CHUNKS // counters[TASKS]
     mine = of_step * each, (of_step + 1) * each
     if solvent is None:
-        in_vacuum(step % _IN_VACUUM, mine, state, vacuum, terms, maps)
+        in_vacuum(step % IN_VACUUM, mine, state, vacuum, terms, maps, far)
     else:
-        in_solvent(step % _IN_SOLVENT, mine, state, vacuum, terms, maps, solvent, necks)
+        in_solvent(step % IN_SOLVENT, mine, state, vacuum, terms, maps, solvent, necks, far)
     done = add(counters, DONE, 1) + 1
     if done == load(counters, OPEN) and done < load(counters, LAST):
         add(counters, OPEN, counters[TASKS])
@@ -107,7 +109,7 @@ def take(
 
 
 @inlined
-def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any) -> None:
+def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, far: Any) -> None:
     """Do some chunks of a step of the energy in vacuum."""
     _, atoms, sums, touched, parts, forces = state
     lj, lj_type, tiles, is_near, block_near, pairwise = vacuum
@@ -119,30 +121,104 @@ def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps:
             parts[NONBONDED],
         )  # fmt: skip
         bonded_sums(mine, state, pairwise, terms, maps)
+        if far is not None:
+            far_moments(mine, atoms, far)
     else:
         add_forces(*blocks_of(mine, atoms), sums, touched, forces)
+        if far is not None:
+            far_fields(mine, far)
+            far_forces(mine, state, far)
 
 
 @inlined
 def in_solvent(
-    step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any
+    step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any, far: Any
 ) -> None:
     """Do some chunks of a step of the energy with generalised Born."""
     _, atoms, sums, touched, parts, forces = state
     if step == 0:
         clear(mine, sums, touched, parts)
         integrals(mine, state, vacuum, solvent, necks)
+        if far is not None:
+            far_moments(mine, atoms, far)
     elif step == 1:
-        born_radii(mine, state, solvent)
+        if far is not None:
+            far_fields(mine, far)
+        born_radii(mine, state, solvent, far)
     elif step == 2:
         polar(mine, state, solvent)
+        if far is not None:
+            screened_tiles, screened_rows = far[3]
+            born.screened_sums(mine, atoms, screened_tiles, screened_rows, sums, parts[POLAR])
     elif step == 3:
         pulls(mine, state, solvent)
+        if far is not None:
+            moments_of_pulls(mine, atoms, solvent[2][3], far)
     elif step == 4:
         solvated_pairs(mine, state, vacuum, solvent, necks)
         bonded_sums(mine, state, vacuum[5], terms, maps)
+        if far is not None:
+            fields_of_pulls(mine, far)
     else:
         add_forces(*blocks_of(mine, atoms), sums, touched, forces)
+        if far is not None:
+            far_forces(mine, state, far)
+
+
+@inlined
+def far_moments(mine: Share, atoms: Floats, far: Any) -> None:
+    """Moments of charges and of what makes Born integrals."""
+    (charges, moments, _, _), (_, nodes, roots, centre, _, _), (_, _, kinds, _, _, _, _, tabled), _ = far
+    expansion.put_moments(mine, atoms, charges, 0, kinds, nodes, roots, centre, tabled, moments)
+
+
+@inlined
+def far_fields(mine: Share, far: Any) -> None:
+    """Fields of these."""
+    (_, moments, fields, _), (_, nodes, roots, centre, start, source), (uses, _, _, _, _, _, _, tabled), _ = (
+        far
+    )
+    expansion.put_fields(mine, uses, nodes, roots, centre, start, source, tabled, moments, fields)
+
+
+@inlined
+def moments_of_pulls(mine: Share, atoms: Floats, pull: Floats, far: Any) -> None:
+    """Moments of dE/d(Born integral), the last kind of charge."""
+    (charges, moments, _, _), (_, nodes, roots, centre, _, _), (_, _, kinds, low, _, _, _, tabled), _ = far
+    begin, end = blocks_of(mine, atoms)
+    for block in range(begin, end):
+        for k in range(W):
+            charges[block, len(kinds), k] = pull[block * W + k]
+    expansion.put_moments(mine, atoms, charges, len(kinds), low, nodes, roots, centre, tabled, moments)
+
+
+@inlined
+def fields_of_pulls(mine: Share, far: Any) -> None:
+    """Fields of these."""
+    (_, moments, fields, _), (_, nodes, roots, centre, start, source), (_, uses, _, _, _, _, _, tabled), _ = (
+        far
+    )
+    expansion.put_fields(mine, uses, nodes, roots, centre, start, source, tabled, moments, fields)
+
+
+@inlined
+def far_forces(mine: Share, state: Any, far: Any) -> None:
+    """Add forces and energies of all fields."""
+    x, atoms, _, _, parts, forces = state
+    (
+        (charges, _, fields, of_fields),
+        (leaves, _, _, centre, _, _),
+        (_, _, _, _, acts, orders, factors, tabled),
+        _,
+    ) = far
+    expansion.put_far_forces(
+        mine, atoms, charges, orders, acts, factors, leaves, centre, tabled, fields, of_fields,
+        parts[NONBONDED : POLAR + 1],
+    )  # fmt: skip
+    begin, end = atoms_of(*blocks_of(mine, atoms), len(x))
+    for i in range(begin, end):
+        for axis in range(3):
+            forces[i, axis] += of_fields[i // W, axis, i % W]
 
 
 @inlined
@@ -178,12 +254,18 @@ def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) ->
 
 
 @inlined
-def born_radii(mine: Share, state: Any, solvent: Any) -> None:
+def born_radii(mine: Share, state: Any, solvent: Any, far: Any) -> None:
     """Born radii of some atoms."""
     x, atoms, sums, touched, _, _ = state
     (offset_radius, radius, bend, _, _, _, _, _), (_, fixed, _), (_, integral, slope, _) = solvent
     blocks = blocks_of(mine, atoms)
     take_scalars(*blocks, sums, touched, integral)
+    if far is not None:
+        (_, _, fields, _), (leaves, _, _, centre, _, _), (_, _, _, _, acts, orders, _, tabled), _ = far
+        # That of the integrals is the last but two.
+        expansion.add_potential(
+            mine, atoms, len(acts) - 3, orders[len(acts) - 3], leaves, centre, tabled, fields, integral
+        )  # fmt: skip
     begin, end = atoms_of(*blocks, len(x))
     for i in range(begin, end):
         integral[i] += fixed[i]

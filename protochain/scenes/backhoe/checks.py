@@ -189,7 +189,12 @@ def advance(run: Run) -> tuple[float, float]:
 
 
 def track(run: Run, bound: float) -> Iterator[Check]:
-    """The track rolls; by how much it may creep, and its pins move in their seats, in few teeth."""
+    """The track rolls; by how much it may creep, and its pins move in their seats, in few teeth.
+
+    It creeps on the ground, not on its wheels: all pads that lie there move on together, by half a millimetre
+    per tooth, while the frame hops from tooth to tooth. That stays with wheels nearer to the chain's pitch,
+    and hardly changes with pads that give way four times as much.
+    """
     way, angle = advance(run)
     yield check("way of the vehicle on its track per tooth, m", way * 2.0 * np.pi / TEETH / angle,
                 ROLLING * 2.0 * np.pi / TEETH, bound, "a pitch")  # fmt: skip

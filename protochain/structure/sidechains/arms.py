@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, cross
 from protochain.core.graph import beyond
 from protochain.structure.sidechains.ideal import dihedral, unit
 from protochain.structure.sidechains.rotamers import BACKBONE
@@ -102,7 +102,7 @@ def rotated(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:
     arm = x - np.broadcast_to(end, (len(angle), 3))[:, None]
     c, s = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
     along = axis * (axis * arm).sum(axis=-1, keepdims=True)
-    turned = along + c * (arm - along) + s * np.cross(axis, arm)
+    turned = along + c * (arm - along) + s * cross(axis, arm)
     return np.asarray(np.broadcast_to(end, (len(angle), 3))[:, None] + turned)
 
 

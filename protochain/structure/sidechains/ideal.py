@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from scipy.optimize import least_squares
 
-from protochain.core.arrays import Floats
+from protochain.core.arrays import Floats, cross
 from protochain.core.graph import within
 from protochain.structure import residues
 from protochain.structure.sidechains.rotamers import rotamers
@@ -231,15 +231,15 @@ def _padded(chi: Floats, n: int) -> Floats:
 def _frame(x: Mapping[str, Floats]) -> Floats:
     """(3, 3) float: axes as rows, of which the first bisects N-CA-C and the third is normal to it."""
     n, c = unit(x["N"] - x["CA"]), unit(x["C"] - x["CA"])
-    first, third = unit(n + c), unit(np.cross(n, c))
-    return np.array([first, np.cross(third, first), third])
+    first, third = unit(n + c), unit(cross(n, c))
+    return np.array([first, cross(third, first), third])
 
 
 def placed(a: Floats, b: Floats, c: Floats, length: float, angle: float, turn: Floats) -> Floats:
     """Place points (n, 3) at a distance from c, an angle with b and dihedrals (n,) with a."""
     along = unit(c - b)
-    normal = unit(np.cross(b - a, along))
-    aside = np.cross(normal, along)
+    normal = unit(cross(b - a, along))
+    aside = cross(normal, along)
     out = np.sin(angle) * (np.cos(turn)[:, None] * aside + np.sin(turn)[:, None] * normal)
     return np.asarray(c + length * (out - np.cos(angle) * along))
 
@@ -247,8 +247,8 @@ def placed(a: Floats, b: Floats, c: Floats, length: float, angle: float, turn: F
 def dihedral(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
     """Dihedral angles, rad, of points (..., 3)."""
     axis = unit(c - b)
-    first, second = np.cross(b - a, c - b), np.cross(c - b, d - c)
-    return np.asarray(np.arctan2((np.cross(first, second) * axis).sum(-1), (first * second).sum(-1)))
+    first, second = cross(b - a, c - b), cross(c - b, d - c)
+    return np.asarray(np.arctan2((cross(first, second) * axis).sum(-1), (first * second).sum(-1)))
 
 
 def unit(v: Floats) -> Floats:

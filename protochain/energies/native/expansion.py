@@ -1,0 +1,373 @@
+"""Far fields of groups of atoms by Cartesian Taylor expansions, of any kernel r^-s, truncated by total order.
+
+Of two groups about fixed centres R apart, with moments M_b = sum w e^b / b! and kernel k,
+
+    sum_ij v_i w_j k(r_ij) ~ sum over |a| + |b| <= p of M'_a (-1)^|b| D_(a+b)(R) M_b,
+
+D_n the derivatives of k: Dehnen, J. Comput. Phys. 179:27 (2002); Duan, Krasny, J. Comput. Chem. 22:184
+(2001). This is symmetric in the two, and a polynomial in their atoms' positions: forces are its gradient,
+exactly. Interactions are computed W at a time, each quantity in one row of W numbers.
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers
+from protochain.energies.native.layout import Share, W, part, scalar, shared, tiled
+from protochain.energies.native.tree import FIRST, LEFT, PARENT
+
+LARGEST_ORDER = 10
+POWER, ORDER, KIND, FIELD, BEGIN, END = range(6)
+"""Columns of an interaction: s of its kernel r^-s, with a multiple of r^-(s + 2) beside it; order p; kind
+of charge whose moments it takes; field that it adds to; first row of the couples of its order, and that after
+the last."""
+COUPLE = 2
+"""Products added at a time: a row of sums is then read and written half as often."""
+
+
+@cache
+def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
+    """Tables of an order.
+
+    Returns
+    -------
+    (n, 8) int
+        Of each monomial, in the order of their degree: exponents of x, y, z; degree; an axis; row of the
+        monomial divided by that axis once, and twice (-1 for none); exponent along it.
+    (m, 3) int
+        Rows of a, b and a + b for all |a| + |b| <= order, by the degree of a + b.
+    (l, 3) int
+        Row of each monomial of a lower order, times x, times y, times z.
+    (k, 1 + 2 * COUPLE) int
+        The same, COUPLE of one a in a row: a, then b and a + b of each. Row n in place of a b for none.
+    """
+    powers = [
+        (i, j, n - i - j) for n in range(order + 1) for i in range(n, -1, -1) for j in range(n - i, -1, -1)
+    ]
+    place = {each: row for row, each in enumerate(powers)}
+    monomials = []
+    for each in powers:
+        axis = int(np.argmax(each))
+        lower = [tuple(np.subtract(each, [k * (axis == a) for a in range(3)])) for k in (1, 2)]
+        monomials.append((*each, sum(each), axis, *(place.get(one, -1) for one in lower), each[axis]))
+    products = [
+        (place[a], place[b], place[tuple(np.add(a, b))])
+        for degree in range(order + 1) for a in powers for b in powers if sum(a) + sum(b) == degree
+    ]  # fmt: skip
+    raised = [
+        [place[tuple(np.add(a, unit))] for unit in np.eye(3, dtype=int)] for a in powers if sum(a) < order
+    ]
+    couples = []
+    for row in range(len(powers)):
+        mine = [product[1:] for product in products if product[0] == row]
+        mine += [(len(powers), 0)] * (-len(mine) % COUPLE)
+        couples += [(row, *sum(mine[k : k + COUPLE], ())) for k in range(0, len(mine), COUPLE)]
+    return np.array(monomials), np.array(products), np.array(raised), np.array(couples)
+
+
+@scalar
+def n_terms(order: int) -> int:
+    """Return the number of monomials of three variables up to an order."""
+    return (order + 1) * (order + 2) * (order + 3) // 6
+
+
+@scalar
+def n_products(order: int) -> int:
+    """Return the number of products of two of them up to an order, one for each monomial of six variables."""
+    total = 1
+    for k in range(1, 7):
+        total = total * (order + k) // k
+    return total
+
+
+@shared
+def put_monomials(dx: float, dy: float, dz: float, monomials: Integers, out: Floats) -> None:
+    """Write dx^i dy^j dz^k / (i! j! k!) of a displacement."""
+    out[0] = 1.0
+    for row in range(1, len(monomials)):
+        axis = monomials[row, 4]
+        d = dx if axis == 0 else dy if axis == 1 else dz
+        out[row] = out[monomials[row, 5]] * d / monomials[row, 7]
+
+
+@tiled
+def block_monomials(a: Floats, cx: float, cy: float, cz: float, monomials: Integers, out: Floats) -> None:
+    """Write the monomials of a block's atoms about a centre as rows (n, W)."""
+    for k in range(W):
+        out[0, k] = 1.0
+    for row in range(1, len(monomials)):
+        axis = monomials[row, 4]
+        c = cx if axis == 0 else cy if axis == 1 else cz
+        factor = 1.0 / monomials[row, 7]
+        mine, lower, at = out[row], out[monomials[row, 5]], a[axis * W : axis * W + W]
+        for k in range(W):
+            mine[k] = lower[k] * (at[k] - c) * factor
+
+
+@tiled
+def dot(a: Floats, b: Floats) -> float:
+    """Sum of products of two rows."""
+    total = 0.0
+    for k in range(W):
+        total += a[k] * b[k]
+    return total
+
+
+@shared
+def shift_moments(moments: Floats, monomials: Floats, products: Integers, n: int, out: Floats) -> None:
+    """Add moments about another centre, by n products; ``monomials`` of the old centre about the new."""
+    for t in range(n):
+        out[products[t, 2]] += moments[products[t, 0]] * monomials[products[t, 1]]
+
+
+@shared
+def shift_field(field: Floats, monomials: Floats, products: Integers, n: int, out: Floats) -> None:
+    """Add a field about another centre, by n products; ``monomials`` of the new centre about the old."""
+    for t in range(n):
+        out[products[t, 0]] += field[products[t, 2]] * monomials[products[t, 1]]
+
+
+@tiled
+def _derivatives(
+    dx: Floats, dy: Floats, dz: Floats, powers: Floats, order: int, monomials: Integers, out: Floats
+) -> None:
+    """Derivatives of a kernel by order, from rows ((1/r) d/dr)^m k of ``powers``.
+
+    McMurchie, Davidson, J. Comput. Phys. 26:218 (1978), equation 4.6, for any kernel; in place, from the
+    highest degree down.
+    """
+    for k in range(W):
+        out[0, k] = powers[order, k]
+    for m in range(order - 1, -1, -1):
+        degree = order - m
+        for row in range(n_terms(degree) - 1, 0, -1):
+            axis, once, twice = monomials[row, 4], monomials[row, 5], monomials[row, 6]
+            along = dx if axis == 0 else dy if axis == 1 else dz
+            mine, lower = out[row], out[once]
+            if twice < 0:
+                for k in range(W):
+                    mine[k] = along[k] * lower[k]
+            else:
+                lowest, factor = out[twice], monomials[row, 7] - 1.0
+                for k in range(W):
+                    mine[k] = along[k] * lower[k] + factor * lowest[k]
+        for k in range(W):
+            out[0, k] = powers[m, k]
+
+
+@tiled
+def _kernel_rows(at: Floats, power: int, second: float, order: int, out: Floats) -> None:
+    """Rows ((1/r) d/dr)^m (r^-s + second r^-(s + 2)), given rows 3 and 4 of ``at``, r^-1 and r^-2."""
+    inverse, inverse2, of_next = at[3], at[4], at[5]
+    for k in range(W):
+        value = inverse[k] if power % 2 else 1.0
+        for _ in range(power // 2):
+            value *= inverse2[k]
+        out[0, k] = value
+        of_next[k] = second * inverse2[k]
+    for m in range(1, order + 1):
+        factor, mine, last = -(power + 2.0 * (m - 1.0)), out[m], out[m - 1]
+        for k in range(W):
+            mine[k] = factor * last[k] * inverse2[k]
+    for m in range(order + 1):
+        mine, ratio = out[m], (power + 2.0 * m) / power
+        for k in range(W):
+            mine[k] *= 1.0 + ratio * of_next[k]
+
+
+@tiled
+def _contract(couples: Integers, moments: Floats, derivatives: Floats, out: Floats) -> None:
+    """Add the products of ``tables``, W interactions side by side."""
+    for t in range(len(couples)):
+        mine = out[couples[t, 0]]
+        one, its = moments[couples[t, 1]], derivatives[couples[t, 2]]
+        other, theirs = moments[couples[t, 3]], derivatives[couples[t, 4]]
+        for k in range(W):
+            mine[k] += one[k] * its[k] + other[k] * theirs[k]
+
+
+@shared
+def put_moments(
+    mine: Share, atoms: Floats, charges: Floats, first: int, orders: Integers, nodes: Integers,
+    roots: Integers, centre: Floats, tabled: Any, moments: Floats,
+) -> None:  # fmt: skip
+    """Put the moments of the nodes of some chunks, inward: of kinds from ``first`` on, to their orders."""
+    monomials, products, _, _ = tabled
+    rows, shifts = np.empty((len(monomials), W)), np.empty(len(monomials))
+    for c in range(*mine):
+        for node in range(roots[c + 1] - 1, roots[c] - 1, -1):
+            x, y, z, block = centre[node, 0], centre[node, 1], centre[node, 2], nodes[node, FIRST]
+            is_leaf = nodes[node, LEFT] < 0
+            if is_leaf:
+                block_monomials(atoms[block], x, y, z, monomials, rows)
+            for k in range(len(orders)):
+                for row in range(n_terms(orders[k])):
+                    moments[node, first + k, row] = (
+                        dot(charges[block, first + k], rows[row]) if is_leaf else 0.0
+                    )
+            for side in range(0 if is_leaf else 2):
+                child = nodes[node, LEFT + side]
+                put_monomials(
+                    centre[child, 0] - x, centre[child, 1] - y, centre[child, 2] - z, monomials, shifts
+                )
+                for k in range(len(orders)):
+                    its, out = moments[child, first + k], moments[node, first + k]
+                    shift_moments(its, shifts, products, n_products(orders[k]), out)
+
+
+@shared
+def put_fields(
+    mine: Share, interactions: Any, nodes: Integers, roots: Integers, centre: Floats, start: Integers,
+    source: Integers, tabled: Any, moments: Floats, fields: Floats,
+) -> None:  # fmt: skip
+    """Put the fields of all that is far about the nodes of some chunks, outward.
+
+    ``interactions`` are their columns (n, 6), those of one kernel side by side, of falling order, and of one
+    field that of the highest order first; and the factors (n,) of r^-(s + 2).
+    """
+    monomials, products, _, couples = tabled
+    uses, seconds = interactions
+    n = len(monomials)
+    derivatives, gathered = np.empty((n + 1, W)), np.zeros((n + 1, W))
+    sums, powers, at = np.empty((len(uses), n, W)), np.empty((LARGEST_ORDER + 1, W)), np.empty((6, W))
+    shifts = np.empty(n)
+    for c in range(*mine):
+        for node in range(roots[c], roots[c + 1]):
+            mine_of = fields[node]
+            for use in range(len(uses)):
+                for row in range(n):
+                    mine_of[uses[use, FIELD], row] = 0.0
+            if start[node] < start[node + 1]:
+                _far_fields(
+                    node, uses, seconds, centre, start, source, monomials, couples, moments, derivatives,
+                    gathered, sums, powers, at, mine_of,
+                )  # fmt: skip
+            parent = nodes[node, PARENT]
+            if parent < 0:
+                continue
+            put_monomials(
+                centre[node, 0] - centre[parent, 0], centre[node, 1] - centre[parent, 1],
+                centre[node, 2] - centre[parent, 2], monomials, shifts,
+            )  # fmt: skip
+            for use in range(len(uses)):
+                field, is_first = uses[use, FIELD], True
+                for earlier in range(use):
+                    is_first &= uses[earlier, FIELD] != field
+                if is_first:
+                    count = n_products(uses[use, ORDER])
+                    shift_field(fields[parent, field], shifts, products, count, mine_of[field])
+
+
+@shared
+def _far_fields(
+    node: int, uses: Integers, seconds: Floats, centre: Floats, start: Integers, source: Integers,
+    monomials: Integers, couples: Integers, moments: Floats, derivatives: Floats, gathered: Floats,
+    sums: Floats, powers: Floats, at: Floats, fields: Floats,
+) -> None:  # fmt: skip
+    """Add the fields of a node's far nodes."""
+    for use in range(len(uses)):
+        for row in range(sums.shape[1]):
+            for lane in range(W):
+                sums[use, row, lane] = 0.0
+    for first in range(start[node], start[node + 1], W):
+        count = min(W, start[node + 1] - first)
+        for lane in range(W):
+            other, r2 = source[first + lane if lane < count else first], 0.0
+            for axis in range(3):
+                at[axis, lane] = centre[node, axis] - centre[other, axis]
+                r2 += at[axis, lane] * at[axis, lane]
+            at[4, lane] = 1.0 / r2
+            at[3, lane] = np.sqrt(at[4, lane])
+        for use in range(len(uses)):
+            power, order, kind = uses[use, POWER], uses[use, ORDER], uses[use, KIND]
+            if use == 0 or power != uses[use - 1, POWER]:
+                _kernel_rows(at, power, seconds[use], order, powers)
+                _derivatives(at[0], at[1], at[2], powers, order, monomials, derivatives)
+            n = n_terms(order)
+            for row in range(n):
+                sign = -1.0 if monomials[row, 3] % 2 else 1.0
+                for lane in range(count):
+                    gathered[row, lane] = sign * moments[source[first + lane], kind, row]
+                for lane in range(count, W):
+                    gathered[row, lane] = 0.0
+            for lane in range(W):
+                gathered[n, lane] = 0.0
+            _contract(couples[uses[use, BEGIN] : uses[use, END]], gathered, derivatives, sums[use])
+    for use in range(len(uses)):
+        order, field = uses[use, ORDER], uses[use, FIELD]
+        for row in range(n_terms(order)):
+            total = 0.0
+            for lane in range(W):
+                total += sums[use, row, lane]
+            fields[field, row] += total
+
+
+@shared
+def add_potential(
+    mine: Share, atoms: Floats, field: int, order: int, leaves: Integers, centre: Floats, tabled: Any,
+    fields: Floats, values: Floats,
+) -> None:  # fmt: skip
+    """Add a field to ``values`` (blocks * W,) at the atoms of some chunks."""
+    monomials, _, _, _ = tabled
+    rows = np.empty((len(monomials), W))
+    for c in range(*mine):
+        begin, end = part(len(atoms), c)
+        for block in range(begin, end):
+            leaf = leaves[block]
+            block_monomials(atoms[block], centre[leaf, 0], centre[leaf, 1], centre[leaf, 2], monomials, rows)
+            for row in range(n_terms(order)):
+                value = fields[leaf, field, row]
+                for k in range(W):
+                    values[block * W + k] += value * rows[row, k]
+
+
+@shared
+def put_far_forces(
+    mine: Share, atoms: Floats, charges: Floats, orders: Integers, acts: Integers, factors: Floats,
+    leaves: Integers, centre: Floats, tabled: Any, fields: Floats, forces: Floats, parts: Floats,
+) -> None:  # fmt: skip
+    """Put the forces (blocks, 3, W) of the fields on the atoms of some chunks, and add energies.
+
+    ``acts`` (fields,) is the kind of charge that each acts on, ``orders`` its order; ``factors`` (fields, 1 +
+    components) those of its force, and of its energy in each row of ``parts``.
+    """
+    monomials, _, raised, _ = tabled
+    rows, each = np.empty((len(monomials), W)), np.empty((4, W))
+    for c in range(*mine):
+        begin, end = part(len(atoms), c)
+        for block in range(begin, end):
+            leaf, force = leaves[block], forces[block]
+            block_monomials(atoms[block], centre[leaf, 0], centre[leaf, 1], centre[leaf, 2], monomials, rows)
+            for axis in range(3):
+                for k in range(W):
+                    force[axis, k] = 0.0
+            for field in range(len(acts)):
+                for axis in range(4):
+                    for k in range(W):
+                        each[axis, k] = 0.0
+                n, n_forces = n_terms(orders[field]), n_terms(orders[field] - 1)
+                _add_gradient(fields[leaf, field], raised, rows, n, n_forces, each)
+                charge = charges[block, acts[field]]
+                for axis in range(3):
+                    for k in range(W):
+                        force[axis, k] -= factors[field, 0] * charge[k] * each[axis, k]
+                energy = dot(charge, each[3])
+                for component in range(len(parts)):
+                    parts[component, c] += factors[field, 1 + component] * energy
+
+
+@tiled
+def _add_gradient(field: Floats, raised: Integers, rows: Floats, n: int, n_forces: int, out: Floats) -> None:
+    """Add the gradient of a field at a block's atoms, and its value."""
+    for row in range(n):
+        mine, value = rows[row], field[row]
+        for k in range(W):
+            out[3, k] += value * mine[k]
+    for row in range(n_forces):
+        mine = rows[row]
+        for axis in range(3):
+            value, total = field[raised[row, axis]], out[axis]
+            for k in range(W):
+                total[k] += value * mine[k]

@@ -1,0 +1,232 @@
+"""What acts far away: charges of the atoms by kind, the fields of their nodes, and what these act on.
+
+Where exp(-r^2 / 4 B B) is negligible, Coulomb and generalised Born are one interaction, q q / (78.5 r):
+summed together, their far field is a 78th of Coulomb's alone. Where it is not, tiles add how 1/f differs from
+1/r. Born integrals of far atoms are s^3 (c_0 / r^4 + c_1 s^2 / r^6), Lennard-Jones -B / r^6 with B as a sum
+of few products of two factors.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers
+from protochain.energies.native.evaluate import Layout
+from protochain.energies.native.expansion import POWER, n_terms, tables
+from protochain.energies.native.layout import W, n_blocks
+from protochain.energies.native.terms import Terms
+from protochain.energies.native.tree import FIRST, LEFT, Tree
+
+_SMALLEST = 0.15
+"""s / r up to which two terms are the descreening integral, to 1.7e-4 of it."""
+_LEAST = 1.0
+"""nm. Far atoms are no nearer: r^-12 is negligible, and no pair is bonded."""
+_REST = 2
+"""Order of what scaled radii other than the mean change in integrals."""
+_FACTORED = 3e-4
+"""Share of the largest B that the products of factors may miss."""
+
+
+def _two_terms() -> tuple[float, float]:
+    y = np.linspace(0.0, _SMALLEST**2, 200)
+    g = np.sum([2 * k / (2 * k + 1) * y ** (k - 1) for k in range(1, 40)], axis=0)
+    return 2.0 / 3.0, float(np.sum((g - 2.0 / 3.0) * y) / np.sum(y * y))
+
+
+FAR_TERMS = _two_terms()
+"""c_0 and c_1 of s^3 / 2 (c_0 / r^4 + c_1 s^2 / r^6)."""
+
+
+@dataclass(frozen=True)
+class Opening:
+    """What decides the accuracy.
+
+    Parameters
+    ----------
+    angle : float
+        Two nodes are far if their radii add up to less than this share of their distance.
+    order : int
+        Of charges and Born integrals.
+    screened : float
+        r^2 / (4 B B) up to which f of generalised Born differs from r.
+    lower : int
+        By how much less the order of dispersion is, which falls sooner.
+    """
+
+    angle: float
+    order: int
+    screened: float = 8.0
+    lower: int = 2
+
+
+def one_kind(terms: Terms) -> bool:
+    """Whether Coulomb and generalised Born have the same charges, but for a factor."""
+    charge = terms.nonbonded.charge
+    if terms.solvent is None or not charge.any():
+        return True
+    off = terms.solvent.charge - (terms.solvent.charge @ charge) / (charge @ charge) * charge
+    return bool(np.abs(off).max() <= 1e-6 * np.abs(charge).max())
+
+
+def least_distance(layout: Layout) -> float:
+    """Least distance of far atoms, nm."""
+    solvent = layout.terms.solvent
+    s = 0.0 if solvent is None else float(np.abs(solvent.scaled_radius).max())
+    return max(_LEAST, layout.near, layout.necked, s / _SMALLEST)
+
+
+FEWEST_BLOCKS = 64
+"""Blocks below which no tree is grown: each chunk needs some."""
+_OPENINGS = (
+    (Opening(0.6, 5, 6.0), 1e-2, 1.0),
+    (Opening(0.5, 5, 7.0), 5e-3, 0.5),
+    (Opening(0.5, 6), 2e-3, 0.2),
+    (Opening(0.47, 6), 1e-3, 0.1),
+    (Opening(0.43, 6), 7e-4, 0.07),
+    (Opening(0.45, 7, 9.0, 3), 5e-4, 0.04),
+    (Opening(0.45, 8, 10.0, 3), 2e-4, 0.01),
+    (Opening(0.4, 8, 10.0, 3), 1e-4, 3e-3),
+    (Opening(0.4, 9, 12.0, 3), 3e-5, 1e-3),
+    (Opening(0.35, 10, 14.0, 3), 1e-5, 1e-4),
+    (Opening(0.3, 10, 16.0, 3), 3e-6, 3e-5),
+)
+"""Openings from quick to accurate, with the least RMS errors of forces in kJ/mol/nm that they are tried for:
+in a solvent, where far charges are screened, and in vacuum."""
+
+
+def openings(accuracy: float, in_solvent: bool) -> list[Opening]:
+    """Return the openings to try for an accuracy, quickest first."""
+    return [
+        opening
+        for opening, solvated, in_vacuum in _OPENINGS
+        if (solvated if in_solvent else in_vacuum) <= accuracy
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class Far:
+    """Charges and fields of a layout.
+
+    Parameters
+    ----------
+    layout : Layout
+        In the order of the tree.
+    opening : Opening
+    tree : Tree
+    screened : (n, 2) int, (n, W) bool
+        Pairs of far blocks, and their rows, that feel by how much f of generalised Born differs from r.
+    """
+
+    layout: Layout
+    opening: Opening
+    tree: Tree
+    screened: tuple[Integers, np.ndarray] = (np.zeros((0, 2), np.int64), np.zeros((0, W), np.bool_))
+
+    @cached_property
+    def together(self) -> float:
+        """Square of the charge of generalised Born by that of Coulomb."""
+        solvent, charge = self.layout.terms.solvent, self.layout.terms.nonbonded.charge
+        if solvent is None or not charge.any():
+            return 0.0
+        return float(solvent.charge @ charge / (charge @ charge)) ** 2
+
+    def geometry(self) -> tuple[Any, ...]:
+        """Leaf of each block, nodes, roots, centres, and far nodes of each."""
+        tree = self.tree
+        leaves = np.flatnonzero(tree.nodes[:, LEFT] < 0)
+        leaves = leaves[np.argsort(tree.nodes[leaves, FIRST])]
+        return leaves, tree.nodes, tree.roots, tree.centre, tree.start, tree.source
+
+    def room(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Charges, and arrays for moments, fields, and forces of the fields."""
+        n, kinds, terms = len(self.tree.nodes), self.charges.shape[1], n_terms(self.opening.order)
+        # As many fields as kinds of charge: two for the first kind of integrals, one for both.
+        return (
+            self.charges, np.zeros((n, kinds, terms)), np.zeros((n, kinds, terms)),
+            np.zeros((len(self.charges), 3, W)),
+        )  # fmt: skip
+
+    @cached_property
+    def _factors(self) -> tuple[Floats, Floats]:
+        """Signs, and factors (n, types), of B = sum of sign * factor * factor."""
+        values, vectors = np.linalg.eigh(self.layout.terms.nonbonded.b6)
+        counts = np.abs(values) * (vectors**2).max(axis=0) > _FACTORED * np.abs(values).max(initial=0.0)
+        values, vectors = values[counts], vectors[:, counts]
+        return np.sign(values), (vectors * np.sqrt(np.abs(values))).T
+
+    @cached_property
+    def charges(self) -> Floats:
+        """(blocks, kinds, W) float: charge; factors of B; s^3 c_0 / 2, and its rest; dE/d(integral)."""
+        terms = self.layout.terms
+        rows = [terms.nonbonded.charge, *self._factors[1][:, terms.nonbonded.lj_type]]
+        if terms.solvent is not None:
+            s = terms.solvent.scaled_radius
+            rest = 0.5 * FAR_TERMS[1] * s**3 * (s**2 - self._mean_square)
+            rows += [0.5 * FAR_TERMS[0] * s**3, rest, np.zeros(len(s))]
+        wide = np.zeros((len(rows), n_blocks(terms.n_atoms) * W))
+        wide[:, : terms.n_atoms] = rows
+        return np.ascontiguousarray(wide.reshape(len(rows), -1, W).swapaxes(0, 1))
+
+    def arguments(self) -> tuple[Any, ...]:
+        """Interactions, orders and factors, by subject.
+
+        Returns
+        -------
+        two of (n, 6) int, (n,) float
+            Interactions of charges and integrals, and those of dE/d(integral).
+        (kinds,) int, (1,) int
+            Order of each kind of charge, without dE/d(integral); and of that.
+        (fields,) int, (fields,) int, (fields, 3) float
+            Kind that each field acts on; its order; factors of force, of energy in vacuum, and polar.
+        tuple
+            Tables of the expansions.
+        """
+        high, low = self.opening.order, max(1, self.opening.order - self.opening.lower)
+        signs = self._factors[0]
+        first, second, kinds, acts, orders = [(1, high, 0, 0)], [], [high], [0], [high]
+        factors = [(1.0 - self.together, 0.5, -0.5 * self.together)]
+        dispersion = [(6, low, k, k) for k in range(1, 1 + len(signs))]
+        for k, sign in enumerate(signs, 1):
+            kinds, acts, orders = [*kinds, low], [*acts, k], [*orders, low]
+            factors.append((-sign, -0.5 * sign, 0.0))
+        if self.layout.terms.solvent is not None:
+            near, rest, pull = (1 + len(signs) + k for k in range(3))
+            # Field of the integrals, on dE/d(integral); fields of that, on what makes integrals.
+            first += [(4, high, near, near), (6, _REST, rest, near)]
+            second += [(4, high, pull, rest), (6, _REST, pull, pull)]
+            kinds, acts, orders = (
+                [*kinds, high, _REST],
+                [*acts, pull, near, rest],
+                [*orders, high, high, _REST],
+            )
+            factors += 3 * [(1.0, 0.0, 0.0)]
+        first = sorted(first + dispersion, key=lambda use: (use[0], -use[1]))
+        used = sorted({high, low, _REST}, reverse=True)
+        couples = {order: tables(order)[3] for order in used}
+        ends = dict(zip(used, np.cumsum([len(couples[order]) for order in used]).tolist(), strict=True))
+        monomials, products, raised, _ = tables(high)
+        uses = [
+            np.array([(*u, ends[u[1]] - len(couples[u[1]]), ends[u[1]]) for u in some], np.int64).reshape(
+                -1, 6
+            )
+            for some in (first, second)
+        ]
+        return (
+            *((use, np.where(use[:, POWER] == 4, self._second, 0.0)) for use in uses), np.array(kinds),
+            np.array([high]), np.array(acts), np.array(orders), np.array(factors),
+            (monomials, products, raised, np.concatenate([couples[order] for order in used])),
+        )  # fmt: skip
+
+    @property
+    def _second(self) -> float:
+        """nm^2. Factor of r^-6 beside r^-4."""
+        return FAR_TERMS[1] / FAR_TERMS[0] * self._mean_square
+
+    @cached_property
+    def _mean_square(self) -> float:
+        """nm^2. Mean square of the scaled radii, by what they weigh."""
+        solvent = self.layout.terms.solvent
+        s = np.abs(solvent.scaled_radius) if solvent else np.zeros(1)
+        return float((s**5).sum() / max((s**3).sum(), 1e-300))

@@ -1,0 +1,100 @@
+"""What a relaxation knows of its energy is what the energy would say, bit for bit."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from fixtures.samples import STRUCTURES
+
+import protochain as pc
+from protochain.energies.native.evaluation import Evaluation
+from protochain.relaxation.api import relax_structure
+from protochain.relaxation.rounds import LastKnown
+from protochain.relaxation.settings import RelaxSettings
+
+
+class Counting:
+    """An energy that counts its calls, with lists that may be made anew."""
+
+    def __init__(self, lists_at):
+        self.lists_at, self.calls, self.coarse = lists_at, 0, "rough"
+
+    def __call__(self, x):
+        self.calls += 1
+        return float(x.sum()) + self.calls, x.copy()
+
+
+def points():
+    return [np.full((2, 3), value) for value in (1.0, 2.0, 3.0)]
+
+
+def test_the_first_and_the_last_point_are_known():
+    energy = Counting(np.zeros(3))
+    known, (one, two, three) = LastKnown(energy), points()
+    first, forces = known(one)
+    forces[:] = np.nan  # Whoever gets them may change them.
+    last = known(two)[0], known(three)[0]
+    assert energy.calls == 3
+    assert known(one)[0] == first and known(three)[0] == last[1] and energy.calls == 3
+    known(one)[1][:] = np.nan
+    np.testing.assert_array_equal(known(one)[1], one)
+    assert known.coarse == "rough"
+    known(two)  # Between these, and forgotten.
+    assert energy.calls == 4
+
+
+def test_nothing_is_known_with_other_lists_or_without_lists():
+    energy = Counting(np.zeros(3))
+    known, (one, two, _) = LastKnown(energy), points()
+    first = known(one)[0]
+    energy.lists_at = np.zeros(3)
+    assert known(one)[0] != first and energy.calls == 2
+    assert known.at_first(one) == first and energy.calls == 2
+    assert known.at_first(two) != first and energy.calls == 3
+    without = Counting(None)
+    known = LastKnown(without)
+    known(one), known(one), known.at_first(one)
+    assert without.calls == 3
+
+
+def test_radii_of_the_last_point_are_those_computed_anew():
+    structure = pc.load(STRUCTURES / "ala10.pdb")
+    energy, other = pc.energy(structure), pc.energy(structure)
+    x = structure.positions
+    energy(x)
+    away = x + 0.01
+    other(away)
+    for at in (x, away, x):
+        np.testing.assert_array_equal(energy.born_radii(at), other.born_radii(at))
+
+
+def test_a_call_that_did_not_end_has_been_nowhere(monkeypatch):
+    structure = pc.load(STRUCTURES / "ala10.pdb")
+    energy, x = pc.energy(structure), structure.positions
+    energy(x)
+    evaluation = energy._evaluation
+    assert evaluation.was_at(x) and not evaluation.was_at(x + 0.01)
+    # Helpers, of other energies too, look for work a little longer.
+    monkeypatch.setattr("protochain.energies.native.evaluation.work", lambda leads, *_: leads and 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        energy(x)
+    assert not evaluation.was_at(x)
+
+
+def test_a_relaxation_evaluates_no_point_twice_in_a_row(monkeypatch):
+    seen = []
+    evaluate = Evaluation.__call__
+
+    def counted(evaluation, x):
+        seen.append((evaluation.workspace, x.copy()))
+        return evaluate(evaluation, x)
+
+    structure = pc.load(STRUCTURES / "1l2y.pdb")
+    energy = pc.energy(structure)
+    monkeypatch.setattr(Evaluation, "__call__", counted)
+    done = relax_structure(structure, energy, RelaxSettings())
+    assert len(seen) == done.rounds[0].evaluations
+    done.record()  # Terms: the radii at the end are there, those at the start are not.
+    assert len(seen) == done.rounds[0].evaluations + 1
+    for (_, one), (_, two) in pairwise(seen):
+        assert not np.array_equal(one, two)
