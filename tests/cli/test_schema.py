@@ -201,24 +201,6 @@ def test_simulate(told, tmp_path, more):
     tables("simulate", tmp_path / "folder")
 
 
-def test_search(told, tmp_path):
-    few = (
-        "--evaluations",
-        "16000",
-        "--walkers",
-        "1",
-        "--replicas",
-        "2",
-        "--solvent",
-        "vacuum",
-        "--workers",
-        "1",
-    )
-    found = told("search", "AAA", "--method", "tempering", *few, "-o", "folder")
-    assert found["round_trips"] >= 0 and len(found["temperatures_k"]) == 2
-    assert len(tables("search", tmp_path / "folder")) == 3
-
-
 def test_modes(told, tmp_path):
     assert told("modes", "peptide.pdb", "--modes", "4", "--to", "moved.pdb", "-o", "folder")["n_modes"] == 4
     assert len(tables("modes", tmp_path / "folder")) == 2
