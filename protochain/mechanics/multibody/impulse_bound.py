@@ -42,9 +42,10 @@ def friction_bound(
     Notes
     -----
     Friction of bounds g = mu L_n is the least of a convex function of u, whose solutions of two g are apart
-    by e with e^T W^-1 e <= ``|dg| |e_t|``. As ``|e_t|^2`` <= w e^T W^-1 e and s ``|dL_n|^2`` <= e^T W^-1 e, a round of
-    g -> mu L_n leaves at most mu sqrt(w / s) of the distance of two g: below 1 there is one fixed point, by
-    Banach. Sufficient, not necessary. As Haslinger, Math. Methods Appl. Sci. 5:422 (1983), of elastic bodies.
+    by e with ``e^T W^-1 e <= |dg| |e_t|``. As ``|e_t|^2 <= w e^T W^-1 e`` and ``s |dL_n|^2 <= e^T W^-1 e``, a
+    round of g -> mu L_n leaves at most mu sqrt(w / s) of the distance of two g: below 1 there is one fixed
+    point, by Banach. Sufficient, not necessary. As Haslinger, Math. Methods Appl. Sci. 5:422 (1983), of
+    elastic bodies.
     """
     struck = Struck.of(factors, np.zeros(bodies_of(factors).n_v), points, loops)
     return bound_of(struck.w)
