@@ -41,7 +41,8 @@ html_copy_source = False
 
 PACKAGES = (
     "analysis", "batches", "mechanics.motion", "mechanics.multibody", "dynamics", "energies", "lab",
-    "ligands", "mechanisms", "minimisers", "relaxation", "results", "scenes", "structure", "validation",
+    "ligands", "mechanisms", "minimisers", "relaxation", "results", "scenes", "searching",
+    "structure", "validation",
 )  # fmt: skip
 """Of the reference, beside what ``import protochain`` has: a page each. A name is on its first page."""
 
