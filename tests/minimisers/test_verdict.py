@@ -11,7 +11,7 @@ import protochain as pc
 from protochain.chain import pose, pull_back
 from protochain.contacts import overlaps
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.verdict import Status, judge, judge_of, rebuilt, verdict
+from protochain.minimisers.verdict import ALL_PAIRS, Status, judge, judge_of, rebuilt, verdict
 
 MESSAGES = {
     Stop.TOLERANCE: ("stalled", "stalled: the tolerance was met only above the lowest energy: so far"),
@@ -79,7 +79,10 @@ def test_a_judgement_is_of_the_reference_with_restraints_in_the_residuals_only()
 
 def test_the_judge_is_named():
     assert judge_of(SimpleNamespace(engine="custom")) == "the callable itself"
-    assert judge_of(SimpleNamespace(engine="native")) == "OpenMM's Reference platform, in double precision"
+    reference, sums = SimpleNamespace(engine="openmm"), SimpleNamespace(engine="native")
+    small = SimpleNamespace(engine="native", reference=reference)
+    assert judge_of(small) == "OpenMM's Reference platform, in double precision"
+    assert judge_of(SimpleNamespace(engine="native", reference=sums)) == ALL_PAIRS
 
 
 def test_a_chain_rebuilt_elsewhere_has_the_same_hinges_root_and_selection():
