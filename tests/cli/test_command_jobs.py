@@ -157,10 +157,10 @@ def test_simulate_ends_by_how_the_run_ended(simulated, capsys):
     assert told.err == "protochain: a.pdb: why; the frames until then are in a-simulation/*.part.*\n"
 
 
-def test_json_never_holds_what_json_does_not_know(simulated):
-    simulated.done.record = lambda: {"x": math.nan}
-    with pytest.raises(ValueError, match="JSON compliant"):
-        run("simulate", "a.pdb", "--json")
+def test_json_has_null_for_what_json_does_not_know(simulated, capsys):
+    simulated.done.record = lambda: {"x": math.nan, "of": [math.inf, {"y": -math.inf}]}
+    run("simulate", "a.pdb", "--json")
+    assert json.loads(capsys.readouterr().out).items() >= {"x": None, "of": [None, {"y": None}]}.items()
 
 
 def test_simulate_refuses_before_it_reads(simulated):
