@@ -180,7 +180,7 @@ def truth(options: argparse.Namespace) -> pd.DataFrame:
     n = 30 if options.quick else 90
     at = 2.0 * np.pi * (np.arange(n) + 0.5) / n - np.pi
     grid = np.array([[energy(pc.pose(chain, np.array([a, b])).x)[0] for b in at] for a in at])
-    budget = 16_000 if options.quick else 50_000
+    budget = 16_000 if options.quick else 600_000
     done = pc.search(chain, energy, "tempering", budget, n_walkers=2, n_replicas=2, workers=WORKERS)
     rows = []
     for row in done.populations.to_dict("records"):
