@@ -325,3 +325,53 @@ table_of_rows(
     ("structure", "{structure}"), ("hinges", "{hinges}"), ("2/w, fs", "{predicted_fs:.1f}"),
     ("found, fs", "{found_fs:.1f}"), ("found/predicted", "{ratio:.3f}"),
 )  # fmt: skip
+
+
+def _slope(row: pd.Series) -> str:
+    """Slope of energy histograms over the canonical one."""
+    return "-" if np.isnan(row["slope"]) else f"{row['slope']:.3f} ± {row['slope_error']:.3f}"
+
+
+def _reached(row: pd.Series) -> str:
+    """Median and quartiles of evaluations to the lowest minimum."""
+    first, middle, third = (
+        "never" if np.isinf(row[name]) else f"{row[name]:.0f}"
+        for name in ("first_quartile", "median", "third_quartile")
+    )
+    return f"{middle} ({first} to {third})"
+
+
+table_of_rows(
+    "minima-found", "minima_found.csv",
+    ("method", "{method}"),
+    ("reached", "{reached:.0f} of {walks:.0f}"),
+    ("evaluations, median (quartiles)", _reached),
+    ("lowest of all walks", "{lowest_kj_mol:.2f}"),
+    ("median walk above it", "{above_lowest_median_kj_mol:.1f}"),
+    ("worst", "{above_lowest_worst_kj_mol:.1f}"),
+    ("seconds a walk", "{seconds_of_a_core:.0f}"),
+)  # fmt: skip
+table_of_rows(
+    "minima-populations", "minima_populations.csv",
+    ("temperature, K", "{temperature_k:.0f}"),
+    ("energy, kJ/mol", "{energy_kj_mol:.1f} ± {energy_error_kj_mol:.1f}"),
+    ("helix, %", lambda row: f"{100 * row['helix_share']:.1f} ± {100 * row['helix_share_error']:.1f}"),
+    ("exchanges, %", lambda row: f"{100 * row['exchanges']:.0f}"),
+    ("slope", _slope),
+)  # fmt: skip
+table_of_rows(
+    "minima-truth", "minima_truth.csv",
+    ("temperature, K", "{temperature_k:.0f}"),
+    ("mean energy, kJ/mol", "{energy_kj_mol:.3f} ± {energy_error_kj_mol:.3f}"),
+    ("by quadrature", "{by_quadrature_kj_mol:.3f}"),
+    ("errors away", "{errors_away:.1f}"),
+    ("slope", _slope),
+)  # fmt: skip
+table_of_rows(
+    "minima-cost", "minima_cost.csv",
+    ("engine", "{engine}"),
+    ("ms a step", "{ms_a_step:.2f}"),
+    ("fs a step", "{fs_a_step:.0f}"),
+    ("ps a second", "{ps_a_second:.1f}"),
+    ("trajectories of 20 steps a second", "{trajectories_of_20_steps_a_second:.0f}"),
+)  # fmt: skip
