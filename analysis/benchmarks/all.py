@@ -76,6 +76,7 @@ LARGER = " ".join(
 STARTED = " ".join(
     f"structures/{name}.pdb" for name in ("1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")
 )
+ENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y", "1vii", "1ejg", "3i40"))
 RACED = " ".join(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "3i40", "4pti", "1ubq", "1hel"))
 RACED_CUSTOM = " ".join(f"structures/{name}.pdb" for name in ("1vii", "3i40", "4pti", "1ubq"))
 RELAXED = " ".join(
@@ -150,7 +151,7 @@ JOBS = (
         },
         threads=1,
     ),
-    Job("ends", f"{HERE}/ends.py {SAMPLES} {SMALL} -o DIR", 60, threads=1),
+    Job("ends", f"{HERE}/ends.py {ENDED} {SMALL} --starts 3 -o DIR", 10, threads=1),
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job(
         "modes",
