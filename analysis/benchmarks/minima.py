@@ -232,7 +232,7 @@ TABLES = {"found": found, "populations": populations, "folds": folds, "truth": t
 
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", TABLES)
-    own.add_argument("--evaluations", type=int, default=15_000, help="of each walk")
+    own.add_argument("--evaluations", type=int, default=40_000, help="of each walk")
     own.add_argument("--seeds", type=int, default=10, help="walks of each method")
     own.add_argument("--minutes", type=float, default=1.0, help="of each walk of folds")
     return own
