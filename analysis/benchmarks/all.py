@@ -158,7 +158,7 @@ JOBS = (
         writes="minima_cost minima_found minima_populations minima_truth",
     ),
     Job("guide", f"{HERE}/guide.py -o DIR", 1),
-    Job("startup", f"{HERE}/startup.py -o DIR", 4, writes="startup startup_parts"),
+    Job("startup", f"{HERE}/startup.py --install -o DIR", 6, writes="startup startup_parts"),
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
     Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),
     Job("kinds", f"{HERE}/kinds.py -o DIR", 15),

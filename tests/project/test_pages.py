@@ -50,7 +50,7 @@ PROGRAM = sorted(
         for name, text in TEXTS.items()
         if name != "analysis/docs/commands.md"  # Synopses: tests/project/test_docs.py.
         for code in (
-            *re.findall(r"^```\n(.*?)^```$", text, flags=re.M | re.S),
+            *re.findall(r"^```(?:sh)?\n(.*?)^```$", text, flags=re.M | re.S),
             *(" ".join(span.split()) for span in re.findall(r"`([^`]+)`", pages.FENCED.sub("", text))),
         )
         for found in re.findall(r"^(?:.*(?:&&|\|) )?(protochain [a-z]+[^\n#]*)", code, flags=re.M)
@@ -117,7 +117,7 @@ def test_pages_say_which_tables_are_of_the_undamped_metric():
 def test_the_readme_tests_as_ci_does():
     (tested,) = [line for line in (ROOT / ".ci" / "run").read_text().splitlines() if "pytest" in line]
     (quoted,) = [
-        line for block in blocks(ROOT / "README.md", "") for line in block.splitlines() if "pytest" in line
+        line for block in blocks(ROOT / "README.md", "sh") for line in block.splitlines() if "pytest" in line
     ]
     assert quoted.endswith(tested.replace("pip install -q", "pip install"))
 
