@@ -15,6 +15,7 @@ import base64
 import hashlib
 import io
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -127,6 +128,7 @@ def main() -> None:
     unknown = sorted(set(options.names) - PATHS.keys())
     if unknown:
         sys.exit(f"there is no notebook {unknown[0]}; there are {', '.join(PATHS)}")
+    os.environ.pop("MPLBACKEND", None)  # another than a notebook's own draws nothing there
     failed = []
     for name in options.names or PATHS:
         path = PATHS[name]
