@@ -1,12 +1,19 @@
 """Every table of results, made again, and the pages that quote them.
 
-    python analysis/benchmarks/all.py [--quick] [--only NAME ...] [-o DIR] [--more FOLDER] [--list]
+    python analysis/benchmarks/all.py [--minutes N] [--again] [--quick] [--only NAME ...] [-o DIR]
+                                      [--more FOLDER] [--list]
 
 Runs the commands of JOBS one after the other, each in a process of its own. One that fails stops nothing; it
 is named at the end, and the exit status is 1. Tables go to analysis/results, and into the pages; with -o DIR
 to DIR, and pages made from them to DIR/pages. Run it on a machine that does nothing else.
 
-MORE stands for a folder of further structures (--more), which are not in the repository: --list names them.
+A job is left out if all its tables were made by its command from the code of today, as made.csv has it,
+without changes that were not committed; --again repeats it. With --minutes, no job is begun that would not
+end in that time, and one that keeps what it has done is stopped at its end: call it again until the exit
+status is no longer 3, and all tables are of one state of the code. --list shows which are.
+
+MORE stands for a folder of further structures (--more), which are not in the repository; KEPT for one of what
+a long job has done, below analysis/results/parts, of the commit.
 """
 
 import argparse
@@ -14,12 +21,13 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 from dataclasses import dataclass, field
 from pathlib import Path
-from time import perf_counter
+from time import monotonic
 
 import made
 import pages
@@ -43,6 +51,19 @@ class Job:
 
     threads: int | None = None
     """Of such a command; as many as there are processors, by default."""
+    writes: str = ""
+    """Names of its tables; by default its own. Of one that collects, what it collects."""
+    continues: bool = False
+    """Whether it goes on where it was stopped: from its folder KEPT, or from the tables that it collects."""
+    after: str = ""
+    """Job whose tables it reads."""
+
+    @property
+    def tables(self) -> list[str]:
+        """Files of its tables."""
+        if self.collects:
+            return [name for name, _ in self.collects.values() if name.endswith(".csv")]
+        return [f"{name}.csv" for name in (self.writes or self.name.replace("-", "_")).split()]
 
     @property
     def inputs(self) -> list[str]:
@@ -118,28 +139,38 @@ HERE = "python analysis/benchmarks"
 KCM_RUNS = "analysis/results/kcm_runs.csv analysis/results/kcm_traces.csv"
 
 JOBS = (
-    Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1),
+    Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling"),
     Job("engines", f"{HERE}/engines.py energies -o DIR", 6),
     Job("engines-cutoff", f"{HERE}/engines.py cutoff -o DIR", 4),
     Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 25, threads=1),
     Job("engines-openings", f"{HERE}/engines.py openings -o DIR", 2, threads=1),
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
-    Job("large", f"{HERE}/large.py -o DIR", 25),
+    Job("large", f"{HERE}/large.py -o DIR", 25, writes="large large_exponents"),
     Job("threads", f"{HERE}/threads.py -o DIR", 1),
     Job("terms", f"{HERE}/terms.py -o DIR", 1, threads=1),
-    Job("search", f"{HERE}/search.py -o DIR", 1),
-    Job("mechanisms", f"{HERE}/mechanisms.py -o DIR", 8),
-    Job("loops", f"{HERE}/loops.py -o DIR", 2),
-    Job("minima", f"{HERE}/minima.py -o DIR", 25),
+    Job("search", f"{HERE}/search.py -o DIR", 1, writes="search search_lists"),
+    Job(
+        "mechanisms", f"{HERE}/mechanisms.py -o DIR", 8,
+        writes="mechanisms mechanisms_checks mechanisms_left_out mechanisms_work",
+    ),
+    Job("loops", f"{HERE}/loops.py -o DIR", 2, writes="loops loops_costs"),
+    Job(
+        "minima", f"{HERE}/minima.py -o DIR", 25,
+        writes="minima_cost minima_found minima_populations minima_truth",
+    ),
     Job("guide", f"{HERE}/guide.py -o DIR", 1),
-    Job("startup", f"{HERE}/startup.py -o DIR", 4),
+    Job("startup", f"{HERE}/startup.py --install -o DIR", 6, writes="startup startup_parts"),
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
     Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),
     Job("kinds", f"{HERE}/kinds.py -o DIR", 15),
     Job("fuzz", f"{HERE}/fuzz.py -o DIR", 20),
-    Job("race", f"{HERE}/race.py --forces gbsa,vacuum {RACED} -o DIR", 6),
-    Job("race-custom", f"{HERE}/race.py --forces obc2 {RACED_CUSTOM} -o DIR", 15),
-    Job("near", f"{HERE}/near.py {SAMPLES} {SMALL} {LARGER} --models {RELAXED} --made 7 -o DIR", 60),
+    Job("race", f"{HERE}/race.py --forces gbsa,vacuum {RACED} -o DIR", 6, writes="race_gbsa race_vacuum"),
+    Job("race-custom", f"{HERE}/race.py --forces obc2 {RACED_CUSTOM} -o DIR", 15, writes="race_obc2"),
+    Job(
+        "near", f"{HERE}/near.py {SAMPLES} {SMALL} {LARGER} --models {RELAXED} --made 7 --kept KEPT -o DIR",
+        60,
+        writes="near near_basins", continues=True,
+    ),
     Job(
         "precision", f"protochain bench precision --only minimisers {SAMPLES} {SMALL} {LARGER} -o DIR", 25,
         "protochain bench precision --only minimisers structures/ala10.pdb -o DIR",
@@ -152,44 +183,59 @@ JOBS = (
         },
         threads=1,
     ),
-    Job("ends", f"{HERE}/ends.py {ENDED} {SMALL} -o DIR", 75, threads=1),
+    Job("ends", f"{HERE}/ends.py {ENDED} {SMALL} --kept KEPT -o DIR", 75, threads=1, continues=True),
     Job("metric", f"{HERE}/metric.py -o DIR", 4),
     Job(
         "modes",
         f"{HERE}/modes.py {OF_B_FACTORS} --pairs MORE --as-is {LARGE} -o DIR",
         12,
         f"{HERE}/modes.py --quick -o DIR",
+        writes="modes_b_factors modes_cost modes_pairs modes_steps",
     ),
     Job("polar", f"{HERE}/polar.py {SAMPLES} {SMALL} {LARGER} -o DIR", 4, threads=1),
-    Job("compliance", f"{HERE}/compliance.py -o DIR", 4),
+    Job(
+        "compliance", f"{HERE}/compliance.py -o DIR", 4,
+        writes="compliance_angles compliance_evaluations compliance_starts",
+    ),
     Job(
         "runs-kcm", f"protochain bench kcm {STARTED} {SMALL} -o DIR --jobs 2 --minutes 240", 240,
         "protochain bench kcm --quick -o DIR",
-        {"runs.csv": ("kcm_runs.csv", ()), "traces.csv": ("kcm_traces.csv", ())},
+        {"runs.csv": ("kcm_runs.csv", ()), "traces.csv": ("kcm_traces.csv", ())}, continues=True,
     ),
     Job(
         "kcm", f"protochain bench kcm {KCM_RUNS} -o DIR --minutes 0", 1,
         f"protochain bench kcm {KCM_RUNS} -o DIR --minutes 0",
         {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "cost", "deposited")}
         | {"kcm.png": ("kcm.png", ())},
+        after="runs-kcm",
     ),
     Job("relax", f"{HERE}/relax.py {RELAXED} --made 4 -o DIR", 16),
-    Job("relax-many", f"{HERE}/relax.py --many 1000 -o DIR", 15),
+    Job("relax-many", f"{HERE}/relax.py --many 1000 -o DIR", 15, writes="relax_many relax_throughput"),
     Job(
         "relax-crystals", f"protochain relax {CRYSTALS} --preset crystal -o DIR", 2,
         "protochain relax structures/ala10.pdb structures/1l2y.pdb --preset crystal -o DIR",
         {"relaxed.csv": ("relax_crystals.csv", OF_CRYSTALS)},
     ),
-    Job("sidechains", f"{HERE}/sidechains.py --more MORE -o DIR", 5),
-    Job("frames", f"{HERE}/frames.py --more MORE -o DIR", 20),
-    Job("complexes", f"{HERE}/complexes.py --more MORE -o DIR", 14),
-    Job("interfaces", f"{HERE}/interfaces.py --more MORE -o DIR", 12),
+    Job(
+        "sidechains", f"{HERE}/sidechains.py built --more MORE -o DIR", 4,
+        writes="sidechains sidechains_all sidechains_residues",
+    ),
+    Job("sidechains-faspr", f"{HERE}/sidechains.py faspr --more MORE -o DIR", 1),
+    Job("frames", f"{HERE}/frames.py --more MORE -o DIR", 20, writes="frames_memory frames_speed"),
+    Job(
+        "complexes", f"{HERE}/complexes.py --more MORE -o DIR", 14,
+        writes="complexes_models complexes_poses",
+    ),
+    Job(
+        "interfaces", f"{HERE}/interfaces.py --more MORE -o DIR", 12,
+        writes="interfaces_columns interfaces_cost interfaces_moved",
+    ),
     Job("dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4),
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),
     Job("dynamics-cost", f"{HERE}/dynamics.py cost --more MORE -o DIR", 2),
     Job("dynamics-speed", f"{HERE}/dynamics.py speed --more MORE -o DIR", 8),
-    Job("dipeptide", f"{HERE}/dipeptide.py -o DIR", 45),
-    Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4),
+    Job("dipeptide", f"{HERE}/dipeptide.py --kept KEPT -o DIR", 45, continues=True),
+    Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4, writes="batch batch_costs"),
     Job(
         "omissions", "protochain bench omissions structures/1hel.pdb -o DIR", 5,
         "protochain bench omissions structures/1l2y.pdb --quick -o DIR",
@@ -206,26 +252,49 @@ JOBS = (
 """The one table of commands."""
 
 
-def words_of(job: Job, output: Path, more: Path, quick: bool) -> list[str]:
+PARTS = RESULTS / "parts"
+"""Of what long jobs have done; git ignores it."""
+
+
+def words_of(job: Job, output: Path, more: Path, quick: bool, kept: Path = PARTS) -> list[str]:
     """Words of a command, with its folders."""
     line = (job.quick or f"{job.command} --quick") if quick else job.command
+    folders = {"DIR": str(output), "KEPT": str(kept)}
     program, *words = shlex.split(line)
-    given = [re.sub(r"^MORE(?=$|/)", str(more), str(output) if word == "DIR" else word) for word in words]
+    given = [folders.get(word) or re.sub(r"^MORE(?=$|/)", str(more), word) for word in words]
     return [sys.executable if program == "python" else shutil.which(program) or program, *given]
 
 
-def run(job: Job, output: Path, more: Path, quick: bool) -> str:
-    """Run a job, its tables written to a folder; return why it failed, or nothing."""
+def is_done(job: Job, output: Path, more: Path) -> bool:
+    """Whether all its tables are there, made by its command from the code of today."""
+    record = output / made.RECORD
+    if not record.exists():
+        return False
+    rows = pd.read_csv(record, dtype=str).set_index("table")
+    command = made.command(words_of(job, output, more, False))
+    return all(
+        name in rows.index and rows["command"][name] == command and made.is_of_today(rows["commit"][name])
+        for name in job.tables
+    )
+
+
+def run(job: Job, output: Path, more: Path, quick: bool, seconds: float | None = None) -> str | None:
+    """Run a job, its tables written to a folder; return why it failed, "", or None if it was stopped."""
     if job.needs_more and not quick and not more.is_dir():
         return f"its files are not in {more}; name their folder by --more"
     with tempfile.TemporaryDirectory() as scratch:
-        place = Path(scratch) / "out" if job.collects else output
-        words = words_of(job, place, more, quick)
+        kept = Path(scratch) / "kept"
+        if job.continues and not quick and " " not in made.COMMIT:  # else nobody knows of which code
+            kept = PARTS / made.COMMIT / job.name
+        place = (kept if job.continues else Path(scratch) / "out") if job.collects else output
+        words = words_of(job, place, more, quick, kept)
         path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
-        done = subprocess.run(words, cwd=ROOT, env=os.environ | {"PYTHONPATH": path})
+        status = called(words, os.environ | {"PYTHONPATH": path}, seconds if job.continues else None)
+        if status is None:
+            return None
         # 3: usable, not all converged.
-        if done.returncode and not (job.collects and done.returncode == 3):
-            return f"exit status {done.returncode}"
+        if status and not (job.collects and status == 3):
+            return f"exit status {status}"
         for name, (kept_as, columns) in job.collects.items():
             if not (place / name).exists():
                 return f"wrote no {name}"
@@ -236,14 +305,29 @@ def run(job: Job, output: Path, more: Path, quick: bool) -> str:
             table = table[list(columns)] if columns else table
             threads = job.threads or len(os.sched_getaffinity(0))
             made.write(table, output / kept_as, job.inputs, threads, words)
-    return ""
+        missing = [name for name in job.tables if not (quick or (output / name).exists())]
+        return f"wrote no {missing[0]}" if missing else ""
+
+
+def called(words: list[str], env: dict[str, str], seconds: float | None) -> int | None:
+    """Exit status of a command; None if it took too long, and was stopped with the processes it began."""
+    with subprocess.Popen(words, cwd=ROOT, env=env, start_new_session=True) as process:
+        try:
+            return process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
 
 
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", more=True)
     names = [job.name for job in JOBS]
     own.add_argument("--only", nargs="+", metavar="NAME", help=f"of {', '.join(names)}, or how some begin")
-    own.add_argument("--list", action="store_true", help="commands, their minutes and files, and stop")
+    own.add_argument("--minutes", type=float, metavar="N", help="no job is begun that would end later")
+    own.add_argument("--again", action="store_true", help="also what was made from the code of today")
+    own.add_argument("--list", action="store_true", help="commands, their minutes, which are done, and stop")
     return own
 
 
@@ -266,27 +350,46 @@ def chosen(only: list[str] | None) -> list[Job]:
 def main() -> None:
     options = parser().parse_args()
     jobs = chosen(options.only)
+    output, more = (options.output or RESULTS).absolute(), options.more.absolute()
+    done = {job.name for job in jobs if not options.quick and is_done(job, output, more)}
     if options.list:
         for job in jobs:
-            print(f"{job.name:<16} {job.minutes:>3g} min  {job.command}")
-        print(f"{'all':<16} {sum(job.minutes for job in jobs):>3g} min  MORE: {MORE.name}, by --more FOLDER")
+            state = "done" if job.name in done else ""
+            print(f"{job.name:<16} {job.minutes:>3g} min  {state:<5} {job.command}")
+        to_do = sum(job.minutes for job in jobs if job.name not in done)
+        print(f"{'all':<16} {to_do:>3g} min  to do; MORE: {MORE.name}, by --more FOLDER")
         return
     if options.quick and not options.output:
         sys.exit("with --quick, say where its tables go: -o DIR; they are not what pages quote")
-    output = (options.output or RESULTS).absolute()
-    failed = {}
+    failed, left = {}, {}
+    until = monotonic() + 60.0 * options.minutes if options.minutes is not None else float("inf")
     for job in jobs:
+        began = monotonic()
+        if job.name in done and not options.again:
+            print(f"=== {job.name}: was made from the code of today", flush=True)
+            continue
+        if job.after in failed or job.after in left:
+            left[job.name] = f"after {job.after}"
+        elif not job.continues and began + 60.0 * job.minutes > until:
+            left[job.name] = f"takes {job.minutes:g} min"
+        elif began >= until:
+            left[job.name] = f"takes {job.minutes:g} min, in parts"
+        if job.name in left:
+            continue
         print(f"\n=== {job.name}: {(options.quick and job.quick) or job.command}", flush=True)
-        began = perf_counter()
-        why = run(job, output, options.more.absolute(), options.quick)
-        if why:
+        why = run(job, output, more, options.quick, None if until == float("inf") else until - began)
+        if why is None:
+            left[job.name] = "goes on where it was stopped"
+        elif why:
             failed[job.name] = why
-        print(f"=== {job.name}: {why or 'done'}, {(perf_counter() - began) / 60:.1f} min", flush=True)
+        print(f"=== {job.name}: {left.get(job.name) or why or 'done'}, {(monotonic() - began) / 60:.1f} min")
     for page in pages.write(output, ROOT if output == RESULTS else output / "pages"):
         print(f"made: {page}")
     for name, why in failed.items():
         print(f"failed: {name}: {why}", file=sys.stderr)
-    sys.exit(1 if failed else 0)
+    for name, why in left.items():
+        print(f"left: {name}: {why}", file=sys.stderr)
+    sys.exit(1 if failed else 3 if left else 0)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,20 @@
 """Free energy of alanine dipeptide in phi and psi: rigid geometry against OpenMM's flexible reference.
 
     python analysis/benchmarks/dipeptide.py [-o DIR] [--quick] [--seeds N] [--trajectories N] [--ns NS]
+                                            [--kept FOLDER]
 
 ACE-ALA-NME at 300 K in OBC2: hybrid Monte Carlo of rigid bodies with Fixman's potential; what
 it must agree with, by quadrature (and, for the size of it, what a term left out or of the wrong sign would
 give); and Langevin dynamics of all atoms by OpenMM (bonds of hydrogens constrained, 2 fs). Both are run from
 several seeds. A sampled share comes with its standard error, the larger of two: by blocks that grow until
 neighbours no longer know of each other, and by the spread of the seeds; and with how many errors it is away
-from quadrature.
+from quadrature. Runs that are in a folder (--kept) are not repeated.
 """
 
 import argparse
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import gemmi
@@ -236,11 +238,18 @@ def parser() -> argparse.ArgumentParser:
     own.add_argument("--seeds", type=int, default=8)
     own.add_argument("--ns", type=float, default=5.0, help="of each run of OpenMM")
     own.add_argument("--trajectories", type=int, default=20_000, help="of each run of hybrid Monte Carlo")
+    own.add_argument("--kept", type=Path, metavar="FOLDER", help="of runs, not to be repeated")
     return own
 
 
 def main() -> None:
     options = parser().parse_args()
+    with tempfile.TemporaryDirectory() as scratch:
+        study(options, options.kept or Path(scratch))
+
+
+def study(options: argparse.Namespace, kept: Path) -> None:
+    """Sample, compare and write; each run is kept in a folder."""
     if options.quick:
         options.seeds, options.ns, options.trajectories = 2, 0.05, 300
     structure = molecule()
@@ -256,9 +265,13 @@ def main() -> None:
         for basin, inside in BASINS.items()
     }
     seeds = range(1, options.seeds + 1)
+    walks = {
+        "rigid, Monte Carlo": partial(rigid, chain, energy, options.trajectories),
+        "flexible, OpenMM": partial(flexible, chain, energy, options.ns),
+    }
     runs = {
-        "rigid, Monte Carlo": [rigid(chain, energy, options.trajectories, seed) for seed in seeds],
-        "flexible, OpenMM": [flexible(chain, energy, options.ns, seed) for seed in seeds],
+        name: [made.kept(kept / f"{name[:5]}-{seed}.npy", partial(walk, seed)) for seed in seeds]
+        for name, walk in walks.items()
     }
     report(runs, exact, (phi, psi, weights), options.output)
 

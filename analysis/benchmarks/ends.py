@@ -1,14 +1,16 @@
 """Which method ends lower, told from chance: many starts of each structure, a little apart.
 
-    python analysis/benchmarks/ends.py STRUCTURE ... [--starts N] [-o DIR] [--quick]
+    python analysis/benchmarks/ends.py STRUCTURE ... [--starts N] [--kept FOLDER] [-o DIR] [--quick]
 
 Every start is the structure as prepared, moved by Gaussian displacements of 0.001 nm. From each, every method
 minimises the same energy (ff14SB, OBC2): `cartesian`, `hybrid`, `openmm`, and L-BFGS-B of scipy, which knows
 nothing of proteins. A run ends at 1 kJ/mol/nm RMS; what is left of its way is gone by `cartesian` to 0.01,
-for all alike, so that ends are minima. The table has each end; starts that it has are not run again.
+for all alike, so that ends are minima. Starts that are in a folder (--kept) are not run again.
 """
 
 import argparse
+import tempfile
+from functools import partial
 from pathlib import Path
 from time import process_time
 
@@ -80,6 +82,7 @@ def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__)
     own.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / "1l2y.pdb"])
     own.add_argument("--starts", type=int, default=20, help="of each structure")
+    own.add_argument("--kept", type=Path, metavar="FOLDER", help="of starts, not to be run again")
     return own
 
 
@@ -87,17 +90,18 @@ def main() -> None:
     options = parser().parse_args()
     if options.quick:
         options.structures, options.starts = [SAMPLES / "ala10.pdb"], 2
-    path = options.output and options.output / "ends.csv"
-    found = pd.read_csv(path).to_dict("records") if path and path.exists() else []
-    for file in options.structures:
-        structure, done = pc.load(file), {row["start"] for row in found if row["structure"] == file.stem}
-        energy = pc.energy(structure, threads=1)
-        for seed in sorted(set(range(options.starts)) - done):
-            found += rows(structure, file.stem, energy, seed)
-            if path:
-                made.write(pd.DataFrame(found), path, options.structures)
-        of = pd.DataFrame(row for row in found if row["structure"] == file.stem).groupby("method")
-        print(file.stem, of["end_kj_mol"].median().round(1).to_dict(), flush=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        kept, tables = options.kept or Path(scratch), []
+        for file in options.structures:
+            structure = pc.load(file)
+            energy = pc.energy(structure, threads=1)
+            for seed in range(options.starts):
+                run = partial(rows, structure, file.stem, energy, seed)
+                tables.append(made.kept_rows(kept / f"{file.stem}-{seed}.csv", run))
+            of = pd.concat(tables[-options.starts :]).groupby("method")["end_kj_mol"]
+            print(file.stem, of.median().round(1).to_dict(), flush=True)
+    if options.output:
+        made.write(pd.concat(tables), options.output / "ends.csv", options.structures)
 
 
 if __name__ == "__main__":

@@ -3,11 +3,13 @@
 import argparse
 import os
 import shlex
+import subprocess
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from protochain.results import commit as commit_of
@@ -95,13 +97,13 @@ def surroundings(**more: str) -> dict[str, str]:
 
 
 def command(words: list[str] | None = None) -> str:
-    """Command of this process, or one, as others would type it: -o DIR, and MORE for the folder of --more."""
+    """Command of this process, or one, as others would type it: -o DIR, MORE for the folder of --more."""
     program, *given = words or ["python", *sys.argv]
+    folders = {"-o": "DIR", "--output": "DIR", "--kept": "KEPT"}
     shown = [
-        "DIR" if before in ("-o", "--output") else _shown(word)
-        for before, word in zip([program, *given], given, strict=False)
+        folders.get(before) or _shown(word) for before, word in zip([program, *given], given, strict=False)
     ]
-    return shlex.join([Path(program).name, *shown])
+    return shlex.join(["python" if program == sys.executable else Path(program).name, *shown])
 
 
 def _shown(word: str) -> str:
@@ -123,9 +125,41 @@ def _version(name: str) -> str:
         return ""
 
 
+def kept(path: Path, make: Callable[[], np.ndarray]) -> np.ndarray:
+    """Array of a file, which is made, and written as a whole, if it is not there."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        begun = path.with_suffix(".begun.npy")
+        np.save(begun, make())
+        begun.replace(path)
+    return np.load(path)
+
+
+def kept_rows(path: Path, make: Callable[[], Iterable[Mapping[str, object]] | pd.DataFrame]) -> pd.DataFrame:
+    """Rows of a CSV file, which are made, and written as a whole, if it is not there."""
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        begun = path.with_suffix(".begun")
+        pd.DataFrame(make()).to_csv(begun, index=False)
+        begun.replace(path)
+    return pd.read_csv(path)
+
+
+CODE = (".", ":!analysis/results", ":!analysis/docs", ":!*.md")
+"""What tables are made from, as git takes it: not results and pages, which change meanwhile."""
+
+
 def commit() -> str:
-    """Commit of the tree, by git; results and pages may change meanwhile."""
-    return commit_of(ROOT, ".", ":!analysis/results", ":!*.md")
+    """Commit of the tree, by git."""
+    return commit_of(ROOT, *CODE)
+
+
+def is_of_today(its: str) -> bool:
+    """Whether the code of a commit is that of today, to the last change; no if either has other changes."""
+    if " " in f"{its}{COMMIT}":
+        return False
+    words = ["git", "diff", "--quiet", its, "--", *CODE]
+    return its == COMMIT or subprocess.run(words, cwd=ROOT, stderr=subprocess.DEVNULL).returncode == 0
 
 
 COMMIT = commit()

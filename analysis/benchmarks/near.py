@@ -190,11 +190,7 @@ class Kept:
 
     def table(self, name: str, what: str, make: Callable[[], Iterable[Row]]) -> pd.DataFrame:
         """Table of something done, now or before."""
-        path = self.folder / f"{name}.{what}.csv"
-        if not path.exists():
-            pd.DataFrame(make()).to_csv(path, index=False)
-            print(f"{name} {what}", flush=True)
-        return pd.read_csv(path)
+        return made.kept_rows(self.folder / f"{name}.{what}.csv", make)
 
     def positions(self, name: str, method: str) -> Ends:
         """Positions at which a method first met each tolerance."""
@@ -213,9 +209,7 @@ class Kept:
     def relaxed(self, structure: pc.Structure) -> pc.Structure:
         """A model after `relax`, its positions in full: a file has three digits."""
         path = self.folder / f"{structure.name}.relaxed.npy"
-        if not path.exists():
-            np.save(path, pc.relax(structure, threads=1).x)
-        return structure.with_positions(np.load(path))
+        return structure.with_positions(made.kept(path, lambda: pc.relax(structure, threads=1).x))
 
 
 def load(path: Path) -> pc.Structure:

@@ -24,7 +24,10 @@ for _topic in pkgutil.iter_modules(tables.__path__):
 FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 PAGES = (ROOT / "README.md", *sorted((ROOT / "analysis").rglob("*.md")))
 MARKED = re.compile(r"(<!-- table ([\w-]+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
-GUIDES = ("proteins", "cluster", "files", "python", "commands", "mechanisms", "theory")
+GUIDES = (
+    "relax", "minimise", "dynamics", "complexes", "search", "structures", "cluster", "files", "python",
+    "commands", "mechanisms", "theory",
+)  # fmt: skip
 """Pages of analysis/docs in the order of the contents; those of measured/ follow, by name."""
 
 

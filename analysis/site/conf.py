@@ -27,7 +27,7 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["math"]  # as GitHub has it
-nb_execution_mode = "off"
+nb_execution_mode = "off"  # they are stored with what they show
 suppress_warnings = ["myst-nb.lexer"]  # notebooks name no language: all are in Python, which is the default
 
 autodoc_typehints = "none"

@@ -206,6 +206,47 @@ def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_pa
     assert said == []
 
 
+PAGES = {
+    "minimise": "minimise {peptide} -o out.pdb --max-evaluations 30 --report page.html",
+    "relax": "relax {peptide} -o out.pdb --report page.html",
+    "frames": "relax {models} --frames all --workers 1 -o frames.pdb --report page.html",
+    "energy": "energy {peptide} --report page.html",
+    "score": "score {dimer} --solvent vacuum --report page.html",
+    "modes": "modes {peptide} -o out --modes 2",
+    "search": "search AAA -o out --evaluations 300 --walkers 1 --workers 1",
+    "batch": "batch {peptide} {dimer} -o out --methods lbfgs --max-evaluations 20 --workers 1",
+    "relaxed folder": "relax {peptide} {models} -o out --workers 1",
+}
+"""Commands that write pages, but for compare, above, and mechanisms, in test_pictures.py."""
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_fits_a_phone_and_is_dark_where_one_asks(browser, name, tmp_path, monkeypatch):
+    from fixtures.command_line import run
+    from fixtures.frames import models
+    from fixtures.samples import STRUCTURES
+
+    monkeypatch.chdir(tmp_path)
+    peptide = chain("ala10.pdb").structure
+    two = models(peptide, np.stack([peptide.positions] * 2), tmp_path / "models.pdb")
+    its = {"peptide": STRUCTURES / "ala10.pdb", "dimer": STRUCTURES / "3i40.pdb", "models": two}
+    run(*(word.format(**its) for word in PAGES[name].split()))
+    files = sorted(tmp_path.rglob("*.html"))
+    assert files
+    for scheme, is_dark in (("light", False), ("dark", True)):
+        page = browser.new_page(viewport={"width": 390, "height": 844}, color_scheme=scheme)
+        said = []
+        page.on("console", lambda message, said=said: said.append(message.text))
+        page.on("pageerror", lambda error, said=said: said.append(str(error)))
+        for file in files:
+            page.goto(file.as_uri())
+            page.wait_for_timeout(300)
+            assert page.evaluate("document.documentElement.scrollWidth") <= 390, file.name
+            ground = matplotlib.image.imread(io.BytesIO(page.screenshot()))[3, 3, :3]
+            assert ground.max() < 0.25 if is_dark else ground.min() > 0.75, (file.name, scheme)
+        assert said == []
+
+
 def test_the_page_of_modes_moves(browser, tmp_path):
     from fixtures.command_line import run
     from fixtures.samples import STRUCTURES

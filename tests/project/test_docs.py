@@ -3,10 +3,7 @@
 import ast
 import importlib.util
 import inspect
-import os
 import re
-import subprocess
-import sys
 import tomllib
 from enum import Enum
 
@@ -68,32 +65,6 @@ def test_python_examples_compile_and_name_what_there_is(page):
         for node in ast.walk(ast.parse(block)):
             if isinstance(node, ast.Attribute) and getattr(node.value, "id", "") == "pc":
                 assert node.attr in pc.__all__, f"{page_name(page)}: pc.{node.attr}"
-
-
-def scripts():
-    """The python blocks of a page, those under one heading after one another: as a reader types them."""
-    for page in PAGES:
-        if page == DOCS / "cluster.md":  # Of libraries that need a cluster.
-            continue
-        for heading in re.findall(r"^## (.*)$", page.read_text(), re.MULTILINE):
-            under = section(page, re.escape(heading))
-            found = re.findall(r"^```python\n(.*?)^```$", under, re.MULTILINE | re.DOTALL)
-            if found:
-                # What compares methods takes minutes.
-                marks = [pytest.mark.slow] if any("pc.compare" in block for block in found) else []
-                yield pytest.param("\n".join(found), id=f"{page.name}-{heading}", marks=marks)
-
-
-@pytest.mark.parametrize("script", list(scripts()))
-def test_python_examples_run_as_they_stand(script, tmp_path):
-    """In the folder of the checkout, of which nothing but the structures is used."""
-    (tmp_path / "structures").symlink_to(ROOT / "structures")
-    (tmp_path / "example.py").write_text(script)
-    done = subprocess.run(
-        [sys.executable, "example.py"], cwd=tmp_path, capture_output=True, text=True,
-        env=os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
 
 
 def options_of(command):

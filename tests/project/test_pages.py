@@ -50,7 +50,7 @@ PROGRAM = sorted(
         for name, text in TEXTS.items()
         if name != "analysis/docs/commands.md"  # Synopses: tests/project/test_docs.py.
         for code in (
-            *re.findall(r"^```\n(.*?)^```$", text, flags=re.M | re.S),
+            *re.findall(r"^```(?:sh)?\n(.*?)^```$", text, flags=re.M | re.S),
             *(" ".join(span.split()) for span in re.findall(r"`([^`]+)`", pages.FENCED.sub("", text))),
         )
         for found in re.findall(r"^(?:.*(?:&&|\|) )?(protochain [a-z]+[^\n#]*)", code, flags=re.M)
@@ -117,7 +117,7 @@ def test_pages_say_which_tables_are_of_the_undamped_metric():
 def test_the_readme_tests_as_ci_does():
     (tested,) = [line for line in (ROOT / ".ci" / "run").read_text().splitlines() if "pytest" in line]
     (quoted,) = [
-        line for block in blocks(ROOT / "README.md", "") for line in block.splitlines() if "pytest" in line
+        line for block in blocks(ROOT / "README.md", "sh") for line in block.splitlines() if "pytest" in line
     ]
     assert quoted.endswith(tested.replace("pip install -q", "pip install"))
 
@@ -278,6 +278,135 @@ def test_all_goes_on_after_a_failure_and_says_so(tmp_path, monkeypatch, capfd):
         benchmarks.main()
     assert ended.value.code == 1 and (tmp_path / "there").exists()
     assert "failed: fails: exit status 4\n" in capfd.readouterr().err
+
+
+STEPS = 6
+IN_STEPS = f"""
+import pathlib, sys, time
+folder = pathlib.Path(sys.argv[2])
+folder.mkdir(parents=True, exist_ok=True)
+for step in range({STEPS}):
+    if not (folder / f"{{step}}").exists():
+        time.sleep(0.3)
+        (folder / f"{{step}}").touch()
+        with (folder.parent / "steps").open("a") as steps:
+            steps.write(f"{{step}} ")
+(folder / "a.csv").write_text("a\\n1\\n")
+"""
+AT_ONCE = """
+import pathlib, sys
+folder = pathlib.Path(sys.argv[2])
+folder.mkdir(parents=True, exist_ok=True)
+(folder / "a.csv").write_text("a\\n1\\n")
+"""
+
+
+def fake(name, code, minutes, **more):
+    """A job that makes one table."""
+    command = f"python -c {shlex.quote(code)} -o DIR"
+    return benchmarks.Job(name, command, minutes, collects={"a.csv": (f"{name}.csv", ())}, **more)
+
+
+@pytest.fixture
+def part(tmp_path, monkeypatch, capfd):
+    """A call of all.py with such jobs, as from a commit without changes: exit status, and what it says."""
+    head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+    monkeypatch.setattr(made, "COMMIT", head.stdout.strip() or "0123456")
+    monkeypatch.setattr(benchmarks, "PARTS", tmp_path / "parts")
+
+    def call(jobs, *words):
+        monkeypatch.setattr(benchmarks, "JOBS", jobs)
+        monkeypatch.setattr(sys, "argv", ["all.py", "-o", str(tmp_path / "out"), *words])
+        status = 0
+        try:
+            benchmarks.main()
+        except SystemExit as ended:
+            status = ended.code
+        return status, "".join(capfd.readouterr())
+
+    return call
+
+
+def test_all_goes_on_where_it_was_stopped(part, tmp_path):
+    """In parts of two seconds: what is done is not repeated, and what reads a table waits for it."""
+
+    def noted(name, **more):
+        note = f"open({str(tmp_path / 'ran')!r}, 'a').write('{name} ')"
+        return fake(name, AT_ONCE + note, 0.0, **more)
+
+    once = noted("once")
+    jobs = (once, fake("parts", IN_STEPS, 99.0, continues=True), noted("reads", after="parts"))
+    said = []
+    while not said or (said[-1][0] == 3 and len(said) < 60):
+        said.append(part(jobs, "--minutes", "0.03"))
+        assert (tmp_path / "out" / "reads.csv").exists() == (said[-1][0] == 0)
+    assert len(said) > 1 and [status for status, _ in said] == [3] * (len(said) - 1) + [0]
+    assert "left: parts: goes on" in said[0][1] and "left: reads: after parts" in said[0][1]
+    (steps,) = (tmp_path / "parts").rglob("steps")
+    assert steps.read_text().split() == [str(step) for step in range(STEPS)]
+    assert (tmp_path / "ran").read_text().split() == ["once", "reads"]
+    status, text = part(jobs, "--list")
+    assert status == 0 and len(re.findall(r"^(?:once|parts|reads) .* min  done ", text, re.M)) == 3
+    assert re.search(r"^all +0 min", text, re.M)
+    assert part((once,), "--again")[0] == 0
+    assert (tmp_path / "ran").read_text().split() == ["once", "reads", "once"]
+
+
+def test_no_job_is_begun_that_would_not_end_in_time(part, tmp_path):
+    status, text = part((fake("long", AT_ONCE, 60.0), fake("short", AT_ONCE, 1.0)), "--minutes", "40")
+    assert status == 3 and "left: long: takes 60 min" in text
+    assert (tmp_path / "out" / "short.csv").exists() and not (tmp_path / "out" / "long.csv").exists()
+
+
+def test_a_table_of_another_command_is_not_the_jobs(part, tmp_path):
+    assert part((fake("job", AT_ONCE, 1.0),))[0] == 0
+    text = part((fake("job", AT_ONCE + "# other", 1.0),), "--list")[1]
+    assert re.search(r"^all +1 min", text, re.M)
+
+
+def test_all_jobs_fit_into_parts_of_forty_minutes():
+    assert [job.name for job in benchmarks.JOBS if job.minutes > 40 and not job.continues] == []
+
+
+def test_the_tables_of_the_jobs_are_those_that_there_are():
+    """But those of the mutants, which is no benchmark; each is of one job."""
+    there = set(pd.read_csv(made.RESULTS / "made.csv")["table"])
+    assert sorted(name for job in benchmarks.JOBS for name in job.tables) == sorted(
+        name for name in there if not name.startswith("mutants")
+    )
+
+
+def test_tables_are_of_today_until_the_code_changes(tmp_path, monkeypatch):
+    """Results and pages may; what is not committed is of no commit."""
+
+    def git(*words):
+        who = ["-c", "user.name=test", "-c", "user.email=test@example.org"]
+        return subprocess.run(["git", *who, *words], cwd=tmp_path, check=True, capture_output=True)
+
+    def change(name, text):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+
+    def today():
+        monkeypatch.setattr(made, "COMMIT", made.commit())
+        return made.is_of_today(first)
+
+    monkeypatch.setattr(made, "ROOT", tmp_path)
+    git("init", "-q")
+    for name in ("code.py", "page.md", "analysis/results/a.csv"):
+        change(name, "1")
+    git("add", "."), git("commit", "-q", "-m", "1")
+    first = made.commit()
+    assert today()
+    change("page.md", "2"), change("analysis/results/a.csv", "2")
+    assert today()
+    git("commit", "-q", "-a", "-m", "2")
+    assert made.commit() != first and today()
+    change("code.py", "2")
+    assert not today() and not made.is_of_today(made.commit())
+    git("commit", "-q", "-a", "-m", "3")
+    assert not today()
+    assert not made.is_of_today("no such commit") and not made.is_of_today("0123456")
 
 
 def test_all_takes_the_tables_of_a_study(tmp_path, monkeypatch):

@@ -72,10 +72,17 @@ def kinds_words(rows: pd.DataFrame) -> str:
     )
 
 
-table_of_rows(
-    "startup", "startup.csv",
-    ("command", "`{command}`"), ("state", "{state}"), ("s", "{seconds:.1f}"), ("CPU s", "{cpu_seconds:.1f}"),
-)  # fmt: skip
+@table("startup", "startup.csv", keep_default_na=False)
+def startup(rows: pd.DataFrame) -> str:
+    """Commands from the wheel on, and the seconds to the first relaxed model."""
+    shown = of_rows(
+        rows,
+        ("command", "`{command}`"), ("state", "{state}"), ("s", "{seconds:.1f}"),
+        ("CPU s", "{cpu_seconds:.1f}"),
+    )  # fmt: skip
+    first = rows[(rows["state"] == "") | ((rows["command"] == "relax") & (rows["state"] == "cold"))]
+    total = first["seconds"].sum()
+    return f"{shown}\n{paragraph(f'From the wheel to the first relaxed model: {total:.0f} s.')}"
 
 
 @table("large", "large.csv", "large_exponents.csv")

@@ -1,10 +1,11 @@
-"""Notebooks of scenes, run in full and stored with what they show.
+"""Notebooks, run in full and stored with what they show.
 
-    python analysis/scenes/remake.py [NAME ...] [--list]
+    python analysis/remake.py [NAME ...] [--list]
 
 Each runs in a process of its own, some tens of seconds, and is written only if it reaches its end. Pictures
-are stored in few colours. A stamp tells of what the outputs are: the notebook's code, the scene's own files
-without comments and docstrings, and the values of its checks, against which a slow test holds those of today.
+are stored in few colours; of an interactive view, which is too large, only its name is. A stamp tells of what
+the outputs are: the notebook's code and, of a scene's, the scene's own files without comments and docstrings,
+and the values of its checks, against which a slow test holds those of today.
 --list names the notebooks, and which have other outputs than their code asks for.
 """
 
@@ -14,15 +15,21 @@ import base64
 import hashlib
 import io
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Any
 
 FOLDER = Path(__file__).resolve().parent
-SCENES = FOLDER.parents[1] / "protochain" / "scenes"
+PATHS = {
+    path.stem: path for kind in ("notebooks", "scenes") for path in sorted((FOLDER / kind).glob("*.ipynb"))
+}
+SCENES = FOLDER.parent / "protochain" / "scenes"
 SECONDS = 600
 """For a cell."""
 COLOURS = 64
+MOST = 50_000
+"""Bytes of a table; more is a view."""
 ASKS = """\
 import json
 found = next(each for each in list(globals().values()) if type(each).__name__ == "Scene")
@@ -30,11 +37,6 @@ print(json.dumps([[check.name, check.value, check.bound, check.kind] for check i
 """
 STAMP = "protochain"
 """Key of the stamp, in the metadata of a notebook."""
-
-
-def names() -> list[str]:
-    """Of all notebooks here."""
-    return sorted(path.stem for path in FOLDER.glob("*.ipynb"))
 
 
 def sources(name: str) -> list[Path]:
@@ -69,7 +71,11 @@ def plain(output: dict[str, Any]) -> dict[str, Any] | None:
     """An output as it is stored; None of what is said on the side, as that kernels are compiled."""
     if output["output_type"] == "stream":
         return output if output["name"] == "stdout" else None
-    data = output.get("data", {})
+    data = {
+        kind: its
+        for kind, its in output.get("data", {}).items()
+        if len("".join(its)) <= MOST or "image" in kind
+    }
     if "image/png" in data:
         from PIL import Image
 
@@ -85,14 +91,14 @@ def remade(name: str) -> dict[str, Any]:
     import nbclient
     import nbformat
 
-    book = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
+    book = nbformat.read(PATHS[name], as_version=4)
     # What the last cell leaves behind, told by a cell that is not stored.
     if sources(name):
         book.cells.append(nbformat.v4.new_code_cell(ASKS))
-    place = {"metadata": {"path": str(FOLDER)}}
+    place = {"metadata": {"path": str(PATHS[name].parent)}}
     nbclient.NotebookClient(book, timeout=SECONDS, kernel_name="python3", resources=place).execute()
     done = json.loads(nbformat.writes(book))
-    before = json.loads((FOLDER / f"{name}.ipynb").read_text(encoding="utf-8"))
+    before = json.loads(PATHS[name].read_text(encoding="utf-8"))
     checks = []
     if len(done["cells"]) > len(before["cells"]):
         checks = json.loads("".join(done["cells"].pop()["outputs"][0]["text"]))
@@ -119,24 +125,25 @@ def main() -> None:
     parser.add_argument("names", nargs="*", metavar="NAME", help="by default all")
     parser.add_argument("--list", action="store_true", help="say which are current, and stop")
     options = parser.parse_args()
-    unknown = sorted(set(options.names) - set(names()))
+    unknown = sorted(set(options.names) - PATHS.keys())
     if unknown:
-        sys.exit(f"there is no notebook {unknown[0]}; there are {', '.join(names())}")
+        sys.exit(f"there is no notebook {unknown[0]}; there are {', '.join(PATHS)}")
+    os.environ.pop("MPLBACKEND", None)  # another than a notebook's own draws nothing there
     failed = []
-    for name in options.names or names():
-        path = FOLDER / f"{name}.ipynb"
+    for name in options.names or PATHS:
+        path = PATHS[name]
         if options.list:
             notebook = json.loads(path.read_text(encoding="utf-8"))
-            print(f"{name:<12} {'current' if is_current(notebook, name) else 'to be made again'}")
+            print(f"{name:<32} {'current' if is_current(notebook, name) else 'to be made again'}")
             continue
         try:
             text = written(remade(name))
         except Exception as error:  # whatever it is, the others go on
             failed.append(name)
-            print(f"{name:<12} failed, and stays as it is: {error}", file=sys.stderr, flush=True)
+            print(f"{name:<32} failed, and stays as it is: {error}", file=sys.stderr, flush=True)
             continue
         path.write_text(text, encoding="utf-8")
-        print(f"{name:<12} {len(text) / 1e3:.0f} kB", flush=True)
+        print(f"{name:<32} {len(text) / 1e3:.0f} kB", flush=True)
     sys.exit(1 if failed else 0)
 
 
