@@ -1,7 +1,11 @@
-"""What is set for all tests: threads that do not spin, and handlers of signals."""
+"""What is set for all tests: threads that do not spin, handlers of signals, a browser, the command line."""
 
+import gc
 import os
+import shutil
 import signal
+import sys
+from typing import NamedTuple
 
 # Threads of several test processes that spin while they wait take the cores from one another.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
@@ -26,3 +30,51 @@ def signals(monkeypatch):
     assert [signal.getsignal(number) for number in numbers] == [signal.default_int_handler] * 2
     for number, handler in zip(numbers, before, strict=True):
         signal.signal(number, handler)
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium, started once for a file of tests; each opens a page of its own."""
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if chromium is None:
+        pytest.skip("no chromium on this machine")
+    from playwright.sync_api import Error, sync_playwright
+
+    # For machines without a display, a graphics card, or a user of their own.
+    flags = [
+        "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle", "--use-angle=swiftshader",
+        "--enable-unsafe-swiftshader",
+    ]  # fmt: skip
+    with sync_playwright() as driver:
+        try:
+            started = driver.chromium.launch(executable_path=chromium, args=flags)
+        except Error as error:
+            pytest.skip(f"chromium does not start here: {str(error).splitlines()[0]}")
+        yield started
+
+
+class Done(NamedTuple):
+    """How a command ended, as of a process."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+@pytest.fixture
+def protochain(tmp_path, monkeypatch, capsys):
+    """Run a command in an empty folder, in this process: one of its own takes over a second to start."""
+    from protochain.cli import main
+
+    monkeypatch.chdir(tmp_path)
+    before = signal.getsignal(signal.SIGTERM), gc.get_threshold()
+
+    def run(*arguments):
+        monkeypatch.setattr(sys, "argv", ["protochain", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        return Done(ended.value.code or 0, *capsys.readouterr())
+
+    yield run
+    signal.signal(signal.SIGTERM, before[0])
+    gc.set_threshold(*before[1])

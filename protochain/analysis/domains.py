@@ -41,17 +41,13 @@ class Domain(NamedTuple):
     turn: float
 
 
-def rigid_domains(x: Floats, y: Floats, tolerance: float = TOLERANCE, least: int = LEAST) -> list[Domain]:
+def rigid_domains(x: Floats, y: Floats) -> list[Domain]:
     """Find the rigid domains of points (n, 3) that moved from x to y, the largest first.
 
     Parameters
     ----------
     x, y : (n, 3) float, nm
         Points along a sequence, as C-alphas.
-    tolerance : float, nm
-        Distance at most of a domain's points from where its motion takes them.
-    least : int
-        Points at least of a domain.
 
     Returns
     -------
@@ -60,9 +56,9 @@ def rigid_domains(x: Floats, y: Floats, tolerance: float = TOLERANCE, least: int
         to the one that takes it nearest.
     """
     left, motions = np.arange(len(x)), list[tuple[Floats, Floats]]()
-    while len(left) >= least:
-        found = _largest(x, y, left, tolerance, least)
-        if len(found) < least:
+    while len(left) >= LEAST:
+        found = _largest(x, y, left)
+        if len(found) < LEAST:
             break
         motions.append(motion(x[found], y[found]))
         left = np.setdiff1d(left, found)
@@ -70,8 +66,8 @@ def rigid_domains(x: Floats, y: Floats, tolerance: float = TOLERANCE, least: int
         return []
     away = np.array([_away(x, y, each) for each in motions])
     nearest = away.argmin(axis=0)
-    parts = [np.flatnonzero((nearest == k) & (away[k] <= tolerance)) for k in range(len(away))]
-    parts = sorted((part for part in parts if len(part) >= least), key=len, reverse=True)
+    parts = [np.flatnonzero((nearest == k) & (away[k] <= TOLERANCE)) for k in range(len(away))]
+    parts = sorted((part for part in parts if len(part) >= LEAST), key=len, reverse=True)
     turns = [motion(x[part], y[part])[0] for part in parts]
     angles = [np.degrees(Rotation.from_matrix(turn @ turns[0].T).magnitude()) for turn in turns]
     return [
@@ -80,22 +76,22 @@ def rigid_domains(x: Floats, y: Floats, tolerance: float = TOLERANCE, least: int
     ]  # fmt: skip
 
 
-def _largest(x: Floats, y: Floats, left: Integers, tolerance: float, least: int) -> Integers:
+def _largest(x: Floats, y: Floats, left: Integers) -> Integers:
     """Largest domain of the points that are left, grown from all of them or from neighbours."""
-    best = _grown(x, y, left, left, tolerance, least)
+    best = _grown(x, y, left, left)
     if len(best) == len(left):
         return best
     for seed in left[:: max(1, len(left) // _SEEDS)]:
-        near = left[np.argsort(np.linalg.norm(x[left] - x[seed], axis=1), kind="stable")[:least]]
-        grown = _grown(x, y, left, near, tolerance, least)
+        near = left[np.argsort(np.linalg.norm(x[left] - x[seed], axis=1), kind="stable")[:LEAST]]
+        grown = _grown(x, y, left, near)
         best = grown if len(grown) > len(best) else best
     return best
 
 
-def _grown(x: Floats, y: Floats, left: Integers, members: Integers, tolerance: float, least: int) -> Integers:
+def _grown(x: Floats, y: Floats, left: Integers, members: Integers) -> Integers:
     for _ in range(_MOST_STEPS):
-        within = left[_away(x[left], y[left], motion(x[members], y[members])) <= tolerance]
-        if len(within) < least:
+        within = left[_away(x[left], y[left], motion(x[members], y[members])) <= TOLERANCE]
+        if len(within) < LEAST:
             return within[:0]
         if np.array_equal(within, members):
             break

@@ -1,4 +1,12 @@
-"""Kernels of contacts of boxes: vectors and rotations are tuples, points go into work space that is given."""
+"""Contact of two boxes, and of a box with a plane: separating axes, then the points where they press.
+
+Of two convex bodies that overlap, the shortest way apart is along a normal of a face of either, or across an
+edge of each: 3 + 3 + 9 axes for boxes (Gottschalk, Lin, Manocha, SIGGRAPH 1996). Along a face's normal, the
+face of the other that looks most against it is cut to the face's prism (Sutherland, Hodgman, Commun. ACM
+17:32, 1974), and the corners of what remains are the points; across edges it is one point between them.
+
+Kernels: vectors and rotations are tuples, points go into work space that is given.
+"""
 
 import numpy as np
 

@@ -53,3 +53,27 @@ def direction(value: Any, said: str) -> Floats:
         raise MechanicsError(f"{said} has length zero: give a direction, as (0, 0, 1)")
     vector = vector / largest
     return np.asarray(vector / np.linalg.norm(vector))
+
+
+def check_boxes(centre: Floats, rotation: Floats, half: Floats) -> None:
+    """Raise if arrays (n, 3), (n, 3, 3), (n, 3) are no boxes; the message names the first.
+
+    Raises
+    ------
+    MechanicsError
+        If an edge is not positive, a rotation none, a number not finite.
+    """
+    finite = np.isfinite(centre).all(axis=1) & np.isfinite(half).all(axis=1)
+    finite = np.asarray(finite & np.isfinite(rotation).all(axis=(1, 2)))
+    for bad, why in (
+        (~finite, "its centre, rotation and edges must be finite"),
+        (~(half > 0.0).all(axis=1), "its edges must be longer than nothing"),
+        (~_is_rotation(np.where(finite[:, None, None], rotation, np.eye(3))), "its rotation is none"),
+    ):
+        if np.any(bad):
+            raise MechanicsError(f"box {int(np.argmax(bad))}: {why}")
+
+
+def _is_rotation(rotation: Floats) -> np.ndarray:
+    product = rotation @ rotation.swapaxes(1, 2)
+    return np.all(np.abs(product - np.eye(3)) <= 1e-9, axis=(1, 2)) & (np.linalg.det(rotation) > 0.0)

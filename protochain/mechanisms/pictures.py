@@ -1,9 +1,7 @@
 """Pictures of a motion: a page in which it moves, and a strip of poses."""
 
 import json
-import re
 from collections.abc import Sequence
-from functools import cache
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -69,6 +67,8 @@ def movie(
     run: "Run", path: str | Path | None, shapes: Sequence[Shape] | None, title: str, frames: int
 ) -> Movie:
     """Return the page of a motion, and write it; see :meth:`Run.view`."""
+    from jinja2 import Template
+
     if not isinstance(frames, int) or isinstance(frames, bool) or frames < 1:
         raise MechanicsError(f"frames {shown(frames)}: give a whole number from 1")
     if not isinstance(title, str):
@@ -79,8 +79,8 @@ def movie(
     of = drawing(run, _rows(run, np.linspace(run.time[0], run.time[-1], most)), shapes)
     title = title or "Motion"
     text = json.dumps(_told(of), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    words = {"title": escape(title), "motion": text}
-    page = re.sub(r"\{\{ (title|motion) \}\}", lambda found: words[found[1]], _template())
+    source = (files("protochain.mechanisms") / "movie.html").read_text(encoding="utf-8")
+    page = Template(source, autoescape=True).render(title=title, motion=text)
     if path is not None:
         write_text(Path(path), page)
     return Movie(page, title)
@@ -125,11 +125,6 @@ def _rows(run: "Run", times: Floats) -> list[int]:
     """Numbers of the rows that are next to times."""
     middles = 0.5 * (run.time[1:] + run.time[:-1])
     return [int(k) for k in np.searchsorted(middles, times)]
-
-
-@cache
-def _template() -> str:
-    return (files("protochain.mechanisms") / "movie.html").read_text(encoding="utf-8")
 
 
 def _across(of: Drawing, along: ArrayLike | None) -> Floats:

@@ -1,8 +1,8 @@
 """Many free cubes that touch each other, fixed planes, and plates on bodies that move: a soil.
 
-A contact has the points of :mod:`protochain.mechanisms.boxes`. At each a spring and a damper push along the
-normal; together, at the centre of pressure, anchored springs resist sliding and turning about the normal, up
-to friction times the force. Cundall, Strack, Geotechnique 29:47 (1979), for boxes.
+A contact has the points of :mod:`protochain.mechanisms.box_kernels`. At each a spring and a damper push along
+the normal; together, at the centre of pressure, anchored springs resist sliding and turning about the normal,
+up to friction times the force. Cundall, Strack, Geotechnique 29:47 (1979), for boxes.
 """
 
 from dataclasses import dataclass, field, fields, replace
@@ -16,7 +16,7 @@ from protochain.core.checks import at_least, number, shown
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion.system import StepTooLargeError
 from protochain.mechanisms.box_volume import WHOLE
-from protochain.mechanisms.boxes import check_boxes
+from protochain.mechanisms.checks import check_boxes
 from protochain.mechanisms.pile_contact import N_MEMORY
 from protochain.mechanisms.pile_kernels import (
     DONE,
@@ -35,7 +35,8 @@ from protochain.mechanisms.search import in_order, touching
 SKIN = 0.15
 """How far apart cubes may be that are on a list, in edges. Longer lists last longer."""
 FACES_PREFERRED = 1e-2
-"""See ``prefer_faces`` of touch_boxes, in half edges: cubes that lie on each other tilt by less."""
+"""Half edges by which a contact of two edges must be shallower than one with a face, to be taken: of bodies
+almost flat upon each other either may be, but only a face carries. Cubes on each other tilt by less."""
 DEEPEST = 1.0
 """Deepest contact, in half edges: beyond it, the shortest way out may be through the body."""
 STIFFEST = 50.0

@@ -8,7 +8,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
 from protochain.core.checks import number, shown
 from protochain.core.errors import MechanicsError
-from protochain.mechanisms.boxes import check_boxes
+from protochain.mechanisms.checks import check_boxes
 from protochain.mechanisms.pile_contact import DAMPED, RUBBED, SLEPT, STORED, WORK
 
 

@@ -6,7 +6,7 @@ import subprocess
 import gemmi
 import numpy as np
 import pytest
-from fixtures.command_line import COMMAND, protochain
+from fixtures.command_line import COMMAND, refusal, run
 from fixtures.samples import STRUCTURES, load, shared
 from fixtures.tolerances import RMSD_ANGSTROM
 
@@ -122,19 +122,18 @@ def test_superposed_on_one_selection_and_measured_on_another():
     assert deviation(s, s.with_positions(x), "resid 1:70", "resid 1:70").rmsd == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_has_nothing_in_common_is_refused(tmp_path):
+def test_what_has_nothing_in_common_is_refused(capsys):
     glycines, leucines = pc.from_sequence("GG"), pc.from_sequence("LL")
     with pytest.raises(pc.ProtochainError, match=r"^LL: its sequence is unrelated to that of GG \(chains A"):
         deviation(glycines, leucines)
     with pytest.raises(pc.ProtochainError, match="selection 'name XX'"):
         deviation(glycines, glycines, "name XX")
     assert np.isnan(deviation(glycines, glycines).tm_score)
-    done = protochain("rmsd", STRUCTURES / "1ubq.pdb", STRUCTURES / "1l2y.pdb", cwd=tmp_path)
-    assert done.returncode == 1 and "unrelated to that of" in done.stdout and "15 % identical" in done.stdout
-    done = protochain(
-        "validate", STRUCTURES / "1l2y.pdb", "--reference", STRUCTURES / "1ubq.pdb", cwd=tmp_path
-    )
-    assert done.returncode == 2 and "unrelated to that of" in done.stderr
+    assert run("rmsd", STRUCTURES / "1ubq.pdb", STRUCTURES / "1l2y.pdb") == 1
+    said = capsys.readouterr().out
+    assert "unrelated to that of" in said and "15 % identical" in said
+    told = refusal("validate", STRUCTURES / "1l2y.pdb", "--reference", STRUCTURES / "1ubq.pdb")
+    assert "unrelated to that of" in told
 
 
 def trace_of(tmp_path, name="1ubq.pdb"):
@@ -194,7 +193,8 @@ def test_standard_input_is_measured_as_a_file_is(tmp_path):
         assert json.loads(done.stdout)["results"][0]["rmsd_angstrom"] < 1e-9
 
 
-def test_a_batch_report_has_a_row_for_every_model_and_every_failure(tmp_path):
+def test_a_batch_report_has_a_row_for_every_model_and_every_failure(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     lines = [line for line in (STRUCTURES / "ala10.pdb").read_text().splitlines(True) if line[:4] == "ATOM"]
     two = tmp_path / "two.pdb"
     two.write_text("".join(f"MODEL {n:8d}\n{''.join(lines)}ENDMDL\n" for n in (1, 5)) + "END\n")
@@ -202,16 +202,15 @@ def test_a_batch_report_has_a_row_for_every_model_and_every_failure(tmp_path):
     table = rmsd_table(STRUCTURES / "ala10.pdb", [two, tmp_path / "bad.pdb", tmp_path / "none.pdb"])
     assert table["model"].tolist()[:2] == [1, 5] and len(table) == 4
     assert (table["message"] == "").tolist() == [True, True, False, False]
-    done = protochain(
-        "rmsd", STRUCTURES / "ala10.pdb", "two.pdb", "bad.pdb", "--json", "-o", "r.csv", cwd=tmp_path
-    )
-    rows = json.loads(done.stdout)["results"]
-    assert done.returncode == 3 and [row["file"] for row in rows] == ["two.pdb", "two.pdb", "bad.pdb"]
+    assert run("rmsd", STRUCTURES / "ala10.pdb", "two.pdb", "bad.pdb", "--json", "-o", "r.csv") == 3
+    rows = json.loads(capsys.readouterr().out)["results"]
+    assert [row["file"] for row in rows] == ["two.pdb", "two.pdb", "bad.pdb"]
     assert rows[0]["rmsd_angstrom"] < 1e-9 and rows[2]["rmsd_angstrom"] is None
     assert (tmp_path / "r.csv").read_text().count("\n") == 4
-    assert "two.pdb" in protochain("rmsd", STRUCTURES / "ala10.pdb", "two.pdb", cwd=tmp_path).stdout
-    for arguments, status in ((["none.pdb", "two.pdb"], 2), ([str(STRUCTURES / "ala10.pdb"), "bad.pdb"], 1)):
-        assert protochain("rmsd", *arguments, cwd=tmp_path).returncode == status
+    run("rmsd", STRUCTURES / "ala10.pdb", "two.pdb")
+    assert "two.pdb" in capsys.readouterr().out
+    assert run("rmsd", STRUCTURES / "ala10.pdb", "bad.pdb") == 1
+    assert "none.pdb" in refusal("rmsd", "none.pdb", "two.pdb")
 
 
 def with_chains(source, folder, *names):
@@ -245,7 +244,7 @@ def test_equal_chains_are_matched_by_where_they_are(tmp_path, name, names):
     assert same["chain_mapping"] == ",".join(f"{a}:{a}" for a in sorted(names))
 
 
-def test_copies_of_a_heteromer_are_matched_each_with_its_own_kind(tmp_path):
+def test_copies_of_a_heteromer_are_matched_each_with_its_own_kind(tmp_path, capsys):
     """Insulin twice, as (AB)2, the copies exchanged, one mutated and one cut: A stays with A, B with B."""
     structure = gemmi.read_structure(str(STRUCTURES / "3i40.pdb"))
     structure.remove_ligands_and_waters()
@@ -272,10 +271,10 @@ def test_copies_of_a_heteromer_are_matched_each_with_its_own_kind(tmp_path):
         d = deviation(pc.load(tmp_path / "four.pdb"), pc.load(path))
         assert d.rmsd < 0.002 and d.match.coverage == pytest.approx(coverage)
         assert d.match.chain_mapping == "A:C,B:D,C:A,D:B"
-    done = protochain("rmsd", "four.pdb", "cut.pdb", cwd=tmp_path)
-    assert "A:C,B:D,C:A,D:B" in done.stdout
-    done = protochain("validate", other, "--reference", "four.pdb", "--json", cwd=tmp_path)
-    (found,) = json.loads(done.stdout)["results"]
+    run("rmsd", tmp_path / "four.pdb", tmp_path / "cut.pdb")
+    assert "A:C,B:D,C:A,D:B" in capsys.readouterr().out
+    run("validate", other, "--reference", tmp_path / "four.pdb", "--json")
+    (found,) = json.loads(capsys.readouterr().out)["results"]
     assert found["lddt"] > 0.999 and found["ca_rmsd_to_reference_angstrom"] < 0.002
     assert found["chain_mapping"] == "A:C,B:D,C:A,D:B"
 

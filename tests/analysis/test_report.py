@@ -3,7 +3,6 @@
 import dataclasses
 import io
 import itertools
-import shutil
 
 import matplotlib.image
 import numpy as np
@@ -14,13 +13,6 @@ import protochain as pc
 from protochain.results.page import render
 from protochain.results.viewer import Colouring, scene
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine")
-FLAGS = [
-    "--no-sandbox", "--disable-dev-shm-usage", "--use-gl=angle", "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]  # fmt: skip
-"""For machines without a display, a graphics card, or a user of their own."""
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 
 
@@ -31,18 +23,6 @@ def page_file(tmp_path_factory):
     )
     origin = {"input": EVIL}
     return dataclasses.replace(comparison, origin=origin).report(tmp_path_factory.mktemp("page"))
-
-
-@pytest.fixture
-def browser():
-    from playwright.sync_api import Error, sync_playwright
-
-    with sync_playwright() as driver:
-        try:
-            started = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        except Error as error:
-            pytest.skip(f"chromium does not start here: {str(error).splitlines()[0]}")
-        yield started
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1200, "light"), (390, "dark")])

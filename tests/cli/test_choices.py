@@ -1,7 +1,6 @@
 """What is taken of a file, and where a result goes: chains, models, one file of many, standard output."""
 
 import json
-import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,24 +15,8 @@ from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.jobs import Row, origin
 from protochain.batches.table import COLUMNS, Tables, read_table
 from protochain.batches.task import run
-from protochain.cli import main
 
 ATOMS = [line for line in (STRUCTURES / "ala10.pdb").read_text().splitlines(True) if line[:4] == "ATOM"]
-
-
-@pytest.fixture
-def protochain(tmp_path, monkeypatch, capsys):
-    """Run a command in an empty folder; return status, standard output and standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["protochain", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        out, err = capsys.readouterr()
-        return ended.value.code or 0, out, err
-
-    return run
 
 
 @pytest.fixture

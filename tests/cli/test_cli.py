@@ -9,7 +9,7 @@ import time
 
 import gemmi
 import pytest
-from fixtures.command_line import COMMAND, protochain
+from fixtures.command_line import COMMAND
 from fixtures.samples import ROOT, STRUCTURES
 
 from protochain.batches import Batch
@@ -17,21 +17,21 @@ from protochain.cli import app
 from protochain.cli.batch import _status
 
 
-def test_help_loads_nothing_heavy(tmp_path):
+def test_help_loads_nothing_heavy():
     code = "import sys, protochain.cli; print(*sorted(m for m in sys.modules if '.' not in m))"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
     assert not {"openmm", "numba", "numpy", "scipy", "pandas", "matplotlib", "mdtraj", "gemmi"} & set(loaded)
-    shown = protochain("--help", cwd=tmp_path)
+    shown = subprocess.run([*COMMAND, "--help"], capture_output=True, text=True)
     assert shown.returncode == 0
     assert all(word in shown.stdout for word in ("minimise", "compare", "info", "build"))
 
 
-def test_json_is_one_object_and_the_files_are_there(tmp_path):
+def test_json_is_one_object_and_the_files_are_there(protochain, tmp_path):
     done = protochain(
         "minimise", STRUCTURES / "3i40.pdb", "-o", "out.cif", "--json", "--max-evaluations", 30,
-        "--trace", "t.csv", "--trajectory", "t.xtc", "--seed", 5, "--threads", 1, cwd=tmp_path,
+        "--trace", "t.csv", "--trajectory", "t.xtc", "--seed", 5, "--threads", 1
     )  # fmt: skip
     assert done.returncode == 3
     record = json.loads(done.stdout)
@@ -49,34 +49,32 @@ def test_json_is_one_object_and_the_files_are_there(tmp_path):
     assert (tmp_path / "t.csv").read_text().startswith("iteration,evaluations,seconds,energy_kj_mol")
 
 
-def test_minimise_says_what_it_did_and_ends_with_0_when_converged(tmp_path):
-    done = protochain("minimize", STRUCTURES / "ala10.pdb", cwd=tmp_path)
+def test_minimise_says_what_it_did_and_ends_with_0_when_converged(protochain, tmp_path):
+    done = protochain("minimize", STRUCTURES / "ala10.pdb")
     assert done.returncode == 0
     assert "converged" in done.stdout and "written: ala10.cartesian.pdb" in done.stdout
     assert (tmp_path / "ala10.cartesian.pdb").exists()
     assert max(map(len, done.stdout.splitlines())) <= 80
 
 
-def test_compare_writes_the_folder(tmp_path):
-    done = protochain(
-        "compare", STRUCTURES / "ala10.pdb", "--methods", "kcm,openmm", "--max-evaluations", 20, cwd=tmp_path
-    )
+def test_compare_writes_the_folder(protochain, tmp_path):
+    done = protochain("compare", STRUCTURES / "ala10.pdb", "--methods", "kcm,openmm", "--max-evaluations", 20)
     assert done.returncode == 3
     names = {path.name for path in (tmp_path / "ala10-comparison").iterdir()}
     assert {"report.html", "summary.csv", "traces.csv", "ala10.kcm.pdb", "ala10.openmm.pdb"} <= names
 
 
-def test_info_describes_the_chain(tmp_path):
-    done = protochain("info", STRUCTURES / "1ejg.pdb", "--json", cwd=tmp_path)
+def test_info_describes_the_chain(protochain, tmp_path):
+    done = protochain("info", STRUCTURES / "1ejg.pdb", "--json")
     facts = json.loads(done.stdout)
     assert done.returncode == 0 and (facts["n_residues"], len(facts["loops"])) == (46, 3)
-    shown = protochain("info", STRUCTURES / "1ejg.pdb", cwd=tmp_path)
+    shown = protochain("info", STRUCTURES / "1ejg.pdb")
     assert "alternate location" in shown.stdout
 
 
-def test_build_makes_a_file_that_loads(tmp_path):
-    assert protochain("build", "GPW", "-o", "new/gpw.pdb", cwd=tmp_path).returncode == 0
-    facts = json.loads(protochain("info", "new/gpw.pdb", "--json", cwd=tmp_path).stdout)
+def test_build_makes_a_file_that_loads(protochain, tmp_path):
+    assert protochain("build", "GPW", "-o", "new/gpw.pdb").returncode == 0
+    facts = json.loads(protochain("info", "new/gpw.pdb", "--json").stdout)
     assert facts["n_residues"] == 3 and not [line for line in facts["repairs"] if "added" in line]
 
 
@@ -126,7 +124,7 @@ def test_build_makes_a_file_that_loads(tmp_path):
         (["build", "AAZ", "-o", "a.pdb"], ["letter 3"]),
     ],
 )
-def test_bad_input_is_one_line_and_status_2_and_writes_nothing(arguments, words, tmp_path):
+def test_bad_input_is_one_line_and_status_2_and_writes_nothing(protochain, arguments, words, tmp_path):
     # Under the archive's names nothing is renamed, and nothing said beside the one line.
     text = (STRUCTURES / "ala10.pdb").read_text().replace(" H   ALA A   1", " H1  ALA A   1")
     (tmp_path / "in.pdb").write_text(text)
@@ -144,30 +142,29 @@ def test_bad_input_is_one_line_and_status_2_and_writes_nothing(arguments, words,
     )
     (tmp_path / "empty.pdb").write_text("")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
-    done = protochain(*arguments, cwd=tmp_path)
+    done = protochain(*arguments)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith("protochain: ") and done.stderr.count("\n") == 1
     assert all(word in done.stderr for word in words)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
-def test_options_of_a_run_arrive_and_are_recorded(tmp_path):
+def test_options_of_a_run_arrive_and_are_recorded(protochain, tmp_path):
     sample = STRUCTURES / "ala10.pdb"
     done = protochain(
         "minimise", sample, "--json", "--method", "lbfgs", "--move", "resid 3:8", "--max-rmsd", 0.5,
-        "--restrain", "100 0", "--max-evaluations", 6, "--checkpoint", "c.npz", "-o", "a.pdb", cwd=tmp_path,
+        "--restrain", "100 0", "--max-evaluations", 6, "--checkpoint", "c.npz", "-o", "a.pdb"
     )  # fmt: skip
     record = json.loads(done.stdout)
     assert (record["move"], record["max_rmsd_angstrom"]) == ("resid 3:8", 0.5)
     assert record["restraint_kj_mol_nm2"] == [100.0, 0.0] and record["status"] == "budget"
     done = protochain(
         "minimise", sample, "--json", "--method", "lbfgs", "--move", "resid 3:8", "--max-rmsd", 0.5,
-        "--restrain", "100 0", "--resume", "c.npz", "-o", "a.pdb", cwd=tmp_path,
+        "--restrain", "100 0", "--resume", "c.npz", "-o", "a.pdb"
     )  # fmt: skip
     assert json.loads(done.stdout)["evaluations"] > 6
     done = protochain(
-        "minimise", sample, "--json", "--method", "lbfgs", "--starts", 3, "--spread", 30, "-o", "b.pdb",
-        cwd=tmp_path,
+        "minimise", sample, "--json", "--method", "lbfgs", "--starts", 3, "--spread", 30, "-o", "b.pdb"
     )  # fmt: skip
     record = json.loads(done.stdout)
     assert len(record["starts"]) == record["starts_summary"]["n_starts"] == 3
@@ -175,23 +172,23 @@ def test_options_of_a_run_arrive_and_are_recorded(tmp_path):
     assert record["energy_end_reference_kj_mol"] == min(energies)
 
 
-def test_overlaps_are_named_before_a_run(tmp_path):
+def test_overlaps_are_named_before_a_run(protochain, tmp_path):
     lines = (STRUCTURES / "ala10.pdb").read_text().splitlines()
     atoms = [k for k, line in enumerate(lines) if line.startswith("ATOM")]
     first, last = lines[atoms[0]], next(lines[k] for k in atoms if lines[k][12:26] == " CB  ALA A   9")
     x = float(first[30:38]) + 0.5
     lines[lines.index(last)] = f"{last[:30]}{x:8.3f}{first[38:54]}{last[54:]}"
     (tmp_path / "in.pdb").write_text("\n".join(lines))
-    shown = json.loads(protochain("info", "in.pdb", "--json", cwd=tmp_path).stdout)["overlaps"]
+    shown = json.loads(protochain("info", "in.pdb", "--json").stdout)["overlaps"]
     assert any("atom CB of residue 9 ALA" in line and "atom N of residue 1 ALA" in line for line in shown)
-    done = protochain("minimise", "in.pdb", "--max-evaluations", 5, cwd=tmp_path)
+    done = protochain("minimise", "in.pdb", "--max-evaluations", 5)
     assert "angstrom apart" in done.stderr and "turning bonds can part them" in done.stderr
 
 
-def test_force_lets_the_input_be_replaced(tmp_path):
+def test_force_lets_the_input_be_replaced(protochain, tmp_path):
     path = tmp_path / "in.pdb"
     path.write_text((STRUCTURES / "ala10.pdb").read_text())
-    assert protochain("minimise", "in.pdb", "-o", "in.pdb", "--force", cwd=tmp_path).returncode == 0
+    assert protochain("minimise", "in.pdb", "-o", "in.pdb", "--force").returncode == 0
     assert "METHOD cartesian" in path.read_text()
 
 
@@ -222,10 +219,10 @@ def test_a_signal_ends_with_the_best_so_far_written(method, sent, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.pdb", "t.dcd"]
 
 
-def test_what_is_taken_of_a_file_can_be_said(tmp_path):
+def test_what_is_taken_of_a_file_can_be_said(protochain, tmp_path):
     path = str(STRUCTURES / "4pti.pdb")
     facts = [
-        json.loads(protochain("info", path, "--json", *options, cwd=tmp_path).stdout)
+        json.loads(protochain("info", path, "--json", *options).stdout)
         for options in (
             (),
             ("--no-disulfide",),
@@ -244,47 +241,45 @@ def test_what_is_taken_of_a_file_can_be_said(tmp_path):
         (("--model", "2"), "no model 2"),
         (("--ph", "15"), "pH 15"),
     ):
-        done = protochain("info", path, *wrong, cwd=tmp_path)
+        done = protochain("info", path, *wrong)
         assert done.returncode == 2 and why in done.stderr and done.stderr.count("\n") == 1
 
 
-def test_every_model_can_be_minimised(tmp_path):
+def test_every_model_can_be_minimised(protochain, tmp_path):
     lines = [line for line in (STRUCTURES / "ala10.pdb").read_text().splitlines(True) if line[:4] == "ATOM"]
     (tmp_path / "two.pdb").write_text(
         "".join(f"MODEL {n:8d}\n{''.join(lines)}ENDMDL\n" for n in (1, 5)) + "END\n"
     )
-    done = protochain("minimise", "two.pdb", "--model", "all", "--json", "-o", "out.pdb", cwd=tmp_path)
+    done = protochain("minimise", "two.pdb", "--model", "all", "--json", "-o", "out.pdb")
     records = json.loads(done.stdout)["models"]
     assert [(each["model"], each["output"]) for each in records] == [(1, "out.1.pdb"), (5, "out.5.pdb")]
     assert records[0]["energy_end_kj_mol"] == records[1]["energy_end_kj_mol"]
     assert {path.name for path in tmp_path.iterdir()} == {"two.pdb", "out.1.pdb", "out.5.pdb"}
-    assert (
-        protochain("minimise", "two.pdb", "--model", "all", "--trace", "t.csv", cwd=tmp_path).returncode == 2
-    )
+    assert protochain("minimise", "two.pdb", "--model", "all", "--trace", "t.csv").returncode == 2
 
 
-def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(tmp_path):
+def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(protochain, tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a.pdb").write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
     (tmp_path / "in" / "b.pdb").write_text("nothing of use\n")
-    listed = protochain("batch", "in", "--dry-run", "--methods", "lbfgs,kcm", cwd=tmp_path)
+    listed = protochain("batch", "in", "--dry-run", "--methods", "lbfgs,kcm")
     assert listed.returncode == 0 and not (tmp_path / "batch").exists()
     assert [line.split()[:2] for line in listed.stdout.splitlines()] == [
         ["a", "lbfgs,kcm"],
         ["b", "lbfgs,kcm"],
     ]
-    as_json = protochain("batch", "in", "--dry-run", "--methods", "lbfgs,kcm", "--json", cwd=tmp_path)
+    as_json = protochain("batch", "in", "--dry-run", "--methods", "lbfgs,kcm", "--json")
     assert json.loads(as_json.stdout)["structures"] == [
         {"structure": name, "methods": ["lbfgs", "kcm"], "input": str(tmp_path / "in" / f"{name}.pdb")}
         for name in "ab"
     ]
     work = ("batch", "in", "-o", "out", "--methods", "lbfgs", "--workers", 1)
-    done = protochain(*work, cwd=tmp_path)
+    done = protochain(*work)
     assert done.returncode == 3 and "lbfgs: 1 converged, 1 refused" in done.stdout
     assert f"b: refused: {tmp_path}/in/b.pdb" in done.stdout and (tmp_path / "out" / "a.lbfgs.pdb").exists()
-    refused = protochain(*work, cwd=tmp_path)
+    refused = protochain(*work)
     assert refused.returncode == 2 and "holds a batch; --resume" in refused.stderr
-    again = protochain(*work, "--resume", "--json", cwd=tmp_path)
+    again = protochain(*work, "--resume", "--json")
     assert again.returncode == 3
     assert json.loads(again.stdout)["status"] == {"converged": 1, "refused": 1}
 

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from fixtures.command_line import refusal, run
+from fixtures.command_line import refusal, refusal_as_said, run
 
 import protochain as pc
 
@@ -26,15 +26,6 @@ def test_a_sequence_and_its_file_find_the_same(tmp_path, monkeypatch, capsys):
     assert own["energy_lowest_kj_mol"] == pytest.approx(record["energy_lowest_kj_mol"], abs=1.0)
     assert "--resume continues it" in refusal_as_said("search", "AAA", *FEW)
     assert run("search", "AAA", *FEW, "--resume") == 0
-
-
-def refusal_as_said(*arguments):
-    from protochain.cli import as_said
-    from protochain.core.errors import ProtochainError
-
-    with pytest.raises(ProtochainError) as refused:
-        run(*arguments)
-    return as_said(refused.value)
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ from protochain.mechanics.multibody.small import cholesky
 
 METHODS = ("articulated", "fixman")
 TREES = [seed for seed in range(N_TREES) if any_tree(seed).n_v]
-SMALL = [seed for seed in TREES if any_tree(seed).n_bodies <= 30]
+SMALL = [seed for seed in TREES if any_tree(seed).n_bodies <= 20]
 EPS = np.finfo(float).eps
 
 

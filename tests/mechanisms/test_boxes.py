@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
+from fixtures.touching import Box, touch_boxes, touch_plane
 from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms.box_kernels import FACES, STEEPEST
-from protochain.mechanisms.boxes import Box, touch_boxes, touch_plane
+from protochain.mechanisms.checks import check_boxes
 
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 EXACT = 1e-12
@@ -200,6 +201,9 @@ def test_a_plane_is_touched_by_the_corners_below_it():
         assert np.allclose(within(box, below), 1.0) if len(below) else touch.depth <= 0.0
 
 
+FINE = Box((0, 0, 0), np.eye(3), (1, 1, 1))
+
+
 @pytest.mark.parametrize(
     ("box", "why"),
     [
@@ -209,7 +213,6 @@ def test_a_plane_is_touched_by_the_corners_below_it():
     ],
 )
 def test_what_is_no_box_is_refused(box, why):
-    with pytest.raises(MechanicsError, match=why):
-        touch_boxes(Box((0, 0, 0), np.eye(3), (1, 1, 1)), box)
-    with pytest.raises(MechanicsError, match=r"unit length|" + why):
-        touch_plane((0, 0, 2), 0.0, box)
+    boxes = [np.array([other, part], dtype=float) for other, part in zip(FINE, box, strict=True)]
+    with pytest.raises(MechanicsError, match=f"box 1: .*{why}"):
+        check_boxes(*boxes)

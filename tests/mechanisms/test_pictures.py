@@ -3,7 +3,6 @@
 import io
 import json
 import re
-import shutil
 
 import matplotlib.image
 import numpy as np
@@ -14,8 +13,6 @@ from scipy.spatial.transform import Rotation
 from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.mechanisms import Ball, Block, Law, Mechanism, Plane, Rod
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-FLAGS = ["--no-sandbox", "--disable-dev-shm-usage"]
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script> {{ motion }} {{ title }}"
 Y = (0, 1, 0)
 
@@ -174,20 +171,6 @@ def test_misuse_is_refused_in_a_line(call, said):
     with pytest.raises((MechanicsError, ProtochainError), match=said) as refused:
         call(four_bar())
     assert len(str(refused.value).splitlines()) == 1
-
-
-@pytest.fixture
-def browser():
-    if CHROMIUM is None:
-        pytest.skip("no chromium on this machine")
-    from playwright.sync_api import Error, sync_playwright
-
-    with sync_playwright() as driver:
-        try:
-            started = driver.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
-        except Error as error:
-            pytest.skip(f"chromium does not start here: {str(error).splitlines()[0]}")
-        yield started
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(1200, "light"), (390, "dark")])

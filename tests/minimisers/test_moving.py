@@ -4,7 +4,6 @@ import json
 
 import numpy as np
 import pytest
-from fixtures.command_line import protochain
 from fixtures.samples import chain, energy, load, shared, still
 
 import protochain as pc
@@ -125,33 +124,31 @@ def test_no_round_unthreading_hand_or_rotamer_moves_what_is_fixed():
     assert not np.array_equal(repacked(spoilt, range(20)).positions[~chosen], x[~chosen])
 
 
-def test_commands_say_how_many_atoms_residues_and_hinges_move(tmp_path):
+def test_commands_say_how_many_atoms_residues_and_hinges_move(protochain, tmp_path):
     s = load("3i40.pdb")
     pc.save(s, tmp_path / "in.pdb")
     c = pc.build_chain(s, move="resid 5:7")
     free = moving(s, "resid 5:7")
     done = protochain(
         "minimise", "in.pdb", "--move", "resid 5:7", "--max-evaluations", "5", "--method", "cartesian",
-        "--json", cwd=tmp_path,
+        "--json",
     )  # fmt: skip
     said = f"in.pdb: {c.n_hinges} hinges turn, which moves "
     assert said in done.stderr and f"where all atoms move, {free.sum()} atoms of 6 residues do" in done.stderr
     assert json.loads(done.stdout)["n_atoms_moving"] == free.sum()
-    done = protochain(
-        "relax", "in.pdb", "--move", "sidechain", "--max-iterations", "5", "--json", cwd=tmp_path
-    )
+    done = protochain("relax", "in.pdb", "--move", "sidechain", "--max-iterations", "5", "--json")
     side = select(s, "sidechain")
     assert f"; {side.sum()} atoms of 47 residues move, the other {(~side).sum()} atoms of 51 " in done.stderr
     assert json.loads(done.stdout)["n_atoms_moving"] == side.sum()
-    done = protochain("simulate", "in.pdb", "--move", "resid 5:7", "--steps", "2", "--no-relax", cwd=tmp_path)
+    done = protochain("simulate", "in.pdb", "--move", "resid 5:7", "--steps", "2", "--no-relax")
     assert said in done.stderr
-    for given in (
+    for command, option, value in (
         ("minimise", "--spread", "nan"), ("minimise", "--spread", "inf"), ("minimise", "--spread", "-1"),
         ("minimise", "--move", ""), ("relax", "--move", ""), ("simulate", "--move", " "),
     ):  # fmt: skip
-        done = protochain(given[0], "in.pdb", *given[1:], cwd=tmp_path)
-        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, given
-        assert given[1].lstrip("-") in done.stderr and "give a" in done.stderr
+        done = protochain(command, "in.pdb", option, value)
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, (command, option, value)
+        assert option.lstrip("-") in done.stderr and "give a" in done.stderr
 
 
 def test_atoms_that_move_by_hinges_are_counted_with_those_beyond():

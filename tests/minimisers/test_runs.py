@@ -157,9 +157,9 @@ def test_a_ramp_of_restraints_ends_free():
 @pytest.mark.parametrize("method", [*FREE, "kcm-stiffness"])
 def test_an_rmsd_is_not_passed(method):
     c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
-    free = pc.minimise(c, e, method)
+    free = pc.minimise(c, e, method, max_evaluations=400)
     assert free.ca_rmsd_angstrom > 0.3
-    held = pc.minimise(c, e, method, max_rmsd=0.2)
+    held = pc.minimise(c, e, method, max_rmsd=0.2, max_evaluations=400)
     assert 0.1 < held.ca_rmsd_angstrom <= 0.2
     assert free.end.energy < held.end.energy < held.start.energy
 

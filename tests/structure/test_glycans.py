@@ -1,5 +1,6 @@
 """Glycans that move, by GLYCAM-06j."""
 
+import functools
 from itertools import product
 from pathlib import Path
 
@@ -108,10 +109,14 @@ def test_heavy_atoms_and_hydrogens_are_named_as_in_the_dictionary(name):
     assert not {*glycam_names(name).values()} & {*template.element}
 
 
+@functools.cache
+def glycam(solvent):
+    files = ["amber14/protein.ff14SB.xml", "amber14/GLYCAM_06j-1.xml", "amber14/tip3p.xml"]
+    return app.ForceField(*files, *([f"implicit/{solvent}.xml"] if solvent != "vacuum" else []))
+
+
 def by_glycam(structure, solvent):
     """Potential energy, kJ/mol, as OpenMM's own matching by names has it, from a topology made here."""
-    files = ["amber14/protein.ff14SB.xml", "amber14/GLYCAM_06j-1.xml", "amber14/tip3p.xml"]
-    force_field = app.ForceField(*files, *([f"implicit/{solvent}.xml"] if solvent != "vacuum" else []))
     topology, atoms, order = app.Topology(), {}, []
     free = {k for tie in structure.ties for k in tie.atoms} | {*np.flatnonzero(structure.obstacle).tolist()}
     assert not free
@@ -133,7 +138,7 @@ def by_glycam(structure, solvent):
                     order.append(atom.index)
     for i, j in structure.bonds.tolist():
         topology.addBond(atoms[i], atoms[j])
-    system = force_field.createSystem(topology, nonbondedMethod=app.NoCutoff)
+    system = glycam(solvent).createSystem(topology, nonbondedMethod=app.NoCutoff)
     context = openmm.Context(
         system, openmm.VerletIntegrator(0.001), openmm.Platform.getPlatformByName("Reference")
     )

@@ -1,7 +1,6 @@
 """Atoms of a file that are lost: values, counted, and told at the end of a run, in tables and on pages."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from protochain.batches.api import _finish
 from protochain.batches.jobs import BatchSettings, find_jobs
 from protochain.batches.table import Tables, read_table
 from protochain.batches.task import run as run_job
-from protochain.cli import main
 from protochain.cli.relaxing import print_folder
 from protochain.setup import Setup
 from protochain.structure.losses import told
@@ -70,20 +68,6 @@ def modified(tmp_path):
     return path
 
 
-@pytest.fixture
-def protochain(tmp_path, monkeypatch, capsys):
-    """Run a command in an empty folder; return status and standard output."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["protochain", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code or 0, capsys.readouterr().out
-
-    return run
-
-
 def test_atoms_of_modified_residues_are_named_and_counted(modified, tmp_path):
     s = pc.load(modified, standard_residues=True)
     assert s.losses == LOST and tuple(s.residue_name[[0, 2, 4, 6, 8]]) == ("GLU", "SER", "THR", "TYR", "LEU")
@@ -96,10 +80,10 @@ def test_atoms_of_modified_residues_are_named_and_counted(modified, tmp_path):
 
 @pytest.mark.parametrize("command", [("relax",), ("minimise", "--max-evaluations", 5)])
 def test_the_last_lines_of_a_run_say_what_is_lost(command, modified, protochain):
-    _, out = protochain(*command, *ASKED, modified, "-o", "out.pdb", "--threads", 1)
+    _, out, _ = protochain(*command, *ASKED, modified, "-o", "out.pdb", "--threads", 1)
     lines = out.splitlines()
     assert f"lost atoms: {SAID}" in lines[-4:] and "written: out.pdb" in lines[-2:]
-    _, out = protochain(
+    _, out, _ = protochain(
         *command, *ASKED, modified, "-o", "out.cif", "--threads", 1, "--json", "--report", "r.html"
     )
     record = json.loads(out)

@@ -61,10 +61,10 @@ def no_velocities(material: Material) -> Both:
     )  # fmt: skip
 
 
-def propagator(material: Material, thermostat: Any, closure: Closure | None = None) -> Propagator:
+def propagator(material: Material, thermostat: Any) -> Propagator:
     """Leapfrog of a chain in vacuum."""
     chain = calm(material)
-    system = System(chain.tree, chain_potential(chain, material.energy("vacuum")), closure)
+    system = System(chain.tree, chain_potential(chain, material.energy("vacuum")))
     return Propagator(system, Leapfrog(), thermostat, _TIME_STEP, MOLAR_GAS * _KELVIN, 3, False)
 
 
