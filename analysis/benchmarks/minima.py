@@ -5,7 +5,7 @@
 found: Met-enkephalin (YGGFM, ff14SB, OBC2) from the extended chain, by ten walks of each method, and by
 scipy's basinhopping and dual_annealing on the same energy and torques, with as many evaluations each. A walk
 succeeds where it comes within 0.5 kJ/mol of the lowest that any of them found.
-populations: decaalanine by tempering, from the extended chain.
+populations: decaalanine by tempering, from the extended chain and from a helix.
 folds: Trp-cage from the extended chain in GBn2, five walks of hopping of some minutes each; the
 lowest of each, and the native, minimised with all atoms free.
 truth: trialanine with two hinges against quadrature.
@@ -36,7 +36,9 @@ NEAR = 0.5
 """kJ/mol above the lowest that any walk found."""
 PEPTIDE, HELIX = "YGGFM", "AAAAAAAAAA"
 TEMPERATURES = {"hopping": "300-600", "annealing": "200-900", "tempering": "300-600"}
-WORKERS = 2
+CORES = min(2, len(os.sched_getaffinity(0)))
+WORKERS = CORES if CORES > 1 else None
+"""Processes; all bits are the same with any number."""
 
 
 class SpentError(Exception):
@@ -133,20 +135,32 @@ def found(options: argparse.Namespace) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def helical(chain: pc.Chain) -> pc.Structure:
+    """Structure with the phi and psi of an alpha helix, -63 and -42 degrees, in all residues."""
+    q = chain.q0.copy()
+    for hinge, at in zip(chain.hinges, chain.tree.q_start[chain.hinge_body], strict=True):
+        q[at] = np.deg2rad({"phi": -63.0, "psi": -42.0}[hinge.kind])
+    return chain.structure.with_positions(pc.pose(chain, q).x)
+
+
 def populations(options: argparse.Namespace) -> pd.DataFrame:
-    """Decaalanine by tempering from the extended chain: helix, energies, exchanges and slopes."""
-    structure = pc.from_sequence(HELIX[: 5 if options.quick else None])
-    chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
-    done = pc.search(
-        chain, energy, "tempering", 25_000 if options.quick else 80_000, n_walkers=2,
-        n_replicas=3 if options.quick else 4, workers=WORKERS,
-    )  # fmt: skip
-    table = done.populations
-    table["round_trips"] = done.record()["round_trips"]
-    table["evaluations"] = done.n_evaluations
-    table["lowest_kj_mol"] = done.energy
-    table["helix_share_of_lowest"] = done.minima.loc[0, "helix_share"]
-    return table
+    """Decaalanine by tempering, from the extended chain and from a helix: both have to agree."""
+    extended = pc.from_sequence(HELIX[: 5 if options.quick else None])
+    energy, tables = pc.energy(extended, threads=1), []
+    for start, structure in (("extended", extended), ("helix", helical(pc.build_chain(extended)))):
+        done = pc.search(
+            structure, energy, "tempering", 13_000 if options.quick else 1_600_000, n_walkers=1,
+            n_replicas=3 if options.quick else 4, workers=WORKERS,
+        )  # fmt: skip
+        table = done.populations
+        table.insert(0, "start", start)
+        table["round_trips"] = done.record()["round_trips"]
+        table["evaluations"] = done.n_evaluations
+        table["lowest_kj_mol"] = done.energy
+        table["helix_share_of_lowest"] = done.minima.loc[0, "helix_share"]
+        tables.append(table)
+        print(table.to_string(), flush=True)
+    return pd.concat(tables)
 
 
 def folds(options: argparse.Namespace) -> pd.DataFrame:
@@ -156,7 +170,7 @@ def folds(options: argparse.Namespace) -> pd.DataFrame:
     chain, energy = pc.build_chain(structure), pc.energy(structure, solvent="gbn2", threads=1)
     seeds, minutes = (2, 0.2) if options.quick else (5, options.minutes)
     done = pc.search(
-        chain, energy, "hopping", hours=minutes * seeds / WORKERS / 60.0, n_walkers=seeds, workers=WORKERS
+        chain, energy, "hopping", hours=minutes * seeds / CORES / 60.0, n_walkers=seeds, workers=WORKERS
     )
     own = pc.energy(native, solvent="gbn2", threads=1)
     reference = pc.minimise(native, own, "hybrid").end.energy
@@ -240,7 +254,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main() -> None:
     options = parser().parse_args()
-    made.study(options, TABLES, "minima", lambda name, table: (), WORKERS)
+    made.study(options, TABLES, "minima", lambda name, table: (), CORES)
 
 
 if __name__ == "__main__":
