@@ -15,7 +15,9 @@ atoms (bonds to hydrogen constrained, 2 fs, one thread), the engine of a replica
 
 import argparse
 import os
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from multiprocessing import get_context
 from time import process_time
 
 import made
@@ -37,8 +39,6 @@ NEAR = 0.5
 PEPTIDE, HELIX = "YGGFM", "AAAAAAAAAA"
 TEMPERATURES = {"hopping": "300-600", "annealing": "200-900", "tempering": "300-600"}
 CORES = min(2, len(os.sched_getaffinity(0)))
-WORKERS = CORES if CORES > 1 else None
-"""Processes; all bits are the same with any number."""
 
 
 class SpentError(Exception):
@@ -113,7 +113,7 @@ def found(options: argparse.Namespace) -> pd.DataFrame:
         if method in TEMPERATURES:
             done = pc.search(
                 chain, energy, method, budget * seeds, temperatures=TEMPERATURES[method], n_walkers=seeds,
-                n_replicas=3, workers=WORKERS,
+                n_replicas=3, workers=CORES,
             )  # fmt: skip
             falls[method] = [falls_of(done, walker) for walker in range(seeds)]
         else:
@@ -146,21 +146,25 @@ def helical(chain: pc.Chain) -> pc.Structure:
 def populations(options: argparse.Namespace) -> pd.DataFrame:
     """Decaalanine by tempering, from the extended chain and from a helix: both have to agree."""
     extended = pc.from_sequence(HELIX[: 5 if options.quick else None])
-    energy, tables = pc.energy(extended, threads=1), []
-    for start, structure in (("extended", extended), ("helix", helical(pc.build_chain(extended)))):
-        done = pc.search(
-            structure, energy, "tempering", 13_000 if options.quick else 1_600_000, n_walkers=1,
-            n_replicas=3 if options.quick else 4, workers=WORKERS,
-        )  # fmt: skip
-        table = done.populations
-        table.insert(0, "start", start)
-        table["round_trips"] = done.record()["round_trips"]
-        table["evaluations"] = done.n_evaluations
-        table["lowest_kj_mol"] = done.energy
-        table["helix_share_of_lowest"] = done.minima.loc[0, "helix_share"]
-        tables.append(table)
-        print(table.to_string(), flush=True)
-    return pd.concat(tables)
+    starts = {"extended": extended, "helix": helical(pc.build_chain(extended))}
+    with ProcessPoolExecutor(CORES, get_context("spawn")) as pool:
+        tables = pool.map(tempered, starts, starts.values(), [options.quick] * len(starts))
+        return pd.concat(tables)
+
+
+def tempered(name: str, start: pc.Structure, quick: bool) -> pd.DataFrame:
+    """Populations by one walk from a start."""
+    done = pc.search(
+        start, pc.energy(start, threads=1), "tempering", 13_000 if quick else 650_000, n_walkers=1,
+        n_replicas=3 if quick else 4,
+    )  # fmt: skip
+    table = done.populations
+    table.insert(0, "start", name)
+    table["round_trips"] = done.record()["round_trips"]
+    table["evaluations"] = done.n_evaluations
+    table["lowest_kj_mol"] = done.energy
+    table["helix_share_of_lowest"] = done.minima.loc[0, "helix_share"]
+    return table
 
 
 def folds(options: argparse.Namespace) -> pd.DataFrame:
@@ -170,7 +174,7 @@ def folds(options: argparse.Namespace) -> pd.DataFrame:
     chain, energy = pc.build_chain(structure), pc.energy(structure, solvent="gbn2", threads=1)
     seeds, minutes = (2, 0.2) if options.quick else (5, options.minutes)
     done = pc.search(
-        chain, energy, "hopping", hours=minutes * seeds / CORES / 60.0, n_walkers=seeds, workers=WORKERS
+        chain, energy, "hopping", hours=minutes * seeds / CORES / 60.0, n_walkers=seeds, workers=CORES
     )
     own = pc.energy(native, solvent="gbn2", threads=1)
     reference = pc.minimise(native, own, "hybrid").end.energy
@@ -195,7 +199,7 @@ def truth(options: argparse.Namespace) -> pd.DataFrame:
     at = 2.0 * np.pi * (np.arange(n) + 0.5) / n - np.pi
     grid = np.array([[energy(pc.pose(chain, np.array([a, b])).x)[0] for b in at] for a in at])
     budget = 16_000 if options.quick else 600_000
-    done = pc.search(chain, energy, "tempering", budget, n_walkers=2, n_replicas=2, workers=WORKERS)
+    done = pc.search(chain, energy, "tempering", budget, n_walkers=2, n_replicas=2, workers=CORES)
     rows = []
     for row in done.populations.to_dict("records"):
         weight = np.exp(-(grid - grid.min()) * 1000.0 / (constants.R * row["temperature_k"]))
