@@ -6,11 +6,9 @@ found: Met-enkephalin (YGGFM, ff14SB, OBC2) from the extended chain, by ten walk
 scipy's basinhopping and dual_annealing on the same energy and torques, with as many evaluations each. A walk
 succeeds where it comes within 0.5 kJ/mol of the lowest that any of them found.
 populations: decaalanine by tempering, from the extended chain and from a helix.
-folds: Trp-cage from the extended chain in GBn2, five walks of hopping of some minutes each; the
-lowest of each, and the native, minimised with all atoms free.
+folds: chignolin CLN025 and Trp-cage from the extended chain in GBn2, five walks of hopping; the lowest of each, and the native, minimised with all atoms free.
 truth: trialanine with two hinges against quadrature.
-cost: processor time of a step of hybrid Monte Carlo in torsions, and of OpenMM's Langevin dynamics of all
-atoms (bonds to hydrogen constrained, 2 fs, one thread), the engine of a replica exchange of the same peptide.
+cost: processor time of a round of replica exchange in torsions, and of one by OpenMM of all atoms.
 """
 
 import argparse
@@ -24,21 +22,24 @@ import made
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import unit
 from scipy import constants
 from scipy.optimize import basinhopping, dual_annealing
 from threadpoolctl import threadpool_limits
 
 import protochain as pc
 from protochain.energies import constrain_hydrogens
-from protochain.searching import Landscape
 
 KT = 300.0 * constants.R / 1000.0
 NEAR = 0.5
 """kJ/mol above the lowest that any walk found."""
 PEPTIDE, HELIX = "YGGFM", "AAAAAAAAAA"
+FOLDS = {"chignolin": ("5awl.pdb", "YYDPETGTWY"), "Trp-cage": ("1l2y.pdb", "NLYIQWLKDGGPSSGRPPPS")}
 TEMPERATURES = {"hopping": "300-600", "annealing": "200-900", "tempering": "300-600"}
+TRAJECTORY = 20
+"""Steps between exchanges in torsions."""
 CORES = min(2, len(os.sched_getaffinity(0)))
+WORKERS = CORES if CORES > 1 else None
+"""Processes; all bits are the same with any number."""
 
 
 class SpentError(Exception):
@@ -113,7 +114,7 @@ def found(options: argparse.Namespace) -> pd.DataFrame:
         if method in TEMPERATURES:
             done = pc.search(
                 chain, energy, method, budget * seeds, temperatures=TEMPERATURES[method], n_walkers=seeds,
-                n_replicas=3, workers=CORES,
+                n_replicas=3, workers=WORKERS,
             )  # fmt: skip
             falls[method] = [falls_of(done, walker) for walker in range(seeds)]
         else:
@@ -168,26 +169,27 @@ def tempered(name: str, start: pc.Structure, quick: bool) -> pd.DataFrame:
 
 
 def folds(options: argparse.Namespace) -> pd.DataFrame:
-    """Trp-cage by hopping: what is lowest, chosen by energy alone, beside the native; all atoms minimised."""
-    native = pc.load(made.SAMPLES / "1l2y.pdb")
-    structure = pc.from_sequence("NLYIQWLKDGGPSSGRPPPS")
-    chain, energy = pc.build_chain(structure), pc.energy(structure, solvent="gbn2", threads=1)
-    seeds, minutes = (2, 0.2) if options.quick else (5, options.minutes)
-    done = pc.search(
-        chain, energy, "hopping", hours=minutes * seeds / CORES / 60.0, n_walkers=seeds, workers=CORES
-    )
-    own = pc.energy(native, solvent="gbn2", threads=1)
-    reference = pc.minimise(native, own, "hybrid").end.energy
+    """Chignolin and Trp-cage by hopping: what is lowest, chosen by energy alone, beside the native."""
+    seeds, budget = (2, 1000) if options.quick else (5, options.short)
     rows = []
-    for walker, its in enumerate(done.findings):
-        low = its.minima[np.argmin(its.minima[:, 1])]
-        start = structure.with_positions(pc.pose(done.chain, low[2:]).x)
-        end = pc.minimise(start, energy, "hybrid")
-        rows.append({
-            "walk": walker, "minutes": minutes, "evaluations": int(its.minima[-1, 0]),
-            "in_torsions_kj_mol": low[1], "energy_kj_mol": end.end.energy, "native_kj_mol": reference,
-            "ca_rmsd_to_native_angstrom": pc.rmsd(end.structure, native),
-        })  # fmt: skip
+    for name, (file, sequence) in FOLDS.items():
+        native, structure = pc.load(made.SAMPLES / file), pc.from_sequence(sequence)
+        chain, energy = pc.build_chain(structure), pc.energy(structure, solvent="gbn2", threads=1)
+        began = sum(os.times()[:4])
+        done = pc.search(chain, energy, "hopping", budget * seeds, n_walkers=seeds, workers=WORKERS)
+        spent = (sum(os.times()[:4]) - began) / seeds / 60.0
+        own = pc.energy(native, solvent="gbn2", threads=1)
+        reference = pc.minimise(native, own, "hybrid").end.energy
+        for walker, its in enumerate(done.findings):
+            low = its.minima[np.argmin(its.minima[:, 1])]
+            start = structure.with_positions(pc.pose(done.chain, low[2:]).x)
+            end = pc.minimise(start, energy, "hybrid")
+            rows.append({
+                "protein": name, "walk": walker, "minutes_of_a_core": spent,
+                "evaluations": int(its.minima[-1, 0]), "in_torsions_kj_mol": low[1],
+                "energy_kj_mol": end.end.energy, "native_kj_mol": reference,
+                "ca_rmsd_to_native_angstrom": pc.rmsd(end.structure, native),
+            })  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -199,7 +201,7 @@ def truth(options: argparse.Namespace) -> pd.DataFrame:
     at = 2.0 * np.pi * (np.arange(n) + 0.5) / n - np.pi
     grid = np.array([[energy(pc.pose(chain, np.array([a, b])).x)[0] for b in at] for a in at])
     budget = 16_000 if options.quick else 600_000
-    done = pc.search(chain, energy, "tempering", budget, n_walkers=2, n_replicas=2, workers=CORES)
+    done = pc.search(chain, energy, "tempering", budget, n_walkers=2, n_replicas=2, workers=WORKERS)
     rows = []
     for row in done.populations.to_dict("records"):
         weight = np.exp(-(grid - grid.min()) * 1000.0 / (constants.R * row["temperature_k"]))
@@ -214,35 +216,81 @@ def truth(options: argparse.Namespace) -> pd.DataFrame:
 
 
 def cost(options: argparse.Namespace) -> pd.DataFrame:
-    """Processor time of a step, and picoseconds of dynamics in a second of it, one thread each."""
+    """Processor time of replica exchange on one thread: in torsions, and by OpenMM of all atoms.
+
+    OpenMM's replicas are contexts with Langevin dynamics (bonds to hydrogen constrained, 2 fs), at the same
+    temperatures, exchanged by Metropolis' criterion after the same time as those in torsions.
+    """
     structure = pc.from_sequence(PEPTIDE)
     energy = pc.energy(structure, threads=1)
-    landscape = Landscape.of(pc.build_chain(structure), energy)
-    q, step = landscape.minimise(landscape.chain.q0).q, 0.03
-    landscape.sweep(q, 300.0, step, 1, 0)
-    n = 5 if options.quick else 60
+    few, many = (13_000, 16_000) if options.quick else (16_000, 60_000)
+    spent, done = [], []
+    for n in (few, few, many):  # Once for what is compiled and read.
+        began = process_time()
+        done.append(pc.search(structure, energy, "tempering", n, n_walkers=1, n_replicas=4))
+        spent.append(process_time() - began)
+    _, first, last = done
+    rounds = last.states[0].n_done - first.states[0].n_done
+    own = (spent[2] - spent[1]) / rounds
+    steps = last.states[0].time_steps
+    length = TRAJECTORY * float(np.mean(steps))
+    n_steps = round(length / 0.002)
+    replicas = Exchange(energy.system, structure.positions, last.temperatures, n_steps)
+    replicas.round()
+    n = 3 if options.quick else 100
     began = process_time()
-    done = landscape.sweep(q, 300.0, step, n, 1)
-    own = (process_time() - began) / done.n_evaluations
-    system = openmm.XmlSerializer.clone(energy.system)
-    constrain_hydrogens(system)
-    integrator = openmm.LangevinMiddleIntegrator(300, 1, 0.002)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), {"Threads": "1"})
-    context.setPositions(landscape.positions(q))
-    context.setVelocitiesToTemperature(300 * unit.kelvin, 0)
-    integrator.step(100)
-    began = process_time()
-    integrator.step(20 * n)
-    context.getState(getEnergy=True)
-    theirs = (process_time() - began) / (20 * n)
+    for _ in range(n):
+        replicas.round()
+    theirs = (process_time() - began) / n
     return pd.DataFrame([
-        {"engine": name, "ms_a_step": 1000.0 * seconds, "fs_a_step": 1000.0 * h,
-         "ps_a_second": h / seconds, "trajectories_of_20_steps_a_second": 1.0 / (20 * seconds)}
-        for name, seconds, h in (
-            ("torsions, hybrid Monte Carlo with Fixman's potential", own, step),
-            ("OpenMM, all atoms, Langevin", theirs, 0.002),
+        {"engine": name, "replicas": len(steps), "fs_a_step": 1000.0 * ps / k, "steps_a_round": k,
+         "ps_a_round": ps, "ms_a_step": 1000.0 * seconds / (k * len(steps)), "rounds_a_second": 1.0 / seconds,
+         "ps_a_second": ps / seconds, "exchanges": share}
+        for name, k, ps, seconds, share in (
+            ("torsions: hybrid Monte Carlo with Fixman's potential", TRAJECTORY, length, own,
+             last.states[0].acceptance),
+            ("OpenMM: all atoms, Langevin", n_steps, 0.002 * n_steps, theirs, replicas.share),
         )
     ])  # fmt: skip
+
+
+class Exchange:
+    """Replicas by OpenMM's CPU platform, on one thread: plain replica exchange."""
+
+    def __init__(self, system, positions: np.ndarray, temperatures: np.ndarray, n_steps: int) -> None:
+        system = openmm.XmlSerializer.clone(system)
+        constrain_hydrogens(system)
+        self.beta, self.n_steps = 1000.0 / (constants.R * temperatures), n_steps
+        self.random, self.n, self.exchanged = np.random.default_rng(0), 0, 0.0
+        self.contexts = []
+        for temperature in temperatures:
+            integrator = openmm.LangevinMiddleIntegrator(float(temperature), 1, 0.002)
+            platform = openmm.Platform.getPlatform("CPU")
+            context = openmm.Context(system, integrator, platform, {"Threads": "1"})
+            context.setPositions(positions)
+            openmm.LocalEnergyMinimizer.minimize(context)
+            context.setVelocitiesToTemperature(float(temperature), 0)
+            self.contexts.append(context)
+
+    @property
+    def share(self) -> float:
+        """Mean probability of exchanges."""
+        return self.exchanged / self.n
+
+    def round(self) -> None:
+        """Steps of each replica, then exchanges of every other pair of neighbours, in turn."""
+        for context in self.contexts:
+            context.getIntegrator().step(self.n_steps)
+        at = [c.getState(getEnergy=True, getPositions=True, getVelocities=True) for c in self.contexts]
+        energy = np.array([each.getPotentialEnergy()._value for each in at])
+        odds = np.exp(np.minimum(0.0, np.diff(self.beta) * np.diff(energy)))
+        self.n, self.exchanged = self.n + 1, self.exchanged + float(odds.mean())
+        for k in range(self.n % 2, len(odds), 2):
+            if self.random.random() < odds[k]:
+                scale = np.sqrt(self.beta[k] / self.beta[k + 1])
+                for mine, other, by in ((k, k + 1, 1.0 / scale), (k + 1, k, scale)):
+                    self.contexts[mine].setPositions(at[other].getPositions())
+                    self.contexts[mine].setVelocities(at[other].getVelocities(asNumpy=True) * by)
 
 
 TABLES = {"found": found, "populations": populations, "folds": folds, "truth": truth, "cost": cost}
@@ -252,7 +300,7 @@ def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", TABLES)
     own.add_argument("--evaluations", type=int, default=40_000, help="of each walk")
     own.add_argument("--seeds", type=int, default=10, help="walks of each method")
-    own.add_argument("--minutes", type=float, default=1.0, help="of each walk of folds")
+    own.add_argument("--short", type=int, default=20_000, help="evaluations of each walk of folds")
     return own
 
 

@@ -203,8 +203,8 @@ REFUSED = {
     "method": ("guessing",),
     "evaluations": (0, 1.5),
     "hours": (0.0, -1.0),
-    "n_walkers": (0,),
-    "n_replicas": (1,),
+    "n_walkers": (0, 10**9),
+    "n_replicas": (1, 10**9),
     "seed": (-1,),
     "workers": (0,),
 }
