@@ -5,7 +5,7 @@
 Every start is the structure as prepared, moved by Gaussian displacements of 0.001 nm. From each, every method
 minimises the same energy (ff14SB, OBC2): `cartesian`, `hybrid`, `openmm`, and L-BFGS-B of scipy, which knows
 nothing of proteins. A run ends at 1 kJ/mol/nm RMS; what is left of its way is gone by `cartesian` to 0.01,
-for all alike, so that ends are minima. The table has each end. Structures that it has are not done again.
+for all alike, so that ends are minima. The table has each end; starts that it has are not run again.
 """
 
 import argparse
@@ -58,24 +58,21 @@ def end(structure: pc.Structure, method: str, energy: Energy) -> np.ndarray:
     return pc.minimise(structure, energy, method, TOLERANCE, MOST, curvature=False).x
 
 
-def rows(path: Path, starts: int) -> list[dict[str, object]]:
-    """A row for each start and method."""
-    structure = pc.load(path)
-    energy, found = pc.energy(structure, threads=1), []
-    for seed in range(starts):
-        rng = np.random.default_rng(seed)
-        moved = structure.positions + MOVED * rng.normal(size=(structure.n_atoms, 3))
-        start = structure.with_positions(moved)
-        for method in METHODS:
-            began = process_time()
-            x = end(start, method, energy)
-            seconds = process_time() - began
-            last = pc.minimise(start.with_positions(x), energy, "cartesian", POLISHED, MOST, curvature=False)
-            found.append({
-                "structure": path.stem, "atoms": structure.n_atoms, "residues": structure.n_residues,
-                "start": seed, "method": method, "run_kj_mol": energy(x)[0], "end_kj_mol": last.end.energy,
-                "status": str(last.status), "cpu_seconds": seconds,
-            })  # fmt: skip
+def rows(structure: pc.Structure, name: str, energy: Energy, seed: int) -> list[dict[str, object]]:
+    """A row for each method from one start."""
+    rng = np.random.default_rng(seed)
+    start = structure.with_positions(structure.positions + MOVED * rng.normal(size=(structure.n_atoms, 3)))
+    found: list[dict[str, object]] = []
+    for method in METHODS:
+        began = process_time()
+        x = end(start, method, energy)
+        seconds = process_time() - began
+        last = pc.minimise(start.with_positions(x), energy, "cartesian", POLISHED, MOST, curvature=False)
+        found.append({
+            "structure": name, "atoms": structure.n_atoms, "residues": structure.n_residues,
+            "start": seed, "method": method, "run_kj_mol": energy(x)[0], "end_kj_mol": last.end.energy,
+            "status": str(last.status), "cpu_seconds": seconds,
+        })  # fmt: skip
     return found
 
 
@@ -90,15 +87,17 @@ def main() -> None:
     options = parser().parse_args()
     if options.quick:
         options.structures, options.starts = [SAMPLES / "ala10.pdb"], 2
-    done = options.output and options.output / "ends.csv"
-    table = pd.read_csv(done) if done and done.exists() else pd.DataFrame({"structure": []})
-    for path in options.structures:
-        if path.stem not in set(table["structure"]):
-            table = pd.concat([table, pd.DataFrame(rows(path, options.starts))])
-            if options.output:
-                made.write(table, done, options.structures)
-        of = table[table["structure"] == path.stem].groupby("method")["end_kj_mol"]
-        print(path.stem, of.median().round(1).to_dict(), flush=True)
+    path = options.output and options.output / "ends.csv"
+    found = pd.read_csv(path).to_dict("records") if path and path.exists() else []
+    for file in options.structures:
+        structure, done = pc.load(file), {row["start"] for row in found if row["structure"] == file.stem}
+        energy = pc.energy(structure, threads=1)
+        for seed in sorted(set(range(options.starts)) - done):
+            found += rows(structure, file.stem, energy, seed)
+            if path:
+                made.write(pd.DataFrame(found), path, options.structures)
+        of = pd.DataFrame(row for row in found if row["structure"] == file.stem).groupby("method")
+        print(file.stem, of["end_kj_mol"].median().round(1).to_dict(), flush=True)
 
 
 if __name__ == "__main__":

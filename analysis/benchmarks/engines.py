@@ -5,8 +5,8 @@
 Medians of calls taken in turn in one process, and their ratios; OpenMM's implicit solvents as its force field
 builds them (CustomGBForce), OBC2 also as GBSAOBCForce. STUDY is any of energies, that comparison; cutoff, at
 growing sizes (copies of ubiquitin side by side); accuracy, error against seconds of a processor by trees and
-cutoffs, at growing sizes; and moving, what leaving out constant terms saves, and what
-the chain's sweeps add (all by default).
+cutoffs, at growing sizes; openings, by what a tree counts as far and the order of its expansions; and moving,
+what leaving out constant terms saves, and what the chain's sweeps add (all by default).
 """
 
 import argparse
@@ -21,10 +21,12 @@ import numpy as np
 import openmm
 import pandas as pd
 from made import SAMPLES
+from matplotlib.figure import Figure
 from openmm import app, unit
+from tables import SOLVENTS
 
 import protochain as pc
-from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
+from protochain.energies import Energy, NativeEnergy, Opening, OpenMMEnergy
 from protochain.lab import in_turn
 
 DEFAULT = ("1l2y", "4pti", "1ubq", "1hel")
@@ -44,13 +46,15 @@ def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.5) -> dic
 
 def copies(s: pc.Structure, n: int) -> tuple[app.Topology, np.ndarray]:
     """Return n copies of a structure, side by side on a grid."""
-    both = app.Modeller(s.topology, s.positions * unit.nanometer)
+    many = app.Modeller(s.topology, s.positions * unit.nanometer)
+    for bit in f"{n:b}"[1:]:
+        many.add(many.topology, many.positions)
+        if bit == "1":
+            many.add(s.topology, s.positions * unit.nanometer)
     side = int(np.ceil(n ** (1 / 3)))
-    step = np.ptp(s.positions, axis=0) + 0.3
-    places = [step * np.array(np.unravel_index(i, (side, side, side))) for i in range(n)]
-    for place in places[1:]:
-        both.add(s.topology, (s.positions + place) * unit.nanometer)
-    return both.topology, np.array(both.positions.value_in_unit(unit.nanometer))
+    places = np.array(np.unravel_index(range(n), (side, side, side))).T
+    shifts = (np.ptp(s.positions, axis=0) + 0.3) * places
+    return many.topology, (s.positions + shifts[:, None]).reshape(-1, 3)
 
 
 def system(topology: app.Topology, solvent: str | None, cutoff: float | None = None) -> openmm.System:
@@ -153,44 +157,114 @@ def with_cutoff(threads: int, quick: bool) -> Iterator[dict[str, object]]:
 ACCURACIES = (1e-2, 1e-3, 1e-4)
 """kJ/mol/nm, RMS error of the forces asked of a tree."""
 CUTOFFS = (1.0, 2.0, 3.0)
+ASKED = {
+    1: ("obc2", "gbn2", "vacuum"), 4: ("obc2", "gbn2", "vacuum"), 16: ("obc2", "gbn2", "vacuum"),
+    41: ("obc2", "vacuum"), 162: ("obc2", "vacuum"),
+}  # fmt: skip
+"""Solvents by copies of ubiquitin: of 50,000 atoms and more, what two cores compute in minutes."""
 
 
 def by_accuracy(threads: int, quick: bool) -> Iterator[dict[str, object]]:
     """Error of energy and forces against seconds of a processor, on one thread, by trees and cutoffs."""
     s = pc.load(SAMPLES / "1ubq.pdb")
+    for n, solvents in {3: ("obc2",)}.items() if quick else ASKED.items():
+        topology, x = copies(s, n)
+        for solvent in solvents:
+            exact, to_cutoff = in_solvent(topology, solvent)
+            against = Against(exact, x)
+            yield against.row(solvent, "all pairs", exact)
+            # Each accuracy is measured against all pairs.
+            for accuracy in ACCURACIES if n <= 41 else ACCURACIES[1:2]:
+                tree = exact.to_accuracy(accuracy, x)
+                if tree is not exact:
+                    yield against.row(solvent, f"tree, {accuracy:g} asked", tree)
+            # By OpenMM, GBn2 takes minutes.
+            if n <= (4 if solvent == "gbn2" else 16):
+                yield against.row(solvent, "OpenMM CPU, all pairs", exact.by_openmm)
+            for cutoff in CUTOFFS if n <= 4 else CUTOFFS[1:2]:
+                cut = to_cutoff(cutoff)
+                yield against.row(solvent, f"cutoff {cutoff:g} nm", cut)
+                if n <= 16 and solvent != "gbn2" and cutoff == CUTOFFS[1]:
+                    yield against.row(solvent, f"OpenMM CPU, cutoff {cutoff:g} nm", cut.by_openmm)
+
+
+ANGLES = (0.35, 0.5, 0.65)
+ORDERS = (4, 6, 8, 10)
+
+
+def by_opening(threads: int, quick: bool) -> Iterator[dict[str, object]]:
+    """Error against seconds of a processor, on one thread, by opening angle and order of the expansions."""
+    s = pc.load(SAMPLES / "1ubq.pdb")
     for n in (3,) if quick else (4, 16):
         topology, x = copies(s, n)
-        # GBn2 differs from OBC2 in what is near; by OpenMM it takes minutes.
-        for solvent in ("obc2",) if quick else ("obc2", "gbn2", "vacuum") if n == 4 else ("obc2", "vacuum"):
-            named = None if solvent == "vacuum" else solvent
-            built = with_gbsa_obc(topology) if solvent == "obc2" else system(topology, named)
-            exact = NativeEnergy(OpenMMEnergy(built, threads=1), 1)
-            energies: dict[str, Energy] = {"all pairs": exact}
-            for accuracy in ACCURACIES:
-                energies[f"tree, {accuracy:g} asked"] = exact.to_accuracy(accuracy, x)
-            if n <= 4:
-                energies["OpenMM CPU, all pairs"] = exact.by_openmm
-            for cutoff in CUTOFFS if n <= 4 else CUTOFFS[1:2]:
-                cut = NativeEnergy(OpenMMEnergy(system(topology, named, cutoff), threads=1), 1)
-                energies[f"cutoff {cutoff:g} nm"] = cut
-            (expected, forces), all_ms = exact(x), 1.0
-            for name, energy in energies.items():
-                if name.startswith("tree") and energy is exact:
-                    continue
-                value, its = energy(x)
-                taken = processor_ms(partial(energy, x))
-                all_ms = taken if energy is exact else all_ms
-                yield {
-                    "atoms": len(x), "solvent": solvent, "by": name, "processor_ms": taken,
-                    "of_all_pairs": taken / all_ms, "energy_off_kj_mol": abs(value - expected),
-                    "rms_force_off_kj_mol_nm": np.sqrt(((its - forces) ** 2).sum(axis=1).mean()),
-                }  # fmt: skip
+        for solvent in ("obc2",) if quick else ("obc2", "vacuum"):
+            exact, _ = in_solvent(topology, solvent)
+            against = Against(exact, x)
+            for angle in ANGLES[1:2] if quick else ANGLES:
+                for order in ORDERS[:2] if quick else ORDERS:
+                    tree = exact.by_tree(Opening(angle, order))
+                    yield {"angle": angle, "order": order} | against.row(solvent, "tree", tree)
+
+
+def in_solvent(topology: app.Topology, solvent: str) -> tuple[NativeEnergy, Callable[[float], NativeEnergy]]:
+    """Energy over all pairs, on one thread, and what makes one with a cutoff."""
+    named = None if solvent == "vacuum" else solvent
+    built = with_gbsa_obc(topology) if solvent == "obc2" else system(topology, named)
+
+    def to_cutoff(cutoff: float) -> NativeEnergy:
+        return NativeEnergy(OpenMMEnergy(system(topology, named, cutoff), threads=1), 1)
+
+    return NativeEnergy(OpenMMEnergy(built, threads=1), 1), to_cutoff
+
+
+class Against:
+    """What differs from the energy over all pairs, and what it costs beside it."""
+
+    def __init__(self, exact: NativeEnergy, x: np.ndarray) -> None:
+        self.x, (self.energy, self.forces) = x, exact(x)
+        self.all_ms = processor_ms(partial(exact, x))
+
+    def row(self, solvent: str, by: str, energy: Energy) -> dict[str, object]:
+        """Of an energy: ms, and how far it is off."""
+        value, forces = energy(self.x)
+        taken = self.all_ms if by == "all pairs" else processor_ms(partial(energy, self.x))
+        return {
+            "atoms": len(self.x), "solvent": solvent, "by": by, "processor_ms": taken,
+            "of_all_pairs": taken / self.all_ms, "energy_off_kj_mol": abs(value - self.energy),
+            "rms_force_off_kj_mol_nm": np.sqrt(((forces - self.forces) ** 2).sum(axis=1).mean()),
+        }  # fmt: skip
+
+
+def curves(table: pd.DataFrame) -> Figure:
+    """Error of the forces against ms of a processor, a panel a solvent, a colour a size."""
+    import matplotlib.pyplot as plt
+
+    sizes, solvents = sorted(table["atoms"].unique()), list(dict.fromkeys(table["solvent"]))
+    figure, panels = plt.subplots(
+        1, len(solvents), figsize=(4.0 * len(solvents), 3.6), sharey=True, squeeze=False, layout="constrained"
+    )
+    ways = (("tree", "o-", "tree"), ("cutoff", "s:", "cutoff"), ("OpenMM CPU, all", "x", "OpenMM, all pairs"))
+    for panel, solvent in zip(panels[0], solvents, strict=True):
+        for k, atoms in enumerate(sizes):
+            mine = table[(table["solvent"] == solvent) & (table["atoms"] == atoms)]
+            for begins, style, label in ways:
+                its = mine[mine["by"].str.startswith(begins)]
+                panel.loglog(
+                    its["processor_ms"], its["rms_force_off_kj_mol_nm"], style, color=f"C{k}", ms=4,
+                    label=f"{atoms:,} atoms" if begins == "tree" else label if k == 0 else None,
+                )  # fmt: skip
+            for taken in mine.loc[mine["by"] == "all pairs", "processor_ms"]:
+                panel.axvline(taken, color=f"C{k}", lw=0.6, alpha=0.6)
+        panel.set(title=SOLVENTS[solvent], xlabel="ms of a processor (line: all pairs)")
+    panels[0, 0].set_ylabel("RMS error of the forces, kJ/mol/nm")
+    panels[0, 0].legend(fontsize=6)
+    return figure
 
 
 def processor_ms(run: Callable[[], object]) -> float:
-    """Least of three: seconds of a processor, which other work on the machine changes little."""
-    found = []
-    for _ in range(3):
+    """Least of up to three: ms of a processor, which other work on the machine changes little."""
+    found: list[float] = []
+    while len(found) < 3 and sum(found) < 1e4:
         began = process_time()
         run()
         found.append(1e3 * (process_time() - began))
@@ -238,6 +312,7 @@ STUDIES = {
     "energies": ("engines", energies),
     "cutoff": ("engines_cutoff", with_cutoff),
     "accuracy": ("engines_accuracy", by_accuracy),
+    "openings": ("engines_openings", by_opening),
     "moving": ("engines_moving", left_out),
 }
 
@@ -260,8 +335,11 @@ def main() -> None:
             print(f"| {' | '.join(shown)} |", flush=True)
         if options.output:
             table = pd.DataFrame(rows)
+            if measure is by_accuracy:
+                options.output.mkdir(parents=True, exist_ok=True)
+                curves(table).savefig(options.output / f"{name}.png", dpi=110)
             of = table["structure"].unique() if "structure" in table else ["copies of 1ubq"]
-            threads = 1 if measure is by_accuracy else options.threads
+            threads = 1 if measure in (by_accuracy, by_opening) else options.threads
             made.write(table, options.output / f"{name}.csv", of, threads)
 
 

@@ -1,13 +1,13 @@
 """Large structures: copies of one side by side, minimised in all atoms from shell to shell.
 
-    python analysis/benchmarks/large.py [-o DIR] [--structure FILE] [--atoms 1000,3000,10000,20000,44000]
-        [--tolerance 10] [--cutoff auto] [--threads N] [--quick]
+    python analysis/benchmarks/large.py [-o DIR] [--structure FILE] [--atoms 1000,...,200000]
+        [--tolerance 10] [--accuracy auto] [--threads N] [--quick]
 
 `protochain minimise --method cartesian` to an RMS force of 10 kJ/mol/nm, in a process of its own for each
 size: seconds in all and of the minimisation, evaluations, most memory. Then, by the library in one process,
 the seconds of preparation (reading, hinges), of a first energy and of one more. The exponent of each with the
-number of atoms is that of a straight line through the logarithms. One cutoff for all sizes (a number) makes
-the seconds of an evaluation comparable; auto takes one from 20,000 atoms on.
+number of atoms is that of a straight line through the logarithms, of all sizes and of those
+from 5,000 atoms on, where a tree sums far pairs by default.
 """
 
 import argparse
@@ -29,7 +29,10 @@ from protochain.lab import exponent
 
 GAP = 3.0
 """angstrom between the boxes around two copies."""
-SIZES = "1000,3000,10000,20000,44000"
+SIZES = "1000,3000,6000,10000,20000,44000,200000"
+QUICK = "6000,7500"
+FEWEST = 5000
+"""Atoms from which a tree sums far pairs by default."""
 
 
 def copies(one: gemmi.Structure, n: int, path: Path) -> None:
@@ -56,7 +59,8 @@ def copies(one: gemmi.Structure, n: int, path: Path) -> None:
 def minimised(path: Path, options: argparse.Namespace) -> dict[str, object]:
     """What the command line says of one run, with its seconds and most memory."""
     command = [sys.executable, "-c", "from protochain.cli import main; main()", "minimise", str(path)]
-    command += ["--method", "cartesian", "--tolerance", str(options.tolerance), "--cutoff", options.cutoff]
+    command += ["--method", "cartesian", "--tolerance", str(options.tolerance)]
+    command += ["--accuracy", options.accuracy]
     command += ["--threads", str(options.threads), "--json", "-o", str(path.with_name("end.cif")), "--force"]
     began = perf_counter()
     run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
@@ -85,8 +89,9 @@ def prepared(path: Path, options: argparse.Namespace) -> dict[str, object]:
     structure = pc.load(path)
     pc.build_chain(structure)
     lap()
-    cutoff = options.cutoff if options.cutoff in ("auto", "none") else float(options.cutoff)
-    energy = pc.energy(structure, cutoff=None if cutoff == "none" else cutoff, threads=options.threads)
+    word = options.accuracy
+    accuracy = word if word in ("auto", "exact") else float(word)
+    energy = pc.energy(structure, accuracy=accuracy, threads=options.threads)
     energy(structure.positions)
     lap()
     for k in range(1, 4):
@@ -100,8 +105,14 @@ def prepared(path: Path, options: argparse.Namespace) -> dict[str, object]:
 def exponents(table: pd.DataFrame) -> pd.DataFrame:
     """Slopes of the seconds with the atoms, in logarithms."""
     timed = [name for name in table if name.endswith("_s")]
-    slopes = [exponent(table["atoms"], table[name]) for name in timed]
-    return pd.DataFrame({"seconds_of": timed, "exponent": slopes})
+    by_tree = table[table["atoms"] >= FEWEST]
+    return pd.DataFrame(
+        {
+            "seconds_of": timed,
+            "exponent": [exponent(table["atoms"], table[name]) for name in timed],
+            "exponent_by_tree": [exponent(by_tree["atoms"], by_tree[name]) for name in timed],
+        }
+    )
 
 
 def parser() -> argparse.ArgumentParser:
@@ -111,14 +122,14 @@ def parser() -> argparse.ArgumentParser:
     )
     own.add_argument("--atoms", default=SIZES)
     own.add_argument("--tolerance", type=float, default=10.0)
-    own.add_argument("--cutoff", default="auto", help="nm, none or auto")
+    own.add_argument("--accuracy", default="auto", help="kJ/mol/nm of forces, exact or auto")
     own.add_argument("--threads", type=int, default=2)
     return own
 
 
 def main() -> None:
     options = parser().parse_args()
-    sizes = sorted(map(int, options.atoms.split(",")))[: 2 if options.quick else None]
+    sizes = sorted(map(int, (QUICK if options.quick else options.atoms).split(",")))
     one = gemmi.read_structure(str(options.structure))
     one.remove_waters()
     each = pc.load(options.structure).n_atoms

@@ -3,11 +3,11 @@
 from protochain.energies.custom import CustomEnergy, as_energy
 from protochain.energies.decomposed import Decomposed, decomposed
 from protochain.energies.factory import build_system, energy
-from protochain.energies.native import NativeEnergy, UnsupportedForceError
+from protochain.energies.native import NativeEnergy, Opening, UnsupportedForceError
 from protochain.energies.openmm_engine import OpenMMEnergy, constrain_hydrogens
 from protochain.energies.protocol import Energy
 
 __all__ = [
-    "CustomEnergy", "Decomposed", "Energy", "NativeEnergy", "OpenMMEnergy", "UnsupportedForceError",
-    "as_energy", "build_system", "constrain_hydrogens", "decomposed", "energy",
+    "CustomEnergy", "Decomposed", "Energy", "NativeEnergy", "OpenMMEnergy", "Opening",
+    "UnsupportedForceError", "as_energy", "build_system", "constrain_hydrogens", "decomposed", "energy",
 ]  # fmt: skip

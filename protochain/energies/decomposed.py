@@ -237,9 +237,10 @@ def native_of(energy: Energy) -> NativeEnergy | None:
 def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[dict[str, float], ...]:
     """Energy of each term, kJ/mol, at positions (na, 3) in nm, at less than two evaluations for each.
 
-    Empty where they cannot be told, as of a callable.
+    Empty where they cannot be told, as of a callable; and of more than ``defaults.FULL_UP_TO`` atoms, where
+    pairs one by one would take longer than the run.
     """
-    native = native_of(energy)
+    native = native_of(energy) if structure.n_atoms <= defaults.FULL_UP_TO else None
     return tuple({} if native is None else decomposed(structure, native, x).terms for x in positions)
 
 

@@ -11,6 +11,7 @@ from fixtures.samples import STRUCTURES, chain, load
 from openmm import unit
 
 import protochain as pc
+from protochain.core import defaults
 from protochain.energies.custom import CustomEnergy
 from protochain.energies.decomposed import TERMS, decomposed, terms_at
 
@@ -215,6 +216,14 @@ def test_terms_of_overlapping_atoms_add_up():
     found = decomposed(s, energy, x).terms
     assert np.isfinite(list(found.values())).all()
     assert sum(found.values()) == pytest.approx(energy(x)[0], rel=1e-10)
+
+
+def test_of_more_atoms_than_pairs_are_summed_for_records_tell_no_terms(monkeypatch):
+    s = load("1l2y.pdb")
+    monkeypatch.setattr(defaults, "FULL_UP_TO", s.n_atoms - 1)
+    assert terms_at(pc.energy(s), s, s.positions) == ({},)
+    monkeypatch.setattr(defaults, "FULL_UP_TO", s.n_atoms)
+    assert set(*terms_at(pc.energy(s), s, s.positions)) == set(TERMS)
 
 
 def test_asking_for_terms_leaves_the_neighbour_lists_and_any_number_of_threads_gives_the_same_bits():

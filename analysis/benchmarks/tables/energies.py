@@ -1,9 +1,12 @@
 """Speed of the energy, and what a run leaves out."""
 
+import numpy as np
 import pandas as pd
 
-from tables import SOLVENTS, ratio_of, table_of_rows
+from protochain.lab import exponent
+from tables import SOLVENTS, Cell, paragraph, ratio_of, table, table_of_rows
 
+ALL, TREE = "all pairs", "tree, 0.001 asked"
 COUNTED = ("terms", "pairs", "bodies", "sweeps", "lists", "imports")
 
 table_of_rows(
@@ -17,13 +20,40 @@ table_of_rows(
     ("atoms", "{atoms:.0f}"), ("cutoff 1.0 nm, vacuum: us per atom", "{vacuum_us_an_atom:.2f}"),
     ("OBC2: us per atom", "{obc2_us_an_atom:.2f}"), ("OBC2, new lists", "{anew_us_an_atom:.2f}"),
 )  # fmt: skip
-table_of_rows(
-    "engines-accuracy", "engines_accuracy.csv",
-    ("atoms", "{atoms}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("by", "{by}"),
+ERRORS: tuple[tuple[str, Cell], ...] = (
     ("ms of a processor", "{processor_ms:.1f}"), ("of all pairs", "{of_all_pairs:.2f}"),
     ("force off kJ/mol/nm", "{rms_force_off_kj_mol_nm:.1e}"),
     ("energy off kJ/mol", "{energy_off_kj_mol:.1e}"),
 )  # fmt: skip
+table_of_rows(
+    "engines-accuracy", "engines_accuracy.csv",
+    ("atoms", "{atoms}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("by", "{by}"),
+    *ERRORS,
+)  # fmt: skip
+table_of_rows(
+    "engines-openings", "engines_openings.csv",
+    ("atoms", "{atoms}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("angle", "{angle:g}"),
+    ("order", "{order}"), *ERRORS,
+)  # fmt: skip
+
+
+@table("engines-crossover", "engines_accuracy.csv")
+def crossover(rows: pd.DataFrame) -> str:
+    """Where a tree becomes quicker than all pairs, and how both grow."""
+    said = []
+    for solvent, its in rows.groupby("solvent", sort=False):
+        ms = its.pivot(index="atoms", columns="by", values="processor_ms")[[ALL, TREE]].dropna()
+        large = ms[ms.index >= 4500]
+        share = np.log(ms[TREE] / ms[ALL])
+        crossed = np.exp(np.interp(0.0, -share, np.log(share.index)))
+        said.append(
+            f"{SOLVENTS[solvent]}: as quick as all pairs at about {crossed:,.0f} atoms; exponents from "
+            f"{large.index[0]:,} to {large.index[-1]:,} atoms {exponent(large.index, large[TREE]):.2f} "
+            f"(tree) and {exponent(large.index, large[ALL]):.2f} (all pairs)."
+        )
+    return paragraph("Of a tree of 0.001 kJ/mol/nm in", *said)
+
+
 table_of_rows(
     "engines-moving", "engines_moving.csv",
     ("structure", "{structure}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("hinges", "{hinges}"),
