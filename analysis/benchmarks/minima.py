@@ -5,38 +5,45 @@
 found: Met-enkephalin (YGGFM, ff14SB, OBC2) from the extended chain, by ten walks of each method, and by
 scipy's basinhopping and dual_annealing on the same energy and torques, with as many evaluations each. A walk
 succeeds where it comes within 0.5 kJ/mol of the lowest that any of them found.
-populations: decaalanine by tempering, from the extended chain.
-folds: Trp-cage from the extended chain in GBn2, five walks of hopping of some minutes each; the
+far: the same by hopping alone, four times as far.
+populations: decaalanine by tempering, from the extended chain and from a helix.
+folds: chignolin CLN025 and Trp-cage from the extended chain in GBn2, five walks of hopping; the
 lowest of each, and the native, minimised with all atoms free.
 truth: trialanine with two hinges against quadrature.
-cost: processor time of a step of hybrid Monte Carlo in torsions, and of OpenMM's Langevin dynamics of all
-atoms (bonds to hydrogen constrained, 2 fs, one thread), the engine of a replica exchange of the same peptide.
+cost: processor time of a round of replica exchange in torsions, and of one by OpenMM of all atoms.
 """
 
 import argparse
 import os
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
+from functools import partial
+from multiprocessing import get_context
 from time import process_time
 
 import made
 import numpy as np
 import openmm
 import pandas as pd
-from openmm import unit
 from scipy import constants
 from scipy.optimize import basinhopping, dual_annealing
 from threadpoolctl import threadpool_limits
 
 import protochain as pc
 from protochain.energies import constrain_hydrogens
-from protochain.searching import Landscape
 
 KT = 300.0 * constants.R / 1000.0
 NEAR = 0.5
 """kJ/mol above the lowest that any walk found."""
 PEPTIDE, HELIX = "YGGFM", "AAAAAAAAAA"
+FOLDS = {"chignolin": ("5awl.pdb", "YYDPETGTWY"), "Trp-cage": ("1l2y.pdb", "NLYIQWLKDGGPSSGRPPPS")}
 TEMPERATURES = {"hopping": "300-600", "annealing": "200-900", "tempering": "300-600"}
-WORKERS = 2
+TRAJECTORY = 20
+"""Steps between exchanges in torsions."""
+CORES = min(2, len(os.sched_getaffinity(0)))
+WORKERS = CORES if CORES > 1 else None
+"""Processes; all bits are the same with any number."""
 
 
 class SpentError(Exception):
@@ -102,11 +109,21 @@ def falls_of(found: pc.Search, walker: int) -> list[tuple[int, float]]:
 
 def found(options: argparse.Namespace) -> pd.DataFrame:
     """Evaluations to within 0.5 kJ/mol of the lowest that any walk found, and how many came there."""
+    return walked(options, (*TEMPERATURES, "basinhopping", "dual_annealing"), options.evaluations)
+
+
+def far(options: argparse.Namespace) -> pd.DataFrame:
+    """The same by hopping alone, with more evaluations."""
+    return walked(options, ("hopping",), 4 * options.evaluations)
+
+
+def walked(options: argparse.Namespace, methods: Iterable[str], budget: int) -> pd.DataFrame:
+    """Walks of each method, with as many evaluations each."""
     structure = pc.from_sequence(PEPTIDE)
     chain, energy = pc.build_chain(structure, root="fixed"), pc.energy(structure, threads=1)
-    budget, seeds = (1500, 2) if options.quick else (options.evaluations, options.seeds)
+    budget, seeds = (1500, 2) if options.quick else (budget, options.seeds)
     falls, seconds = {}, {}
-    for method in ("hopping", "annealing", "tempering", "basinhopping", "dual_annealing"):
+    for method in methods:
         began = sum(os.times()[:4])
         if method in TEMPERATURES:
             done = pc.search(
@@ -115,7 +132,9 @@ def found(options: argparse.Namespace) -> pd.DataFrame:
             )  # fmt: skip
             falls[method] = [falls_of(done, walker) for walker in range(seeds)]
         else:
-            falls[method] = [by_scipy(method, chain, energy, budget, seed) for seed in range(seeds)]
+            walk = partial(by_scipy, method, chain, energy, budget)
+            with ProcessPoolExecutor(CORES, get_context("spawn")) as pool:
+                falls[method] = list(pool.map(walk, range(seeds)))
         seconds[method] = (sum(os.times()[:4]) - began) / seeds
         print(method, [round(its[-1][1], 2) for its in falls[method]], flush=True)
     lowest = min(its[-1][1] for each in falls.values() for its in each)
@@ -133,15 +152,31 @@ def found(options: argparse.Namespace) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def helical(chain: pc.Chain) -> pc.Structure:
+    """Structure with the phi and psi of an alpha helix, -63 and -42 degrees, in all residues."""
+    q = chain.q0.copy()
+    for hinge, at in zip(chain.hinges, chain.tree.q_start[chain.hinge_body], strict=True):
+        q[at] = np.deg2rad({"phi": -63.0, "psi": -42.0}[hinge.kind])
+    return chain.structure.with_positions(pc.pose(chain, q).x)
+
+
 def populations(options: argparse.Namespace) -> pd.DataFrame:
-    """Decaalanine by tempering from the extended chain: helix, energies, exchanges and slopes."""
-    structure = pc.from_sequence(HELIX[: 5 if options.quick else None])
-    chain, energy = pc.build_chain(structure), pc.energy(structure, threads=1)
+    """Decaalanine by tempering, from the extended chain and from a helix: both have to agree."""
+    extended = pc.from_sequence(HELIX[: 5 if options.quick else None])
+    starts = {"extended": extended, "helix": helical(pc.build_chain(extended))}
+    with ProcessPoolExecutor(CORES, get_context("spawn")) as pool:
+        tables = pool.map(tempered, starts, starts.values(), [options.quick] * len(starts))
+        return pd.concat(tables)
+
+
+def tempered(name: str, start: pc.Structure, quick: bool) -> pd.DataFrame:
+    """Populations by one walk from a start."""
     done = pc.search(
-        chain, energy, "tempering", 25_000 if options.quick else 80_000, n_walkers=2,
-        n_replicas=3 if options.quick else 4, workers=WORKERS,
+        start, pc.energy(start, threads=1), "tempering", 13_000 if quick else 650_000, n_walkers=1,
+        n_replicas=3 if quick else 4,
     )  # fmt: skip
     table = done.populations
+    table.insert(0, "start", name)
     table["round_trips"] = done.record()["round_trips"]
     table["evaluations"] = done.n_evaluations
     table["lowest_kj_mol"] = done.energy
@@ -150,26 +185,27 @@ def populations(options: argparse.Namespace) -> pd.DataFrame:
 
 
 def folds(options: argparse.Namespace) -> pd.DataFrame:
-    """Trp-cage by hopping: what is lowest, chosen by energy alone, beside the native; all atoms minimised."""
-    native = pc.load(made.SAMPLES / "1l2y.pdb")
-    structure = pc.from_sequence("NLYIQWLKDGGPSSGRPPPS")
-    chain, energy = pc.build_chain(structure), pc.energy(structure, solvent="gbn2", threads=1)
-    seeds, minutes = (2, 0.2) if options.quick else (5, options.minutes)
-    done = pc.search(
-        chain, energy, "hopping", hours=minutes * seeds / WORKERS / 60.0, n_walkers=seeds, workers=WORKERS
-    )
-    own = pc.energy(native, solvent="gbn2", threads=1)
-    reference = pc.minimise(native, own, "hybrid").end.energy
+    """Chignolin and Trp-cage by hopping: what is lowest, chosen by energy alone, beside the native."""
+    seeds, budget = (2, 1000) if options.quick else (5, options.short)
     rows = []
-    for walker, its in enumerate(done.findings):
-        low = its.minima[np.argmin(its.minima[:, 1])]
-        start = structure.with_positions(pc.pose(done.chain, low[2:]).x)
-        end = pc.minimise(start, energy, "hybrid")
-        rows.append({
-            "walk": walker, "minutes": minutes, "evaluations": int(its.minima[-1, 0]),
-            "in_torsions_kj_mol": low[1], "energy_kj_mol": end.end.energy, "native_kj_mol": reference,
-            "ca_rmsd_to_native_angstrom": pc.rmsd(end.structure, native),
-        })  # fmt: skip
+    for name, (file, sequence) in FOLDS.items():
+        native, structure = pc.load(made.SAMPLES / file), pc.from_sequence(sequence)
+        chain, energy = pc.build_chain(structure), pc.energy(structure, solvent="gbn2", threads=1)
+        began = sum(os.times()[:4])
+        done = pc.search(chain, energy, "hopping", budget * seeds, n_walkers=seeds, workers=WORKERS)
+        spent = (sum(os.times()[:4]) - began) / seeds / 60.0
+        own = pc.energy(native, solvent="gbn2", threads=1)
+        reference = pc.minimise(native, own, "hybrid").end.energy
+        for walker, its in enumerate(done.findings):
+            low = its.minima[np.argmin(its.minima[:, 1])]
+            start = structure.with_positions(pc.pose(done.chain, low[2:]).x)
+            end = pc.minimise(start, energy, "hybrid")
+            rows.append({
+                "protein": name, "walk": walker, "minutes_of_a_core": spent,
+                "evaluations": int(its.minima[-1, 0]), "in_torsions_kj_mol": low[1],
+                "energy_kj_mol": end.end.energy, "native_kj_mol": reference,
+                "ca_rmsd_to_native_angstrom": pc.rmsd(end.structure, native),
+            })  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -196,51 +232,104 @@ def truth(options: argparse.Namespace) -> pd.DataFrame:
 
 
 def cost(options: argparse.Namespace) -> pd.DataFrame:
-    """Processor time of a step, and picoseconds of dynamics in a second of it, one thread each."""
+    """Processor time of replica exchange on one thread: in torsions, and by OpenMM of all atoms.
+
+    OpenMM's replicas are contexts with Langevin dynamics (bonds to hydrogen constrained, 2 fs), at the same
+    temperatures, exchanged by Metropolis' criterion after the same time as those in torsions.
+    """
     structure = pc.from_sequence(PEPTIDE)
     energy = pc.energy(structure, threads=1)
-    landscape = Landscape.of(pc.build_chain(structure), energy)
-    q, step = landscape.minimise(landscape.chain.q0).q, 0.03
-    landscape.sweep(q, 300.0, step, 1, 0)
-    n = 5 if options.quick else 60
+    few, many = (13_000, 16_000) if options.quick else (16_000, 60_000)
+    spent, done = [], []
+    for n in (few, few, many):  # Once for what is compiled and read.
+        began = process_time()
+        done.append(pc.search(structure, energy, "tempering", n, n_walkers=1, n_replicas=4))
+        spent.append(process_time() - began)
+    _, first, last = done
+    rounds = last.states[0].n_done - first.states[0].n_done
+    own = (spent[2] - spent[1]) / rounds
+    steps = last.states[0].time_steps
+    length = TRAJECTORY * float(np.mean(steps))
+    n_steps = round(length / 0.002)
+    replicas = Exchange(energy.system, structure.positions, last.temperatures, n_steps)
+    replicas.round()
+    n = 3 if options.quick else 100
     began = process_time()
-    done = landscape.sweep(q, 300.0, step, n, 1)
-    own = (process_time() - began) / done.n_evaluations
-    system = openmm.XmlSerializer.clone(energy.system)
-    constrain_hydrogens(system)
-    integrator = openmm.LangevinMiddleIntegrator(300, 1, 0.002)
-    context = openmm.Context(system, integrator, openmm.Platform.getPlatform("CPU"), {"Threads": "1"})
-    context.setPositions(landscape.positions(q))
-    context.setVelocitiesToTemperature(300 * unit.kelvin, 0)
-    integrator.step(100)
-    began = process_time()
-    integrator.step(20 * n)
-    context.getState(getEnergy=True)
-    theirs = (process_time() - began) / (20 * n)
+    for _ in range(n):
+        replicas.round()
+    theirs = (process_time() - began) / n
     return pd.DataFrame([
-        {"engine": name, "ms_a_step": 1000.0 * seconds, "fs_a_step": 1000.0 * h,
-         "ps_a_second": h / seconds, "trajectories_of_20_steps_a_second": 1.0 / (20 * seconds)}
-        for name, seconds, h in (
-            ("torsions, hybrid Monte Carlo with Fixman's potential", own, step),
-            ("OpenMM, all atoms, Langevin", theirs, 0.002),
+        {"engine": name, "replicas": len(steps), "fs_a_step": 1000.0 * ps / k, "steps_a_round": k,
+         "ps_a_round": ps, "ms_a_step": 1000.0 * seconds / (k * len(steps)), "rounds_a_second": 1.0 / seconds,
+         "ps_a_second": ps / seconds, "exchanges": share}
+        for name, k, ps, seconds, share in (
+            ("torsions: hybrid Monte Carlo with Fixman's potential", TRAJECTORY, length, own,
+             last.states[0].acceptance),
+            ("OpenMM: all atoms, Langevin", n_steps, 0.002 * n_steps, theirs, replicas.share),
         )
     ])  # fmt: skip
 
 
-TABLES = {"found": found, "populations": populations, "folds": folds, "truth": truth, "cost": cost}
+class Exchange:
+    """Replicas by OpenMM's CPU platform, on one thread: plain replica exchange."""
+
+    def __init__(self, system, positions: np.ndarray, temperatures: np.ndarray, n_steps: int) -> None:
+        system = openmm.XmlSerializer.clone(system)
+        constrain_hydrogens(system)
+        self.beta, self.n_steps = 1000.0 / (constants.R * temperatures), n_steps
+        self.random, self.n, self.exchanged = np.random.default_rng(0), 0, 0.0
+        self.contexts = []
+        for temperature in temperatures:
+            integrator = openmm.LangevinMiddleIntegrator(float(temperature), 1, 0.002)
+            platform = openmm.Platform.getPlatform("CPU")
+            context = openmm.Context(system, integrator, platform, {"Threads": "1"})
+            context.setPositions(positions)
+            openmm.LocalEnergyMinimizer.minimize(context)
+            context.setVelocitiesToTemperature(float(temperature), 0)
+            self.contexts.append(context)
+
+    @property
+    def share(self) -> float:
+        """Mean probability of exchanges."""
+        return self.exchanged / self.n
+
+    def round(self) -> None:
+        """Steps of each replica, then exchanges of every other pair of neighbours, in turn."""
+        for context in self.contexts:
+            context.getIntegrator().step(self.n_steps)
+        at = [c.getState(getEnergy=True, getPositions=True, getVelocities=True) for c in self.contexts]
+        energy = np.array([each.getPotentialEnergy()._value for each in at])
+        odds = np.exp(np.minimum(0.0, np.diff(self.beta) * np.diff(energy)))
+        self.n, self.exchanged = self.n + 1, self.exchanged + float(odds.mean())
+        for k in range(self.n % 2, len(odds), 2):
+            if self.random.random() < odds[k]:
+                scale = np.sqrt(self.beta[k] / self.beta[k + 1])
+                for mine, other, by in ((k, k + 1, 1.0 / scale), (k + 1, k, scale)):
+                    self.contexts[mine].setPositions(at[other].getPositions())
+                    self.contexts[mine].setVelocities(at[other].getVelocities(asNumpy=True) * by)
+
+
+TABLES = {
+    "found": found,
+    "far": far,
+    "populations": populations,
+    "folds": folds,
+    "truth": truth,
+    "cost": cost,
+}
 
 
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", TABLES)
     own.add_argument("--evaluations", type=int, default=40_000, help="of each walk")
     own.add_argument("--seeds", type=int, default=10, help="walks of each method")
-    own.add_argument("--minutes", type=float, default=1.0, help="of each walk of folds")
+    own.add_argument("--short", type=int, default=20_000, help="evaluations of each walk of folds")
     return own
 
 
 def main() -> None:
     options = parser().parse_args()
-    made.study(options, TABLES, "minima", lambda name, table: (), WORKERS)
+    made.study(options, TABLES, "minima", lambda name, table: (), CORES)
 
 
 if __name__ == "__main__":

@@ -144,10 +144,7 @@ def moved(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Gen
     """
     q = q.copy()
     if kind == "backbone":
-        residue = _one(moves.with_backbone, random)
-        for coordinate, angle in zip((residue.phi, residue.psi), backbone(residue, random), strict=True):
-            if coordinate != NONE:
-                q[coordinate] = angle
+        _turn_backbone(q, _one(moves.with_backbone, random), random)
     elif kind == "rotamer":
         residue = _one(moves.with_chi, random)
         q[list(residue.chi)] = side_chain(residue, q, random)
@@ -158,6 +155,16 @@ def moved(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Gen
         q[phi] -= turn
     else:
         q[_one(moves.others, random)] += random.normal(scale=size)
+    return q
+
+
+def anywhere(moves: Moves, n: int, random: np.random.Generator) -> Floats:
+    """Torsions (n,), rad: of each residue by itself as a move draws them, of other hinges any."""
+    q = random.uniform(-np.pi, np.pi, n)
+    for residue in moves.residues:
+        _turn_backbone(q, residue, random)
+        if residue.chi:
+            q[list(residue.chi)] = side_chain(residue, q, random)
     return q
 
 
@@ -193,6 +200,12 @@ def _favoured(kind: int) -> tuple[Floats, Floats, Floats]:
     i, j = np.nonzero(table >= FAVOURED)
     share = np.cumsum(table[i, j])
     return read_only(-179.0 + 2.0 * i), read_only(-179.0 + 2.0 * j), read_only(share / share[-1])
+
+
+def _turn_backbone(q: Floats, residue: Residue, random: np.random.Generator) -> None:
+    for coordinate, angle in zip((residue.phi, residue.psi), backbone(residue, random), strict=True):
+        if coordinate != NONE:
+            q[coordinate] = angle
 
 
 def _class(name: str, after: str) -> int:

@@ -5,13 +5,19 @@ from dataclasses import dataclass
 from typing import Any
 
 from protochain.core import defaults
-from protochain.core.checks import at_least, flag, limited, number, optional, plain, shown, text
+from protochain.core.checks import Check, at_least, flag, limited, number, optional, plain, shown, text
 from protochain.core.errors import refused
 from protochain.core.settings import Settings, setting
 
 METHODS = ("hopping", "annealing", "tempering")
 
 _LOWEST, _HIGHEST = 1.0, 1e5
+_MOST = 10_000
+"""Walks, and replicas of each, which have random numbers of their own."""
+
+
+def _up_to_most(least: int) -> Check:
+    return limited(at_least(least), lambda n: n <= _MOST, f"give at most {_MOST}")
 
 
 def interval(value: Any, name: str) -> tuple[float, float]:
@@ -58,10 +64,14 @@ class SearchSettings(Settings):
         metavar="LOW-HIGH",
     )
     n_walkers: int = setting(
-        defaults.N_WALKERS, "Independent walks, which share the evaluations.", at_least(1), int, "--walkers"
+        defaults.N_WALKERS,
+        "Independent walks, which share the evaluations.",
+        _up_to_most(1),
+        int,
+        "--walkers",
     )
     n_replicas: int = setting(
-        defaults.N_REPLICAS, "Temperatures of each walk of tempering.", at_least(2), int, "--replicas"
+        defaults.N_REPLICAS, "Temperatures of each walk of tempering.", _up_to_most(2), int, "--replicas"
     )
     seed: int = setting(defaults.SEED, "Seed of all random numbers.", at_least(0), int)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import protochain as pc
-from protochain.searching.moves import NONE, Moves, moved
+from protochain.searching.moves import NONE, Moves, anywhere, moved
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation.ramachandran import FAVOURED, score
 
@@ -50,6 +50,24 @@ def test_the_backbone_goes_to_favoured_regions_of_its_own_residue():
         assert score(np.array([residue.kind]), np.array([phi]), np.array([psi]))[0] > 0.5 * FAVOURED
         seen.add((residue.name, phi > 0))
     assert {("GLY", True), ("GLY", False), ("PHE", False), ("ILE", False)} <= seen
+
+
+def test_a_new_start_has_every_residue_in_its_favoured_regions():
+    chain, moves = moves_of("AFIGPMA", "phi psi chi polar")
+    random = np.random.default_rng(0)
+    starts = np.array([anywhere(moves, chain.n_q, random) for _ in range(100)])
+    # About as far from each other as angles can be, on average over all hinges.
+    assert np.all(np.abs(np.exp(1j * starts).mean(axis=0)) < 0.97)
+    assert len(moves.others) and np.all(np.abs(np.exp(1j * starts[:, moves.others]).mean(axis=0)) < 0.35)
+    for residue in moves.residues:
+        if min(residue.phi, residue.psi) >= 0:
+            phi, psi = np.rad2deg(starts[:, [residue.phi, residue.psi]]).T
+            assert np.all(score(np.full(100, residue.kind), phi, psi) > 0.5 * FAVOURED)
+    (met,) = [each for each in moves.residues if each.name == "MET"]
+    for q in starts:
+        usual, _ = rotamers("MET", *np.rad2deg(q[[met.phi, met.psi]]))
+        away = np.abs((q[list(met.chi)] - usual + np.pi) % (2 * np.pi) - np.pi).max(axis=1)
+        assert away.min() < np.deg2rad(50.0)
 
 
 def test_a_residue_of_the_other_hand_goes_to_the_mirror_image():

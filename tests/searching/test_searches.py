@@ -10,11 +10,12 @@ import pandas as pd
 import pytest
 
 import protochain as pc
-from protochain.searching import api
+from protochain.searching import api, hopping
 from protochain.searching.annealing import PILOTS, RUNGS, scheduled
 from protochain.searching.hopping import ADAPTED, metropolis
 from protochain.searching.ladder import geometric, length_of_widths
 from protochain.searching.landscape import Landscape
+from protochain.searching.minima import SAME_ENERGY
 from protochain.searching.pieces import advance, read_piece, write_piece
 from protochain.searching.settings import SearchSettings
 
@@ -129,6 +130,27 @@ def test_the_size_of_turns_is_adapted_and_then_stays(peptide):
     assert len(set(sizes[:ADAPTED])) > 5 and len(set(sizes[ADAPTED:])) == 1
 
 
+def test_a_run_that_finds_nothing_lower_begins_again_elsewhere(peptide, monkeypatch):
+    monkeypatch.setattr(hopping, "PATIENCE", 8)
+    landscape = Landscape.of(*peptide)
+    method = api.method_of(SearchSettings(temperatures="1-600"), 0)
+    before, _ = method.begin(landscape)
+    ends = []
+    for _ in range(60):
+        state, found = method.step(landscape, before)
+        assert state.low <= state.energy + SAME_ENERGY and state.n_since <= 8
+        if before.n_since == 8:  # Wherever it leads.
+            assert (state.low, state.n_since) == (found.minima[0, 1], 0)
+            assert np.array_equal(state.q, found.minima[0, 2:]) and state.n_accepted == before.n_accepted + 1
+            ends.append(state.energy)
+        elif state.energy < before.low - SAME_ENERGY:
+            assert (state.low, state.n_since) == (state.energy, 0)
+        else:
+            assert (state.low, state.n_since) == (before.low, before.n_since + 1)
+        before = state
+    assert len(ends) > 3 and np.ptp(ends) > SAME_ENERGY
+
+
 def test_metropolis_accepts_as_boltzmann_says():
     random = np.random.default_rng(0)
     n, rise = 4000, 3.0
@@ -203,8 +225,8 @@ REFUSED = {
     "method": ("guessing",),
     "evaluations": (0, 1.5),
     "hours": (0.0, -1.0),
-    "n_walkers": (0,),
-    "n_replicas": (1,),
+    "n_walkers": (0, 10**9),
+    "n_replicas": (1, 10**9),
     "seed": (-1,),
     "workers": (0,),
 }

@@ -341,23 +341,36 @@ def _reached(row: pd.Series) -> str:
     return f"{middle} ({first} to {third})"
 
 
-table_of_rows(
-    "minima-found", "minima_found.csv",
-    ("method", "{method}"),
-    ("reached", "{reached:.0f} of {walks:.0f}"),
-    ("evaluations, median (quartiles)", _reached),
-    ("lowest of all walks", "{lowest_kj_mol:.2f}"),
-    ("median walk above it", "{above_lowest_median_kj_mol:.1f}"),
-    ("worst", "{above_lowest_worst_kj_mol:.1f}"),
-    ("seconds a walk", "{seconds_of_a_core:.0f}"),
-)  # fmt: skip
+for _of in ("found", "far"):
+    table_of_rows(
+        f"minima-{_of}", f"minima_{_of}.csv",
+        ("method", "{method}"),
+        ("evaluations of a walk", "{evaluations:,.0f}"),
+        ("reached", "{reached:.0f} of {walks:.0f}"),
+        ("evaluations, median (quartiles)", _reached),
+        ("lowest of all walks", "{lowest_kj_mol:.2f}"),
+        ("median walk above it", "{above_lowest_median_kj_mol:.1f}"),
+        ("worst", "{above_lowest_worst_kj_mol:.1f}"),
+        ("seconds a walk", "{seconds_of_a_core:.0f}"),
+    )  # fmt: skip
 table_of_rows(
     "minima-populations", "minima_populations.csv",
+    ("start", "{start}"),
     ("temperature, K", "{temperature_k:.0f}"),
     ("energy, kJ/mol", "{energy_kj_mol:.1f} ± {energy_error_kj_mol:.1f}"),
     ("helix, %", lambda row: f"{100 * row['helix_share']:.1f} ± {100 * row['helix_share_error']:.1f}"),
-    ("exchanges, %", lambda row: f"{100 * row['exchanges']:.0f}"),
+    ("exchanges, %", lambda row: "-" if np.isnan(row["exchanges"]) else f"{100 * row['exchanges']:.0f}"),
     ("slope", _slope),
+)  # fmt: skip
+table_of_rows(
+    "minima-folds", "minima_folds.csv",
+    ("protein", "{protein}"),
+    ("walk", "{walk}"),
+    ("evaluations", "{evaluations:,.0f}"),
+    ("minutes of a core", "{minutes_of_a_core:.1f}"),
+    ("all atoms minimised, kJ/mol", "{energy_kj_mol:.0f}"),
+    ("above the native", lambda row: f"{row['energy_kj_mol'] - row['native_kj_mol']:.0f}"),
+    ("C-alpha RMSD to the native, angstrom", "{ca_rmsd_to_native_angstrom:.1f}"),
 )  # fmt: skip
 table_of_rows(
     "minima-truth", "minima_truth.csv",
@@ -369,9 +382,12 @@ table_of_rows(
 )  # fmt: skip
 table_of_rows(
     "minima-cost", "minima_cost.csv",
-    ("engine", "{engine}"),
+    ("replica exchange", "{engine}"),
+    ("replicas", "{replicas}"),
     ("ms a step", "{ms_a_step:.2f}"),
     ("fs a step", "{fs_a_step:.0f}"),
-    ("ps a second", "{ps_a_second:.1f}"),
-    ("trajectories of 20 steps a second", "{trajectories_of_20_steps_a_second:.0f}"),
+    ("ps between exchanges", "{ps_a_round:.2f}"),
+    ("rounds a second", "{rounds_a_second:.1f}"),
+    ("ps a second, of each replica", "{ps_a_second:.1f}"),
+    ("exchanges, %", lambda row: f"{100 * row['exchanges']:.0f}"),
 )  # fmt: skip
