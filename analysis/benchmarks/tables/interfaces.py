@@ -88,6 +88,6 @@ def cost(rows: pd.DataFrame) -> str:
         f"{row['copies']} copies of {row['complex']} ({row['n_residues']} residues, {row['n_atoms']} atoms)",
         f"by `relax --interface A:B`, one thread to each of {row['workers']} workers: {own:.0f} s of a",
         "processor for each, two scores and the start of a process included. The workers had",
-        f"{row['busy_percent']:.0f} per cent of their cores, and took {row['seconds_each'] / row['workers']:.0f}",
-        "s a complex together.",
+        f"{row['busy_percent']:.0f} per cent of their cores, and took",
+        f"{row['seconds_each'] / row['workers']:.0f} s a complex together.",
     )
