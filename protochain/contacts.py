@@ -11,7 +11,7 @@ from protochain.core import graph
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.linkage import COVALENT_SLACK, is_metal, usual_length
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.model import Structure, at_positions, of_atoms
 from protochain.structure.residues import VAN_DER_WAALS
 
 OVERLAP = 0.5
@@ -94,6 +94,7 @@ def joined(structure: Structure, bonds: int) -> Integers:
     return graph.joined(structure.bonds, structure.n_atoms, bonds)
 
 
+@at_positions
 def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
     """Find the nonbonded pairs of atoms that overlap, as :func:`near_pairs` returns them.
 
@@ -101,12 +102,13 @@ def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
     that are as near as bonded ones, and are not bonded.
     """
     if not structure.kept.any():
-        return near_pairs(structure, x, OVERLAP)
+        pairs, touch = near_pairs(structure, x, OVERLAP)
+        return read_only(pairs, np.int64), read_only(touch)
     pairs, touch, reach = *near_pairs(structure, x, _NEAR), _covalent(structure)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
     as_bonded = _is_beside(structure, pairs) & (distance < reach[pairs].sum(axis=1))
     found = as_bonded | (distance < OVERLAP * touch)
-    return pairs[found], touch[found]
+    return read_only(pairs[found], np.int64), read_only(touch[found])
 
 
 def _is_beside(structure: Structure, pairs: Integers) -> NDArray[np.bool_]:

@@ -298,7 +298,7 @@ def throughput(n: int, sample: int, scratch: Path) -> tuple[pd.DataFrame, pd.Dat
     ours = perf_counter() - began
     seconds += by_openmm(chosen[1::2], scratch)
     theirs = seconds * n / len(chosen)
-    table = pd.read_csv(ends / "relaxed.csv")
+    table = pd.read_csv(ends / "relaxed.csv").copy()
     statuses = table["status"].fillna("failed").value_counts()
     ended = ", ".join(f"{k} {name}" for name, k in statuses.items())
     row = {

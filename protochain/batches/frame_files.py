@@ -74,7 +74,8 @@ class FramesRun:
         """The rows."""
         import pandas as pd
 
-        return pd.read_csv(self.csv, dtype=dict.fromkeys(("status", "message"), "string"))
+        table = pd.read_csv(self.csv, dtype=dict.fromkeys(("status", "message"), "string"))
+        return table.copy()  # in one block of each kind: pandas reads a block a column
 
 
 def files_of(table: Path, trajectory: Path | None) -> list[Path]:

@@ -75,6 +75,7 @@ def batch(
     """Minimise or relax many structures in many processes; a failure is reported and stops no other."""
     from protochain.batches import BatchSettings, find_jobs
     from protochain.batches import batch as run
+    from protochain.batches.cluster import Processes
     from protochain.batches.jobs import listed
     from protochain.batches.table import files_of
 
@@ -94,7 +95,7 @@ def batch(
             print_jobs(jobs)
         raise typer.Exit(CONVERGED)
     check_outputs(inputs_of(setup, manifest), files_of(output))
-    with batch_progress() as watch:
+    with Processes(workers, scheduler, threads, time_limit).started_early(), batch_progress() as watch:
         done = run(
             given, output, manifest=manifest, resume=resume, watch=watch, workers=workers,
             scheduler=scheduler, threads=threads, time_limit=time_limit, **vars(settings),

@@ -107,7 +107,7 @@ _RELAXED = {
         of_relaxing.COLUMNS, status=Status, rounds=list[Round],
         ligands=[_row([*LIGAND_COLUMNS[:4], *LIGAND_ENDS])],
     ),
-    **_INTERFACE, **_ORIGIN, **_WRITTEN, "not_written": NotRequired[str],
+    **_INTERFACE, **_ORIGIN, **_WRITTEN,
 }  # fmt: skip
 
 

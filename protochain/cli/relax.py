@@ -203,7 +203,7 @@ def _one(
         }  # fmt: skip
         lost = _write_beside(result, record, source, report, ligand_out)
     if lost:
-        record["not_written"] = lost
+        record["not_written"] = [lost]
         fail(f"{lost}; saved: {output}")
     if as_json:
         print_json(record)

@@ -1,7 +1,8 @@
 """``protochain score``."""
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 
@@ -66,6 +67,9 @@ def score(
     report: Annotated[
         Path | None, typer.Option(help="Page: the table, and residues coloured by their share; FILE.html.")
     ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Of several files: processes [default: all cores].")
+    ] = None,
     as_json: AsJson = False,
     *,
     setup: Setup,
@@ -74,6 +78,7 @@ def score(
 
     Complexes are taken as they are, with what they lack added; relax them first.
     """
+    from protochain.batches.cluster import Processes
     from protochain.core.storage import write_atomically
     from protochain.validation.interface import CONFIDENCES, SCORES
 
@@ -87,10 +92,17 @@ def score(
     check_outputs(inputs_of(setup, *(path for _, path, _ in files)), outputs)
     rows: list[dict[str, Any]] = []
     found: list[Interface | None] = []
-    for name, result in _scored(files, interface or []):
-        if isinstance(result, ProtochainError):
-            print(" ".join(str(result).split()), file=sys.stderr)
-            rows.append({"file": name, "message": str(result)})
+    # A process cannot read this one's standard input.
+    alone = len(files) == 1 or any(str(path) == "-" for _, path, _ in files)
+    processes = None if alone else Processes(workers, threads=setup.threads or 1)
+    with nullcontext() if processes is None else processes.started_early():
+        from protochain.batches.scoring import ScoreJob, score_files
+
+        results = [*score_files([ScoreJob(*each, (*(interface or ()),)) for each in files], processes)]
+    for name, result in results:
+        if isinstance(result, str):
+            print(" ".join(result.split()), file=sys.stderr)
+            rows.append({"file": name, "message": result})
             found.append(None)
         else:
             rows.append({"file": name, **result.record(), "message": ""})
@@ -124,28 +136,6 @@ def score(
     elif done:
         _print(done)
     raise typer.Exit(CONVERGED if len(done) == len(rows) else BAD_INPUT)
-
-
-def _scored(
-    files: Sequence[tuple[str, Path, Setup]], interfaces: Sequence[str]
-) -> "Iterator[tuple[str, Interface | ProtochainError]]":
-    """Name and score of each interface of each structure, or why there is none."""
-    from protochain.structure.confidences import confidence_files
-    from protochain.structure.select import sides, sides_named, touching_chains
-    from protochain.validation.interface import native, scored
-
-    for name, path, own in files:
-        named = f"{name}, model {own.model}" if own.model is not None else name
-        try:
-            structure = own.load(path)
-            pairs = [sides_named(structure, each) for each in interfaces] or touching_chains(structure)
-            if not pairs:
-                raise ProtochainError(f"{named}: no two of its chains are in contact; give a complex")
-            energy, beside = native(own.energy(structure)), confidence_files(path)
-            for pair in pairs:
-                yield named, scored(structure, energy, *pair, sides(structure, *pair), beside)
-        except ProtochainError as error:
-            yield named, error
 
 
 def _ranked(rows: Sequence[Mapping[str, Any]], column: str | None, better: int) -> list[int]:

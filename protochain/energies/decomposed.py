@@ -10,6 +10,7 @@ import re
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -242,6 +243,35 @@ def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[
     """
     native = native_of(energy) if structure.n_atoms <= defaults.FULL_UP_TO else None
     return tuple({} if native is None else decomposed(structure, native, x).terms for x in positions)
+
+
+class TermsAtEnds:
+    """Terms of the energy of a result, whose class says of what structure; its end is ``x``."""
+
+    energy_function: Energy
+    x: Floats
+
+    @property
+    def _began(self) -> Structure:
+        raise NotImplementedError
+
+    @property
+    def terms_start(self) -> dict[str, float]:
+        """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
+
+        Empty where the energy is a callable, or a System that the native engine cannot compute.
+        """
+        return self._terms[1]
+
+    @property
+    def terms_end(self) -> dict[str, float]:
+        """Energy of each term at the end, kJ/mol."""
+        return self._terms[0]
+
+    @cached_property
+    def _terms(self) -> tuple[dict[str, float], ...]:
+        # The end first: Born radii there may be those of the last evaluation.
+        return terms_at(self.energy_function, self._began, self.x, self._began.positions)
 
 
 def interaction(

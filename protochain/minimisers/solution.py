@@ -15,7 +15,7 @@ from protochain.chain import Chain
 from protochain.core.arrays import Floats, Integers, Value, Watcher
 from protochain.core.errors import StrayWarning
 from protochain.core.markup import facts
-from protochain.energies.decomposed import terms_at
+from protochain.energies.decomposed import TermsAtEnds
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
 from protochain.minimisers.recipes import Recipe
@@ -149,7 +149,7 @@ class _Made:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution(Value):
+class Solution(TermsAtEnds, Value):
     """Result of a minimisation, judged in double precision.
 
     Parameters
@@ -234,6 +234,10 @@ class Solution(Value):
         """Structure at the end."""
         return self.chain.structure.with_positions(self.x)
 
+    @property
+    def _began(self) -> Structure:
+        return self.chain.structure
+
     @cached_property
     def displacements(self) -> "pd.DataFrame":
         """Displacement of each C-alpha from the start, superposed on all: a row a residue.
@@ -243,24 +247,6 @@ class Solution(Value):
         start = self.chain.structure
         away = displacements(start, self.x, start.positions)
         return alpha_residues(start).assign(displacement_angstrom=away)
-
-    @property
-    def terms_start(self) -> dict[str, float]:
-        """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
-
-        Empty where the energy is a callable, or a System that the native engine cannot compute.
-        """
-        return self._terms[0]
-
-    @property
-    def terms_end(self) -> dict[str, float]:
-        """Energy of each term at the end, kJ/mol."""
-        return self._terms[1]
-
-    @cached_property
-    def _terms(self) -> tuple[dict[str, float], ...]:
-        start = self.chain.structure
-        return terms_at(self.energy_function, start, start.positions, self.x)
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Watcher, read_only
@@ -101,7 +102,7 @@ def relax_structure(
     known: Any = LastKnown(energy)
     relaxer = Relaxer(first, known, settings.strength, settings.max_iterations, trace, mobile)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
-    with threadpool_limits(1, "blas"):
+    with _libraries().limit(limits=1, user_api="blas"):
         done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
     seconds = perf_counter() - trace.began
     end = fewest_left(done)
@@ -132,6 +133,12 @@ def relax_structure(
         move=move,
         moving=mobile,
     )
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """Libraries with threads of their own, all loaded by now; to look for them takes as long as an energy."""
+    return ThreadpoolController()
 
 
 class _Trace:

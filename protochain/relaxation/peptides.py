@@ -52,8 +52,10 @@ class PeptideBonds:
 
     def away(self, x: Floats) -> Floats:
         """Angles (n,) from the form that each bond should have, degrees, at positions x (na, 3), nm."""
-        size = np.abs(dihedrals(x, self.atoms))
-        return np.where(self.cis, size, 180.0 - size)
+        return self._away(dihedrals(x, self.atoms))
+
+    def _away(self, angles: Floats) -> Floats:
+        return np.where(self.cis, np.abs(angles), 180.0 - np.abs(angles))
 
     def wrong(self, x: Floats) -> Integers:
         """(n,) int: nitrogens of the bonds that are twisted, or cis for trans, or trans for cis."""
@@ -65,10 +67,13 @@ class PeptideBonds:
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
-        forces, beyond = np.zeros_like(x), np.radians(self.away(x) - _USUAL)
+        forces, angles = np.zeros_like(x), dihedrals(x, self.atoms)
+        beyond = np.radians(self._away(angles) - _USUAL)
         far = beyond > 0.0
+        if not far.any():
+            return 0.0, forces
         atoms, beyond = self.atoms[far], beyond[far]
-        outward = np.where(self.cis[far], 1.0, -1.0) * np.sign(dihedrals(x, atoms))
+        outward = np.where(self.cis[far], 1.0, -1.0) * np.sign(angles[far])
         slopes = _slopes(x[atoms])
         bent = np.minimum(beyond, _HARMONIC)
         np.subtract.at(forces, atoms, (_STIFFNESS * bent * outward)[:, None, None] * slopes)

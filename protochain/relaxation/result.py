@@ -13,7 +13,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
 from protochain.core.markup import counted, facts
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.energies.decomposed import terms_at
+from protochain.energies.decomposed import TermsAtEnds
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
 from protochain.minimisers.solution import alpha_residues
@@ -47,7 +47,7 @@ TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", "rms_fo
 
 
 @dataclass(frozen=True, eq=False)
-class Relaxation(Value):
+class Relaxation(TermsAtEnds, Value):
     """Result of a relaxation.
 
     Parameters
@@ -147,22 +147,8 @@ class Relaxation(Value):
         )
 
     @property
-    def terms_start(self) -> dict[str, float]:
-        """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
-
-        Empty where the energy is a callable, or a System that the native engine cannot compute.
-        """
-        return self._terms[1]
-
-    @property
-    def terms_end(self) -> dict[str, float]:
-        """Energy of each term at the end, kJ/mol."""
-        return self._terms[0]
-
-    @cached_property
-    def _terms(self) -> tuple[dict[str, float], ...]:
-        # The end first: Born radii there may be those of the last evaluation.
-        return terms_at(self.energy_function, self.start, self.x, self.start.positions)
+    def _began(self) -> Structure:
+        return self.start
 
     @cached_property
     def measures_start(self) -> dict[str, Any]:

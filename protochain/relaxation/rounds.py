@@ -191,6 +191,8 @@ class Relaxer:
             done.append(self._round(x, share, strengths, before, bool(threaded)))
             last = done[-1]
             x = last.x
+            if not len(last.concerned) or len(done) == most:
+                return done
             # As weak as springs in series: those of other programs lead to the end of the round before.
             strengths = [(own / (len(done) + 1), beside / (len(done) + 1)) for own, beside in strongest]
             less = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
@@ -198,7 +200,7 @@ class Relaxer:
             still_wrong = last.concerned[share[last.concerned] < 1.0]
             less[self._touching(still_wrong, x) & (less == 1.0)] = _WEAKER
             still = last.stop in _FINAL or not any(strengths[0])
-            if still or not len(last.concerned) or len(done) == most or (less == share).all():
+            if still or (less == share).all():
                 return done
             share = less
 

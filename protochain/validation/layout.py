@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, cross, floats, read_only
 from protochain.core.graph import both_ways
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.model import Structure, at_positions, of_atoms
 from protochain.structure.residues import BACKBONE
 
 NONE = -1
@@ -88,24 +88,31 @@ def dihedrals(x: Floats, atoms: Integers) -> Floats:
     (n,) float
         IUPAC-IUB: positive if, seen along the middle bond, the far bond lies clockwise of the near one.
     """
-    a, b, c, d = x[atoms.T]
+    # Rows of x, y and z: numpy sums along an axis of three slowly.
+    a, b, c, d = x.T[:, atoms.T].swapaxes(0, 1)
     axis = c - b
-    axis /= np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), np.finfo(float).tiny)
+    axis /= np.maximum(np.sqrt(_dot(axis, axis)), np.finfo(float).tiny)
     near, far = a - b, d - c
-    near -= np.sum(near * axis, axis=1, keepdims=True) * axis
-    far -= np.sum(far * axis, axis=1, keepdims=True) * axis
-    found = np.degrees(np.arctan2(np.sum(cross(near, far) * axis, axis=1), np.sum(near * far, axis=1)))
+    near -= _dot(near, axis) * axis
+    far -= _dot(far, axis) * axis
+    found = np.degrees(np.arctan2(_dot(cross(near.T, far.T).T, axis), _dot(near, far)))
     return np.where((atoms == NONE).any(axis=1), np.nan, found)
 
 
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Scalar products (n,) of vectors (3, n)."""
+    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@at_positions
 def peptides(structure: Structure, x: Floats) -> tuple[Floats, Floats, Floats]:
     """phi, psi, and omega of the bond before each residue (nr,), in degrees; NaN where there is none."""
     found = layout(structure)
     own = found.atoms("N", "CA", "C")
     before, after = own[found.before], own[found.after]
     before[found.before == NONE], after[found.after == NONE] = NONE, NONE
-    return (
-        dihedrals(x, np.column_stack([before[:, 2], own])),
-        dihedrals(x, np.column_stack([own, after[:, 0]])),
-        dihedrals(x, np.column_stack([before[:, 1:], own[:, :2]])),
+    phi, psi, omega = (
+        read_only(dihedrals(x, np.column_stack(atoms)))
+        for atoms in ((before[:, 2], own), (own, after[:, 0]), (before[:, 1:], own[:, :2]))
     )
+    return phi, psi, omega

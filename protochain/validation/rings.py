@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, cross, read_only
 from protochain.core.graph import Neighbours, neighbours
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.model import Structure, at_positions, of_atoms
 from protochain.validation.layout import positions
 
 LARGEST = 20
@@ -77,10 +77,14 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
     ProtochainError
         If x has another shape.
     """
-    x = positions(structure, x)
+    return list(_threaded(structure, positions(structure, x)))
+
+
+@at_positions
+def _threaded(structure: Structure, x: Floats) -> tuple[ThreadedRing, ...]:
     which, bonds = _near(structure, x)
     if not len(which):
-        return []
+        return ()
     every, (own, row) = rings(structure), np.unique(which, return_inverse=True)
     triangles = np.zeros((len(own), LARGEST, 3, 3))  # those of no size are crossed by nothing
     for k, ring in enumerate(own.tolist()):
@@ -88,10 +92,10 @@ def threaded_rings(structure: Structure, x: Floats | None = None) -> list[Thread
         spanned = _fan(corners) if len(corners) <= _SMALL else corners[_least_area(corners)]
         triangles[k, : len(spanned)] = spanned
     crossed = _crossed(triangles[row], x[bonds[:, 0]], x[bonds[:, 1]])
-    return [
+    return tuple(
         _named(structure, every[ring], (i, j))
         for ring, (i, j) in zip(which[crossed].tolist(), bonds[crossed].tolist(), strict=True)
-    ]
+    )
 
 
 @of_atoms

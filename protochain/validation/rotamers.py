@@ -71,9 +71,11 @@ def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
     mirrored = structure.mirrored
     n = structure.n_residues
     name, distance = np.zeros(n, dtype="U8"), np.full(n, np.nan)
-    for kind, its, quadruples in _dihedrals(structure):
+    kinds, quadruples = _dihedrals(structure)
+    chis = iter(dihedrals(x, quadruples))
+    for kind, its in kinds:
         names, usual = rotamers_of(kind)
-        chi = dihedrals(x, quadruples.reshape(-1, 4)).reshape(len(its), -1)
+        chi = np.fromiter(chis, float, usual.shape[1] * len(its)).reshape(len(its), -1)
         chi *= np.where(mirrored[its], -1.0, 1.0)[:, None]
         period, limit = np.full(chi.shape[1], 360.0), np.full(chi.shape[1], _LIMITS[kind])
         period[-1] = 180.0 if kind in SYMMETRIC else 360.0
@@ -102,14 +104,15 @@ def _library() -> dict[str, list[tuple[str, list[float]]]]:
 
 
 @of_atoms
-def _dihedrals(structure: Structure) -> list[tuple[str, Integers, Integers]]:
-    """Name, residues (n,), and atoms (n, n_chi, 4) of their dihedrals, of each kind with rotamers."""
+def _dihedrals(structure: Structure) -> tuple[list[tuple[str, Integers]], Integers]:
+    """Name and residues (n,) of each kind with rotamers; atoms (m, 4) of the dihedrals of all, in order."""
     found = layout(structure)
-    kinds = []
+    kinds, quadruples = [], [np.zeros((0, 4), dtype=np.int64)]
     for name in sorted(CHI.keys() & set(structure.residue_name[found.amino].tolist())):
         its = np.flatnonzero(found.amino & (structure.residue_name == name))
         n_chi = rotamers_of(name)[1].shape[1]
         atoms = np.stack([found.atoms(*names)[its] for names in CHI[name][:n_chi]], axis=1)
         whole = (atoms != NONE).all(axis=(1, 2))
-        kinds.append((name, its[whole], atoms[whole]))
-    return kinds
+        kinds.append((name, its[whole]))
+        quadruples.append(atoms[whole].reshape(-1, 4))
+    return kinds, np.concatenate(quadruples)

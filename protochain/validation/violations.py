@@ -15,7 +15,7 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.graph import both_ways
 from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.model import Structure, at_positions, of_atoms
 from protochain.validation.geometry import TYPES, distances, places, slots
 from protochain.validation.layout import positions
 
@@ -159,7 +159,11 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
     ProtochainError
         If x has another shape.
     """
-    x = positions(structure, x)
+    return _violations(structure, positions(structure, x))
+
+
+@at_positions
+def _violations(structure: Structure, x: Floats) -> Violations:
     x = ANGSTROM_PER_NM * x
     found = [
         read_only(atoms, np.int64)

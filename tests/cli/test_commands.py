@@ -96,7 +96,8 @@ COMMANDS = {
     },
     "score": {
         "inputs": None, "interface": None, "rank": None, "csv": None, "residues": None, "report": None,
-        **AS_JSON, **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
+        "workers": None, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
     },
     "energy": {
         "source": None, "by": "term", "between": None, **OUTPUT, "report": None, **FRAMES, **AS_JSON,

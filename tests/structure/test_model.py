@@ -12,7 +12,7 @@ from openmm import app
 import protochain as pc
 from protochain.structure import build as build_module
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.model import Tie
+from protochain.structure.model import Tie, at_positions
 from protochain.structure.prepare import _bonds, _indices, _refuse_coincident, _remoteness, user_files
 from protochain.structure.select import select
 from protochain.structure.sites import Link
@@ -274,3 +274,21 @@ def test_a_force_field_is_a_users_if_it_is_a_file(tmp_path):
     assert user_files(f"amber14, {tmp_path}/own.xml,{tmp_path}/no.xml") == (tmp_path / "own.xml",)
     assert user_files(tmp_path / "own,or.xml") == (tmp_path / "own,or.xml",)
     assert user_files("amber14-all") == user_files(None) == user_files(tmp_path) == ()
+
+
+def test_what_is_found_at_positions_is_kept_for_the_last_two():
+    asked = []
+
+    @at_positions
+    def first(structure, x):
+        asked.append(x[0, 0])
+        return float(x[0, 0])
+
+    x, y, z = S.positions, S.positions + 1.0, S.positions + 2.0
+    moved = S.with_positions(y)
+    assert [first(S, x), first(moved, y), first(S, x.copy()), first(moved, y)] == [x[0, 0], y[0, 0]] * 2
+    assert len(asked) == 2
+    assert first(S, z) == z[0, 0] and first(S, x) == x[0, 0]
+    assert len(asked) == 4
+    y[0, 0] = 7.0
+    assert first(S, y) == 7.0

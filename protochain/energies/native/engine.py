@@ -242,7 +242,9 @@ class NativeEnergy:
         try:
             evaluation = self._evaluation_at(x)
             if not evaluation.was_at(x):
-                evaluation(x)
+                Evaluation(
+                    self._layout, evaluation.lists, self._constants[1], evaluation.workspace, self.threads
+                ).put_born_radii(x)
         finally:
             self._lists = before
         return evaluation.workspace.atoms

@@ -1,0 +1,73 @@
+"""Interfaces of many complexes, scored here or by many processes."""
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from protochain.batches.cluster import Processes, at_work
+from protochain.batches.supervise import supervise
+from protochain.core.errors import ProtochainError
+from protochain.setup import Setup
+from protochain.structure.confidences import confidence_files
+from protochain.structure.select import sides, sides_named, touching_chains
+from protochain.validation.interface import Interface, native, scored
+
+Scored = tuple[str, Interface | str]
+"""Name of a complex, and the scores of one of its interfaces, or why there are none."""
+
+
+@dataclass(frozen=True)
+class ScoreJob:
+    """A complex whose interfaces are scored.
+
+    Parameters
+    ----------
+    name : str
+    path : Path
+        ``-`` is standard input.
+    setup : Setup
+    interfaces : tuple of str
+        Sides, as ``A,B:C``; all chains in contact by default.
+    """
+
+    name: str
+    path: Path
+    setup: Setup
+    interfaces: tuple[str, ...] = ()
+
+    @property
+    def named(self) -> str:
+        """Its name, and the model of the file."""
+        return self.name if self.setup.model is None else f"{self.name}, model {self.setup.model}"
+
+    def run(self, threads: int | None) -> Iterator[Scored]:
+        """Score each interface."""
+        setup = self.setup if threads is None else replace(self.setup, threads=threads)
+        try:
+            structure = setup.load(self.path)
+            pairs = [sides_named(structure, each) for each in self.interfaces] or touching_chains(structure)
+            if not pairs:
+                raise ProtochainError(f"{self.named}: no two of its chains are in contact; give a complex")
+            energy, beside = native(setup.energy(structure)), confidence_files(self.path)
+            for pair in pairs:
+                yield self.named, scored(structure, energy, *pair, sides(structure, *pair), beside)
+        except ProtochainError as error:
+            yield self.named, str(error)
+
+    def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> list[Scored]:
+        """Why interfaces are missing, where the process ended."""
+        return [(self.named, f"{self.named}: {message}")]
+
+
+def score_files(jobs: Sequence[ScoreJob], processes: Processes | None) -> Iterator[Scored]:
+    """Score the interfaces of complexes, in their order; without processes in this one."""
+    if processes is None:
+        for job in jobs:
+            yield from job.run(None)
+        return
+    with tempfile.TemporaryDirectory(prefix="protochain-") as folder, at_work(processes) as workers:
+        given = Path(folder), processes.threads, processes.time_limit
+        for future in [workers.submit(supervise, job, *given) for job in jobs]:
+            yield from future.result()
