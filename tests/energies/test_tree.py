@@ -16,7 +16,8 @@ from protochain.core.errors import ProtochainError
 from protochain.energies import NativeEnergy, OpenMMEnergy
 from protochain.energies.native import engine, expansion
 from protochain.energies.native.far import FAR_TERMS, Opening, openings
-from protochain.energies.native.layout import CHUNKS, W, in_blocks
+from protochain.energies.native.lanes import LANES
+from protochain.energies.native.layout import CHUNKS, W
 from protochain.energies.native.tree import FIRST, LEFT, plant
 from protochain.minimisers.verdict import judge, judge_of
 
@@ -34,33 +35,35 @@ def rms(forces):
 
 @pytest.mark.parametrize("power", [1, 4, 6])
 @pytest.mark.parametrize("order", [1, 4, 7])
-def test_the_field_of_a_far_node_is_the_taylor_polynomial_of_its_pairs(power, order):
+@pytest.mark.parametrize("n_far", [1, LANES + 3])
+def test_the_field_of_far_nodes_is_the_taylor_polynomial_of_their_pairs(power, order, n_far):
     random = np.random.default_rng(power + order)
-    here, there = random.normal(size=(W, 3)), random.normal([9.0, -4.0, 5.0], size=(W, 3))
-    weight, second = random.normal(size=W), 0.3 if power == 4 else 0.0
-    x = np.concatenate([here, there])
-    atoms = np.zeros((2, 3 * W))
-    for axis in range(3):
-        atoms[:, axis * W : axis * W + W] = in_blocks(x[:, axis])
-    # Two leaves, each the only node of its chunk.
-    nodes = np.array([[0, 1, -1, -1, -1], [1, 2, -1, -1, -1]])
-    roots = np.array([0, 1] + [2] * (CHUNKS - 1))
-    centre = np.array([here.mean(axis=0), there.mean(axis=0)])
-    start, source = np.array([0, 1, 2]), np.array([1, 0])
-    monomials, _, _, couples = tabled = expansion.tables(order)
-    charges = np.zeros((2, 1, W))
-    charges[1, 0] = weight
-    moments, fields = np.zeros((2, 1, len(monomials))), np.zeros((2, 1, len(monomials)))
-    orders = np.array([order])
-    expansion.put_moments((0, CHUNKS), atoms, charges, 0, orders, nodes, roots, centre, tabled, moments)
-    uses = np.array([[power, order, 0, 0, 0, len(couples)]]), np.array([second])
-    expansion.put_fields((0, CHUNKS), uses, nodes, roots, centre, start, source, tabled, moments, fields)
-    found = np.zeros(2 * W)
-    expansion.add_potential((0, CHUNKS), atoms, 0, order, np.arange(2), centre, tabled, fields, found)
-    expected = far_potential(here, there, weight, *centre, power, order)
-    if second:
-        expected += second * far_potential(here, there, weight, *centre, power + 2, order)
-    assert np.abs(found[:W] - expected).max() < 1e3 * ROUND_OFF * np.abs(expected).max()
+    here, weight = random.normal(size=(W, 3)), random.normal(size=(n_far, W))
+    there = random.normal([9.0, -4.0, 5.0], size=(n_far, W, 3))
+    second = 0.3 if power == 4 else 0.0
+    blocks = np.concatenate([here[None], there])
+    atoms = np.ascontiguousarray(blocks.swapaxes(1, 2)).reshape(-1, 3 * W)
+    # Leaves without parents: one in the first chunk, the others in the second.
+    nodes = np.array([[k, k + 1, -1, -1, -1] for k in range(1 + n_far)])
+    roots = np.array([0, 1] + [1 + n_far] * (CHUNKS - 1))
+    centre = blocks.mean(axis=1)
+    start, source = np.array([0, n_far] + [n_far] * n_far), 1 + np.arange(n_far)
+    monomials, _, _, _ = tabled = expansion.tables(order)
+    charges = np.zeros((1 + n_far, 1, W))
+    charges[1:, 0] = weight
+    moments, fields = np.zeros((2, 1 + n_far, 1, len(monomials)))
+    kinds = np.array([[0, order]])
+    expansion.put_moments((0, CHUNKS), atoms, charges, kinds, nodes, roots, centre, tabled, moments)
+    uses = np.array([[power, order, 0, 0]]), np.array([second])
+    expansion.put_fields((0, CHUNKS), *uses, nodes, roots, centre, start, source, tabled, moments, fields)
+    found = np.zeros(W)
+    expansion.add_potential((0, CHUNKS), atoms[:1], 0, order, np.arange(1), centre, tabled, fields, found)
+    expected = sum(
+        far_potential(here, x, w, centre[0], c, power, order)
+        + (second and second * far_potential(here, x, w, centre[0], c, power + 2, order))
+        for x, w, c in zip(there, weight, centre[1:], strict=True)
+    )
+    assert np.abs(found - expected).max() < 1e3 * ROUND_OFF * np.abs(expected).max()
 
 
 def test_a_tree_has_each_pair_of_blocks_once_near_or_far():

@@ -127,6 +127,21 @@ def _polar_tile(
 
 
 @variant
+def _decays(a: Floats, i: int, b: Floats, rows: Floats) -> None:
+    """Of an atom with a block: f^2; the exponential e in it; and e (1 + r^2 / 4P), its slope by P."""
+    xi, yi, zi = a[X * W + i], a[Y * W + i], a[Z * W + i]
+    born, half = a[BORN * W + i], -_LOG2E * a[HALF_INVERSE_BORN * W + i]
+    for j in range(W):
+        dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
+        r2 = dx * dx + dy * dy + dz * dz
+        exponent = r2 * (half * b[HALF_INVERSE_BORN * W + j])
+        decay = power_of_two(exponent)
+        rows[j] = r2 + born * b[BORN * W + j] * decay
+        rows[W + j] = decay
+        rows[2 * W + j] = decay - decay * exponent * _LN2
+
+
+@variant
 def _polar(
     a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
     a_sums: Floats, b_sums: Floats,
@@ -138,18 +153,10 @@ def _polar(
     """
     energy = 0.0
     for i in range(W):
+        _decays(a, i, b, rows)
         xi, yi, zi, first = a[X * W + i], a[Y * W + i], a[Z * W + i], i if same else -1
-        qi = a[GB_CHARGE * W + i]
-        born, half = a[BORN * W + i], -_LOG2E * a[HALF_INVERSE_BORN * W + i]
+        qi, born = a[GB_CHARGE * W + i], a[BORN * W + i]
         fx, fy, fz, slope = 0.0, 0.0, 0.0, 0.0
-        for j in range(W):
-            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            r2 = dx * dx + dy * dy + dz * dz
-            exponent = r2 * (half * b[HALF_INVERSE_BORN * W + j])
-            decay = power_of_two(exponent)
-            rows[j] = r2 + born * b[BORN * W + j] * decay
-            rows[W + j] = decay
-            rows[2 * W + j] = decay - decay * exponent * _LN2
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
             inverse_f, qq = inverse_root(rows[j]), qi * b[GB_CHARGE * W + j]
@@ -183,7 +190,7 @@ def screened_sums(
     """Add by how much 1/f differs from 1/r to energy, forces and 2 dE/dB, in some rows of far tiles."""
     for c in range(*mine):
         begin, end = part(len(tiles), c)
-        energy, room = 0.0, np.empty(4 * W)
+        energy, room = 0.0, np.empty(3 * W)
         for k in range(begin, end):
             i, j = tiles[k, 0], tiles[k, 1]
             energy -= _screened_tile(atoms[i], atoms[j], rows[k], room, sums[c, i], sums[c, j])
@@ -199,25 +206,13 @@ def _screened_tile(
     for i in range(W):
         if not counts[i]:
             continue
+        _decays(a, i, b, rows)
         xi, yi, zi, qi = a[X * W + i], a[Y * W + i], a[Z * W + i], a[GB_CHARGE * W + i]
-        born, half = a[BORN * W + i], -_LOG2E * a[HALF_INVERSE_BORN * W + i]
-        fx, fy, fz, slope = 0.0, 0.0, 0.0, 0.0
+        born, fx, fy, fz, slope = a[BORN * W + i], 0.0, 0.0, 0.0, 0.0
         for j in range(W):
             dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            r2 = dx * dx + dy * dy + dz * dz
-            exponent = r2 * (half * b[HALF_INVERSE_BORN * W + j])
-            decay = power_of_two(exponent)
-            rows[j] = r2 + born * b[BORN * W + j] * decay
-            rows[W + j] = decay
-            rows[2 * W + j] = decay - decay * exponent * _LN2
-            rows[3 * W + j] = r2
-        for j in range(W):
-            dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
-            inverse_f, inverse, qq = (
-                inverse_root(rows[j]),
-                inverse_root(rows[3 * W + j]),
-                qi * b[GB_CHARGE * W + j],
-            )
+            inverse_f, qq = inverse_root(rows[j]), qi * b[GB_CHARGE * W + j]
+            inverse = inverse_root(dx * dx + dy * dy + dz * dz)
             energy += qq * (inverse_f - inverse)
             cube = qq * (inverse_f * inverse_f * inverse_f)
             f = cube - 0.25 * cube * rows[W + j] - qq * (inverse * inverse * inverse)

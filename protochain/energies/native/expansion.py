@@ -6,7 +6,7 @@ Of two groups about fixed centres R apart, with moments M_b = sum w e^b / b! and
 
 D_n the derivatives of k: Dehnen, J. Comput. Phys. 179:27 (2002); Duan, Krasny, J. Comput. Chem. 22:184
 (2001). This is symmetric in the two, and a polynomial in their atoms' positions: forces are its gradient,
-exactly. Interactions are computed W at a time, each quantity in one row of W numbers.
+exactly. Interactions are computed LANES at a time, each quantity in one row of so many numbers.
 """
 
 from functools import cache
@@ -15,16 +15,14 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
+from protochain.energies.native.lanes import LANES, add_products, put_product
 from protochain.energies.native.layout import Share, W, part, scalar, shared, tiled
 from protochain.energies.native.tree import FIRST, LEFT, PARENT
 
 LARGEST_ORDER = 10
-POWER, ORDER, KIND, FIELD, BEGIN, END = range(6)
+POWER, ORDER, KIND, FIELD = range(4)
 """Columns of an interaction: s of its kernel r^-s, with a multiple of r^-(s + 2) beside it; order p; kind
-of charge whose moments it takes; field that it adds to; first row of the couples of its order, and that after
-the last."""
-COUPLE = 2
-"""Products added at a time: a row of sums is then read and written half as often."""
+of charge whose moments it takes; field that it adds to."""
 
 
 @cache
@@ -40,8 +38,8 @@ def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
         Rows of a, b and a + b for all |a| + |b| <= order, by the degree of a + b.
     (l, 3) int
         Row of each monomial of a lower order, times x, times y, times z.
-    (k, 1 + 2 * COUPLE) int
-        The same, COUPLE of one a in a row: a, then b and a + b of each. Row n in place of a b for none.
+    (n * n,) int
+        Row of a + b, at n a + b; of those of a higher order 0.
     """
     powers = [
         (i, j, n - i - j) for n in range(order + 1) for i in range(n, -1, -1) for j in range(n - i, -1, -1)
@@ -59,12 +57,8 @@ def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
     raised = [
         [place[tuple(np.add(a, unit))] for unit in np.eye(3, dtype=int)] for a in powers if sum(a) < order
     ]
-    couples = []
-    for row in range(len(powers)):
-        mine = [product[1:] for product in products if product[0] == row]
-        mine += [(len(powers), 0)] * (-len(mine) % COUPLE)
-        couples += [(row, *sum(mine[k : k + COUPLE], ())) for k in range(0, len(mine), COUPLE)]
-    return np.array(monomials), np.array(products), np.array(raised), np.array(couples)
+    added = [place.get(tuple(np.add(a, b)), 0) for a in powers for b in powers]
+    return np.array(monomials), np.array(products), np.array(raised), np.array(added)
 
 
 @scalar
@@ -130,30 +124,20 @@ def shift_field(field: Floats, monomials: Floats, products: Integers, n: int, ou
 
 
 @tiled
-def _derivatives(
-    dx: Floats, dy: Floats, dz: Floats, powers: Floats, order: int, monomials: Integers, out: Floats
-) -> None:
-    """Derivatives of a kernel by order, from rows ((1/r) d/dr)^m k of ``powers``.
+def _derivatives(at: Floats, powers: Floats, order: int, monomials: Integers, out: Floats) -> None:
+    """Derivatives of a kernel by order, from x, y, z, and rows ((1/r) d/dr)^m k of ``powers``.
 
     McMurchie, Davidson, J. Comput. Phys. 26:218 (1978), equation 4.6, for any kernel; in place, from the
     highest degree down.
     """
-    for k in range(W):
+    for k in range(LANES):
         out[0, k] = powers[order, k]
     for m in range(order - 1, -1, -1):
-        degree = order - m
-        for row in range(n_terms(degree) - 1, 0, -1):
-            axis, once, twice = monomials[row, 4], monomials[row, 5], monomials[row, 6]
-            along = dx if axis == 0 else dy if axis == 1 else dz
-            mine, lower = out[row], out[once]
-            if twice < 0:
-                for k in range(W):
-                    mine[k] = along[k] * lower[k]
-            else:
-                lowest, factor = out[twice], monomials[row, 7] - 1.0
-                for k in range(W):
-                    mine[k] = along[k] * lower[k] + factor * lowest[k]
-        for k in range(W):
+        for row in range(n_terms(order - m) - 1, 0, -1):
+            # Of an exponent of 1 the second product is with 0.
+            once, twice = monomials[row, 5], max(0, monomials[row, 6])
+            put_product(out, row, once, at, monomials[row, 4], monomials[row, 7] - 1.0, twice)
+        for k in range(LANES):
             out[0, k] = powers[m, k]
 
 
@@ -161,7 +145,7 @@ def _derivatives(
 def _kernel_rows(at: Floats, power: int, second: float, order: int, out: Floats) -> None:
     """Rows ((1/r) d/dr)^m (r^-s + second r^-(s + 2)), given rows 3 and 4 of ``at``, r^-1 and r^-2."""
     inverse, inverse2, of_next = at[3], at[4], at[5]
-    for k in range(W):
+    for k in range(LANES):
         value = inverse[k] if power % 2 else 1.0
         for _ in range(power // 2):
             value *= inverse2[k]
@@ -169,31 +153,20 @@ def _kernel_rows(at: Floats, power: int, second: float, order: int, out: Floats)
         of_next[k] = second * inverse2[k]
     for m in range(1, order + 1):
         factor, mine, last = -(power + 2.0 * (m - 1.0)), out[m], out[m - 1]
-        for k in range(W):
+        for k in range(LANES):
             mine[k] = factor * last[k] * inverse2[k]
     for m in range(order + 1):
         mine, ratio = out[m], (power + 2.0 * m) / power
-        for k in range(W):
+        for k in range(LANES):
             mine[k] *= 1.0 + ratio * of_next[k]
-
-
-@tiled
-def _contract(couples: Integers, moments: Floats, derivatives: Floats, out: Floats) -> None:
-    """Add the products of ``tables``, W interactions side by side."""
-    for t in range(len(couples)):
-        mine = out[couples[t, 0]]
-        one, its = moments[couples[t, 1]], derivatives[couples[t, 2]]
-        other, theirs = moments[couples[t, 3]], derivatives[couples[t, 4]]
-        for k in range(W):
-            mine[k] += one[k] * its[k] + other[k] * theirs[k]
 
 
 @shared
 def put_moments(
-    mine: Share, atoms: Floats, charges: Floats, first: int, orders: Integers, nodes: Integers,
-    roots: Integers, centre: Floats, tabled: Any, moments: Floats,
+    mine: Share, atoms: Floats, charges: Floats, kinds: Integers, nodes: Integers, roots: Integers,
+    centre: Floats, tabled: Any, moments: Floats,
 ) -> None:  # fmt: skip
-    """Put the moments of the nodes of some chunks, inward: of kinds from ``first`` on, to their orders."""
+    """Put the moments of the nodes of some chunks, inward: of some kinds, rows of kind and order."""
     monomials, products, _, _ = tabled
     rows, shifts = np.empty((len(monomials), W)), np.empty(len(monomials))
     for c in range(*mine):
@@ -202,37 +175,35 @@ def put_moments(
             is_leaf = nodes[node, LEFT] < 0
             if is_leaf:
                 block_monomials(atoms[block], x, y, z, monomials, rows)
-            for k in range(len(orders)):
-                for row in range(n_terms(orders[k])):
-                    moments[node, first + k, row] = (
-                        dot(charges[block, first + k], rows[row]) if is_leaf else 0.0
-                    )
+            for k in range(len(kinds)):
+                kind, order = kinds[k, 0], kinds[k, 1]
+                for row in range(n_terms(order)):
+                    moments[node, kind, row] = dot(charges[block, kind], rows[row]) if is_leaf else 0.0
             for side in range(0 if is_leaf else 2):
                 child = nodes[node, LEFT + side]
                 put_monomials(
                     centre[child, 0] - x, centre[child, 1] - y, centre[child, 2] - z, monomials, shifts
                 )
-                for k in range(len(orders)):
-                    its, out = moments[child, first + k], moments[node, first + k]
-                    shift_moments(its, shifts, products, n_products(orders[k]), out)
+                for k in range(len(kinds)):
+                    kind, order = kinds[k, 0], kinds[k, 1]
+                    its, out = moments[child, kind], moments[node, kind]
+                    shift_moments(its, shifts, products, n_products(order), out)
 
 
 @shared
 def put_fields(
-    mine: Share, interactions: Any, nodes: Integers, roots: Integers, centre: Floats, start: Integers,
-    source: Integers, tabled: Any, moments: Floats, fields: Floats,
+    mine: Share, uses: Integers, seconds: Floats, nodes: Integers, roots: Integers, centre: Floats,
+    start: Integers, source: Integers, tabled: Any, moments: Floats, fields: Floats,
 ) -> None:  # fmt: skip
     """Put the fields of all that is far about the nodes of some chunks, outward.
 
-    ``interactions`` are their columns (n, 6), those of one kernel side by side, of falling order, and of one
-    field that of the highest order first; and the factors (n,) of r^-(s + 2).
+    ``uses`` are the columns (n, 4) of interactions, those of one kernel side by side, of falling order, and
+    of one field that of the highest order first; ``seconds`` (n,) the factors of r^-(s + 2).
     """
-    monomials, products, _, couples = tabled
-    uses, seconds = interactions
+    monomials, products, _, added = tabled
     n = len(monomials)
-    derivatives, gathered = np.empty((n + 1, W)), np.zeros((n + 1, W))
-    sums, powers, at = np.empty((len(uses), n, W)), np.empty((LARGEST_ORDER + 1, W)), np.empty((6, W))
-    shifts = np.empty(n)
+    derivatives, gathered, sums = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((len(uses) * n, LANES))
+    powers, at, shifts = np.empty((LARGEST_ORDER + 1, LANES)), np.empty((6, LANES)), np.empty(n)
     for c in range(*mine):
         for node in range(roots[c], roots[c + 1]):
             mine_of = fields[node]
@@ -241,7 +212,7 @@ def put_fields(
                     mine_of[uses[use, FIELD], row] = 0.0
             if start[node] < start[node + 1]:
                 _far_fields(
-                    node, uses, seconds, centre, start, source, monomials, couples, moments, derivatives,
+                    node, uses, seconds, centre, start, source, monomials, added, moments, derivatives,
                     gathered, sums, powers, at, mine_of,
                 )  # fmt: skip
             parent = nodes[node, PARENT]
@@ -263,20 +234,21 @@ def put_fields(
 @shared
 def _far_fields(
     node: int, uses: Integers, seconds: Floats, centre: Floats, start: Integers, source: Integers,
-    monomials: Integers, couples: Integers, moments: Floats, derivatives: Floats, gathered: Floats,
+    monomials: Integers, added: Integers, moments: Floats, derivatives: Floats, gathered: Floats,
     sums: Floats, powers: Floats, at: Floats, fields: Floats,
 ) -> None:  # fmt: skip
     """Add the fields of a node's far nodes."""
-    for use in range(len(uses)):
-        for row in range(sums.shape[1]):
-            for lane in range(W):
-                sums[use, row, lane] = 0.0
-    for first in range(start[node], start[node + 1], W):
-        count = min(W, start[node + 1] - first)
-        for lane in range(W):
+    n = len(monomials)
+    for row in range(len(sums)):
+        for lane in range(LANES):
+            sums[row, lane] = 0.0
+    for first in range(start[node], start[node + 1], LANES):
+        count = min(LANES, start[node + 1] - first)
+        for lane in range(LANES):
             other, r2 = source[first + lane if lane < count else first], 0.0
             for axis in range(3):
-                at[axis, lane] = centre[node, axis] - centre[other, axis]
+                # From here to there: (-1)^|b| D_(a+b)(R) is (-1)^|a| D_(a+b)(-R), whose sign belongs to sums.
+                at[axis, lane] = centre[other, axis] - centre[node, axis]
                 r2 += at[axis, lane] * at[axis, lane]
             at[4, lane] = 1.0 / r2
             at[3, lane] = np.sqrt(at[4, lane])
@@ -284,24 +256,22 @@ def _far_fields(
             power, order, kind = uses[use, POWER], uses[use, ORDER], uses[use, KIND]
             if use == 0 or power != uses[use - 1, POWER]:
                 _kernel_rows(at, power, seconds[use], order, powers)
-                _derivatives(at[0], at[1], at[2], powers, order, monomials, derivatives)
-            n = n_terms(order)
-            for row in range(n):
-                sign = -1.0 if monomials[row, 3] % 2 else 1.0
-                for lane in range(count):
-                    gathered[row, lane] = sign * moments[source[first + lane], kind, row]
-                for lane in range(count, W):
-                    gathered[row, lane] = 0.0
-            for lane in range(W):
-                gathered[n, lane] = 0.0
-            _contract(couples[uses[use, BEGIN] : uses[use, END]], gathered, derivatives, sums[use])
+                _derivatives(at, powers, order, monomials, derivatives)
+            # Node by node: the cache has them in a row.
+            for lane in range(LANES):
+                its = moments[source[first + lane if lane < count else first], kind]
+                factor = 1.0 if lane < count else 0.0
+                for row in range(n_terms(order)):
+                    gathered[row, lane] = factor * its[row]
+            for row in range(n_terms(order)):
+                terms = n_terms(order - monomials[row, 3])
+                add_products(sums, use * n + row, gathered, derivatives, added, row * n, terms)
     for use in range(len(uses)):
-        order, field = uses[use, ORDER], uses[use, FIELD]
-        for row in range(n_terms(order)):
+        for row in range(n_terms(uses[use, ORDER])):
             total = 0.0
-            for lane in range(W):
-                total += sums[use, row, lane]
-            fields[field, row] += total
+            for lane in range(LANES):
+                total += sums[use * n + row, lane]
+            fields[uses[use, FIELD], row] += -total if monomials[row, 3] % 2 else total
 
 
 @shared

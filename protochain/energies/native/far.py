@@ -174,10 +174,9 @@ class Far:
 
         Returns
         -------
-        two of (n, 6) int, (n,) float
-            Interactions of charges and integrals, and those of dE/d(integral).
-        (kinds,) int, (1,) int
-            Order of each kind of charge, without dE/d(integral); and of that.
+        two of (kinds, 2) int, (n, 4) int, (n,) float
+            Kinds of charge with their orders, and interactions: of charges and integrals, and of
+            dE/d(integral).
         (fields,) int, (fields,) int, (fields, 3) float
             Kind that each field acts on; its order; factors of force, of energy in vacuum, and polar.
         tuple
@@ -185,39 +184,28 @@ class Far:
         """
         high, low = self.opening.order, max(1, self.opening.order - self.opening.lower)
         signs = self._factors[0]
-        first, second, kinds, acts, orders = [(1, high, 0, 0)], [], [high], [0], [high]
+        first, second, acts, orders = [(1, high, 0, 0)], [], [0], [high]
+        kinds, pulls = [(0, high)], []
         factors = [(1.0 - self.together, 0.5, -0.5 * self.together)]
         dispersion = [(6, low, k, k) for k in range(1, 1 + len(signs))]
         for k, sign in enumerate(signs, 1):
-            kinds, acts, orders = [*kinds, low], [*acts, k], [*orders, low]
+            kinds, acts, orders = [*kinds, (k, low)], [*acts, k], [*orders, low]
             factors.append((-sign, -0.5 * sign, 0.0))
         if self.layout.terms.solvent is not None:
             near, rest, pull = (1 + len(signs) + k for k in range(3))
             # Field of the integrals, on dE/d(integral); fields of that, on what makes integrals.
             first += [(4, high, near, near), (6, _REST, rest, near)]
             second += [(4, high, pull, rest), (6, _REST, pull, pull)]
-            kinds, acts, orders = (
-                [*kinds, high, _REST],
-                [*acts, pull, near, rest],
-                [*orders, high, high, _REST],
-            )
+            kinds, pulls = [*kinds, (near, high), (rest, _REST)], [(pull, high)]
+            acts, orders = [*acts, pull, near, rest], [*orders, high, high, _REST]
             factors += 3 * [(1.0, 0.0, 0.0)]
         first = sorted(first + dispersion, key=lambda use: (use[0], -use[1]))
-        used = sorted({high, low, _REST}, reverse=True)
-        couples = {order: tables(order)[3] for order in used}
-        ends = dict(zip(used, np.cumsum([len(couples[order]) for order in used]).tolist(), strict=True))
-        monomials, products, raised, _ = tables(high)
-        uses = [
-            np.array([(*u, ends[u[1]] - len(couples[u[1]]), ends[u[1]]) for u in some], np.int64).reshape(
-                -1, 6
-            )
-            for some in (first, second)
-        ]
-        return (
-            *((use, np.where(use[:, POWER] == 4, self._second, 0.0)) for use in uses), np.array(kinds),
-            np.array([high]), np.array(acts), np.array(orders), np.array(factors),
-            (monomials, products, raised, np.concatenate([couples[order] for order in used])),
-        )  # fmt: skip
+        stages = []
+        for own, some in ((kinds, first), (pulls, second)):
+            uses = np.array(some, np.int64).reshape(-1, 4)
+            seconds = np.where(uses[:, POWER] == 4, self._second, 0.0)
+            stages.append((np.array(own, np.int64).reshape(-1, 2), uses, seconds))
+        return *stages, np.array(acts), np.array(orders), np.array(factors), tables(high)
 
     @property
     def _second(self) -> float:

@@ -122,11 +122,11 @@ def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps:
         )  # fmt: skip
         bonded_sums(mine, state, pairwise, terms, maps)
         if far is not None:
-            far_moments(mine, atoms, far)
+            far_moments(mine, atoms, far[2][0], far)
     else:
         add_forces(*blocks_of(mine, atoms), sums, touched, forces)
         if far is not None:
-            far_fields(mine, far)
+            far_fields(mine, far[2][0], far)
             far_forces(mine, state, far)
 
 
@@ -140,10 +140,10 @@ def in_solvent(
         clear(mine, sums, touched, parts)
         integrals(mine, state, vacuum, solvent, necks)
         if far is not None:
-            far_moments(mine, atoms, far)
+            far_moments(mine, atoms, far[2][0], far)
     elif step == 1:
         if far is not None:
-            far_fields(mine, far)
+            far_fields(mine, far[2][0], far)
         born_radii(mine, state, solvent, far)
     elif step == 2:
         polar(mine, state, solvent)
@@ -153,12 +153,13 @@ def in_solvent(
     elif step == 3:
         pulls(mine, state, solvent)
         if far is not None:
-            moments_of_pulls(mine, atoms, solvent[2][3], far)
+            put_pulls(mine, atoms, solvent[2][3], far)
+            far_moments(mine, atoms, far[2][1], far)
     elif step == 4:
         solvated_pairs(mine, state, vacuum, solvent, necks)
         bonded_sums(mine, state, vacuum[5], terms, maps)
         if far is not None:
-            fields_of_pulls(mine, far)
+            far_fields(mine, far[2][1], far)
     else:
         add_forces(*blocks_of(mine, atoms), sums, touched, forces)
         if far is not None:
@@ -166,39 +167,29 @@ def in_solvent(
 
 
 @inlined
-def far_moments(mine: Share, atoms: Floats, far: Any) -> None:
-    """Moments of charges and of what makes Born integrals."""
-    (charges, moments, _, _), (_, nodes, roots, centre, _, _), (_, _, kinds, _, _, _, _, tabled), _ = far
-    expansion.put_moments(mine, atoms, charges, 0, kinds, nodes, roots, centre, tabled, moments)
+def far_moments(mine: Share, atoms: Floats, stage: Any, far: Any) -> None:
+    """Moments of charges and of what makes Born integrals, or of dE/d(Born integral)."""
+    (charges, moments, _, _), (_, nodes, roots, centre, _, _), settings, _ = far
+    expansion.put_moments(mine, atoms, charges, stage[0], nodes, roots, centre, settings[5], moments)
 
 
 @inlined
-def far_fields(mine: Share, far: Any) -> None:
+def far_fields(mine: Share, stage: Any, far: Any) -> None:
     """Fields of these."""
-    (_, moments, fields, _), (_, nodes, roots, centre, start, source), (uses, _, _, _, _, _, _, tabled), _ = (
-        far
-    )
-    expansion.put_fields(mine, uses, nodes, roots, centre, start, source, tabled, moments, fields)
+    (_, moments, fields, _), (_, nodes, roots, centre, start, source), settings, _ = far
+    expansion.put_fields(
+        mine, stage[1], stage[2], nodes, roots, centre, start, source, settings[5], moments, fields
+    )  # fmt: skip
 
 
 @inlined
-def moments_of_pulls(mine: Share, atoms: Floats, pull: Floats, far: Any) -> None:
-    """Moments of dE/d(Born integral), the last kind of charge."""
-    (charges, moments, _, _), (_, nodes, roots, centre, _, _), (_, _, kinds, low, _, _, _, tabled), _ = far
+def put_pulls(mine: Share, atoms: Floats, pull: Floats, far: Any) -> None:
+    """Write dE/d(Born integral), the last kind of charge."""
+    charges = far[0][0]
     begin, end = blocks_of(mine, atoms)
     for block in range(begin, end):
         for k in range(W):
-            charges[block, len(kinds), k] = pull[block * W + k]
-    expansion.put_moments(mine, atoms, charges, len(kinds), low, nodes, roots, centre, tabled, moments)
-
-
-@inlined
-def fields_of_pulls(mine: Share, far: Any) -> None:
-    """Fields of these."""
-    (_, moments, fields, _), (_, nodes, roots, centre, start, source), (_, uses, _, _, _, _, _, tabled), _ = (
-        far
-    )
-    expansion.put_fields(mine, uses, nodes, roots, centre, start, source, tabled, moments, fields)
+            charges[block, charges.shape[1] - 1, k] = pull[block * W + k]
 
 
 @inlined
@@ -208,7 +199,7 @@ def far_forces(mine: Share, state: Any, far: Any) -> None:
     (
         (charges, _, fields, of_fields),
         (leaves, _, _, centre, _, _),
-        (_, _, _, _, acts, orders, factors, tabled),
+        (_, _, acts, orders, factors, tabled),
         _,
     ) = far
     expansion.put_far_forces(
@@ -261,7 +252,7 @@ def born_radii(mine: Share, state: Any, solvent: Any, far: Any) -> None:
     blocks = blocks_of(mine, atoms)
     take_scalars(*blocks, sums, touched, integral)
     if far is not None:
-        (_, _, fields, _), (leaves, _, _, centre, _, _), (_, _, _, _, acts, orders, _, tabled), _ = far
+        (_, _, fields, _), (leaves, _, _, centre, _, _), (_, _, acts, orders, _, tabled), _ = far
         # That of the integrals is the last but two.
         expansion.add_potential(
             mine, atoms, len(acts) - 3, orders[len(acts) - 3], leaves, centre, tabled, fields, integral
