@@ -49,18 +49,21 @@ def test_replicas_of_two_hinges_agree_with_quadrature(two_hinges):
 
 
 def test_transitions_are_as_frequent_forth_as_back(two_hinges):
-    """Among three and more places: between two alone it would be so of any walk."""
+    """Among three and more places: between two alone it would be so of any walk.
+
+    Trajectories are short: long ones forget where they began, and hide a walk that drifts between them.
+    """
     landscape, _, _ = two_hinges
     q, places = landscape.minimise(landscape.chain.q0).q, []
-    for k in range(250):
-        q = landscape.sweep(q, 600.0, 0.03, 1, k).q
+    for k in range(300):
+        q = landscape.sweep(q, 600.0, 0.005, 1, k).q
         places.append(int(np.digitize(q[0], np.deg2rad([-130.0, -105.0, -80.0, -60.0]))))
     counts = np.zeros((5, 5))
     np.add.at(counts, (places[:-1], places[1:]), 1)
     i, j = np.triu_indices(5, 1)
     both = counts[i, j] + counts[j, i]
     seen = both >= 8
-    assert seen.sum() >= 4
+    assert seen.sum() >= 3
     squares = (counts[i, j] - counts[j, i])[seen] ** 2 / both[seen]
     # The mean of chi squared is the number of pairs; the limit is passed once in a thousand times.
     assert squares.sum() < seen.sum() + 3.1 * np.sqrt(2.0 * seen.sum()) + 3.0
