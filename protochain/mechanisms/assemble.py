@@ -13,7 +13,7 @@ from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanics.multibody.tree import NO_INERTIA
 from protochain.mechanisms.bodies import WORLD, Bodies
-from protochain.mechanisms.checks import direction, not_negative, number, numbers
+from protochain.mechanisms.checks import direction, is_rotation, not_negative, number, numbers
 from protochain.mechanisms.elements import Named
 
 KINDS = {
@@ -214,7 +214,7 @@ def _refuse_free_needles(
 def _rotation(value: ArrayLike, said: str) -> Floats:
     """A rotation, (3, 3)."""
     matrix = numbers(value, (3, 3), said)
-    if np.max(np.abs(matrix.T @ matrix - np.eye(3))) > 1e-9 or np.linalg.det(matrix) < 0.0:
+    if not is_rotation(matrix[None])[0]:
         raise MechanicsError(f"{said} is none: give a matrix with orthonormal columns and determinant 1")
     return matrix
 

@@ -68,12 +68,13 @@ def check_boxes(centre: Floats, rotation: Floats, half: Floats) -> None:
     for bad, why in (
         (~finite, "its centre, rotation and edges must be finite"),
         (~(half > 0.0).all(axis=1), "its edges must be longer than nothing"),
-        (~_is_rotation(np.where(finite[:, None, None], rotation, np.eye(3))), "its rotation is none"),
+        (~is_rotation(np.where(finite[:, None, None], rotation, np.eye(3))), "its rotation is none"),
     ):
         if np.any(bad):
             raise MechanicsError(f"box {int(np.argmax(bad))}: {why}")
 
 
-def _is_rotation(rotation: Floats) -> np.ndarray:
+def is_rotation(rotation: Floats) -> np.ndarray:
+    """Whether finite matrices (n, 3, 3) are rotations, (n,) bool."""
     product = rotation @ rotation.swapaxes(1, 2)
     return np.all(np.abs(product - np.eye(3)) <= 1e-9, axis=(1, 2)) & (np.linalg.det(rotation) > 0.0)
