@@ -50,7 +50,7 @@ class Opening:
     order : int
         Of charges and Born integrals.
     screened : float
-        r^2 / (4 B B) up to which f of generalised Born differs from r.
+        Value of r^2 / (4 B B) up to which f of generalised Born differs from r.
     lower : int
         By how much less the order of dispersion is, which falls sooner.
     """
