@@ -142,7 +142,7 @@ JOBS = (
     Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling"),
     Job("engines", f"{HERE}/engines.py energies -o DIR", 6),
     Job("engines-cutoff", f"{HERE}/engines.py cutoff -o DIR", 4),
-    Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 25, threads=1),
+    Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 15, threads=1),
     Job("engines-openings", f"{HERE}/engines.py openings -o DIR", 2, threads=1),
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
     Job("large", f"{HERE}/large.py -o DIR", 25, writes="large large_exponents"),
