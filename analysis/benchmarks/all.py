@@ -236,6 +236,7 @@ JOBS = (
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),
     Job("dynamics-cost", f"{HERE}/dynamics.py cost --more MORE -o DIR", 2),
     Job("dynamics-speed", f"{HERE}/dynamics.py speed --more MORE -o DIR", 8),
+    Job("dynamics-tree", f"{HERE}/dynamics.py tree --more MORE -o DIR", 5),
     Job("dipeptide", f"{HERE}/dipeptide.py --kept KEPT -o DIR", 45, continues=True),
     Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4, writes="batch batch_costs"),
     Job(

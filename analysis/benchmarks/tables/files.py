@@ -94,10 +94,11 @@ def large(rows: pd.DataFrame, slopes: pd.DataFrame) -> str:
         ("evaluations", "{evaluations}"), ("minimisation s", "{minimise_s:.1f}"),
         ("whole command s", "{shell_s:.0f}"), ("memory MB", "{memory_mb:.0f}"), ("status", "{status}"),
     )  # fmt: skip
-    exponent = slopes.set_index("seconds_of")["exponent"]
+    of = slopes.set_index("seconds_of")["exponent_by_tree"]
     said = paragraph(
-        f"Exponents of time in the number of atoms: preparation {exponent['prepare_s']:.2f}, an energy "
-        f"{exponent['energy_s']:.2f}, the minimisation {exponent['minimise_s']:.2f}."
+        "Exponents of time in the number of atoms, from 5,000 on: preparation "
+        f"{of['prepare_s']:.2f}, an energy {of['energy_s']:.2f}, an evaluation of the minimisation "
+        f"{of['evaluation_s']:.2f}, the whole command {of['shell_s']:.2f}."
     )
     return f"{shown}\n{said}"
 

@@ -150,7 +150,8 @@ def ends(rows: pd.DataFrame) -> str:
         same = apart.abs() <= SAME
         shares = (~same & (apart < 0.0), same, ~same & (apart > 0.0))
         lines.append([
-            f"`{method}`", *(f"{100 * share.mean():.0f}" for share in shares),
+            f"`{method}`",
+            *(f"{100 * share.groupby('structure').mean().mean():.0f}" for share in shares),
             f"{middle.median():+.1f} ({low:+.1f} to {high:+.1f})",
         ])  # fmt: skip
     scatter = rows.groupby(["structure", "method"])["end_kj_mol"].agg(np.ptp).gt(SAME).mean()
@@ -158,12 +159,12 @@ def ends(rows: pd.DataFrame) -> str:
         ("against `openmm`", "lower, %", "the same, %", "higher, %", "difference, kJ/mol (95 %)"), lines
     )
     found = ", ".join(f"`{method}`" for method in open_) or "none"
-    n_structures, n_starts = rows["structure"].nunique(), rows["start"].nunique()
+    starts = rows.groupby("structure")["start"].nunique()
     return f"{table}\n" + paragraph(
-        f"{n_structures} structures, {n_starts} starts each; medians of the structures' medians, and",
-        f"intervals by resampling structures. Zero is in the interval of {found}: which end is lower is then",
-        f"chance, as far as these can tell. Starts of a structure end more than {SAME:g} kJ/mol apart in",
-        f"{100 * scatter:.0f} % of all pairs of structure and method.",
+        f"{len(starts)} structures, {starts.min()} to {starts.max()} starts each, which count as one;",
+        "medians of the structures' medians, and intervals by resampling structures. Zero is in the interval of",
+        f"{found}: which end is lower is then chance, as far as these can tell. Starts of a structure end",
+        f"more than {SAME:g} kJ/mol apart in {100 * scatter:.0f} % of all pairs of structure and method.",
     )
 
 
