@@ -162,8 +162,8 @@ def ends(rows: pd.DataFrame) -> str:
     starts = rows.groupby("structure")["start"].nunique()
     return f"{table}\n" + paragraph(
         f"{len(starts)} structures, {starts.min()} to {starts.max()} starts each, which count as one;",
-        "medians of the structures' medians, and intervals by resampling structures. Zero is in the interval of",
-        f"{found}: which end is lower is then chance, as far as these can tell. Starts of a structure end",
+        "medians of the structures' medians, and intervals by resampling structures. Zero is in the interval",
+        f"of {found}: which end is lower is then chance, as far as these can tell. Starts of a structure end",
         f"more than {SAME:g} kJ/mol apart in {100 * scatter:.0f} % of all pairs of structure and method.",
     )
 
