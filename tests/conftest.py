@@ -32,9 +32,17 @@ def signals(monkeypatch):
         signal.signal(number, handler)
 
 
+@pytest.fixture
+def browser(started_browser):
+    """Chromium; pages that a test opens are closed behind it, or they would go on drawing."""
+    yield started_browser
+    for context in started_browser.contexts:
+        context.close()
+
+
 @pytest.fixture(scope="module")
-def browser():
-    """Chromium, started once for a file of tests; each opens a page of its own."""
+def started_browser():
+    """Chromium, started once for a file of tests."""
     chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if chromium is None:
         pytest.skip("no chromium on this machine")

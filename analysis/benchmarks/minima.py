@@ -26,6 +26,7 @@ import made
 import numpy as np
 import openmm
 import pandas as pd
+from openmm import unit
 from scipy import constants
 from scipy.optimize import basinhopping, dual_annealing
 from threadpoolctl import threadpool_limits
@@ -298,7 +299,8 @@ class Exchange:
         for context in self.contexts:
             context.getIntegrator().step(self.n_steps)
         at = [c.getState(getEnergy=True, getPositions=True, getVelocities=True) for c in self.contexts]
-        energy = np.array([each.getPotentialEnergy()._value for each in at])
+        energies = [each.getPotentialEnergy() for each in at]
+        energy = np.array([each.value_in_unit(unit.kilojoule_per_mole) for each in energies])
         odds = np.exp(np.minimum(0.0, np.diff(self.beta) * np.diff(energy)))
         self.n, self.exchanged = self.n + 1, self.exchanged + float(odds.mean())
         for k in range(self.n % 2, len(odds), 2):
