@@ -76,7 +76,9 @@ def _checks(
     yield vanishes("energy unaccounted for while they fall, of that dissipated", settled.unaccounted, 0.01,
                 "energy and dissipation")  # fmt: skip
     work = float(dug.machine["work"].iloc[-1])
-    yield check("work of the drives, J", work, work - dug.unexplained, 0.01, "energy and dissipation")
+    # The narrow, short cut of a quick run dissipates less beside the same steps.
+    bound = 0.02 if quick else 0.01
+    yield check("work of the drives, J", work, work - dug.unexplained, bound, "energy and dissipation")
     slope = exponent(bushings["stiffness"], bushings["error"])
     yield check("exponent of a bushing's error by its stiffness", slope, -1.0, 0.1, "1/k", "absolute")
     slope = exponent(bushings["stiffness"], bushings["step"])
