@@ -7,6 +7,7 @@ and pairs of which either has half: half of these, and what is within a residue,
 """
 
 import re
+from abc import abstractmethod
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -252,14 +253,16 @@ class TermsAtEnds:
     x: Floats
 
     @property
+    @abstractmethod
     def _began(self) -> Structure:
-        raise NotImplementedError
+        """Structure at the start."""
 
     @property
     def terms_start(self) -> dict[str, float]:
         """Energy of each of ``protochain.energies.decomposed.TERMS`` at the start, kJ/mol.
 
-        Empty where the energy is a callable, or a System that the native engine cannot compute.
+        Empty where the energy is a callable, or a System that the native engine cannot compute; and of more
+        than 20,000 atoms.
         """
         return self._terms[1]
 
