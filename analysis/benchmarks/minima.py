@@ -5,9 +5,8 @@
 found: Met-enkephalin (YGGFM, ff14SB, OBC2) from the extended chain, by ten walks of each method, and by
 scipy's basinhopping and dual_annealing on the same energy and torques, with as many evaluations each. A walk
 succeeds where it comes within 0.5 kJ/mol of the lowest that any of them found.
-far: the same by hopping alone, four times as far.
 populations: decaalanine by tempering, from the extended chain and from a helix.
-folds: chignolin CLN025 and Trp-cage from the extended chain in GBn2, five walks of hopping; the
+folds: chignolin CLN025 and Trp-cage from the extended chain in GBn2, five walks; the
 lowest of each, and the native, minimised with all atoms free.
 truth: trialanine with two hinges against quadrature.
 cost: processor time of a round of replica exchange in torsions, and of one by OpenMM of all atoms.
@@ -15,7 +14,6 @@ cost: processor time of a round of replica exchange in torsions, and of one by O
 
 import argparse
 import os
-from collections.abc import Iterable
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -39,7 +37,7 @@ NEAR = 0.5
 """kJ/mol above the lowest that any walk found."""
 PEPTIDE, HELIX = "YGGFM", "AAAAAAAAAA"
 FOLDS = {"chignolin": ("5awl.pdb", "YYDPETGTWY"), "Trp-cage": ("1l2y.pdb", "NLYIQWLKDGGPSSGRPPPS")}
-TEMPERATURES = {"hopping": "300-600", "annealing": "200-900", "tempering": "300-600"}
+TEMPERATURES = {"csa": "300-600", "hopping": "300-600", "annealing": "200-900", "tempering": "300-600"}
 TRAJECTORY = 20
 """Steps between exchanges in torsions."""
 CORES = min(2, len(os.sched_getaffinity(0)))
@@ -110,21 +108,11 @@ def falls_of(found: pc.Search, walker: int) -> list[tuple[int, float]]:
 
 def found(options: argparse.Namespace) -> pd.DataFrame:
     """Evaluations to within 0.5 kJ/mol of the lowest that any walk found, and how many came there."""
-    return walked(options, (*TEMPERATURES, "basinhopping", "dual_annealing"), options.evaluations)
-
-
-def far(options: argparse.Namespace) -> pd.DataFrame:
-    """The same by hopping alone, with more evaluations."""
-    return walked(options, ("hopping",), 4 * options.evaluations)
-
-
-def walked(options: argparse.Namespace, methods: Iterable[str], budget: int) -> pd.DataFrame:
-    """Walks of each method, with as many evaluations each."""
     structure = pc.from_sequence(PEPTIDE)
     chain, energy = pc.build_chain(structure, root="fixed"), pc.energy(structure, threads=1)
-    budget, seeds = (1500, 2) if options.quick else (budget, options.seeds)
+    budget, seeds = (1500, 2) if options.quick else (options.evaluations, options.seeds)
     falls, seconds = {}, {}
-    for method in methods:
+    for method in (*TEMPERATURES, "basinhopping", "dual_annealing"):
         began = sum(os.times()[:4])
         if method in TEMPERATURES:
             done = pc.search(
@@ -186,14 +174,14 @@ def tempered(name: str, start: pc.Structure, quick: bool) -> pd.DataFrame:
 
 
 def folds(options: argparse.Namespace) -> pd.DataFrame:
-    """Chignolin and Trp-cage by hopping: what is lowest, chosen by energy alone, beside the native."""
+    """Chignolin and Trp-cage: what is lowest, chosen by energy alone, beside the native."""
     seeds, budget = (2, 1000) if options.quick else (5, options.short)
     rows = []
     for name, (file, sequence) in FOLDS.items():
         native, structure = pc.load(made.SAMPLES / file), pc.from_sequence(sequence)
         chain, energy = pc.build_chain(structure), pc.energy(structure, solvent="gbn2", threads=1)
         began = sum(os.times()[:4])
-        done = pc.search(chain, energy, "hopping", budget * seeds, n_walkers=seeds, workers=WORKERS)
+        done = pc.search(chain, energy, "csa", budget * seeds, n_walkers=seeds, workers=WORKERS)
         spent = (sum(os.times()[:4]) - began) / seeds / 60.0
         own = pc.energy(native, solvent="gbn2", threads=1)
         reference = pc.minimise(native, own, "hybrid").end.energy
@@ -313,7 +301,6 @@ class Exchange:
 
 TABLES = {
     "found": found,
-    "far": far,
     "populations": populations,
     "folds": folds,
     "truth": truth,
@@ -323,9 +310,9 @@ TABLES = {
 
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", TABLES)
-    own.add_argument("--evaluations", type=int, default=40_000, help="of each walk")
+    own.add_argument("--evaluations", type=int, default=160_000, help="of each walk")
     own.add_argument("--seeds", type=int, default=10, help="walks of each method")
-    own.add_argument("--short", type=int, default=20_000, help="evaluations of each walk of folds")
+    own.add_argument("--short", type=int, default=200_000, help="evaluations of each walk of folds")
     return own
 
 

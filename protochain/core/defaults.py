@@ -64,7 +64,7 @@ TIME_LIMIT = 3600.0  # s
 IMPACT_TOLERANCE = 1e-10
 """Error of a step of an impact's path, relative to its impulse. Plane paths are exact."""
 
-SEARCH = "hopping"
+SEARCH = "csa"
 SEARCH_TEMPERATURES = (300.0, 600.0)  # K
 SEARCH_EVALUATIONS = 100_000
 N_WALKERS = 4

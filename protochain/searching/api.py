@@ -24,6 +24,7 @@ from protochain.core.settings import taken
 from protochain.core.storage import check_writable, claimed
 from protochain.energies import as_energy
 from protochain.searching.annealing import Coolings
+from protochain.searching.csa import Crossings
 from protochain.searching.hopping import Hops
 from protochain.searching.landscape import Landscape
 from protochain.searching.pieces import (
@@ -103,15 +104,16 @@ def search(
     energy : Energy, optional
         Default: that of :func:`protochain.energy`.
     method : str
-        ``hopping`` (Metropolis over minima), ``annealing`` (cooled hybrid Monte Carlo, again and again) or
-        ``tempering`` (replica exchange, which also yields populations).
+        ``csa`` (conformational space annealing: a bank of minima is crossed), ``hopping`` (Metropolis over
+        minima), ``annealing`` (cooled hybrid Monte Carlo, again and again) or ``tempering`` (replica
+        exchange, which also yields populations).
     evaluations : int, optional
         Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: 100,000,
         without end if ``hours`` are given.
     hours : float, optional
         Time after which the search ends.
     temperatures : (float, float) or str, K
-        Lowest and highest, as ``"300-600"``. Hopping takes the lowest.
+        Lowest and highest, as ``"300-600"``. Hopping takes the lowest, csa none.
     n_walkers : int
         Independent walks.
     n_replicas : int
@@ -171,9 +173,10 @@ def search(
 
 def method_of(settings: SearchSettings, walker: int) -> Method:
     """Return the method of a walker."""
-    low, _ = settings.temperatures
+    if settings.method == "csa":
+        return Crossings(settings.seed, walker)
     if settings.method == "hopping":
-        return Hops(low, settings.seed, walker)
+        return Hops(settings.temperatures[0], settings.seed, walker)
     if settings.method == "annealing":
         return Coolings(settings.temperatures, settings.seed, walker)
     return Replicas(settings.temperatures, settings.n_replicas, settings.seed, walker)

@@ -1,8 +1,6 @@
 """Hopping: Metropolis' criterion over minima, each from the last accepted one by a move and a descent.
 
-Monte Carlo minimisation (Li, Scheraga, PNAS 84:6611, 1987), also known as basin hopping. A walk that has
-found the bottom of a funnel begins again elsewhere: low minima of other funnels are many hops uphill (Leary,
-J. Global Optim. 18:367, 2000).
+Monte Carlo minimisation (Li, Scheraga, PNAS 84:6611, 1987), also known as basin hopping.
 """
 
 from dataclasses import dataclass, replace
@@ -13,16 +11,11 @@ from protochain.core.arrays import Floats, Value
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.loop import noise
 from protochain.searching.landscape import Landscape
-from protochain.searching.minima import SAME_ENERGY
-from protochain.searching.moves import anywhere, moved
+from protochain.searching.moves import a_kind, moved
 from protochain.searching.pieces import Finding, stream
 
-WEIGHTS = {"backbone": 0.5, "rotamer": 0.3, "crankshaft": 0.2, "turn": 0.1}
-"""How often each kind of move is tried, of those that a chain has."""
 ADAPTED = 100
 """Hops during which the size of a turn follows how often it is accepted; then it stays."""
-PATIENCE = 400
-"""Hops without a new low of a run after which the next begins at random torsions."""
 _WANTED, _FACTOR = 0.3, 1.1
 _LARGEST = np.pi
 
@@ -41,10 +34,6 @@ class Hopping(Value):
         Hops, those accepted, and evaluations so far.
     size : float, rad
         Standard deviation of turns.
-    low : float, kJ/mol
-        Lowest energy of the run since the last start.
-    n_since : int
-        Hops since it was found.
     """
 
     q: Floats
@@ -53,8 +42,6 @@ class Hopping(Value):
     n_accepted: int
     n_evaluations: int
     size: float
-    low: float
-    n_since: int
 
     @property
     def acceptance(self) -> float:
@@ -82,25 +69,18 @@ class Hops:
     def begin(self, landscape: Landscape) -> tuple[Hopping, Finding]:
         """Descend from the chain as it is."""
         done = landscape.minimise(landscape.chain.q0)
-        state = Hopping(done.q, done.energy, 0, 0, done.n_evaluations, np.pi / 4, done.energy, 0)
+        state = Hopping(done.q, done.energy, 0, 0, done.n_evaluations, np.pi / 4)
         return state, Finding.minimum(done.q, done.energy, done.n_evaluations)
 
     def step(self, landscape: Landscape, state: Hopping) -> tuple[Hopping, Finding]:
-        """Hop once, or begin again."""
+        """Hop once."""
         hop = state.n_done + 1
         random = noise(self.seed, hop, stream(self.walker))
-        moves, again = landscape.moves, state.n_since >= PATIENCE
-        weights = np.array([WEIGHTS[kind] for kind in moves.kinds])
-        kind = moves.kinds[int(random.choice(len(weights), p=weights / weights.sum()))]
-        done = landscape.minimise(
-            anywhere(moves, len(state.q), random)
-            if again
-            else moved(moves, kind, state.q, state.size, random)
-        )
-        accepted = again or metropolis(done.energy - state.energy, self.temperature, random)
+        kind = a_kind(landscape.moves, random)
+        done = landscape.minimise(moved(landscape.moves, kind, state.q, state.size, random))
+        accepted = metropolis(done.energy - state.energy, self.temperature, random)
         n_evaluations = state.n_evaluations + done.n_evaluations
         found = Finding.minimum(done.q, done.energy, n_evaluations)
-        is_low = again or done.energy < state.low - SAME_ENERGY
         after = replace(
             state,
             n_done=hop,
@@ -109,8 +89,6 @@ class Hops:
             size=_adapted(state.size, accepted)
             if kind in ("crankshaft", "turn") and hop <= ADAPTED
             else state.size,
-            low=done.energy if is_low else state.low,
-            n_since=0 if is_low else state.n_since + 1,
         )
         return (replace(after, q=done.q, energy=done.energy) if accepted else after), found
 

@@ -32,6 +32,7 @@ from protochain.minimisers.problem import Problem
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import PATIENCE
+from protochain.searching.minima import periods
 from protochain.searching.moves import Moves
 
 if TYPE_CHECKING:
@@ -114,6 +115,11 @@ class Landscape(Value):
     def moves(self) -> Moves:
         """What its torsions allow."""
         return Moves.of(self.chain)
+
+    @cached_property
+    def period(self) -> Floats:
+        """(n,) float, rad: turn of each torsion that changes nothing."""
+        return periods(self.chain)
 
     def positions(self, q: Floats) -> Floats:
         """Positions (na, 3), nm, at torsions (n,)."""

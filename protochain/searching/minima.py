@@ -37,8 +37,17 @@ def periods(chain: Chain) -> Floats:
 
 def farthest(q: Floats, other: Floats, period: Floats) -> Floats:
     """Difference, rad, of the torsion that differs most; q (..., n) and other (..., n)."""
+    return np.asarray(np.max(_turns(q, other, period), axis=-1))
+
+
+def distance(q: Floats, other: Floats, period: Floats) -> Floats:
+    """Sum of the differences, rad, of all torsions; q (..., n) and other (..., n)."""
+    return np.asarray(np.sum(_turns(q, other, period), axis=-1))
+
+
+def _turns(q: Floats, other: Floats, period: Floats) -> Floats:
     away = q - other
-    return np.asarray(np.max(np.abs(away - period * np.rint(away / period)), axis=-1))
+    return np.asarray(np.abs(away - period * np.rint(away / period)))
 
 
 def unique(q: Floats, energy: Floats, period: Floats) -> Integers:

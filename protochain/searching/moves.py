@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 JITTER = np.deg2rad(10.0)
 """Standard deviation of a side chain's dihedral about that of its rotamer: about as wide as their peaks."""
 NONE = -1
+WEIGHTS = {"backbone": 0.5, "rotamer": 0.3, "crankshaft": 0.2, "turn": 0.1}
+"""How often each kind of move is tried, of those that a chain has."""
+CROSSED = {"part": 0.4, "stretch": 0.4, "few": 0.2}
+"""How often each kind of crossing is tried."""
+_FEW = 5
 
 T = TypeVar("T")
 
@@ -50,6 +55,11 @@ class Residue:
     psi: int = NONE
     chi: tuple[int, ...] = ()
     is_last: bool = False
+
+    @property
+    def backbone(self) -> list[int]:
+        """Phi and psi, as far as they turn."""
+        return [k for k in (self.phi, self.psi) if k != NONE]
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +126,12 @@ class Moves(Value):
         return tuple(kind for kind, its in known.items() if its)
 
     @cached_property
+    def parts(self) -> tuple[list[int], ...]:
+        """Coordinates that go together: of the backbone of a residue, of its side chain, of another hinge."""
+        found = [part for each in self.residues for part in (each.backbone, list(each.chi))]
+        return *(part for part in found if part), *([k] for k in self.others)
+
+    @cached_property
     def with_backbone(self) -> tuple[Residue, ...]:
         """Residues whose phi or psi turns."""
         return tuple(each for each in self.residues if max(each.phi, each.psi) >= 0)
@@ -124,6 +140,39 @@ class Moves(Value):
     def with_chi(self) -> tuple[Residue, ...]:
         """Residues whose side chain turns."""
         return tuple(each for each in self.residues if each.chi)
+
+
+def a_kind(moves: Moves, random: np.random.Generator) -> str:
+    """Draw a kind of move, of those that the chain has."""
+    weights = np.array([WEIGHTS[kind] for kind in moves.kinds])
+    return moves.kinds[int(random.choice(len(weights), p=weights / weights.sum()))]
+
+
+def crossed(moves: Moves, q: Floats, other: Floats, random: np.random.Generator) -> Floats:
+    """Torsions (n,), rad, of which some are those of another minimum.
+
+    Of the backbone or the side chain of one residue, of a stretch of up to half of all residues, or of up to
+    five hinges anywhere.
+
+    Parameters
+    ----------
+    moves : Moves
+    q, other : (n,) float, rad
+    random : Generator
+    """
+    kind = random.choice(list(CROSSED), p=list(CROSSED.values()))
+    if kind == "part":
+        where = _one(moves.parts, random)
+    elif kind == "few":
+        where = random.choice(len(q), min(int(random.integers(1, _FEW + 1)), len(q)), replace=False).tolist()
+    else:
+        length = int(random.integers(1, max(2, len(moves.residues) // 2 + 1)))
+        first = int(random.integers(len(moves.residues) - length + 1))
+        its = moves.residues[first : first + length]
+        where = [k for each in its for k in (*each.backbone, *each.chi)]
+    q = q.copy()
+    q[where] = other[where]
+    return q
 
 
 def moved(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Generator) -> Floats:

@@ -17,7 +17,7 @@ from protochain.core.units import MOLAR_GAS
 from protochain.energies import Energy
 from protochain.searching import conformers
 from protochain.searching.landscape import Landscape
-from protochain.searching.minima import clusters, free_energy, periods, unique
+from protochain.searching.minima import clusters, free_energy, unique
 from protochain.searching.pieces import Finding
 from protochain.searching.settings import SearchSettings
 from protochain.searching.statistics import WARM_UP, blocked, mean_and_error, slope, warm
@@ -87,7 +87,7 @@ class Search(Value):
     @cached_property
     def _unique(self) -> Integers:
         found = self._all[1]
-        return unique(found[:, 2:], found[:, 1], periods(self.chain))
+        return unique(found[:, 2:], found[:, 1], self.landscape.period)
 
     @property
     def q(self) -> Floats:

@@ -9,7 +9,7 @@ from protochain.core.checks import Check, at_least, flag, limited, number, optio
 from protochain.core.errors import refused
 from protochain.core.settings import Settings, setting
 
-METHODS = ("hopping", "annealing", "tempering")
+METHODS = ("csa", "hopping", "annealing", "tempering")
 
 _LOWEST, _HIGHEST = 1.0, 1e5
 _MOST = 10_000
@@ -39,7 +39,7 @@ class SearchSettings(Settings):
     Parameters
     ----------
     method : str
-        ``hopping``, ``annealing`` or ``tempering``.
+        ``csa``, ``hopping``, ``annealing`` or ``tempering``.
     temperatures : (float, float), K
         Lowest and highest.
     n_walkers : int
@@ -55,10 +55,12 @@ class SearchSettings(Settings):
         If a setting is unknown or out of range; the message says what to do.
     """
 
-    method: str = setting(defaults.SEARCH, "hopping, annealing or tempering.", text)
+    method: str = setting(
+        defaults.SEARCH, "csa (conformational space annealing), hopping, annealing or tempering.", text
+    )
     temperatures: tuple[float, float] = setting(
         defaults.SEARCH_TEMPERATURES,
-        "Lowest and highest temperature, K: hopping takes the lowest [default: 300-600].",
+        "Lowest and highest temperature, K: hopping takes the lowest, csa none [default: 300-600].",
         interval,
         str,
         metavar="LOW-HIGH",

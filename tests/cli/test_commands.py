@@ -73,7 +73,7 @@ COMMANDS = {
         "resume": False, "force": False, "seed": 0, **AS_JSON, **SETUP,
     },
     "search": {
-        "source": None, **OUTPUT, "workers": None, "scheduler": None, "method": "hopping",
+        "source": None, **OUTPUT, "workers": None, "scheduler": None, "method": "csa",
         "temperatures": None, "n_walkers": 4, "n_replicas": 6, "seed": 0, "evaluations": None, "hours": None,
         "resume": False, "force": False, **AS_JSON, **{k: v for k, v in SETUP.items() if k != "threads"},
     },

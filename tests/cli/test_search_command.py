@@ -15,7 +15,7 @@ def test_a_sequence_and_its_file_find_the_same(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run("search", "AAA", *FEW, "--json") == 0
     record = json.loads(capsys.readouterr().out)
-    assert record["structure"] == "AAA" and record["method"] == "hopping" and record["evaluations"] >= 200
+    assert record["structure"] == "AAA" and record["method"] == "csa" and record["evaluations"] >= 200
     assert (tmp_path / "AAA-search" / "report.html").exists()
     pc.save(pc.from_sequence("AAA"), "aaa.pdb")
     assert run("search", "aaa.pdb", *FEW, "-o", "of-file") == 0
@@ -33,7 +33,7 @@ def test_a_sequence_and_its_file_find_the_same(tmp_path, monkeypatch, capsys):
     [
         (("search", "ABZ"), "ABZ"),
         (("search", "AAA", "--temperatures", "600-300"), "the lower first"),
-        (("search", "AAA", "--method", "luck"), "choose from hopping"),
+        (("search", "AAA", "--method", "luck"), "choose from csa"),
         (("search", "AAA", "--resume"), "holds no search to resume"),
     ],
 )

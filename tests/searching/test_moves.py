@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import protochain as pc
-from protochain.searching.moves import NONE, Moves, anywhere, moved
+from protochain.searching.moves import NONE, Moves, anywhere, crossed, moved
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation.ramachandran import FAVOURED, score
 
@@ -127,3 +127,26 @@ def rotation(x, reference):
     from protochain.structure.superpose import motion
 
     return motion(x, reference)[0]
+
+
+def test_a_crossing_has_every_torsion_from_one_of_two_and_keeps_together_what_belongs_together():
+    chain, moves = moves_of("AFIGPMA", "phi psi chi polar")
+    random = np.random.default_rng(0)
+    q, other = np.zeros(chain.n_q), np.ones(chain.n_q)
+    assert sorted(k for part in moves.parts for k in part) == list(range(chain.n_q))
+    seen = set()
+    for _ in range(300):
+        after = crossed(moves, q, other, random)
+        assert set(after.tolist()) <= {0.0, 1.0} and after.any() and not q.any()
+        where = changed(q, after)
+        seen.add(
+            "part" if where in [set(part) for part in moves.parts]
+            else "few" if len(where) <= 5
+            else "stretch"
+        )  # fmt: skip
+        if len(where) > 5:  # The residues of a stretch change whole, up to half of all.
+            whole = [{*each.backbone, *each.chi} for each in moves.residues]
+            its = [k for k, torsions in enumerate(whole) if torsions <= where]
+            assert where == set().union(*(whole[k] for k in its))
+            assert its == list(range(its[0], its[-1] + 1)) and len(its) <= len(whole) // 2
+    assert seen == {"part", "few", "stretch"}

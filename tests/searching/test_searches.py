@@ -10,12 +10,11 @@ import pandas as pd
 import pytest
 
 import protochain as pc
-from protochain.searching import api, hopping
+from protochain.searching import api, csa
 from protochain.searching.annealing import PILOTS, RUNGS, scheduled
 from protochain.searching.hopping import ADAPTED, metropolis
 from protochain.searching.ladder import geometric, length_of_widths
-from protochain.searching.landscape import Landscape
-from protochain.searching.minima import SAME_ENERGY
+from protochain.searching.landscape import Descended, Landscape
 from protochain.searching.pieces import advance, read_piece, write_piece
 from protochain.searching.settings import SearchSettings
 
@@ -32,6 +31,7 @@ def peptide():
 def whole(peptide):
     """A search by each method, in one go."""
     return {
+        "csa": pc.search(*peptide, "csa", 1500, **SMALL),
         "hopping": pc.search(*peptide, "hopping", 1500, **SMALL),
         "annealing": pc.search(*peptide, "annealing", 1500, **SMALL),
         "tempering": pc.search(*peptide, "tempering", 12000, n_replicas=2, **SMALL),
@@ -47,11 +47,11 @@ def same(one, other):
 
 
 def options(method):
-    return {"hopping": (1500, {}), "annealing": (1500, {}), "tempering": (12000, {"n_replicas": 2})}[method]
+    return (12000, {"n_replicas": 2}) if method == "tempering" else (1500, {})
 
 
 @pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("method", ["hopping", "annealing", "tempering"])
+@pytest.mark.parametrize("method", ["csa", "hopping", "annealing", "tempering"])
 def test_a_search_that_is_interrupted_and_resumed_finds_the_same_bits(
     method, peptide, whole, tmp_path, monkeypatch
 ):
@@ -122,7 +122,7 @@ def test_minima_are_minima_with_their_energies(peptide, whole):
 
 def test_the_size_of_turns_is_adapted_and_then_stays(peptide):
     landscape = Landscape.of(*peptide)
-    method = api.method_of(SearchSettings(), 0)
+    method = api.method_of(SearchSettings(method="hopping"), 0)
     state, sizes = None, []
     while state is None or state.n_done < ADAPTED + 30:
         state, _ = method.begin(landscape) if state is None else method.step(landscape, state)
@@ -130,25 +130,65 @@ def test_the_size_of_turns_is_adapted_and_then_stays(peptide):
     assert len(set(sizes[:ADAPTED])) > 5 and len(set(sizes[ADAPTED:])) == 1
 
 
-def test_a_run_that_finds_nothing_lower_begins_again_elsewhere(peptide, monkeypatch):
-    monkeypatch.setattr(hopping, "PATIENCE", 8)
+def bank(q, energies, **more):
+    """A bank of these minima, tried twice each, in which all nearer than 1 rad is near."""
+    q = np.array(q)
+    its = {
+        "tried": np.full(len(q), 2.0), "random": q, "room": len(q), "mean": 2.0, "width": csa.WIDE,
+        "n_rounds": 0, "n_done": 9, "n_accepted": 0, "n_evaluations": 0,
+    }  # fmt: skip
+    return csa.Bank(q, np.array(energies), **(its | more))
+
+
+@pytest.mark.parametrize(
+    ("q", "energy", "energies", "tried"),
+    [
+        ([0.3, 0.3], -2.0, [-2.0, 5.0, 1.0], [0.0, 2.0, 2.0]),  # near the first, and lower
+        ([0.3, 2.0 * np.pi - 0.3], -0.1, [-0.1, 5.0, 1.0], [2.0, 2.0, 2.0]),  # the same minimum, once more
+        ([0.3, 0.3], 0.5, [0.0, 5.0, 1.0], [2.0, 2.0, 2.0]),  # near the first, and higher
+        ([0.7, 0.7], 4.9, [0.0, 4.9, 1.0], [2.0, 0.0, 2.0]),  # near none, and lower than the highest
+        ([0.7, 0.7], 5.1, [0.0, 5.0, 1.0], [2.0, 2.0, 2.0]),
+    ],
+)
+def test_a_minimum_displaces_a_higher_one_near_it_or_the_highest(q, energy, energies, tried):
+    before = bank([[0.0, 0.0], [2.0, 2.0], [-2.0, 2.0]], [0.0, 5.0, 1.0])
+    after = csa.entered(before, Descended(np.array(q), energy, 7), np.full(2, 2.0 * np.pi))
+    assert after.energies.tolist() == energies and after.tried.tolist() == tried
+    assert after.n_accepted == (energies != before.energies.tolist())
+    assert csa.NARROW < after.width < before.width
+
+
+def test_random_minima_set_what_is_near_and_join_again_after_some_rounds():
+    few = bank(np.zeros((csa.BANK - 1, 2)), np.arange(csa.BANK - 1.0), room=csa.BANK, width=csa.NARROW)
+    full = csa.joined(few, Descended(np.array([1.0, -1.0]), 3.0, 7), np.full(2, 2.0 * np.pi))
+    # Of n (n - 1) / 2 pairs, n - 1 are 2 apart.
+    assert (full.mean, full.width) == (pytest.approx(4.0 / csa.BANK), csa.WIDE)
+    tried = replace(full, tried=np.full(csa.BANK, float(csa.TRIALS)))
+    first = csa.next_round(tried)
+    assert (first.n_rounds, first.room, len(first.q)) == (1, csa.BANK, csa.BANK) and not first.tried.any()
+    second = csa.next_round(replace(tried, n_rounds=csa.ROUNDS - 1))
+    assert (second.room, len(second.q)) == (2 * csa.BANK, csa.BANK)
+    double = bank(np.zeros((2 * csa.BANK, 2)), -np.arange(2.0 * csa.BANK), tried=np.full(2 * csa.BANK, 20.0))
+    third = csa.next_round(replace(double, n_rounds=2 * csa.ROUNDS - 1))
+    assert third.energies.tolist() == sorted(double.energies)[: csa.BANK] and third.room == 2 * csa.BANK
+
+
+def test_a_bank_fills_with_random_minima_and_gets_lower(peptide, monkeypatch):
+    monkeypatch.setattr(csa, "BANK", 6)
     landscape = Landscape.of(*peptide)
-    method = api.method_of(SearchSettings(temperatures="1-600"), 0)
-    before, _ = method.begin(landscape)
-    ends = []
-    for _ in range(60):
-        state, found = method.step(landscape, before)
-        assert state.low <= state.energy + SAME_ENERGY and state.n_since <= 8
-        if before.n_since == 8:  # Wherever it leads.
-            assert (state.low, state.n_since) == (found.minima[0, 1], 0)
-            assert np.array_equal(state.q, found.minima[0, 2:]) and state.n_accepted == before.n_accepted + 1
-            ends.append(state.energy)
-        elif state.energy < before.low - SAME_ENERGY:
-            assert (state.low, state.n_since) == (state.energy, 0)
-        else:
-            assert (state.low, state.n_since) == (before.low, before.n_since + 1)
-        before = state
-    assert len(ends) > 3 and np.ptp(ends) > SAME_ENERGY
+    method = api.method_of(SearchSettings(method="csa"), 0)
+    state, found = method.begin(landscape)
+    state = replace(state, room=csa.BANK)
+    for _ in range(csa.BANK - 1):
+        state, _ = method.step(landscape, state)
+    full, lowest = state, [found.minima[0, 1]]
+    assert len(full.q) == csa.BANK and full.mean > 0.5 and full.n_done == csa.BANK
+    for _ in range(40):
+        after, found = method.step(landscape, state)
+        assert np.sum(after.tried) <= np.sum(state.tried) + 1.0 and after.energy <= state.energy
+        lowest.append(found.minima[0, 1])
+        state = after
+    assert state.energies.max() < full.energies.max() and state.energy <= min(lowest) + 1e-9
 
 
 def test_metropolis_accepts_as_boltzmann_says():

@@ -1,0 +1,174 @@
+"""Conformational space annealing: minima of a bank are crossed, and the bank's variety is cooled.
+
+Lee, Scheraga, Rackovsky, J. Comput. Chem. 18:1222 (1997). A bank of random minima covers the torsions. What
+two of them cross to displaces a minimum near it if it is lower, else the highest of all. What counts as near
+begins as half the mean distance of random minima, so that one funnel cannot fill the bank, and shrinks.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Value, read_only
+from protochain.dynamics.loop import noise
+from protochain.searching.landscape import Descended, Landscape
+from protochain.searching.minima import SAME_ENERGY, distance
+from protochain.searching.moves import a_kind, anywhere, crossed, moved
+from protochain.searching.pieces import Finding, stream
+
+BANK = 50
+"""Random minima that join the bank at a time."""
+TRIALS, ROUNDS = 20, 2
+"""Trials from each minimum in a round, and rounds after which new random minima join."""
+MUTATED, RANDOM = 0.15, 0.15
+"""Shares of trials that are moves as of hopping, and of crossings that are with one of the random minima."""
+WIDE, NARROW = 1 / 2, 1 / 5
+"""Largest and least distance of what is near, by the mean distance of random minima."""
+_COOLING = (NARROW / WIDE) ** (1.0 / (BANK * TRIALS))
+_SIZE = np.pi / 4
+
+
+@dataclass(frozen=True, eq=False)
+class Bank(Value):
+    """State of a bank of m minima.
+
+    Parameters
+    ----------
+    q : (m, n) float, rad
+        Their torsions.
+    energies : (m,) float, kJ/mol
+    tried : (m,) float
+        Trials from each since it came or since the round began.
+    random : (k, n) float, rad
+        The last random minima.
+    room : int
+        Minima that the bank is to hold: below it, random ones join.
+    mean : float, rad
+        Mean distance of the random minima.
+    width : float
+        Distance of what is near, by ``mean``.
+    n_rounds, n_done, n_accepted, n_evaluations : int
+        Rounds, descents, those that changed the bank, and evaluations so far.
+    """
+
+    q: Floats
+    energies: Floats
+    tried: Floats
+    random: Floats
+    room: int
+    mean: float
+    width: float
+    n_rounds: int
+    n_done: int
+    n_accepted: int
+    n_evaluations: int
+
+    @property
+    def energy(self) -> float:
+        """Lowest energy, kJ/mol."""
+        return float(self.energies.min())
+
+    @property
+    def acceptance(self) -> float:
+        """Share of the descents that changed the bank."""
+        return self.n_accepted / self.n_done
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """The method of conformational space annealing.
+
+    Parameters
+    ----------
+    seed, walker : int
+        Random numbers of a trial depend on these and its number alone.
+    """
+
+    seed: int
+    walker: int
+    state = Bank
+
+    def begin(self, landscape: Landscape) -> tuple[Bank, Finding]:
+        """Descend from the chain as it is: the first of the bank."""
+        done = landscape.minimise(landscape.chain.q0)
+        q = read_only(done.q[None])
+        state = Bank(
+            q, read_only([done.energy]), read_only([0.0]), q, BANK, 0.0, WIDE, 0, 1, 1, done.n_evaluations
+        )
+        return state, Finding.minimum(done.q, done.energy, done.n_evaluations)
+
+    def step(self, landscape: Landscape, state: Bank) -> tuple[Bank, Finding]:
+        """Descend from random torsions while there is room, else from a trial."""
+        number = state.n_done + 1
+        random = noise(self.seed, number, stream(self.walker))
+        moves, joins = landscape.moves, len(state.q) < state.room
+        if joins:
+            done = landscape.minimise(anywhere(moves, state.q.shape[1], random))
+            after = joined(state, done, landscape.period)
+        else:
+            seed = random.choice(np.flatnonzero(state.tried < TRIALS))
+            if random.random() < MUTATED:
+                trial = moved(moves, a_kind(moves, random), state.q[seed], _SIZE, random)
+            else:
+                others = state.random if random.random() < RANDOM else state.q
+                trial = crossed(moves, state.q[seed], others[random.integers(len(others))], random)
+            done = landscape.minimise(trial)
+            tried = state.tried.copy()
+            tried[seed] += 1.0
+            after = next_round(entered(replace(state, tried=read_only(tried)), done, landscape.period))
+        n_evaluations = state.n_evaluations + done.n_evaluations
+        found = Finding.minimum(done.q, done.energy, n_evaluations)
+        return replace(after, n_done=number, n_evaluations=n_evaluations), found
+
+
+def joined(state: Bank, done: Descended, period: Floats) -> Bank:
+    """Let a random minimum join; the last one sets what is near."""
+    random = np.concatenate([state.random, done.q[None]])[-2 * BANK :]
+    after = replace(
+        state,
+        q=read_only(np.concatenate([state.q, done.q[None]])),
+        energies=read_only([*state.energies, done.energy]),
+        tried=read_only([*state.tried, 0.0]),
+        random=read_only(random),
+        n_accepted=state.n_accepted + 1,
+    )
+    if len(after.q) < state.room:
+        return after
+    apart = [distance(random[:k], random[k], period) for k in range(1, len(random))]
+    return replace(after, mean=float(np.mean(np.concatenate(apart))), width=WIDE)
+
+
+def entered(state: Bank, done: Descended, period: Floats) -> Bank:
+    """Let a minimum displace one near it, or else the highest, if it is lower; what is near shrinks."""
+    state = replace(state, width=max(state.width * _COOLING, NARROW))
+    apart = distance(state.q, done.q, period)
+    nearest, highest = int(np.argmin(apart)), int(np.argmax(state.energies))
+    is_near = apart[nearest] < state.width * state.mean
+    place = nearest if is_near else highest
+    fall = state.energies[place] - done.energy
+    if not fall > 0.0:
+        return state
+    q, energies, tried = state.q.copy(), state.energies.copy(), state.tried.copy()
+    q[place], energies[place] = done.q, done.energy
+    if not is_near or fall > SAME_ENERGY:
+        tried[place] = 0.0
+    return replace(
+        state, q=read_only(q), energies=read_only(energies), tried=read_only(tried),
+        n_accepted=state.n_accepted + 1,
+    )  # fmt: skip
+
+
+def next_round(state: Bank) -> Bank:
+    """Begin another round where all have been tried; after some, make room for new random minima."""
+    if np.any(state.tried < TRIALS):
+        return state
+    after = replace(state, tried=read_only(np.zeros(len(state.q))), n_rounds=state.n_rounds + 1)
+    if after.n_rounds % ROUNDS:
+        return after
+    # The bank doubles once; then the higher half leaves.
+    n = len(state.q)
+    kept = np.argsort(state.energies, kind="stable")[:BANK] if n > BANK else np.arange(n)
+    return replace(
+        after, q=read_only(state.q[kept]), energies=read_only(state.energies[kept]),
+        tried=read_only(np.zeros(len(kept))), room=2 * BANK,
+    )  # fmt: skip
