@@ -14,6 +14,10 @@ SMALLEST = 1e-8
 """rad or nm. The gain of a shorter step would be lost in the rounding of the energy."""
 
 
+_DECREASE, _FLATTER = 1e-4, 0.9
+"""Constants of the strong Wolfe conditions for quasi-Newton steps, as in Nocedal and Wright."""
+
+
 class Rule(Protocol):
     """Step length along a direction scaled to a largest turn of 1, or to its natural length."""
 
@@ -163,7 +167,16 @@ class StrongWolfe:
         self, problem: Problem, at: Evaluation, direction: Floats, state: None
     ) -> tuple[float, Evaluation, None] | None:
         """Search from a step of length 1; where the search fails, take the lowest point it met."""
-        tried: dict[float, Evaluation] = {}
+        falls = float(at.torque @ direction)
+        first = problem.evaluate(problem.move(at.q, direction))
+        if (
+            first.is_finite
+            and first.energy <= at.energy - _DECREASE * falls
+            and abs(first.torque @ direction) <= _FLATTER * falls
+        ):
+            # Three of four searches would end here; to call one costs as much as the energy of a peptide.
+            return 1.0, first, None
+        tried = {1.0: first}
 
         def point(length: Floats) -> Evaluation:
             key = float(length[0])
@@ -190,8 +203,10 @@ class StrongWolfe:
                 slope,
                 np.zeros(1),
                 np.ones(1),
-                gfk=np.array([-at.torque @ direction]),
+                gfk=np.array([-falls]),
                 old_fval=at.energy,
+                c1=_DECREASE,
+                c2=_FLATTER,
                 maxiter=10,
             )[0]
         if length is None:

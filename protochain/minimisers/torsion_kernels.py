@@ -9,7 +9,7 @@ summed from the leaves inward for every body; O(nb^2) in all, whatever the numbe
 import numpy as np
 
 from protochain.chain import Chain, Pose
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, cross
 from protochain.mechanics.multibody import velocities
 from protochain.mechanics.multibody.algebra import kernel
 
@@ -46,7 +46,7 @@ def _motions(chain: Chain, at: Pose, middle: Floats) -> Floats:
         rates = np.zeros(chain.n_v)
         rates[places] = 1.0
         twists = velocities(tree, at.frames, rates)
-        twists[:, 3:] += np.cross(twists[:, :3], lever)
+        twists[:, 3:] += cross(twists[:, :3], lever)
         # A body moves as its parent does, and by its own freedom.
         inner = np.where((tree.parent >= 0)[:, None], twists[tree.parent], 0.0)
         found[places] = (twists - inner)[has]
@@ -61,7 +61,7 @@ def _wrenches(atom_body: Integers, x: Floats, terms: list[Term]) -> tuple[Intege
         between = (where != where[:, :1]).any(axis=1)
         atoms, gradients = atoms[between], gradients[between]
         bodies.append(where[between].ravel())
-        wrenches.append(np.concatenate([np.cross(x[atoms], gradients), gradients], axis=2).reshape(-1, 6))
+        wrenches.append(np.concatenate([cross(x[atoms], gradients), gradients], axis=2).reshape(-1, 6))
         sizes.append(np.full(len(atoms), atoms.shape[1]))
         stiffness.append(k[between])
     start = np.r_[0, np.cumsum(np.concatenate(sizes))].astype(np.int64)

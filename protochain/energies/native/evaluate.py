@@ -17,6 +17,7 @@ from protochain.energies.native.layout import (
     empty_blocks,
     in_blocks,
     n_blocks,
+    scalar,
 )
 from protochain.energies.native.neighbours import Lists, block_groups, make_lists, partners
 from protochain.energies.native.series import FAR_RATIO, NEAR_RATIO
@@ -140,11 +141,14 @@ def touched(layout: Layout, lists: Lists) -> np.ndarray:
     return found
 
 
+@scalar
 def touch(found: np.ndarray, blocks: Integers) -> None:
     """Mark the blocks (n, k) of items that chunks share as :func:`layout.part` does."""
-    starts = np.arange(CHUNKS + 1) * len(blocks) // CHUNKS
-    chunk = np.repeat(np.arange(CHUNKS), np.diff(starts))
-    found[chunk[:, None], blocks] = True
+    n = len(blocks)
+    for chunk in range(CHUNKS):
+        for i in range(chunk * n // CHUNKS, (chunk + 1) * n // CHUNKS):
+            for k in range(blocks.shape[1]):
+                found[chunk, blocks[i, k]] = True
 
 
 def in_types(table: Floats, kind: Integers) -> Floats:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from protochain.core import arrays
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.algebra import Vector, cross, hinge_axis, kernel, lever
@@ -187,7 +188,7 @@ def _gain_at_hinge(factors: Articulated) -> Floats:
     """(nb, 6) float: P h / D about the body's own origin, where the factors have it about the parent's."""
     gain, parent, origin = factors.gain.copy(), factors.tree.parent, factors.frames.origin
     arm = np.where(parent[:, None] >= 0, origin - origin[parent], 0.0)
-    gain[:, :3] -= np.cross(arm, gain[:, 3:])
+    gain[:, :3] -= arrays.cross(arm, gain[:, 3:])
     return gain
 
 
