@@ -66,7 +66,7 @@ IMPACT_TOLERANCE = 1e-10
 
 SEARCH = "csa"
 SEARCH_TEMPERATURES = (300.0, 600.0)  # K
-SEARCH_EVALUATIONS = 100_000
+SEARCH_EVALUATIONS = 200_000
 N_WALKERS = 4
 """Not the number of cores, on which no result may depend."""
 N_REPLICAS = 6

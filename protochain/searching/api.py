@@ -108,7 +108,7 @@ def search(
         minima), ``annealing`` (cooled hybrid Monte Carlo, again and again) or ``tempering`` (replica
         exchange, which also yields populations).
     evaluations : int, optional
-        Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: 100,000,
+        Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: 200,000,
         without end if ``hours`` are given.
     hours : float, optional
         Time after which the search ends.
