@@ -192,8 +192,9 @@ def test_force_lets_the_input_be_replaced(protochain, tmp_path):
     assert "METHOD cartesian" in path.read_text()
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("method", ["lbfgs", "hybrid", "openmm"])
+@pytest.mark.parametrize(
+    ("method", "sent"), [("lbfgs", signal.SIGTERM), ("hybrid", signal.SIGINT), ("openmm", signal.SIGINT)]
+)
 def test_a_signal_ends_with_the_best_so_far_written(method, sent, tmp_path):
     arguments = [
         "minimise", str(STRUCTURES / "1hel.pdb"), "-o", "out.pdb", "--trajectory", "t.dcd", "--json",
