@@ -200,7 +200,7 @@ def test_a_fixed_angle_ends_in_a_cycle_as_large_as_it_and_the_step_rules_cure_it
         ends[angle] = np.median([point.residual for point in points[-200:]])
     assert ends[0.04] > 1.5 * ends[0.005] > 200.0
     for rule in (AcceptReject(0.005), Armijo(0.005, window=5), Decaying(0.02, 20.0)):
-        c, problem = problem_of("1l2y.pdb", 700)
+        c, problem = problem_of("1l2y.pdb", 1500)
         ending, points = walked(problem, Descent(KCM(), rule), c.q0)
         assert np.median([point.residual for point in points[-200:]]) < 0.5 * ends[0.005]
 
