@@ -192,7 +192,7 @@ def test_kcm_norms():
 def test_a_fixed_angle_ends_in_a_cycle_as_large_as_it_and_the_step_rules_cure_it():
     ends = {}
     for angle in (0.04, 0.005):
-        c, problem = problem_of("1l2y.pdb", 700)
+        c, problem = problem_of("1l2y.pdb", 1500)
         ending, points = walked(problem, Descent(KCM(), Fixed(angle)), c.q0)
         assert ending.stop is Stop.BUDGET
         for before, after in pairwise(points[-50:]):
