@@ -5,12 +5,32 @@ import os
 import shutil
 import signal
 import sys
+from collections import Counter
 from typing import NamedTuple
 
 # Threads of several test processes that spin while they wait take the cores from one another.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import pytest
+
+LONG = {
+    "test_blocks.py", "test_files.py", "test_gear.py", "test_gun.py", "test_helicopter.py", "test_kept.py",
+    "test_notebooks.py", "test_report.py", "test_schema.py", "test_site.py",
+}  # fmt: skip
+"""Files that take half a minute, many of them with few tests."""
+
+
+def pytest_configure(config):
+    """Of pytest-xdist: files in the order below, and not of most tests first."""
+    config.option.loadscopereorder = False
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """Side by side, long files come first and those of few tests last: none works on alone."""
+    if hasattr(config, "workerinput"):
+        size = Counter(item.path for item in items)
+        items.sort(key=lambda item: (item.path.name not in LONG, -size[item.path]))
 
 
 @pytest.fixture

@@ -52,14 +52,14 @@ def test_bond_lengths_and_angles_do_not_change(name):
     assert np.abs(x - s.positions).max() > 0.1
 
 
-@pytest.mark.parametrize("name", ["1l2y.pdb", "1ejg.pdb", "3i40.pdb"])
-def test_torques_are_minus_the_gradient_of_the_energy(name):
+@pytest.mark.parametrize(("name", "every"), [("1l2y.pdb", 1), ("1ejg.pdb", 5), ("3i40.pdb", 9)])
+def test_torques_are_minus_the_gradient_of_the_energy(name, every):
     c, e = chain(name), energy(name).reference
     scale = Torsions(c).scale
     at = evaluate(Torsions(c), e, c.q0)
     h = 1e-5
-    numeric = np.empty(c.n_v)
-    for k in range(c.n_v):
+    numeric = at.torque.copy()
+    for k in range(0, c.n_v, every):
         step = np.zeros(c.n_v)
         step[k] = h * scale[k]
         ahead, behind = (e(pc.pose(c, integrate(c.tree, c.q0, s)).x)[0] for s in (step, -step))

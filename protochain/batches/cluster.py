@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 _PATIENCE = 10.0
-"""s. Time for the first worker before its absence is told."""
+"""s. Time for the scheduler to answer, and for the first worker before its absence is told."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def _connected(scheduler: str) -> Iterator["Client"]:
 
     try:
         security = Security() if scheduler.startswith("tls://") else None
-        client = Client(scheduler, security=security, timeout="10s", set_as_default=False)
+        client = Client(scheduler, security=security, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TypeError, ValueError) as error:
         raise ProtochainError(f"scheduler {scheduler}: no cluster answers there: {error}") from error
     with client:

@@ -1,12 +1,12 @@
 """RMSD between files against mdtraj, MDAnalysis and tmtools, unequal lengths and numbers included."""
 
+import io
 import json
-import subprocess
 
 import gemmi
 import numpy as np
 import pytest
-from fixtures.command_line import COMMAND, refusal, run
+from fixtures.command_line import refusal, run
 from fixtures.samples import STRUCTURES, load, shared
 from fixtures.tolerances import RMSD_ANGSTROM
 
@@ -183,12 +183,11 @@ def test_modified_residues_and_alternates_of_a_trace_count_once(tmp_path):
     assert trace.residue_number.tolist() == ["-1", "0", "1", "2", "3"] and trace.n_atoms == 5
 
 
-def test_standard_input_is_measured_as_a_file_is(tmp_path):
+def test_standard_input_is_measured_as_a_file_is(protochain, monkeypatch):
     text = (STRUCTURES / "1ubq.pdb").read_bytes()
     for order in (["-", STRUCTURES / "1ubq.pdb"], [STRUCTURES / "1ubq.pdb", "-"]):
-        done = subprocess.run(
-            [*COMMAND, "rmsd", *map(str, order), "--json"], input=text, capture_output=True, timeout=300
-        )
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
+        done = protochain("rmsd", *order, "--json")
         assert done.returncode == 0, done.stderr
         assert json.loads(done.stdout)["results"][0]["rmsd_angstrom"] < 1e-9
 

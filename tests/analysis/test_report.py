@@ -25,15 +25,21 @@ def page_file(tmp_path_factory):
     return dataclasses.replace(comparison, origin=origin).report(tmp_path_factory.mktemp("page"))
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(1200, "light"), (390, "dark")])
-def test_the_page_works_from_a_file(browser, page_file, width, scheme):
-    page = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+def opened(browser, file, width=500, scheme="light"):
+    """A page, what it says and what it asks for; small, as nothing but a processor draws it."""
+    page = browser.new_page(viewport={"width": width, "height": 500}, color_scheme=scheme)
     said, asked = [], []
     page.on("console", lambda message: said.append(message.text))
     page.on("pageerror", lambda error: said.append(str(error)))
     page.on("dialog", lambda dialog: said.append(dialog.message))
     page.on("request", lambda request: asked.append(request.url))
-    page.goto(page_file.as_uri())
+    page.goto(file.as_uri())
+    return page, said, asked
+
+
+@pytest.mark.parametrize(("width", "scheme"), [(1200, "light"), (390, "dark")])
+def test_the_page_works_from_a_file(browser, page_file, width, scheme):
+    page, said, asked = opened(browser, page_file, width, scheme)
     page.wait_for_selector("#viewer[data-models='4'] canvas")
     page.wait_for_timeout(500)
     assert said == []
@@ -62,11 +68,7 @@ def test_the_page_works_from_a_file(browser, page_file, width, scheme):
 
 def test_residues_are_coloured_by_what_is_chosen(browser, page_file, tmp_path):
     """Each choice draws other colours, of every atom."""
-    page = browser.new_page()
-    said = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto(page_file.as_uri())
+    page, said, _ = opened(browser, page_file)
     viewer = page.locator("#viewer")
     page.wait_for_selector("#viewer[data-models='4'] canvas")
     choices = page.locator("#colouring option").all_inner_texts()
@@ -95,10 +97,7 @@ def test_a_colour_is_that_of_its_residue(browser, tmp_path, suffix, monkeypatch)
     alone[6] = 1.0
     made = scene({EVIL: s}, [Colouring(EVIL, {EVIL: alone})], EVIL)
     (tmp_path / "page.html").write_text(render("viewer.html", **made))
-    page = browser.new_page()
-    said = []
-    page.on("dialog", lambda dialog: said.append(dialog.message))
-    page.goto((tmp_path / "page.html").as_uri())
+    page, said, _ = opened(browser, tmp_path / "page.html")
     page.wait_for_selector("#viewer[data-models='1'] canvas")
     page.select_option("#style", "stick")
     page.wait_for_timeout(300)
@@ -116,11 +115,7 @@ def test_a_colour_is_that_of_its_residue(browser, tmp_path, suffix, monkeypatch)
 def test_a_notebooks_view_draws_in_its_frame(browser, tmp_path):
     comparison = pc.compare(chain("1l2y.pdb"), ("lbfgs",), energy("1l2y.pdb"), max_evaluations=10)
     (tmp_path / "notebook.html").write_text(f"<!doctype html><body>{comparison.view()._repr_html_()}</body>")
-    page = browser.new_page()
-    said = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto((tmp_path / "notebook.html").as_uri())
+    page, said, _ = opened(browser, tmp_path / "notebook.html")
     page.frame_locator("iframe").locator("#viewer[data-models='2'] canvas").wait_for()
     assert said == []
 
@@ -132,11 +127,7 @@ def test_the_page_of_interfaces_shows_both_sides_and_is_sorted(browser, tmp_path
     page_file = tmp_path / "page.html"
     given = [STRUCTURES / "3i40.pdb", "--interface", "A:B", "--interface", "A:resid 20:30 and chainID B"]
     run("score", *given, "--report", page_file, "--solvent", "vacuum", "--rank", "contacts")
-    page = browser.new_page(viewport={"width": 500, "height": 900})
-    said = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto(page_file.as_uri())
+    page, said, _ = opened(browser, page_file)
     page.wait_for_selector("#viewer[data-shown] canvas")
     shown = [int(page.locator("#viewer").get_attribute("data-shown"))]
     page.select_option("#interface", "1")
@@ -171,11 +162,7 @@ def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_pa
     run(
         "relax", protein, "--ligand", tmp_path / "pose.sdf", "-o", tmp_path / "out.pdb", "--report", page_file
     )
-    page = browser.new_page()
-    said = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto(page_file.as_uri())
+    page, said, _ = opened(browser, page_file)
     # Four heavy atoms, before and after; the viewer leaves hydrogens out.
     page.wait_for_selector("#pocket-viewer[data-shown='8'] canvas")
     assert "LIG" in page.locator("#pocket option").first.inner_text()
@@ -213,18 +200,15 @@ def test_a_page_fits_a_phone_and_is_dark_where_one_asks(browser, name, tmp_path,
     run(*(word.format(**its) for word in PAGES[name].split()))
     files = sorted(tmp_path.rglob("*.html"))
     assert files
-    for scheme, is_dark in (("light", False), ("dark", True)):
-        page = browser.new_page(viewport={"width": 390, "height": 844}, color_scheme=scheme)
-        said = []
-        page.on("console", lambda message, said=said: said.append(message.text))
-        page.on("pageerror", lambda error, said=said: said.append(str(error)))
-        for file in files:
-            page.goto(file.as_uri())
-            page.wait_for_timeout(300)
-            assert page.evaluate("document.documentElement.scrollWidth") <= 390, file.name
+    for file in files:
+        page, said, _ = opened(browser, file, width=390)
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390, file.name
+        for scheme, is_dark in (("light", False), ("dark", True)):
+            page.emulate_media(color_scheme=scheme)
             ground = matplotlib.image.imread(io.BytesIO(page.screenshot()))[3, 3, :3]
             assert ground.max() < 0.25 if is_dark else ground.min() > 0.75, (file.name, scheme)
         assert said == []
+        page.close()
 
 
 def test_the_page_of_modes_moves(browser, tmp_path):
@@ -232,11 +216,7 @@ def test_the_page_of_modes_moves(browser, tmp_path):
     from fixtures.samples import STRUCTURES
 
     assert run("modes", STRUCTURES / "ala10.pdb", "-o", tmp_path / "out", "--modes", "3") == 0
-    page = browser.new_page()
-    said = []
-    page.on("console", lambda message: said.append(message.text))
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.goto((tmp_path / "out" / "report.html").as_uri())
+    page, said, _ = opened(browser, tmp_path / "out" / "report.html")
     viewer = page.locator("#modes-viewer[data-mode='1']")
     viewer.locator("canvas").first.wait_for()
 

@@ -16,7 +16,7 @@ import pytest
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
 
 import protochain as pc
-from protochain.batches import BatchSettings, find_jobs
+from protochain.batches import BatchSettings, cluster, find_jobs
 from protochain.batches.jobs import Row, failure, origin
 from protochain.batches.page import curves, write_page
 from protochain.batches.report import statistics, worst_first, write_report
@@ -348,13 +348,13 @@ def test_a_time_limit_is_of_a_structure_not_of_a_method(tmp_path, monkeypatch):
 
 def test_a_hang_a_death_and_an_odd_file_end_one_job_each(folder, tmp_path):
     (long,) = find_jobs(
-        [STRUCTURES / "4pti.pdb"], BatchSettings(methods=("lbfgs", "kcm"), max_evaluations=10**9)
+        [STRUCTURES / "1l2y.pdb"], BatchSettings(methods=("lbfgs", "kcm"), max_evaluations=10**9)
     )
     (short,) = find_jobs([folder / "deep"], BatchSettings(methods=("lbfgs",), max_evaluations=20))
     child = Child(threads=1)
-    rows = child.do(long, tmp_path, time_limit=6.0)
+    rows = child.do(long, tmp_path, time_limit=3.0)
     assert [row.record["status"] for row in rows] == ["converged", "time-limit"]
-    assert "6 s" in rows[1].record["message"] and not child.is_alive
+    assert "3 s" in rows[1].record["message"] and not child.is_alive
     child = Child(threads=1)
     threading.Timer(1.0, os.kill, (child.process.pid, signal.SIGKILL)).start()
     rows = child.do(long, tmp_path, time_limit=60.0)
@@ -464,15 +464,16 @@ def test_a_curve_falls_from_corner_to_corner():
     assert curves([])["lines"] == {}
 
 
-def test_a_cluster_that_is_not_there_is_named_and_keeps_no_folder(folder, tmp_path):
+def test_a_cluster_that_is_not_there_is_named_and_keeps_no_folder(folder, tmp_path, monkeypatch):
     (tmp_path / "there").mkdir()
+    monkeypatch.setattr(cluster, "_PATIENCE", 0.5)
     for output in (tmp_path / "there", tmp_path / "new" / "deep"):
         with pytest.raises(pc.ProtochainError, match="no cluster answers"):
             pc.batch(folder, output, scheduler="tcp://127.0.0.1:9")
     assert list(tmp_path.rglob("*")) == [tmp_path / "there"]
 
 
-def test_a_failed_start_leaves_an_earlier_batch_as_it_is(folder, tmp_path):
+def test_a_failed_start_leaves_an_earlier_batch_as_it_is(folder, tmp_path, monkeypatch):
     tables = Tables(tmp_path, resume=False)
     (job,) = find_jobs([folder / "1l2y.pdb"], BatchSettings())
     tables.finished([job])
@@ -483,6 +484,7 @@ def test_a_failed_start_leaves_an_earlier_batch_as_it_is(folder, tmp_path):
     (tmp_path / "summary.csv").unlink()
     keep_settings(tmp_path, BatchSettings(), [job])
     (tmp_path / "summary.csv").write_bytes(rows)
+    monkeypatch.setattr(cluster, "_PATIENCE", 0.5)
     with pytest.raises(pc.ProtochainError, match="no cluster answers"):
         pc.batch(folder, tmp_path, resume=True, scheduler="tcp://127.0.0.1:9")
     assert "converged" in (tmp_path / "summary.csv").read_text()
@@ -531,17 +533,19 @@ def test_a_name_that_is_no_utf_8_is_refused_and_stops_no_other(tmp_path, monkeyp
     assert done.report.exists()
 
 
-@pytest.mark.parametrize("damaged", ["summary.csv", "traces.csv"])
-def test_a_damaged_table_is_refused_before_anything_is_written(tmp_path, damaged):
+def test_a_damaged_table_is_refused_before_anything_is_written(tmp_path):
     for name in ("one", "two"):
         pc.save(load("ala10.pdb"), tmp_path / f"{name}.pdb")
     out = tmp_path / "out"
     pc.batch(tmp_path / "one.pdb", output=out, methods=("lbfgs",), max_evaluations=2, workers=1)
-    (out / damaged).write_text("a,b\n1,2\n")
-    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
-    with pytest.raises(pc.ProtochainError, match="is not a table of a batch"):
-        pc.batch(tmp_path, output=out, methods=("lbfgs",), max_evaluations=2, workers=1, resume=True)
-    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
+    for damaged in (out / "summary.csv", out / "traces.csv"):
+        whole = damaged.read_bytes()
+        damaged.write_text("a,b\n1,2\n")
+        before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+        with pytest.raises(pc.ProtochainError, match="is not a table of a batch"):
+            pc.batch(tmp_path, output=out, methods=("lbfgs",), max_evaluations=2, workers=1, resume=True)
+        assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
+        damaged.write_bytes(whole)
 
 
 def test_records_count_residues_of_the_protein_alone():

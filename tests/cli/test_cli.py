@@ -1,5 +1,5 @@
-import functools
 import importlib
+import io
 import json
 import os
 import signal
@@ -192,8 +192,9 @@ def test_force_lets_the_input_be_replaced(protochain, tmp_path):
     assert "METHOD cartesian" in path.read_text()
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("method", ["lbfgs", "hybrid", "openmm"])
+@pytest.mark.parametrize(
+    ("method", "sent"), [("lbfgs", signal.SIGTERM), ("hybrid", signal.SIGINT), ("openmm", signal.SIGINT)]
+)
 def test_a_signal_ends_with_the_best_so_far_written(method, sent, tmp_path):
     arguments = [
         "minimise", str(STRUCTURES / "1hel.pdb"), "-o", "out.pdb", "--trajectory", "t.dcd", "--json",
@@ -284,15 +285,15 @@ def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(protochain, tmp_pa
     assert json.loads(again.stdout)["status"] == {"converged": 1, "refused": 1}
 
 
-def test_a_batch_takes_names_with_nuls_between_and_refuses_to_do_nothing(tmp_path):
+def test_a_batch_takes_names_with_nuls_between_and_refuses_to_do_nothing(protochain, tmp_path, monkeypatch):
     for name in ("a b.pdb", "c\nd.pdb"):
         (tmp_path / name).write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
-    run = functools.partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     for flag in ("-0", "--null", "--json"):
-        listed = run([*COMMAND, "batch", "-", flag, "--dry-run"], input="a b.pdb\0c\nd.pdb\0")
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"a b.pdb\0c\nd.pdb\0")))
+        listed = protochain("batch", "-", flag, "--dry-run")
         assert listed.returncode == 0, listed.stderr
         assert "a b" in listed.stdout and "d" in listed.stdout
-    nothing = run([*COMMAND, "batch", "none.pdb", "-o", "out"])
+    nothing = protochain("batch", "none.pdb", "-o", "out")
     assert nothing.returncode == 2 and "none.pdb: not found" in nothing.stderr
     assert not (tmp_path / "out").exists()
 

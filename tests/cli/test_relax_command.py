@@ -5,8 +5,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import pandas as pd
 import pytest
 from distributed import LocalCluster
 from fixtures import models
-from fixtures.command_line import refusal, run
+from fixtures.command_line import refusal, refusal_as_said, run
 from fixtures.samples import STRUCTURES, load, shared
 from scipy.spatial.transform import Rotation
 
@@ -39,14 +37,6 @@ pytestmark = pytest.mark.usefixtures("interruptible")
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-def command(*arguments):
-    """Run in a process of its own, as batches have to."""
-    return subprocess.run(
-        [sys.executable, "-c", "from protochain.cli import main; main()", *map(str, arguments)],
-        capture_output=True, text=True, env=os.environ, check=False,
-    )  # fmt: skip
 
 
 def test_a_ranked_model_is_named_as_colabfold_names_it_and_said_before_and_after(here, capsys):
@@ -119,7 +109,7 @@ def test_what_makes_no_sense_is_refused_before_the_work(here):
     assert sorted(path.name for path in here.rglob("*")) == ["a.pdb", "in"]
 
 
-def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here):
+def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here, capsys):
     """Packed, mmCIF, several models, and one broken file, which stops nothing."""
     (here / "in").mkdir()
     with gzip.open(here / "in" / "x_unrelaxed_rank_002_y.pdb.gz", "wt") as file:
@@ -127,9 +117,9 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here):
     (here / "in" / "ala.cif").write_text(as_text(load("ala10.pdb"), ".cif"))
     (here / "in" / "broken.pdb").write_text("ATOM      1  N   ALA A   1\n")
     given = ("relax", "in", "-o", "out", "--workers", 1, "--solvent", "vacuum")
-    done = command(*given)
-    assert done.returncode == 3, done.stderr
-    assert "3 structures: 2 converged, 1 refused" in done.stdout and "broken: " in done.stdout
+    assert run(*given) == 3
+    said = capsys.readouterr().out
+    assert "3 structures: 2 converged, 1 refused" in said and "broken: " in said
     table = pd.read_csv(here / "out" / "relaxed.csv").set_index("structure")
     assert list(table.index) == ["ala", "broken", "x_unrelaxed_rank_002_y"]
     assert table.loc["x_unrelaxed_rank_002_y", "output"] == "x_relaxed_rank_002_y.pdb"
@@ -142,12 +132,11 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here):
     page = (here / "out" / "pages" / "ala.html").read_text()
     assert all(f">{column.title}<" in page for column in SHOWN_RELAXED)
     kept = (here / "out" / "x_relaxed_rank_002_y.pdb").stat().st_mtime_ns
-    assert "--resume continues it" in command(*given).stderr
-    other = command(*given, "--resume", "--stiffness", 100)
-    assert other.returncode == 2 and "without stiffness, which is 100.0 now" in other.stderr
+    assert "--resume continues it" in refusal_as_said(*given)
+    assert "without stiffness, which is 100.0 now" in refusal(*given, "--resume", "--stiffness", 100)
     shutil.copy(STRUCTURES / "ala10.pdb", here / "in" / "new.pdb")
-    again = command(*given, "--resume")
-    assert "4 structures: 3 converged, 1 refused" in again.stdout
+    assert run(*given, "--resume") == 3
+    assert "4 structures: 3 converged, 1 refused" in capsys.readouterr().out
     assert (here / "out" / "x_relaxed_rank_002_y.pdb").stat().st_mtime_ns == kept
 
 

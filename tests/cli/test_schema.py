@@ -206,7 +206,7 @@ def test_modes(told, tmp_path):
     assert len(tables("modes", tmp_path / "folder")) == 2
 
 
-@pytest.mark.parametrize(("method", "evaluations"), [("hopping", 2000), ("tempering", 30_000)])
+@pytest.mark.parametrize(("method", "evaluations"), [("hopping", 2000), ("tempering", 6_000)])
 def test_search(told, tmp_path, method, evaluations):
     given = ["--method", method, "--walkers", "1", "--replicas", "2", "--workers", "1", "-o", "folder"]
     assert told("search", "GAVS", *given, "--evaluations", evaluations)["method"] == method

@@ -1,6 +1,7 @@
 """Energy by term, residue and pair, against OpenMM's Reference platform and sums over atoms one by one."""
 
 import copy
+import functools
 import json
 
 import numpy as np
@@ -17,6 +18,7 @@ from protochain.energies.decomposed import TERMS, decomposed, terms_at
 
 CASES = [("1l2y.pdb", "amber19", "obc2"), ("3i40.pdb", "amber14", "gbn2"), ("3i40.pdb", "charmm36", "vacuum"),
          ("1ysa.pdb", "amber14", "obc2")]  # fmt: skip
+built = functools.cache(lambda name, *of: pc.energy(load(name), *of, "native"))
 
 
 def of_reference(system, x):
@@ -38,8 +40,7 @@ def of_reference(system, x):
 
 @pytest.mark.parametrize(("name", "forcefield", "solvent"), CASES)
 def test_terms_are_those_of_openmms_forces_and_add_up_to_the_total(name, forcefield, solvent):
-    s = pc.load(STRUCTURES / name)
-    energy = pc.energy(s, forcefield, solvent, "native")
+    s, energy = load(name), built(name, forcefield, solvent)
     found = decomposed(s, energy, s.positions).terms
     largest = max(map(abs, found.values()))
     assert sum(found.values()) == pytest.approx(energy(s.positions)[0], abs=1e-10 * largest)
@@ -104,8 +105,7 @@ def test_pairs_of_residues_are_sums_over_their_atoms():
 
 @pytest.mark.parametrize(("name", "forcefield", "solvent"), CASES)
 def test_shares_are_halves_of_pairs_and_add_up(name, forcefield, solvent):
-    s = pc.load(STRUCTURES / name)
-    energy = pc.energy(s, forcefield, solvent, "native")
+    s, energy = load(name), built(name, forcefield, solvent)
     found = decomposed(s, energy, s.positions, pairs=True)
     total = energy(s.positions)[0]
     assert found.pairs.sum() == pytest.approx(total, abs=1e-10 * np.abs(found.pairs).sum())

@@ -35,6 +35,7 @@ TEN = (
     "ala10.pdb", "1l2y.pdb", "1vii.pdb", "1ejg.pdb", "3i40.pdb", "4pti.pdb", "1ubq.pdb", "1hel.pdb",
     "1bta_barstar.pdb", "1fas_fasciculin.cif",
 )  # fmt: skip
+SMALL = ("1l2y.pdb", "1ejg.pdb", "3i40.pdb")
 
 
 def structure(name):
@@ -74,10 +75,14 @@ def assert_same(native, system, x):
 
 
 @pytest.mark.parametrize(
-    ("forcefield", "solvent"),
-    [("amber14", "obc2"), ("amber14", "gbn2"), ("amber19", "vacuum"), ("charmm36", "vacuum")],
+    ("name", "forcefield", "solvent"),
+    [(name, "amber14", "obc2") for name in TEN]
+    + [
+        pytest.param(name, *its, marks=() if name in SMALL else pytest.mark.slow)
+        for its in (("amber14", "gbn2"), ("amber19", "vacuum"), ("charmm36", "vacuum"))
+        for name in TEN
+    ],
 )
-@pytest.mark.parametrize("name", TEN)
 def test_every_term_equals_the_reference_platforms(name, forcefield, solvent):
     s = structure(name)
     native = pc.energy(s, forcefield, solvent, engine="native")
@@ -468,11 +473,11 @@ def test_periodic_systems_are_refused():
 
 
 def test_auto_is_native_for_the_named_force_fields():
-    for forcefield in ("amber14", "amber19", "amber99sb", "amber99sbildn", "charmm36"):
-        for solvent in ("vacuum", "obc2", "gbn2"):
-            e = pc.energy(load("ala10.pdb"), forcefield, solvent)
-            assert isinstance(e, NativeEnergy)
-            assert e.reference.platform == "Reference"
+    names = [(name, "vacuum") for name in ("amber14", "amber19", "amber99sb", "amber99sbildn", "charmm36")]
+    for forcefield, solvent in [*names, ("amber14", "obc2"), ("amber14", "gbn2")]:
+        e = pc.energy(load("ala10.pdb"), forcefield, solvent)
+        assert isinstance(e, NativeEnergy)
+        assert e.reference.platform == "Reference"
 
 
 def callable_from_python(function):

@@ -26,8 +26,8 @@ FULL, QUICK = "QUICK = False", "QUICK = True"
 
 MOST_BYTES = 300_000
 
-QUICKEST = {"01-first-steps", "04-stability", "serial", "impact"}
-"""Two of each kind that the fast tests run; scenes run by themselves, too (``test_scenes.py``)."""
+QUICKEST = {"01-first-steps", "serial"}
+"""One of each kind that the fast tests run; scenes run by themselves, too (``test_scenes.py``)."""
 
 where = importlib.util.spec_from_file_location("remake", ROOT / "analysis" / "remake.py")
 remake = importlib.util.module_from_spec(where)

@@ -81,7 +81,7 @@ def test_the_command_prints_them_and_a_folder_has_them(tmp_path, capsys, monkeyp
             given = told[key_at(key, when)]
             assert row[key_at(key, when)] == (None if given is None else pytest.approx(given)), key
     assert table.loc["1l2y", "status"] == "refused" and "side 'B'" in table.loc["1l2y", "message"]
-    run("relax", FILE, "-o", "plain", "--workers", "1", STRUCTURES / "ala10.pdb", *bounds)
+    run("relax", STRUCTURES / "1l2y.pdb", STRUCTURES / "ala10.pdb", "-o", "plain", "--workers", "1", *bounds)
     assert not any(name.startswith("interface") for name in pd.read_csv("plain/relaxed.csv").columns)
     said = refusal("batch", FILE, "-o", "none", "--methods", "lbfgs", "--interface", "A:B")
     assert "interface" in said and "is no setting of lbfgs" in said

@@ -33,7 +33,7 @@ FILES = sorted(
     for path in MORE_STRUCTURES.rglob("*")
     if path.suffix in (".pdb", ".cif")
 )
-SLOW = {"1r19_poor_1176.pdb"}
+SLOW = {"1r19_poor_1176.pdb", "3o21_1489.pdb"}
 REFUSED = {"2n0n_lactam.pdb", "ubiquitin_ca_only.pdb"}
 
 

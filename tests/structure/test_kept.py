@@ -532,7 +532,10 @@ def test_ions_whose_waters_are_left_out_stay_in_place(name):
     ions = [tie.atoms[1] for tie in s.ties if len(tie.atoms) == 2]
     assert len(ions) < 4 and s.obstacle[ions].all()
     assert any(line.endswith("; the ion stays in place") for line in sentences(s))
-    for r in (pc.relax(s, threads=1), pc.minimise(s, method="cartesian", max_evaluations=40)):
+    for r in (
+        pc.relax(s, threads=1),
+        pc.minimise(s, method="cartesian", max_evaluations=40),
+    ):
         assert np.array_equal(r.x[ions], s.positions[ions])
         for tie in s.ties:
             if len(tie.atoms) == 2:

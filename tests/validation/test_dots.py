@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 import shape_complementarity as other_program
-from fixtures.samples import STRUCTURES, load
+from fixtures.samples import load
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.distance import cdist
 
-import protochain as pc
 from protochain.structure.select import sides
 from protochain.validation.complementarity import BAND, PROBE, WEIGHT, complementarity, shape_complementarity
 from protochain.validation.dots import Dots, molecular_surface
@@ -119,7 +118,7 @@ def test_the_median_is_by_area_and_both_sides_count():
 )
 def test_it_is_that_of_another_program(name, first, second):
     """Of the crate sc-rs, which follows CCP4's: its dots lie elsewhere, and there are some thousand."""
-    s = pc.load(STRUCTURES / name)
+    s = load(name)
     atoms = [np.flatnonzero(side[s.atom_residue]) for side in sides(s, first, second)]
     names = s.residue_name[s.atom_residue]
     heavy = [its[(s.atom_element[its] != "H") & ~s.kept[its]] for its in atoms]

@@ -297,7 +297,7 @@ def test_confidences_that_cannot_be_read_are_none(tmp_path, text):
 def test_a_model_has_its_confidences():
     for name in (MODEL, BESIDE):
         assert (STRUCTURES / name).exists()
-    s = pc.load(STRUCTURES / MODEL)
+    s = load(MODEL)
     found = pc.score_interface(STRUCTURES / MODEL, "A", "B", solvent="vacuum")
     x, of = 10.0 * s.positions, s.atom_residue
     beta = np.where(s.residue_name[of] == "GLY", s.atom_name == "CA", s.atom_name == "CB") & ~s.kept
