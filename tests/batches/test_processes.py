@@ -118,7 +118,7 @@ def test_a_cluster_that_runs_is_used_where_its_version_is_ours(address, dask):
         assert workers.submit(len, "job") == ((len, "job"), False)
     (((given,), options), closed) = dask.made
     assert given == address and closed == "closed"
-    assert (options["timeout"], options["set_as_default"]) == ("10s", False)
+    assert (options["timeout"], options["set_as_default"]) == (10.0, False)
     assert (options["security"] is None) == address.startswith("tcp")
     dask.answers = [("one", OWN), ("two", "0.0.1")]
     with pytest.raises(pc.ProtochainError) as refusal, at_work(Processes(scheduler=address)):
