@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 
 import numpy as np
 
@@ -96,10 +97,6 @@ def noise(seed: int, step: int, stream: int = 0) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=seed, counter=[0, 0, stream, step]))
 
 
-_UNUSED = noise(0, 0)
-"""For thermostats that draw nothing: a generator of their own would take a tenth of a small system's step."""
-
-
 def advance(propagator: Propagator, state: State) -> State:
     """Return the state one time step later.
 
@@ -126,8 +123,8 @@ def advance(propagator: Propagator, state: State) -> State:
     is refused (Zappa, Holmes-Cerfon, Goodman, Commun. Pure Appl. Math. 71:2609, 2018).
     """
     step, at, damped, dampers = state.step + 1, state.at, state.damped, propagator.dampers
-    shake = noise(propagator.seed, step, 1) if dampers is not None else _UNUSED
     if dampers is not None:
+        shake = noise(propagator.seed, step, 1)
         at, damped = _damped(propagator, dampers, at, damped, shake)
     try:
         at = _step(propagator, at)
@@ -138,8 +135,8 @@ def advance(propagator: Propagator, state: State) -> State:
     if dampers is not None:
         at, damped = _damped(propagator, dampers, at, damped, shake)
     system, thermostat = propagator.system, propagator.thermostat
-    rng = noise(propagator.seed, step) if thermostat.draws else _UNUSED
-    at, bath = thermostat.apply(system, at, state.bath, propagator.time_step, rng)
+    random = partial(noise, propagator.seed, step)
+    at, bath = thermostat.apply(system, at, state.bath, propagator.time_step, random)
     if propagator.removes_com_motion and step % COM_REMOVAL_STEPS == 0:
         at = system.with_velocities(at, remove_com_motion(system.tree, at.factors.frames, at.qd))
     return State(step, at, bath, damped)

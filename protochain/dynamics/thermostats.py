@@ -1,6 +1,6 @@
 """Thermostats: applied after each step of an integrator, each leaves the canonical distribution invariant."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Protocol
 
@@ -10,6 +10,9 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, read_only
 from protochain.mechanics.motion.system import Phase, System
 from protochain.mechanics.multibody.articulated import sample
+
+Random = Callable[[], np.random.Generator]
+"""Makes a generator when asked: most steps draw nothing, and it takes a tenth of the step of a peptide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,17 +43,15 @@ class Thermostat(Protocol):
     metropolis: ClassVar[bool] = False
     """Whether it accepts or rejects trajectories, which needs a reversible integrator; a failed step then has
     an infinite potential and is rejected."""
-    draws: ClassVar[bool] = True
-    """Whether it uses random numbers."""
 
     def init(self, at: Phase) -> Bath:
         """Return the bath at the start of a simulation."""
         return Bath(0.0, np.empty(0))
 
     def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
+        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
     ) -> tuple[Phase, Bath]:
-        """Act for one time step, with the random generator of this step."""
+        """Act for one time step; ``random`` makes the generator of this step for those that draw."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,9 @@ class Isolated(Thermostat):
     """No thermostat: constant energy."""
 
     conserves_momentum: ClassVar[bool] = True
-    draws: ClassVar[bool] = False
 
     def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
+        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
     ) -> tuple[Phase, Bath]:
         """Do nothing."""
         return at, bath
@@ -84,11 +84,11 @@ class Langevin(Thermostat):
     friction: float = defaults.FRICTION
 
     def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
+        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
     ) -> tuple[Phase, Bath]:
         """Apply friction and noise."""
         keep = np.exp(-self.friction * abs(time_step))
-        noise = np.sqrt((1.0 - keep * keep) * self.thermal_energy) * rng.standard_normal(system.tree.n_v)
+        noise = np.sqrt((1.0 - keep * keep) * self.thermal_energy) * random().standard_normal(system.tree.n_v)
         after = system.with_velocities(at, keep * at.qd + sample(at.factors, noise))
         return after, Bath(bath.energy + at.kinetic - after.kinetic, bath.memory)
 
@@ -116,12 +116,13 @@ class Rescaling(Thermostat):
     friction: float = defaults.FRICTION
 
     def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
+        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
     ) -> tuple[Phase, Bath]:
         """Scale the velocities."""
         if at.kinetic == 0.0:
             return at, bath
         keep, share = np.exp(-2.0 * self.friction * abs(time_step)), 0.5 * self.thermal_energy
+        rng = random()
         one, others = rng.standard_normal(), 2.0 * rng.standard_gamma(0.5 * (self.freedoms - 1))
         wanted = (
             keep * at.kinetic
@@ -155,7 +156,6 @@ class NoseHoover(Thermostat):
     """
 
     conserves_momentum: ClassVar[bool] = True
-    draws: ClassVar[bool] = False
 
     thermal_energy: float
     freedoms: int
@@ -172,7 +172,7 @@ class NoseHoover(Thermostat):
         return Bath(0.0, np.zeros(2 * _CHAIN))
 
     def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
+        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
     ) -> tuple[Phase, Bath]:
         """Advance the chain and scale the velocities."""
         xi, eta, inertia = bath.memory[:_CHAIN].copy(), bath.memory[_CHAIN:].copy(), self._inertia
@@ -225,13 +225,13 @@ class HybridMonteCarlo(Thermostat):
         return Bath(0.0, read_only([0.0, 0.0, 0.0, at.total, *at.q]))
 
     def apply(
-        self, system: System, at: Phase, bath: Bath, time_step: float, rng: np.random.Generator
+        self, system: System, at: Phase, bath: Bath, time_step: float, random: Random
     ) -> tuple[Phase, Bath]:
         """Count a step; at the end of a trajectory accept or reject it and draw new velocities."""
         steps, accepted, tried, began = bath.memory[:4]
         if steps + 1 < self.trajectory_length:
             return at, Bath(bath.energy, read_only([steps + 1, *bath.memory[1:]]))
-        rise = at.total - began
+        rise, rng = at.total - began, random()
         accept = rise <= 0.0 or (
             self.thermal_energy > 0.0 and rng.random() < np.exp(-rise / self.thermal_energy)
         )

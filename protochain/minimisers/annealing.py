@@ -1,6 +1,7 @@
 """Simulated annealing and damped dynamics: constrained dynamics with a falling temperature."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -104,7 +105,8 @@ class Annealing:
         done = state.n_steps + 1
         warmth = MOLAR_GAS * self.temperature * (1.0 - done / self.n_steps)
         thermostat = Langevin(warmth, self.friction)
-        phase, _ = thermostat.apply(system, phase, thermostat.init(phase), time_step, noise(self.seed, done))
+        random = partial(noise, self.seed, done)
+        phase, _ = thermostat.apply(system, phase, thermostat.init(phase), time_step, random)
         return AnnealingState(seen[-1], phase.qd, done)
 
     def _time_step(self, space: Torsions, phase: "Phase") -> float:

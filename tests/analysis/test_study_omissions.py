@@ -22,7 +22,8 @@ from protochain.analysis.studies.omissions.cells import (
 )
 from protochain.analysis.studies.stability.energies import copies
 from protochain.cli import app
-from protochain.dynamics.thermostats import THERMOSTATS, Isolated, NoseHoover
+from protochain.dynamics.loop import noise
+from protochain.dynamics.thermostats import THERMOSTATS, Isolated
 
 
 @pytest.fixture(scope="module")
@@ -126,19 +127,18 @@ def test_counts_of_a_region_are_those_of_its_blocks(trp_cage):
 
 
 @pytest.mark.parametrize("name", THERMOSTATS)
-def test_thermostats_that_draw_nothing_need_no_random_numbers(name, trp_cage):
-    assert {Isolated.draws, NoseHoover.draws} == {False}
+def test_a_generator_is_made_for_steps_that_draw_alone(name, trp_cage):
     kind = THERMOSTATS[name]
-    fields = {"thermal_energy": 2.5, "freedoms": 60, "friction": 1.0, "trajectory_length": 1}
+    fields = {"thermal_energy": 2.5, "freedoms": 60, "friction": 1.0, "trajectory_length": 2}
     made = kind(**{key: value for key, value in fields.items() if key in kind.__dataclass_fields__})
     of = runs.propagator(trp_cage, Isolated())
     at = runs.begun(of, runs.calm(trp_cage)).at
     begin = made.init(at)
-    if made.draws:
-        with pytest.raises(AttributeError):
-            made.apply(of.system, at, begin, 0.001, None)
-    else:
-        made.apply(of.system, at, begin, 0.001, None)
+    asked = []
+    for _ in range(4):  # Two trajectories.
+        at, begin = made.apply(of.system, at, begin, 0.001, lambda: asked.append(1) or noise(0, 1))
+    drawn = {"none": 0, "nose-hoover": 0, "hmc": 2}
+    assert len(asked) == drawn.get(name, 4)
 
 
 def test_minimise_imports_nothing_of_plots_tables_pages_and_trajectories(tmp_path):

@@ -1,6 +1,7 @@
 """Integrators, thermostats and constraints, on trees whose laws of motion are known otherwise."""
 
 from contextlib import suppress
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -350,7 +351,7 @@ def test_kinetic_energy_follows_the_gamma_law(name):
     bath, energies = thermostat.init(at), []
     for step in range(1, 15_001):
         at = Leapfrog().step(system, at, 0.02)
-        at, bath = thermostat.apply(system, at, bath, 0.02, noise(3, step))
+        at, bath = thermostat.apply(system, at, bath, 0.02, partial(noise, 3, step))
         if step % 15 == 0:
             energies.append(at.kinetic)
     energies = np.array(energies[50:])
@@ -371,7 +372,7 @@ def test_what_a_thermostat_takes_is_counted(name):
         start, exchanged = at.total + bath.energy, 0.0
         for step in range(1, round(4.0 / h) + 1):
             at = Leapfrog().step(system, at, h)
-            at, bath = thermostat.apply(system, at, bath, h, noise(3, step))
+            at, bath = thermostat.apply(system, at, bath, h, partial(noise, 3, step))
             exchanged = max(exchanged, abs(bath.energy))
         drift.append(abs(at.total + bath.energy - start))
         assert exchanged > 5.0 and drift[-1] < 0.05 * exchanged
@@ -385,10 +386,10 @@ def test_nose_hoover_runs_back():
     bath = thermostat.init(at)
     for _ in range(50):
         at = Leapfrog().step(system, at, 0.01)
-        at, bath = thermostat.apply(system, at, bath, 0.01, noise(0, 0))
+        at, bath = thermostat.apply(system, at, bath, 0.01, partial(noise, 0, 0))
     assert distance(at, start) > 0.5 and np.abs(bath.memory).max() > 0.1
     for _ in range(50):
-        at, bath = thermostat.apply(system, at, bath, -0.01, noise(0, 0))
+        at, bath = thermostat.apply(system, at, bath, -0.01, partial(noise, 0, 0))
         at = Leapfrog().step(system, at, -0.01)
     assert distance(at, start) < 1e-9 and np.abs(bath.memory).max() < 1e-9
 
@@ -396,7 +397,7 @@ def test_nose_hoover_runs_back():
 def test_at_zero_kelvin_langevin_only_damps():
     system, q, qd = scene()
     at = system.at(q, qd)
-    after, bath = Langevin(0.0, 2.0).apply(system, at, Langevin(0.0).init(at), 0.1, noise(0, 1))
+    after, bath = Langevin(0.0, 2.0).apply(system, at, Langevin(0.0).init(at), 0.1, partial(noise, 0, 1))
     assert np.allclose(after.qd, np.exp(-0.2) * qd, rtol=1e-14)
     assert bath.energy == pytest.approx(at.kinetic - after.kinetic)
 
@@ -405,7 +406,7 @@ def test_at_zero_kelvin_rescaling_damps_velocities_at_the_same_rate():
     system, q, qd = scene()
     at = system.at(q, qd)
     thermostat = Rescaling(0.0, system.tree.n_v, 2.0)
-    after, bath = thermostat.apply(system, at, thermostat.init(at), 0.1, noise(0, 1))
+    after, bath = thermostat.apply(system, at, thermostat.init(at), 0.1, partial(noise, 0, 1))
     assert np.allclose(after.qd, np.exp(-0.2) * qd, rtol=1e-14)
     assert bath.energy == pytest.approx(at.kinetic - after.kinetic)
 
@@ -418,7 +419,7 @@ def test_rescaling_approaches_the_mean_kinetic_energy_at_twice_the_rate_of_veloc
         at = system.at(q, qd)
         at = system.with_velocities(at, np.sqrt(size * n * KT / at.kinetic) * qd)
         ends = [
-            thermostat.apply(system, at, thermostat.init(at), 0.1, noise(1, step))[0].kinetic
+            thermostat.apply(system, at, thermostat.init(at), 0.1, partial(noise, 1, step))[0].kinetic
             for step in range(2000)
         ]
         mean = 0.5 * n * KT
@@ -435,7 +436,7 @@ def test_metropolis_undoes_what_climbs_and_keeps_what_falls():
         moved = multibody.integrate(system.tree, q, np.full(system.tree.n_v, 0.1))
         lifted = System(system.tree, lambda q, f: (height + start.total, np.zeros(system.tree.n_v)))  # noqa: B023
         end = lifted.at(moved, np.zeros(system.tree.n_v))
-        after, memory = thermostat.apply(system, end, bath, 0.1, noise(0, 1))
+        after, memory = thermostat.apply(system, end, bath, 0.1, partial(noise, 0, 1))
         assert np.array_equal(after.q, moved if kept else q)
         assert memory.memory[1] == kept and memory.memory[2] == 1.0
 
