@@ -160,8 +160,9 @@ def ends(rows: pd.DataFrame) -> str:
     )
     found = ", ".join(f"`{method}`" for method in open_) or "none"
     starts = rows.groupby("structure")["start"].nunique()
+    number = " to ".join(str(n) for n in sorted({starts.min(), starts.max()}))
     return f"{table}\n" + paragraph(
-        f"{len(starts)} structures, {starts.min()} to {starts.max()} starts each, which count as one;",
+        f"{len(starts)} structures, {number} starts each, which count as one;",
         "medians of the structures' medians, and intervals by resampling structures. Zero is in the interval",
         f"of {found}: which end is lower is then chance, as far as these can tell. Starts of a structure end",
         f"more than {SAME:g} kJ/mol apart in {100 * scatter:.0f} % of all pairs of structure and method.",
