@@ -53,7 +53,7 @@ class Setup(Settings):
     ----------
     hinges, root, move : str
         As in :func:`protochain.build_chain`.
-    forcefield, solvent, engine, terms : str
+    forcefield, solvent, engine, terms, precision : str
         As in :func:`protochain.energy`.
     cutoff : float, "auto" or None
         As in :func:`protochain.energy`.
@@ -128,6 +128,9 @@ class Setup(Settings):
         "RMS error of forces in kJ/mol/nm up to which a tree may sum far pairs, exact, or auto: 0.001 from "
         "5,000 atoms.",
         accuracy_of,
+    )
+    precision: str = setting(
+        defaults.PRECISION, "double, or mixed: far pairs in single precision, ends in double.", text
     )
     threads: int | None = setting(None, "Threads to compute on [default: all].", optional(at_least(1)), int)
     trust_forcefield: bool = setting(False, "Allow a force-field file to run its scripts.", flag, bool)
@@ -231,7 +234,7 @@ class Setup(Settings):
 
         return (build_energy or energy)(
             structure, forcefield=self.forcefield, solvent=self.solvent, engine=self.engine,
-            cutoff=self.cutoff, accuracy=self.accuracy, threads=self.threads,
+            cutoff=self.cutoff, accuracy=self.accuracy, precision=self.precision, threads=self.threads,
             trust_forcefield=self.trust_forcefield, terms=self.terms,
         )  # fmt: skip
 

@@ -45,7 +45,9 @@ class Told(TypedDict):
     results: list[Any]
 
 
-@with_settings(setup="hinges move forcefield solvent engine cutoff accuracy threads trust_forcefield")
+@with_settings(
+    setup="hinges move forcefield solvent engine cutoff accuracy precision threads trust_forcefield"
+)
 def validate(
     inputs: Annotated[
         list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")

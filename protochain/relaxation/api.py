@@ -125,7 +125,7 @@ def relax_structure(
         else energy.reference(structure.positions)[0],
         energy_end=value,
         rms_force=force,
-        judge=NATIVE if energy.is_exact else REFERENCE,
+        judge=_by(energy),
         frame=frame,
         seconds=seconds,
         trace=read_only(np.array(trace.rows).reshape(-1, 5)),
@@ -199,6 +199,11 @@ def _judge(energy: Energy) -> Energy:
     return energy if energy.is_exact else energy.reference
 
 
+def _by(energy: Energy) -> str:
+    """How what judges is called."""
+    return NATIVE if energy.is_exact or isinstance(energy, NativeEnergy) else REFERENCE
+
+
 def _judged(
     structure: Structure, energy: Energy, end: Ended, restraint: Force, mobile: NDArray[np.bool_]
 ) -> tuple[float, float]:
@@ -216,7 +221,7 @@ def _verdict(
     structure: Structure, energy: Energy, settings: RelaxSettings, end: Ended, force: float
 ) -> tuple[Status, str]:
     tolerance = settings.strength.tolerance
-    by = NATIVE if energy.is_exact else REFERENCE
+    by = _by(energy)
     springs = ", springs included" if end.springs.weight.any() else ""
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
     fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]

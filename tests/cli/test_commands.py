@@ -28,7 +28,7 @@ from protochain.structure.write import as_text
 
 SETUP = {
     "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
-    "cutoff": "auto", "accuracy": "auto", "threads": None, "trust_forcefield": False,
+    "cutoff": "auto", "accuracy": "auto", "precision": "double", "threads": None, "trust_forcefield": False,
     "terms": "all", "model": None,
     "chains": None, "altloc": "",
     "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
@@ -43,7 +43,17 @@ MINIMISE = {
     **AS_JSON, "force": False, **SETUP,
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
-NOT_IN_VALIDATE = ("hinges", "move", "forcefield", "solvent", "engine", "cutoff", "accuracy", *NOT_IN_BATCH)
+NOT_IN_VALIDATE = (
+    "hinges",
+    "move",
+    "forcefield",
+    "solvent",
+    "engine",
+    "cutoff",
+    "accuracy",
+    "precision",
+    *NOT_IN_BATCH,
+)
 FRAMES = {"trajectory": None, "frames": None, "workers": None, "resume": False}
 
 COMMANDS = {

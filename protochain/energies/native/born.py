@@ -65,13 +65,13 @@ def _integral_tile(
 ) -> None:  # fmt: skip
     for i in range(W):
         if apart2(a, i, b) < far2:
-            _integrals(a, i, b, same, True, near2, cutoff2, a_sums, b_sums)
+            add_integrals(a, i, b, same, True, near2, cutoff2, a_sums, b_sums)
         else:
-            _integrals(a, i, b, same, False, near2, cutoff2, a_sums, b_sums)
+            add_integrals(a, i, b, same, False, near2, cutoff2, a_sums, b_sums)
 
 
 @variant
-def _integrals(
+def add_integrals(
     a: Floats, i: int, b: Floats, same: bool, masked: bool, near2: float, cutoff2: float, a_sums: Floats,
     b_sums: Floats,
 ) -> None:  # fmt: skip
@@ -122,8 +122,8 @@ def _polar_tile(
     a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
     if masked:
-        return _polar(a, b, same, True, cutoff2, shift, rows, a_sums, b_sums)
-    return _polar(a, b, same, False, cutoff2, shift, rows, a_sums, b_sums)
+        return add_polar(a, b, same, True, cutoff2, shift, rows, a_sums, b_sums)
+    return add_polar(a, b, same, False, cutoff2, shift, rows, a_sums, b_sums)
 
 
 @variant
@@ -142,7 +142,7 @@ def _decays(a: Floats, i: int, b: Floats, rows: Floats) -> None:
 
 
 @variant
-def _polar(
+def add_polar(
     a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
     a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
@@ -201,7 +201,7 @@ def screened_sums(
 def _screened_tile(
     a: Floats, b: Floats, counts: np.ndarray, rows: Floats, a_sums: Floats, b_sums: Floats
 ) -> float:
-    """As :func:`_polar`, less the energy and force of 1/r."""
+    """As :func:`add_polar`, less the energy and force of 1/r."""
     energy = 0.0
     for i in range(W):
         if not counts[i]:

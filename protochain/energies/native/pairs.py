@@ -110,16 +110,16 @@ def _tile(
     for i in range(W):
         row, first = lj[lj_type[i]], i if same else -1
         if apart2(a, i, b) < far2:
-            _inverses(a, i, b, first, True, near2, cutoff2, inverses)
-            energy += _pairs(a, i, b, row, True, in_solvent, krf, crf, inverses, a_sums, b_sums)
+            put_inverses(a, i, b, first, True, near2, cutoff2, inverses)
+            energy += add_pairs(a, i, b, row, True, in_solvent, krf, crf, inverses, a_sums, b_sums)
         else:
-            _inverses(a, i, b, first, False, near2, cutoff2, inverses)
-            energy += _pairs(a, i, b, row, False, in_solvent, krf, crf, inverses, a_sums, b_sums)
+            put_inverses(a, i, b, first, False, near2, cutoff2, inverses)
+            energy += add_pairs(a, i, b, row, False, in_solvent, krf, crf, inverses, a_sums, b_sums)
     return energy
 
 
 @variant
-def _inverses(
+def put_inverses(
     a: Floats, i: int, b: Floats, first: int, masked: bool, near2: float, cutoff2: float, inverses: Floats
 ) -> None:
     """Inverse distances of an atom from a block; 0 where masked.
@@ -137,7 +137,7 @@ def _inverses(
 
 
 @variant
-def _pairs(
+def add_pairs(
     a: Floats, i: int, b: Floats, row: Floats, masked: bool, in_solvent: bool, krf: float, crf: float,
     inverses: Floats, a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip

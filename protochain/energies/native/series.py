@@ -16,32 +16,33 @@ FAR_RATIO = 0.24
 """Largest s / r for which the far series hold."""
 
 
-def _interpolated(
+def interpolated(
     function: Callable[[np.ndarray], np.ndarray], degree: int, low: float, high: float
 ) -> tuple[float, ...]:
+    """Coefficients of the polynomial through a function at Chebyshev points."""
     found = np.polynomial.Chebyshev.interpolate(function, degree, [low, high])
     return tuple(float(c) for c in found.convert(kind=np.polynomial.Polynomial).coef)
 
 
-def _integral(y: np.ndarray) -> np.ndarray:
+def of_integral(y: np.ndarray) -> np.ndarray:
     """Sum of 2k/(2k+1) y^(k-1)."""
     return np.sum([2 * k / (2 * k + 1) * y ** (k - 1) for k in range(1, 200)], axis=0)
 
 
-def _slope(y: np.ndarray) -> np.ndarray:
+def of_slope(y: np.ndarray) -> np.ndarray:
     """Sum of 2k (2k+2)/(2k+1) y^(k-1)."""
     return np.sum([2 * k * (2 * k + 2) / (2 * k + 1) * y ** (k - 1) for k in range(1, 200)], axis=0)
 
 
-NEAR_INTEGRAL = _interpolated(_integral, 11, 0.0, NEAR_RATIO**2)
-NEAR_SLOPE = _interpolated(_slope, 11, 0.0, NEAR_RATIO**2)
-FAR_INTEGRAL = _interpolated(_integral, 6, 0.0, FAR_RATIO**2)
-FAR_SLOPE = _interpolated(_slope, 6, 0.0, FAR_RATIO**2)
+NEAR_INTEGRAL = interpolated(of_integral, 11, 0.0, NEAR_RATIO**2)
+NEAR_SLOPE = interpolated(of_slope, 11, 0.0, NEAR_RATIO**2)
+FAR_INTEGRAL = interpolated(of_integral, 6, 0.0, FAR_RATIO**2)
+FAR_SLOPE = interpolated(of_slope, 6, 0.0, FAR_RATIO**2)
 """Coefficients of g(y) and h(y), y = (s/r)^2, of the descreening integral s^3 g / (2 r^4) and its slope
 -s^3 h / (2 r^5)."""
-_POWER = _interpolated(np.exp2, 9, -0.5, 0.5)
-_ROOT = _interpolated(lambda e: (1.0 - e) ** -0.5, 3, -0.0705, 0.0675)
-_LOG = _interpolated(
+_POWER = interpolated(np.exp2, 9, -0.5, 0.5)
+_ROOT = interpolated(lambda e: (1.0 - e) ** -0.5, 3, -0.0705, 0.0675)
+_LOG = interpolated(
     lambda w: np.sum([2.0 / (2 * k + 1) * w**k for k in range(60)], axis=0), 6, 0.0, (3.0 - 8.0**0.5) ** 2
 )
 _SMALLEST_POWER = -60.0
