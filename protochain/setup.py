@@ -53,11 +53,13 @@ class Setup(Settings):
     ----------
     hinges, root, move : str
         As in :func:`protochain.build_chain`.
-    forcefield, solvent, engine, terms, precision : str
+    forcefield, solvent, engine, terms : str
         As in :func:`protochain.energy`.
     cutoff : float, "auto" or None
         As in :func:`protochain.energy`.
     accuracy : float, "auto" or "exact"
+        As in :func:`protochain.energy`.
+    precision : str
         As in :func:`protochain.energy`.
     threads : int, optional
         Threads for the energy; all by default.

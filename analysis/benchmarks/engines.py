@@ -159,7 +159,7 @@ ACCURACIES = (1e-2, 1e-3, 1e-4)
 CUTOFFS = (1.0, 2.0, 3.0)
 ASKED = {
     1: ("obc2", "gbn2", "vacuum"), 4: ("obc2", "gbn2", "vacuum"), 16: ("obc2", "gbn2", "vacuum"),
-    41: ("obc2", "vacuum"), 162: ("obc2", "vacuum"),
+    41: ("obc2", "gbn2", "vacuum"), 162: ("obc2", "vacuum"),
 }  # fmt: skip
 """Solvents by copies of ubiquitin: of 50,000 atoms and more, what two cores compute in minutes."""
 
@@ -178,6 +178,12 @@ def by_accuracy(threads: int, quick: bool) -> Iterator[dict[str, object]]:
                 tree = exact.to_accuracy(accuracy, x)
                 if tree is not exact:
                     yield against.row(solvent, f"tree, {accuracy:g} asked", tree)
+            mixed = NativeEnergy(exact.by_openmm, 1, mixed=True)
+            if n <= 41:
+                yield against.row(solvent, "mixed precision, all pairs", mixed)
+            tree = mixed.to_accuracy(ACCURACIES[1], x)
+            if tree is not mixed:
+                yield against.row(solvent, f"mixed precision, tree, {ACCURACIES[1]:g} asked", tree)
             # By OpenMM, GBn2 takes minutes.
             if n <= (4 if solvent == "gbn2" else 16):
                 yield against.row(solvent, "OpenMM CPU, all pairs", exact.by_openmm)
@@ -244,7 +250,7 @@ def curves(table: pd.DataFrame) -> Figure:
     figure, panels = plt.subplots(
         1, len(solvents), figsize=(4.0 * len(solvents), 3.6), sharey=True, squeeze=False, layout="constrained"
     )
-    ways = (("tree", "o-", "tree"), ("cutoff", "s:", "cutoff"), ("OpenMM CPU, all", "x", "OpenMM, all pairs"))
+    ways = (("tree", "o-", "tree"), ("mixed", "^-.", "mixed precision"), ("cutoff", "s:", "cutoff"), ("OpenMM CPU, all", "x", "OpenMM, all pairs"))
     for panel, solvent in zip(panels[0], solvents, strict=True):
         for k, atoms in enumerate(sizes):
             mine = table[(table["solvent"] == solvent) & (table["atoms"] == atoms)]

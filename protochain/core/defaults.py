@@ -11,7 +11,7 @@ FULL_UP_TO = 20_000
 LONG_CUTOFF = 2.0  # nm. Forces differ by 1 to 4 kJ/mol/nm RMS from those of all pairs.
 ACCURACY: Literal["auto"] = "auto"
 TREE_FROM = 5_000
-TREE_FROM_IN_VACUUM = 16_000
+TREE_FROM_IN_VACUUM = 9_000
 """Atoms from which far pairs are summed by a tree, as that is quicker; in vacuum no solvent screens them."""
 PRECISION = "double"
 TREE_ACCURACY = 1e-3  # kJ/mol/nm, RMS error of the forces
