@@ -250,7 +250,12 @@ def curves(table: pd.DataFrame) -> Figure:
     figure, panels = plt.subplots(
         1, len(solvents), figsize=(4.0 * len(solvents), 3.6), sharey=True, squeeze=False, layout="constrained"
     )
-    ways = (("tree", "o-", "tree"), ("mixed", "^-.", "mixed precision"), ("cutoff", "s:", "cutoff"), ("OpenMM CPU, all", "x", "OpenMM, all pairs"))
+    ways = (
+        ("tree", "o-", "tree"),
+        ("mixed", "^-.", "mixed precision"),
+        ("cutoff", "s:", "cutoff"),
+        ("OpenMM CPU, all", "x", "OpenMM, all pairs"),
+    )
     for panel, solvent in zip(panels[0], solvents, strict=True):
         for k, atoms in enumerate(sizes):
             mine = table[(table["solvent"] == solvent) & (table["atoms"] == atoms)]

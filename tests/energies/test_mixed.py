@@ -26,7 +26,7 @@ def rms(forces):
 
 
 def apart(mixed, double, x):
-    """RMS difference of forces; largest of terms of the energy, relative to their sizes; all that is finite."""
+    """RMS difference of forces; largest of a term of the energy, relative to the sum of all sizes."""
     (parts, forces), (expected, its) = mixed.parts(x), double.parts(x)
     size = sum(abs(value) for value in expected.values())
     return rms(forces - its), max(abs(parts[kind] - expected[kind]) for kind in expected) / size
