@@ -161,7 +161,7 @@ def populations(options: argparse.Namespace) -> pd.DataFrame:
 def tempered(name: str, start: pc.Structure, quick: bool) -> pd.DataFrame:
     """Populations by one walk from a start."""
     done = pc.search(
-        start, pc.energy(start, threads=1), "tempering", 13_000 if quick else 650_000, n_walkers=1,
+        start, pc.energy(start, threads=1), "tempering", 13_000 if quick else 4_000_000, n_walkers=1,
         n_replicas=3 if quick else 4,
     )  # fmt: skip
     table = done.populations
