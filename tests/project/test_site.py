@@ -9,6 +9,7 @@ from fixtures.public_names import PUBLIC
 from fixtures.samples import ROOT
 
 InventoryFile = pytest.importorskip("sphinx.util.inventory").InventoryFile
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
