@@ -26,7 +26,7 @@ FULL, QUICK = "QUICK = False", "QUICK = True"
 
 MOST_BYTES = 300_000
 
-QUICKEST = {"01-first-steps", "serial"}
+QUICKEST = {"01-first-steps", "impact"}
 """One of each kind that the fast tests run; scenes run by themselves, too (``test_scenes.py``)."""
 
 where = importlib.util.spec_from_file_location("remake", ROOT / "analysis" / "remake.py")
