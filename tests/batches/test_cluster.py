@@ -256,3 +256,25 @@ def test_a_cluster_with_tls_takes_only_who_has_a_certificate(inputs, whole, tmp_
         accepted = start(inputs, tmp_path / "out2", "--scheduler", address, env=os.environ | known)
         assert accepted.wait(timeout=300) == 3
     pd.testing.assert_frame_equal(table(tmp_path / "out2"), whole)
+
+
+def test_a_search_on_a_cluster_that_loses_a_worker_finds_the_same_bits(tmp_path):
+    chain = pc.build_chain(pc.from_sequence("YGGFM"))
+    energy, killed = pc.energy(chain.structure, threads=1), []
+    whole = pc.search(chain, energy, "hopping", 30_000, n_walkers=3)
+
+    def watch(progress):
+        if not killed:
+            killed.extend(
+                p for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())
+            )
+            killed[0].kill()
+
+    with cluster(tmp_path) as address:
+        there = tmp_path / "out"
+        found = pc.search(
+            chain, energy, "hopping", 30_000, n_walkers=3, scheduler=address, output=there, watch=watch
+        )
+    assert killed and not found.interrupted
+    for one, other in zip(found.findings, whole.findings, strict=True):
+        np.testing.assert_array_equal(one.minima, other.minima)
