@@ -40,8 +40,9 @@ def regions(phi: Floats, psi: Floats) -> NDArray[np.int64]:
 def names(phi: Floats, psi: Floats) -> NDArray[np.str_]:
     """Regions of all residues in a row, as ``BAAB``: phi and psi (..., r) -> (...)."""
     letters = np.array([*REGIONS])[regions(phi, psi)]
-    joined = np.array(["".join(row) for row in letters.reshape(-1, letters.shape[-1])], dtype=object)
-    return joined.reshape(letters.shape[:-1])
+    *shape, r = letters.shape
+    rows = letters.reshape(np.prod(shape, dtype=int), r)  # r may be 0: a dipeptide has none between others
+    return np.array(["".join(row) for row in rows], dtype=object).reshape(shape)
 
 
 def helix(phi: Floats, psi: Floats) -> Floats:

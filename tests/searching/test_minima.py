@@ -5,6 +5,7 @@ import pytest
 
 import protochain as pc
 from protochain.core.units import MOLAR_GAS
+from protochain.searching import conformers
 from protochain.searching.minima import SAME_ENERGY, clusters, free_energy, periods, unique
 
 KT = MOLAR_GAS * 300.0
@@ -63,3 +64,14 @@ def test_free_energies_are_those_of_gaussian_integrals():
     assert heavier == pytest.approx(-KT * np.log(2.0 * integral), rel=1e-9)
     assert np.isnan(free_energy(5.0, np.diag([1.0, -1.0]), 300.0))
     assert np.isnan(free_energy(5.0, np.diag([-1.0, -1.0]), 300.0))
+
+
+@pytest.mark.parametrize(("sequence", "regions"), [("AAAA", "BB"), ("AAA", "B"), ("AA", "")])
+def test_residues_between_others_have_a_region(sequence, regions):
+    """An extended chain is beta all along; a dipeptide has no residue with both phi and psi."""
+    chain = pc.build_chain(pc.from_sequence(sequence))
+    q = np.array([chain.q0, chain.q0])
+    assert conformers.names(*conformers.backbone(chain, q)).tolist() == [regions, regions]
+    assert conformers.names(*conformers.backbone(chain, chain.q0)) == regions
+    found = pc.search(chain, evaluations=100, method="hopping", n_walkers=1)
+    assert {len(each) for each in found.minima["conformer"]} == {len(regions)}
