@@ -266,7 +266,7 @@ def _energy(model: Model, integrator: Integrator = PRECISE, step: float = UNTIL)
 
 
 def _turned_over() -> Check:
-    """Past a pose with all bars in line a rhombus has three ways on, and rounding chooses: each keeps loop and energy."""
+    """Past a pose with all bars in line a rhombus has three ways on, by rounding: loop and energy stay."""
     moved = row(1, 0.0, 8.0).simulate(UNTIL, 0.01, PRECISE)
     audit = moved.audit()
     assert np.ptp(moved.q[:, 0]) > np.pi and audit.gap is not None and audit.gap < 1e-11
