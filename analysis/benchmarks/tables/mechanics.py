@@ -68,7 +68,8 @@ def loops(rows: pd.DataFrame) -> str:
 
 table_of_rows(
     "loops-costs", "loops_costs.csv",
-    ("loops", "{loops}"), ("bodies", "{bodies}"), ("accelerations us", lambda r: f"{1e6 * r.seconds:.0f}"),
+    ("loops", "{loops:.0f}"), ("bodies", "{bodies:.0f}"),
+    ("accelerations us", lambda r: f"{1e6 * r.seconds:.0f}"),
     ("of the open tree us", lambda r: f"{1e6 * r.seconds_open:.0f}"),
 )  # fmt: skip
 
