@@ -127,6 +127,8 @@ def _status() -> int:
         if error.errno in _FULL and not error.filename:
             _close_output()
             return fail(f"standard output: not written ({error.strerror}); all files are complete")
+        if error.errno in _NO_WAY and error.filename:
+            return fail(f"{error.filename}: cannot be reached ({error.strerror}); check the name", BAD_INPUT)
         where = f"{error.filename}: " if error.filename else ""
         return fail(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
@@ -136,6 +138,8 @@ def _status() -> int:
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """What a disk says that takes no more."""
+_NO_WAY = (errno.EACCES, errno.ENAMETOOLONG)
+"""What the system says of a name that leads nowhere, whoever asks: even whether a file is there."""
 
 
 def _close_output() -> None:

@@ -78,4 +78,7 @@ def is_sequence(source: Path) -> bool:
     """Whether the input is no file, but could be one-letter codes."""
     from protochain.structure.residues import STANDARD
 
-    return not source.exists() and {*str(source)} <= {*STANDARD.values()}
+    if not {*str(source)} <= {*STANDARD.values()}:
+        return False
+    # A name of more letters can be no file's, and the system would not say whether there is one.
+    return len(str(source)) > 255 or not source.exists()

@@ -104,6 +104,8 @@ def test_build_makes_a_file_that_loads(protochain, tmp_path):
         (["minimise", "trace.pdb"], ["trace.pdb", "C-alpha"]),
         (["minimise", "in.pdb", "-o", "one.pdb", "--trace", "one.pdb"], ["one.pdb", "two outputs"]),
         (["minimise", "in.pdb", "-o", "folder.pdb"], ["folder.pdb", "is a folder"]),
+        (["minimise", "in.pdb", "-o", f"{'long' * 99}.pdb"], ["longlong", "too long", "check the name"]),
+        (["validate", f"{'long' * 99}.pdb"], ["longlong", "too long", "check the name"]),
         (["minimise", "in.pdb", "-o", "in.pdb/out.pdb"], ["in.pdb/out.pdb", "not a folder"]),
         (["minimise", "in.pdb", "--trace", "/proc/t.csv"], ["/proc/t.csv", "cannot be written"]),
         (["minimise", "stars.pdb"], ["stars.pdb: line 3: x is '********'", "columns 31-38"]),
