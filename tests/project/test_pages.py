@@ -368,6 +368,12 @@ def test_all_jobs_fit_into_parts_of_forty_minutes():
     assert [job.name for job in benchmarks.JOBS if job.minutes > 40 and not job.continues] == []
 
 
+@pytest.mark.parametrize("folder", [made.MORE, "/some/collection", "../collection", "collection"])
+def test_a_record_names_no_folder_of_the_one_who_made_it(folder):
+    words = ["python", "files.py", "speed", "--more", str(folder), "-o", "out"]
+    assert made.command(words) == "python files.py speed --more MORE -o DIR"
+
+
 def test_the_tables_of_the_jobs_are_those_that_there_are():
     """But those of the mutants, which is no benchmark; each is of one job."""
     there = set(pd.read_csv(made.RESULTS / "made.csv")["table"])
