@@ -63,7 +63,7 @@ class Torques:
     @property
     def largest(self) -> float:
         """Largest torque at the point, kJ/mol/rad, of free roots in their own unit."""
-        return float(np.max(np.abs(self.scale * self.beside(np.zeros(self.chain.n_v)))))
+        return float(np.max(np.abs(self.scale * self.beside(np.zeros(self.chain.n_v))), initial=0.0))
 
     def beside(self, change: Floats) -> Floats:
         """Torques (n_v,) after a change (n_v,) of the freedoms."""

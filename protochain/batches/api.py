@@ -267,10 +267,11 @@ def _line(rows: Sequence[Row]) -> str:
             of_relaxed = "n_rounds" in record
             before, after = (record.get(f"violations_{when}") for when in ("start", "end"))
             mended = f"violations {before} to {after}, " if of_relaxed else ""
+            rmsd = record["ca_rmsd_angstrom"]  # none without C-alphas, as of DNA
+            moved = "" if rmsd is None else f"RMSD {rmsd:.2f} angstrom, "
             told = (
                 f"{record['method']} {record['status']}, {mended}"
-                f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, "
-                f"RMSD {record['ca_rmsd_angstrom']:.2f} angstrom, {record['seconds']:.1f} s"
+                f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, {moved}{record['seconds']:.1f} s"
             )
             n = record.get("n_lost_atoms", 0)
             told += f", lost {n} atom{'s' * (n > 1)}" if n else ""

@@ -167,4 +167,5 @@ def plot_distribution(
 
 def _drop(table: "pd.DataFrame") -> "pd.Series":
     drop = table["energy_start_kj_mol"].astype(float) - table[USABLE].astype(float)
-    return drop / table["n_residues"].astype(float)
+    n = table["n_residues"].astype(float)
+    return drop / n.where(n > 0.0)  # of amino acids: DNA has none

@@ -111,8 +111,8 @@ class Annealing:
 
     def _time_step(self, space: Torsions, phase: "Phase") -> float:
         """Time step, shortened where velocities or accelerations would turn a freedom too far."""
-        fastest = float(np.max(np.abs(phase.qd / space.scale)))
-        pushed = float(np.max(np.abs(solve(phase.factors, phase.torque) / space.scale)))
+        fastest = float(np.max(np.abs(phase.qd / space.scale), initial=0.0))
+        pushed = float(np.max(np.abs(solve(phase.factors, phase.torque) / space.scale), initial=0.0))
         shortest = min(
             LONGEST_TURN / fastest if fastest > 0.0 else np.inf,
             np.sqrt(2.0 * LONGEST_TURN / pushed) if pushed > 0.0 else np.inf,

@@ -75,7 +75,7 @@ class Torsions:
 
     def residual(self, torque: Floats) -> float:
         """Largest torque, kJ/mol/rad."""
-        return float(np.max(np.abs(torque)))
+        return float(np.max(np.abs(torque), initial=0.0))
 
     def move(self, q: Floats, step: Floats) -> Floats:
         """Coordinates after a step (n_v,)."""

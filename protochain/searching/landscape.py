@@ -101,6 +101,8 @@ class Landscape(Value):
             raise ProtochainError(
                 f"{name}: a search turns the bonds of one chain; give one, as chains='A', keep='none'"
             )
+        if not fixed.n_v:
+            raise ProtochainError(f"{name}: no bond turns with hinges {chain.opened!r}; open more of them")
         return cls(fixed, energy)
 
     @cached_property

@@ -156,5 +156,5 @@ def _pairs(structure: Structure, x: Floats, at: dict[int, dict[str, int]]) -> In
     array.atom_name, array.element = structure.atom_name[atoms], structure.atom_element[atoms]
     array.res_id = structure.atom_residue[atoms]
     array.res_name = structure.residue_name[structure.atom_residue[atoms]]
-    first = biotite.base_pairs(array)
+    first = biotite.base_pairs(array).astype(np.int64)  # without any, empty and of floats
     return np.array(array.res_id[first], dtype=np.int64).reshape(-1, 2)

@@ -4,6 +4,7 @@ import gemmi
 import mdtraj
 import numpy as np
 import openmm
+import pandas as pd
 import pytest
 from fixtures.oracles import assert_equals_reference
 from fixtures.samples import ROOT, STRUCTURES
@@ -231,3 +232,28 @@ def test_sugars_have_their_hands_and_a_mirrored_one_is_told_and_turned(duplex):
     assert pc.validate(wrong).measures["wrong_hands"] == 1
     relaxed = pc.relax(wrong)
     assert (volume(relaxed.x[centres]) > 0.0).all()
+
+
+def test_a_strand_by_itself_is_minimised_in_all_atoms_and_turns_only_hinges_that_are_opened(tmp_path):
+    """Without hinges of nucleotides it is one rigid body: methods in torsions leave it as it is."""
+    strand = pc.load(STRUCTURES / "1bna.pdb", chains="A")
+    c, e = pc.build_chain(strand), pc.energy(strand)
+    assert c.n_v == 0
+    free = pc.minimise(c, e, max_evaluations=20)
+    assert free.end.energy < free.start.energy
+    for method in ("lbfgs", "md"):
+        still = pc.minimise(c, e, method)
+        assert np.allclose(still.x, strand.positions, atol=1e-12)
+    for call in (lambda: pc.normal_modes(c, e), lambda: pc.search(c, e, evaluations=50)):
+        with pytest.raises(pc.ProtochainError, match="open more"):
+            call()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_batch_takes_dna_alone_which_has_neither_alpha_carbons_nor_amino_acids(tmp_path, capsys):
+    batch = pc.batch(STRUCTURES / "1bna.pdb", tmp_path / "out", "cartesian", max_evaluations=20, workers=1)
+    row = batch.table.iloc[0]
+    assert np.isnan(row["ca_rmsd_angstrom"]) and row["n_residues"] == 0
+    assert row["energy_end_reference_kj_mol"] < row["energy_start_kj_mol"]
+    told = pd.read_csv(tmp_path / "out" / "statistics.csv")
+    assert "evaluations" in set(told["quantity"]) and not told.isna().any(axis=None)

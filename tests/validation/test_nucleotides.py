@@ -29,6 +29,12 @@ def test_the_dodecamer_has_its_twelve_pairs_and_a_base_drawn_out_is_in_none(dupl
     assert sorted(map(sorted, left.tolist())) == [[k, 25 - k] for k in range(1, 13) if k != 6]
 
 
+def test_a_strand_alone_has_no_pairs():
+    strand = pc.load(STRUCTURES / "1bna.pdb", chains="A")
+    assert nucleotides(strand, strand.positions).pairs.shape == (0, 2)
+    assert pc.validate(strand).measures["base_pairs"] == 0
+
+
 def test_the_phase_is_that_of_the_torsions_of_the_ring_by_mdtraj(duplex):
     """nu_j = amplitude cos(phase + 144 (j - 2)), to what a five-membered ring departs from it."""
     found = nucleotides(duplex, duplex.positions)
