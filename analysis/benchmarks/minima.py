@@ -162,7 +162,7 @@ def tempered(name: str, start: pc.Structure, quick: bool) -> pd.DataFrame:
     """Populations by one walk from a start."""
     done = pc.search(
         start, pc.energy(start, threads=1), "tempering", 13_000 if quick else 4_000_000, n_walkers=1,
-        n_replicas=3 if quick else 4,
+        n_replicas=3 if quick else 4, pilot=120 if quick else 9000,
     )  # fmt: skip
     table = done.populations
     table.insert(0, "start", name)

@@ -71,3 +71,4 @@ SEARCH_EVALUATIONS = 200_000
 N_WALKERS = 4
 """Not the number of cores, on which no result may depend."""
 N_REPLICAS = 6
+PILOT = 120  # rounds

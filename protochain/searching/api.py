@@ -87,6 +87,7 @@ def search(
     temperatures: Any = defaults.SEARCH_TEMPERATURES,
     n_walkers: int = defaults.N_WALKERS,
     n_replicas: int = defaults.N_REPLICAS,
+    pilot: int = defaults.PILOT,
     seed: int = defaults.SEED,
     output: str | Path | None = None,
     resume: bool = False,
@@ -118,6 +119,8 @@ def search(
         Independent walks.
     n_replicas : int
         Temperatures of each walk of tempering; a pilot places them.
+    pilot : int
+        Rounds of the pilot, which do not count: more where energies change late, as a peptide folds.
     seed : int
         Seed of all random numbers: the same seed gives the same bits, killed or not, on any number of
         processes.
@@ -179,7 +182,7 @@ def method_of(settings: SearchSettings, walker: int) -> Method:
         return Hops(settings.temperatures[0], settings.seed, walker)
     if settings.method == "annealing":
         return Coolings(settings.temperatures, settings.seed, walker)
-    return Replicas(settings.temperatures, settings.n_replicas, settings.seed, walker)
+    return Replicas(settings.temperatures, settings.n_replicas, settings.pilot, settings.seed, walker)
 
 
 def check_folder(folder: Path, resume: bool, force: bool) -> None:

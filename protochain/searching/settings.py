@@ -46,6 +46,8 @@ class SearchSettings(Settings):
         Independent walks, which share the evaluations.
     n_replicas : int
         Temperatures of each walk of tempering.
+    pilot : int
+        Rounds in which tempering places its temperatures, before those that count.
     seed : int
         Of all random numbers.
 
@@ -74,6 +76,12 @@ class SearchSettings(Settings):
     )
     n_replicas: int = setting(
         defaults.N_REPLICAS, "Temperatures of each walk of tempering.", _up_to_most(2), int, "--replicas"
+    )
+    pilot: int = setting(
+        defaults.PILOT,
+        "Rounds in which tempering places its temperatures, before those that count.",
+        at_least(3),
+        int,
     )
     seed: int = setting(defaults.SEED, "Seed of all random numbers.", at_least(0), int)
 

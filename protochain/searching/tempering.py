@@ -17,9 +17,9 @@ from protochain.searching.ladder import equally_spaced, geometric, length_of_acc
 from protochain.searching.landscape import Landscape
 from protochain.searching.pieces import Finding, stream
 
-STAGES, ROUNDS = 3, 40
-"""Of the pilot: after each stage but the last temperatures are placed anew, by so many rounds; then they
-stay. Every walker does the same pilot, so that all have the same temperatures and none waits for others."""
+STAGES = 3
+"""Of the pilot: after each but the last temperatures are placed anew; then they stay. Every walker does the
+same pilot, so that all have the same temperatures and none waits for others."""
 QUENCHED = 5
 """Rounds from one descent to the next, which begins at each temperature in turn."""
 WANTED = 0.8
@@ -82,12 +82,15 @@ class Replicas:
     temperatures : (float, float), K
         Lowest and highest.
     n_replicas : int
+    pilot : int
+        Rounds in which the temperatures are placed.
     seed, walker : int
         Random numbers of a round depend on these and its number alone.
     """
 
     temperatures: tuple[float, float]
     n_replicas: int
+    pilot: int
     seed: int
     walker: int
     state = Tempering
@@ -107,7 +110,7 @@ class Replicas:
     def step(self, landscape: Landscape, state: Tempering) -> tuple[Tempering, Finding]:
         """Let every replica move by a trajectory, then exchange neighbours, every other pair in turn."""
         number, r = state.n_done + 1, self.n_replicas
-        own = 0 if number <= STAGES * ROUNDS else self.walker
+        own = 0 if number <= self.pilot else self.walker
         swept = [
             landscape.sweep(
                 state.q[k], float(state.temperatures[k]), float(state.time_steps[k]), 1,
@@ -135,8 +138,8 @@ class Replicas:
             n_evaluations=n_evaluations,
             n_trips=state.n_trips + trips,
         )
-        if number <= STAGES * ROUNDS:
-            return _adapted(after, kept), Finding.none(q.shape[1], r)
+        if number <= self.pilot:
+            return self._adapted(after, kept), Finding.none(q.shape[1], r)
         found = Finding(
             np.empty((0, q.shape[1] + 2)), np.concatenate([after.energy[:, None], after.q], axis=1)[None]
         )
@@ -146,6 +149,23 @@ class Replicas:
         n_evaluations += done.n_evaluations
         minimum = Finding.minimum(done.q, done.energy, n_evaluations, r)
         return replace(after, n_evaluations=n_evaluations), Finding.joined([found, minimum])
+
+    def _adapted(self, state: Tempering, kept: Floats) -> Tempering:
+        """Follow the acceptance by the time steps; at the end of a stage place the temperatures anew."""
+        steps = np.clip(state.time_steps * np.exp(_GAIN * (kept - WANTED)), *_STEPS)
+        state = replace(state, time_steps=read_only(steps))
+        if state.n_done not in [self.pilot * k // STAGES for k in range(1, STAGES + 1)]:
+            return state
+        if state.n_done < self.pilot:
+            lengths = length_of_acceptance(state.odds / state.n_counted)
+            placed = equally_spaced(state.temperatures, lengths)
+            steps = np.interp(placed, state.temperatures, steps)
+            state = replace(state, temperatures=read_only(placed), time_steps=read_only(steps))
+        r = self.n_replicas
+        return replace(
+            state, odds=read_only(np.zeros(r - 1)), accepted=0.0, n_counted=0, heading=read_only(np.zeros(r)),
+            n_trips=0,
+        )  # fmt: skip
 
 
 def exchanged(
@@ -185,21 +205,3 @@ def headed(heading: Floats, replica: Floats) -> tuple[Floats, int]:
     if heading[highest] > 0.0:
         heading[highest] = -1.0
     return heading, trips
-
-
-def _adapted(state: Tempering, kept: Floats) -> Tempering:
-    """Follow the acceptance by the time steps; at the end of a stage place the temperatures anew."""
-    steps = np.clip(state.time_steps * np.exp(_GAIN * (kept - WANTED)), *_STEPS)
-    state = replace(state, time_steps=read_only(steps))
-    if state.n_done % ROUNDS:
-        return state
-    last, r = state.n_done == STAGES * ROUNDS, len(steps)
-    if not last:
-        lengths = length_of_acceptance(state.odds / state.n_counted)
-        placed = equally_spaced(state.temperatures, lengths)
-        steps = np.interp(placed, state.temperatures, steps)
-        state = replace(state, temperatures=read_only(placed), time_steps=read_only(steps))
-    return replace(
-        state, odds=read_only(np.zeros(r - 1)), accepted=0.0, n_counted=0, heading=read_only(np.zeros(r)),
-        n_trips=0,
-    )  # fmt: skip

@@ -8,7 +8,7 @@ from protochain.core.units import MOLAR_GAS
 from protochain.searching.landscape import Landscape
 from protochain.searching.pieces import advance
 from protochain.searching.statistics import mean_and_error
-from protochain.searching.tempering import ROUNDS, STAGES, Replicas
+from protochain.searching.tempering import Replicas
 
 WITHIN = 3.5
 """Standard errors, of some twenty blocks: what chance does once in a thousand times."""
@@ -28,10 +28,10 @@ def two_hinges():
 
 def test_replicas_of_two_hinges_agree_with_quadrature(two_hinges):
     landscape, at, grid = two_hinges
-    method = Replicas((300.0, 600.0), 2, 1, 0)
+    method = Replicas((300.0, 600.0), 2, 120, 1, 0)
     state, found = advance(landscape, method, None, 15_000, np.inf)
     samples = found.samples
-    assert len(samples) == state.n_done - STAGES * ROUNDS > 200
+    assert len(samples) == state.n_done - method.pilot > 200
     assert state.temperatures == pytest.approx([300.0, 600.0])
     assert state.n_trips > 5 and 0.3 < state.acceptance < 0.95
     for k, temperature in enumerate(state.temperatures):
