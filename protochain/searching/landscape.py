@@ -11,7 +11,7 @@ import numpy as np
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
 from protochain.core.arrays import Floats, Value
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, ProtochainError
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import (
     HybridMonteCarlo,
@@ -99,8 +99,9 @@ class Landscape(Value):
         )
         if np.sum(fixed.tree.parent < 0) != 1 or chain.structure.obstacle.any():
             raise ProtochainError(
-                f"{name}: a search turns the bonds of one chain; give one, as chains='A', keep='none'"
-            )
+                f"{name}: a search turns the bonds of one chain; give one, as by ", Argument("chains", "A"),
+                " and ", Argument("keep", "none"),
+            )  # fmt: skip
         return cls(fixed, energy)
 
     @cached_property
