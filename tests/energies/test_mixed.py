@@ -124,3 +124,15 @@ def test_what_cannot_be_mixed_is_said():
         pc.energy(s, precision="half")
     with pytest.raises(ProtochainError, match=r"precision=\"mixed\" is of the native engine"):
         pc.energy(s, engine="openmm", precision="mixed")
+
+
+def test_a_run_goes_on_in_the_precision_in_which_it_began(tmp_path):
+    s = load("ala10.pdb")
+    mixed, double = pair(s, "vacuum")
+    its = {"method": "lbfgs", "max_evaluations": 9}
+    pc.minimise(s, double, **its, checkpoint=tmp_path / "run.npz")
+    with pytest.raises(ProtochainError, match="double_precision True, not False"):
+        pc.minimise(s, mixed, **its, resume=tmp_path / "run.npz")
+    pc.simulate(s, double, n_steps=20, every=10, output=tmp_path / "run")
+    with pytest.raises(ProtochainError, match="double_precision True, not False"):
+        pc.simulate(s, mixed, n_steps=40, every=10, output=tmp_path / "run", resume=True)
