@@ -28,7 +28,7 @@ from protochain.dynamics import (
 from protochain.energies import Energy
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.loop import run as descend
-from protochain.minimisers.problem import Problem
+from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import PATIENCE
@@ -136,7 +136,15 @@ class Landscape(Value):
         best = problem.best
         if best is None or not best.is_finite:
             return Descended(q, np.inf, problem.n_evaluations)
-        return Descended(_wrapped(best.q), best.energy, problem.n_evaluations)
+        return Descended(_wrapped(best.q), self._judged(best), problem.n_evaluations)
+
+    def _judged(self, best: Evaluation) -> float:
+        """Energy of the end of a descent in double precision, kJ/mol."""
+        if self.energy.is_exact:
+            return best.energy
+        judge = self.energy.reference
+        judge.list_at(best.pose.x)
+        return judge(best.pose.x)[0]
 
     def sweep(self, q: Floats, temperature: float, time_step: float, n_trajectories: int, seed: int) -> Swept:
         """Sample torsions from exp(-E/kT) by trajectories with Fixman's potential.

@@ -336,6 +336,22 @@ def test_populations_are_of_walks_whose_pilot_is_over(whole):
     assert late.populations["temperature_k"].tolist() == [300.0, 600.0]
 
 
+@pytest.mark.parametrize("engine", ["native", "openmm"])
+def test_energies_of_minima_are_in_double_precision(engine):
+    structure = pc.from_sequence("KEKEKE")
+    double = pc.energy(structure, threads=1)
+    energy = (
+        pc.energy(structure, engine="openmm", threads=1)
+        if engine == "openmm"
+        else pc.energy(structure, precision="mixed", threads=1)
+    )
+    found = pc.search(structure, energy, "hopping", 400, n_walkers=1)
+    for q, value in zip(found.q, found.energies, strict=True):
+        x = pc.pose(found.chain, q).x
+        assert double.reference(x)[0] == pytest.approx(value, rel=1e-9)
+        assert energy(x)[0] != pytest.approx(value, rel=1e-9)
+
+
 def test_a_search_goes_on_in_the_precision_in_which_it_began(peptide, tmp_path):
     chain = peptide[0]
     mixed = pc.energy(chain.structure, solvent="vacuum", precision="mixed", threads=1)
