@@ -85,6 +85,16 @@ def test_rigid_groups_and_a_tree_keep_the_precision():
     assert tree.opening is not None and tree.mixed and tree.errors[0] <= 2e-3
     off = rms(tree(large.positions)[1] - tree.exact(large.positions)[1])
     assert off == pytest.approx(tree.errors[0], rel=1e-6)
+    its = pc.energy(large, accuracy=2e-3).by_tree(tree.opening)(large.positions)[1]
+    assert 0.0 < rms(tree(large.positions)[1] - its) < MIXED
+
+
+@pytest.mark.parametrize("solvent", SOLVENTS)
+def test_with_a_cutoff_all_is_in_double(solvent):
+    s = load("1hel.pdb")
+    mixed, double = pair(s, solvent, accuracy="auto", cutoff=1.2)
+    assert mixed.parts(s.positions)[0] == double.parts(s.positions)[0]
+    assert np.array_equal(mixed(s.positions)[1], double(s.positions)[1])
 
 
 def test_what_judges_is_in_double():
