@@ -168,6 +168,10 @@ def search(
             landscape, settings, tuple(walks.states), tuple(map(Finding.joined, walks.found)),
             perf_counter() - began, interrupted,
         )  # fmt: skip
+        if not len(found.q):
+            raise ProtochainError(
+                f"{chain.structure.name}: no descent ended at a finite energy; give another start or energy"
+            )
         if folder is not None:
             with held_interrupts():
                 found.save(folder)
@@ -385,5 +389,11 @@ def _shared(landscape: Landscape, methods: Sequence[Method], folder: Path | None
         shutil.rmtree(left, ignore_errors=True)  # by a search that was killed
     with tempfile.TemporaryDirectory(prefix=_SHARED, dir=folder) as own:
         task = Path(own).absolute() / "task.pickle"
-        task.write_bytes(pickle.dumps((landscape, tuple(methods))))
+        try:
+            task.write_bytes(pickle.dumps((landscape, tuple(methods))))
+        except (pickle.PicklingError, AttributeError, TypeError):
+            raise ProtochainError(
+                Argument("energy"), ": cannot be sent to processes; define it in a module, or leave out ",
+                Argument("workers"),
+            ) from None  # fmt: skip
         yield task

@@ -13,6 +13,8 @@ from protochain.analysis.hessian import hessian
 from protochain.articulate import build_chain, transferred
 from protochain.chain import log_det_mass, pose
 from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.checks import integer
+from protochain.core.errors import refused
 from protochain.core.units import MOLAR_GAS
 from protochain.energies import Energy
 from protochain.searching import conformers
@@ -108,6 +110,9 @@ class Search(Value):
         """Structure of a minimum, numbered from 1, superposed on the lowest."""
         from protochain.results.viewer import superposed
 
+        number = integer(number, "number")
+        if not 1 <= number <= len(self.q):
+            raise refused("number", number, f"give 1 to {len(self.q)}")
         lowest, its = (
             self.chain.structure.with_positions(pose(self.chain, self.q[k]).x) for k in (0, number - 1)
         )

@@ -79,6 +79,7 @@ def test_rigid_groups_and_a_tree_keep_the_precision():
         - pc.pull_back(chain, pc.pose(chain, chain.q0), double(s.positions)[1])[None]
     )
     assert mixed.without_constants(*given).mixed
+    assert mixed.without_constants(*given).errors == mixed.errors != ()
     assert 0.0 < off < 10.0 * MIXED * np.sqrt(s.n_atoms)
     large = load("1ake.pdb.gz")
     tree = pc.energy(large, accuracy=2e-3, precision="mixed")

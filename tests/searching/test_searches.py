@@ -302,6 +302,21 @@ def test_only_one_chain_by_itself_is_searched():
         pc.search(two, evaluations=10)
 
 
+def test_numbers_of_minima_are_those_found(whole):
+    found = whole["hopping"]
+    for number in (0, -1, len(found.q) + 1, 1.5):
+        with pytest.raises(pc.ProtochainError, match="number"):
+            found.structure(number)
+
+
+def test_energies_of_a_caller_are_searched_or_refused(peptide):
+    chain, energy = peptide
+    with pytest.raises(pc.ProtochainError, match="cannot be sent to processes"):
+        pc.search(chain, lambda x: energy(x), "hopping", 60, n_walkers=1, workers=1)
+    with pytest.raises(pc.ProtochainError, match="no descent ended at a finite energy"):
+        pc.search(chain, lambda x: (np.nan, np.nan * x), "hopping", 60, n_walkers=1)
+
+
 def test_a_dipeptide_has_no_residue_between_others(tmp_path):
     found = pc.search(pc.from_sequence("AG"), method="tempering", evaluations=8000, n_walkers=1, n_replicas=2)
     found.save(tmp_path)
