@@ -200,7 +200,7 @@ _FLUCTUATION = _row(
 _SEARCHED = {
     **_row("structure energy_lowest_kj_mol n_minima evaluations steps acceptance round_trips seconds"),
     **_row("interrupted temperature_lowest_k temperature_highest_k temperatures_k n_hinges hinges"),
-    **_row("forcefield solvent engine"), **_RUN,
+    **_row("forcefield solvent engine engine_reason"), **_RUN,
     **{name: kind for name, kind in get_type_hints(SearchSettings).items() if name != "temperatures"},
 }  # fmt: skip
 _MINIMUM = _row(

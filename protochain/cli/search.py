@@ -59,7 +59,7 @@ def search(
     else:
         check_outputs(inputs_of(setup, source), [output / name for name in ("summary.json", "report.html")])
         chain, energy, _ = prepare(source, setup)
-    count = workers or min(processors(), searching.n_walkers)
+    count = min(processors(), searching.n_walkers) if workers is None else workers
     with search_progress(named) as watch:
         done = run(
             chain, energy, output=output, workers=count, scheduler=scheduler, watch=watch,

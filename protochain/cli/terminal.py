@@ -268,8 +268,9 @@ def print_search(done: "Search", output: object) -> None:
     for row in done.minima.head(_SHOWN_MINIMA).to_dict("records"):
         free = row["free_energy_kj_mol"]
         told = "" if math.isnan(free) else f", free energy {free:+.2f}"
+        named = f", {row['conformer']}" if row["conformer"] else ""
         print(
-            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{told}, {row['conformer']}, "
+            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{told}{named}, "
             f"C-alpha RMSD {_distance(row['ca_rmsd_to_lowest_angstrom'])} angstrom"
         )
     for row in done.populations.to_dict("records"):

@@ -186,6 +186,7 @@ class _Run:
             "root": self.chain.root,
             "move": self.chain.move,
             "engine": self.energy.engine,
+            "double_precision": self.energy.is_exact,
             "system": self.energy.fingerprint,
             "start": hashlib.sha256(self.chain.structure.positions.tobytes()).hexdigest(),
         }

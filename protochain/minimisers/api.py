@@ -180,6 +180,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
             "seed": self.seed,
             "curvature": self.curvature,
             "engine": energy.engine,
+            "double_precision": energy.is_exact,
             "system": energy.fingerprint,
             "start": hashlib.sha256(chain.structure.positions.tobytes()).hexdigest(),
         }

@@ -110,6 +110,7 @@ def relax_structure(
     restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any()
     value, force = _judged(structure, known, end, restraint, mobile)
     status, message = _verdict(structure, energy, settings, end, force)
+    judge = _judge(energy)
     return Relaxation(
         start=structure,
         turned=first.repairs[len(structure.repairs) :],
@@ -121,8 +122,8 @@ def relax_structure(
         status=status,
         message=message,
         energy_start=known.at_first(structure.positions)
-        if energy.is_exact
-        else energy.reference(structure.positions)[0],
+        if judge is energy
+        else judge(structure.positions)[0],
         energy_end=value,
         rms_force=force,
         judge=_by(energy),
@@ -205,11 +206,12 @@ def _by(energy: Energy) -> str:
 
 
 def _judged(
-    structure: Structure, energy: Energy, end: Ended, restraint: Force, mobile: NDArray[np.bool_]
+    structure: Structure, known: LastKnown, end: Ended, restraint: Force, mobile: NDArray[np.bool_]
 ) -> tuple[float, float]:
     """Energy without springs, kJ/mol, and RMS force with them, kJ/mol/nm."""
+    energy = known.energy
     judge = _judge(energy)
-    value, forces = judge(end.x) if judge is energy else answering(lambda: judge(end.x))
+    value, forces = known(end.x) if judge is energy else answering(lambda: judge(end.x))
     space = Cartesian(structure, mobile)
     if isinstance(energy, NativeEnergy):
         energy.note_error(end.x, forces)

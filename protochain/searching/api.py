@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import pickle
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -47,6 +48,8 @@ _POLL = 0.2
 """s between looks whether there was an interrupt."""
 _LONG = 600.0
 """s. Time for a piece, of which a single step may take long."""
+_SHARED = ".search-"
+"""How the name begins of the folder of what all processes need."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +115,7 @@ def search(
         Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: 200,000,
         without end if ``hours`` are given.
     hours : float, optional
-        Time after which the search ends.
+        Time after which the search ends, but not before one walk has begun.
     temperatures : (float, float) or str, K
         Lowest and highest, as ``"300-600"``. Hopping takes the lowest, csa none.
     n_walkers : int
@@ -162,12 +165,16 @@ def search(
         walks = _Walks(landscape, settings, folder, running)
         began = perf_counter()
         interrupted = _work(walks, running, processes, watch)
-        if all(state is None for state in walks.states):
+        if not walks.have_begun:
             raise KeyboardInterrupt
         found = Search(
             landscape, settings, tuple(walks.states), tuple(map(Finding.joined, walks.found)),
             perf_counter() - began, interrupted,
         )  # fmt: skip
+        if not len(found.q):
+            raise ProtochainError(
+                f"{chain.structure.name}: no descent ended at a finite energy; give another start or energy"
+            )
         if folder is not None:
             with held_interrupts():
                 found.save(folder)
@@ -229,6 +236,7 @@ class _Walks:
             "hinges": landscape.chain.opened,
             "move": landscape.chain.move,
             "engine": landscape.energy.engine,
+            "double_precision": landscape.energy.is_exact,
             "system": landscape.energy.fingerprint,
             "start": hashlib.sha256(landscape.chain.structure.positions.tobytes()).hexdigest(),
         }
@@ -267,6 +275,11 @@ class _Walks:
         self.found[walker].append(found)
         self.n_pieces[walker] += 1
 
+    @property
+    def have_begun(self) -> bool:
+        """Whether there is anything to tell of."""
+        return any(state is not None for state in self.states)
+
     def wants(self, walker: int, budget: float) -> bool:
         """Whether a walker has evaluations left."""
         state = self.states[walker]
@@ -298,14 +311,14 @@ def _work(
 
     def take(walker: int, state: Any, found: Finding) -> None:
         walks.take(walker, state, found)
-        if watch and any(each is not None for each in walks.states):
+        if watch and walks.have_begun:
             watch(walks.progress(running.budget, (perf_counter() - began) / seconds))
 
     with held_interrupts() as interrupts:
         if processes is None:
             while wanting := [k for k in range(len(walks.states)) if walks.wants(k, share)]:
                 for walker in wanting:
-                    if left() <= 0.0:
+                    if left() <= 0.0 and walks.have_begun:
                         return False
                     span = min(SECONDS, left())
                     take(
@@ -341,7 +354,8 @@ def _hand_out(
     failures = [0] * len(walks.states)
     while True:
         for walker in range(len(walks.states)):
-            if walker not in running and walks.wants(walker, share) and left() > 0.0:
+            has_time = left() > 0.0 or not (running or walks.have_begun)
+            if walker not in running and walks.wants(walker, share) and has_time:
                 piece = Piece(task, walker, walks.states[walker], share)
                 future = crew.submit(supervise, piece, task.parent, processes.threads, processes.time_limit)
                 running[walker] = future  # Dask gives up what nobody holds.
@@ -374,7 +388,15 @@ def _hand_out(
 @contextmanager
 def _shared(landscape: Landscape, methods: Sequence[Method], folder: Path | None) -> Iterator[Path]:
     """File of what all processes need, for as long as they do."""
-    with tempfile.TemporaryDirectory(prefix=".search-", dir=folder) as own:
+    for left in folder.glob(f"{_SHARED}*") if folder is not None else ():
+        shutil.rmtree(left, ignore_errors=True)  # by a search that was killed
+    with tempfile.TemporaryDirectory(prefix=_SHARED, dir=folder) as own:
         task = Path(own).absolute() / "task.pickle"
-        task.write_bytes(pickle.dumps((landscape, tuple(methods))))
+        try:
+            task.write_bytes(pickle.dumps((landscape, tuple(methods))))
+        except (pickle.PicklingError, AttributeError, TypeError):
+            raise ProtochainError(
+                Argument("energy"), ": cannot be sent to processes; define it in a module, or leave out ",
+                Argument("workers"),
+            ) from None  # fmt: skip
         yield task

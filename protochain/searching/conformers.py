@@ -18,10 +18,11 @@ J. Phys. Chem. B 113:9004, 2009)."""
 
 def backbone(chain: Chain, q: Floats) -> tuple[Floats, Floats]:
     """Phi and psi, degrees, (..., r) of the residues between others, at torsions (..., n)."""
-    residues = [each for each in Moves.of(chain).residues if each.psi != NONE and not each.is_last]
+    residues = [each for each in Moves.of(chain).residues if each.psi != NONE]
+    residues = [each for each in residues if not (each.is_first or each.is_last)]
     residues = [each for each in residues if each.phi != NONE or each.name == "PRO"]
     phi = [
-        np.rad2deg(q[..., each.phi]) if each.phi != NONE else np.full(q.shape[:-1], PROLINE_PHI)
+        np.rad2deg(q[..., each.phi]) if each.phi != NONE else np.full(q.shape[:-1], each.hand * PROLINE_PHI)
         for each in residues
     ]
     psi = [np.rad2deg(q[..., each.psi]) for each in residues]

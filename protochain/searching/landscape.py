@@ -11,7 +11,7 @@ import numpy as np
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
 from protochain.core.arrays import Floats, Value
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, ProtochainError
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import (
     HybridMonteCarlo,
@@ -28,7 +28,7 @@ from protochain.dynamics import (
 from protochain.energies import Energy
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.loop import run as descend
-from protochain.minimisers.problem import Problem
+from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import PATIENCE
@@ -99,8 +99,9 @@ class Landscape(Value):
         )
         if np.sum(fixed.tree.parent < 0) != 1 or chain.structure.obstacle.any():
             raise ProtochainError(
-                f"{name}: a search turns the bonds of one chain; give one, as chains='A', keep='none'"
-            )
+                f"{name}: a search turns the bonds of one chain; give one, as by ", Argument("chains", "A"),
+                " and ", Argument("keep", "none"),
+            )  # fmt: skip
         if not fixed.n_v:
             raise ProtochainError(f"{name}: no bond turns with hinges {chain.opened!r}; open more of them")
         return cls(fixed, energy)
@@ -137,7 +138,15 @@ class Landscape(Value):
         best = problem.best
         if best is None or not best.is_finite:
             return Descended(q, np.inf, problem.n_evaluations)
-        return Descended(_wrapped(best.q), best.energy, problem.n_evaluations)
+        return Descended(_wrapped(best.q), self._judged(best), problem.n_evaluations)
+
+    def _judged(self, best: Evaluation) -> float:
+        """Energy of the end of a descent in double precision, kJ/mol."""
+        if self.energy.is_exact:
+            return best.energy
+        judge = self.energy.reference
+        judge.list_at(best.pose.x)
+        return judge(best.pose.x)[0]
 
     def sweep(self, q: Floats, temperature: float, time_step: float, n_trajectories: int, seed: int) -> Swept:
         """Sample torsions from exp(-E/kT) by trajectories with Fixman's potential.

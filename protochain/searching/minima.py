@@ -1,6 +1,9 @@
 """Minima that a search found: which are the same, which are alike, and how free they are."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -10,6 +13,9 @@ from protochain.chain import Chain
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import MOLAR_GAS
 from protochain.structure.superpose import rmsd_angstrom
+
+if TYPE_CHECKING:
+    from protochain.hinges import Hinge
 
 SAME_ENERGY, SAME_TORSION = 0.5, 0.2
 """kJ/mol, and rad of the torsion that differs most, within which two minima are one: a descent ends where
@@ -30,9 +36,18 @@ def periods(chain: Chain) -> Floats:
     for hinge, coordinate in zip(chain.hinges, chain.tree.q_start[chain.hinge_body], strict=True):
         # psi of the last residue turns a carboxylate.
         of_carboxylate = hinge.kind == "psi" and chain.structure.atom_name[hinge.atoms[3]] == "O"
-        if of_carboxylate or (hinge.residue_name, hinge.kind) in HALF_TURNS:
+        is_half = (hinge.residue_name, hinge.kind) in HALF_TURNS and not _is_acid(chain, hinge)
+        if of_carboxylate or is_half:
             period[coordinate] = np.pi
     return period
+
+
+def _is_acid(chain: Chain, hinge: Hinge) -> bool:
+    """Whether the hinge is in a side chain whose carboxyl group has its hydrogen."""
+    structure = chain.structure
+    its = structure.atom_residue == structure.atom_residue[hinge.atoms[1]]
+    hydrogens = {"ASP": {"HD1", "HD2"}, "GLU": {"HE1", "HE2"}}.get(hinge.residue_name, set())
+    return not hydrogens.isdisjoint(structure.atom_name[its].tolist())
 
 
 def farthest(q: Floats, other: Floats, period: Floats) -> Floats:

@@ -44,6 +44,8 @@ class Residue:
         ``NONE`` where it does not turn.
     chi : tuple of int
         From chi1 outwards, as far as they turn.
+    is_first : bool
+        Whether it has no phi, as nothing is before it.
     is_last : bool
         Whether psi is that of a carboxylate, by its first oxygen.
     """
@@ -54,6 +56,7 @@ class Residue:
     phi: int = NONE
     psi: int = NONE
     chi: tuple[int, ...] = ()
+    is_first: bool = False
     is_last: bool = False
 
     @property
@@ -106,7 +109,7 @@ class Moves(Value):
             hand = -1.0 if structure.mirrored[r] else 1.0
             own = its.get("phi", NONE), its.get("psi", NONE)
             last = r in last_ones
-            residues.append(Residue(names[r], _class(names[r], after), hand, *own, tuple(chi), last))
+            residues.append(Residue(names[r], _class(names[r], after), hand, *own, tuple(chi), r == 0, last))
         flips = tuple(
             (its["psi"], by_residue[r + 1]["phi"])
             for r, its in sorted(by_residue.items())

@@ -13,6 +13,8 @@ from protochain.analysis.hessian import hessian
 from protochain.articulate import build_chain, transferred
 from protochain.chain import log_det_mass, pose
 from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.checks import integer
+from protochain.core.errors import refused
 from protochain.core.units import MOLAR_GAS
 from protochain.energies import Energy
 from protochain.searching import conformers
@@ -108,6 +110,9 @@ class Search(Value):
         """Structure of a minimum, numbered from 1, superposed on the lowest."""
         from protochain.results.viewer import superposed
 
+        number = integer(number, "number")
+        if not 1 <= number <= len(self.q):
+            raise refused("number", number, f"give 1 to {len(self.q)}")
         lowest, its = (
             self.chain.structure.with_positions(pose(self.chain, self.q[k]).x) for k in (0, number - 1)
         )
@@ -157,14 +162,19 @@ class Search(Value):
         return free_energy(energy, second, temperature), free_energy(energy, second, temperature, mass)
 
     @cached_property
+    def _sampled(self) -> list[tuple[Any, Floats]]:
+        """State and samples (k, r, n + 1) of each walk of replicas that has any; others are in the pilot."""
+        walks = zip(self.states, self.findings, strict=True)
+        return [(state, each.samples) for state, each in walks if len(each.samples) > 1 / WARM_UP]
+
+    @property
     def _samples(self) -> list[Floats]:
-        """Samples (k, r, n + 1) of each walk of replicas that has any."""
-        return [each.samples for each in self.findings if len(each.samples) > 1 / WARM_UP]
+        return [samples for _, samples in self._sampled]
 
     @property
     def temperatures(self) -> Floats:
         """(r,) float, K: where the pilot has placed the replicas; empty without any."""
-        return self.states[0].temperatures if self._samples else np.empty(0)
+        return self._sampled[0][0].temperatures if self._sampled else np.empty(0)
 
     @cached_property
     def populations(self) -> pd.DataFrame:
@@ -176,7 +186,7 @@ class Search(Value):
         import pandas as pd
 
         rows = []
-        known = [state for state in self.states if state is not None] if self._samples else []
+        known = [state for state, _ in self._sampled]
         odds, rounds = sum(state.odds for state in known), sum(state.n_counted for state in known)
         for k, temperature in enumerate(self.temperatures):
             energy = mean_and_error([each[:, k, 0] for each in self._samples])
@@ -242,7 +252,7 @@ class Search(Value):
             "evaluations": self.n_evaluations,
             "steps": sum(state.n_done for state in known),
             "acceptance": sum(state.acceptance for state in known) / len(known),
-            "round_trips": sum(state.n_trips for state in known) if self._samples else None,
+            "round_trips": sum(state.n_trips for state, _ in self._sampled) if self._sampled else None,
             "seconds": self.seconds,
             "interrupted": self.interrupted,
             **its,
@@ -254,6 +264,7 @@ class Search(Value):
             "forcefield": self.energy_function.forcefield,
             "solvent": self.energy_function.solvent,
             "engine": self.energy_function.engine,
+            "engine_reason": self.energy_function.reason,
             **of_run("openmm", "numpy", "scipy", "numba"),
         }
 

@@ -36,6 +36,7 @@ def test_a_sequence_and_its_file_find_the_same(tmp_path, monkeypatch, capsys):
         (("search", "AAA", "--method", "luck"), "choose from csa"),
         (("search", "AAA", "--resume"), "holds no search to resume"),
         (("search", "A" * 300, "--resume", "-o", "long"), "holds no search to resume"),
+        (("search", "AAA", "--workers", "0"), "workers 0"),
     ],
 )
 def test_bad_input_is_one_clear_line(words, said, tmp_path, monkeypatch):

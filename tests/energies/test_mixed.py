@@ -79,12 +79,23 @@ def test_rigid_groups_and_a_tree_keep_the_precision():
         - pc.pull_back(chain, pc.pose(chain, chain.q0), double(s.positions)[1])[None]
     )
     assert mixed.without_constants(*given).mixed
+    assert mixed.without_constants(*given).errors == mixed.errors != ()
     assert 0.0 < off < 10.0 * MIXED * np.sqrt(s.n_atoms)
     large = load("1ake.pdb.gz")
     tree = pc.energy(large, accuracy=2e-3, precision="mixed")
     assert tree.opening is not None and tree.mixed and tree.errors[0] <= 2e-3
     off = rms(tree(large.positions)[1] - tree.exact(large.positions)[1])
     assert off == pytest.approx(tree.errors[0], rel=1e-6)
+    its = pc.energy(large, accuracy=2e-3).by_tree(tree.opening)(large.positions)[1]
+    assert 0.0 < rms(tree(large.positions)[1] - its) < MIXED
+
+
+@pytest.mark.parametrize("solvent", SOLVENTS)
+def test_with_a_cutoff_all_is_in_double(solvent):
+    s = load("1hel.pdb")
+    mixed, double = pair(s, solvent, accuracy="auto", cutoff=1.2)
+    assert mixed.parts(s.positions)[0] == double.parts(s.positions)[0]
+    assert np.array_equal(mixed(s.positions)[1], double(s.positions)[1])
 
 
 def test_what_judges_is_in_double():
@@ -124,3 +135,15 @@ def test_what_cannot_be_mixed_is_said():
         pc.energy(s, precision="half")
     with pytest.raises(ProtochainError, match=r"precision=\"mixed\" is of the native engine"):
         pc.energy(s, engine="openmm", precision="mixed")
+
+
+def test_a_run_goes_on_in_the_precision_in_which_it_began(tmp_path):
+    s = load("ala10.pdb")
+    mixed, double = pair(s, "vacuum")
+    its = {"method": "lbfgs", "max_evaluations": 9}
+    pc.minimise(s, double, **its, checkpoint=tmp_path / "run.npz")
+    with pytest.raises(ProtochainError, match="double_precision True, not False"):
+        pc.minimise(s, mixed, **its, resume=tmp_path / "run.npz")
+    pc.simulate(s, double, n_steps=20, every=10, output=tmp_path / "run")
+    with pytest.raises(ProtochainError, match="double_precision True, not False"):
+        pc.simulate(s, mixed, n_steps=40, every=10, output=tmp_path / "run", resume=True)

@@ -30,6 +30,18 @@ def test_half_turns_of_what_is_symmetrical_change_nothing():
         assert (rise < SAME_ENERGY) == ((hinge.residue_name, hinge.kind) in half), hinge
 
 
+def test_a_carboxyl_group_with_its_hydrogen_is_not_symmetrical(tmp_path):
+    without = pc.from_sequence("GDEG")
+    pc.save(without, tmp_path / "acids.pdb")
+    lines = (tmp_path / "acids.pdb").read_text().splitlines()
+    (tmp_path / "acids.pdb").write_text("\n".join(each for each in lines if each[76:78] != " H"))
+    for ph, half in ((7.0, {"chi2", "chi3", "psi"}), (2.0, {"psi"})):
+        chain = pc.build_chain(pc.load(tmp_path / "acids.pdb", ph=ph), root="fixed")
+        own = periods(chain)[chain.tree.q_start[chain.hinge_body]]
+        found = {h.kind for h, its in zip(chain.hinges, own, strict=True) if its == np.pi}
+        assert found == half
+
+
 def test_minima_are_told_apart_by_torsions_and_energy():
     period = np.array([2 * np.pi, np.pi])
     q = np.array([[0.0, 0.0], [3.1, 0.1], [-3.1, 0.1 + np.pi], [0.0, 1.0], [0.05, 0.0], [0.0, 0.0]])

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import protochain as pc
+from protochain.searching.conformers import backbone
 from protochain.searching.moves import NONE, Moves, anywhere, crossed, moved
 from protochain.structure.sidechains.rotamers import rotamers
+from protochain.validation.layout import peptides
 from protochain.validation.ramachandran import FAVOURED, score
 
 
@@ -150,3 +152,12 @@ def test_a_crossing_has_every_torsion_from_one_of_two_and_keeps_together_what_be
             assert where == set().union(*(whole[k] for k in its))
             assert its == list(range(its[0], its[-1] + 1)) and len(its) <= len(whole) // 2
     assert seen == {"part", "few", "stretch"}
+
+
+def test_conformers_name_the_residues_between_others():
+    for sequence in ("AAAA", "PPPP", "PAPA", "AGPA"):
+        chain, _ = moves_of(sequence)
+        phi, psi = backbone(chain, chain.q0)
+        expected, its_psi, _ = peptides(chain.structure, chain.structure.positions)
+        assert psi == pytest.approx(its_psi[1:-1], abs=1e-6)
+        assert phi == pytest.approx(expected[1:-1], abs=1e-6)

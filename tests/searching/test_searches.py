@@ -298,5 +298,79 @@ def test_folders_are_neither_replaced_nor_continued_by_mistake(peptide, tmp_path
 
 def test_only_one_chain_by_itself_is_searched():
     two = pc.load("structures/3i40.pdb")
-    with pytest.raises(pc.ProtochainError, match="one chain"):
+    with pytest.raises(pc.ProtochainError, match=r"one chain.*chains=\"A\" and keep=\"none\""):
         pc.search(two, evaluations=10)
+
+
+def test_numbers_of_minima_are_those_found(whole):
+    found = whole["hopping"]
+    for number in (0, -1, len(found.q) + 1, 1.5):
+        with pytest.raises(pc.ProtochainError, match="number"):
+            found.structure(number)
+
+
+def test_energies_of_a_caller_are_searched_or_refused(peptide):
+    chain, energy = peptide
+    with pytest.raises(pc.ProtochainError, match="cannot be sent to processes"):
+        pc.search(chain, lambda x: energy(x), "hopping", 60, n_walkers=1, workers=1)
+    with pytest.raises(pc.ProtochainError, match="no descent ended at a finite energy"):
+        pc.search(chain, lambda x: (np.nan, np.nan * x), "hopping", 60, n_walkers=1)
+
+
+def test_a_dipeptide_has_no_residue_between_others(tmp_path):
+    found = pc.search(pc.from_sequence("AG"), method="tempering", evaluations=8000, n_walkers=1, n_replicas=2)
+    found.save(tmp_path)
+    assert set(found.minima["conformer"]) == {""} and found.minima["helix_share"].isna().all()
+    assert found.conformers["share"].tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize("workers", [None, 1])
+def test_however_short_the_time_a_walk_begins(workers, peptide):
+    found = pc.search(*peptide, "hopping", hours=1e-12, workers=workers, **SMALL)
+    assert not found.interrupted and sum(state is not None for state in found.states) == 1
+    assert len(found.minima) >= 1
+
+
+def test_what_a_killed_search_has_left_is_removed(peptide, tmp_path):
+    (tmp_path / ".search-killed").mkdir()
+    (tmp_path / ".search-killed" / "task.pickle").write_bytes(b"")
+    pc.search(*peptide, "hopping", 100, output=tmp_path, workers=1, n_walkers=1)
+    assert not list(tmp_path.glob(".search-*"))
+
+
+def test_populations_are_of_walks_whose_pilot_is_over(whole):
+    found = whole["tempering"]
+    pilot, nothing = api.method_of(found.settings, 0).begin(found.landscape)
+    for state in (None, pilot):
+        late = replace(found, states=(state, found.states[1]), findings=(nothing, found.findings[1]))
+        assert np.array_equal(late.temperatures, found.states[1].temperatures)
+        expected = found.states[1].odds / found.states[1].n_counted
+        assert late.populations["exchanges"][0] == pytest.approx(expected[0])
+    with_three = replace(pilot, temperatures=np.array([300.0, 400.0]))
+    late = replace(found, states=(with_three, found.states[1]), findings=(nothing, found.findings[1]))
+    assert late.populations["temperature_k"].tolist() == [300.0, 600.0]
+
+
+@pytest.mark.parametrize("engine", ["native", "openmm"])
+def test_energies_of_minima_are_in_double_precision(engine):
+    structure = pc.from_sequence("KEKEKE")
+    double = pc.energy(structure, threads=1)
+    energy = (
+        pc.energy(structure, engine="openmm", threads=1)
+        if engine == "openmm"
+        else pc.energy(structure, precision="mixed", threads=1)
+    )
+    found = pc.search(structure, energy, "hopping", 400, n_walkers=1)
+    for q, value in zip(found.q, found.energies, strict=True):
+        x = pc.pose(found.chain, q).x
+        assert double.reference(x)[0] == pytest.approx(value, rel=1e-9)
+        assert energy(x)[0] != pytest.approx(value, rel=1e-9)
+
+
+def test_a_search_goes_on_in_the_precision_in_which_it_began(peptide, tmp_path):
+    chain = peptide[0]
+    mixed = pc.energy(chain.structure, solvent="vacuum", precision="mixed", threads=1)
+    first = pc.search(chain, mixed, "hopping", 100, output=tmp_path, n_walkers=1)
+    assert "mixed precision" in first.record()["engine_reason"]
+    with pytest.raises(pc.ProtochainError, match="double_precision False, not True"):
+        pc.search(*peptide, "hopping", 200, output=tmp_path, n_walkers=1, resume=True)

@@ -307,6 +307,7 @@ class NativeEnergy:
         less._lists, less._all = its, (self._layout, mine, its, x)
         left_out["close pairs"] = len(mine.close) - len(its.close)
         less.left_out = MappingProxyType({kind: n for kind, n in left_out.items() if n})
+        less.errors = self.errors
         return less
 
     @cached_property
