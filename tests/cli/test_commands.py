@@ -85,7 +85,8 @@ COMMANDS = {
     "search": {
         "source": None, **OUTPUT, "workers": None, "scheduler": None, "method": "csa",
         "temperatures": None, "n_walkers": 4, "n_replicas": 6, "pilot": 120, "seed": 0,
-        "evaluations": None, "hours": None, "resume": False, "force": False, **AS_JSON, **{k: v for k, v in SETUP.items() if k != "threads"},
+        "evaluations": None, "hours": None, "resume": False, "force": False, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k != "threads"},
     },
     "modes": {
         "source": None, **OUTPUT, "modes": 20, "to": None, "method": "auto", "temperature": 300.0,
