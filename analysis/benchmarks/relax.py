@@ -201,7 +201,9 @@ def stem_of(model: Path) -> str:
 
 
 def place_of(scratch: Path, way: str, repeat: int, model: Path) -> Path:
-    return scratch / way / str(repeat) / f"{stem_of(model)}.pdb"
+    """OpenMM's protocol writes PDB; ours the format of the model, whose names may not fit a PDB file."""
+    suffix = ".cif" if ".cif" in model.name and way != "openmm" else ".pdb"
+    return scratch / way / str(repeat) / f"{stem_of(model)}{suffix}"
 
 
 def _of_way(way: str, runs: list[Run], ends: list[dict[str, object]]) -> dict[str, object]:
