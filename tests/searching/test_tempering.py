@@ -5,6 +5,7 @@ import pytest
 
 import protochain as pc
 from protochain.core.units import MOLAR_GAS
+from protochain.searching.ladder import geometric
 from protochain.searching.landscape import Landscape
 from protochain.searching.pieces import advance
 from protochain.searching.statistics import mean_and_error
@@ -28,7 +29,7 @@ def two_hinges():
 
 def test_replicas_of_two_hinges_agree_with_quadrature(two_hinges):
     landscape, at, grid = two_hinges
-    method = Replicas((300.0, 600.0), 2, 120, 1, 0)
+    method = Replicas((300.0, 600.0), 2, 100, 1, 0)
     state, found = advance(landscape, method, None, 15_000, np.inf)
     samples = found.samples
     assert len(samples) == state.n_done - method.pilot > 200
@@ -46,6 +47,32 @@ def test_replicas_of_two_hinges_agree_with_quadrature(two_hinges):
             mean, error = mean_and_error([series])
             assert error < wide
             assert abs(mean - np.sum(weight * value)) < WITHIN * error, (temperature, name)
+
+
+def accepted_exchanges(grid, temperatures):
+    """Mean acceptance across each pair of neighbours, by quadrature."""
+    energy, beta = grid.ravel(), 1.0 / (MOLAR_GAS * temperatures)
+    weights = np.exp(-np.outer(beta, energy - energy.min()))
+    weights /= weights.sum(axis=1, keepdims=True)
+    return [
+        one @ np.exp(np.minimum(0.0, rise * (energy - energy[:, None]))) @ other
+        for one, other, rise in zip(weights[:-1], weights[1:], np.diff(beta), strict=True)
+    ]
+
+
+def test_a_pilot_places_temperatures_for_equal_exchanges_and_then_they_stay(two_hinges):
+    landscape, _, grid = two_hinges
+    method, placed = Replicas((200.0, 5000.0), 4, 301, 1, 0), []
+    state, _ = method.begin(landscape)
+    while state.n_done < method.pilot + 10:
+        before = state.temperatures
+        state, _ = method.step(landscape, state)
+        if not np.array_equal(state.temperatures, before):
+            placed.append(state.n_done)
+    assert placed == [100, 200] and state.n_counted == 10
+    assert state.temperatures[[0, -1]] == pytest.approx([200.0, 5000.0])
+    assert np.ptp(accepted_exchanges(grid, geometric(200.0, 5000.0, 4))) > 0.25
+    assert np.ptp(accepted_exchanges(grid, state.temperatures)) < 0.15
 
 
 def test_transitions_are_as_frequent_forth_as_back(two_hinges):
