@@ -132,8 +132,8 @@ def energy(
         by ``reason``. ``exact``: all pairs one by one. ``auto``: 1e-3 where that is quicker, by size.
     precision : str
         ``double``, or ``mixed``: pairs that are far enough for it in single precision by the native engine,
-        in two thirds to four fifths of the time, forces right to 1e-4 kJ/mol/nm RMS. What judges an end, and
-        the last steps to it, are in double precision. With a cutoff it saves nothing.
+        in two thirds to four fifths of the time, forces right to some 1e-4 kJ/mol/nm RMS. What judges an end,
+        and the last steps to it, are in double precision. With a cutoff it saves nothing.
     system : openmm.System, optional
         System to use instead of building one; copied, so that later changes do not affect a run.
     threads : int, optional
