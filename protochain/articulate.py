@@ -45,7 +45,9 @@ def build_chain(
     root : str
         ``fixed``, ``free``, or ``auto``: free if there are several chains, which then move relative to one
         another, as do molecules beside them that the force field has parameters for; beside obstacles the
-        largest chain stays in place. A chain with atoms outside the selection is always fixed.
+        largest chain stays in place. What moves masses (``md``, ``anneal``, ``kcm-metric``, ``fire``,
+        ``quench``, simulations, modes) frees what ``auto`` has fixed: a fixed body has infinite mass. A chain
+        with atoms outside the selection is always fixed.
     move : str
         Selection of mobile residues or atoms, in the selection language of MDAnalysis: a hinge turns if the
         third atom of its dihedral is selected (``resid 5:20``: all dihedrals of these residues;
@@ -149,6 +151,18 @@ def as_chain(source: Any) -> Chain:
         return build_chain(structure)
     mass = own.hydrogen_mass
     return build_chain(structure, own.opened, own.root, move=own.move, hydrogen_mass=mass)
+
+
+def with_free_root(chain: Chain, hydrogen_mass: float | None = None) -> Chain:
+    """Chain whose roots are free unless ``fixed`` was asked for, as they are where motion has masses.
+
+    Hydrogens have the chain's mass, or the one given.
+    """
+    mass = chain.hydrogen_mass if hydrogen_mass is None else hydrogen_mass
+    if chain.root != "auto" and mass == chain.hydrogen_mass:
+        return chain
+    root = "free" if chain.root == "auto" else chain.root
+    return build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)
 
 
 def transferred(chain: Chain, made: Chain, q: Floats) -> Floats:

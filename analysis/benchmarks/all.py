@@ -95,7 +95,8 @@ LARGER = " ".join(
     )
 )  # fmt: skip
 STARTED = " ".join(
-    f"structures/{name}.pdb" for name in ("1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")
+    [*(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "1ejg", "4pti", "1ubq")), SMALL]
+    + [f"MORE/{name}" for name in ("1ajj_ldlr.pdb", "1bx8_hirustasin.pdb", "1orc_icode.pdb")]
 )
 ENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y", "1vii", "1ejg", "3i40"))
 RACED = " ".join(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "3i40", "4pti", "1ubq", "1hel"))
@@ -199,14 +200,14 @@ JOBS = (
         writes="compliance_angles compliance_evaluations compliance_starts",
     ),
     Job(
-        "runs-kcm", f"protochain bench kcm {STARTED} {SMALL} -o DIR --jobs 2 --minutes 240", 240,
+        "runs-kcm", f"protochain bench kcm {STARTED} -o DIR --jobs 2 --minutes 120", 120,
         "protochain bench kcm --quick -o DIR",
         {"runs.csv": ("kcm_runs.csv", ()), "traces.csv": ("kcm_traces.csv", ())}, continues=True,
     ),
     Job(
         "kcm", f"protochain bench kcm {KCM_RUNS} -o DIR --minutes 0", 1,
         f"protochain bench kcm {KCM_RUNS} -o DIR --minutes 0",
-        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "cost", "deposited")}
+        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "proteins", "cost", "deposited")}
         | {"kcm.png": ("kcm.png", ())},
         after="runs-kcm",
     ),

@@ -24,7 +24,7 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, lobp
 from protochain.analysis.hessian import Torques, torques_at
 from protochain.analysis.modes import NormalModes
 from protochain.analysis.pair_hessian import applies
-from protochain.articulate import as_chain, build_chain, transferred
+from protochain.articulate import as_chain, transferred, with_free_root
 from protochain.chain import Chain, Pose, mass_matrix, pose
 from protochain.core.arrays import Floats, floats, read_only
 from protochain.core.checks import at_least, checked, text
@@ -236,11 +236,7 @@ def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:
 
 def _freed(chain: Chain, q: Floats) -> tuple[Chain, Floats]:
     """Chain with free roots, and its coordinates, where ``auto`` has fixed one."""
-    if chain.root != "auto":
-        return chain, q
-    made = build_chain(
-        chain.structure, chain.opened, "free", move=chain.move, hydrogen_mass=chain.hydrogen_mass
-    )
+    made = with_free_root(chain)
     return made, transferred(chain, made, q)
 
 

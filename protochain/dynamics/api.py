@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.articulate import as_chain, build_chain, transferred
+from protochain.articulate import as_chain, transferred, with_free_root
 from protochain.chain import Chain, place_atoms
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats
@@ -242,9 +242,7 @@ def freed(chain: Chain, settings: SimulationSettings) -> Chain:
     ProtochainError
         If it has not what is to be pulled, or no hinges for springs.
     """
-    root = "free" if chain.root == "auto" else chain.root
-    mass = settings.hydrogen_mass if settings.hydrogen_mass is not None else chain.hydrogen_mass
-    made = build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)
+    made = with_free_root(chain, settings.hydrogen_mass)
     if settings.pull is not None:
         check_pull(settings.pull, made)
     for spring in settings.hinge_springs:

@@ -64,7 +64,9 @@ def minimise(
     Parameters
     ----------
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        A file is loaded, a structure cut into a chain with the default hinges.
+        A file is loaded, a structure cut into a chain with the default hinges. Methods that move masses
+        (``md``, ``anneal``, ``kcm-metric``, ``fire``, ``quench``) free a root that ``auto`` has fixed: then
+        ``chain`` of the result is the freed one, to which its ``q`` belongs.
     energy : Energy or callable, optional
         Default: that of :func:`protochain.energy`. A callable takes positions (na, 3) in nm to energy in
         kJ/mol and forces (na, 3) in kJ/mol/nm, and judges the result too.
@@ -190,6 +192,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
 def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None) -> Solution:
     """Minimise from a start that other runs may share."""
     run.recipe.check(start.energy)
+    start = start.of(run.recipe)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with threadpool_limits(1, "blas"):
         with open_to_interrupts():

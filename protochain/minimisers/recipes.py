@@ -160,6 +160,15 @@ class Recipe:
         named = [getattr(run.method, "states", ()) for run in self.runs]
         return tuple(state for states in named for state in states) if all(named) else ()
 
+    @property
+    def moves_masses(self) -> bool:
+        """Whether bodies move in proportion to their masses: a fixed root would be one of infinite mass."""
+        methods: list[Any] = [run.method for run in self.runs]
+        metrics = [getattr(getattr(each, "direction", each), "metric", None) for each in methods]
+        return any(isinstance(each, Annealing) for each in methods) or any(
+            isinstance(each, Mass) for each in metrics
+        )
+
     def repeats_exactly(self, energy: Energy) -> bool:
         """Whether runs from one start are equal bit for bit.
 

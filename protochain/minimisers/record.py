@@ -40,6 +40,7 @@ COLUMNS = (
     Column("n_atoms_moving", lambda s: _n_moving(s)),
     *of_energy(),
     Column("hinges", lambda s: s.chain.opened),
+    Column("root", lambda s: s.chain.root),
     Column("tolerance", lambda s: s.tolerance),
     Column("tolerance_unit", lambda s: "kJ/mol/rad" if s.keeps_geometry else "kJ/mol/nm"),
     Column("move", lambda s: s.chain.move),

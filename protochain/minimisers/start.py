@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from protochain.articulate import with_free_root
 from protochain.chain import Chain, Pose, pose
 from protochain.energies.protocol import Energy
 from protochain.minimisers.curvature import near_terms
@@ -43,6 +44,15 @@ class Start:
     def judgement(self) -> Judgement:
         """Energy and residuals of the start in double precision."""
         return judge(self.chain, self.energy, self.pose)
+
+    def of(self, recipe: Recipe) -> "Start":
+        """Start of a method: of one that moves masses, a root that ``auto`` has fixed is free."""
+        moves = recipe.moves_masses and self.chain.root == "auto"
+        return self._with_free_root if moves else self
+
+    @cached_property
+    def _with_free_root(self) -> "Start":
+        return Start(with_free_root(self.chain), self.energy)
 
     @property
     def _spaces(self) -> tuple[Torsions, Cartesian]:

@@ -1,16 +1,19 @@
 """Starts and methods of the study of KCM against dynamics, and one run: a row of the study's table.
 
-All methods of a case start from one chain, and none parts overlaps: those that a perturbation makes are
-parted before. A run goes on in legs, each to twice the evaluations of the one before, with the state that it
-has. After each its end is polished by ``lbfgs`` in the same torsions, off saddle points. A run is finished if
-no more than ``LEFT`` kJ/mol, kinetic energy included, is left to the polished end, and if the leg before led
-there too: so its continuation, by as many evaluations again, has been looked at.
+All methods of a case start from the same positions, and none resolves clashes: those that a perturbation
+makes are resolved before. A root is free where masses move, since a fixed one is a body of infinite mass;
+methods called ``-fixed`` have such a root, and differ in nothing else. A run goes on in legs, each to twice
+the evaluations of the one before, with the state that it has. After each its end is polished by ``lbfgs`` in
+the same torsions, off saddle points. A run is finished if no more than ``LEFT`` kJ/mol, kinetic energy
+included, is left to the polished end, and if the leg before led there too: so its continuation, by as many
+evaluations again, has been looked at.
 """
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -18,7 +21,7 @@ from typing import Any
 import gemmi
 import numpy as np
 
-from protochain.articulate import build_chain
+from protochain.articulate import as_chain, build_chain
 from protochain.chain import Chain, pose
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError, StrayWarning
@@ -27,13 +30,15 @@ from protochain.mechanics import multibody
 from protochain.minimisers import RECIPES, Recipe, Run, Solution, Status
 from protochain.minimisers.annealing import Annealing, AnnealingState
 from protochain.minimisers.api import Minimisation, minimise_from
+from protochain.minimisers.kcm import Proportional
 from protochain.minimisers.loop import Ending, Snapshot, Stop, run
 from protochain.minimisers.problem import Evaluation, Problem, Tally
-from protochain.minimisers.recipes import ANGLE, at_angle
+from protochain.minimisers.recipes import at_angle
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.start import Start
 from protochain.minimisers.starts import perturbed
 from protochain.structure import Structure, from_sequence, load
+from protochain.structure.residues import CHI, SYMMETRIC
 from protochain.structure.superpose import rmsd_angstrom
 
 PEPTIDES = {
@@ -44,30 +49,29 @@ PEPTIDES = {
     "bradykinin": "RPPGFSPFR", "dynorphin-1-8": "YGGFLRRI", "dsip": "WAGGDASGE",
 }  # fmt: skip
 """Sequences, without disulfides; all but the first three were chosen before anything ran on them."""
-MODELS = ("phi psi", "phi psi chi")
-"""Backbone alone, with rigid side chains, and with side chains that turn."""
+MODELS = ("phi psi chi", "phi psi")
+"""Side chains that turn, and the backbone alone, with rigid side chains."""
 ENERGIES: Mapping[str, Mapping[str, Any]] = {
-    "vacuum": {"solvent": "vacuum"}, "obc2": {"solvent": "obc2"},
+    "obc2": {"solvent": "obc2"}, "vacuum": {"solvent": "vacuum"},
     "nonbonded": {"solvent": "vacuum", "terms": "nonbonded"},
 }  # fmt: skip
-"""ff14SB without and with solvent, and its electrostatics and van der Waals alone, as of ProtoFold."""
-N_STARTS = 5
+"""ff14SB with and without solvent, and its electrostatics and van der Waals alone, as of ProtoFold."""
+N_STARTS = 2
 """Perturbed starts of each kind, beside the one that is not."""
-N_STARTS_TINY = 7
-"""The same of a structure of up to two residues, whose minima can all be found."""
 SPREAD: Mapping[str, float] = {"perturbed": 0.1, "extended": 0.5}
 """rad. Standard deviation of a dihedral: a folded chain soon overlaps."""
-SMALL = 20
-"""Residues up to which a structure is also perturbed, and started from its extended chain."""
-LARGE = 60
-"""Residues above which only the ``CHEAP`` methods run."""
+SMALL = 25
+"""Residues up to which a structure is also perturbed, and started from its extended chain, and all run."""
+TINY = 7
+"""Residues up to which frictions of 0.1 and 100 per ps, other energies and other models are run."""
 
 LEFT = 1.0
 """kJ/mol above its minimum at which a run may stop."""
 FIRST, MOST = 1000, 128_000
 """Evaluations of the first leg, and at most."""
-SAME_ANGSTROM, SAME_KJ_MOL = 0.1, 0.1
-"""C-alpha RMSD, and kJ/mol: two polished ends nearer than both are one minimum."""
+SAME_DEGREES, SAME_KJ_MOL = 10.0, 0.1
+"""Largest difference of a torsion, and of the energy: two polished ends that differ less are one minimum. A
+freedom as soft as 0.5 kJ/mol/rad^2 is left within 1.2 degrees of its minimum by the polish."""
 POLISH, POLISHED = 0.01, 5000
 """kJ/mol/rad, and evaluations at most, of the polish."""
 NUDGE = 1e-9
@@ -77,21 +81,20 @@ AT = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_0
 KEY = ("protein", "model", "energy", "start", "seed", "method", "max_evaluations")
 """Columns that tell one run from the others."""
 _OF_END = (
-    "energy_kj_mol", "torque_max_kj_mol_rad", "rmsd_start_angstrom", "rmsd_native_angstrom", "alphas_pm",
+    "energy_kj_mol", "torque_max_kj_mol_rad", "rmsd_start_angstrom", "rmsd_native_angstrom", "torsions_deg",
 )  # fmt: skip
 COLUMNS = (
-    *KEY, "residues", "atoms", "hinges", "status", "finished", "evaluations", "seconds",
+    *KEY, "root", "residues", "atoms", "hinges", "status", "finished", "evaluations", "seconds",
     "energy_start_kj_mol", "end_kj_mol", "left_kj_mol", "evaluations_to_left", "polish_status",
     "lowest_eigenvalue_kj_mol_rad2", *_OF_END, *(f"energy_at_{n}" for n in AT),
 )  # fmt: skip
 """Those of the table of runs. ``end_kj_mol`` is where the run itself stopped, ``left_kj_mol`` what it
 had left, kinetic energy included; ``energy_kj_mol`` and what follows are of the polished end.
 ``energy_at_N`` is the lowest energy within N evaluations."""
-TIME_STEPS: Mapping[int, float] = {1: 0.004, 10: 0.016, 100: 0.016}
+TIME_STEPS: Mapping[float, float] = {0.1: 0.002, 1: 0.0005, 10: 0.016, 100: 0.016}
 """ps, by friction in 1/ps: the more friction, the slower the chain, and the longer the step may be. The limit
-of large friction is ``kcm-metric``, which moves along M^-1 tau, without inertia."""
-COOLED = 10_000
-"""Steps of 4 fs from 300 K to 0, after which dynamics goes on at 0 K."""
+of large friction is ``kcm-metric``, which moves along M^-1 tau, without inertia. Without friction the energy
+stays, and dynamics leads to no minimum."""
 
 
 @dataclass(frozen=True)
@@ -101,46 +104,78 @@ class Trial:
     Parameters
     ----------
     recipe : Recipe
-        Its runs, the last of which is continued.
+        Its run is continued.
     nudged : bool
         Whether its start is moved by ``NUDGE``.
-    seed : int
-        Added to that of the start, where random numbers are drawn.
+    root : str
+        As of :func:`protochain.build_chain`.
     """
 
     recipe: Recipe
     nudged: bool = False
-    seed: int = 0
+    root: str = "auto"
 
 
-def _dynamics(friction: int, share: float = 1.0) -> Run:
-    time_step = share * TIME_STEPS[friction]
-    return Run(Annealing(n_steps=10 * MOST, friction=friction, time_step=time_step))
+def _dynamics(friction: float) -> Recipe:
+    annealing = Annealing(n_steps=10 * MOST, friction=friction, time_step=TIME_STEPS[friction])
+    return Recipe(f"md-{friction:g}", (Run(annealing),))
+
+
+def halved(recipe: Recipe) -> Recipe:
+    """Recipe with half the time step, compliance, or angle, where that adapts the first one."""
+    (run,) = recipe.runs
+    method: Any = run.method
+    if isinstance(method, Annealing):
+        method = replace(method, time_step=0.5 * method.time_step)
+    elif isinstance(method.direction, Proportional):
+        method = replace(method, direction=replace(method.direction, safety=0.5 * method.direction.safety))
+    else:
+        method = replace(method, rule=replace(method.rule, length=0.5 * method.rule.length))
+    return replace(recipe, runs=(replace(run, method=method),))
 
 
 def _trials() -> dict[str, Trial]:
-    kcm = RECIPES["kcm"]
-    found = {f"kcm-{angle:g}": Trial(at_angle(kcm, angle)) for angle in (0.0025, 0.005, 0.01)}
+    found = {"kcm-0.005": Trial(at_angle(RECIPES["kcm"], 0.005))}
     found |= {
         f"kcm-{name}": Trial(RECIPES[f"kcm-{name}"])
-        for name in ("proportional", "sign", "adaptive", "metric", "stiffness")
+        for name in ("proportional", "sign", "adaptive", "stiffness", "metric")
     }
-    found |= {f"md-{friction}": Trial(Recipe("md", (_dynamics(friction),))) for friction in TIME_STEPS}
-    found |= {f"md-{friction}-half": Trial(Recipe("md", (_dynamics(friction, 0.5),))) for friction in (1, 10)}
-    cooled = Recipe("cooled", (Run(Annealing(300.0, COOLED, 10.0)), _dynamics(10)))
-    found |= {"md-cooled": Trial(cooled), "md-cooled-reseeded": Trial(cooled, seed=1000)}
-    for name in ("adaptive", "metric"):
-        half = at_angle(RECIPES[f"kcm-{name}"], 0.5 * ANGLE)
-        found[f"kcm-{name}-half"] = Trial(half)
-    moved = ("kcm-0.005", "kcm-adaptive", "kcm-metric", "md-1")
-    found |= {f"{name}-nudged": replace(found[name], nudged=True) for name in moved}
-    return found | {"lbfgs": Trial(replace(RECIPES["lbfgs"], parts_overlaps=False))}
+    found |= {f"md-{friction:g}": Trial(_dynamics(friction)) for friction in TIME_STEPS}
+    found |= {f"{name}-fixed": replace(found[name], root="fixed") for name in ("kcm-metric", "md-10")}
+    controls = {}
+    for name, trial in found.items():
+        controls[f"{name}-half"] = replace(trial, recipe=halved(trial.recipe))
+        controls[f"{name}-nudged"] = replace(trial, nudged=True)
+    return found | controls | {"lbfgs": Trial(replace(RECIPES["lbfgs"], parts_overlaps=False))}
 
 
 TRIALS: Mapping[str, Trial] = _trials()
 METHODS = (*TRIALS, "openmm")
 """All in torsions but the last, OpenMM's minimiser, which moves all atoms and is no part of any contrast."""
-CHEAP = ("kcm-adaptive", "kcm-adaptive-nudged", "kcm-metric", "kcm-stiffness", "md-1", "md-10", "lbfgs")
+CONTROLS = {"half the step": "half", "another order of sums": "nudged"}
+"""Ends of the names of controls: what should not matter."""
+
+
+def runs_of(n_residues: int, energy: str) -> tuple[str, ...]:
+    """Methods that are run of a structure; those that would not end in it are left out."""
+    ends = {"kcm-stiffness", "kcm-metric", "md-10", "lbfgs"}
+    if n_residues > SMALL:
+        wanted = ends
+    elif energy != "obc2":
+        wanted = ends | {"kcm-0.005", "kcm-adaptive", "md-1"}
+    elif n_residues > TINY:
+        wanted = {*METHODS} - {"md-0.1", "md-100"}
+    else:
+        wanted = {*METHODS}
+    return tuple(name for name in METHODS if name in wanted or _base(name) in wanted)
+
+
+def _base(name: str) -> str:
+    """Method that another one is a control of, or has a fixed root of."""
+    stem, _, end = name.rpartition("-")
+    return _base(stem) if end in {*CONTROLS.values(), "fixed"} else name
+
+
 _POLISHER = replace(RECIPES["lbfgs"], name="polish", parts_overlaps=False)
 
 
@@ -188,29 +223,26 @@ def proteins(inputs: tuple[Path, ...]) -> list[tuple[str, str, bool]]:
 def cases(
     chosen: list[tuple[str, str, bool]], models: tuple[str, ...], energies: tuple[str, ...], n_starts: int
 ) -> list[tuple[Case, tuple[str, ...]]]:
-    """Starts of the study and their methods, the cheapest first.
+    """Starts of the study and their methods: first starts of the first model and energy first.
 
-    A later start of a protein counts as costlier than its first, in proportion, so that the first ones of
-    large proteins come before the last ones of small ones. The models and energies of a start stay together.
+    Up to ``TINY`` residues there are other energies and models, of the first start.
     """
-    found: list[tuple[int, Case, tuple[str, ...]]] = []
+    found: list[tuple[tuple[int, ...], Case, tuple[str, ...]]] = []
     for name, source, is_file in chosen:
         structure = _prepared(source, is_file)
         is_small = structure.n_residues <= SMALL
-        last = max(n_starts, N_STARTS_TINY) if n_starts and structure.n_residues <= 2 else n_starts
         kinds = {"deposited": range(1)} if is_file else {}
         if is_file and is_small:
-            kinds["perturbed"] = range(1, last + 1)
+            kinds["perturbed"] = range(1, n_starts + 1)
         if not is_file or (is_small and _sequence(structure)):
-            kinds["extended"] = range(last + 1)
-        atoms, methods = structure.n_atoms, CHEAP if structure.n_residues > LARGE else METHODS
+            kinds["extended"] = range(n_starts + 1)
         for kind, seeds in kinds.items():
-            found += [
-                (atoms * (1 + seed), Case(name, source, is_file, model, each, kind, seed), methods)
-                for seed in seeds
-                for model in models
-                for each in energies
-            ]  # fmt: skip
+            for seed, (m, model), (k, each) in product(seeds, enumerate(models), enumerate(energies)):
+                if m + k and (seed or (m and k) or structure.n_residues > TINY):
+                    continue
+                order = (kind == "extended" and seed > 0, m + k, seed, structure.n_atoms)
+                case = Case(name, source, is_file, model, each, kind, seed)
+                found.append((order, case, runs_of(structure.n_residues, each)))
     return [(case, methods) for _, case, methods in sorted(found, key=lambda each: each[0])]
 
 
@@ -220,15 +252,17 @@ def measured(case: Case, method: str, most: int = MOST) -> dict[str, Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StrayWarning)
-            start = _started(case)
+            start = _started(case, TRIALS[method].root if method in TRIALS else "auto")
+            if method in TRIALS:
+                start = start.of(TRIALS[method].recipe)
             found = _by_openmm(start, most) if method == "openmm" else _continued(start, case, method, most)
     except ProtochainError as error:
         return {**row, "status": f"refused: {error}"}
     chain = start.chain
     return {
-        **row, "residues": chain.structure.n_residues, "atoms": chain.structure.n_atoms,
-        "hinges": chain.n_hinges, "energy_start_kj_mol": start.judgement.energy,
-        **found.columns(), **_end(found.polished, case),
+        **row, "root": chain.root, "residues": chain.structure.n_residues,
+        "atoms": chain.structure.n_atoms, "hinges": chain.n_hinges,
+        "energy_start_kj_mol": start.judgement.energy, **found.columns(), **_end(found.polished, case),
     }  # fmt: skip
 
 
@@ -265,37 +299,27 @@ Note = Callable[[Evaluation, int], None]
 """Told of each point, and of the evaluations so far."""
 
 
-def legs(
-    start: Start, q: Floats, trial: Trial, most: int, seed: int, note: Note
-) -> Iterator[tuple[Ending, int]]:
+def legs(start: Start, q: Floats, trial: Trial, most: int, note: Note) -> Iterator[tuple[Ending, int]]:
     """Continue a method in legs, each to twice the evaluations; yield their endings, and the evaluations."""
     space = Torsions(start.chain)
     resume: Snapshot | None = None
     n = 0
-    for place, each in enumerate(trial.recipe.runs):
-        method: Any = each.method
-        if hasattr(method, "seed"):
-            method = replace(method, seed=seed)
-        is_last = place == len(trial.recipe.runs) - 1
-        limit = FIRST if is_last else most
-        while True:
-            limit = min(max(limit, n + 1), most)
-            problem = Problem(space, start.reduced, limit)
-            problem.restore(Tally(n), start.pose.x)
-            ending = run(problem, method, q, 0.1 * POLISH, most, partial(_told, problem, note), resume)
-            if ending.stop is Stop.INTERRUPTED:
-                raise KeyboardInterrupt
-            n, resume = problem.n_evaluations, ending.last
-            if not is_last and n < most:
-                break
-            yield ending, n
-            if ending.stop is not Stop.BUDGET or n >= most:
-                return
-            limit = 2 * limit
-        q, resume = ending.last.state.at.q, None
+    (own,) = trial.recipe.runs
+    limit = FIRST
+    while True:
+        problem = Problem(space, start.reduced, min(limit, most))
+        problem.restore(Tally(n), start.pose.x)
+        ending = run(problem, own.method, q, 0.1 * POLISH, most, partial(_noted, problem, note), resume)
+        if ending.stop is Stop.INTERRUPTED:
+            raise KeyboardInterrupt
+        n, resume = problem.n_evaluations, ending.last
+        yield ending, n
+        if ending.stop is not Stop.BUDGET or n >= most:
+            return
+        limit = 2 * limit
 
 
-def _told(problem: Problem, note: Note, at: Evaluation) -> None:
+def _noted(problem: Problem, note: Note, at: Evaluation) -> None:
     note(at, problem.n_evaluations)
 
 
@@ -314,7 +338,7 @@ def _continued(start: Start, case: Case, method: str, most: int) -> Found:
         trace.append((n, min(at.energy, trace[-1][1] if trace else np.inf)))
 
     seconds, before, since = 0.0, None, perf_counter()
-    for ending, n in legs(start, q, trial, most, case.seed + trial.seed, note):
+    for ending, n in legs(start, q, trial, most, note):
         seconds += perf_counter() - since
         at = ending.last.state.at
         polished = _polish(start, at.q)
@@ -345,9 +369,9 @@ def _kinetic(chain: Chain, state: Any) -> float:
 
 
 def _polish(start: Start, q: Floats) -> Solution:
-    """Minimum below an end."""
-    at = pose(start.chain, q)
-    chain = replace(start.chain, structure=start.chain.structure.with_positions(at.x), q0=at.q)
+    """Minimum below an end, with a fixed root, whatever the method has."""
+    structure = start.chain.structure.with_positions(pose(start.chain, q).x)
+    chain = build_chain(structure, start.chain.opened, "fixed")
     polish = Minimisation(_POLISHER, tolerance=POLISH, max_evaluations=POLISHED)
     found = minimise_from(Start(chain, start.energy), polish)
     if found.status is Status.INTERRUPTED:
@@ -357,9 +381,24 @@ def _polish(start: Start, q: Floats) -> Solution:
 
 def one_minimum(a: Solution, b: Solution) -> bool:
     """Whether two polished ends are one minimum."""
-    alpha = a.chain.structure.alpha_carbons
-    apart = rmsd_angstrom(a.x[alpha], b.x[alpha])
-    return apart < SAME_ANGSTROM and abs(a.end.energy - b.end.energy) < SAME_KJ_MOL
+    return same_minimum(torsions(a), torsions(b), a.end.energy - b.end.energy)
+
+
+def same_minimum(a: Floats, b: Floats, rise: float) -> bool:
+    """Whether two ends are one minimum, by their torsions in degrees and how far one is above the other."""
+    apart = np.abs((a - b + 180.0) % 360.0 - 180.0)
+    return bool(np.max(apart, initial=0.0) < SAME_DEGREES and abs(rise) < SAME_KJ_MOL)
+
+
+def torsions(solution: Solution) -> Floats:
+    """Torsions (n_hinges,) of an end, degrees; doubled where half a turn exchanges two equal groups."""
+    chain, q = solution.chain, solution.q[solution.chain.tree.q_start[solution.chain.hinge_body]]
+    last = [h.residue_name in SYMMETRIC and h.kind == f"chi{len(CHI[h.residue_name])}" for h in chain.hinges]
+    ends = chain.structure.residue_chain_index[1:] != chain.structure.residue_chain_index[:-1]
+    terminal = set(np.flatnonzero([*ends, True]).tolist())
+    of = chain.structure.atom_residue
+    carboxylate = [h.kind == "psi" and int(of[h.atoms[1]]) in terminal for h in chain.hinges]
+    return np.rad2deg(q) * np.where(np.logical_or(last, carboxylate), 2.0, 1.0)
 
 
 def _by_openmm(start: Start, most: int) -> Found:
@@ -369,8 +408,7 @@ def _by_openmm(start: Start, most: int) -> Found:
     raw = minimise_from(start, Minimisation(RECIPES["openmm"], tolerance=10.0, max_evaluations=most))
     if raw.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
-    chain = build_chain(raw.structure, start.chain.opened, start.chain.root)
-    polished = _polish(Start(chain, start.energy), chain.q0)
+    polished = _polish(Start(as_chain(raw), start.energy), as_chain(raw).q0)
     rows = raw.trace[["evaluations", "energy_kj_mol"]].to_numpy()
     lowest = np.minimum.accumulate(rows[:, 1])
     return Found(
@@ -381,7 +419,7 @@ def _by_openmm(start: Start, most: int) -> Found:
 
 
 def _end(solution: Solution, case: Case) -> dict[str, Any]:
-    """Columns of a polished end; its C-alphas in pm."""
+    """Columns of a polished end."""
     structure = _started(case).chain.structure
     alpha = structure.alpha_carbons
     here, native = solution.x[alpha], _native(case)
@@ -390,14 +428,15 @@ def _end(solution: Solution, case: Case) -> dict[str, Any]:
         solution.end.max_torque,
         rmsd_angstrom(here, structure.positions[alpha]),
         np.nan if native is None else rmsd_angstrom(here, native),
-        " ".join(map(str, np.rint(1000.0 * here).astype(int).ravel())),
+        " ".join(f"{each:.1f}" for each in torsions(solution)),
     )
     return dict(zip(_OF_END, values, strict=True))
 
 
 def traced(case: Case, method: str, most: int) -> list[dict[str, Any]]:
     """Energy and C-alpha RMSD to the start along a run of so many evaluations, as the papers draw them."""
-    start, trial = _started(case), TRIALS[method]
+    trial = TRIALS[method]
+    start = _started(case, trial.root).of(trial.recipe)
     start.warm(trial.recipe)
     alpha, x = start.chain.structure.alpha_carbons, start.chain.structure.positions
     rows: list[dict[str, Any]] = []
@@ -410,20 +449,22 @@ def traced(case: Case, method: str, most: int) -> list[dict[str, Any]]:
                  "ca_rmsd_angstrom": apart}
             )  # fmt: skip
 
-    for _, n in legs(start, start.chain.q0, trial, most, case.seed + trial.seed, note):
+    for _, n in legs(start, start.chain.q0, trial, most, note):
         if n >= most:
             break
     return rows
 
 
 @lru_cache(maxsize=4)
-def _started(case: Case) -> Start:
+def _started(case: Case, root: str = "auto") -> Start:
     structure = _prepared(case.source, case.is_file)
     if case.is_file and case.start == "extended":
         structure = _prepared(_sequence(structure), False)
     chain = build_chain(structure, case.model)
     if case.seed:
         chain = perturbed(chain, SPREAD[case.start], np.random.default_rng([case.seed, 22]))
+    if root != "auto":
+        chain = build_chain(chain.structure, case.model, root)
     return Start(chain, energy(structure, threads=1, **ENERGIES[case.energy]))
 
 

@@ -1,9 +1,10 @@
 """Answers of the study of KCM against dynamics: contrasts, tables and words, from its table of runs alone.
 
 A contrast is a pair of methods that differ in one thing. It counts starts from which both are finished, and
-no others. Its baseline is how often a method ends in the minimum of its own control: the same method with
-half the step, another seed, or a start moved by rounding. Only what exceeds that is an effect. Intervals are
-95 %, by resampling the proteins, each with all of its starts: they speak of proteins like these.
+no others. Its controls are both methods against themselves, with half the step and from starts moved by
+rounding; of these the worst counts, the one that comes back to its minimum least often. Only what exceeds it
+is an effect. Energies and sizes are not pooled. Intervals are 95 %, by resampling the proteins, each with all
+of its starts: they speak of proteins like these.
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,29 +19,21 @@ from scipy.stats import binomtest, bootstrap
 from protochain.analysis.studies import kcm_plots
 from protochain.analysis.studies.kcm_cases import (
     AT,
+    CONTROLS,
     KEY,
     LEFT,
     METHODS,
-    SAME_ANGSTROM,
-    SAME_KJ_MOL,
+    MODELS,
+    SMALL,
+    TIME_STEPS,
+    TRIALS,
+    same_minimum,
 )
 from protochain.results.tables import save
-from protochain.structure.superpose import rmsd_angstrom
 
 START = ["protein", "model", "energy", "start", "seed"]
 FEW = 3
 """Proteins below which nothing is concluded."""
-CONTROLS: Mapping[str, Mapping[str, str]] = {
-    "half the step": {
-        "kcm-0.005": "kcm-0.0025", "kcm-adaptive": "kcm-adaptive-half", "kcm-metric": "kcm-metric-half",
-        "md-1": "md-1-half", "md-10": "md-10-half",
-    },
-    "another order of sums": {
-        name: f"{name}-nudged" for name in ("kcm-0.005", "kcm-adaptive", "kcm-metric", "md-1")
-    },
-    "another seed": {"md-cooled": "md-cooled-reseeded"},
-}  # fmt: skip
-"""By kind: methods and what they are without, for all that is known, any difference."""
 
 
 @dataclass(frozen=True)
@@ -61,23 +54,36 @@ class Contrast:
 
 
 CONTRASTS = (
-    *(Contrast(f"KCM and dynamics, friction {f}", "kcm-0.005", f"md-{f}") for f in (1, 10, 100)),
-    Contrast("metric", "kcm-adaptive", "kcm-metric"),
-    *(Contrast(f"inertia, friction {f}", "kcm-metric", f"md-{f}") for f in (1, 10, 100)),
+    *(Contrast(f"KCM and dynamics, friction {f:g}", "kcm-0.005", f"md-{f:g}") for f in TIME_STEPS),
+    Contrast("metric of masses", "kcm-adaptive", "kcm-metric"),
+    Contrast("metric of stiffness", "kcm-adaptive", "kcm-stiffness"),
+    *(Contrast(f"inertia, friction {f:g}", "kcm-metric", f"md-{f:g}") for f in TIME_STEPS),
+    Contrast("root, without inertia", "kcm-metric", "kcm-metric-fixed"),
+    Contrast("root, friction 10", "md-10", "md-10-fixed"),
+    Contrast("stiffness and masses", "kcm-stiffness", "kcm-metric"),
+    Contrast("stiffness and dynamics, friction 10", "kcm-stiffness", "md-10"),
     Contrast("rule: adaptive angle", "kcm-0.005", "kcm-adaptive"),
     Contrast("rule: constant compliance", "kcm-0.005", "kcm-proportional"),
     Contrast("rule: by signs", "kcm-0.005", "kcm-sign"),
-    Contrast("twice the step of kcm-0.005", "kcm-0.005", "kcm-0.01", True),
     *(
-        Contrast(f"{kind} of {a}", a, b, True)
-        for kind, pairs in CONTROLS.items()
-        for a, b in pairs.items()
+        Contrast(f"{kind} of {name}", name, f"{name}-{end}", True)
+        for name in TRIALS
+        for kind, end in CONTROLS.items()
+        if f"{name}-{end}" in TRIALS
     ),
-)  # fmt: skip
+)
 """KCM in the metric of masses is overdamped motion of the chain: it differs from KCM with the same rule by
 the metric alone, and from dynamics by the inertia that friction, per ps, leaves. The rules of KCM turn along
 the same torques: a fixed largest angle, one that adapts, one compliance for all, or, by signs, all hinges by
 one angle."""
+SCOPES: Mapping[str, Mapping[str, Any]] = {
+    "OBC2": {"energy": "obc2", "model": MODELS[0], "is_small": True},
+    f"OBC2, more than {SMALL} residues": {"energy": "obc2", "model": MODELS[0], "is_small": False},
+    "OBC2, rigid side chains": {"energy": "obc2", "model": MODELS[1], "is_small": True},
+    "vacuum": {"energy": "vacuum", "model": MODELS[0], "is_small": True},
+    "no dihedral terms": {"energy": "nonbonded", "model": MODELS[0], "is_small": True},
+}
+"""Runs that are counted together."""
 SECONDS = (0.1, 1.0, 10.0)
 _RESAMPLES = 4000
 
@@ -97,11 +103,15 @@ def write(output: Path, runs: pd.DataFrame, planned: set[tuple[Any, ...]]) -> It
 
 
 def tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    """Tables by name: ``contrasts``, ``cost`` and ``deposited``; none without runs."""
+    """Tables by name: ``contrasts``, ``proteins``, ``cost`` and ``deposited``; none without runs."""
     done = runs[runs["energy_kj_mol"].notna()] if len(runs) else runs
     if done.empty:
         return {}
-    return {"contrasts": contrasts(done), "cost": cost(done), "deposited": deposited(done)}
+    pairs = compared(done)
+    return {
+        "contrasts": contrasts(pairs), "proteins": by_protein(pairs), "cost": cost(done),
+        "deposited": deposited(done),
+    }  # fmt: skip
 
 
 def counts(runs: pd.DataFrame, planned: set[tuple[Any, ...]]) -> str:
@@ -120,28 +130,27 @@ def compared(runs: pd.DataFrame) -> pd.DataFrame:
             if each.a not in ends or each.b not in ends:
                 continue
             a, b = ends[each.a], ends[each.b]
-            apart = rmsd_angstrom(_alphas(a), _alphas(b))
             rise = b["energy_kj_mol"] - a["energy_kj_mol"]
             rows.append(
                 dict(zip(START, key, strict=True))
                 | {
-                    "what": each.what, "finished": bool(a["finished"] and b["finished"]),
-                    "same": float(apart < SAME_ANGSTROM and abs(rise) < SAME_KJ_MOL), "rise_kj_mol": rise,
+                    "residues": a["residues"], "what": each.what,
+                    "finished": bool(a["finished"] and b["finished"]),
+                    "same": float(same_minimum(_torsions(a), _torsions(b), rise)), "rise_kj_mol": rise,
                 }
             )  # fmt: skip
-    return pd.DataFrame(rows, columns=[*START, "what", "finished", "same", "rise_kj_mol"])
+    return pd.DataFrame(rows, columns=[*START, "residues", "what", "finished", "same", "rise_kj_mol"])
 
 
-def contrasts(runs: pd.DataFrame) -> pd.DataFrame:
-    """Shares of finished pairs that end in one minimum, their baselines and effects.
+def contrasts(pairs: pd.DataFrame) -> pd.DataFrame:
+    """Shares of pairs that end in one minimum, their controls and effects, from what ``compared`` returns.
 
-    One row an energy (``all`` together), kind of start and contrast. ``pairs`` counts the finished pairs,
-    ``left_out`` the others. ``same`` is the mean over proteins of their shares; ``baseline`` that of the
-    controls of both methods, from the same starts; ``effect`` their difference, of the starts that have a
-    baseline; ``rise_kj_mol`` how far the second's minima lie above the first's; each has its limits, ``_low``
-    and ``_high``. ``proteins_needed``: how many would tell the effect from 0, were they like these.
+    One row a scope and contrast. ``pairs`` counts the finished pairs, ``left_out`` the others, ``same_pairs``
+    those that end in one minimum. ``same`` is the mean over proteins of their shares; ``baseline`` that of
+    the worst control, named in ``control``, from the same starts; ``effect`` their difference, of the starts
+    that have that control; ``rise_kj_mol`` how far the second's minima lie above the first's; each has its
+    limits, ``_low`` and ``_high``. ``proteins_needed``: how many like these would tell the effect from 0.
     """
-    pairs = compared(runs)
     rows = []
     for scope, own in _scopes(pairs):
         finished = own[own["finished"].astype(bool)].set_index([*START, "what"])
@@ -152,64 +161,64 @@ def contrasts(runs: pd.DataFrame) -> pd.DataFrame:
             if each.what not in by_what:
                 continue
             every = by_what[each.what]
-            row = {**scope, "what": each.what, "starts": len(every), "pairs": int(every["finished"].sum())}
+            row = {"scope": scope, "what": each.what, "starts": len(every)}
+            row["pairs"] = int(every["finished"].sum())
             row["left_out"] = row["starts"] - row["pairs"]
-            if row["pairs"] == 0:
-                rows.append(row)
-                continue
-            same = wide[each.what].dropna()
-            row["proteins"] = same.index.get_level_values("protein").nunique()
-            row |= _interval("same", same, 0.0)
-            if not each.is_control:
-                baseline = _baseline(wide, each).reindex(same.index).dropna()
-                if len(baseline):
-                    effects[each.what] = baseline - same.reindex(baseline.index)
-                    row |= _interval("baseline", baseline, 0.0) | _interval(
-                        "effect", effects[each.what], -1.0
-                    )
-                    row["proteins_needed"] = _needed(effects[each.what])
-                rises = finished["rise_kj_mol"].xs(each.what, level="what")
-                row |= _interval("rise_kj_mol", rises)
+            if row["pairs"]:
+                same = wide[each.what].dropna()
+                row["same_pairs"] = int(same.sum())
+                row["proteins"] = same.index.get_level_values("protein").nunique()
+                row |= _interval("same", same, 0.0)
+                if not each.is_control:
+                    row["control"], baseline = _worst_control(wide, each, same.index)
+                    if len(baseline):
+                        effects[each.what] = baseline - same.reindex(baseline.index)
+                        row |= _interval("baseline", baseline, 0.0)
+                        row |= _interval("effect", effects[each.what], -1.0)
+                        row["proteins_needed"] = _needed(effects[each.what])
+                    row |= _interval("rise_kj_mol", finished["rise_kj_mol"].xs(each.what, level="what"))
             rows.append(row)
         rows += [
-            {**scope, "what": f"metric less {what}", "starts": len(both), "pairs": len(both), "left_out": 0,
-             "proteins": both.index.get_level_values("protein").nunique(), **_interval("effect", both, -1.0),
-             "proteins_needed": _needed(both)}
+            {"scope": scope, "what": f"metric less {what}", "starts": len(both), "pairs": len(both),
+             "left_out": 0, "proteins": both.index.get_level_values("protein").nunique(),
+             **_interval("effect", both, -1.0), "proteins_needed": _needed(both)}
             for what, both in _differences(effects)
         ]  # fmt: skip
     names = [f"{name}{end}" for name in ("same", "baseline", "effect", "rise_kj_mol") for end in ("", *_ENDS)]
-    columns = [
-        "energy",
-        "start",
-        "what",
-        "starts",
-        "pairs",
-        "left_out",
-        "proteins",
-        *names,
-        "proteins_needed",
-    ]
-    return pd.DataFrame(rows, columns=columns)
+    columns = ["scope", "what", "starts", "pairs", "left_out", "same_pairs", "proteins", "control"]
+    return pd.DataFrame(rows, columns=[*columns, *names, "proteins_needed"])
+
+
+def by_protein(pairs: pd.DataFrame) -> pd.DataFrame:
+    """Finished pairs of each protein, and those that end in one minimum, by scope and contrast."""
+    rows = []
+    for scope, own in _scopes(pairs):
+        finished = own[own["finished"].astype(bool)]
+        for (protein, what), each in finished.groupby(["protein", "what"], sort=False):
+            rows.append((scope, protein, each["residues"].iloc[0], what, len(each), int(each["same"].sum())))
+    return pd.DataFrame(rows, columns=["scope", "protein", "residues", "what", "pairs", "same_pairs"])
 
 
 def _differences(effects: Mapping[str, pd.Series]) -> Iterator[tuple[str, pd.Series]]:
-    """How much more the metric changes than inertia, from starts that have both."""
+    """How much more the metric of masses changes than inertia, from starts that have both."""
     for what, inertia in effects.items():
-        if what.startswith("inertia") and "metric" in effects:
-            both = (effects["metric"] - inertia).dropna()
+        if what.startswith("inertia") and "metric of masses" in effects:
+            both = (effects["metric of masses"] - inertia).dropna()
             if len(both):
                 yield what, both
 
 
-def _baseline(wide: pd.DataFrame, contrast: Contrast) -> pd.Series:
-    """By start: the share of the controls of both methods that end in their minimum."""
-    of = [
-        f"{kind} of {method}"
-        for kind, pairs in CONTROLS.items()
-        for method in (contrast.a, contrast.b)
-        if method in pairs
-    ]
-    return wide.reindex(columns=of).mean(axis=1)
+def _worst_control(wide: pd.DataFrame, contrast: Contrast, starts: pd.Index) -> tuple[str, pd.Series]:
+    """Control of either method with the least share of one minimum from these starts, and its outcomes."""
+    of = {
+        each.what: wide[each.what].reindex(starts).dropna()
+        for each in CONTRASTS
+        if each.is_control and each.a in (contrast.a, contrast.b) and each.what in wide
+    }
+    known = {what: values for what, values in of.items() if len(values)}
+    if not known:
+        return "", pd.Series(dtype=float)
+    return min(known.items(), key=lambda item: float(_by_protein(item[1]).mean()))
 
 
 def words(runs: pd.DataFrame, table: pd.DataFrame) -> Iterator[str]:
@@ -222,13 +231,12 @@ def words(runs: pd.DataFrame, table: pd.DataFrame) -> Iterator[str]:
         f"{done['protein'].nunique()} proteins: {named}. Only finished pairs count: both runs within "
         f"{LEFT:g} kJ/mol of the minimum that their own continuation leads to."
     )
-    together = table[(table["start"] == "all") & (table["energy"] == "all")]
-    for row in together.to_dict("records"):
-        if said := sentence_of(row):
-            yield said
+    for row in table[table["scope"].isin(list(SCOPES)[:2])].to_dict("records"):
+        if sentence := sentence_of(row):
+            yield sentence
 
 
-_SAID = {each.what: each for each in CONTRASTS if not each.is_control}
+_WORDED = {each.what: each for each in CONTRASTS if not each.is_control}
 
 
 def sentence_of(row: Mapping[Any, Any]) -> str:
@@ -237,22 +245,25 @@ def sentence_of(row: Mapping[Any, Any]) -> str:
     if what.startswith("metric less"):
         verdict = _verdict(row, "inertia does more", "the metric does more")
         friction = what.rsplit(" ", 1)[1]
-        return f"Metric against inertia at a friction of {friction} per ps: {verdict}{_more(row)}."
-    if what not in _SAID:
+        compared = f"metric against inertia at a friction of {friction} per ps"
+        return f"{row['scope']}: {compared}: {verdict}{_more(row)}."
+    if what not in _WORDED:
         return ""
-    pair = f"`{_SAID[what].a}` and `{_SAID[what].b}` ({what})"
+    pair = f"{row['scope']}: `{_WORDED[what].a}` and `{_WORDED[what].b}` ({what})"
     left = f"{row['left_out']} of {row['starts']} starts left out"
     if not row["pairs"]:
         return f"{pair}: no finished pair; {left}."
-    shares = f"one minimum from {_percent(row, 'same')} of {row['pairs']} finished pairs"
+    raw = f"{row['same_pairs']:.0f} of {row['pairs']} finished pairs"
+    shares = f"one minimum from {raw}, {100 * row['same_pairs'] / row['pairs']:.0f} %; by protein "
+    shares += _percent(row, "same")
     if row["proteins"] < FEW:
         return f"{pair}: {shares}, of too few proteins for an answer; {left}."
     if not np.isfinite(row["effect"]):
-        return f"{pair}: {shares}, without a baseline; {left}."
-    verdict = _verdict(row, "more alike than their controls", "an effect")
+        return f"{pair}: {shares}, without a control; {left}."
+    verdict = _verdict(row, "more alike than the control", "an effect")
     return (
-        f"{pair}: {shares}, their controls {_percent(row, 'baseline')}: a difference of "
-        f"{_percent(row, 'effect')}, {verdict}{_more(row)}; {left}."
+        f"{pair}: {shares}; the worst control, {row['control']}, {_percent(row, 'baseline')}: "
+        f"a difference of {_percent(row, 'effect')}, {verdict}{_more(row)}; {left}."
     )
 
 
@@ -317,18 +328,20 @@ def deposited(runs: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found).reset_index(names="method")
 
 
-def _alphas(row: Mapping[Any, Any]) -> np.ndarray:
-    """(n, 3) float, nm: C-alphas of a row."""
-    return np.array(row["alphas_pm"].split(), dtype=float).reshape(-1, 3) / 1000.0
+def _torsions(row: Mapping[str, Any]) -> np.ndarray:
+    """(n_hinges,) float, degrees: torsions of a row."""
+    return np.array(str(row["torsions_deg"]).split(), dtype=float)
 
 
-def _scopes(pairs: pd.DataFrame) -> Iterator[tuple[dict[str, Any], pd.DataFrame]]:
-    """All together; by kind of start; by energy."""
-    yield {"energy": "all", "start": "all"}, pairs
-    for kind, own in pairs.groupby("start", sort=False):
-        yield {"energy": "all", "start": kind}, own
-    for energy, own in pairs.groupby("energy", sort=False):
-        yield {"energy": energy, "start": "all"}, own
+def _scopes(pairs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Runs that are counted together, where there are any."""
+    small = pairs["residues"] <= SMALL
+    for name, of in SCOPES.items():
+        own = pairs[
+            (pairs["energy"] == of["energy"]) & (pairs["model"] == of["model"]) & (small == of["is_small"])
+        ]
+        if len(own):
+            yield name, own
 
 
 _ENDS = ("_low", "_high")
