@@ -4,6 +4,7 @@ import dataclasses
 import re
 import time
 
+import mdtraj
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,7 +17,7 @@ from protochain.cli import app
 from protochain.structure.superpose import rmsd_angstrom
 
 CASE = Case("gag", "GAG", False, "phi psi", "vacuum", "extended", 1)
-FEW = ("kcm-0.01", "kcm-metric", "lbfgs")
+FEW = ("kcm-adaptive", "kcm-metric", "lbfgs")
 RESULTS = ROOT / "analysis" / "results"
 
 
@@ -25,8 +26,9 @@ def small(monkeypatch):
     """Two peptides, one start beside the unperturbed one, three methods, one model and energy."""
     monkeypatch.setattr(kcm_cases, "PEPTIDES", {"gag": "GAG", "aya": "AYA"})
     monkeypatch.setattr(kcm_cases, "METHODS", FEW)
-    monkeypatch.setattr(kcm, "MODELS", ("phi psi",))
-    monkeypatch.setattr(kcm, "ENERGIES", ("vacuum",))
+    monkeypatch.setattr(kcm_cases, "CONTROLS", {})
+    monkeypatch.setattr(kcm, "MODELS", ("phi psi chi",))
+    monkeypatch.setattr(kcm, "ENERGIES", ("obc2",))
     monkeypatch.setattr(kcm, "TRACED", 50)
     return {"starts": 1, "evaluations": 60}
 
@@ -34,22 +36,50 @@ def small(monkeypatch):
 # --- Runs
 
 
-def test_every_contrast_and_control_is_of_methods_that_run_and_none_parts_overlaps():
-    named = {name for each in kcm_summary.CONTRASTS for name in (each.a, each.b)}
-    assert named <= set(TRIALS) and set(kcm_cases.CHEAP) <= set(METHODS)
+def step_of(recipe):
+    (run,) = recipe.runs
+    method = run.method
+    if hasattr(method, "time_step"):
+        return method.time_step
+    return method.direction.safety if hasattr(method.direction, "safety") else method.rule.length
+
+
+def test_every_contrast_is_of_methods_that_run_with_controls_of_their_own_and_none_resolves_clashes():
+    for each in kcm_summary.CONTRASTS:
+        for name in (each.a, each.b):
+            assert name in TRIALS and (each.is_control or f"{name}-half" in TRIALS)
     assert not any(trial.recipe.parts_overlaps for trial in TRIALS.values())
-    for method, half in kcm_summary.CONTROLS["half the step"].items():
-        (run,), (halved,) = TRIALS[method].recipe.runs, TRIALS[half].recipe.runs
-        steps = [
-            each.method.time_step if hasattr(each.method, "time_step") else each.method.rule.length
-            for each in (run, halved)
-        ]
-        assert steps[1] == 0.5 * steps[0]
-    for method, nudged in kcm_summary.CONTROLS["another order of sums"].items():
-        assert dataclasses.replace(TRIALS[nudged], nudged=False) == TRIALS[method]
+    for name, trial in TRIALS.items():
+        if name.endswith("-half"):
+            assert step_of(trial.recipe) == 0.5 * step_of(TRIALS[name.removesuffix("-half")].recipe)
+        elif name.endswith("-nudged"):
+            assert dataclasses.replace(trial, nudged=False) == TRIALS[name.removesuffix("-nudged")]
+        elif name.endswith("-fixed"):
+            assert dataclasses.replace(trial, root="auto") == TRIALS[name.removesuffix("-fixed")]
 
 
-@pytest.mark.parametrize("method", ["kcm-0.01", "md-10", "openmm"])
+def test_what_moves_masses_has_a_free_root_unless_it_is_the_contrast():
+    """The root alone changes where masses move, and nothing where torques do."""
+    case = Case("rgds", "RGDS", False, "phi psi chi", "obc2", "extended", 0)
+    rows = {name: measured(case, name, 4000) for name in ("kcm-metric", "kcm-metric-fixed", "kcm-0.005")}
+    assert {name: row["root"] for name, row in rows.items()} == {
+        "kcm-metric": "free", "kcm-metric-fixed": "fixed", "kcm-0.005": "auto",
+    }  # fmt: skip
+    assert rows["kcm-metric-fixed"]["energy_kj_mol"] - rows["kcm-metric"]["energy_kj_mol"] > 5.0
+    s = pc.from_sequence("RGDS")
+    e = pc.energy(s, threads=1)
+    ends = {
+        (method, root): pc.minimise(pc.build_chain(s, root=root), e, method, tolerance=0.1, curvature=False)
+        for method in ("kcm-metric", "kcm-stiffness") for root in ("auto", "free", "fixed")
+    }  # fmt: skip
+    moved = {key: solution.end.energy for key, solution in ends.items()}
+    assert moved["kcm-metric", "auto"] == moved["kcm-metric", "free"] < moved["kcm-metric", "fixed"] - 5.0
+    assert ends["kcm-metric", "auto"].record()["root"] == "free"
+    assert ends["kcm-stiffness", "auto"].chain.root == "auto"
+    assert moved["kcm-stiffness", "auto"] == moved["kcm-stiffness", "fixed"]
+
+
+@pytest.mark.parametrize("method", ["kcm-0.005", "md-10", "openmm"])
 def test_a_run_records_its_end_and_the_minimum_below(method):
     row = measured(CASE, method, 3000)
     assert set(row) == set(kcm_cases.COLUMNS)
@@ -63,16 +93,32 @@ def test_a_run_records_its_end_and_the_minimum_below(method):
         assert lowest[0] == pytest.approx(row["energy_start_kj_mol"], abs=1e-6)
         near = np.array(kcm_cases.AT) >= row["evaluations_to_left"]
         assert (lowest[near] <= row["energy_kj_mol"] + LEFT).all()
-    start = kcm_cases._started(CASE).chain.structure
-    alphas = np.array(row["alphas_pm"].split(), dtype=float).reshape(-1, 3) / 1000.0
-    reference = start.positions[start.alpha_carbons]
-    assert rmsd_angstrom(alphas, reference) == pytest.approx(row["rmsd_start_angstrom"], abs=0.02)
+    assert len(row["torsions_deg"].split()) == row["hinges"]
+
+
+@pytest.mark.parametrize("sequence", ["FDG", "AYE"])
+def test_torsions_are_those_of_mdtraj_and_know_groups_that_half_a_turn_exchanges(sequence):
+    s = pc.from_sequence(sequence)
+    chain = pc.build_chain(s)
+    r = pc.minimise(chain, pc.energy(s, solvent="vacuum", threads=1), "lbfgs", max_evaluations=3)
+    found = kcm_cases.torsions(r)
+    t = pc.to_mdtraj(r)
+    atoms = np.array([hinge.atoms for hinge in chain.hinges])
+    true = np.rad2deg(mdtraj.compute_dihedrals(t, atoms, periodic=False)[0])
+    halves = {("PHE", "chi2"), ("TYR", "chi2"), ("ASP", "chi2"), ("GLU", "chi3")}
+    last = s.residue_number[-1]
+    twice = [
+        (h.residue_name, h.kind) in halves or (h.kind == "psi" and h.residue_number == last)
+        for h in chain.hinges
+    ]
+    apart = found - np.where(twice, 2.0, 1.0) * true
+    assert np.abs((apart + 180.0) % 360.0 - 180.0).max() < 0.01 and sum(twice) == 3
 
 
 @pytest.mark.parametrize("method", ["kcm-adaptive", "md-1"])
 def test_legs_are_one_run(method):
     """A run in legs visits the points of a run without them."""
-    start = kcm_cases._started(CASE)
+    start = kcm_cases._started(CASE).of(TRIALS[method].recipe)
 
     def visited(first):
         points = []
@@ -80,7 +126,7 @@ def test_legs_are_one_run(method):
             patch.setattr(kcm_cases, "FIRST", first)
             start.warm(TRIALS[method].recipe)
             for _ in kcm_cases.legs(
-                start, start.chain.q0, TRIALS[method], 200, 0, lambda at, n: points.append((n, at.energy))
+                start, start.chain.q0, TRIALS[method], 200, lambda at, n: points.append((n, at.energy))
             ):
                 pass
         return dict(points)
@@ -91,15 +137,13 @@ def test_legs_are_one_run(method):
 def test_a_run_that_is_still_on_its_way_is_not_finished():
     row = measured(CASE, "md-100", 50)
     assert row["status"] == "budget" and not row["finished"] and row["left_kj_mol"] > LEFT
-    # Neither is one whose cooling alone takes all evaluations.
-    assert not measured(CASE, "md-cooled", 50)["finished"]
-    short, long = (measured(CASE, "md-1", n) for n in (100, 8000))
+    short, long = (measured(CASE, "md-10", n) for n in (100, 8000))
     assert not short["finished"] and long["finished"] and long["evaluations"] < 8000
 
 
 def test_a_chain_at_speed_has_its_kinetic_energy_left():
-    start = kcm_cases._started(CASE)
-    ((ending, _),) = kcm_cases.legs(start, start.chain.q0, TRIALS["md-1"], 100, 0, lambda at, n: None)
+    start = kcm_cases._started(CASE).of(TRIALS["md-1"].recipe)
+    ((ending, _),) = kcm_cases.legs(start, start.chain.q0, TRIALS["md-1"], 100, lambda at, n: None)
     state = ending.last.state
     kinetic = kcm_cases._kinetic(start.chain, state)
     mass = pc.mass_matrix(start.chain, pc.pose(start.chain, state.at.q))
@@ -108,7 +152,7 @@ def test_a_chain_at_speed_has_its_kinetic_energy_left():
 
 
 def test_a_fixed_angle_that_circles_is_given_up_and_not_finished():
-    wide = dataclasses.replace(TRIALS["kcm-0.01"], recipe=pc.kcm(0.3))
+    wide = dataclasses.replace(TRIALS["kcm-0.005"], recipe=pc.kcm(0.3))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kcm_cases, "TRIALS", {**TRIALS, "wide": wide})
         row = measured(CASE, "wide", 50_000)
@@ -127,7 +171,8 @@ def test_the_energy_of_the_papers_has_no_dihedral_terms():
 
 def test_all_methods_have_one_start_which_depends_on_the_seed_alone():
     rows = [measured(CASE, method, 3) for method in ("kcm-sign", "md-1", "lbfgs")]
-    assert len({row["energy_start_kj_mol"] for row in rows}) == 1
+    first = rows[0]["energy_start_kj_mol"]
+    assert [row["energy_start_kj_mol"] for row in rows] == pytest.approx([first] * 3, rel=1e-12)
     other = measured(dataclasses.replace(CASE, seed=2), "lbfgs", 3)
     assert other["energy_start_kj_mol"] != rows[0]["energy_start_kj_mol"]
 
@@ -137,7 +182,7 @@ def test_a_file_starts_deposited_and_if_small_perturbed_and_extended():
     chosen = kcm_cases.proteins((path,))[-1:]
     found = [case for case, _ in kcm_cases.cases(chosen, ("phi psi",), ("vacuum",), 2)]
     assert [(case.start, case.seed) for case in found] == [
-        ("deposited", 0), ("extended", 0), ("perturbed", 1), ("extended", 1), ("perturbed", 2),
+        ("deposited", 0), ("extended", 0), ("perturbed", 1), ("perturbed", 2), ("extended", 1),
         ("extended", 2),
     ]  # fmt: skip
     native = kcm_cases._native(found[0])
@@ -149,14 +194,20 @@ def test_a_file_starts_deposited_and_if_small_perturbed_and_extended():
     assert extended.n_residues == 20
 
 
-def test_large_proteins_begin_before_small_ones_are_done_and_have_the_cheap_methods():
-    chosen = kcm_cases.proteins(tuple(ROOT / "structures" / name for name in ("1vii.pdb", "1ubq.pdb")))
-    found = kcm_cases.cases(chosen, ("phi psi",), ("vacuum",), 20)
-    order = [case.protein for case, _ in found]
-    assert order[0] == "ala2"
-    assert order.index("1vii") < len(order) - order[::-1].index("met-enkephalin")
-    methods = {case.protein: given for case, given in found}
-    assert methods["1vii"] == METHODS and methods["1ubq"] == kcm_cases.CHEAP
+def test_first_starts_come_first_and_what_would_not_end_is_left_out():
+    chosen = kcm_cases.proteins(tuple(ROOT / "structures" / name for name in ("1l2y.pdb", "1ubq.pdb")))
+    found = kcm_cases.cases(chosen, kcm_cases.MODELS, tuple(kcm_cases.ENERGIES), 2)
+    first = [place for place, (case, _) in enumerate(found) if case.seed == 0 and case.start == "extended"]
+    again = [place for place, (case, _) in enumerate(found) if case.seed and case.start == "extended"]
+    assert max(first) < min(again)
+    methods = {(case.protein, case.energy): set(given) for case, given in found}
+    assert methods["rgds", "obc2"] == set(METHODS)
+    assert {name for name in METHODS if name not in methods["1l2y", "obc2"]} == {
+        *(f"md-{f}{end}" for f in ("0.1", "100") for end in ("", "-half", "-nudged"))
+    }
+    assert {"kcm-metric-fixed-half", "md-10-nudged"} < methods["1ubq", "obc2"] < methods["1l2y", "obc2"]
+    assert "kcm-0.005" not in methods["1ubq", "obc2"] and "md-1" not in methods["1ubq", "obc2"]
+    assert "md-1" in methods["rgds", "nonbonded"] and ("1l2y", "nonbonded") not in methods
 
 
 def test_it_goes_on_where_it_stopped(small, tmp_path, monkeypatch):
@@ -254,8 +305,8 @@ def test_a_name_that_looks_like_a_number_is_a_name(tmp_path):
 
 def test_quick_is_two_peptides(tmp_path):
     tasks = list(kcm.planned((), quick=True))
-    assert {case.protein for case, _, _ in tasks} == {"met-enkephalin", "ala10"}
-    assert len(tasks) == 2 * 2 * len(METHODS) and {most for _, _, most in tasks} == {kcm.QUICK["evaluations"]}
+    assert {case.protein for case, _, _ in tasks} == {"met-enkephalin", "rgds"}
+    assert len(tasks) == 2 * len(METHODS) and {most for _, _, most in tasks} == {kcm.QUICK["evaluations"]}
 
 
 def test_the_command_passes_options_to_the_study_that_has_them(tmp_path, capsys, monkeypatch):
@@ -277,21 +328,17 @@ def test_the_command_passes_options_to_the_study_that_has_them(tmp_path, capsys,
 
 def made_up(places, unfinished=(), energies=None):
     """Runs of methods whose minima are told by numbers, a protein a row: equal numbers are one minimum."""
-    random = np.random.default_rng(0)
-    shapes = random.normal(scale=0.3, size=(10, 8, 3))
-    turns = np.linalg.qr(random.normal(size=(40, 3, 3)))[0]
-    turns *= np.linalg.det(turns)[:, None, None]
+    shapes = np.random.default_rng(0).uniform(-180.0, 180.0, size=(10, 8))
     rows = []
     for k, ends in enumerate(places):
         for m, (method, place) in enumerate(ends.items()):
-            x = shapes[place] @ turns[(k + 7 * m) % 40] + m
             energy = -10.0 * place if energies is None else energies[method]
             row = dict.fromkeys(kcm_cases.COLUMNS, 0.0)
             row |= {
-                "protein": f"p{k}", "model": "phi psi", "energy": "obc2", "start": "extended", "seed": 0,
+                "protein": f"p{k}", "model": "phi psi chi", "energy": "obc2", "start": "extended", "seed": 0,
                 "method": method, "max_evaluations": 9, "status": "finished", "evaluations": 9,
                 "seconds": 0.9, "finished": (k, method) not in unfinished, "energy_kj_mol": energy,
-                "alphas_pm": " ".join(map(str, np.rint(1000 * x).astype(int).ravel())),
+                "torsions_deg": " ".join(f"{each:.1f}" for each in shapes[place] + 360.0 * (m % 2)),
             }  # fmt: skip
             rows.append(row | {f"energy_at_{n}": energy for n in kcm_cases.AT})
     return pd.DataFrame(rows, columns=list(kcm_cases.COLUMNS))
@@ -303,14 +350,20 @@ def ends(kcm_end, metric, dynamics, control=None):
         "kcm-0.005": kcm_end, "kcm-adaptive": kcm_end, "kcm-metric": metric, "md-1": dynamics,
         "md-10": dynamics, "md-100": metric,
     }  # fmt: skip
-    pairs = [pair for kind in kcm_summary.CONTROLS.values() for pair in kind.items()]
-    halves = {b: found[a] if control is None else control for a, b in pairs if a in found}
-    return found | halves
+    kinds = kcm_cases.CONTROLS.values()
+    return found | {
+        f"{name}-{kind}": place if control is None else control
+        for name, place in found.items() for kind in kinds
+    }  # fmt: skip
+
+
+def table_of(runs):
+    return kcm_summary.contrasts(kcm_summary.compared(runs))
 
 
 def contrasts_of(runs):
-    table = kcm_summary.contrasts(runs)
-    return table[(table["start"] == "all") & (table["energy"] == "all")].set_index("what")
+    table = table_of(runs)
+    return table[table["scope"] == "OBC2"].set_index("what")
 
 
 def test_a_contrast_counts_finished_pairs_alone():
@@ -319,7 +372,7 @@ def test_a_contrast_counts_finished_pairs_alone():
     unfinished = {(0, "md-10"), (3, "kcm-metric"), (4, "md-1")}
     others = [{"md-10": 5}, {}, {}, {"kcm-metric": 6}, {"md-1": 7}]
     tables = [
-        kcm_summary.contrasts(made_up(places, unfinished))
+        table_of(made_up(places, unfinished))
         for places in (whole, [each | other for each, other in zip(whole, others, strict=True)])
     ]
     for column in tables[0]:
@@ -332,13 +385,33 @@ def test_a_contrast_counts_finished_pairs_alone():
 
 def test_only_what_exceeds_the_controls_is_an_effect():
     """With controls that never agree, ends that never agree show nothing."""
-    random = contrasts_of(made_up([ends(1, 2, 3, control=4)] * 6)).loc["metric"]
+    random = contrasts_of(made_up([ends(1, 2, 3, control=4)] * 6)).loc["metric of masses"]
     assert (random["same"], random["baseline"], random["effect"]) == (0.0, 0.0, 0.0)
     assert random["effect_low"] < 0.0 < random["effect_high"]
-    clear = contrasts_of(made_up([ends(1, 2, 3)] * 6)).loc["metric"]
+    clear = contrasts_of(made_up([ends(1, 2, 3)] * 6)).loc["metric of masses"]
     assert (clear["same"], clear["baseline"], clear["effect"]) == (0.0, 1.0, 1.0) and clear[
         "effect_low"
     ] > 0.0
+
+
+def test_of_the_controls_the_worst_counts():
+    """Controls that agree do not hide one that does not."""
+    others = [ends(1, 2, 3) | {"kcm-metric-half": 4 + k % 2 * -2} for k in range(6)]
+    row = contrasts_of(made_up(others)).loc["metric of masses"]
+    assert (row["control"], row["baseline"], row["effect"]) == ("half the step of kcm-metric", 0.5, 0.5)
+    assert (row["same_pairs"], row["pairs"]) == (0, 6)
+
+
+def test_energies_and_sizes_are_not_pooled():
+    runs = made_up([ends(1, 2, 3)] * 3 + [ends(1, 1, 1)] * 3)
+    runs.loc[runs["protein"].isin(["p3", "p4", "p5"]), "energy"] = "vacuum"
+    table = table_of(runs).set_index(["scope", "what"])
+    assert (
+        table["same"]["OBC2", "metric of masses"] == 0.0
+        and table["same"]["vacuum", "metric of masses"] == 1.0
+    )
+    runs.loc[runs["protein"] == "p0", "residues"] = 30
+    assert table_of(runs).set_index(["scope", "what"])["pairs"]["OBC2", "metric of masses"] == 2
 
 
 def test_one_minimum_needs_both_the_place_and_the_energy():
@@ -353,8 +426,8 @@ def test_one_minimum_needs_both_the_place_and_the_energy():
 
 def test_intervals_resample_proteins_and_not_their_starts():
     runs = made_up([ends(1, 2, 2)] * 3 + [ends(1, 1, 1)] * 3)
-    more = pd.concat([runs, runs.assign(model="phi psi chi"), runs.assign(seed=1)])
-    once, often = (contrasts_of(each).loc["metric"] for each in (runs, more))
+    more = pd.concat([runs, runs.assign(seed=2), runs.assign(seed=1)])
+    once, often = (contrasts_of(each).loc["metric of masses"] for each in (runs, more))
     assert often["pairs"] == 3 * once["pairs"] and often["proteins"] == once["proteins"] == 6
     for name in ("same", "same_low", "same_high", "effect", "effect_low", "effect_high", "proteins_needed"):
         assert once[name] == often[name]
@@ -372,9 +445,9 @@ def test_intervals_resample_proteins_and_not_their_starts():
 )
 def test_words_say_what_the_rows_carry(places, metric, inertia, more):
     runs = made_up([ends(*each) for each in places])
-    table = kcm_summary.contrasts(runs)
+    table = table_of(runs)
     rows = contrasts_of(runs)
-    for what, verdict in (("metric", metric), ("inertia, friction 1", inertia)):
+    for what, verdict in (("metric of masses", metric), ("inertia, friction 1", inertia)):
         assert f", {verdict}" in kcm_summary.sentence_of({"what": what, **rows.loc[what]})
     last = "metric less inertia, friction 1"
     assert more in kcm_summary.sentence_of({"what": last, **rows.loc[last]})
@@ -385,21 +458,24 @@ def test_words_say_what_the_rows_carry(places, metric, inertia, more):
 
 def assert_said(sentences, contrasts):
     """Assert that every number of a sentence is one of its row."""
-    rows = contrasts[(contrasts["energy"] == "all") & (contrasts["start"] == "all")].to_dict("records")
-    told = [(row, sentence) for row in rows if (sentence := kcm_summary.sentence_of(row))]
-    assert [sentence for _, sentence in told] == list(sentences)
-    for row, sentence in told:
-        known = {f"{row[name]:.0f}" for name in ("starts", "pairs", "left_out", "proteins_needed")}
+    rows = contrasts[contrasts["scope"].isin(list(kcm_summary.SCOPES)[:2])].to_dict("records")
+    worded = [(row, sentence) for row in rows if (sentence := kcm_summary.sentence_of(row))]
+    assert [sentence for _, sentence in worded] == list(sentences)
+    for row, sentence in worded:
+        known = {
+            f"{row[name]:.0f}" for name in ("starts", "pairs", "left_out", "same_pairs", "proteins_needed")
+        }
+        known |= {f"{100 * row['same_pairs'] / row['pairs']:.0f}"} if row["pairs"] else set()
         names = [f"{name}{end}" for name in ("same", "baseline", "effect") for end in ("", "_low", "_high")]
         known |= {f"{100 * row[name]:.0f}" for name in names if pd.notna(row[name])}
-        known |= set(re.findall(r"\d[\d.]*", f"{row['what']} kcm-0.005 md-1 md-10 md-100"))
-        said = re.sub(r"`[^`]*`", "", sentence)
+        said = re.sub(r"`[^`]*`|\([^)]*friction[^)]*\)|friction of [\d.]*|[a-z]+-[\d.]+", "", sentence)
+        said = said.replace(row["scope"], "")
         assert set(re.findall(r"-?\d[\d.]*\d|-?\d", said)) <= known, sentence
 
 
 def test_few_proteins_carry_no_answer():
     runs = made_up([ends(1, 2, 2)] * (kcm_summary.FEW - 1))
-    said = list(kcm_summary.words(runs, kcm_summary.contrasts(runs)))
+    said = list(kcm_summary.words(runs, table_of(runs)))
     assert said[1:] and all("too few proteins" in sentence for sentence in said[1:])
 
 
@@ -424,13 +500,40 @@ def test_equal_cost_counts_only_starts_that_all_methods_ran_from():
 
 
 def test_the_figure_is_drawn_without_traces():
-    assert len(kcm_plots.plot(kcm_summary.tables(made_up([ends(1, 2, 2)] * 4)), None).axes) == 4
+    assert len(kcm_plots.plot(kcm_summary.tables(made_up([ends(1, 2, 2)] * 4)), None).axes) == 3
 
 
 def test_the_tables_of_the_pages_are_those_of_the_runs():
     """Contrasts of the results are recomputed from the runs, and their words said again."""
     runs = kcm.stored(RESULTS / "kcm_runs.csv")
     stored = pd.read_csv(RESULTS / "kcm_contrasts.csv")
-    made = kcm_summary.contrasts(runs[runs["energy_kj_mol"].notna()])
+    made = table_of(runs[runs["energy_kj_mol"].notna()])
     pd.testing.assert_frame_equal(made.reset_index(drop=True), stored, check_dtype=False, rtol=1e-9)
     assert_said(list(kcm_summary.words(runs, stored))[1:], stored)
+
+
+def test_percentages_of_the_page_are_those_of_other_code():
+    """Raw and by protein, from the columns of the runs alone."""
+    runs = pd.read_csv(RESULTS / "kcm_runs.csv", converters={"protein": str})
+    runs = runs[(runs["energy"] == "obc2") & (runs["model"] == "phi psi chi") & (runs["residues"] <= 25)]
+    stored = pd.read_csv(RESULTS / "kcm_contrasts.csv")
+    stored = stored[stored["scope"] == "OBC2"].set_index("what")
+    keys = ["protein", "start", "seed"]
+    by = {method: own.set_index(keys) for method, own in runs.groupby("method")}
+    contrasts = {
+        "KCM and dynamics, friction 1": ("kcm-0.005", "md-1"),
+        "metric of masses": ("kcm-adaptive", "kcm-metric"),
+        "inertia, friction 10": ("kcm-metric", "md-10"),
+        "root, without inertia": ("kcm-metric", "kcm-metric-fixed"),
+        "half the step of md-1": ("md-1", "md-1-half"),
+    }  # fmt: skip
+    for what, (a, b) in contrasts.items():
+        pairs = by[a].join(by[b], lsuffix="_a", rsuffix="_b", how="inner")
+        pairs = pairs[pairs["finished_a"].astype(bool) & pairs["finished_b"].astype(bool)]
+        same = pd.Series(index=pairs.index, dtype=float)
+        for place, row in pairs.iterrows():
+            x, y = (np.array(row[f"torsions_deg_{end}"].split(), dtype=float) for end in "ab")
+            apart = np.rad2deg(np.abs(np.angle(np.exp(1j * np.deg2rad(x - y))))).max()
+            same[place] = apart < 10.0 and abs(row["energy_kj_mol_a"] - row["energy_kj_mol_b"]) < 0.1
+        assert (len(same), same.sum()) == (stored["pairs"][what], stored["same_pairs"][what])
+        assert same.groupby("protein").mean().mean() == pytest.approx(stored["same"][what], abs=1e-12)

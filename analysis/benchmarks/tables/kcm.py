@@ -50,22 +50,70 @@ def compliance_starts(rows: pd.DataFrame) -> str:
 
 @table("kcm-contrasts", "kcm_contrasts.csv")
 def kcm_contrasts(contrasts: pd.DataFrame) -> str:
-    """Shares of finished pairs that end in one minimum, their baselines, and the effects by energy."""
-    named = {"vacuum": "vacuum", "obc2": "OBC2", "nonbonded": "no dihedral terms"}
-    of = contrasts[contrasts["start"] == "all"].set_index(["energy", "what"])
-    energies = [name for name in named if name in of.index.get_level_values("energy")]
+    """Shares of finished pairs that end in one minimum, raw and by protein, and what exceeds the controls."""
 
-    def cells(what: str, row: pd.Series) -> Iterator[str]:
-        yield what
+    def cells(row: pd.Series) -> Iterator[str]:
+        yield row["what"]
         yield f"{row['pairs']:.0f} ({row['left_out']:.0f})"
+        yield _raw(row)
         for name in ("same", "baseline", "effect"):
             yield share(row, name)
-        for name in energies:
-            yield share(of.loc[name, what], "effect") if (name, what) in of.index else "-"
+        yield row["control"] if isinstance(row["control"], str) else "-"
 
-    heads = ["differ in", "finished pairs (left out)", "one minimum", "their controls", "effect"]
-    heads += [f"effect, {named[name]}" for name in energies]
-    return markdown(heads, (cells(what, row) for what, row in of.loc["all"].iterrows()))
+    heads = ("differ in", "finished pairs (left out)", "one minimum, of pairs", "by protein", "worst control")
+    main = contrasts[contrasts["scope"] == _first(contrasts)]
+    return markdown((*heads, "effect", "that control"), (cells(row) for _, row in main.iterrows()))
+
+
+@table("kcm-scopes", "kcm_contrasts.csv")
+def kcm_scopes(contrasts: pd.DataFrame) -> str:
+    """Effects of the contrasts in each scope, which are not pooled."""
+    of = contrasts[contrasts["effect"].notna()].set_index(["scope", "what"])
+    scopes = list(dict.fromkeys(of.index.get_level_values("scope")))
+
+    def cells(what: str) -> Iterator[str]:
+        yield what
+        for scope in scopes:
+            row = of.loc[scope, what] if (scope, what) in of.index else None
+            yield "-" if row is None else f"{share(row, 'effect')}, {row['pairs']:.0f}"
+
+    whats = dict.fromkeys(of.index.get_level_values("what"))
+    return markdown(("differ in", *scopes), (cells(what) for what in whats))
+
+
+@table("kcm-proteins", "kcm_proteins.csv")
+def kcm_proteins(proteins: pd.DataFrame) -> str:
+    """Pairs that end in one minimum, of finished ones, by protein."""
+    shown = {
+        "KCM and dynamics, friction 10": "KCM, dynamics at 10",
+        "metric of masses": "metric of masses",
+        "inertia, friction 10": "inertia at 10",
+        "inertia, friction 1": "inertia at 1",
+        "root, without inertia": "root",
+        "stiffness and dynamics, friction 10": "stiffness, dynamics at 10",
+    }
+    own = proteins[proteins["scope"].isin(list(kcm_summary.SCOPES)[:2])]
+    sorts = own.sort_values("residues", kind="stable")
+
+    def cells(name: str, rows: pd.DataFrame) -> Iterator[str]:
+        yield name
+        yield f"{rows['residues'].iloc[0]:.0f}"
+        of = rows.set_index("what")
+        for what in shown:
+            yield f"{of['same_pairs'][what]} of {of['pairs'][what]}" if what in of.index else "-"
+
+    heads = ("protein", "residues", *shown.values())
+    return markdown(heads, (cells(str(name), rows) for name, rows in sorts.groupby("protein", sort=False)))
+
+
+def _first(contrasts: pd.DataFrame) -> str:
+    return str(contrasts["scope"].iloc[0])
+
+
+def _raw(row: pd.Series) -> str:
+    if not row["pairs"] or pd.isna(row["same_pairs"]):
+        return "-"
+    return f"{row['same_pairs']:.0f} of {row['pairs']:.0f}, {100 * row['same_pairs'] / row['pairs']:.0f} %"
 
 
 def share(row: pd.Series, name: str) -> str:
@@ -87,13 +135,14 @@ def kcm_words(runs: pd.DataFrame, contrasts: pd.DataFrame) -> str:
 @table("kcm-rise", "kcm_contrasts.csv")
 def kcm_rise(contrasts: pd.DataFrame) -> str:
     """How far minima of one method lie above those of another."""
-    own = contrasts[(contrasts["start"] == "all") & contrasts["rise_kj_mol"].notna()]
-    own = own[own["what"].str.startswith("KCM and") & (own["proteins"] >= kcm_summary.FEW)]
+    own = contrasts[contrasts["rise_kj_mol"].notna() & (contrasts["proteins"] >= kcm_summary.FEW)]
+    own = own[own["what"].str.startswith(("KCM and", "inertia", "root", "metric of"))]
 
     def cells(row: pd.Series) -> Iterator[str]:
-        yield f"{row['what']}, {row['energy']}"
+        yield row["what"]
+        yield row["scope"]
         yield f"{row['pairs']:.0f}"
         yield f"{row['rise_kj_mol']:+.1f} ({row['rise_kj_mol_low']:+.1f} to {row['rise_kj_mol_high']:+.1f})"
 
-    heads = ("minima of dynamics above those of KCM", "finished pairs", "kJ/mol")
+    heads = ("the second's minima above the first's", "energy, size", "finished pairs", "kJ/mol")
     return markdown(heads, (cells(row) for _, row in own.iterrows()))

@@ -158,16 +158,14 @@ CONTROLS = {"half the step": "half", "another order of sums": "nudged"}
 
 def runs_of(n_residues: int, energy: str) -> tuple[str, ...]:
     """Methods that are run of a structure; those that would not end in it are left out."""
-    ends = {"kcm-stiffness", "kcm-metric", "md-10", "lbfgs"}
-    if n_residues > SMALL:
-        wanted = ends
-    elif energy != "obc2":
-        wanted = ends | {"kcm-0.005", "kcm-adaptive", "md-1"}
+    wanted = {_base(name) for name in METHODS}
+    if n_residues > SMALL or energy != "obc2":
+        wanted = {"kcm-stiffness", "kcm-metric", "md-10", "lbfgs"}
+    if energy != "obc2":
+        wanted |= {"kcm-0.005", "kcm-adaptive", "md-1"}
     elif n_residues > TINY:
-        wanted = {*METHODS} - {"md-0.1", "md-100"}
-    else:
-        wanted = {*METHODS}
-    return tuple(name for name in METHODS if name in wanted or _base(name) in wanted)
+        wanted -= {"md-0.1", "md-100"}
+    return tuple(name for name in METHODS if _base(name) in wanted)
 
 
 def _base(name: str) -> str:

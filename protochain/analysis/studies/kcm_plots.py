@@ -27,7 +27,8 @@ def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Fig
         Runs of one start, point by point.
     """
     figure = Figure(figsize=(11, 8), layout="constrained")
-    shares, (energy, cost) = figure.add_subplot(2, 1, 1), (figure.add_subplot(2, 2, k) for k in (3, 4))
+    axes = figure.subplot_mosaic([["shares", "shares"], ["energy", "cost"]])
+    shares, energy, cost = axes["shares"], axes["energy"], axes["cost"]
     style = {
         name: {"color": colour, "linestyle": dash, "label": name}
         for name, colour, dash in zip(SHOWN, cycle(COLOURS), cycle(DASHES), strict=False)
@@ -38,7 +39,8 @@ def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Fig
         first = traces.iloc[0]
         energy.set_title(f"One start: {first['protein']}, {first['start']}")
     energy.set(xscale="log", xlabel="evaluations", ylabel="potential energy, kJ/mol")
-    _contrasts(shares, tables["contrasts"])
+    if len(tables["contrasts"]):
+        _contrasts(shares, tables["contrasts"])
     for row in tables["cost"].to_dict("records"):
         if row["method"] in style:
             above = [max(row[f"at_{k}"], _LEAST) for k in AT]
@@ -50,7 +52,10 @@ def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Fig
     for axis in (energy, shares, cost):
         plain(axis)
         if axis.get_legend_handles_labels()[0]:
-            axis.legend(frameon=False, fontsize=8)
+            place = (
+                {"loc": "lower center", "bbox_to_anchor": (0.5, 1.06), "ncols": 2} if axis is shares else {}
+            )
+            axis.legend(frameon=False, fontsize=8, **place)
     return figure
 
 
