@@ -21,6 +21,7 @@ from made import SAMPLES
 from scipy.optimize import minimize
 
 import protochain as pc
+from protochain.articulate import with_free_root
 from protochain.minimisers import (
     KCM,
     RECIPES,
@@ -81,9 +82,11 @@ def enkephalin(options: argparse.Namespace) -> pd.DataFrame:
     rows = []
     for k, chain in enumerate(random_starts(structure, starts)):
         for name, method in settings.items():
-            problem = problem_of(chain, energy, most)
+            moves = name in RECIPES and RECIPES[name].moves_masses
+            own = with_free_root(chain) if moves else chain
+            problem = problem_of(own, energy, most)
             points = []
-            ending = run(problem, method, chain.q0, 1e-3, most, points.append)
+            ending = run(problem, method, own.q0, 1e-3, most, points.append)
             residuals = np.array([point.residual for point in points])
             met = np.flatnonzero(residuals <= 1.0)
             circling = residuals[-50:] if ending.stop is Stop.BUDGET else residuals[-1:]
