@@ -383,7 +383,7 @@ def test_a_view_holds_all_it_needs(comparison):
 
 def test_methods_that_do_not_repeat_are_run_again_and_their_spread_is_told():
     k = pc.compare(
-        chain("1l2y.pdb"), ("lbfgs", "anneal"), energy("1l2y.pdb"), max_evaluations=60, seed=5, repeats=3
+        chain("ala10.pdb"), ("lbfgs", "anneal"), energy("ala10.pdb"), max_evaluations=60, seed=5, repeats=3
     )
     assert [s.method for s in k.solutions] == ["lbfgs", "anneal"]
     assert [(s.method, s.seed) for s in k.repeats] == [("anneal", 6), ("anneal", 7)]
@@ -395,9 +395,9 @@ def test_methods_that_do_not_repeat_are_run_again_and_their_spread_is_told():
     assert row[columns].tolist() == energies and energies[0] < energies[2]
     apart = [pc.ca_rmsd(k.structure, a.x, b.x) for a in runs for b in runs]
     assert row["ca_rmsd_between_angstrom"] == max(apart) and not row["repeats_exactly"]
-    again = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), "anneal", max_evaluations=60, seed=6)
+    again = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "anneal", max_evaluations=60, seed=6)
     assert again.end.energy == k.repeats[0].end.energy
-    other = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb", solvent="vacuum"), max_evaluations=2)
+    other = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb", solvent="vacuum"), max_evaluations=2)
     with pytest.raises(pc.ProtochainError, match="different energy functions"):
         pc.Comparison(k.structure, k.solutions, repeats=(other,))
 
