@@ -8,6 +8,7 @@ import re
 import pytest
 from fixtures.public_names import PACKAGES
 from fixtures.samples import ROOT
+from fixtures.texts import cells, program
 
 from protochain.scenes import SCENES, run
 
@@ -34,20 +35,6 @@ remake = importlib.util.module_from_spec(where)
 where.loader.exec_module(remake)
 
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-
-
-def cells(path, kind):
-    """Sources of the cells of a kind."""
-    found = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    return ["".join(cell["source"]) for cell in found if cell["cell_type"] == kind]
-
-
-def program(path):
-    """All code, as Python reads it: without IPython's magics."""
-    if path.suffix == ".py":
-        return ast.parse(path.read_text(encoding="utf-8"))
-    lines = "\n".join(cells(path, "code")).splitlines()
-    return ast.parse("\n".join(line for line in lines if not line.startswith("%")))
 
 
 def test_all_nine_are_there():
