@@ -1,6 +1,7 @@
 """Nothing depends on what a machine has or does: OpenMM chooses no platform, and no test watches a clock."""
 
 import ast
+import re
 
 import pytest
 from fixtures.samples import ROOT
@@ -17,9 +18,14 @@ PLATFORM = {"Context": 2, "Simulation": 3, "PDBFixer": 5, "addHydrogens": 3, "ad
 OF_MODELS = {"addHydrogens", "addMembrane"}
 """Methods, whatever the name of their object."""
 
+TOOLS = {"waiting.py", "mutants.py", "kernels.py"}
+TESTS = sorted(path for path in (ROOT / "tests").rglob("*.py") if path.name not in TOOLS)
+CLOCK = re.compile(r"\b(?:alarm|setitimer|sleep|time|monotonic|perf_counter|Timer|wait_for_timeout)\(")
+"""Calls, also in the programs that tests write. (``waiting.py`` has them, and tools that are no tests.)"""
+
 
 def without_platform(tree):
-    """Calls that leave the platform to OpenMM, which chooses the fastest there is, whether it works or not."""
+    """Calls that leave the platform to OpenMM, which chooses the fastest, whether it works or not."""
     origin = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -66,3 +72,37 @@ def test_no_platform_is_openmms_choice():
 )
 def test_a_call_without_a_platform_is_found(code, found):
     assert len(list(without_platform(ast.parse(code)))) == found
+
+
+def limits(tree):
+    """Limits of time that are numbers: they run out on a busy machine. ``HANG`` of waiting.py does not."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            given = [each.value for each in node.keywords if each.arg == "timeout"]
+            if isinstance(node.func, ast.Attribute) and node.func.attr in ("wait", "join", "communicate"):
+                given += [each for each in node.args if isinstance(each, ast.Constant)]
+            if any(ast.unparse(each) != "HANG" for each in given):
+                yield f"line {node.lineno}: {ast.unparse(node)}"
+
+
+def test_no_test_watches_a_clock():
+    found = {}
+    for path in TESTS:
+        text = path.read_text(encoding="utf-8")
+        found[path.name] = [*CLOCK.findall(text), *limits(ast.parse(text))]
+    assert {name: calls for name, calls in found.items() if calls} == {}
+
+
+@pytest.mark.parametrize(
+    ("code", "found"),
+    [
+        ("process.wait(timeout=60)", 1),
+        ("process.wait(timeout=HANG)", 0),
+        ("thread.join(5.0)", 1),
+        ("event.wait(HANG)", 0),
+        ("subprocess.run(command, timeout=20)", 1),
+        ("', '.join(names)", 0),
+    ],
+)
+def test_a_limit_of_time_is_found(code, found):
+    assert len(list(limits(ast.parse(code)))) == found

@@ -9,6 +9,7 @@ import pytest
 from fixtures.public_names import PACKAGES
 from fixtures.samples import ROOT
 from fixtures.texts import cells, program
+from fixtures.waiting import HANG
 
 from protochain.scenes import SCENES, run
 
@@ -19,9 +20,6 @@ ALONE = {"helix"}
 NOTEBOOKS = [*LONG, *OF_SCENES]
 BENCHMARKS = sorted((ROOT / "analysis" / "benchmarks").glob("*.py"))
 PUBLIC = {package.__name__: set(package.__all__) for package in PACKAGES}
-LONGEST = 180
-"""Seconds for a cell; each notebook takes less than a minute where nothing else runs."""
-
 FULL, QUICK = "QUICK = False", "QUICK = True"
 """Line of the notebooks of scenes, and the one that the tests put in its place."""
 
@@ -148,6 +146,6 @@ def test_it_runs(path, tmp_path, monkeypatch):
         first = next(cell for cell in notebook.cells if cell.cell_type == "code")
         first.source = first.source.replace(FULL, QUICK)
     nbclient.NotebookClient(
-        notebook, timeout=LONGEST, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}
+        notebook, timeout=HANG, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}
     ).execute()
     assert sorted(path.parent.iterdir()) == before, "it leaves files behind"
