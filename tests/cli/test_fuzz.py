@@ -15,6 +15,12 @@ from hypothesis import strategies as st
 import protochain as pc
 from protochain.core.processors import processors
 
+ANY_MACHINE = settings(
+    max_examples=150,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
+
 
 def taken_or_refused(path, data):
     """Check a file's reading, and the preparation of what was read."""
@@ -150,13 +156,13 @@ record = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@ANY_MACHINE
 @given(lines=st.lists(record, max_size=60))
 def test_made_up_records(lines, tmp_path):
     taken_or_refused(tmp_path / "made-up.pdb", "\n".join([*lines, "END"]).encode())
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@ANY_MACHINE
 @given(
     data=st.one_of(
         st.binary(max_size=500), st.text(max_size=500).map(lambda text: text.encode("utf-8", "replace"))
