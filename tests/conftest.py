@@ -6,12 +6,14 @@ import shutil
 import signal
 import sys
 from collections import Counter
+from types import SimpleNamespace
 from typing import NamedTuple
 
 # Threads of several test processes that spin while they wait take the cores from one another.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import pytest
+from fixtures.waiting import HANG
 
 LONG = {
     "test_blocks.py", "test_files.py", "test_gear.py", "test_gun.py", "test_helicopter.py", "test_kept.py",
@@ -55,7 +57,13 @@ def signals(monkeypatch):
 @pytest.fixture
 def browser(started_browser):
     """Chromium; pages that a test opens are closed behind it, or they would go on drawing."""
-    yield started_browser
+
+    def new_page(**options):
+        page = started_browser.new_page(**options)
+        page.set_default_timeout(1000 * HANG)
+        return page
+
+    yield SimpleNamespace(new_page=new_page)
     for context in started_browser.contexts:
         context.close()
 

@@ -14,6 +14,7 @@ from time import perf_counter
 
 import made
 import numpy as np
+import openmm
 import pandas as pd
 from made import SAMPLES
 from openmm import app
@@ -78,13 +79,14 @@ def speed(options: argparse.Namespace) -> pd.DataFrame:
 
 
 def _by_openmm(path: Path) -> None:
-    fixer = PDBFixer(pdbfile=io.StringIO(path.read_text()))
+    platform = openmm.Platform.getPlatform("CPU")
+    fixer = PDBFixer(pdbfile=io.StringIO(path.read_text()), platform=platform)
     fixer.removeHeterogens(keepWater=False)
     fixer.missingResidues = {}
     fixer.findMissingAtoms()
     fixer.addMissingAtoms(seed=1)
     modeller = app.Modeller(fixer.topology, fixer.positions)
-    modeller.addHydrogens(app.ForceField("amber14/protein.ff14SB.xml"), pH=7.0)
+    modeller.addHydrogens(app.ForceField("amber14/protein.ff14SB.xml"), pH=7.0, platform=platform)
 
 
 def closures(options: argparse.Namespace) -> pd.DataFrame:

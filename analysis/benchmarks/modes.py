@@ -25,6 +25,7 @@ import numpy as np
 import pandas as pd
 from made import SAMPLES
 from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
 import protochain as pc
 
@@ -334,12 +335,13 @@ def main() -> None:
         if name == "pairs" and options.quick:
             continue
         rows = []
-        for row in made_by[name]():
-            rows.append(row)
-            # Large structures come last, and take long.
-            if options.output:
-                given = inputs.get(name, options.crystals)
-                made.write(pd.DataFrame(rows), options.output / f"modes_{name}.csv", given)
+        with threadpool_limits(1, "blas"):
+            for row in made_by[name]():
+                rows.append(row)
+                # Large structures come last, and take long.
+                if options.output:
+                    given = inputs.get(name, options.crystals)
+                    made.write(pd.DataFrame(rows), options.output / f"modes_{name}.csv", given)
         print(pd.DataFrame(rows).round(3).to_string(index=False))
 
 

@@ -76,7 +76,7 @@ def heavy_atoms(path: Path) -> str:
 
 def clean(text: str) -> str:
     """PDB text with the atoms that are missing, as cleanup.py does it."""
-    fixer = pdbfixer.PDBFixer(pdbfile=io.StringIO(text))
+    fixer = pdbfixer.PDBFixer(pdbfile=io.StringIO(text), platform=openmm.Platform.getPlatform("CPU"))
     fixer.findNonstandardResidues()
     fixer.replaceNonstandardResidues()
     fixer.removeHeterogens(keepWater=False)

@@ -8,6 +8,7 @@ from time import perf_counter, process_time
 from typing import Any, TypeVar
 
 import pandas as pd
+from threadpoolctl import threadpool_limits
 
 _Result = TypeVar("_Result")
 _SHORT, _MOST = 0.1, 1000
@@ -49,6 +50,8 @@ def in_turn(
 ) -> list[Timed]:
     """Time calls in turn, so that a slow moment of the machine strikes all.
 
+    Dense algebra has one thread: several that wait for each other take a hundred times as long.
+
     Parameters
     ----------
     calls : sequence of callable
@@ -71,16 +74,17 @@ def in_turn(
     results: list[object] = [None] * len(calls)
     taken: list[list[float]] = [[] for _ in calls]
     done, began = 0, perf_counter()
-    while done < turns or (done < _MOST and perf_counter() - began < seconds):
-        for k, call in enumerate(calls):
-            times = row if taken[k] and taken[k][-1] < _SHORT else 1
-            for i in range(times):
-                start = clock()
-                results[k] = call()
-                spent = clock() - start
-                if i or times == 1:
-                    taken[k].append(spent)
-        done += 1
+    with threadpool_limits(1, "blas"):
+        while done < turns or (done < _MOST and perf_counter() - began < seconds):
+            for k, call in enumerate(calls):
+                times = row if taken[k] and taken[k][-1] < _SHORT else 1
+                for i in range(times):
+                    start = clock()
+                    results[k] = call()
+                    spent = clock() - start
+                    if i or times == 1:
+                        taken[k].append(spent)
+            done += 1
     return [Timed(result, tuple(own)) for result, own in zip(results, taken, strict=True)]
 
 

@@ -28,7 +28,7 @@ from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
 from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import RelaxSettings, split
 from protochain.structure import Structure
-from protochain.structure.chirality import atoms_named
+from protochain.structure.chirality import atoms_named, mirror_images, with_mirror_images
 from protochain.structure.select import moving, select, sides_named
 from protochain.validation import threaded_rings, violations
 from protochain.validation.fixed import fixed_counts, fixed_faults
@@ -61,7 +61,7 @@ def relax(
     **options
         Further fields of ``RelaxSettings`` (``protocol``, ``tolerance``, ``stiffness``,
         ``max_iterations``, ``max_outer_iterations``, ``exclude``, ``keep_hydrogens``, ``repack``,
-        ``repack_region``, ``interface``, two sides to score before and after) and of
+        ``repack_region``, ``mirror``, ``interface``, two sides to score before and after) and of
         :class:`protochain.Setup` (``forcefield``, ``solvent``, ``threads``, ``keep`` ...). With ``move``, a
         selection as of :func:`protochain.build_chain` (``sidechain``, ``interface``), all other atoms stay
         where they are, bit for bit.
@@ -90,6 +90,8 @@ def relax_structure(
     move: str = defaults.MOVE,
 ) -> Relaxation:
     """Relax a structure whose energy is built; the settings' force field is that of the energy."""
+    if settings.mirror:
+        structure = with_mirror_images(structure)
     excluded = _excluded(structure, settings)
     if settings.interface:
         native(energy)
@@ -257,7 +259,11 @@ def _bonds_before(structure: Structure, x: Floats, nitrogens: Integers) -> list[
 
 def left_in_words(structure: Structure, x: Floats) -> str:
     """What is left to mend at positions x (na, 3), by name, and faults of what is fixed, if there are any."""
-    others = [str(ring) for ring in threaded_rings(structure, x)]
+    others = [
+        f"chain {chain} is a mirror image, D-amino acids under names of L (option mirror if it is meant)"
+        for chain in mirror_images(structure.with_positions(x))
+    ]
+    others += [str(ring) for ring in threaded_rings(structure, x)]
     wrong = atoms_named(structure, Hands.of(structure).wrong(x))
     others += [f"left of the wrong hand: {listed(wrong)}"] if wrong else []
     peptides = PeptideBonds.of(structure).wrong(x)

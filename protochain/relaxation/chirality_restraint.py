@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, cross
-from protochain.structure.chirality import WELL_FORMED, chiral_atoms, volume
+from protochain.structure.chirality import WELL_FORMED, chiral_atoms, mirror_images, volume
 from protochain.structure.model import Structure
 from protochain.validation.layout import peptides
 
@@ -41,8 +41,7 @@ class Hands:
 
         These are those that the names of the residues in the file say, but where D-amino acids have names of
         L, as in older files: residues whose C-alpha is well-formed and whose phi is positive, as theirs is,
-        and chains most of whose C-alphas are of the other hand keep what they have. Those of ligands are the
-        ones of their sources.
+        and chains that are mirror images keep what they have. Those of ligands are the ones of their sources.
         """
         return _hands(structure)
 
@@ -91,6 +90,5 @@ def _wanted(structure: Structure, centres: Integers) -> Floats:
     alpha, other = np.isin(centres[:, 0], structure.alpha_carbons), has != by_name
     # NaN, at the start of a chain, may be that of D as well.
     meant = alpha & other & (by_name > 0.0) & (np.abs(size) > WELL_FORMED) & ~(phi < 0.0)
-    chain, n = structure.residue_chain_index[of], structure.n_chains
-    mostly = np.bincount(chain, alpha & other, n) > 0.5 * np.bincount(chain, alpha, n)
-    return np.where(np.isin(of, of[meant]) | mostly[chain], has, by_name)
+    stays = [of[meant], *mirror_images(structure).values()]
+    return np.where(np.isin(of, np.concatenate(stays)), has, by_name)

@@ -51,6 +51,9 @@ class RelaxSettings(Settings):
         may stay as they are; ``repack`` is implied.
     interface : str
         Two sides, as ``A,B:C``, whose interface is scored before and after; empty for none.
+    mirror : bool
+        Whether chains that are mirror images, most of whose stereocentres are D under names of L, are meant
+        as such: their residues become D-amino acids, also by name. Otherwise they are a violation.
 
     Raises
     ------
@@ -109,6 +112,9 @@ class RelaxSettings(Settings):
         "Also score the interface of two sides before and after, as protochain score does: A:B.",
         text,
         metavar="A,B:C",
+    )
+    mirror: bool = setting(
+        False, "Chains of D-amino acids under names of L are meant, and get names of D.", flag, bool
     )
 
     def __post_init__(self) -> None:

@@ -1,6 +1,7 @@
 """Handedness of C-alpha, of C-beta of threonine, its phosphate and isoleucine, of sugars and of ligands."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -107,6 +108,31 @@ def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) ->
     atoms = chiral_atoms(structure)
     hands = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
     return np.asarray(atoms[hands * volume(x[atoms]) < 0.0, 0])
+
+
+def mirror_images(structure: Structure) -> dict[str, Integers]:
+    """Find the chains that are mirror images: most stereocentres of their amino acids are D under names of L.
+
+    Returns
+    -------
+    dict of str to (n,) int
+        Id of each such chain, and its residues that have a stereocentre.
+    """
+    atoms = chiral_atoms(structure)
+    of = structure.atom_residue[atoms[:, 0]]
+    amino = np.isin(of, structure.atom_residue[structure.alpha_carbons])
+    atoms, of = atoms[amino], of[amino]
+    chain = structure.residue_chain[of]
+    is_other = ~structure.mirrored[of] & (volume(structure.positions[atoms]) < 0.0)
+    its = {str(name): chain == name for name in np.unique(chain)}
+    return {name: np.unique(of[there]) for name, there in its.items() if is_other[there].mean() > 0.5}
+
+
+def with_mirror_images(structure: Structure) -> Structure:
+    """Return the structure with the residues of chains that are mirror images as D-amino acids."""
+    mirrored = structure.mirrored.copy()
+    mirrored[[r for residues in mirror_images(structure).values() for r in residues.tolist()]] = True
+    return replace(structure, mirrored=mirrored)
 
 
 @of_atoms

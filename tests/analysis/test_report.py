@@ -8,6 +8,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from fixtures.samples import chain, energy
+from fixtures.waiting import until
 
 import protochain as pc
 from protochain.results.page import render
@@ -37,16 +38,21 @@ def opened(browser, file, width=500, scheme="light"):
     return page, said, asked
 
 
+def picture(page, place):
+    """Pixels of a part of a page, when what was asked for has been drawn: a frame later."""
+    page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    return matplotlib.image.imread(io.BytesIO(page.locator(place).screenshot()))
+
+
 @pytest.mark.parametrize(("width", "scheme"), [(1200, "light"), (390, "dark")])
 def test_the_page_works_from_a_file(browser, page_file, width, scheme):
     page, said, asked = opened(browser, page_file, width, scheme)
     page.wait_for_selector("#viewer[data-models='4'] canvas")
-    page.wait_for_timeout(500)
     assert said == []
     assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [page_file.as_uri()]
     # Nothing is wider than the screen but what scrolls by itself.
     assert page.evaluate("document.documentElement.scrollWidth") <= width
-    drawn = matplotlib.image.imread(io.BytesIO(page.locator("#viewer").screenshot()))[5:-5, 5:-5, :3]
+    drawn = picture(page, "#viewer")[5:-5, 5:-5, :3]
     assert np.mean(np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1) > 0.01
     page.locator("#shown input").first.uncheck()
     page.select_option("#style", "stick")
@@ -80,8 +86,7 @@ def test_residues_are_coloured_by_what_is_chosen(browser, page_file, tmp_path):
     seen = []
     for name in (choices[0], "energy, kJ/mol", "Coulomb, kJ/mol", "displacement, angstrom"):
         page.select_option("#colouring", label=name)
-        page.wait_for_timeout(300)
-        seen.append(matplotlib.image.imread(io.BytesIO(viewer.screenshot())))
+        seen.append(picture(page, "#viewer"))
         assert viewer.get_attribute("data-unknown") == "0"
     assert all(not np.array_equal(*pair) for pair in itertools.combinations(seen, 2))
     assert page.locator("#scale").is_visible() and page.locator("#scale .low").inner_text() == "0.00"
@@ -100,8 +105,7 @@ def test_a_colour_is_that_of_its_residue(browser, tmp_path, suffix, monkeypatch)
     page, said, _ = opened(browser, tmp_path / "page.html")
     page.wait_for_selector("#viewer[data-models='1'] canvas")
     page.select_option("#style", "stick")
-    page.wait_for_timeout(300)
-    drawn = matplotlib.image.imread(io.BytesIO(page.locator("#viewer").screenshot()))[5:-5, 5:-5, :3]
+    drawn = picture(page, "#viewer")[5:-5, 5:-5, :3]
     red = drawn[..., 0] > drawn[..., 1:].max(axis=-1) + 0.2
     inked = np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1
     # A lysine of twenty residues.
@@ -138,7 +142,7 @@ def test_the_page_of_interfaces_shows_both_sides_and_is_sorted(browser, tmp_path
         for its in [pc.score_interface(s, "A", "B", solvent="vacuum")]
     ]
     assert 0 < shown[1] < shown[0] <= heavy[0]
-    drawn = matplotlib.image.imread(io.BytesIO(page.locator("#viewer").screenshot()))[5:-5, 5:-5, :3]
+    drawn = picture(page, "#viewer")[5:-5, 5:-5, :3]
     assert np.mean(np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1) > 0.01
     for side in ("1", "2"):
         page.locator(f'#shown input[value="{side}"]').uncheck()
@@ -166,8 +170,7 @@ def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_pa
     # Four heavy atoms, before and after; the viewer leaves hydrogens out.
     page.wait_for_selector("#pocket-viewer[data-shown='8'] canvas")
     assert "LIG" in page.locator("#pocket option").first.inner_text()
-    page.wait_for_timeout(500)
-    drawn = matplotlib.image.imread(io.BytesIO(page.locator("#pocket-viewer").screenshot()))[5:-5, 5:-5, :3]
+    drawn = picture(page, "#pocket-viewer")[5:-5, 5:-5, :3]
     assert np.mean(np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1) > 0.003
     page.locator("#pocket-shown input").first.uncheck()
     assert said == []
@@ -217,16 +220,10 @@ def test_the_page_of_modes_moves(browser, tmp_path):
 
     assert run("modes", STRUCTURES / "ala10.pdb", "-o", tmp_path / "out", "--modes", "3") == 0
     page, said, _ = opened(browser, tmp_path / "out" / "report.html")
-    viewer = page.locator("#modes-viewer[data-mode='1']")
-    viewer.locator("canvas").first.wait_for()
-
-    def seen():
-        page.wait_for_timeout(150)
-        return matplotlib.image.imread(io.BytesIO(viewer.screenshot()))
-
-    first = seen()
+    page.wait_for_selector("#modes-viewer[data-mode='1'] canvas")
+    first = picture(page, "#modes-viewer")
     assert np.mean(np.abs(first - first[5, 5]).max(axis=-1) > 0.1) > 0.002
-    assert any(not np.array_equal(first, seen()) for _ in range(10))
+    until(lambda: not np.array_equal(first, picture(page, "#modes-viewer")))
     page.select_option("#mode", "3")
     page.wait_for_selector("#modes-viewer[data-mode='3']")
     assert said == []

@@ -4,9 +4,6 @@ import io
 import json
 import os
 import queue
-import signal
-import threading
-import time
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +11,10 @@ import pandas as pd
 import psutil
 import pytest
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
+from fixtures.waiting import HANG
 
 import protochain as pc
-from protochain.batches import BatchSettings, cluster, find_jobs
+from protochain.batches import BatchSettings, cluster, find_jobs, supervise
 from protochain.batches.jobs import Row, failure, origin
 from protochain.batches.page import curves, write_page
 from protochain.batches.report import statistics, worst_first, write_report
@@ -346,22 +344,36 @@ def test_a_time_limit_is_of_a_structure_not_of_a_method(tmp_path, monkeypatch):
     assert ends == [("lbfgs", "converged", 0.0), ("kcm", "converged", 0.0), ("hybrid", "time-limit", 16.0)]
 
 
-def test_a_hang_a_death_and_an_odd_file_end_one_job_each(folder, tmp_path):
+class After(Child):
+    """A child to which something happens once its first row has come."""
+
+    def __init__(self, happens):
+        super().__init__(threads=1)
+        self.happens = happens
+
+    def _next(self, deadline, late):
+        message = super()._next(deadline, late)
+        if isinstance(message, Row):
+            self.happens(self)
+        return message
+
+
+def test_a_hang_a_death_and_an_odd_file_end_one_job_each(folder, tmp_path, monkeypatch):
     (long,) = find_jobs(
         [STRUCTURES / "1l2y.pdb"], BatchSettings(methods=("lbfgs", "kcm"), max_evaluations=10**9)
     )
     (short,) = find_jobs([folder / "deep"], BatchSettings(methods=("lbfgs",), max_evaluations=20))
-    child = Child(threads=1)
-    rows = child.do(long, tmp_path, time_limit=3.0)
+    late = After(lambda child: monkeypatch.setattr(supervise, "perf_counter", lambda: 1e9))
+    rows = late.do(long, tmp_path, time_limit=HANG)
     assert [row.record["status"] for row in rows] == ["converged", "time-limit"]
-    assert "3 s" in rows[1].record["message"] and not child.is_alive
-    child = Child(threads=1)
-    threading.Timer(1.0, os.kill, (child.process.pid, signal.SIGKILL)).start()
-    rows = child.do(long, tmp_path, time_limit=60.0)
-    assert {row.record["method"]: row.record["status"] for row in rows}["kcm"] == "killed"
+    assert f"{HANG:g} s" in rows[1].record["message"] and not late.is_alive
+    monkeypatch.undo()
+    dying = After(lambda child: child.process.kill())
+    rows = dying.do(long, tmp_path, time_limit=HANG)
+    assert [row.record["status"] for row in rows] == ["converged", "killed"]
     assert "SIGKILL" in rows[-1].record["message"]
     child = Child(threads=1)
-    assert [row.record["status"] for row in child.do(short, tmp_path, 60.0)] == ["converged"]
+    assert [row.record["status"] for row in child.do(short, tmp_path, HANG)] == ["converged"]
     child.kill()
 
 
@@ -369,10 +381,11 @@ def test_a_child_does_not_outlive_its_worker(folder, tmp_path):
     (long,) = find_jobs([STRUCTURES / "1hel.pdb"], BatchSettings(methods=("kcm",), max_evaluations=10**9))
     child = Child(threads=1)
     child._send((long, tmp_path, 1))
-    time.sleep(0.5)
     child.process.stdin.close()
-    assert child.process.wait(timeout=20) == 0
+    assert child.process.wait(timeout=HANG) == 0
     child.kill()
+    said = [child.messages.get(block=False) for _ in range(child.messages.qsize())]
+    assert not [each for each in said if isinstance(each, Row)], "it went on to the end of its job"
 
 
 def test_a_bug_or_full_memory_is_a_row(folder, tmp_path, monkeypatch):

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -13,6 +12,7 @@ import pandas as pd
 import psutil
 import pytest
 from fixtures.samples import load
+from fixtures.waiting import HANG, until
 
 import protochain as pc
 
@@ -42,7 +42,7 @@ def inputs(tmp_path_factory):
 def whole(inputs, tmp_path_factory):
     """The table of a run that nothing disturbed."""
     output = tmp_path_factory.mktemp("whole")
-    assert start(inputs, output, "--workers", "2").wait(timeout=300) == 3
+    assert start(inputs, output, "--workers", "2").wait(timeout=HANG) == 3
     return table(output)
 
 
@@ -63,17 +63,12 @@ def start(inputs, output, *options, env=None):
 def wait_for_rows(output, least, running):
     """Wait until some structures are done, and others are not."""
     summary = output / "summary.csv"
-    for _ in range(6000):
-        if summary.exists() and summary.read_text().count("\n") > 2 * least:
-            return
-        assert running.poll() is None
-        time.sleep(0.01)
-    raise AssertionError("no rows came")
+    until(lambda: summary.exists() and summary.read_text().count("\n") > 2 * least, running)
 
 
 def gone(processes):
     """Whether all of these end by themselves."""
-    _, alive = psutil.wait_procs(processes, timeout=30)
+    _, alive = psutil.wait_procs(processes, timeout=HANG)
     return not alive
 
 
@@ -90,7 +85,7 @@ def test_a_killed_batch_goes_on_to_the_same_table(inputs, whole, whom, least, tm
     before = pd.read_csv(tmp_path / "summary.csv")
     assert len(before) < len(whole)
     resumed = start(inputs, tmp_path, "--workers", "2", "--resume")
-    assert resumed.wait(timeout=300) == 3
+    assert resumed.wait(timeout=HANG) == 3
     pd.testing.assert_frame_equal(table(tmp_path), whole)
     # What was done is not done again: its times are those of the first run.
     after = pd.read_csv(tmp_path / "summary.csv").merge(before, on=["structure", "method"])
@@ -103,13 +98,13 @@ def test_a_killed_child_is_a_row_and_is_done_again_on_resuming(inputs, whole, tm
     family = psutil.Process(running.pid).children(recursive=True)
     (child,) = [p for p in family if "protochain.batches.child" in " ".join(p.cmdline())]
     child.kill()
-    assert running.wait(timeout=300) == 3
+    assert running.wait(timeout=HANG) == 3
     ended = table(tmp_path)
     assert len(ended) == len(whole)
     killed = ended[ended["status"] == "killed"]
     assert killed["structure"].nunique() <= 1
     assert killed["message"].str.contains("SIGKILL").all()
-    assert start(inputs, tmp_path, "--workers", "1", "--resume").wait(timeout=300) == 3
+    assert start(inputs, tmp_path, "--workers", "1", "--resume").wait(timeout=HANG) == 3
     pd.testing.assert_frame_equal(table(tmp_path), whole)
 
 
@@ -120,12 +115,12 @@ def test_an_interrupt_keeps_what_is_done(inputs, whole, number, tmp_path):
     family = psutil.Process(running.pid).children(recursive=True)
     # As from a terminal: the whole group of processes gets it.
     os.killpg(running.pid, number)
-    assert running.wait(timeout=60) == 3
+    assert running.wait(timeout=HANG) == 3
     assert gone(family)
     kept = table(tmp_path)
     assert N_BAD + 2 <= kept["structure"].nunique() < N_GOOD + N_BAD and not kept["status"].eq("killed").any()
     assert (tmp_path / "report.html").exists() and (tmp_path / "summary.parquet").exists()
-    assert start(inputs, tmp_path, "--workers", "2", "--resume").wait(timeout=300) == 3
+    assert start(inputs, tmp_path, "--workers", "2", "--resume").wait(timeout=HANG) == 3
     pd.testing.assert_frame_equal(table(tmp_path), whole)
 
 
@@ -147,10 +142,7 @@ def cluster(folder, *options):
     ]
     started = [subprocess.Popen([*dask, *scheduler, *options], **quiet)]
     try:
-        for _ in range(3000):
-            if file.exists() and file.read_text().endswith("}"):
-                break
-            time.sleep(0.01)
+        until(lambda: file.exists() and file.read_text().endswith("}"), started[0])
         address = json.loads(file.read_text())["address"]
         worker = ["worker", address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard", "--nanny"]
         started += [
@@ -168,7 +160,7 @@ def cluster(folder, *options):
 
 def test_workers_of_the_dask_command_line_do_the_same(inputs, whole, tmp_path):
     with cluster(tmp_path) as address:
-        assert start(inputs, tmp_path / "out", "--scheduler", address).wait(timeout=300) == 3
+        assert start(inputs, tmp_path / "out", "--scheduler", address).wait(timeout=HANG) == 3
     pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
 
 
@@ -182,7 +174,7 @@ def test_a_killed_worker_changes_nothing(inputs, whole, tmp_path):
         own = worker.children(recursive=True)
         assert own
         worker.kill()
-        assert running.wait(timeout=300) == 3
+        assert running.wait(timeout=HANG) == 3
         assert gone(own)
     pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
 
@@ -204,19 +196,17 @@ def test_relax_goes_on_after_a_kill_on_a_cluster_as_a_batch_does(inputs, tmp_pat
     def relaxed(name):
         return pd.read_csv(tmp_path / name / "relaxed.csv").drop(columns=list(MEASURED))
 
-    assert begin("whole", "--workers", "2").wait(timeout=300) == 3
+    assert begin("whole", "--workers", "2").wait(timeout=HANG) == 3
     with cluster(tmp_path) as address:
         running = begin("out", "--scheduler", address)
         table = tmp_path / "out" / "relaxed.csv"
-        while not table.exists() or table.read_text().count("\n") < 4:
-            assert running.poll() is None
-            time.sleep(0.01)
+        until(lambda: table.exists() and table.read_text().count("\n") >= 4, running)
         os.killpg(running.pid, signal.SIGINT)
-        assert running.wait(timeout=60) == 3
+        assert running.wait(timeout=HANG) == 3
         assert 2 < len(relaxed("out")) < 9 and (tmp_path / "out" / "report.html").exists()
-        assert begin("out", "--scheduler", address, "--resume").wait(timeout=300) == 3
+        assert begin("out", "--scheduler", address, "--resume").wait(timeout=HANG) == 3
         late = begin("late", "--scheduler", address, "--time-limit", "0.01", given=[inputs / "copy00.pdb"])
-        assert late.wait(timeout=300) == 1
+        assert late.wait(timeout=HANG) == 1
     pd.testing.assert_frame_equal(relaxed("out"), relaxed("whole"))
     assert relaxed("whole")["status"].tolist() == ["converged", "refused", *["converged"] * 7]
     assert relaxed("whole")["preset"].dropna().tolist() == ["crystal", *["predicted"] * 7]
@@ -229,8 +219,8 @@ def test_without_its_scheduler_a_batch_ends_and_goes_on_later(inputs, whole, tmp
         wait_for_rows(tmp_path / "out", N_BAD + 2, running)
         (scheduler,) = [p for p in psutil.Process().children() if "scheduler" in p.cmdline()]
         scheduler.kill()
-        assert running.wait(timeout=120) == 3
-    assert start(inputs, tmp_path / "out", "--workers", "2", "--resume").wait(timeout=300) == 3
+        assert running.wait(timeout=HANG) == 3
+    assert start(inputs, tmp_path / "out", "--workers", "2", "--resume").wait(timeout=HANG) == 3
     pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
 
 
@@ -252,9 +242,9 @@ def test_a_cluster_with_tls_takes_only_who_has_a_certificate(inputs, whole, tmp_
     with cluster(tmp_path, *options) as address:
         assert address.startswith("tls://127.0.0.1")
         refused = start(inputs, tmp_path / "out", "--scheduler", address)
-        assert refused.wait(timeout=120) == 2
+        assert refused.wait(timeout=HANG) == 2
         accepted = start(inputs, tmp_path / "out2", "--scheduler", address, env=os.environ | known)
-        assert accepted.wait(timeout=300) == 3
+        assert accepted.wait(timeout=HANG) == 3
     pd.testing.assert_frame_equal(table(tmp_path / "out2"), whole)
 
 

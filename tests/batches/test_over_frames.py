@@ -6,7 +6,6 @@ import signal
 import struct
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pandas as pd
@@ -14,6 +13,7 @@ import pytest
 from fixtures.command_line import COMMAND
 from fixtures.frames import models, saved, shaken
 from fixtures.samples import load
+from fixtures.waiting import until
 
 import protochain as pc
 from protochain.batches import Processes, frames
@@ -109,8 +109,7 @@ def test_a_frame_at_which_the_process_ends_is_named_and_all_others_are_done_in_o
 
     def fate(k):
         if k == 0:
-            while len(slow) < 2:  # Until others have come in.
-                time.sleep(0.01)
+            until(lambda: len(slow) >= 2)
         slow.append(k)
         return k in (1, 9)
 
@@ -301,9 +300,8 @@ def test_a_killed_command_is_resumed_to_the_same_files(tmp_path):
     running = subprocess.Popen(
         [*COMMAND, *common, "-o", "killed.dcd"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE
     )
-    while not (tmp_path / "killed.csv").exists() or len(rows_of(tmp_path / "killed.csv")) < 5:
-        assert running.poll() is None
-        time.sleep(0.05)
+    table = tmp_path / "killed.csv"
+    until(lambda: table.exists() and len(rows_of(table)) >= 5, running)
     os.kill(running.pid, signal.SIGKILL)
     running.communicate()
     assert (tmp_path / "killed.checkpoint.npz").exists()

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from fixtures.waiting import HANG
 
 import protochain as pc
 from protochain.batches import api, cluster
@@ -91,7 +92,7 @@ def dask(monkeypatch):
 )  # fmt: skip
 def test_on_this_machine_a_thread_is_busy_on_each_core(processes, cores, count, dask, monkeypatch):
     monkeypatch.setattr(cluster, "processors", lambda: cores)
-    barrier = threading.Barrier(count, timeout=60.0)
+    barrier = threading.Barrier(count, timeout=HANG)
     with at_work(processes) as workers:
         assert (workers.count(), workers.dashboard) == (count, "")
         # It breaks, unless all are busy at a time.

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.samples import STRUCTURES, load
+from fixtures.waiting import HANG
 
 import protochain as pc
 from protochain.batches import api, cluster, supervise, task
@@ -252,7 +253,7 @@ def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(mo
         return SimpleNamespace(kill=lambda: started.update(killed=True))
 
     def late(self, deadline, said):
-        assert listening.wait(60.0)
+        assert listening.wait(HANG)
         started.update(deadline=deadline)
         raise ChildError("time-limit", said)
 
@@ -321,7 +322,7 @@ def test_a_thread_keeps_its_child_while_that_fits(counted, tmp_path):
 
 @pytest.mark.parametrize("error", [None, KeyboardInterrupt, ZeroDivisionError])
 def test_children_end_with_the_crew_however_it_ends(error, counted, tmp_path):
-    job, both = job_of("kcm"), threading.Barrier(2, timeout=60.0)
+    job, both = job_of("kcm"), threading.Barrier(2, timeout=HANG)
     with pytest.raises(error) if error else nullcontext(), supervise.crew(2) as executor:
         # Each waits for the other, so that both threads have one.
         given = [
@@ -340,7 +341,7 @@ def test_a_child_that_is_started_while_its_crew_ends_is_ended_too(counted, tmp_p
 
     def late():
         begun.set()
-        assert release.wait(60.0)
+        assert release.wait(HANG)
         return supervise.supervise(job_of("kcm"), tmp_path, 1, 5.0)
 
     class Children(supervise._Children):
@@ -353,7 +354,7 @@ def test_a_child_that_is_started_while_its_crew_ends_is_ended_too(counted, tmp_p
         with supervise.crew(1) as executor:
             executor.submit(late)
             never = executor.submit(late)
-            assert begun.wait(60.0)
+            assert begun.wait(HANG)
     assert never.cancelled() and [child.is_alive for child in counted] == [False] and counted[0].killed
 
 

@@ -5,12 +5,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 
 import gemmi
 import pytest
 from fixtures.command_line import COMMAND
 from fixtures.samples import ROOT, STRUCTURES
+from fixtures.waiting import HANG, until
 
 from protochain.batches import Batch
 from protochain.cli import app
@@ -208,14 +208,10 @@ def test_a_signal_ends_with_the_best_so_far_written(method, sent, tmp_path):
         # Whoever runs the tests in the background has SIGINT ignored, and children inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
-    began = time.monotonic()
     # The trajectory appears when the run starts, and grows with it.
-    while time.monotonic() - began < 120 and process.poll() is None:
-        if any(path.stat().st_size > 200_000 for path in tmp_path.glob("t.part.dcd")):
-            break
-        time.sleep(0.05)
+    until(lambda: any(path.stat().st_size > 200_000 for path in tmp_path.glob("t.part.dcd")), process)
     process.send_signal(sent)
-    out, _ = process.communicate(timeout=120)
+    out, _ = process.communicate(timeout=HANG)
     record = json.loads(out)
     assert process.returncode == 3 and record["status"] == "interrupted"
     assert record["energy_end_reference_kj_mol"] < record["energy_start_kj_mol"]

@@ -71,7 +71,8 @@ COMMANDS = {
         "hop_temperature": None, "curvature": False, "seed": 0,
         "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
         "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
-        "posebusters": False, "free_ligands": False, "repack_region": "", "interface": "", **AS_JSON,
+        "posebusters": False, "free_ligands": False, "repack_region": "", "interface": "",
+        "mirror": False, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_BATCH},
     },
     "simulate": {
@@ -102,6 +103,7 @@ COMMANDS = {
         "stiffness": None,
         "max_iterations": 2000, "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True,
         "repack": False, "posebusters": False, "free_ligands": False, "repack_region": "", "interface": "",
+        "mirror": False,
         "report": None, "ligand_out": None, **FRAMES, "scheduler": None, "time_limit": 3600.0, **AS_JSON,
         "force": False, **{k: v for k, v in SETUP.items() if k not in ("hinges", "terms")},
     },

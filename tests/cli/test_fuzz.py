@@ -4,7 +4,6 @@ import os
 import signal
 import sys
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -16,13 +15,16 @@ from hypothesis import strategies as st
 import protochain as pc
 from protochain.core.processors import processors
 
-LONGEST_SECONDS = 10.0
+ANY_MACHINE = settings(
+    max_examples=150,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+)
 
 
 def taken_or_refused(path, data):
     """Check a file's reading, and the preparation of what was read."""
     path.write_bytes(data)
-    began = perf_counter()
     try:
         s = pc.load(path)
     except pc.ProtochainError as error:
@@ -30,7 +32,6 @@ def taken_or_refused(path, data):
     else:
         assert np.isfinite(s.positions).all() and s.n_residues >= 2
         assert len(s.atom_name) == s.n_atoms == len(s.b_factor)
-    assert perf_counter() - began < LONGEST_SECONDS
 
 
 def says(*lines):
@@ -94,7 +95,8 @@ PLANTED = {
 @pytest.mark.parametrize(("call", "expected"), PLANTED.values(), ids=PLANTED)
 def test_the_judge_notices_each_fault_and_no_other(call, expected, tmp_path):
     case = Case("planted", 0, ("minimise", BESIDE[0], "-o", "out.pdb", "--json"), beside(), BESIDE[:1])
-    end = judge.ran(case, tmp_path, lambda words: call(), seconds=1)
+    seconds = 1 if call is computes_for_ever else judge.SECONDS
+    end = judge.ran(case, tmp_path, lambda words: call(), seconds)
     found = [*judge.faults(case, end), *judge.unread(case, end, tmp_path)]
     assert [fault for fault in found if not any(fault.startswith(each) for each in expected)] == []
     assert len(found) == len(expected)
@@ -154,13 +156,13 @@ record = st.builds(
 )
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@ANY_MACHINE
 @given(lines=st.lists(record, max_size=60))
 def test_made_up_records(lines, tmp_path):
     taken_or_refused(tmp_path / "made-up.pdb", "\n".join([*lines, "END"]).encode())
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@ANY_MACHINE
 @given(
     data=st.one_of(
         st.binary(max_size=500), st.text(max_size=500).map(lambda text: text.encode("utf-8", "replace"))

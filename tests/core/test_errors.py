@@ -2,7 +2,6 @@
 
 import pickle
 import sys
-import threading
 
 import numpy as np
 import pytest
@@ -138,13 +137,18 @@ def test_errors_of_usage_name_the_help_of_the_command(arguments, command, monkey
 
 def test_a_cluster_without_workers_says_so_and_goes_on_when_one_comes(monkeypatch, caplog):
     monkeypatch.setattr(cluster, "_PATIENCE", 0.2)
+    emit = caplog.handler.emit
+
+    def warned(record):
+        emit(record)
+        if record.name.startswith("protochain"):
+            scheduler.scale(1)
+
     with LocalCluster(n_workers=0, processes=False, dashboard_address=None) as scheduler:
         address = scheduler.scheduler_address
-        later = threading.Timer(1.0, scheduler.scale, (1,))
-        later.start()
+        monkeypatch.setattr(caplog.handler, "emit", warned)
         with cluster.at_work(cluster.Processes(scheduler=address)) as workers:
             assert workers.count() > 0
-        later.join()
     (line,) = [record.getMessage() for record in caplog.records if record.name.startswith("protochain")]
     assert line.startswith(f"scheduler {address}: no workers after 0.2 s") and "dask worker" in line
 

@@ -5,7 +5,7 @@ import json
 import os
 import signal
 import subprocess
-import time
+import sys
 
 import mdtraj
 import numpy as np
@@ -14,6 +14,7 @@ import pytest
 from fixtures.command_line import COMMAND, protochain, refusal, run
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
 from fixtures.tolerances import ROUND_OFF_NM
+from fixtures.waiting import HANG, until
 from scipy.stats import kstest
 
 import protochain as pc
@@ -393,6 +394,21 @@ def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
         simulate(*small, n_steps=40, resume=True)
 
 
+KILLED = """
+import os, signal, sys
+moved = []
+def kill(event, arguments):
+    if event == "os.rename" and str(arguments[1]).endswith("checkpoint.npz"):
+        moved.append(arguments)
+        if len(moved) == 3:
+            os.kill(os.getpid(), signal.SIGKILL)
+sys.addaudithook(kill)
+from protochain.cli import main
+main()
+"""
+"""The command, killed when its third checkpoint is written and not yet in its place."""
+
+
 @pytest.mark.parametrize("suffix", ["dcd", "xtc"])
 def test_after_kill_9_a_run_goes_on_as_if_nothing_had_been(suffix, tmp_path, capsys):
     arguments = [
@@ -400,16 +416,11 @@ def test_after_kill_9_a_run_goes_on_as_if_nothing_had_been(suffix, tmp_path, cap
         "--trajectory", suffix, "--seed", 9,
     ]  # fmt: skip
     run(*arguments, "-o", tmp_path / "whole")
-    process = subprocess.Popen(
-        [*COMMAND, *map(str, arguments), "-o", "cut"], cwd=tmp_path, stderr=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL, env={**os.environ, "PYTHONPATH": str(ROOT)},
+    cut = subprocess.run(
+        [sys.executable, "-c", KILLED, *map(str, arguments), "-o", "cut"], cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )  # fmt: skip
-    began = time.monotonic()
-    while not (tmp_path / "cut" / "checkpoint.npz").exists() and time.monotonic() - began < 120:
-        time.sleep(0.02)
-    time.sleep(0.1)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    assert cut.returncode == -signal.SIGKILL and (tmp_path / "cut" / "checkpoint.npz").exists()
     assert not (tmp_path / "cut" / f"trajectory.{suffix}").exists()
     capsys.readouterr()
     run(*arguments, "-o", tmp_path / "cut", "--resume", "--json")
@@ -430,11 +441,9 @@ def test_ctrl_c_leaves_a_run_to_go_on_with(tmp_path):
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
-    began = time.monotonic()
-    while not (tmp_path / "run" / "checkpoint.npz").exists() and time.monotonic() - began < 120:
-        time.sleep(0.05)
+    until((tmp_path / "run" / "checkpoint.npz").exists, process)
     process.send_signal(signal.SIGINT)
-    out, _ = process.communicate(timeout=60)
+    out, _ = process.communicate(timeout=HANG)
     assert process.returncode == 3 and "interrupted" in out
     rows = pd.read_csv(tmp_path / "run" / "log.csv")
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())

@@ -2,11 +2,11 @@
 
 import multiprocessing
 import threading
-import time
 
 import numpy as np
 import pytest
 from fixtures.samples import energy, load
+from fixtures.waiting import until
 
 from protochain.core import processors as door
 from protochain.core.compilation import njit
@@ -52,10 +52,7 @@ def test_nobody_waits_for_helpers_that_do_not_come(monkeypatch):
 def test_helpers_leave_when_there_is_nothing_to_do():
     together = on(3)
     together(X)
-    until = time.monotonic() + 10.0
-    while together._helping and time.monotonic() < until:
-        time.sleep(0.001)
-    assert together._helping == 0
+    until(lambda: together._helping == 0)
     assert same(together(X), on(1)(X))
 
 

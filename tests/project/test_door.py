@@ -124,6 +124,7 @@ FURTHER = {
         "keep_hydrogens",
         "repack",
         "repack_region",
+        "mirror",
         "interface",
         "threads",
         "ph",

@@ -8,6 +8,8 @@ import re
 import pytest
 from fixtures.public_names import PACKAGES
 from fixtures.samples import ROOT
+from fixtures.texts import cells, program
+from fixtures.waiting import HANG
 
 from protochain.scenes import SCENES, run
 
@@ -18,9 +20,6 @@ ALONE = {"helix"}
 NOTEBOOKS = [*LONG, *OF_SCENES]
 BENCHMARKS = sorted((ROOT / "analysis" / "benchmarks").glob("*.py"))
 PUBLIC = {package.__name__: set(package.__all__) for package in PACKAGES}
-LONGEST = 180
-"""Seconds for a cell; each notebook takes less than a minute where nothing else runs."""
-
 FULL, QUICK = "QUICK = False", "QUICK = True"
 """Line of the notebooks of scenes, and the one that the tests put in its place."""
 
@@ -34,20 +33,6 @@ remake = importlib.util.module_from_spec(where)
 where.loader.exec_module(remake)
 
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-
-
-def cells(path, kind):
-    """Sources of the cells of a kind."""
-    found = json.loads(path.read_text(encoding="utf-8"))["cells"]
-    return ["".join(cell["source"]) for cell in found if cell["cell_type"] == kind]
-
-
-def program(path):
-    """All code, as Python reads it: without IPython's magics."""
-    if path.suffix == ".py":
-        return ast.parse(path.read_text(encoding="utf-8"))
-    lines = "\n".join(cells(path, "code")).splitlines()
-    return ast.parse("\n".join(line for line in lines if not line.startswith("%")))
 
 
 def test_all_nine_are_there():
@@ -161,6 +146,6 @@ def test_it_runs(path, tmp_path, monkeypatch):
         first = next(cell for cell in notebook.cells if cell.cell_type == "code")
         first.source = first.source.replace(FULL, QUICK)
     nbclient.NotebookClient(
-        notebook, timeout=LONGEST, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}
+        notebook, timeout=HANG, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}
     ).execute()
     assert sorted(path.parent.iterdir()) == before, "it leaves files behind"

@@ -1,8 +1,11 @@
 """Hands of chiral atoms in a relaxation: wrong ones become right, D-amino acids keep theirs, none is lost."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from fixtures import models
+from fixtures.command_line import run
+from fixtures.frames import saved
 from fixtures.repairs import sentences
 from fixtures.samples import SAMPLES, load, shared
 
@@ -10,7 +13,7 @@ import protochain as pc
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Relaxer
-from protochain.structure.chirality import chiral_atoms, wrong_atoms
+from protochain.structure.chirality import chiral_atoms, mirror_images, wrong_atoms
 from protochain.structure.repairs import Kind
 from protochain.structure.residues import Residue
 
@@ -129,13 +132,73 @@ def test_a_residue_named_as_d_keeps_its_hand_and_gets_it_where_it_has_the_other(
     assert r.status == "converged" and r.measures_end["wrong_hands"] == 0
 
 
-def test_a_chain_in_the_mirror_stays_so():
+MIRROR = [1.0, 1.0, -1.0]
+
+
+def test_a_chain_in_the_mirror_stays_so_and_is_a_violation_unless_it_is_meant(tmp_path):
     s = load("1l2y.pdb")
-    mirror = s.with_positions(s.positions * [1.0, 1.0, -1.0])
-    r, usual = pc.relax(mirror, threads=1), pc.relax(s, threads=1)
-    assert r.hands_turned == () and r.status == "converged"
+    mirror = s.with_positions(s.positions * MIRROR)
+    r, meant, usual = (
+        pc.relax(mirror, threads=1),
+        pc.relax(mirror, threads=1, mirror=True),
+        pc.relax(s, threads=1),
+    )
+    assert r.hands_turned == meant.hands_turned == () and np.array_equal(r.x, meant.x)
     assert r.energy_end == pytest.approx(usual.energy_end, abs=0.5)
-    assert r.measures_end["wrong_hands"] == r.measures_start["wrong_hands"] >= 16
+    assert r.status == "violations" and "chain A is a mirror image" in r.message
+    # 17 C-alphas, three glycines having none, and the C-beta of an isoleucine.
+    assert r.measures_end["wrong_hands"] == r.measures_start["wrong_hands"] == 18
+    # As D-amino acids they are measured as the usual ones are.
+    assert meant.status == usual.status == "converged"
+    its = ("wrong_hands", "ramachandran_outliers", "ramachandran_favoured_percent", "cbeta_outliers")
+    assert [meant.measures_end[name] for name in its] == [usual.measures_end[name] for name in its]
+    pc.save(meant.structure, tmp_path / "d.pdb")
+    again = pc.load(tmp_path / "d.pdb")
+    assert again.mirrored.sum() == 17 and pc.relax(again, threads=1).status == "converged"
+
+
+def test_most_stereocentres_make_a_mirror_image_chain_by_chain(tmp_path):
+    s = load("1l2y.pdb")
+    of = s.alpha_carbons[s.residue_name != "GLY"]
+    assert mirror_images(s) == mirror_images(other_hand(s, *s.atom_residue[of[:8]])) == {}
+    (its,) = mirror_images(other_hand(s, *s.atom_residue[of[:10]])).values()
+    assert len(its) == len(of)
+    for name, given in (("a", s), ("b", s.with_positions(s.positions * MIRROR + [0.0, 0.0, 5.0]))):
+        pc.save(given, tmp_path / f"{name}.pdb")
+    lines = [(tmp_path / f"{name}.pdb").read_text().splitlines(keepends=True) for name in "ab"]
+    text = [line for line in lines[0] if line[:4] in ("ATOM", "TER ")]
+    text += [f"{line[:21]}B{line[22:]}" for line in lines[1] if line[:4] in ("ATOM", "TER ")]
+    (tmp_path / "both.pdb").write_text("".join([*text, "END\n"]))
+    assert [*mirror_images(pc.load(tmp_path / "both.pdb"))] == ["B"]
+
+
+@pytest.mark.parametrize(("options", "status"), [((), "violations"), (("--mirror",), "converged")])
+def test_mirror_images_are_told_of_files_frames_and_folders_alike(options, status, tmp_path):
+    s = load("1l2y.pdb")
+    (tmp_path / "in").mkdir()
+    for name, place in (("usual", s.positions), ("mirror", s.positions * MIRROR)):
+        pc.save(s.with_positions(place), tmp_path / "in" / f"{name}.pdb")
+    saved(s, np.stack([s.positions, s.positions * MIRROR]), tmp_path / "x.xtc")
+    common = ("--threads", "1", "--workers", "1", *options)
+    run("relax", tmp_path / "in", "-o", tmp_path / "out", *common)
+    run(
+        "relax",
+        tmp_path / "in" / "usual.pdb",
+        "--trajectory",
+        tmp_path / "x.xtc",
+        "-o",
+        tmp_path / "o.dcd",
+        *common,
+    )
+    folder, frames = pd.read_csv(tmp_path / "out" / "relaxed.csv"), pd.read_csv(tmp_path / "o.csv")
+    assert dict(zip(folder["structure"], folder["status"], strict=True)) == {
+        "usual": "converged",
+        "mirror": status,
+    }
+    assert frames["status"].tolist() == ["converged", status]
+    for table in (folder, frames):
+        said = table["message"].str.contains("chain A is a mirror image").tolist()
+        assert said == (table["status"] == "violations").tolist()
 
 
 def test_a_hand_lost_in_a_round_is_turned_back_before_the_next():

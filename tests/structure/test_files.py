@@ -6,10 +6,10 @@ import hashlib
 import io
 import itertools
 import os
-import signal
 import string
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import gemmi
@@ -573,23 +573,30 @@ def test_the_largest_complex_loads():
 
 @pytest.fixture(params=["pipe", "device", "folder"])
 def endless(request, tmp_path):
-    """What is no file, to read which may never end, with a limit of time for a test that would."""
-    path = tmp_path / "odd.pdb"
-    if request.param == "pipe":
-        os.mkfifo(path)
-    elif request.param == "device":
+    """What is no file, to read which may never end; who opens the pipe finds it empty, and is noticed."""
+    path, opened = tmp_path / "odd.pdb", []
+    if request.param == "device":
         path.symlink_to("/dev/null")  # As /dev/zero, which would fill the memory if it were read.
-    else:
+        yield path
+        return
+    if request.param == "folder":
         path.mkdir()
+        yield path
+        return
+    os.mkfifo(path)
 
-    def late(*_):
-        raise AssertionError("it is read")
+    def answer():
+        end = os.open(path, os.O_WRONLY)  # Waits for a reader.
+        opened.append(end)
+        os.close(end)
 
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(20)
+    waiting = threading.Thread(target=answer)
+    waiting.start()
     yield path
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
+    assert not opened, "it is read"
+    end = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    waiting.join()
+    os.close(end)
 
 
 @pytest.mark.parametrize(

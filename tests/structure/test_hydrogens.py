@@ -28,7 +28,7 @@ def test_as_many_as_modeller_adds_at_the_same_atoms(name):
     s = load(name)
     modeller = app.Modeller(s.topology, s.positions * unit.nanometer)
     modeller.delete([atom for atom in modeller.topology.atoms() if atom.element.symbol == "H"])
-    modeller.addHydrogens(pH=7.0)
+    modeller.addHydrogens(pH=7.0, platform=openmm.Platform.getPlatform("CPU"))
     theirs = [
         (atom.residue.index, "H1" if atom.name == "H" and atom.residue.index in starts(s) else atom.name)
         for atom in modeller.topology.atoms()
@@ -72,7 +72,7 @@ def test_their_energy_is_no_higher_than_after_modellers_minimisation(name):
     x = {}
     modeller = app.Modeller(s.topology, s.positions * unit.nanometer)
     modeller.delete([atom for atom in modeller.topology.atoms() if atom.element.symbol == "H"])
-    modeller.addHydrogens(pH=7.0)
+    modeller.addHydrogens(pH=7.0, platform=openmm.Platform.getPlatform("CPU"))
     for atom, at in zip(
         modeller.topology.atoms(), modeller.positions.value_in_unit(unit.nanometer), strict=True
     ):
