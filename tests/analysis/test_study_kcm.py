@@ -177,7 +177,7 @@ def test_all_methods_have_one_start_which_depends_on_the_seed_alone():
 
 
 def test_a_file_starts_deposited_and_if_small_perturbed_and_extended():
-    path = ROOT / "structures" / "1l2y.pdb"
+    path = ROOT / "structures" / "5awl.pdb"
     chosen = kcm_cases.proteins((path,))[-1:]
     found = [case for case, _ in kcm_cases.cases(chosen, ("phi psi",), ("vacuum",), 2)]
     assert [(case.start, case.seed) for case in found] == [
@@ -190,23 +190,23 @@ def test_a_file_starts_deposited_and_if_small_perturbed_and_extended():
         rmsd_angstrom(each.positions[each.alpha_carbons], native) for each in (deposited, perturbed, extended)
     ]
     assert apart[0] < 0.01 and 0.05 < apart[1] < 5.0 < apart[2]
-    assert extended.n_residues == 20
+    assert extended.n_residues == 10
 
 
 def test_first_starts_come_first_and_what_would_not_end_is_left_out():
-    chosen = kcm_cases.proteins(tuple(ROOT / "structures" / name for name in ("1l2y.pdb", "1ubq.pdb")))
+    chosen = kcm_cases.proteins(tuple(ROOT / "structures" / name for name in ("5awl.pdb", "1ubq.pdb")))
     found = kcm_cases.cases(chosen, kcm_cases.MODELS, tuple(kcm_cases.ENERGIES), 2)
     first = [place for place, (case, _) in enumerate(found) if case.seed == 0 and case.start == "extended"]
     again = [place for place, (case, _) in enumerate(found) if case.seed and case.start == "extended"]
     assert max(first) < min(again)
     methods = {(case.protein, case.energy): set(given) for case, given in found}
     assert methods["rgds", "obc2"] == set(METHODS)
-    assert {name for name in METHODS if name not in methods["1l2y", "obc2"]} == {
+    assert {name for name in METHODS if name not in methods["5awl", "obc2"]} == {
         *(f"md-{f}{end}" for f in ("0.1", "100") for end in ("", "-half", "-nudged"))
     }
-    assert {"kcm-metric-fixed-half", "md-10-nudged"} < methods["1ubq", "obc2"] < methods["1l2y", "obc2"]
+    assert {"kcm-metric-fixed-half", "md-10-nudged"} < methods["1ubq", "obc2"] < methods["5awl", "obc2"]
     assert "kcm-0.005" not in methods["1ubq", "obc2"] and "md-1" not in methods["1ubq", "obc2"]
-    assert "md-1" in methods["rgds", "nonbonded"] and ("1l2y", "nonbonded") not in methods
+    assert "md-1" in methods["rgds", "nonbonded"] and ("5awl", "nonbonded") not in methods
 
 
 def test_it_goes_on_where_it_stopped(small, tmp_path, monkeypatch):
@@ -513,7 +513,7 @@ def test_the_tables_of_the_pages_are_those_of_the_runs():
 def test_percentages_of_the_page_are_those_of_other_code():
     """Raw and by protein, from the columns of the runs alone."""
     runs = pd.read_csv(RESULTS / "kcm_runs.csv", converters={"protein": str})
-    runs = runs[(runs["energy"] == "obc2") & (runs["model"] == "phi psi chi") & (runs["residues"] <= 25)]
+    runs = runs[(runs["energy"] == "obc2") & (runs["model"] == "phi psi chi") & (runs["residues"] <= kcm_cases.SMALL)]
     stored = pd.read_csv(RESULTS / "kcm_contrasts.csv")
     stored = stored[stored["scope"] == "OBC2"].set_index("what")
     keys = ["protein", "start", "seed"]

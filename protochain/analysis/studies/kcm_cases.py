@@ -60,7 +60,7 @@ N_STARTS = 2
 """Perturbed starts of each kind, beside the one that is not."""
 SPREAD: Mapping[str, float] = {"perturbed": 0.1, "extended": 0.5}
 """rad. Standard deviation of a dihedral: a folded chain soon overlaps."""
-SMALL = 25
+SMALL = 16
 """Residues up to which a structure is also perturbed, and started from its extended chain, and all run."""
 TINY = 7
 """Residues up to which frictions of 0.1 and 100 per ps, other energies and other models are run."""
