@@ -513,7 +513,9 @@ def test_the_tables_of_the_pages_are_those_of_the_runs():
 def test_percentages_of_the_page_are_those_of_other_code():
     """Raw and by protein, from the columns of the runs alone."""
     runs = pd.read_csv(RESULTS / "kcm_runs.csv", converters={"protein": str})
-    runs = runs[(runs["energy"] == "obc2") & (runs["model"] == "phi psi chi") & (runs["residues"] <= kcm_cases.SMALL)]
+    runs = runs[
+        (runs["energy"] == "obc2") & (runs["model"] == "phi psi chi") & (runs["residues"] <= kcm_cases.SMALL)
+    ]
     stored = pd.read_csv(RESULTS / "kcm_contrasts.csv")
     stored = stored[stored["scope"] == "OBC2"].set_index("what")
     keys = ["protein", "start", "seed"]
