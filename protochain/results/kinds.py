@@ -16,7 +16,8 @@ _KINDS: Mapping[str, Kind] = {
             structure method status message file input output reference interface key protochain python judge
             frame engine engine_reason forcefield solvent hinges root move preset protocol
             bonds_to_hydrogen tolerance_unit exclude hydrogens repack_region chain residue name chain_1
-            residue_1 name_1 chain_2 residue_2 name_2 of ramachandran_class ramachandran peptide_bond rotamer secondary_structure
+            residue_1 name_1 chain_2 residue_2 name_2 of
+            ramachandran_class ramachandran peptide_bond rotamer secondary_structure
             rotamer_before rotamer_after kind change first second pucker paired_with source matched_by
             chain_mapping added cost quantity held_by system_sha256 other setting outcome detail what verdict
             conformer table title scene error_of ligands_written report
