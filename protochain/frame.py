@@ -71,7 +71,7 @@ def frame_of(chain: Chain, energy: Energy, held_by: str = "") -> Frame:
 
 
 def knows_places(energy: Energy, x: Floats) -> bool:
-    """Whether the energy changes when all atoms move as one; that of a force field, which has atoms, does not."""
+    """Whether the energy changes when all atoms move as one; force fields, which have atoms, know none."""
     if energy.atoms:
         return False
     (value, forces), (moved, _) = energy.reference(x), energy.reference(x @ _MOVED[0].T + _MOVED[1])

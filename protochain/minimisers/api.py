@@ -294,12 +294,13 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     met = done.complete and residual <= run.converged_at
     judged = "judged by the callable itself" if energy.engine == "custom" else "in double precision"
     if lowest is not None:
-        judged += f"; lowest eigenvalue of the Hessian {lowest:.3g} {done.space.eigenvalue_unit}"
+        most = "" if done.eigenvalue_at_most is None else "at most "
+        judged += f"; lowest eigenvalue of the Hessian {most}{lowest:.3g} {done.space.eigenvalue_unit}"
     elif met:
-        judged += "; curvature not examined, it may be a saddle point"
+        judged += "; curvature not examined"
         if done.eigenvalue_at_most is not None:
             most = f"{done.eigenvalue_at_most:.3g} {done.space.eigenvalue_unit}"
-            judged += f": the lowest eigenvalue of the Hessian is at most {most}"
+            judged += f" to the end: the lowest eigenvalue of the Hessian is at most {most}"
     stop = done.stop
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.

@@ -37,13 +37,13 @@ eigenvectors of the metric, pairs of the run, or the near terms' metric take few
 and on others end twice too high, too."""
 
 LEAST = 0.1
-"""kJ/mol/rad^2, kJ/mol/nm^2. Eigenvalues nearer 0 count as 0: a turn of 1 rad, or a hundred atoms that move by
-0.1 nm each, gain less than 0.05 kJ/mol."""
+"""kJ/mol/rad^2, kJ/mol/nm^2. Eigenvalues nearer 0 count as 0: a turn of 1 rad, or a hundred atoms that move
+by 0.1 nm each, gain less than 0.05 kJ/mol."""
 
 ALL_ATOMS_UP_TO = 1.0
-"""kJ/mol/nm. Where all atoms move, ends of larger RMS forces are not examined: they are on their way still."""
+"""kJ/mol/nm, tolerance above which ends in all atoms are not examined by default: they are on their way."""
 
-SHARE_OF_RUN, FEWEST = 0.2, 10
+SHARE_OF_RUN, FEWEST = 0.2, 8
 """Where all atoms move, a search takes at most this share of the evaluations before it, but these products at
 least: runs are short there, and their matrix guides the search well."""
 
@@ -162,7 +162,8 @@ class Curvature:
 
     def init(self, problem: Problem, at: Evaluation) -> CurvatureState:
         """Begin with no vector."""
-        most = int(max(FEWEST, min(MOST, self.share * problem.n_evaluations)))
+        # Two more measure a curvature in doubt.
+        most = int(max(FEWEST, min(MOST, self.share * problem.n_evaluations - 2)))
         return CurvatureState(at, Preconditioner.first(self.metric, problem.space, at), most=most)
 
     def step(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:

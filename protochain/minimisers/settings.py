@@ -44,7 +44,7 @@ class MinimiseSettings(Settings):
     max_rmsd: float = setting(math.inf, "Largest C-alpha RMSD to the start, angstrom.", number, float)
     curvature: bool | None = setting(
         None,
-        "Whether to leave saddle points [default: where hinges turn, and in all atoms at tolerances up to 1].",
+        "Whether to leave saddle points [default: in torsions, and in all atoms at tolerances up to 1].",
         optional(flag),
         bool,
         "--curvature/--no-curvature",
