@@ -28,8 +28,8 @@ distance. Minimisers have a higher floor and a steeper decay, for their steps mu
 directions; where the softest is sought, these take the fewest products with the Hessian."""
 
 SOFT_ATOMS = 3.0
-"""kJ/mol/nm^2, added for every atom where soft directions are ranked, as the lowest eigenvalues of proteins are
-2 to 20. With the minimisers' floor, and few pairs coupled, the search takes twice as many products."""
+"""kJ/mol/nm^2, added for every atom where soft directions are ranked: lowest eigenvalues of proteins are 2 to
+20. With the minimisers' floor, and few pairs coupled, the search takes twice as many products."""
 
 _RANK = 1e-6
 """nm for each atom: displacements below it, in all, are rounding, not motion."""

@@ -156,7 +156,7 @@ FLAGS = {
     "terms": ["--energy"], "n_walkers": ["--walkers"], "n_replicas": ["--replicas"],
 }  # fmt: skip
 SECONDARY = {
-    "relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"],
+    "curvature": ["--no-curvature"], "relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"],
     ("posebusters", "validate"): ["--no-posebusters"],
 }  # fmt: skip
 ARGUMENTS = {
