@@ -1,6 +1,5 @@
 """Frame of results: that of the start, unless something holds a run in place."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,14 +65,16 @@ def frame_of(chain: Chain, energy: Energy, held_by: str = "") -> Frame:
     if not chain.moving.all():
         held_by = "atoms that stand still"
     # Force fields know no places; a System or callable of the caller's may.
-    elif not held_by and not energy.atoms and _knows_places(energy.reference, chain.structure.positions):
+    elif not held_by and knows_places(energy, chain.structure.positions):
         held_by = "its energy"
     return Frame(chain.structure, held_by)
 
 
-def _knows_places(energy: Callable[[Floats], tuple[float, Floats]], x: Floats) -> bool:
-    """Whether the energy changes when all atoms move as one."""
-    (value, forces), (moved, _) = energy(x), energy(x @ _MOVED[0].T + _MOVED[1])
+def knows_places(energy: Energy, x: Floats) -> bool:
+    """Whether the energy changes when all atoms move as one; force fields, which have atoms, know none."""
+    if energy.atoms:
+        return False
+    (value, forces), (moved, _) = energy.reference(x), energy.reference(x @ _MOVED[0].T + _MOVED[1])
     # Terms much larger than their sum show in the forces.
     scale = abs(value) + float(np.linalg.norm(forces)) + 1.0
     return bool(abs(moved - value) > _UNCHANGED * scale)

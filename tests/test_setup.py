@@ -23,8 +23,6 @@ OTHERWISE = {
     ("simulate", "time_step"): None,
     ("simulate", "hinge_springs"): None,
     ("minimise", "max_rmsd"): None,
-    ("minimise", "curvature"): False,
-    ("compare", "curvature"): False,
 }
 """Defaults that commands have as none, or which an option turns off."""
 

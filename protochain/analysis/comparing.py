@@ -33,7 +33,7 @@ def compare(
     *,
     repeats: int = defaults.REPEATS,
     reference: Any = None,
-    curvature: bool = True,
+    curvature: bool | None = None,
     watch: Callable[[str], Watcher] | None = None,
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.
@@ -53,7 +53,7 @@ def compare(
         threads), with consecutive seeds. The first is shown; ``Comparison.spread`` covers all.
     reference : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
         Structure to measure the ends against, for example an experimental one.
-    curvature : bool
+    curvature : bool, optional
         As in :func:`protochain.minimise`.
     watch : callable, optional
         Given a method's name, returns the ``watch`` of its run.

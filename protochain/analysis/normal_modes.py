@@ -33,7 +33,7 @@ from protochain.energies import as_energy
 from protochain.frame import frame_of
 from protochain.mechanics import multibody
 from protochain.minimisers import curvature, springs
-from protochain.minimisers.saddle import motions_of_whole
+from protochain.minimisers.spaces import motions_of_whole
 
 METHODS = ("auto", "dense", "products")
 

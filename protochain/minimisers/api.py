@@ -24,14 +24,14 @@ from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import taken
 from protochain.energies import as_energy
-from protochain.frame import Frame, frame_of
+from protochain.frame import Frame, frame_of, knows_places
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
-from protochain.minimisers.saddle import with_curvature
+from protochain.minimisers.saddle import ALL_ATOMS_UP_TO, SHARE_OF_RUN, with_curvature
 from protochain.minimisers.settings import CheckpointSettings, MinimiseSettings
 from protochain.minimisers.solution import Recorder, Solution, trace_of
 from protochain.minimisers.spaces import Torsions
@@ -54,7 +54,7 @@ def minimise(
     *,
     restraint: Any = "",
     max_rmsd: float = np.inf,
-    curvature: bool = True,
+    curvature: bool | None = None,
     checkpoint: str | Path | None = None,
     resume: str | Path | None = None,
     watch: Watcher | None = None,
@@ -92,10 +92,11 @@ def minimise(
         does.
     max_rmsd : float, angstrom
         Upper limit of the C-alpha RMSD to the start, superposed.
-    curvature : bool
-        Whether methods that only turn hinges find, at their end, the lowest eigenvalue of the Hessian in
-        torsions, by some dozen evaluations more, and go on from a saddle point
-        (:mod:`protochain.minimisers.saddle`).
+    curvature : bool, optional
+        Whether to find, at the end, the lowest eigenvalue of the Hessian in what moves, torsions or all
+        atoms, and to go on from a saddle point (:mod:`protochain.minimisers.saddle`): some dozen evaluations,
+        in all atoms at most a fifth of those of the run, or ten. Default: where only hinges turn, and in all
+        atoms at tolerances up to 1 kJ/mol/nm. OpenMM's methods do not.
     checkpoint : path-like, optional
         File (.npz) to write when the run ends, for ``resume``; a warning says why if it cannot be written.
     resume : path-like, optional
@@ -164,6 +165,12 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
         return self.recipe.tolerance(self.tolerance)
 
     @property
+    def examines(self) -> bool:
+        """Whether the curvature at its end is examined."""
+        usual = self.recipe.keeps_geometry or self.converged_at <= ALL_ATOMS_UP_TO
+        return not self.recipe.by_openmm and (usual if self.curvature is None else self.curvature)
+
+    @property
     def hold(self) -> Hold:
         """Restraints to the start."""
         return Hold.of(self.restraint, self.max_rmsd)
@@ -180,7 +187,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
             "root": chain.root,
             "move": chain.move,
             "seed": self.seed,
-            "curvature": self.curvature,
+            "curvature": self.examines,
             "engine": energy.engine,
             "double_precision": energy.is_exact,
             "system": energy.fingerprint,
@@ -212,14 +219,22 @@ def _frame(start: Start, run: Minimisation) -> Frame:
     return frame_of(start.chain, start.energy, run.hold.place or ("a fixed root" if fixed else ""))
 
 
+def _floats(start: Start, run: Minimisation, frame: Frame) -> bool:
+    """Whether nothing but fixed atoms, if there are any, holds a run in place."""
+    if start.chain.moving.all():
+        return not frame.held_by
+    return not run.hold.place and not knows_places(start.energy, start.chain.structure.positions)
+
+
 def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     """Walk through the stages of a recipe."""
     chain, energy, hold = start.chain, start.energy, run.hold
     reduced = start.energy_of(run.recipe)
     torque = start.judgement.max_torque
     plan = run.recipe.plan(chain, energy, reduced, run.converged_at, hold, run.seed, torque)
-    if run.curvature and run.recipe.keeps_geometry:
-        plan = with_curvature(plan, floats=not record.frame.held_by)
+    if run.examines:
+        share = np.inf if run.recipe.keeps_geometry else SHARE_OF_RUN
+        plan = with_curvature(plan, _floats(start, run, record.frame), share)
     x = chain.structure.positions
     waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start), x) if run.resume else None
     allowed = Leash(chain.structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
@@ -282,12 +297,13 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     met = done.complete and residual <= run.converged_at
     judged = "judged by the callable itself" if energy.engine == "custom" else "in double precision"
     if lowest is not None:
-        judged += f"; lowest eigenvalue of the Hessian {lowest:.3g} kJ/mol/rad^2"
-    elif met and run.curvature and run.recipe.keeps_geometry:
-        judged += "; not tested for a saddle point"
+        most = "" if done.eigenvalue_at_most is None else "at most "
+        judged += f"; lowest eigenvalue of the Hessian {most}{lowest:.3g} {done.space.eigenvalue_unit}"
+    elif met:
+        judged += "; curvature not examined"
         if done.eigenvalue_at_most is not None:
-            most = f"{done.eigenvalue_at_most:.3g} kJ/mol/rad^2"
-            judged += f": the lowest eigenvalue of the Hessian is at most {most}"
+            most = f"{done.eigenvalue_at_most:.3g} {done.space.eigenvalue_unit}"
+            judged += f" to the end: the lowest eigenvalue of the Hessian is at most {most}"
     stop = done.stop
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.

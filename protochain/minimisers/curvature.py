@@ -221,7 +221,7 @@ def bonded_gradients(terms: NearTerms, x: Floats) -> tuple[Gradients, Gradients]
     )  # fmt: skip
 
 
-def curvature(terms: NearTerms, x: Floats, near: Stretches) -> Curvature:
+def curvature(terms: NearTerms, x: Floats, near: Stretches, coupled_from: float = COUPLED) -> Curvature:
     """Blocks of the bonded terms, and of springs between near atoms.
 
     Parameters
@@ -230,6 +230,8 @@ def curvature(terms: NearTerms, x: Floats, near: Stretches) -> Curvature:
     x : (na, 3) float, nm
     near : tuple
         As from :func:`free_wells`.
+    coupled_from : float, kJ/mol/nm^2
+        Stiffness above which such a pair couples its atoms.
     """
     # Copies are writable, and kernels compiled once.
     x = np.array(x)
@@ -240,7 +242,7 @@ def curvature(terms: NearTerms, x: Floats, near: Stretches) -> Curvature:
     for (atoms, each, stiffness), slots in zip(gradients, terms.slots[2:], strict=True):
         kernels.add_gradients(atoms, each, stiffness, slots, own, shared)
     pairs, along, across = near
-    coupled = along > COUPLED
+    coupled = along > coupled_from
     slots = np.where(coupled, np.cumsum(coupled) - 1, -1)
     more = np.zeros((int(coupled.sum()), 9))
     kernels.add_springs(x, pairs, along, across, slots, own, more)
@@ -296,7 +298,21 @@ def near_solver(
         at = curvature(terms, x, free_wells(terms, x, moving))
     else:
         at = curvature(terms, x, (near.pairs, near.stiffness, np.zeros(len(near.pairs))))
-    at.own[:, ::4] += FLOOR if tether is None else (FLOOR + tether)[:, None]
+    return _solver(at, moving, FLOOR if tether is None else (FLOOR + tether)[:, None], order)
+
+
+def soft_solver(
+    terms: NearTerms, x: Floats, moving: NDArray[np.bool_], floor: float
+) -> Callable[[Floats], Floats]:
+    """Solver as of :func:`near_solver` with all pairs coupled and another floor, kJ/mol/nm^2."""
+    at = curvature(terms, x, free_wells(terms, x, moving), 0.0)
+    return _solver(at, moving, floor, elimination_order(int(moving.sum()), _among(at.pairs, moving)[0]))
+
+
+def _solver(
+    at: Curvature, moving: NDArray[np.bool_], added: float | Floats, order: Integers
+) -> Callable[[Floats], Floats]:
+    at.own[:, ::4] += added
     pairs, both = _among(at.pairs, moving)
     factor: Factor = factorise(order, at.own[moving], pairs, at.shared[both])
     return on_moving(moving, factor.solve)

@@ -77,6 +77,10 @@ class Space(Protocol):
     """Largest change of one freedom in a step without curvature."""
     unit: str
     """Name and unit of the residual, as a format string."""
+    eigenvalue_unit: str
+    """Unit of the Hessian's eigenvalues."""
+    lever: float
+    """Change of a freedom that counts like a turn of one radian."""
 
     def start(self, x: Floats) -> Floats:
         """Coordinates (n_q,) of positions (na, 3)."""
@@ -100,6 +104,12 @@ class Space(Protocol):
 
         With how nearby atoms are coupled, if that is given, and springs (na,) to fixed points.
         """
+
+    def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
+        """Solver for a model of the Hessian with nearly nothing added: it ranks soft directions."""
+
+    def motions_of_whole(self, at: Evaluation) -> Floats:
+        """Orthonormal rigid motions (k, n_v) that leave all that is fixed in place."""
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the mass matrix at a point: torques (n_v,) -> accelerations (n_v,)."""

@@ -1,7 +1,8 @@
 """Whether a run ends in a minimum: the lowest eigenvalue of its Hessian, and the way off a saddle point.
 
 Davidson's method (J. Comput. Phys. 17:87, 1975): the subspace grows by the residual of the last estimate, in
-a metric of contacts, and each vector costs one product with the Hessian, a difference of torques. It begins
+a metric that ranks soft directions, and each vector costs one product with the Hessian, a difference of
+torques, or of forces where all atoms move; what is in rad here is there 0.1 nm (``lever``). It begins
 with some vectors, and follows the second lowest estimate, too (as in Liu's block method): the lowest
 eigenvalue may hide behind it. The estimate is never below the eigenvalue.
 """
@@ -11,17 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from protochain.chain import Chain, Pose
 from protochain.core.arrays import Floats
-from protochain.mechanics import multibody
-from protochain.mechanics.multibody import HingeKind
-from protochain.minimisers import springs
 from protochain.minimisers.loop import Ending, Stop
 from protochain.minimisers.metrics import Preconditioner, Solve
 from protochain.minimisers.problem import Evaluation, Problem, Space
-from protochain.minimisers.spaces import Torsions, solver
 from protochain.minimisers.stages import Stage
-from protochain.structure.model import Structure
 
 TURN = 1e-4
 """rad, of the largest freedom: step of the one-sided differences of torques that build the subspace."""
@@ -42,7 +37,15 @@ eigenvectors of the metric, pairs of the run, or the near terms' metric take few
 and on others end twice too high, too."""
 
 LEAST = 0.1
-"""kJ/mol/rad^2. Eigenvalues nearer 0 count as 0: a turn of 1 rad gains less than 0.05 kJ/mol."""
+"""kJ/mol/rad^2, kJ/mol/nm^2. Eigenvalues nearer 0 count as 0: a turn of 1 rad, or a hundred atoms that move
+by 0.1 nm each, gain less than 0.05 kJ/mol."""
+
+ALL_ATOMS_UP_TO = 1.0
+"""kJ/mol/nm, tolerance above which ends in all atoms are not examined by default: they are on their way."""
+
+SHARE_OF_RUN, FEWEST = 0.2, 8
+"""Where all atoms move, a search takes at most this share of the evaluations before it, but these products at
+least: runs are short there, and their matrix guides the search well."""
 
 MOST = 60
 """Products at most; the eigenvalue is then at most what was found."""
@@ -53,15 +56,10 @@ FIRST, SHORTEST, LONGEST = 0.1, 1e-3, 1.6
 ROUNDS = 4
 """Saddle points that a run leaves; after that it ends at one."""
 
-_FLOOR, _DECAY = 1.0, 8.0
-"""kJ/mol/rad^2, added to the stiffness of the contacts, and its decay rate per contact distance. Minimisers
-have a higher floor and a steeper decay, for their steps must not be long in soft directions; here the softest
-is sought, and these take the fewest products on the samples."""
-
 
 @dataclass(frozen=True)
 class Soft:
-    """Stiffness of the contacts with nearly nothing added: it ranks soft directions.
+    """Stiffness with nearly nothing added: it ranks soft directions.
 
     Parameters
     ----------
@@ -73,26 +71,7 @@ class Soft:
 
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the matrix at a point."""
-        assert isinstance(space, Torsions) and isinstance(at.pose, Pose)
-        chain, pose, scale = space.chain, at.pose, space.scale
-
-        def stiffness() -> Floats:
-            matrix = springs.torsion_stiffness(chain, pose, _springs) * np.outer(scale, scale)
-            matrix[np.diag_indices_from(matrix)] += _FLOOR
-            return matrix
-
-        return solver(stiffness, chain.n_v)
-
-
-def _springs(structure: Structure, x: Floats, bonds: int) -> springs.Springs:
-    """Springs of contacts, and of bonds and angles: where a ring or disulfide closes, they are stretched."""
-    soft = springs.contacts(structure, x, bonds, _DECAY)
-    covalent = springs.covalent(structure)
-    firm = covalent.stiffness >= springs.ANGLE
-    return springs.Springs(
-        np.concatenate([soft.pairs, covalent.pairs[firm]]),
-        np.concatenate([soft.stiffness, covalent.stiffness[firm]]),
-    )
+        return space.softness(at)
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,13 +89,15 @@ class CurvatureState:
         Of the lowest curvature found: a unit vector.
     residuals : tuple of (n_v,) float
         What is left of H v - ritz v for it, and for the second lowest.
-    ritz, fall, doubt : float, kJ/mol/rad^2
+    ritz, fall, doubt : float, kJ/mol/rad^2 or kJ/mol/nm^2
         Curvature along it, by how much the last vector lowered it, and how far the products are from
         symmetric there: they are differences of torques, which may be rounded.
-    value : float, kJ/mol/rad^2, or None
+    value : float, in the same unit, or None
         The lowest eigenvalue; None while it is sought.
     is_saddle, confirmed, left : bool
         Whether it is a saddle point, whether lower points were sought beside it, and whether ``at`` is one.
+    most : int
+        Products at most.
     """
 
     at: Evaluation
@@ -132,6 +113,7 @@ class CurvatureState:
     is_saddle: bool = False
     confirmed: bool = False
     left: bool = False
+    most: int = MOST
 
     @property
     def stop(self) -> Stop:
@@ -141,7 +123,7 @@ class CurvatureState:
     @property
     def eigenvalue_at_most(self) -> float | None:
         """Upper limit of the lowest eigenvalue, where the search ended before it was found."""
-        enough = self.value is not None and len(self.vectors) < MOST
+        enough = self.value is not None and len(self.vectors) < self.most
         return None if enough or self.left or not np.isfinite(self.ritz) else self.ritz
 
     @property
@@ -155,28 +137,34 @@ class CurvatureState:
 class Curvature:
     """Find the lowest eigenvalue of the Hessian at a point; from a saddle point step down to a lower one.
 
-    A point is one if its torques meet the tolerance, and an eigenvalue is below -tolerance/rad (and
-    below -``LEAST``): a direction in which a turn of less than 1 rad brings a torque above the tolerance.
+    A point is one if its torques meet the tolerance, and an eigenvalue is below -tolerance/lever (and
+    below -``LEAST``): a direction in which a turn of less than 1 rad brings a torque above the tolerance, or
+    a root mean square displacement of less than 0.1 nm an RMS force.
 
     Parameters
     ----------
-    tolerance : float, kJ/mol/rad
+    tolerance : float, kJ/mol/rad or kJ/mol/nm
         Of the minimisation.
     floats : bool
-        Whether the whole moves freely: its rigid motions, whose curvature is 0, are then left out.
+        Whether nothing but fixed atoms holds the whole: rigid motions, whose curvature is 0, are left out.
     leaves : bool
         Whether to step off a saddle point.
+    share : float
+        Of the evaluations before it that the search may take; ``MOST`` and ``FEWEST`` are its limits.
     """
 
     tolerance: float
     floats: bool = False
     leaves: bool = True
+    share: float = np.inf
     metric: Soft = Soft()
     states = (CurvatureState,)
 
     def init(self, problem: Problem, at: Evaluation) -> CurvatureState:
         """Begin with no vector."""
-        return CurvatureState(at, Preconditioner.first(self.metric, problem.space, at))
+        # Two more measure a curvature in doubt.
+        most = int(max(FEWEST, min(MOST, self.share * problem.n_evaluations - 2)))
+        return CurvatureState(at, Preconditioner.first(self.metric, problem.space, at), most=most)
 
     def step(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
         """State after one more product, the eigenvalue, or the step off; None when all is done."""
@@ -186,7 +174,7 @@ class Curvature:
         if not state.is_saddle or state.confirmed:
             return None
         # An energy in single precision, or a limit of the run, may know of no way down.
-        lower = stepped_off(problem, state.at, _largest_one(state.direction))
+        lower = stepped_off(problem, state.at, problem.space.lever * _largest_one(state.direction))
         if lower is None or not self.leaves:
             return replace(state, is_saddle=lower is not None, confirmed=True)
         return replace(state, at=lower, confirmed=True, left=True)
@@ -194,7 +182,7 @@ class Curvature:
     def _sought(self, problem: Problem, state: CurvatureState) -> CurvatureState | None:
         """State with one more vector; None if it has enough."""
         solve, at, n = state.preconditioner.solve, state.at, len(state.vectors)
-        rigid = rigid_motions(problem.space, at) if self.floats else ()
+        rigid = problem.space.motions_of_whole(at) if self.floats else ()
         if n < STARTS:
             # Any start will do that has a part along the lowest: the metric makes it soft.
             new = solve(np.random.default_rng(n).normal(size=len(at.torque)))
@@ -203,13 +191,13 @@ class Curvature:
             gain = float(abs(state.residuals[0] @ new))
             others = WEIGHT * float(abs(state.residuals[1] @ other))
             little = SHARE * max(abs(state.ritz), LEAST)
-            if max(gain, others, state.fall) < little or n == MOST:
+            if max(gain, others, state.fall) < little or n >= state.most:
                 return None
             new = new if gain >= others else other
         vector = _orthonormal(new, (*rigid, *state.vectors))
         if vector is None:
             return None
-        h = TURN / np.max(np.abs(vector))
+        h = TURN * problem.space.lever / np.max(np.abs(vector))
         product = (at.torque - problem.evaluate(problem.move(at.q, h * vector)).torque) / h
         if not np.isfinite(product).all():
             return replace(state, value=np.nan)
@@ -222,10 +210,11 @@ class Curvature:
         value = state.ritz
         # Clearly a minimum: no more need be spent on it.
         if value < LEAST or state.doubt > SHARE * value:
-            turn = CENTRAL * _largest_one(state.direction)
+            turn = CENTRAL * problem.space.lever * _largest_one(state.direction)
             before, after = (problem.evaluate(problem.move(state.at.q, side * turn)) for side in (-1.0, 1.0))
             value = float(turn @ (before.torque - after.torque) / (2.0 * turn @ turn))
-        saddle = state.at.residual <= self.tolerance and value < -max(self.tolerance, LEAST)
+        least = max(self.tolerance / problem.space.lever, LEAST)
+        saddle = state.at.residual <= self.tolerance and value < -least
         return replace(state, value=value, is_saddle=saddle)
 
 
@@ -239,7 +228,7 @@ def stepped_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluati
     at : Evaluation
         The saddle point.
     direction : (n_v,) float
-        Of negative curvature, its largest entry 1.
+        Of negative curvature; its largest entry counts like a turn of 1 rad.
 
     Returns
     -------
@@ -267,53 +256,24 @@ def stepped_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluati
     return None
 
 
-def rigid_motions(space: Space, at: Evaluation) -> tuple[Floats, ...]:
-    """Orthonormal motions (n_v,) of the whole as one rigid body; none if a root is fixed."""
-    assert isinstance(space, Torsions) and isinstance(at.pose, Pose)
-    motions = motions_of_whole(space.chain, at.pose)
-    if not len(motions):
-        return ()
-    orthonormal, _ = np.linalg.qr((motions / space.scale).T)
-    return tuple(orthonormal.T)
-
-
-def motions_of_whole(chain: Chain, pose: Pose) -> Floats:
-    """Turns and shifts (6, n_v) of the whole about the world's origin; (0, n_v) if a root is fixed."""
-    tree, frames = chain.tree, pose.frames
-    roots = np.flatnonzero(tree.parent < 0)
-    if not (tree.kind[roots] == HingeKind.FREE).all():
-        return np.empty((0, chain.n_v))
-    motions = np.zeros((6, chain.n_v))
-    for root in roots:
-        own = slice(tree.v_start[root], tree.v_start[root] + 6)
-        twists = np.empty((6, 6))
-        for k, unit in enumerate(np.eye(chain.n_v)[own]):
-            twists[:, k] = multibody.velocities(tree, frames, unit)[root]
-        wanted = np.eye(6)
-        # A turn about the world's origin moves this body's origin along.
-        wanted[3:, :3] = np.cross(np.eye(3), frames.origin[root]).T
-        motions[:, own] = np.linalg.solve(twists, wanted).T
-    return motions
-
-
-def with_curvature(plan: Sequence[Stage], floats: bool) -> list[Stage]:
-    """Plan of a run in torsions that looks whether its end is a minimum, and leaves a saddle point.
+def with_curvature(plan: Sequence[Stage], floats: bool, share: float = np.inf) -> list[Stage]:
+    """Plan of a run that looks whether its end is a minimum, and leaves a saddle point.
 
     Parameters
     ----------
     plan : sequence of Stage
         The last one is run again from below a saddle point.
-    floats : bool
+    floats, share : bool, float
         As of :class:`Curvature`.
     """
     final = plan[-1]
     ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.CIRCLING)
-    method = Curvature(final.tolerance, floats)
+    method = Curvature(final.tolerance, floats, share=share)
     look = replace(
         final, method=method, tolerance=-np.inf, recorded=False, patience=2 * MOST, answer=_looked,
-        after=ends, name="looking for a saddle point", ready=None, fit=None, looks=True,
+        after=ends, name="looking for a saddle point", ready=None, looks=True,
     )  # fmt: skip
-    again = replace(final, after=(Stop.SADDLE,), ready=None, fit=None)
+    again = replace(final, after=(Stop.SADDLE,), ready=None)
     return [*plan, *[look, again] * ROUNDS, replace(look, method=replace(method, leaves=False))]
 
 

@@ -42,12 +42,12 @@ class MinimiseSettings(Settings):
         option="--restrain",
     )
     max_rmsd: float = setting(math.inf, "Largest C-alpha RMSD to the start, angstrom.", number, float)
-    curvature: bool = setting(
-        True,
-        "Do not look whether a run in torsions ends at a saddle point.",
-        flag,
+    curvature: bool | None = setting(
+        None,
+        "Whether to leave saddle points [default: in torsions, and in all atoms at tolerances up to 1].",
+        optional(flag),
         bool,
-        "--no-curvature",
+        "--curvature/--no-curvature",
     )
 
 

@@ -193,8 +193,8 @@ class Solution(TermsAtEnds, Value):
         Of random methods.
     restraints : two float or None, kJ/mol
         Energies at start and end of what held the end, no part of others; None where nothing did.
-    lowest_eigenvalue : float or None, kJ/mol/rad^2
-        Of the Hessian at the end, in torsions; None where it was not sought.
+    lowest_eigenvalue : float or None, kJ/mol/rad^2 or kJ/mol/nm^2
+        Of the Hessian at the end, in torsions or in the positions of all atoms; None where it was not sought.
     frame_rows : (n,) int
         Rows of the trace at which ``frames`` were taken: at equal distances from the first, and the last.
     frames : (n, na, 3) float32, nm

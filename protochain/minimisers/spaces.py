@@ -22,6 +22,18 @@ from protochain.structure.model import Structure
 ROOT_LEVER = 0.1
 """nm. Translation of a free root that counts like one radian, so that forces and torques compare."""
 
+SOFT_TORSIONS, SOFT_DECAY = 1.0, 8.0
+"""kJ/mol/rad^2, added to the stiffness of contacts that ranks soft turns, and its decay rate per contact
+distance. Minimisers have a higher floor and a steeper decay, for their steps must not be long in soft
+directions; where the softest is sought, these take the fewest products with the Hessian."""
+
+SOFT_ATOMS = 3.0
+"""kJ/mol/nm^2, added for every atom where soft directions are ranked: lowest eigenvalues of proteins are 2 to
+20. With the minimisers' floor, and few pairs coupled, the search takes twice as many products."""
+
+_RANK = 1e-6
+"""nm for each atom: displacements below it, in all, are rounding, not motion."""
+
 _LARGE = 500
 """Freedoms or atoms from which on a stiffness is made in a thread, so that Ctrl-C is answered meanwhile."""
 
@@ -43,6 +55,8 @@ class Torsions:
     longest = 0.5
     first = 0.01
     unit = "largest torque {:.4g} kJ/mol/rad"
+    eigenvalue_unit = "kJ/mol/rad^2"
+    lever = 1.0
 
     @cached_property
     def scale(self) -> Floats:
@@ -105,6 +119,24 @@ class Torsions:
 
         return solver(stiffness, self.chain.n_v)
 
+    def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
+        """Solver for the stiffness of contacts with nearly nothing added."""
+
+        def stiffness() -> Floats:
+            matrix = springs.torsion_stiffness(self.chain, _pose(at.pose), _soft_springs)
+            matrix *= np.outer(self.scale, self.scale)
+            matrix[np.diag_indices_from(matrix)] += SOFT_TORSIONS
+            return matrix
+
+        return solver(stiffness, self.chain.n_v)
+
+    def motions_of_whole(self, at: Evaluation) -> Floats:
+        """Orthonormal rigid motions (k, n_v); none if a root or an atom is fixed."""
+        if not self.chain.moving.all():
+            return np.empty((0, self.chain.n_v))
+        motions = motions_of_whole(self.chain, _pose(at.pose))
+        return np.linalg.qr((motions / self.scale).T)[0].T
+
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the mass matrix, by the articulated-body algorithm."""
         posed = _pose(at.pose)
@@ -120,6 +152,36 @@ def solver(make: Callable[[], Floats], n: int) -> Callable[[Floats], Floats]:
     # Of a large protein it takes seconds.
     factor = factorised() if n < _LARGE else answering(factorised, held=True)
     return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
+
+
+def _soft_springs(structure: Structure, x: Floats, bonds: int) -> springs.Springs:
+    """Springs of contacts, and of bonds and angles: where a ring or disulfide closes, they are stretched."""
+    soft = springs.contacts(structure, x, bonds, SOFT_DECAY)
+    covalent = springs.covalent(structure)
+    firm = covalent.stiffness >= springs.ANGLE
+    return springs.Springs(
+        np.concatenate([soft.pairs, covalent.pairs[firm]]),
+        np.concatenate([soft.stiffness, covalent.stiffness[firm]]),
+    )
+
+
+def motions_of_whole(chain: Chain, pose: Pose) -> Floats:
+    """Turns and shifts (6, n_v) of the whole about the world's origin; (0, n_v) if a root is fixed."""
+    tree, frames = chain.tree, pose.frames
+    roots = np.flatnonzero(tree.parent < 0)
+    if not (tree.kind[roots] == HingeKind.FREE).all():
+        return np.empty((0, chain.n_v))
+    motions = np.zeros((6, chain.n_v))
+    for root in roots:
+        own = slice(tree.v_start[root], tree.v_start[root] + 6)
+        twists = np.empty((6, 6))
+        for k, unit in enumerate(np.eye(chain.n_v)[own]):
+            twists[:, k] = multibody.velocities(tree, frames, unit)[root]
+        wanted = np.eye(6)
+        # A turn about the world's origin moves this body's origin along.
+        wanted[3:, :3] = np.cross(np.eye(3), frames.origin[root]).T
+        motions[:, own] = np.linalg.solve(twists, wanted).T
+    return motions
 
 
 def _pose(at: Placement) -> Pose:
@@ -164,6 +226,8 @@ class Cartesian:
     longest = 0.03
     first = 0.005
     unit = "RMS force {:.4g} kJ/mol/nm"
+    eigenvalue_unit = "kJ/mol/nm^2"
+    lever = ROOT_LEVER
 
     @cached_property
     def _springs(self) -> springs.Springs:
@@ -214,6 +278,25 @@ class Cartesian:
             own = None if near_by is None else near_by(self.structure, at.x, 3)
             return curvature.near_solver(self.terms, at.x, self.moving, self._order, own, tether)
         return make() if len(self.moving) < _LARGE else answering(make, held=True)
+
+    def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
+        """Solver for the same model with all its pairs coupled, and nearly nothing added."""
+        if self.terms is None:
+            return springs.cartesian_solver(
+                self.structure, self._springs, at.x, self.moving, floor=SOFT_ATOMS
+            )
+        return curvature.soft_solver(self.terms, at.x, self.moving, SOFT_ATOMS)
+
+    def motions_of_whole(self, at: Evaluation) -> Floats:
+        """Orthonormal rigid motions (k, 3 na): six, less where atoms are fixed or all lie on a line."""
+        x = at.x - at.x[self.moving].mean(axis=0)
+        axes = np.eye(3)[:, None]
+        motions = np.concatenate([np.broadcast_to(axes, (3, *x.shape)), np.cross(axes, x)])
+        # Those that leave the fixed atoms where they are.
+        _, size, among = np.linalg.svd(motions[:, ~self.moving].reshape(6, 3 * int((~self.moving).sum())).T)
+        motions = among[np.sum(size > _RANK * len(x)) :] @ motions.reshape(6, -1)
+        _, size, along = np.linalg.svd(motions, full_matrices=False)
+        return along[size > _RANK * len(x)]
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the diagonal mass matrix."""

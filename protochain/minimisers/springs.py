@@ -125,6 +125,7 @@ def cartesian_solver(
     moving: NDArray[np.bool_],
     near_by: Near = contacts,
     tether: Floats | None = None,
+    floor: float = CARTESIAN_FLOOR,
 ) -> Callable[[Floats], Floats]:
     """Solver for the sparse stiffness of bonds, angles, dihedrals and contacts, in Cartesian coordinates.
 
@@ -140,6 +141,8 @@ def cartesian_solver(
         Makes the springs between atoms that are near each other.
     tether : (na,) float, kJ/mol/nm^2, optional
         Springs of the atoms to fixed points.
+    floor : float, kJ/mol/nm^2
+        Added for every atom.
 
     Returns
     -------
@@ -149,8 +152,7 @@ def cartesian_solver(
     """
     near = near_by(structure, x, 3)
     matrix = _sparse(structure.n_atoms, bonded, x, True) + _sparse(structure.n_atoms, near, x, False)
-    floor = CARTESIAN_FLOOR if tether is None else np.repeat(CARTESIAN_FLOOR + tether, 3)
-    matrix.setdiag(matrix.diagonal() + floor)
+    matrix.setdiag(matrix.diagonal() + (floor if tether is None else np.repeat(floor + tether, 3)))
     free = np.flatnonzero(np.repeat(moving, 3))
     factors = splu(
         csc_array(matrix[free][:, free]), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,

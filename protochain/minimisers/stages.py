@@ -167,9 +167,9 @@ class Outcome:
         Whether no stage was left out.
     waypoint : Waypoint or None
         For a checkpoint; None if nothing was computed.
-    lowest_eigenvalue : float or None, kJ/mol/rad^2
+    lowest_eigenvalue : float or None, in the unit of the space
         Of the Hessian at q, if a stage found it.
-    eigenvalue_at_most : float or None, kJ/mol/rad^2
+    eigenvalue_at_most : float or None, in the unit of the space
         What a search that did not end knows of it.
     """
 

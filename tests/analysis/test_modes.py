@@ -14,7 +14,7 @@ import protochain as pc
 from protochain.analysis import normal_modes
 from protochain.analysis.modes import share_moved
 from protochain.mechanics import multibody
-from protochain.minimisers.saddle import motions_of_whole
+from protochain.minimisers.spaces import motions_of_whole
 from protochain.minimisers.springs import Springs, torsion_stiffness
 
 WATER = {"threads": 1}

@@ -20,7 +20,7 @@ from protochain.relaxation import RelaxSettings
 
 PLAIN = {
     "methods": ("cartesian",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000,
-    "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
+    "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": None,
     "hinges": "phi psi chi", "root": "auto", "move": "all", "forcefield": "amber14", "solvent": "obc2",
     "engine": "auto", "terms": "all", "cutoff": "auto", "accuracy": "auto", "precision": "double",
     "trust_forcefield": False,

@@ -212,7 +212,7 @@ def test_batch_hands_its_options_on(batched, capsys):
         "manifest": None, "resume": False, "workers": None, "scheduler": None, "threads": 1,
         "time_limit": 3600.0,
         "methods": ("cartesian",), "tolerance": None, "max_rmsd": math.inf, "max_evaluations": 5000,
-        "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": True,
+        "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": None,
         "setup": Setup(), "relaxing": RelaxSettings(),
     }  # fmt: skip
     assert capsys.readouterr().out == "done 1 'page'\n"

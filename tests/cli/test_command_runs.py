@@ -111,7 +111,7 @@ def asked(monkeypatch):
 
 DEFAULTS = {
     "method": "cartesian", "tolerance": None, "max_evaluations": 5000, "seed": 0, "restraint": "",
-    "max_rmsd": math.inf, "curvature": True,
+    "max_rmsd": math.inf, "curvature": None,
 }  # fmt: skip
 
 
@@ -126,7 +126,7 @@ def test_minimise_hands_its_options_on_and_writes_what_is_asked(asked, tmp_path,
     assert asked.runs == [
         {
             "method": "lbfgs", "tolerance": 2.0, "max_evaluations": 7, "seed": 3, "restraint": "5 0",
-            "max_rmsd": 0.5, "checkpoint": Path("c.npz"), "resume": None, "curvature": True,
+            "max_rmsd": 0.5, "checkpoint": Path("c.npz"), "resume": None, "curvature": None,
         }
     ]  # fmt: skip
     ((source, setup),) = asked.prepared
@@ -333,7 +333,7 @@ def test_compare_hands_its_options_on(compared, asked, capsys):
     assert run("compare", "in/a.pdb.gz", "--methods", "md,kcm") == 0
     assert compared.given[1] == (
         (asked.chain, ("md", "kcm"), "energy", 1.0, 5000, 0),
-        {"reference": None, "repeats": 3, "curvature": True},
+        {"reference": None, "repeats": 3, "curvature": None},
     )
     assert asked.foretold[1] == (sum(typical_evaluations(method, 5000) for method in ("md", "kcm")), 10_000)
     told = capsys.readouterr()

@@ -39,7 +39,7 @@ OWN = {**RUN, "tolerance": None}
 MINIMISE = {
     "source": None, **OUTPUT, "method": "cartesian", "angle": None, **OWN, "restraint": "", "max_rmsd": None,
     "n_starts": 1, "spread": None, "hop_temperature": None, "checkpoint": None, "resume": None, "trace": None,
-    "trajectory": None, "report": None, "curvature": False, "ligand_out": None, "one_file": False, "seed": 0,
+    "trajectory": None, "report": None, "curvature": None, "ligand_out": None, "one_file": False, "seed": 0,
     **AS_JSON, "force": False, **SETUP,
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
@@ -61,14 +61,14 @@ COMMANDS = {
     "minimize": MINIMISE,
     "compare": {
         "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,cartesian,openmm", "repeats": 3, "reference": None,
-        **RUN, "curvature": False, "seed": 0, **AS_JSON, "force": False,
+        **RUN, "curvature": None, "seed": 0, **AS_JSON, "force": False,
         **{k: v for k, v in SETUP.items() if k != "move"},
     },
     "batch": {
         "inputs": None, "output": Path("batch"), "methods": "cartesian", "manifest": None, "workers": None,
         "scheduler": None, "threads": 1, "time_limit": 3600.0, "null": False, "resume": False,
         "dry_run": False, **OWN, "max_rmsd": None, "restraint": "", "n_starts": 1, "spread": None,
-        "hop_temperature": None, "curvature": False, "seed": 0,
+        "hop_temperature": None, "curvature": None, "seed": 0,
         "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
         "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
         "posebusters": False, "free_ligands": False, "repack_region": "", "interface": "",
@@ -152,13 +152,13 @@ FLAGS = {
     "ligands": ["--ligand"],
     "as_json": ["--json"], "output": ["-o", "--output"], "chains": ["--chain", "--chains"],
     "null": ["--null", "-0"], "restraint": ["--restrain"], "n_starts": ["--starts"],
-    "hop_temperature": ["--hop"], "curvature": ["--no-curvature"], "n_steps": ["--steps"],
+    "hop_temperature": ["--hop"], "n_steps": ["--steps"],
     "between": ["--pull"], "speed": ["--pull-speed"], "hinge_springs": ["--hinge-spring"],
     ("between", "energy"): ["--between"], ("stiffness", "simulate"): ["--pull-stiffness"],
     "terms": ["--energy"], "n_walkers": ["--walkers"], "n_replicas": ["--replicas"],
 }  # fmt: skip
 SECONDARY = {
-    "relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"],
+    "curvature": ["--no-curvature"], "relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"],
     ("posebusters", "validate"): ["--no-posebusters"],
 }  # fmt: skip
 ARGUMENTS = {

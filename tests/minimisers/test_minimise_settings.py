@@ -167,7 +167,7 @@ def test_restraints_are_judged_and_said():
     assert found.end.max_torque == 0.0 and found.status == Status.CONVERGED and found.end.energy == -5.0
     assert found.message == (
         "converged: largest torque 0 kJ/mol/rad for a tolerance of 1, restraints included, "
-        "in double precision; not tested for a saddle point"
+        "in double precision; curvature not examined"
     )
     done = replace(done, lowest_eigenvalue=-0.25)
     found = judged(done)

@@ -49,7 +49,7 @@ def test_a_record_holds_each_value_under_its_name():
         "structure": "ala10", "method": "lbfgs", "status": "budget", "message": "budget: used",
         "energy_start_kj_mol": -10.0, "energy_end_kj_mol": -12.25, "energy_end_reference_kj_mol": -12.5,
         "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0,
-        "lowest_eigenvalue_kj_mol_rad2": 7.5, "ca_rmsd_angstrom": 0.25,
+        "lowest_eigenvalue_kj_mol_rad2": 7.5, "lowest_eigenvalue_kj_mol_nm2": None, "ca_rmsd_angstrom": 0.25,
         "ca_rmsd_as_filed_angstrom": 0.0, "frame": "superposed on the start",
         **{
             f"energy_{each}_{when}_kj_mol": None for each in TERMS for when in ("start", "end")

@@ -20,7 +20,7 @@ from protochain.batches.jobs import failure, find_jobs
 from protochain.minimisers import RECIPES, api
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.saddle import ROUNDS, Curvature
+from protochain.minimisers.saddle import ROUNDS, SHARE_OF_RUN, Curvature
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.start import Start
 
@@ -89,9 +89,25 @@ def test_a_walk_in_torsions_looks_at_its_end(noted):
     assert look.method == Curvature(1.0, floats=True) and final.method == replace(look.method, leaves=False)
     assert (again.method, again.after, first.after) == (first.method, (Stop.SADDLE,), ())
     assert len(noted.walk.plan) == 1 + 2 * ROUNDS + 1
-    for method in ("hybrid", "cartesian"):
-        walked(noted, method)
-        assert not any(stage.looks for stage in noted.walk.plan)
+
+
+@pytest.mark.parametrize("method", ["hybrid", "cartesian"])
+def test_a_walk_in_all_atoms_looks_at_its_end_at_tight_tolerances_or_if_asked(noted, method):
+    asked = (
+        (None, None, False),
+        (1.01, None, False),
+        (1.0, None, True),
+        (9.0, True, True),
+        (0.1, False, False),
+    )
+    for tolerance, curvature, looks in asked:
+        _, run = walked(noted, method, tolerance=tolerance, curvature=curvature)
+        found = [stage for stage in noted.walk.plan if stage.looks]
+        assert bool(found) is looks is run.examines
+        for stage in found:
+            assert (stage.method.floats, stage.method.share) == (True, SHARE_OF_RUN)
+            assert stage.method.tolerance == tolerance and stage.space is noted.walk.plan[-2].space
+    assert not Minimisation(RECIPES["openmm"], tolerance=0.1, curvature=True).examines
 
 
 def test_a_walk_that_parts_overlaps_records_its_start_first(noted, monkeypatch):
