@@ -19,7 +19,7 @@ from time import perf_counter, process_time, sleep
 import made
 import numpy as np
 import pandas as pd
-from engines import copies, with_gbsa_obc
+from engines import copies
 from made import SAMPLES
 
 import protochain as pc
