@@ -18,7 +18,6 @@ from time import perf_counter, process_time
 import made
 import numba
 import numpy as np
-import openmm
 import pandas as pd
 from made import SAMPLES
 from matplotlib.figure import Figure

@@ -24,7 +24,7 @@ HELD_OUT = (
     "3znf_zinc_finger.pdb", "1grm_gramicidin.pdb", "1v6p_cobrotoxin_amber.pdb", "1cih_scop_oldcols.pdb",
     "2beg_abeta_fibril.pdb", "4cup_missing.cif", "1bhl_gap_cas.pdb", "dhfr_jac_amber.pdb",
 )  # fmt: skip
-"""Of that collection: 208 to 2,489 atoms, no proteins of the samples, and none that a minimiser was tuned on."""
+"""Of that collection: 208 to 2,489 atoms, no protein of the samples, none that a minimiser was tuned on."""
 RESULTS = ROOT / "analysis" / "results"
 DOCS = ROOT / "analysis" / "docs"
 RECORD = "made.csv"

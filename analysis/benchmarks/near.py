@@ -11,10 +11,10 @@ the largest torque, kJ/mol/rad) first meets a tolerance, a run to it ends, for t
 (--check: shows it). Energies are above the minimum that the way leads to: its last point, polished by
 `cartesian` to 0.001 kJ/mol/nm, or, where hinges turn, the lowest of the way.
 
-near_ends: `cartesian` and the real ends of OpenMM's LocalEnergyMinimizer, whose tolerance is of the RMS length of
-the forces on atoms, sqrt(3) times that of their components: at 10 it ends at 5.8 or below. Compared are (1) the
-ends of both runs, (2) that of OpenMM and where `cartesian` first has as small an RMS force, and (3) that of
-OpenMM and the lowest point of `cartesian` no farther from the start (C-alpha RMSD).
+near_ends: `cartesian` and the real ends of OpenMM's minimiser, whose tolerance is of the RMS length
+of the forces on atoms, sqrt(3) times that of their components: at 10 it ends at 5.8 or below. Compared are
+(1) the ends of both runs, (2) that of OpenMM and where `cartesian` first has as small an RMS force, and
+(3) that of OpenMM and the lowest point of `cartesian` no farther from the start (C-alpha RMSD).
 
 With --basins, instead: starts are also taken down dx/dt = -grad E by scipy's BDF of orders 1 to 5
 with variable step, whose Jacobian is the Hessian by differences (Asenjo, Stevenson, Wales, Frenkel, J. Phys.
@@ -42,7 +42,7 @@ from protochain.minimisers import RECIPES
 METHODS = ("cartesian", "hybrid", "lbfgs", "openmm")
 TOLERANCES = (30.0, 10.0, 5.0, 3.0, 1.0, 0.3, 0.1)
 SMALLEST = {"openmm": 1.0}
-"""Tolerance of a run; OpenMM's takes thousands of evaluations to smaller ones, or single precision stops it."""
+"""Tolerance of a run; OpenMM's takes thousands of evaluations below it, or single precision stops it."""
 OWN = (10.0, 1.0)
 """Tolerances of runs whose ends are compared: OpenMM's default, and that of comparisons of minima."""
 MOST = 20_000
@@ -115,7 +115,8 @@ def ends(trace: pd.DataFrame, ours: pc.Solution, theirs: pc.Solution) -> Row:
     return {
         "tolerance": theirs.tolerance, "openmm_status": str(theirs.status), **of_ends,
         "openmm_first_met_kj_mol": met["energy_kj_mol"],
-        "equal_force_kj_mol": force["energy_kj_mol"], "equal_force_ca_rmsd_angstrom": force["ca_rmsd_angstrom"],
+        "equal_force_kj_mol": force["energy_kj_mol"],
+        "equal_force_ca_rmsd_angstrom": force["ca_rmsd_angstrom"],
         "equal_force_evaluations": force["evaluations"],
         "equal_distance_kj_mol": distance["energy_kj_mol"],
         "equal_distance_ca_rmsd_angstrom": distance["ca_rmsd_angstrom"],
@@ -203,7 +204,7 @@ def check(structure: pc.Structure, limit: float) -> None:
 
 
 def curves(table: pd.DataFrame) -> Figure:
-    """Medians of RMSD, energy above the minimum and evaluations against tolerance, and energy against RMSD."""
+    """Medians of RMSD, energy above the minimum, evaluations against tolerance, and energy against RMSD."""
     rmsd, above = "C-alpha RMSD to the start, angstrom", "above the minimum, kJ/mol per residue"
     shown = (
         ("tolerance", "ca_rmsd_angstrom", rmsd), ("tolerance", "above", above),

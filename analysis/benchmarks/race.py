@@ -5,18 +5,18 @@
 
 Structures are prepared, nothing beside the protein: by default 12 that no minimiser was tuned on (MORE,
 --more). OpenMM runs on its CPU platform, to its own end at tolerances of 10 and 1 kJ/mol/nm, from the same
-start and on the same threads. "obc2" and "gbn2" are CustomGBForces, as OpenMM's force field builds them, of at
-most so many atoms (--custom); "gbsa" is OBC2 by its quicker GBSAOBCForce. Ends are judged by the native
+start and on the same threads. "obc2" and "gbn2" are CustomGBForces, as OpenMM's force field builds them, of
+at most so many atoms (--custom); "gbsa" is OBC2 by its quicker GBSAOBCForce. Ends are judged by the native
 engine. Ours run once, to 0.1 kJ/mol/nm, until
 
 - energy: they are first as low as where OpenMM ended; infinite if they never are;
 - force: their RMS force is first as small as there.
 
-Seconds are those of the loop (of OpenMM all of LocalEnergyMinimizer.minimize), and of the whole call, from the
-structure to the result: for OpenMM createSystem, Context, the first forces, the loop, and the state; for ours
-System, energy, chain, warming up (kernels are compiled beforehand), loop, judging. Force fields are read
-beforehand by both. Of three structures, also commands from shell to shell, from a file with all hydrogens to one of
-the end: `protochain minimise` to the RMS force at which OpenMM ended, and race_openmm.py.
+Seconds are those of the loop (of OpenMM all of LocalEnergyMinimizer.minimize), and of the whole call, from
+the structure to the result: for OpenMM createSystem, Context, the first forces, the loop, and the state; for
+ours System, energy, chain, warming up (kernels are compiled beforehand), loop, judging. Force fields are read
+beforehand by both. Of three structures, also commands from shell to shell, from a file with all hydrogens to
+one of the end: `protochain minimise` to the RMS force at which OpenMM ended, and race_openmm.py.
 """
 
 import argparse

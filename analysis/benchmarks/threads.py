@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 from engines import copies
 from made import SAMPLES
+from race_openmm import with_gbsa_obc
 
 import protochain as pc
 from protochain.energies import NativeEnergy, OpenMMEnergy

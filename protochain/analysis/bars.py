@@ -14,7 +14,7 @@ _SHOWN = {
     "time_ps": "{:.2f} ps",
     "temperature_k": "{:.0f} K",
 }
-"""Values shown beside the bar, where a row has them; the torque is nan where all atoms move, the force where hinges turn."""
+"""Values shown beside the bar, where a row has them; where hinges turn the force is nan, else the torque."""
 
 
 def progress(title: str = "") -> Watcher:

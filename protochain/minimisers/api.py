@@ -78,8 +78,8 @@ def minimise(
         :func:`protochain.minimisers.recipe_of`.
     tolerance : float, optional
         Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as
-        recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 10 kJ/mol/nm, which leaves a
-        structure nearer to its start than 1 does, some tenths of kJ/mol per residue above the minimum.
+        recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 5 kJ/mol/nm, which leaves a
+        structure nearer to its start than 1 does, 0.1 to 2.5 kJ/mol per residue above its minimum.
     max_evaluations : int
         Energy evaluations allowed.
     seed : int

@@ -174,9 +174,9 @@ class Solution(TermsAtEnds, Value):
     seconds : float
         Wall time of the run, without preparation and judgement.
     trace : pandas.DataFrame
-        One row per iteration, with columns ``TRACE_COLUMNS``. RMS and largest torque (of a hinge) or force (on
-        an atom) are those that convergence is judged by, restraints included: of torques the largest, of
-        forces the RMS. The largest force is the length of a vector.
+        A row per iteration, with columns ``TRACE_COLUMNS``: where hinges turn, RMS and largest torque; where
+        all atoms move, RMS of the forces' components and largest force on an atom (its length). Restraints
+        are included. A run converges by its largest torque or RMS force.
     start, end : Judgement
         Energy and residuals in double precision.
     frame : Frame

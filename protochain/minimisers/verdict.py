@@ -52,7 +52,8 @@ class Judgement:
     max_torque : float, kJ/mol/rad
         Over the freedoms of the chain; the force on a free root counts as its moment at 0.1 nm.
     rms_force : float, kJ/mol/nm
-        Over all Cartesian components of the atoms that may move, as in OpenMM's minimiser.
+        Over all Cartesian components of the atoms that may move; OpenMM's minimiser takes the RMS of the
+        lengths of the forces, sqrt(3) times as much.
     sizes : mapping of str to float
         These two, the RMS torque, and the largest force on an atom, by their names in a trace.
     """

@@ -66,7 +66,7 @@ def test_free_atoms_are_their_positions():
     assert torque[[1, 4]].tolist() == [[2.0] * 3] * 2 and not np.delete(torque, [1, 4], axis=0).any()
     # Over six components; none is no division by zero, and too many to square are infinite.
     assert space.residual(torque.ravel()) == 2.0
-    assert space.sizes(np.where(torque > 0.0, torque + [1.0, 4.0, 4.0], 0.0).ravel()) == {
+    assert space.sizes(np.where(torque > 0.0, np.array([3.0, 6.0, 6.0]), 0.0).ravel()) == {
         "rms_force_kj_mol_nm": np.sqrt(27.0), "max_force_kj_mol_nm": 9.0,
     }  # fmt: skip
     assert Cartesian(s, np.zeros_like(moving)).residual(np.zeros(3)) == 0.0

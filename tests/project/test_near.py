@@ -21,7 +21,7 @@ def compared():
 
 
 def test_openmms_ends_are_those_of_its_own_run(compared):
-    """Whose tolerance is of the RMS force on an atom: of components, as ours and its manual have it, 0.58 of it."""
+    """Whose tolerance is of the RMS force on an atom; of its components, as ours is, 0.58 of that."""
     s, e = load("ala10.pdb"), energy("ala10.pdb")
     for row in compared[1]:
         platform = openmm.Platform.getPlatform("CPU")
