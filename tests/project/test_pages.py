@@ -106,7 +106,7 @@ def test_pages_say_which_tables_are_of_the_undamped_metric():
     """Beside each such table, until it is measured again."""
     for page in pages.PAGES:
         text = page.read_text()
-        for name in ("precision", "race-medians", "race-short", "metric"):
+        for name in ("precision", "metric"):
             before, found, _ = text.partition(f"<!-- table {name} -->")
             if found:
                 assert re.search(
