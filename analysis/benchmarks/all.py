@@ -99,8 +99,7 @@ STARTED = " ".join(
     + [f"MORE/{name}" for name in ("1ajj_ldlr.pdb", "1bx8_hirustasin.pdb", "1orc_icode.pdb")]
 )
 ENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y", "1vii", "1ejg", "3i40"))
-RACED = " ".join(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "3i40", "4pti", "1ubq", "1hel"))
-RACED_CUSTOM = " ".join(f"structures/{name}.pdb" for name in ("1vii", "3i40", "4pti", "1ubq"))
+DESCENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y"))
 RELAXED = " ".join(
     f"MORE/{name}"
     for name in (
@@ -166,12 +165,12 @@ JOBS = (
     Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),
     Job("kinds", f"{HERE}/kinds.py -o DIR", 15),
     Job("fuzz", f"{HERE}/fuzz.py -o DIR", 20),
-    Job("race", f"{HERE}/race.py --forces gbsa,vacuum {RACED} -o DIR", 6, writes="race_gbsa race_vacuum"),
-    Job("race-custom", f"{HERE}/race.py --forces obc2 {RACED_CUSTOM} -o DIR", 15, writes="race_obc2"),
+    Job("race", f"{HERE}/race.py --more MORE -o DIR", 15, writes="race_gbsa race_obc2 race_vacuum"),
+    Job("race-parts", f"{HERE}/parts.py -o DIR", 5, writes="minimise_parts"),
+    Job("near", f"{HERE}/near.py --more MORE -o DIR", 20, threads=1, writes="near near_ends"),
     Job(
-        "near", f"{HERE}/near.py {SAMPLES} {SMALL} {LARGER} --models {RELAXED} --made 7 --kept KEPT -o DIR",
-        60,
-        writes="near near_basins", continues=True,
+        "basins", f"{HERE}/near.py --basins {DESCENDED} {SMALL} -o DIR", 12,
+        f"{HERE}/near.py --basins structures/ala10.pdb --quick -o DIR", threads=1, writes="near_basins",
     ),
     Job(
         "precision", f"protochain bench precision --only minimisers {SAMPLES} {SMALL} {LARGER} -o DIR", 25,

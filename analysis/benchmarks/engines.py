@@ -18,11 +18,11 @@ from time import perf_counter, process_time
 import made
 import numba
 import numpy as np
-import openmm
 import pandas as pd
 from made import SAMPLES
 from matplotlib.figure import Figure
 from openmm import app, unit
+from race_openmm import system, with_gbsa_obc
 from tables import SOLVENTS
 
 import protochain as pc
@@ -55,27 +55,6 @@ def copies(s: pc.Structure, n: int) -> tuple[app.Topology, np.ndarray]:
     places = np.array(np.unravel_index(range(n), (side, side, side))).T
     shifts = (np.ptp(s.positions, axis=0) + 0.3) * places
     return many.topology, (s.positions + shifts[:, None]).reshape(-1, 3)
-
-
-def system(topology: app.Topology, solvent: str | None, cutoff: float | None = None) -> openmm.System:
-    """Return ff14SB with a solvent, as OpenMM's force field builds it."""
-    files = ["amber14/protein.ff14SB.xml", *([f"implicit/{solvent}.xml"] if solvent else [])]
-    method = {"nonbondedMethod": app.NoCutoff}
-    if cutoff:
-        method = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
-    return app.ForceField(*files).createSystem(topology, **method)
-
-
-def with_gbsa_obc(topology: app.Topology) -> openmm.System:
-    """Return ff14SB in OBC2 by OpenMM's own force, with the radii of its implicit files."""
-    built, custom = system(topology, None), system(topology, "obc2")
-    (of,) = (force for force in custom.getForces() if isinstance(force, openmm.CustomGBForce))
-    force = openmm.GBSAOBCForce()
-    for i in range(of.getNumParticles()):
-        charge, offset_radius, scaled_radius = of.getParticleParameters(i)
-        force.addParticle(charge, offset_radius + 0.009, scaled_radius / offset_radius)
-    built.addForce(force)
-    return built
 
 
 def against_openmm(

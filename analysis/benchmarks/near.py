@@ -1,37 +1,37 @@
-"""How far a minimum lies from its start: RMSD, energy and cost against tolerance, and the nearest minimum.
+"""How far a minimum lies from its start, how low and at what cost, against tolerance; and against OpenMM's.
 
-    python analysis/benchmarks/near.py STRUCTURE ... [--models MODEL ...] [--made N] [-o DIR] [--quick]
-                                       [--kept FOLDER] [--basins ATOMS] [--limit SECONDS]
+    python analysis/benchmarks/near.py [STRUCTURE ...] [--more FOLDER] [-o DIR] [--quick] [--check]
+                                       [--basins STRUCTURE ...] [--limit SECONDS]
 
-Starts are the structures as prepared, and models after `relax`: those given, and N samples, each damaged in
-a way of its own. Each method runs once, to the smallest tolerance; where its residual (RMS force, kJ/mol/nm,
-of the last stage in all atoms; largest torque, kJ/mol/rad, in torsions) first meets each larger one, a run
-to that tolerance would have ended, for the way does not depend on it (--check runs a few again to show it).
-Residuals, energies and RMSDs are those of the native engine in double precision, and seconds are processor
-time of one thread. A run that is longer than the limit is broken off.
+Starts are structures as prepared, nothing beside the protein: by default 12 that no minimiser was tuned on
+(MORE, --more). Two tables, of counts and energies, which do not depend on the load of the machine:
 
-Starts of at most so many atoms (--basins) are also taken down dx/dt = -grad E by scipy's BDF of orders 1 to 5
+near: each method runs once, to 0.1 (OpenMM's to 1). Where its trace (RMS force, kJ/mol/nm; where hinges turn
+the largest torque, kJ/mol/rad) first meets a tolerance, a run to it ends, for the way does not depend on it
+(--check: shows it). Energies are above the minimum that the way leads to: its last point, polished by
+`cartesian` to 0.001 kJ/mol/nm, or, where hinges turn, the lowest of the way.
+
+near_ends: `cartesian` and the real ends of OpenMM's minimiser, whose tolerance is of the RMS length
+of the forces on atoms, sqrt(3) times that of their components: at 10 it ends at 5.8 or below. Compared are
+(1) the ends of both runs, (2) that of OpenMM and where `cartesian` first has as small an RMS force, and
+(3) that of OpenMM and the lowest point of `cartesian` no farther from the start (C-alpha RMSD).
+
+With --basins, instead: starts are also taken down dx/dt = -grad E by scipy's BDF of orders 1 to 5
 with variable step, whose Jacobian is the Hessian by differences (Asenjo, Stevenson, Wales, Frenkel, J. Phys.
 Chem. B 117:12717, 2013: only an accurate solution leads to the minimum whose basin a point is in). Its end
-and those of the methods are polished by `cartesian` to 0.001 kJ/mol/nm and compared.
-
-What is done is kept in a folder (--kept), and not done again.
+and those of the methods are polished and compared. A descent that takes longer than the limit is left out.
 """
 
 import argparse
-import tempfile
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 from time import process_time
 
 import made
 import numpy as np
 import pandas as pd
-from made import SAMPLES
+from made import HELD_OUT, SAMPLES
 from matplotlib.figure import Figure
-from relax import MANY_OF, models
 from scipy.integrate import BDF
 from scipy.spatial.transform import Rotation
 
@@ -40,8 +40,12 @@ from protochain.energies import Energy
 from protochain.minimisers import RECIPES
 
 METHODS = ("cartesian", "hybrid", "lbfgs", "openmm")
-TOLERANCES = (100.0, 30.0, 10.0, 3.0, 1.0, 0.1)
-MOST = 5000
+TOLERANCES = (30.0, 10.0, 5.0, 3.0, 1.0, 0.3, 0.1)
+SMALLEST = {"openmm": 1.0}
+"""Tolerance of a run; OpenMM's takes thousands of evaluations below it, or single precision stops it."""
+OWN = (10.0, 1.0)
+"""Tolerances of runs whose ends are compared: OpenMM's default, and that of comparisons of minima."""
+MOST = 20_000
 """Evaluations allowed."""
 ERROR = 1e-6
 """Tolerance of the ODE solver: nm, and relative. Ends are the same at 1e-8 (--check)."""
@@ -51,120 +55,113 @@ SAME = (0.01, 0.05)
 
 
 Row = dict[str, object]
-Ends = dict[str, np.ndarray]
-"""Positions (na, 3), nm, by tolerance."""
 
 
-class Watch:
-    """Notes the residual of each point of a run that could be its last, and where it first meets a tolerance.
-
-    What it computes is left out of the seconds.
-    """
-
-    wants_positions = False
-
-    def __init__(self, energy: Energy, in_torsions: bool, limit: float) -> None:
-        self.energy, self.in_torsions, self.limit = energy, in_torsions, limit
-        self.stage, self.own = "", 0.0
-        self.met: dict[float, tuple[float, float, np.ndarray]] = {}
-        self.began = process_time()
-
-    def at_stage(self, name: str, evaluations: int) -> None:
-        """Remember the stage."""
-        self.stage = name
-
-    def at_warning(self, line: str) -> None:
-        """Say nothing of what the table tells."""
-
-    def __call__(self, row: dict[str, float], x: np.ndarray) -> None:
-        """Note a point, unless all tolerances are met."""
-        now = process_time()
-        seconds = now - self.began - self.own
-        if self.stage == ("torsions" if self.in_torsions else "all atoms"):
-            residual = row["max_torque_kj_mol_rad"] if self.in_torsions else rms(self.energy(x)[1])
-            for tolerance in TOLERANCES:
-                if residual <= tolerance and tolerance not in self.met:
-                    self.met[tolerance] = row["evaluations"], seconds, x.copy()
-        self.own += process_time() - now
-        if seconds > self.limit:
-            raise KeyboardInterrupt
+def run(structure: pc.Structure, energy: Energy, method: str, tolerance: float) -> pc.Solution:
+    """A run of a method to its own end."""
+    return pc.minimise(structure, energy, method, tolerance, MOST, curvature=False)
 
 
-def rms(forces: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(forces**2)))
+def residual(method: str) -> str:
+    """Column of a trace by which a method converges."""
+    return "max_torque_kj_mol_rad" if RECIPES[method].keeps_geometry else "rms_force_kj_mol_nm"
 
 
-def ends(
-    structure: pc.Structure, method: str, limit: float, smallest: float = TOLERANCES[-1]
-) -> tuple[list[Row], Ends]:
-    """Rows of one method, one for each tolerance, and where it first met those that it met."""
-    energy, own = pc.energy(structure, threads=1), pc.energy(structure, threads=1)
-    chain = pc.build_chain(structure)
-    in_torsions = RECIPES[method].keeps_geometry
-    pc.minimise(chain, energy, method, max_evaluations=2)  # contexts and neighbour lists
-    own(structure.positions)
-    watch = Watch(own, in_torsions, limit)
-    solution = pc.minimise(chain, energy, method, smallest, MOST, curvature=False, watch=watch)
-    rows = []
-    for tolerance in TOLERANCES:
-        evaluations, seconds, x = watch.met.get(tolerance, (np.nan, np.nan, None))
-        row = {"method": method, "tolerance": tolerance, "evaluations": evaluations, "cpu_seconds": seconds}
-        if x is not None:
-            row |= {"energy_kj_mol": own(x)[0], "ca_rmsd_angstrom": pc.ca_rmsd(structure, x, structure)}
-        rows.append(row | {"status": str(solution.status), "status_evaluations": solution.n_evaluations})
-    return rows, {f"{tolerance:g}": x for tolerance, (_, _, x) in watch.met.items()}
-
-
-def descent(structure: pc.Structure, limit: float, error: float = ERROR) -> tuple[list[Row], Ends]:
-    """Steepest descent by an ODE solver: rows as of a method, and where it first met each tolerance."""
-    energy = pc.energy(structure, threads=1)
-    began, count = process_time(), 0
-
-    def forces(t: float, x: np.ndarray) -> np.ndarray:
-        nonlocal count
-        count += 1
-        return energy(x.reshape(-1, 3))[1].ravel()
-
-    solver = BDF(forces, 0.0, structure.positions.ravel(), np.inf, rtol=error, atol=error)
-    met: dict[float, np.ndarray] = {}
-    rows = []
-    status = "stalled"
-    while True:
-        residual = rms(forces(solver.t, solver.y))
-        for tolerance in TOLERANCES:
-            if residual <= tolerance and tolerance not in met:
-                x = met[tolerance] = solver.y.reshape(-1, 3).copy()
-                rows.append({
-                    "method": "descent", "tolerance": tolerance, "evaluations": count,
-                    "cpu_seconds": process_time() - began, "energy_kj_mol": energy(x)[0],
-                    "ca_rmsd_angstrom": pc.ca_rmsd(structure, x, structure),
-                })  # fmt: skip
-        if len(met) == len(TOLERANCES):
-            status = "converged"
-            break
-        if process_time() - began > limit or solver.status != "running":
-            break
-        solver.step()
-    rows += [{"method": "descent", "tolerance": t} for t in TOLERANCES if t not in met]
-    each = {"status": status, "status_evaluations": count}
-    return [row | each for row in rows], {f"{tolerance:g}": x for tolerance, x in met.items()}
+def first(trace: pd.DataFrame, column: str, tolerance: float) -> pd.Series:
+    """First row of a trace whose residual is no larger; all missing if there is none."""
+    met = trace[trace[column] <= tolerance]
+    return met.iloc[0] if len(met) else pd.Series(np.nan, trace.columns)
 
 
 def polished(structure: pc.Structure, energy: Energy, x: np.ndarray) -> pc.Solution:
     """Nearest minimum of an end, by small steps near it."""
-    return pc.minimise(structure.with_positions(x), energy, "cartesian", POLISHED)
+    return run(structure.with_positions(x), energy, "cartesian", POLISHED)
 
 
-def basins(structure: pc.Structure, kept: "Kept") -> Iterator[Row]:
-    """Whether the polished end of each method is that of the descent."""
-    last = f"{TOLERANCES[-1]:g}"
+def way(structure: pc.Structure, energy: Energy, method: str, solution: pc.Solution) -> Iterator[Row]:
+    """A row for each tolerance: where the way first meets it, and how much of it is left to its minimum."""
+    trace = solution.trace
+    if RECIPES[method].keeps_geometry:
+        lowest = trace["energy_kj_mol"].min()
+    else:
+        lowest = polished(structure, energy, solution.x).end.energy
+    for tolerance in TOLERANCES:
+        if tolerance >= solution.tolerance:
+            at = first(trace, residual(method), tolerance)
+            yield {
+                "method": method, "tolerance": tolerance, "evaluations": at["evaluations"],
+                "energy_kj_mol": at["energy_kj_mol"], "above_kj_mol": at["energy_kj_mol"] - lowest,
+                "rms_force_kj_mol_nm": at["rms_force_kj_mol_nm"],
+                "max_force_kj_mol_nm": at["max_force_kj_mol_nm"], "ca_rmsd_angstrom": at["ca_rmsd_angstrom"],
+                "status": str(solution.status), "status_evaluations": solution.n_evaluations,
+            }  # fmt: skip
+
+
+def ends(trace: pd.DataFrame, ours: pc.Solution, theirs: pc.Solution) -> Row:
+    """Our way to its smallest tolerance and our own end against OpenMM's own end, of the same tolerance."""
+    met = first(theirs.trace, "rms_force_kj_mol_nm", theirs.tolerance)
+    force = first(trace, "rms_force_kj_mol_nm", theirs.end.rms_force)
+    within = trace[trace["ca_rmsd_angstrom"] <= theirs.ca_rmsd_angstrom]
+    distance = within.loc[within["energy_kj_mol"].idxmin()]
+    of_ends = {
+        f"{which}_{name}": value
+        for which, end in (("openmm", theirs), ("end", ours))
+        for name, value in (
+            ("kj_mol", end.end.energy), ("rms_force_kj_mol_nm", end.end.rms_force),
+            ("max_force_kj_mol_nm", end.end.sizes["max_force_kj_mol_nm"]),
+            ("ca_rmsd_angstrom", end.ca_rmsd_angstrom), ("evaluations", end.n_evaluations),
+        )
+    }  # fmt: skip
+    return {
+        "tolerance": theirs.tolerance, "openmm_status": str(theirs.status), **of_ends,
+        "openmm_first_met_kj_mol": met["energy_kj_mol"],
+        "equal_force_kj_mol": force["energy_kj_mol"],
+        "equal_force_ca_rmsd_angstrom": force["ca_rmsd_angstrom"],
+        "equal_force_evaluations": force["evaluations"],
+        "equal_distance_kj_mol": distance["energy_kj_mol"],
+        "equal_distance_ca_rmsd_angstrom": distance["ca_rmsd_angstrom"],
+        "equal_distance_rms_force_kj_mol_nm": distance["rms_force_kj_mol_nm"],
+    }  # fmt: skip
+
+
+def compared(structure: pc.Structure) -> tuple[list[Row], list[Row]]:
+    """Rows of both tables."""
     energy = pc.energy(structure, threads=1)
-    found = {method: kept.positions(structure.name, method).get(last) for method in (*METHODS, "descent")}
-    home = None if found["descent"] is None else polished(structure, energy, found["descent"])
+    runs = {m: run(structure, energy, m, SMALLEST.get(m, TOLERANCES[-1])) for m in METHODS}
+    ways = [row for method, solution in runs.items() for row in way(structure, energy, method, solution)]
+    own = {t: runs["openmm"] if t == SMALLEST["openmm"] else run(structure, energy, "openmm", t) for t in OWN}
+    trace = runs["cartesian"].trace
+    return ways, [
+        ends(trace, run(structure, energy, "cartesian", t), theirs) for t, theirs in own.items()
+    ]  # fmt: skip
+
+
+def descent(structure: pc.Structure, limit: float, error: float = ERROR) -> np.ndarray | None:
+    """End of steepest descent by an ODE solver, to the smallest tolerance; None if it takes too long."""
+    energy = pc.energy(structure, threads=1)
+    began = process_time()
+
+    def forces(t: float, x: np.ndarray) -> np.ndarray:
+        return energy(x.reshape(-1, 3))[1].ravel()
+
+    solver = BDF(forces, 0.0, structure.positions.ravel(), np.inf, rtol=error, atol=error)
+    while np.sqrt(np.mean(forces(solver.t, solver.y) ** 2)) > TOLERANCES[-1]:
+        if process_time() - began > limit or solver.status != "running":
+            return None
+        solver.step()
+    return solver.y.reshape(-1, 3)
+
+
+def basins(structure: pc.Structure, limit: float) -> Iterator[Row]:
+    """Whether the polished end of each method is that of the descent."""
+    energy = pc.energy(structure, threads=1)
+    down = descent(structure, limit)
+    home = None if down is None else polished(structure, energy, down)
     for method in METHODS:
         row: Row = {"method": method}
-        if home is not None and found[method] is not None:
-            end = polished(structure, energy, found[method])
+        if home is not None:
+            last = run(structure, energy, method, SMALLEST.get(method, TOLERANCES[-1]))
+            end = polished(structure, energy, last.x)
             above = end.end.energy - home.end.energy
             apart = all_atoms(end.x, home.x)
             row |= {
@@ -181,157 +178,92 @@ def all_atoms(x: np.ndarray, y: np.ndarray) -> float:
     return float(10.0 * apart / np.sqrt(len(x)))
 
 
-class Kept:
-    """Folder of what is done: a table and positions of each run, and relaxed models."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-
-    def table(self, name: str, what: str, make: Callable[[], Iterable[Row]]) -> pd.DataFrame:
-        """Table of something done, now or before."""
-        return made.kept_rows(self.folder / f"{name}.{what}.csv", make)
-
-    def positions(self, name: str, method: str) -> Ends:
-        """Positions at which a method first met each tolerance."""
-        return dict(np.load(self.folder / f"{name}.{method}.npz"))
-
-    def run(self, name: str, method: str, make: Callable[[], tuple[list[Row], Ends]]) -> pd.DataFrame:
-        """Table of a method, whose positions are kept too."""
-
-        def rows() -> list[Row]:
-            found, x = make()
-            np.savez(self.folder / f"{name}.{method}.npz", **x)
-            return found
-
-        return self.table(name, method, rows)
-
-    def relaxed(self, structure: pc.Structure) -> pc.Structure:
-        """A model after `relax`, its positions in full: a file has three digits."""
-        path = self.folder / f"{structure.name}.relaxed.npy"
-        return structure.with_positions(made.kept(path, lambda: pc.relax(structure, threads=1).x))
-
-
 def load(path: Path) -> pc.Structure:
     """Protein of a file, nothing beside it."""
     return pc.load(path, keep="none")
 
 
-def damaged(n: int) -> Iterator[pc.Structure]:
-    """Samples, each damaged in the next of the seven ways."""
-    for k, name in enumerate(MANY_OF[:n]):
-        label, structure = list(models.damaged([load(SAMPLES / f"{name}.pdb")], len(MANY_OF), seed=1))[k]
-        yield replace(structure, name=label)
-
-
-def starts(options: argparse.Namespace, kept: Kept) -> list[tuple[str, pc.Structure]]:
-    """Starts and their kinds, small ones first."""
-    given = [("deposited", load(path)) for path in options.structures]
-    relaxed = [*map(load, options.models), *damaged(options.made)]
-    given += [("relaxed", kept.relaxed(model)) for model in sorted(relaxed, key=lambda s: s.n_atoms)]
-    return sorted(given, key=lambda each: each[1].n_atoms)
-
-
 def check(structure: pc.Structure, limit: float) -> None:
-    """Print how far runs to 10 and 1 end from where one to the smallest tolerance met these, nm."""
+    """Print how runs to 10 and 1 end, and where longer ones first met these: alike, but for OpenMM's."""
+    energy = pc.energy(structure, threads=1)
     for method in METHODS:
-        _, whole = ends(structure, method, limit)
-        for tolerance in (10.0, 1.0):
-            _, part = ends(structure, method, limit, tolerance)
-            apart = np.abs(part[f"{tolerance:g}"] - whole[f"{tolerance:g}"]).max()
-            print(f"{structure.name} {method} {tolerance:g}: {apart:.1e} nm apart", flush=True)
-    _, rough = descent(structure, 10.0 * limit)
-    _, fine = descent(structure, 10.0 * limit, ERROR / 100.0)
-    last = f"{TOLERANCES[-1]:g}"
-    print(f"{structure.name} descent: {all_atoms(rough[last], fine[last]):.1e} angstrom apart", flush=True)
-
-
-def compared(table: pd.DataFrame) -> pd.DataFrame:
-    """Rows with what compares methods: energy above the lowest, and whether all methods met the tolerance.
-
-    The lowest end of a structure is that of all methods that move all atoms.
-    """
-    in_torsions = table["method"].map(lambda name: name != "descent" and RECIPES[name].keeps_geometry)
-    lowest = table[~in_torsions].groupby("structure")["energy_kj_mol"].min()
-    above = (table["energy_kj_mol"] - table["structure"].map(lowest)) * 100.0 / table["residues"]
-    met = table["energy_kj_mol"].notna() | (table["method"] == "descent")
-    by_all = met.groupby([table["structure"], table["tolerance"]]).transform("all")
-    return table.assign(above_kj_mol_per_100_residues=above, met_by_all=by_all)
+        whole = run(structure, energy, method, SMALLEST.get(method, TOLERANCES[-1]))
+        for tolerance in OWN:
+            at = first(whole.trace, residual(method), tolerance)
+            end = run(structure, energy, method, tolerance)
+            size = end.end.max_torque if end.keeps_geometry else end.end.rms_force
+            print(
+                f"{structure.name} {method} {tolerance:g}: ends {end.end.energy - at['energy_kj_mol']:+.2g} "
+                f"kJ/mol from where it is first met, with a residual of {size:.3g} for "
+                f"{at[residual(method)]:.3g}, {end.n_evaluations - at['evaluations']:.0f} evaluations later",
+                flush=True,
+            )
+    rough, fine = (descent(structure, 10.0 * limit, error) for error in (ERROR, ERROR / 100.0))
+    if rough is not None and fine is not None:
+        print(f"{structure.name} descent: {all_atoms(rough, fine):.1e} angstrom apart", flush=True)
 
 
 def curves(table: pd.DataFrame) -> Figure:
-    """Medians of RMSD, energy above the lowest and seconds against tolerance."""
-    shown = {
-        "ca_rmsd_angstrom": "C-alpha RMSD to the start, angstrom",
-        "above_kj_mol_per_100_residues": "energy above the lowest end,\nkJ/mol per 100 residues",
-        "cpu_seconds": "CPU seconds",
-    }  # fmt: skip
-    figure = Figure(figsize=(12, 4), layout="constrained")
-    for axes, (column, label) in zip(figure.subplots(1, 3), shown.items(), strict=True):
+    """Medians of RMSD, energy above the minimum, evaluations against tolerance, and energy against RMSD."""
+    rmsd, above = "C-alpha RMSD to the start, angstrom", "above the minimum, kJ/mol per residue"
+    shown = (
+        ("tolerance", "ca_rmsd_angstrom", rmsd), ("tolerance", "above", above),
+        ("tolerance", "evaluations", "evaluations"), ("ca_rmsd_angstrom", "above", above),
+    )  # fmt: skip
+    table = table.assign(above=table["above_kj_mol"] / table["residues"])
+    medians = table.groupby(["method", "tolerance"])[["ca_rmsd_angstrom", "above", "evaluations"]].median()
+    figure = Figure(figsize=(15, 4), layout="constrained")
+    panels = figure.subplots(1, len(shown))
+    for axes, (along, column, label) in zip(panels, shown, strict=True):
         for method in METHODS:
-            own = table[(table["method"] == method) & table["met_by_all"]]
-            medians = own.groupby("tolerance")[column].median()
-            axes.plot(medians.index, medians, "o-", label=method)
-        axes.set(xscale="log", xlabel="tolerance, kJ/mol/nm (lbfgs: kJ/mol/rad)", ylabel=label)
-        axes.set_yscale("linear" if column == "ca_rmsd_angstrom" else "log")
-        axes.invert_xaxis()
-    axes.legend(frameon=False)
+            own = medians.loc[method].reset_index().sort_values("tolerance", ascending=False)
+            axes.plot(own[along], own[column], "o-", label=method)
+        axes.set(ylabel=label, xlabel=rmsd if along != "tolerance" else "tolerance, kJ/mol/nm (lbfgs: /rad)")
+        if along == "tolerance":
+            axes.set_xscale("log")
+            axes.invert_xaxis()
+        if column == "above":
+            axes.set_yscale("symlog", linthresh=0.01)
+    panels[0].legend(frameon=False)
     return figure
 
 
 def parser() -> argparse.ArgumentParser:
-    own = made.parser(__doc__)
+    own = made.parser(__doc__, more=True)
     own.add_argument("structures", nargs="*", type=Path, metavar="STRUCTURE")
-    own.add_argument("--models", nargs="*", type=Path, default=[], metavar="MODEL", help="to relax first")
-    own.add_argument("--made", type=int, default=0, help="damaged copies of samples, to relax first")
-    own.add_argument("--kept", type=Path, metavar="FOLDER", help="what is done, not to be done again")
-    own.add_argument("--basins", type=int, default=400, metavar="ATOMS", help="of a descent, at most")
-    own.add_argument(
-        "--limit",
-        type=float,
-        default=100.0,
-        metavar="SECONDS",
-        help="of a run, at most; a descent has ten times as many",
-    )
+    own.add_argument("--basins", nargs="+", type=Path, metavar="STRUCTURE", help="only these, by descents")
+    own.add_argument("--limit", type=float, default=1000.0, metavar="SECONDS", help="of a descent, at most")
     own.add_argument("--check", action="store_true", help="only: that the way is that of each tolerance")
     return own
 
 
 def main() -> None:
     options = parser().parse_args()
+    files = options.structures or [options.more / name for name in HELD_OUT]
     if options.quick:
-        options.structures, options.models, options.made = [SAMPLES / "ala10.pdb"], [], 0
-    if options.check:
-        for path in options.structures:
-            check(load(path), options.limit)
-        return
-    with tempfile.TemporaryDirectory() as scratch:
-        kept = Kept(options.kept or Path(scratch))
-        chosen = starts(options, kept)
-        tables, minima = [], []
-        for kind, structure in chosen:
-            name = structure.name
-            about = {"structure": name, "start": kind, "residues": structure.n_residues,
-                     "atoms": structure.n_atoms}  # fmt: skip
-            small = structure.n_atoms <= options.basins
-            for method in (*METHODS, "descent") if small else METHODS:
-                if method == "descent":
-                    run = partial(descent, structure, 10.0 * options.limit)
-                else:
-                    run = partial(ends, structure, method, options.limit)
-                tables.append(kept.run(name, method, run).assign(**about))
-            if small:
-                minima.append(kept.table(name, "basins", partial(basins, structure, kept)).assign(**about))
-    table = compared(pd.concat(tables, ignore_index=True))
-    shares = pd.concat(minima or [pd.DataFrame({"method": [], "same": []})])
-    print(table.groupby(["method", "tolerance"])[["ca_rmsd_angstrom", "cpu_seconds"]].median().to_string())
-    print(shares.groupby("method")["same"].mean().to_string())
-    if options.output:
-        options.output.mkdir(parents=True, exist_ok=True)
+        files = [SAMPLES / "ala10.pdb"]
+        options.basins = options.basins and files
+    ways, own = [], []
+    for path in options.basins or files:
+        structure = load(path)
+        about = {
+            "structure": structure.name, "residues": structure.n_residues, "atoms": structure.n_atoms
+        }  # fmt: skip
+        if options.check:
+            check(structure, options.limit)
+        elif options.basins:
+            ways += [about | row for row in basins(structure, options.limit)]
+        else:
+            for table, rows in zip((ways, own), compared(structure), strict=True):
+                table += [about | row for row in rows]
+        print(structure.name, flush=True)
+    if options.output and options.basins:
+        made.write(pd.DataFrame(ways).round(4), options.output / "near_basins.csv", options.basins)
+    elif options.output and not options.check:
+        table = pd.DataFrame(ways)
+        made.write(table.round(4), options.output / "near.csv", files)
+        made.write(pd.DataFrame(own).round(4), options.output / "near_ends.csv", files)
         curves(table).savefig(options.output / "near.png", dpi=150)
-        inputs = [*options.structures, *options.models, f"{options.made} damaged copies of samples"]
-        made.write(table.round(4), options.output / "near.csv", inputs)
-        made.write(shares.round(4), options.output / "near_basins.csv", inputs)
 
 
 if __name__ == "__main__":

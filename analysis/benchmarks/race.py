@@ -1,21 +1,30 @@
-"""cartesian and hybrid against OpenMM's LocalEnergyMinimizer: how long to an energy at least as low.
+"""cartesian and hybrid against OpenMM's LocalEnergyMinimizer: how long to where it ends.
 
-    python analysis/benchmarks/race.py [-o DIR] [--quick] [--forces obc2,gbsa,gbn2,vacuum] [STRUCTURE ...]
+    python analysis/benchmarks/race.py [STRUCTURE ...] [--more FOLDER] [-o DIR] [--quick]
+                                       [--forces gbsa,obc2,vacuum] [--custom ATOMS]
 
-OpenMM runs on its CPU platform, with tolerances of 10 and 1 kJ/mol/nm, from the same start and on the same
-threads. "obc2" and "gbn2" are CustomGBForces, as OpenMM's force field builds them; "gbsa" is OBC2 by its
-quicker GBSAOBCForce. Energies are judged by the native engine. Two ratios, OpenMM's seconds over ours:
+Structures are prepared, nothing beside the protein: by default 12 that no minimiser was tuned on (MORE,
+--more). OpenMM runs on its CPU platform, to its own end at tolerances of 10 and 1 kJ/mol/nm, from the same
+start and on the same threads. "obc2" and "gbn2" are CustomGBForces, as OpenMM's force field builds them, of
+at most so many atoms (--custom); "gbsa" is OBC2 by its quicker GBSAOBCForce. Ends are judged by the native
+engine. Ours run once, to 0.1 kJ/mol/nm, until
 
-- stop: OpenMM until it stops, seconds of LocalEnergyMinimizer.minimize alone; ours until the trace is first
-  as low as where OpenMM ended.
-- passage: both until first within 1 kJ/mol per 100 residues of where OpenMM ended. OpenMM's share of its
-  seconds by then is taken from a second run with a reporter, or, with a CustomGBForce, which takes so long
-  that the reporter does not count, from the one run.
+- energy: they are first as low as where OpenMM ended; infinite if they never are;
+- force: their RMS force is first as small as there.
 
-"never", and 0 in the medians: ours ends above.
+Seconds are those of the loop (of OpenMM all of LocalEnergyMinimizer.minimize), and of the whole call, from
+the structure to the result: for OpenMM createSystem, Context, the first forces, the loop, and the state; for
+ours System, energy, chain, warming up (kernels are compiled beforehand), loop, judging. Force fields are read
+beforehand by both. Of three structures, also commands from shell to shell, from a file with all hydrogens to
+one of the end: `protochain minimise` to the RMS force at which OpenMM ended, and race_openmm.py.
 """
 
 import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -24,21 +33,17 @@ import made
 import numpy as np
 import openmm
 import pandas as pd
-from engines import with_gbsa_obc
-from made import SAMPLES
-from openmm import unit
+import race_openmm
+from made import HELD_OUT, SAMPLES
+from openmm import app, unit
 
 import protochain as pc
-from protochain.energies import Energy, build_system
 
-DEFAULT = ("1l2y", "1ejg", "1vii", "3i40", "4pti", "1ubq", "1hel")
 TOLERANCES = (10.0, 1.0)
+SMALLEST = 0.1
 METHODS = ("cartesian", "hybrid")
-NEAR = 0.01
-"""kJ/mol a residue above OpenMM's end: passage."""
 THREADS = 2
-QUICK = ("gbsa", "vacuum")
-"""Forces whose energy takes so little that a reporter would count."""
+FROM_SHELL = ("1v6p_cobrotoxin_amber", "4cup_missing", "dhfr_jac_amber")
 
 
 @dataclass(frozen=True)
@@ -48,135 +53,142 @@ class Race:
     structure: str
     atoms: int
     force: str
+    gb_class: str
     tolerance: float
     method: str
     openmm_end_kj_mol: float
+    openmm_rms_force_kj_mol_nm: float
     end_kj_mol: float
-    openmm_stop_s: float
-    stop_s: float
-    openmm_passage_s: float
-    passage_s: float
-
-    @property
-    def stop(self) -> float:
-        """OpenMM's seconds over ours, to its end."""
-        return self.openmm_stop_s / self.stop_s
-
-    @property
-    def passage(self) -> float:
-        """OpenMM's seconds over ours, until near its end."""
-        return self.openmm_passage_s / self.passage_s
+    openmm_loop_s: float
+    openmm_whole_s: float
+    energy_loop_s: float
+    energy_whole_s: float
+    force_loop_s: float
+    force_whole_s: float
+    openmm_shell_s: float = np.nan
+    shell_s: float = np.nan
 
 
-class Trace(openmm.MinimizationReporter):
-    """Seconds and positions of each iteration."""
+@dataclass(frozen=True)
+class Theirs:
+    """A run of OpenMM's."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.began = perf_counter()
-        self.seconds: list[float] = []
-        self.positions: list[np.ndarray] = []
-
-    def report(self, iteration: int, x: list[float], grad: list[float], args: dict[str, float]) -> bool:
-        """Note an iteration."""
-        self.seconds.append(perf_counter() - self.began)
-        self.positions.append(np.array(x).reshape(-1, 3))
-        return False
+    gb_class: str
+    x: np.ndarray
+    loop: float
+    whole: float
 
 
-def openmm_run(system: openmm.System, x: np.ndarray, tolerance: float, trace: Trace | None = None):
-    """Positions at the end and seconds of LocalEnergyMinimizer."""
-    platform = openmm.Platform.getPlatform("CPU")
-    context = openmm.Context(system, openmm.VerletIntegrator(0.001), platform, {"Threads": str(THREADS)})
-    context.setPositions(x)
-    context.getState(forces=True)
+def theirs(structure: pc.Structure, force: str, tolerance: float) -> Theirs:
+    """LocalEnergyMinimizer to its own end."""
     began = perf_counter()
-    openmm.LocalEnergyMinimizer.minimize(context, tolerance, 0, *([trace] if trace else []))
-    seconds = perf_counter() - began
-    end = context.getState(positions=True).getPositions(asNumpy=True).value_in_unit(unit.nanometer)
-    return np.array(end), seconds
+    built = race_openmm.built(structure.topology, force)
+    context = race_openmm.context(built, THREADS)
+    context.setPositions(structure.positions)
+    context.getState(forces=True)
+    looped = perf_counter()
+    openmm.LocalEnergyMinimizer.minimize(context, tolerance)
+    loop = perf_counter() - looped
+    state = context.getState(positions=True, energy=True)
+    x = state.getPositions(asNumpy=True).value_in_unit(unit.nanometer)
+    return Theirs(race_openmm.gb_class(built), np.array(x), loop, perf_counter() - began)
 
 
-def passage(trace: Trace, energy: Energy, seconds: float, near: float) -> tuple[float, float]:
-    """Lowest energy of a traced run, and its seconds until within ``near`` of that, scaled to ``seconds``."""
-    energies = np.array([energy(x)[0] for x in trace.positions])
-    first = np.flatnonzero(energies <= energies.min() + near)[0]
-    return energies.min(), seconds * trace.seconds[first] / trace.seconds[-1]
-
-
-def until(trace: pd.DataFrame, level: float) -> float:
-    """Seconds until a run is first as low as this; infinite if never."""
-    low = trace[trace.energy_kj_mol <= level]
-    return float(low.seconds.iloc[0]) if len(low) else np.inf
-
-
-def races(path: Path, force: str):
-    """All methods against OpenMM with each tolerance."""
-    structure = pc.load(path)
-    chain = pc.build_chain(structure)
-    solvent = "obc2" if force == "gbsa" else force
-    if force == "gbsa":
-        system = with_gbsa_obc(structure.topology)
-    else:
-        system = build_system(structure, "amber14", solvent)
+def ours(structure: pc.Structure, solvent: str, method: str) -> tuple[pc.Solution, float]:
+    """Our run, and the seconds of the whole call without the loop."""
+    began = perf_counter()
     energy = pc.energy(structure, solvent=solvent, threads=THREADS)
-    ours = {method: pc.minimise(chain, energy, method, TOLERANCES[-1]) for method in METHODS}
-    near = NEAR * structure.n_residues
+    solution = pc.minimise(structure, energy, method, SMALLEST)
+    return solution, perf_counter() - began - solution.seconds
+
+
+def until(trace: pd.DataFrame, column: str, level: float) -> float:
+    """Seconds until a run is first as low as this; infinite if never."""
+    low = trace[trace[column] <= level]
+    return float(low["seconds"].iloc[0]) if len(low) else np.inf
+
+
+def solvent_of(force: str) -> str:
+    """Name of a force's solvent in protochain."""
+    return "obc2" if force == "gbsa" else force
+
+
+def races(structure: pc.Structure, force: str, from_shell: bool) -> Iterator[Race]:
+    """All methods against OpenMM with each tolerance."""
+    energy = pc.energy(structure, solvent=solvent_of(force), threads=THREADS)
+    runs = {method: ours(structure, solvent_of(force), method) for method in METHODS}
     for tolerance in TOLERANCES:
-        trace = Trace()
-        x, seconds = openmm_run(system, structure.positions, tolerance, trace)
-        if force in QUICK:
-            x, seconds = openmm_run(system, structure.positions, tolerance)
-        lowest, passed = passage(trace, energy, seconds, near)
-        end = energy(x)[0]
-        for method, solution in ours.items():
+        of = theirs(structure, force, tolerance)
+        end, forces = energy(of.x)
+        size = float(np.sqrt(np.mean(forces**2)))
+        for method, (solution, outside) in runs.items():
+            by_energy = until(solution.trace, "energy_kj_mol", end)
+            by_force = until(solution.trace, "rms_force_kj_mol_nm", size)
+            shells = (np.nan, np.nan)
+            if from_shell and force == "gbsa" and method == METHODS[0]:
+                shells = shell(structure, tolerance, size)
             yield Race(
-                structure.name, structure.n_atoms, force, tolerance, method, end, solution.end.energy,
-                seconds, until(solution.trace, end), passed, until(solution.trace, lowest + near),
+                structure.name, structure.n_atoms, force, of.gb_class, tolerance, method, end, size,
+                solution.end.energy, of.loop, of.whole, by_energy, outside + by_energy, by_force,
+                outside + by_force, *shells,
             )  # fmt: skip
 
 
+def shell(structure: pc.Structure, tolerance: float, size: float) -> tuple[float, float]:
+    """Seconds of commands: OpenMM's to a tolerance, ours to the RMS force at which OpenMM ended."""
+    with tempfile.TemporaryDirectory() as folder:
+        file, out = Path(folder) / "start.pdb", Path(folder) / "end.pdb"
+        with file.open("w") as text:
+            app.PDBFile.writeFile(structure.topology, structure.positions * unit.nanometer, text)
+        options = [file, out, "--threads", THREADS, "--tolerance", tolerance]
+        return (
+            seconds([sys.executable, race_openmm.__file__, *options]),
+            seconds([
+                shutil.which("protochain") or "protochain", "minimise", file, "-o", out, "--force",
+                "--threads", THREADS, "--tolerance", size,
+            ]),
+        )  # fmt: skip
+
+
+def seconds(words: list[object]) -> float:
+    """Seconds of a command."""
+    began = perf_counter()
+    done = subprocess.run([*map(str, words)], env=made.surroundings(), capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(map(str, words))}: {done.stderr}")
+    return perf_counter() - began
+
+
 def parser() -> argparse.ArgumentParser:
-    own = made.parser(__doc__)
-    own.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / f"{n}.pdb" for n in DEFAULT])
-    own.add_argument("--forces", default="gbsa,obc2,gbn2,vacuum")
+    own = made.parser(__doc__, more=True)
+    own.add_argument("structures", nargs="*", type=Path, metavar="STRUCTURE")
+    own.add_argument("--forces", default="gbsa,obc2,vacuum", help="of gbsa, obc2, gbn2, vacuum")
+    own.add_argument("--custom", type=int, default=1000, metavar="ATOMS", help="with CustomGBForce, at most")
     return own
 
 
 def main() -> None:
     options = parser().parse_args()
+    files = options.structures or [options.more / name for name in HELD_OUT]
     if options.quick:
-        options.structures = [SAMPLES / "ala10.pdb"]
+        files = [SAMPLES / "ala10.pdb"]
+    structures = [pc.load(path, keep="none") for path in files]
     warm_up = pc.load(SAMPLES / "1l2y.pdb")
-    for force in options.forces.split(","):
-        energy = pc.energy(warm_up, solvent="obc2" if force == "gbsa" else force, threads=THREADS)
-        pc.minimise(pc.build_chain(warm_up), energy, max_evaluations=30)
     ran = []
-    print(
-        "| structure | atoms | force | tolerance | method | OpenMM kJ/mol | kJ/mol "
-        "| OpenMM s | s | stop | passage |"
-    )
-    print("|---|--:|---|--:|---|--:|--:|--:|--:|--:|--:|")
     for force in options.forces.split(","):
-        for path in options.structures:
-            for race in races(path, force):
+        theirs(warm_up, force, 1000.0)
+        for method in METHODS:
+            ours(warm_up, solvent_of(force), method)
+        for structure in structures:
+            if force in ("obc2", "gbn2") and structure.n_atoms > options.custom:
+                continue
+            for race in races(structure, force, options.quick or structure.name in FROM_SHELL):
                 ran.append(race)
-                need = f"{race.stop_s:.2f} | {race.stop:.1f}x" if race.stop else "never | -"
-                print(
-                    f"| {race.structure} | {race.atoms} | {force} | {race.tolerance:g} | {race.method} "
-                    f"| {race.openmm_end_kj_mol:.1f} | {race.end_kj_mol:.1f} | {race.openmm_stop_s:.2f} "
-                    f"| {need} | {race.passage:.1f}x |",
-                    flush=True,
-                )
-    table = pd.DataFrame([asdict(race) | {"stop": race.stop, "passage": race.passage} for race in ran])
-    by = ["force", "tolerance", "method"]
-    medians = table.groupby(by)[["stop", "passage"]].median()
-    medians["first"] = table.groupby(by)["stop"].apply(lambda ratios: np.mean(ratios > 1.0))
-    print("\nMedian ratios (0: never), and the share of structures in which ours is first to OpenMM's end:\n")
-    print(medians.round(2).to_string())
+                print(asdict(race), flush=True)
+    table = pd.DataFrame(map(asdict, ran))
     if options.output:
         for force, rows in table.groupby("force"):
-            made.write(rows, options.output / f"race_{force}.csv", options.structures, THREADS)
+            made.write(rows.round(4), options.output / f"race_{force}.csv", files, THREADS)
 
 
 if __name__ == "__main__":

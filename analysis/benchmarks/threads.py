@@ -19,8 +19,9 @@ from time import perf_counter, process_time, sleep
 import made
 import numpy as np
 import pandas as pd
-from engines import copies, with_gbsa_obc
+from engines import copies
 from made import SAMPLES
+from race_openmm import with_gbsa_obc
 
 import protochain as pc
 from protochain.energies import NativeEnergy, OpenMMEnergy

@@ -10,10 +10,11 @@ from protochain.core.arrays import Floats, Watcher
 _SHOWN = {
     "energy_kj_mol": "{:.1f} kJ/mol",
     "max_torque_kj_mol_rad": "{:.3g} kJ/mol/rad",
+    "rms_force_kj_mol_nm": "{:.3g} kJ/mol/nm",
     "time_ps": "{:.2f} ps",
     "temperature_k": "{:.0f} K",
 }
-"""Values shown beside the bar, where a row has them; the torque is nan where all atoms move."""
+"""Values shown beside the bar, where a row has them; where hinges turn the force is nan, else the torque."""
 
 
 def progress(title: str = "") -> Watcher:

@@ -46,8 +46,8 @@ CIRCUMSTANCES = ("killed", "time-limit", "interrupted")
 """Statuses that may differ next time: such runs are repeated on resuming."""
 
 TRACE_COLUMNS = (
-    "structure", "method", "iteration", "evaluations", "seconds", "energy_kj_mol", "max_torque_kj_mol_rad",
-    "ca_rmsd_angstrom", "key",
+    "structure", "method", "iteration", "evaluations", "seconds", "energy_kj_mol", "rms_torque_kj_mol_rad",
+    "max_torque_kj_mol_rad", "rms_force_kj_mol_nm", "max_force_kj_mol_nm", "ca_rmsd_angstrom", "key",
 )  # fmt: skip
 
 

@@ -34,7 +34,7 @@ from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.saddle import ALL_ATOMS_UP_TO, SHARE_OF_RUN, with_curvature
 from protochain.minimisers.settings import CheckpointSettings, MinimiseSettings
 from protochain.minimisers.solution import Recorder, Solution, trace_of
-from protochain.minimisers.spaces import Torsions
+from protochain.minimisers.spaces import Torsions, spaces
 from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
 from protochain.minimisers.start_warnings import Straying
@@ -80,8 +80,8 @@ def minimise(
         :func:`protochain.minimisers.recipe_of`.
     tolerance : float, optional
         Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as
-        recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 10 kJ/mol/nm, which leaves a
-        structure nearer to its start than 1 does, some tenths of kJ/mol per residue above the minimum.
+        recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 5 kJ/mol/nm, which leaves a
+        structure nearer to its start than 1 does, 0.1 to 2.5 kJ/mol per residue above its minimum.
     max_evaluations : int
         Energy evaluations allowed.
     seed : int
@@ -239,16 +239,15 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start), x) if run.resume else None
     allowed = Leash(chain.structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
     if not plan[0].recorded:
-        record(start.pose.x, start.judgement.energy, start.judgement.max_torque, 0)
+        record(start.pose.x, start.judgement.energy, start.judgement.sizes, 0)
 
     look = _watch_over(start, record)
 
     def note(at: Evaluation, stage: Stage, n_evaluations: int) -> None:
         record.at_stage(stage.name, n_evaluations)
         look(at.x)
-        torque = at.residual if isinstance(stage.space, Torsions) else np.nan
         if stage.recorded:
-            record(at.x, at.energy - at.restraint, torque, n_evaluations)
+            record(at.x, at.energy - at.restraint, stage.space.sizes(at.torque), n_evaluations)
 
     done = walk(plan, x, run.max_evaluations, allowed, note, waypoint)
     if run.checkpoint and done.waypoint:
@@ -266,12 +265,13 @@ def _watch_over(start: Start, record: Recorder) -> Callable[[Floats], None]:
 
 
 def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
-    look = _watch_over(start, record)
+    look, atoms = _watch_over(start, record), spaces(start.chain)[1]
 
-    def note(x: Floats, energy: float, n_evaluations: int) -> None:
+    def note(x: Floats, energy: float, n_evaluations: int, forces: Floats) -> None:
         record.at_stage("all atoms", n_evaluations)
         look(x)
-        record(x, energy, np.nan, n_evaluations)
+        sizes = atoms.sizes(atoms.torque(atoms.place(x.ravel()), forces))
+        record(x, energy, sizes, n_evaluations)
 
     return minimise_by_openmm(
         run.recipe, start.chain, start.energy, run.converged_at, run.max_evaluations, run.seed, note

@@ -16,8 +16,8 @@ from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Outcome
 
-Record = Callable[[Floats, float, int], None]
-"""Called with positions, energy and evaluations so far after each iteration."""
+Record = Callable[[Floats, float, int, Floats], None]
+"""Called with positions, energy, evaluations so far and forces after each iteration."""
 
 _SETTLED = 100.0
 """kJ/mol/nm. RMS force below which OpenMM's dynamics start: remaining strain would turn into heat."""
@@ -34,15 +34,15 @@ def minimise_by_openmm(
     """
     x = chain.structure.positions
     n_iterations, n_evaluations, stop, settled = 0, 1, Stop.BUDGET, x
-    value = energy(x)[0]
-    record(x, value, 1)
+    value, forces = energy(x)
+    record(x, value, 1, forces)
 
     def outcome(x: Floats) -> Outcome:
         atoms = spaces(chain)[1]
         return Outcome(stop, atoms, atoms.start(x), n_iterations, n_evaluations)
 
-    def note(x: Floats, value: float, evaluations: int, before: int) -> None:
-        record(x, value, before + evaluations)
+    def note(x: Floats, value: float, evaluations: int, forces: Floats, before: int) -> None:
+        record(x, value, before + evaluations, forces)
 
     if np.isnan(value):
         stop = Stop.NON_FINITE
@@ -111,7 +111,7 @@ class _Reporter(openmm.MinimizationReporter):
             energy, positions = args["system energy"], np.array(x).reshape(-1, 3)
             if energy < self.best:
                 self.best, self.best_x = energy, positions
-            self.record(positions, energy, self.n_evaluations)
+            self.record(positions, energy, self.n_evaluations, -np.array(grad).reshape(-1, 3))
         except KeyboardInterrupt:
             self.stop = Stop.INTERRUPTED
         return self.stop is not Stop.NO_DESCENT
@@ -140,7 +140,7 @@ def local_energy_minimizer(
     max_evaluations : int
         A line search is broken off at the last one.
     record : callable
-        Called with positions, energy and evaluations so far after each iteration.
+        Called with positions, energy, evaluations so far and forces after each iteration.
 
     Returns
     -------
@@ -182,12 +182,13 @@ def langevin_dynamics(
                 part = min(_MD_FRAME, n_steps - done)
                 integrator.step(part)
                 done += part
-                state = context.getState(positions=True, energy=True)
+                state = context.getState(positions=True, energy=True, forces=True)
                 here = np.asarray(state.getPositions(asNumpy=True)._value, dtype=np.float64)
                 if not np.isfinite(here).all():
                     return Stop.NON_FINITE, x, done, done
                 x = here
-                record(x, state.getPotentialEnergy()._value, done)
+                forces = np.asarray(state.getForces(asNumpy=True)._value, dtype=np.float64)
+                record(x, state.getPotentialEnergy()._value, done, forces)
         except openmm.OpenMMException:
             return Stop.NON_FINITE, x, done, done
         except KeyboardInterrupt:

@@ -94,6 +94,9 @@ class Space(Protocol):
     def residual(self, torque: Floats) -> float:
         """Size of the torques, to be compared with the tolerance."""
 
+    def sizes(self, torque: Floats) -> dict[str, float]:
+        """RMS and largest of the torques, by their names in a trace; one of the two is the residual."""
+
     def move(self, q: Floats, step: Floats) -> Floats:
         """Coordinates after a step (n_v,)."""
 

@@ -26,7 +26,7 @@ class MinimiseSettings(Settings):
 
     tolerance: float | None = setting(
         None,
-        "RMS force at convergence where all atoms move [default: 10 kJ/mol/nm, 1 with --starts], "
+        "RMS force at convergence where all atoms move [default: 5 kJ/mol/nm, 1 with --starts], "
         "or largest torque [default: 1 kJ/mol/rad].",
         TOLERANCE,
         float,

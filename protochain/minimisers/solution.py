@@ -36,14 +36,10 @@ if TYPE_CHECKING:
 N_FRAMES = 50
 """Positions kept of a run, so that memory does not grow with it."""
 
-TRACE_COLUMNS = (
-    "iteration",
-    "evaluations",
-    "seconds",
-    "energy_kj_mol",
-    "max_torque_kj_mol_rad",
-    "ca_rmsd_angstrom",
-)
+SIZES = ("rms_torque_kj_mol_rad", "max_torque_kj_mol_rad", "rms_force_kj_mol_nm", "max_force_kj_mol_nm")
+"""Torques where hinges turn, forces where all atoms move, restraints included; the others are missing."""
+
+TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", *SIZES, "ca_rmsd_angstrom")
 
 
 def alpha_residues(structure: Structure) -> "pd.DataFrame":
@@ -70,14 +66,14 @@ class Recorder:
     alphas: list[Floats] = field(default_factory=list)
     started: float = field(default_factory=perf_counter)
 
-    def __call__(self, x: Floats, energy: float, max_torque: float, evaluations: int) -> None:
-        """Record a point; the largest torque is NaN where all atoms move."""
+    def __call__(self, x: Floats, energy: float, sizes: Mapping[str, float], evaluations: int) -> None:
+        """Record a point, with the sizes of its torques or forces; the others are NaN."""
         row = {
             "iteration": len(self.rows),
             "evaluations": evaluations,
             "seconds": perf_counter() - self.started,
             "energy_kj_mol": energy,
-            "max_torque_kj_mol_rad": max_torque,
+            **{name: sizes.get(name, np.nan) for name in SIZES},
         }
         self.rows.append(row)
         self.alphas.append(x[self.structure.alpha_carbons])
@@ -178,7 +174,9 @@ class Solution(TermsAtEnds, Value):
     seconds : float
         Wall time of the run, without preparation and judgement.
     trace : pandas.DataFrame
-        One row per iteration, with columns ``TRACE_COLUMNS``.
+        A row per iteration, with columns ``TRACE_COLUMNS``: where hinges turn, RMS and largest torque; where
+        all atoms move, RMS of the forces' components and largest force on an atom (its length). Restraints
+        are included. A run converges by its largest torque or RMS force.
     start, end : Judgement
         Energy and residuals in double precision.
     frame : Frame

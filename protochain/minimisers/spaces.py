@@ -91,6 +91,12 @@ class Torsions:
         """Largest torque, kJ/mol/rad."""
         return float(np.max(np.abs(torque), initial=0.0))
 
+    def sizes(self, torque: Floats) -> dict[str, float]:
+        """RMS and largest torque, kJ/mol/rad."""
+        with np.errstate(over="ignore"):
+            rms = float(np.sqrt(torque @ torque / max(1, len(torque))))
+        return {"rms_torque_kj_mol_rad": rms, "max_torque_kj_mol_rad": self.residual(torque)}
+
     def move(self, q: Floats, step: Floats) -> Floats:
         """Coordinates after a step (n_v,)."""
         return multibody.integrate(self.chain.tree, q, self.scale * step)
@@ -256,6 +262,13 @@ class Cartesian:
         # The squared forces of coinciding atoms may overflow.
         with np.errstate(over="ignore"):
             return float(np.sqrt(torque @ torque / (3 * max(1, self.moving.sum()))))
+
+    def sizes(self, torque: Floats) -> dict[str, float]:
+        """RMS force over the components that may move, and largest force on an atom, kJ/mol/nm."""
+        force = torque.reshape(-1, 3)
+        with np.errstate(over="ignore"):
+            largest = float(np.sqrt(np.max(np.einsum("ij,ij->i", force, force), initial=0.0)))
+        return {"rms_force_kj_mol_nm": self.residual(torque), "max_force_kj_mol_nm": largest}
 
     def move(self, q: Floats, step: Floats) -> Floats:
         """Coordinates after a step (3 na,)."""

@@ -1,7 +1,7 @@
 """Status of a result, from energy and forces recomputed on OpenMM's Reference platform."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 
@@ -52,12 +52,16 @@ class Judgement:
     max_torque : float, kJ/mol/rad
         Over the freedoms of the chain; the force on a free root counts as its moment at 0.1 nm.
     rms_force : float, kJ/mol/nm
-        Over all Cartesian components of the atoms that may move, as in OpenMM's minimiser.
+        Over all Cartesian components of the atoms that may move; OpenMM's minimiser takes the RMS of the
+        lengths of the forces, sqrt(3) times as much.
+    sizes : mapping of str to float
+        These two, the RMS torque, and the largest force on an atom, by their names in a trace.
     """
 
     energy: float
     max_torque: float
     rms_force: float
+    sizes: Mapping[str, float] = field(default_factory=dict)
 
 
 def judge(chain: Chain, energy: Energy, at: Pose, restraint: Force | None = None) -> Judgement:
@@ -70,7 +74,8 @@ def judge(chain: Chain, energy: Energy, at: Pose, restraint: Force | None = None
     total = forces + restraint(at.x)[1] if restraint else forces
     torsions, atoms = spaces(chain)
     torque, force = torsions.torque(at, total), atoms.torque(at, total)
-    return Judgement(value, torsions.residual(torque), atoms.residual(force))
+    sizes = torsions.sizes(torque) | atoms.sizes(force)
+    return Judgement(value, torsions.residual(torque), atoms.residual(force), sizes)
 
 
 def judge_of(energy: Energy) -> str:

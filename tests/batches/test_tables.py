@@ -48,7 +48,8 @@ def header(columns):
 def rows(job, status="refused", n_points=1):
     trace = [
         {"iteration": k, "evaluations": 1, "seconds": 0.5, "energy_kj_mol": -1.0,
-         "max_torque_kj_mol_rad": 2.0, "ca_rmsd_angstrom": 0.25, "more": 3} for k in range(n_points)
+         "rms_torque_kj_mol_rad": 0.5, "max_torque_kj_mol_rad": 2.0, "rms_force_kj_mol_nm": 1.5,
+         "max_force_kj_mol_nm": 4.0, "ca_rmsd_angstrom": 0.25, "more": 3} for k in range(n_points)
     ]  # fmt: skip
     return [Row(failure(job, method, status, "why").record, trace) for method in TWO.methods]
 

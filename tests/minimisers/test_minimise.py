@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from fixtures.oracles import angle_triples, angles, bond_lengths
 from fixtures.samples import SAMPLES, STRUCTURES, chain, energy, load
-from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD
+from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, TRACED_FORCE
 
 import protochain as pc
 from protochain.cli import main
@@ -16,7 +16,7 @@ from protochain.minimisers import KCM, LBFGS, METHODS, Descent, Status, StrongWo
 from protochain.minimisers.lbfgs import quasi_newton
 from protochain.minimisers.loop import Stop, run
 from protochain.minimisers.problem import Evaluation, Problem
-from protochain.minimisers.solution import TRACE_COLUMNS
+from protochain.minimisers.solution import SIZES, TRACE_COLUMNS
 from protochain.minimisers.spaces import Positions, Torsions
 from protochain.minimisers.steps import Fixed
 from protochain.minimisers.verdict import verdict
@@ -59,6 +59,34 @@ def test_every_method_lowers_the_energy_of_every_sample(name, method):
     assert r.trace["evaluations"].is_monotonic_increasing and r.trace["seconds"].is_monotonic_increasing
     assert r.trace["ca_rmsd_angstrom"].iloc[0] < 1e-6
     assert np.allclose(pc.pose(pc.build_chain(r.structure), pc.build_chain(r.structure).q0).x, r.x, atol=1e-9)
+
+
+FORCES, TORQUES = SIZES[2:], SIZES[:2]
+
+
+@pytest.mark.parametrize(("method", "moved"), [("cartesian", 1), ("hybrid", 2), ("openmm", 1), ("lbfgs", 0)])
+def test_a_trace_has_the_rms_and_the_largest_force_or_torque_of_every_point(method, moved):
+    """By the energy's own forces there, which do not depend on how the positions are superposed."""
+    c, e, rows = chain("1l2y.pdb"), energy("1l2y.pdb"), []
+    r = pc.minimise(c, e, method, 30.0, watch=lambda row, x: rows.append((row, x)), curvature=False)
+    in_all_atoms = r.trace["rms_force_kj_mol_nm"].notna()
+    assert {0: not in_all_atoms.any(), 1: in_all_atoms.all(), 2: in_all_atoms.nunique() == 2}[moved]
+    for names, there in ((FORCES, in_all_atoms), (TORQUES, ~in_all_atoms)):
+        assert all((r.trace[name].notna() == there).all() for name in names)
+    for row, x in rows:
+        assert all(row[name] == pytest.approx(value, nan_ok=True) for name, value in
+                   r.trace.loc[row["iteration"], list(SIZES)].items())  # fmt: skip
+        if np.isfinite(row["rms_force_kj_mol_nm"]):
+            size = np.linalg.norm(e(x)[1], axis=1)
+            found = [row[name] for name in FORCES]
+            assert found == pytest.approx([np.sqrt(np.mean(size**2) / 3.0), size.max()], rel=TRACED_FORCE)
+    if moved == 0:
+        last, tau = r.trace.iloc[-1], pc.pull_back(c, at := pc.pose(c, r.q), e(at.x)[1])
+        assert last["max_torque_kj_mol_rad"] == pytest.approx(np.abs(tau).max(), rel=TRACED_FORCE)
+        assert last["rms_torque_kj_mol_rad"] == pytest.approx(np.sqrt(np.mean(tau**2)), rel=TRACED_FORCE)
+    else:
+        met = r.trace["rms_force_kj_mol_nm"] <= 30.0
+        assert met.idxmax() == len(met) - 1 or method == "openmm"
 
 
 @pytest.mark.parametrize("method", ["kcm", "lbfgs"])

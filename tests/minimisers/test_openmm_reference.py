@@ -6,6 +6,7 @@ import numpy as np
 import openmm
 import pytest
 from fixtures.samples import chain, energy
+from fixtures.tolerances import CONSTRAINED_FORCE
 
 import protochain as pc
 from protochain.energies import OpenMMEnergy
@@ -50,7 +51,7 @@ class Story:
         stop, end, iterations, evaluations = self.told.pop(0)
         x = x.copy()
         x[0, 0] = end
-        record(x, end, evaluations)
+        record(x, end, evaluations, self.forces)
         return stop, x, iterations, evaluations
 
     def minimised(self, energy, platform, x, tolerance, max_evaluations, record):
@@ -142,10 +143,16 @@ def test_a_reporter_counts_iterations_and_keeps_the_lowest():
     for k, value in enumerate((-1.0, -3.0, -3.0, -2.0)):
         count, force = reporter.count(None)
         assert count == 0.0 and force.tolist() == [[0.0, 0.0, 0.0]]
-        assert reporter.report(k, [float(k)] * 6, [], {"system energy": value}) is False
+        assert reporter.report(k, [float(k)] * 6, [float(k)] * 6, {"system energy": value}) is False
     assert (reporter.n_iterations, reporter.n_evaluations, reporter.stop) == (4, 4, Stop.NO_DESCENT)
     assert reporter.best == -3.0 and reporter.best_x.tolist() == [[1.0] * 3] * 2
-    assert [(x[0, 0], value, n) for x, value, n in rows] == [(0, -1, 1), (1, -3, 2), (2, -3, 3), (3, -2, 4)]
+    assert [(x[0, 0], value, n) for x, value, n, _ in rows] == [
+        (0, -1, 1),
+        (1, -3, 2),
+        (2, -3, 3),
+        (3, -2, 4),
+    ]
+    assert [forces.tolist() for *_, forces in rows] == [[[-float(k)] * 3] * 2 for k in range(4)]
 
 
 def test_a_reporter_breaks_off_at_the_budget_and_at_interrupts():
@@ -154,7 +161,7 @@ def test_a_reporter_breaks_off_at_the_budget_and_at_interrupts():
     with pytest.raises(_Enough):
         reporter.count(None)
     assert (reporter.stop, reporter.n_evaluations) == (Stop.BUDGET, 2)
-    assert reporter.report(0, [0.0] * 3, [], {"system energy": 1.0}) is True
+    assert reporter.report(0, [0.0] * 3, [0.0] * 3, {"system energy": 1.0}) is True
     interrupts = []
     reporter = _Reporter(lambda *row: None, 2, interrupts)
     reporter.count(None)
@@ -167,7 +174,7 @@ def test_a_reporter_breaks_off_at_the_budget_and_at_interrupts():
         raise KeyboardInterrupt
 
     reporter = _Reporter(interrupted, 2, [])
-    assert reporter.report(0, [0.0] * 3, [], {"system energy": 1.0}) is True
+    assert reporter.report(0, [0.0] * 3, [0.0] * 3, {"system energy": 1.0}) is True
     assert reporter.stop is Stop.INTERRUPTED and reporter.best == 1.0
 
 
@@ -185,7 +192,8 @@ def test_openmms_minimiser_is_recorded_and_ends_at_its_budget():
     )
     assert stop is Stop.BUDGET and evaluations == 12 and len(rows) == iterations > 2
     assert [row[2] for row in rows] == sorted(row[2] for row in rows) and rows[-1][2] <= 12
-    assert rows[-1][1] == pytest.approx(e.reference(rows[-1][0])[0], abs=1e-6)
+    value, forces = e.reference(rows[-1][0])
+    assert rows[-1][1] == pytest.approx(value, abs=1e-6) and np.abs(rows[-1][3] - forces).max() < 1e-6
     assert np.array_equal(x, min(rows, key=lambda row: row[1])[0])
     stop, x, iterations, evaluations, rows = recorded(
         local_energy_minimizer, tolerance=50.0, max_evaluations=500
@@ -217,7 +225,10 @@ def test_openmms_dynamics_are_recorded_every_twenty_steps_up_to_the_budget():
     stop, x, iterations, evaluations, rows = recorded(langevin_dynamics, max_evaluations=50, seed=1)
     assert (stop, iterations, evaluations) == (Stop.NO_DESCENT, 50, 50)
     assert [row[2] for row in rows] == [20, 40, 50] and np.array_equal(rows[-1][0], x)
-    assert rows[0][1] == pytest.approx(energy("ala10.pdb").reference(rows[0][0])[0], abs=1e-6)
+    value, forces = energy("ala10.pdb").reference(rows[0][0])
+    assert rows[0][1] == pytest.approx(value, abs=1e-6)
+    # Constrained bonds exert none there, though they are not quite at their lengths.
+    assert np.abs(rows[0][3] - forces).max() < CONSTRAINED_FORCE * np.abs(forces).max()
 
 
 def test_openmms_dynamics_run_for_a_thousand_steps(monkeypatch):

@@ -255,7 +255,7 @@ def test_all_atoms_are_parted_near_their_start_and_then_all_go():
 
 
 def test_the_default_tolerance_is_of_what_moves_last():
-    assert [RECIPES[name].tolerance() for name in ("cartesian", "hybrid", "openmm")] == [10.0] * 3
+    assert [RECIPES[name].tolerance() for name in ("cartesian", "hybrid", "openmm")] == [5.0] * 3
     assert [RECIPES[name].tolerance() for name in ("lbfgs", "kcm", "md")] == [1.0] * 3
     assert RECIPES["cartesian"].tolerance(0.5) == 0.5
 

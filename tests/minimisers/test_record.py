@@ -194,14 +194,17 @@ def test_a_recorder_numbers_its_rows_and_measures_rmsds_afterwards(monkeypatch):
     larger[alpha] += 0.01 * middle
     none = np.full_like(larger, np.nan)
     for k, x in enumerate((s.positions, larger, none)):
-        recorder(x, -float(k), 10.0 * k, 3 * k)
+        recorder(x, -float(k), {"max_torque_kj_mol_rad": 10.0 * k, "rms_torque_kj_mol_rad": 1.0}, 3 * k)
     assert [row["iteration"] for row, _ in seen] == [0, 1, 2] and seen[1][1] is larger
     trace = traced(recorder)
     assert tuple(trace.columns) == TRACE_COLUMNS == (
-        "iteration", "evaluations", "seconds", "energy_kj_mol", "max_torque_kj_mol_rad", "ca_rmsd_angstrom",
+        "iteration", "evaluations", "seconds", "energy_kj_mol", "rms_torque_kj_mol_rad",
+        "max_torque_kj_mol_rad", "rms_force_kj_mol_nm", "max_force_kj_mol_nm", "ca_rmsd_angstrom",
     )  # fmt: skip
     assert trace["evaluations"].tolist() == [0, 3, 6] and trace["energy_kj_mol"].tolist() == [0.0, -1.0, -2.0]
     assert trace["max_torque_kj_mol_rad"].tolist() == [0.0, 10.0, 20.0]
+    assert trace["rms_torque_kj_mol_rad"].tolist() == [1.0] * 3
+    assert trace[["rms_force_kj_mol_nm", "max_force_kj_mol_nm"]].isna().all(axis=None)
     assert trace["seconds"].tolist() == [2.0, 4.5, 5.0]
     size = 10.0 * 0.01 * np.sqrt(np.mean(np.sum(middle**2, axis=1)))
     assert trace["ca_rmsd_angstrom"].tolist() == pytest.approx([0.0, size, np.nan], abs=1e-6, nan_ok=True)
@@ -215,7 +218,7 @@ def test_a_recorder_shows_and_keeps_positions_in_the_frame_of_the_start():
         seen = []
         recorder = Recorder(s, Frame(s, held_by), lambda row, x, seen=seen: seen.append(x))
         for x in (turned, none, turned):
-            recorder(x, 0.0, 1.0, 1)
+            recorder(x, 0.0, {}, 1)
         for x, kept in zip(seen[::2], (recorder.kept()[0], recorder.kept()[2]), strict=True):
             assert np.abs(x - expected).max() < 1e-12 and np.abs(kept - expected).max() < 1e-6
         assert seen[1] is none and list(recorder.kept()) == [0, 1, 2]
@@ -236,7 +239,7 @@ def test_a_recorder_tells_its_watcher_of_stages_if_it_listens():
 
     recorder = Recorder(s, Frame(s), Bar())
     recorder.at_stage("torsions", 3)
-    recorder(s.positions, 0.0, 1.0, 4)
+    recorder(s.positions, 0.0, {}, 4)
     assert told == [("torsions", 3), 4] and len(traced(recorder)) == 1
     for watch in (None, lambda row, x: told.append(x)):
         Recorder(s, Frame(s), watch).at_stage("torsions", 3)

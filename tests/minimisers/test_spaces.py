@@ -25,6 +25,9 @@ def test_steps_residuals_and_units_of_both_spaces():
     assert torsions.unit.format(12.34567) == "largest torque 12.35 kJ/mol/rad"
     assert atoms.unit.format(12.34567) == "RMS force 12.35 kJ/mol/nm"
     assert torsions.residual(np.array([1.0, -7.0, 3.0])) == 7.0
+    assert torsions.sizes(np.array([1.0, -7.0, 0.0, 2.0])) == {
+        "rms_torque_kj_mol_rad": np.sqrt(13.5), "max_torque_kj_mol_rad": 7.0,
+    }  # fmt: skip
     assert torsions.chain is c and atoms.structure is c.structure and atoms.moving is c.moving
     assert spaces(c)[0] is torsions
 
@@ -63,9 +66,14 @@ def test_free_atoms_are_their_positions():
     assert torque[[1, 4]].tolist() == [[2.0] * 3] * 2 and not np.delete(torque, [1, 4], axis=0).any()
     # Over six components; none is no division by zero, and too many to square are infinite.
     assert space.residual(torque.ravel()) == 2.0
+    assert space.sizes(np.where(torque > 0.0, np.array([3.0, 6.0, 6.0]), 0.0).ravel()) == {
+        "rms_force_kj_mol_nm": np.sqrt(27.0), "max_force_kj_mol_nm": 9.0,
+    }  # fmt: skip
     assert Cartesian(s, np.zeros_like(moving)).residual(np.zeros(3)) == 0.0
     with np.errstate(over="raise"):
         assert space.residual(np.full(3, 1e200)) == np.inf
+        assert space.sizes(np.full(3 * s.n_atoms, 1e200))["max_force_kj_mol_nm"] == np.inf
+        assert Torsions(chain("ala10.pdb")).sizes(np.full(3, 1e200))["rms_torque_kj_mol_rad"] == np.inf
     push = space.inertia(None)(np.ones(3 * s.n_atoms)).reshape(-1, 3)
     assert push == pytest.approx(1.0 / np.repeat(s.atom_mass, 3).reshape(-1, 3))
 

@@ -29,7 +29,7 @@ import tables  # noqa: E402
 from tables import minimisers  # noqa: E402
 
 benchmarks = importlib.import_module("all")
-HELPERS = {"all", "made", "pages", "relax_openmm"}
+HELPERS = {"all", "made", "pages", "race_openmm", "relax_openmm"}
 NOTEBOOKS = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))
 MADE = re.compile(r"<!-- table made -->.*?<!-- end -->", re.DOTALL)
 """Past commands, which were true at their commits."""
@@ -106,7 +106,7 @@ def test_pages_say_which_tables_are_of_the_undamped_metric():
     """Beside each such table, until it is measured again."""
     for page in pages.PAGES:
         text = page.read_text()
-        for name in ("precision", "race-medians", "race-short", "metric"):
+        for name in ("precision", "metric"):
             before, found, _ = text.partition(f"<!-- table {name} -->")
             if found:
                 assert re.search(
@@ -437,7 +437,7 @@ def test_all_takes_the_tables_of_a_study(tmp_path, monkeypatch):
 
 def test_some_are_chosen_by_how_they_begin():
     names = [job.name for job in benchmarks.chosen(["race", "dynamics-steps"])]
-    assert names == ["race", "race-custom", "dynamics-steps"]
+    assert names == ["race", "race-parts", "dynamics-steps"]
     with pytest.raises(SystemExit, match="no benchmark 'nothing'"):
         benchmarks.chosen(["nothing"])
 

@@ -66,53 +66,110 @@ def precision(rows: pd.DataFrame, ends: pd.DataFrame) -> str:
     return f"{first}\n{part('seconds', ())}"
 
 
+def interval(values: pd.Series) -> tuple[float, float]:
+    """Of the median, 95 %, by resampling; of one value there is none."""
+    if len(values) < 2:
+        return np.nan, np.nan
+    found = bootstrap(
+        (values,), np.median, method="percentile", n_resamples=10_000, rng=np.random.default_rng(0)
+    ).confidence_interval
+    return float(found.low), float(found.high)
+
+
 # How far minima lie
 
 
 METHODS = ("cartesian", "hybrid", "lbfgs", "openmm")
-DEFAULT, REFERENCE, TOLERANCE = "cartesian", "openmm", 10.0
-"""The default method and its tolerance, kJ/mol/nm, and what it is compared with."""
-ALLOWED = 0.2
-"""angstrom. Median RMSD above the reference's."""
+REFERENCE = "cartesian"
+"""The default method, which is compared with OpenMM's own ends."""
+COMPARED = {
+    "the ends of both runs": "end", "where `cartesian` has OpenMM's RMS force": "equal_force",
+    "where `cartesian` is lowest, no farther from the start": "equal_distance",
+}  # fmt: skip
+"""Comparisons with OpenMM's own end, and how their columns begin."""
 
 
 @table("near", "near.csv")
 def near(rows: pd.DataFrame) -> str:
-    """Medians of RMSD, energy and seconds against tolerance, of structures in which all methods met it."""
+    """Medians of RMSD, energy above the minimum and evaluations against tolerance."""
+    rows = rows.assign(above=rows["above_kj_mol"] / rows["residues"])
     tolerances = sorted(rows["tolerance"].unique(), reverse=True)
     of = rows.groupby(["method", "tolerance"])
-    met = rows[rows["met_by_all"]].groupby(["method", "tolerance"])
     kinds = {
-        "RMSD, angstrom": met["ca_rmsd_angstrom"].median().map("{:.2f}".format),
-        "energy, kJ/mol per 100 residues": met["above_kj_mol_per_100_residues"].median().map("{:.0f}".format),
-        "CPU seconds": met["cpu_seconds"].median().map(digits),
-        "structures that met it": of["energy_kj_mol"].count(),
+        "RMSD, angstrom": of["ca_rmsd_angstrom"].median().map("{:.2f}".format),
+        "energy, kJ/mol per residue": of["above"].median().map("{:.2f}".format),
+        "evaluations": of["evaluations"].median().map("{:.0f}".format),
+        "structures that met it": of["energy_kj_mol"].count().astype(str),
     }
-    cells = ([kind, f"`{m}`", *values[m][tolerances]] for kind, values in kinds.items() for m in METHODS)
+    cells = (
+        [kind, f"`{m}`", *(values[m].get(t, "-") for t in tolerances)]
+        for kind, values in kinds.items()
+        for m in METHODS
+    )
     return markdown(("median", "method", *(f"{t:g}" for t in tolerances)), cells)
 
 
-@table("near-words", "near.csv")
+@table("near-tolerance", "near.csv")
+def near_tolerance(rows: pd.DataFrame) -> str:
+    """What a tolerance of the default method costs and leaves, of each the median and the range."""
+    own = rows[rows["method"] == REFERENCE].assign(above=rows["above_kj_mol"] / rows["residues"])
+    shown = {"above": "{:.2f}", "ca_rmsd_angstrom": "{:.2f}", "evaluations": "{:.0f}"}
+
+    def cell(values: pd.Series, form: str) -> str:
+        middle, low, high = (form.format(v) for v in (values.median(), values.min(), values.max()))
+        return f"{middle} ({low} to {high})"
+
+    lines = [
+        (f"{tolerance:g}", *(cell(of[name], form) for name, form in shown.items()))
+        for tolerance, of in sorted(own.groupby("tolerance"), reverse=True)
+    ]
+    return markdown(
+        ("tolerance, kJ/mol/nm", "above its minimum, kJ/mol per residue", "RMSD from the start, angstrom",
+         "evaluations"), lines,
+    )  # fmt: skip
+
+
+@table("near-ends", "near_ends.csv")
+def near_ends(rows: pd.DataFrame) -> str:
+    """`cartesian` against OpenMM's own ends, in three ways."""
+    lines = []
+    for tolerance, of in sorted(rows.groupby("tolerance"), reverse=True):
+        for name, start in COMPARED.items():
+            apart = of[f"{start}_kj_mol"] - of["openmm_kj_mol"]
+            low, high = interval(apart)
+            shares = (apart < -SAME, apart.abs() <= SAME, apart > SAME)
+            lines.append([
+                f"{tolerance:g}", name, *(int(share.sum()) for share in shares),
+                f"{apart.median():+.1f} ({low:+.1f} to {high:+.1f})", f"{apart.max():+.0f}",
+                f"{of[f'{start}_ca_rmsd_angstrom'].median():.2f}",
+                f"{of['openmm_ca_rmsd_angstrom'].median():.2f}",
+            ])  # fmt: skip
+    return markdown(
+        ("tolerance, kJ/mol/nm", "compared with OpenMM's own end", "lower", "the same", "higher",
+         "median difference, kJ/mol (95 %)", "highest", "RMSD angstrom", "OpenMM"), lines,
+    )  # fmt: skip
+
+
+@table("near-words", "near_ends.csv")
 def near_words(rows: pd.DataFrame) -> str:
-    """Whether the default is as near as the reference and as low, at each tolerance."""
+    """How many structures, where OpenMM's runs end, and what that leaves of the comparison."""
     parts = []
-    for tolerance in (TOLERANCE, 1.0):
-        of = rows[rows["tolerance"] == tolerance].pivot(index="structure", columns="method")
-        both = of[of["energy_kj_mol"][[DEFAULT, REFERENCE]].notna().all(axis=1)]
-        away, energy = both["ca_rmsd_angstrom"].median(), both["energy_kj_mol"]
-        low = (energy[DEFAULT] <= energy[REFERENCE]).mean()
-        meets = away[DEFAULT] <= away[REFERENCE] + ALLOWED
+    for tolerance, of in sorted(rows.groupby("tolerance"), reverse=True):
+        size, ours = of["openmm_rms_force_kj_mol_nm"], of["end_rms_force_kj_mol_nm"]
+        apart = of["end_kj_mol"] - of["openmm_kj_mol"]
+        distant = of["equal_distance_kj_mol"] - of["openmm_kj_mol"]
         parts.append(
-            f"At {tolerance:g} kJ/mol/nm `{DEFAULT}` ends {away[DEFAULT]:.2f} angstrom from the start and "
-            f"OpenMM {away[REFERENCE]:.2f} (medians of {len(both)}; the difference is "
-            f"{'within' if meets else 'above'} {ALLOWED:g}), and its energy is no higher in {low:.0%}."
+            f"At a tolerance of {tolerance:g} OpenMM ends at an RMS force of {size.min():.2g} to"
+            f" {size.max():.2g} kJ/mol/nm, `{REFERENCE}` at {ours.min():.2g} to {ours.max():.2g}; it is"
+            f" higher in {(apart > SAME).sum()} of {len(of)}, by up to {max(0.0, apart.max()):.0f} kJ/mol,"
+            f" and lower in {(apart < -SAME).sum()}, by up to {max(0.0, -apart.min()):.0f}. No farther from"
+            f" the start than OpenMM's end, it is higher in {(distant > SAME).sum()}, by up to"
+            f" {max(0.0, distant.max()):.0f}, and lower in {(distant < -SAME).sum()}."
         )
-    n = rows.groupby("start")["structure"].nunique()
-    far = rows[(rows["tolerance"] == TOLERANCE) & (rows["ca_rmsd_angstrom"] > 2.0)].groupby("method").size()
-    counts = ", ".join(f"{far.get(method, 0)} by `{method}`" for method in METHODS)
+    atoms = rows["atoms"]
     return paragraph(
-        f"{n['deposited']} structures as deposited and {n['relaxed']} relaxed models.", *parts,
-        f"Ends more than 2 angstrom away at {TOLERANCE:g}: {counts}.",
+        f"{rows['structure'].nunique()} structures of {atoms.min()} to {atoms.max():,} atoms.", *parts,
+        f"Within {SAME:g} kJ/mol counts as the same.",
     )  # fmt: skip
 
 
@@ -132,9 +189,6 @@ def near_basins(rows: pd.DataFrame) -> str:
 # The race
 
 
-FORCES = {"gbsa": "OBC2, GBSAOBCForce", "obc2": "OBC2, CustomGBForce", "gbn2": "GBn2", "vacuum": "vacuum"}
-
-
 @table("ends", "ends.csv")
 def ends(rows: pd.DataFrame) -> str:
     """Ends of each method less those of OpenMM from the same start, and whether zero is likely."""
@@ -143,9 +197,7 @@ def ends(rows: pd.DataFrame) -> str:
     for method in ("cartesian", "hybrid", "scipy"):
         apart = of[method] - of["openmm"]
         middle = apart.groupby("structure").median()
-        low, high = bootstrap(
-            (middle,), np.median, method="percentile", n_resamples=10_000, rng=np.random.default_rng(0)
-        ).confidence_interval
+        low, high = interval(middle)
         open_ += [method] if low <= 0.0 <= high else []
         same = apart.abs() <= SAME
         shares = (~same & (apart < 0.0), same, ~same & (apart > 0.0))
@@ -169,41 +221,102 @@ def ends(rows: pd.DataFrame) -> str:
     )
 
 
+FORCES = ("gbsa", "obc2", "vacuum")
+"""Of the race, in the order of its tables."""
+GOALS = {"energy": "its energy", "force": "its RMS force"}
+
+
+def _named(row: pd.Series) -> str:
+    """OpenMM's force: the solvent, and the class that computes it."""
+    if row["force"] == "vacuum":
+        return "vacuum, no GB class"
+    return f"{'GBn2' if row['force'] == 'gbn2' else 'OBC2'}, {row['gb_class']}"
+
+
+def _raced(races: pd.DataFrame) -> pd.DataFrame:
+    """Races with OpenMM's force in words, and OpenMM's seconds over ours: 0 where ours never get there."""
+    races = races.assign(named=races.apply(_named, axis=1))
+    for goal in GOALS:
+        for part in ("loop", "whole"):
+            races[f"{goal}_{part}"] = races[f"openmm_{part}_s"] / races[f"{goal}_{part}_s"]
+    return races
+
+
+def _medians(races: pd.DataFrame) -> str:
+    lines = []
+    for (named, tolerance, method), of in _raced(races).groupby(["named", "tolerance", "method"]):
+        ratios = (ratio(of[f"{goal}_{part}"].median()) for goal in GOALS for part in ("loop", "whole"))
+        never = (of["energy_loop"] == 0).sum()
+        lines.append((named, f"{tolerance:g}", f"`{method}`", *ratios, f"{never} of {len(of)}"))
+    heads = (f"to {goal}, {part}" for goal in GOALS.values() for part in ("loop", "whole call"))
+    return markdown(("OpenMM's force", "its tolerance", "method", *heads, "never as low"), lines)
+
+
 @table("race-medians", "race_*.csv")
 def race_medians(races: pd.DataFrame) -> str:
-    """Median ratios of the race, by force and tolerance."""
-    rows = []
-    for (force, tolerance), of in races.groupby(["force", "tolerance"]):
-        cells = [FORCES[force], f"{tolerance:g}"]
-        for method in ("cartesian", "hybrid"):
-            own = of[of["method"] == method]
-            cells += [ratio(own["stop"].median()), ratio(own["passage"].median())]
-            cells += [f"{(own['stop'] > 1).sum()} of {len(own)}"]
-        rows.append(cells)
-    return markdown(
-        ("OpenMM's force", "tolerance kJ/mol/nm", "`cartesian`, to its end", "near its end", "faster",
-         "`hybrid`, to its end", "near its end", "faster"), rows,
-    )  # fmt: skip
+    """Median ratios of the race, by force, tolerance and method."""
+    return _medians(races)
 
 
 @table("race-short", "race_*.csv", RECORD)
 def race_short(races: pd.DataFrame, record: pd.DataFrame) -> str:
-    """The same with its commands, for the README."""
-    return f"{race_medians(races)}\n{made_by(record, *(f'race_{force}.csv' for force in FORCES))}"
+    """Those of the default method with its command, for the README."""
+    own = _medians(races[races["method"] == REFERENCE])
+    return f"{own}\n{made_by(record, *(f'race_{force}.csv' for force in FORCES))}"
+
+
+@table("race-rows", "race_*.csv")
+def race_rows(races: pd.DataFrame) -> str:
+    """Seconds of the default method in every race."""
+    own = _raced(races[races["method"] == REFERENCE]).sort_values(["named", "tolerance", "atoms"])
+    seconds = (
+        (f"{who}, {shown}", digits_of(f"{column}_{part}_s"))
+        for part, shown in (("loop", "loop"), ("whole", "whole call"))
+        for who, column in (("OpenMM", "openmm"), ("to its energy", "energy"), ("to its RMS force", "force"))
+    )
+    return of_rows(
+        own, ("structure", "{structure}"), ("atoms", "{atoms}"), ("OpenMM's force", "{named}"),
+        ("its tolerance", "{tolerance:g}"), ("RMS force at its end", "{openmm_rms_force_kj_mol_nm:.2g}"),
+        *seconds, ("OpenMM, shell", digits_of("openmm_shell_s")),
+        ("to its RMS force, shell", digits_of("shell_s")),
+    )  # fmt: skip
 
 
 @table("race-range", "race_*.csv")
 def race_range(races: pd.DataFrame) -> str:
-    """How much faster ours are where they end as low, and how much higher they end where not."""
+    """How many times as fast the default method is, and where it is never as low as OpenMM's end."""
     lines = []
-    for (force, tolerance), of in races.groupby(["force", "tolerance"]):
-        met = of[of["stop"] > 0]
-        above = (of["end_kj_mol"] - of["openmm_end_kj_mol"])[of["stop"] == 0]
-        line = f"- {FORCES[force]}, {tolerance:g} kJ/mol/nm: as low in {len(met)} of {len(of)} runs"
-        line += f", {between(met['stop'])} times as fast" if len(met) else ""
-        line += f"; in the others {between(above)} kJ/mol above OpenMM's end" if len(above) else ""
+    for (named, tolerance), of in _raced(races[races["method"] == REFERENCE]).groupby(["named", "tolerance"]):
+        met, never = of[of["energy_loop"] > 0], of[of["energy_loop"] == 0]
+        line = f"- {named}, {tolerance:g} kJ/mol/nm: as low in {len(met)} of {len(of)}"
+        line += f", whole calls {between(met['energy_whole'])} times as fast" if len(met) else ""
+        line += f"; to its RMS force, whole calls {between(of['force_whole'])} times"
+        above = never["end_kj_mol"] - never["openmm_end_kj_mol"]
+        names = ", ".join(
+            f"{name} (+{v:.1f} kJ/mol)" for name, v in zip(never["structure"], above, strict=True)
+        )
+        line += f"; never as low, though in a minimum: {names}" if len(never) else ""
         lines.append(f"{line}.\n")
+    shell = races[races["shell_s"].notna()]
+    for tolerance, of in shell.groupby("tolerance"):
+        ratios = of["openmm_shell_s"] / of["shell_s"]
+        lines.append(
+            f"- From shell to shell at {tolerance:g} kJ/mol/nm, to its RMS force: {between(ratios)} times as"
+            f" fast ({len(of)} structures, GBSAOBCForce).\n"
+        )
     return "".join(lines)
+
+
+SECONDS = {
+    "imports": "imports, kernels read", "reading": "reading", "system": "System", "chain": "chains",
+    "judging": "judging", "loop": "loop", "evaluations": "evaluations", "metric": "metric",
+    "writing": "writing", "others": "others", "shell": "shell to shell",
+}  # fmt: skip
+table_of_rows(
+    "minimise-parts", "minimise_parts.csv", ("atoms", "{atoms:,.0f}"),
+    *((f"{name} in it" if part in ("evaluations", "metric") else name, digits_of(f"{part}_s"))
+      for part, name in SECONDS.items()),
+)  # fmt: skip
 
 
 # The stiffness model
