@@ -1,7 +1,7 @@
 """Structure -> Chain: rigid bodies, hinges and loops. Proteins and mechanics meet only here."""
 
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -15,14 +15,27 @@ from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import checked, kinds, quantity, selection, text
 from protochain.core.errors import Argument, ChainError
 from protochain.core.graph import components
+from protochain.core.settings import inheriting
+from protochain.energies import Energy, as_energy
 from protochain.hinges import HINGES, Hinge, cross_links, find_hinges, turning_hinges
 from protochain.mechanics.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
+from protochain.structure.select import moved_of
 from protochain.structure.select import moving as moving_atoms
 
 
+def _as_of(build: Callable[..., Chain], source: Any, named: dict[str, Any]) -> Chain:
+    """Chain of a source: cut as its own, if it has one, but for what is named."""
+    own: Any = getattr(source, "chain", source)
+    brought: dict[str, Any] = moved_of(source)
+    if isinstance(own, Chain):
+        brought |= {"hinges": own.opened, "root": own.root, "hydrogen_mass": own.hydrogen_mass}
+    return build(source, **(brought | named))
+
+
 @checked(hinges=kinds, root=text, move=selection, hydrogen_mass=quantity("dalton"))
+@inheriting(_as_of)
 def build_chain(
     structure: Any,
     hinges: str | Iterable[str] = defaults.HINGES,
@@ -36,7 +49,7 @@ def build_chain(
     Parameters
     ----------
     structure : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Structure with all its hydrogens.
+        Structure with all its hydrogens. A chain or a result brings what is not named here.
     hinges : str or sequence of str
         Kinds of bond that turn, of ``phi psi omega chi rotors``; ``polar`` for those rotors alone that turn
         hydrogens of O, S and N; with ``angles``, also the backbone bond angles at N and C-alpha, wherever
@@ -139,18 +152,14 @@ _STRAIGHT = 0.05
 """Carbon dioxide with rounded coordinates is straight, water (0.5) is not."""
 
 
-def as_chain(source: Any) -> Chain:
-    """Return a chain unchanged; build one with default hinges from whatever :func:`as_structure` takes.
+def with_energy(source: Any, energy: Any = None) -> tuple[Chain, Energy]:
+    """Chain and energy of whatever :func:`as_structure` takes: here a result hands on what it has.
 
-    What has a chain, as a Solution, gets one of the same hinges at its end.
+    A chain stays as it is. A result is cut anew at its end, with its own hinges, and brings its energy unless
+    another is given; restraints belong to its run. All else gets the default hinges and energy.
     """
-    if isinstance(source, Chain):
-        return source
-    structure, own = as_structure(source), getattr(source, "chain", None)
-    if not isinstance(own, Chain):
-        return build_chain(structure)
-    mass = own.hydrogen_mass
-    return build_chain(structure, own.opened, own.root, move=own.move, hydrogen_mass=mass)
+    chain = source if isinstance(source, Chain) else build_chain(source)
+    return chain, as_energy(energy, chain.structure, source)
 
 
 def with_free_root(chain: Chain, hydrogen_mass: float | None = None) -> Chain:
@@ -162,7 +171,7 @@ def with_free_root(chain: Chain, hydrogen_mass: float | None = None) -> Chain:
     if chain.root != "auto" and mass == chain.hydrogen_mass:
         return chain
     root = "free" if chain.root == "auto" else chain.root
-    return build_chain(chain.structure, chain.opened, root, move=chain.move, hydrogen_mass=mass)
+    return build_chain(chain, root=root, hydrogen_mass=mass)
 
 
 def transferred(chain: Chain, made: Chain, q: Floats) -> Floats:

@@ -1,7 +1,7 @@
 """How a structure is read, cut into rigid bodies and given an energy: the same for every kind of run."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -35,6 +35,11 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
 
 ALL_MODELS = "all"
+OF_ENERGY = (
+    "forcefield", "solvent", "engine", "cutoff", "accuracy", "precision", "threads", "trust_forcefield",
+    "terms",
+)  # fmt: skip
+"""Settings that :func:`protochain.energy` takes."""
 
 
 class Prepared(NamedTuple):
@@ -192,7 +197,8 @@ class Setup(Settings):
         Parameters
         ----------
         source : path-like, Structure, or anything that :func:`protochain.as_structure` takes
-            Structure to prepare; a Structure stays as it is.
+            Structure to prepare; a Structure stays as it is. Hinges and energy are those of the setup, also
+            for a result, which has its own.
         name : str
             Short name, where there is no file.
         build_energy : callable, optional
@@ -234,11 +240,13 @@ class Setup(Settings):
         """Build the energy of a structure; ``build_energy`` as in :meth:`prepare`."""
         from protochain.energies import energy
 
-        return (build_energy or energy)(
-            structure, forcefield=self.forcefield, solvent=self.solvent, engine=self.engine,
-            cutoff=self.cutoff, accuracy=self.accuracy, precision=self.precision, threads=self.threads,
-            trust_forcefield=self.trust_forcefield, terms=self.terms,
-        )  # fmt: skip
+        return (build_energy or energy)(structure, **{name: getattr(self, name) for name in OF_ENERGY})
+
+    def energy_of(self, source: Any, structure: "Structure", named: Iterable[str]) -> "Energy":
+        """Energy that a result brings, in which the named settings are replaced; else that of the setup."""
+        from protochain.energies import as_energy
+
+        return as_energy(None, structure, source, **{n: getattr(self, n) for n in OF_ENERGY if n in named})
 
 
 def models_asked(model: int | str) -> tuple[int, ...]:

@@ -7,13 +7,12 @@ from dataclasses import replace
 from typing import Any
 
 from protochain.analysis.comparison import Comparison
-from protochain.articulate import as_chain
+from protochain.articulate import with_energy
 from protochain.core import defaults
 from protochain.core.arrays import Watcher
 from protochain.core.checks import checked, function, integer, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.energies import as_energy
 from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
 from protochain.minimisers.api import Minimisation, minimise_from
 from protochain.minimisers.start import Start
@@ -85,11 +84,10 @@ def compare(
         )
         for recipe in recipes.values()
     ]
-    chain = as_chain(structure)
+    chain, energy = with_energy(structure, energy)
     known = None if reference is None else as_structure(reference)
     if known is not None:
         match(known, chain.structure)  # What cannot be measured is said before the work.
-    energy = as_energy(energy, chain.structure)
     for run in runs:
         run.recipe.check(energy)
     start = Start(chain, energy)

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from protochain.analysis.pair_hessian import applies, colours, pair_hessian
-from protochain.articulate import as_chain
+from protochain.articulate import with_energy
 from protochain.chain import Chain, pose, pull_back
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import checked
 from protochain.core.errors import Fault, ProtochainError
-from protochain.energies import Energy, NativeEnergy, OpenMMEnergy, as_energy
+from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
 from protochain.mechanics import multibody
 from protochain.minimisers.spaces import Torsions
 
@@ -117,19 +117,19 @@ class Torques:
         return 0.5 * (found + found.T)
 
 
-def torques_at(chain: Chain, energy: Any, q: Any) -> Torques:
+def torques_at(chain: Chain, energy: Energy, q: Any) -> Torques:
     """Torques near q, or near the chain's own start.
 
     Raises
     ------
     ProtochainError
-        If the energy is of other atoms, q has another shape, or is not finite, or the torques are not.
+        If q has another shape, or is not finite, or the torques are not.
     """
     q = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     if not np.isfinite(q).all():
         at = int(np.argmin(np.isfinite(q)))
         raise ProtochainError(f"q: coordinate {at} is {q[at]}, not a finite number", fault=Fault.NOT_FINITE)
-    made = Torques(chain, as_energy(energy, chain.structure), q)
+    made = Torques(chain, energy, q)
     if not np.isfinite(made.beside(np.zeros(chain.n_v))).all():
         raise ProtochainError(
             f"{chain.structure.name}: the torques are not finite; minimise it first, as by pc.minimise",
@@ -145,7 +145,7 @@ def hessian(chain: Any, energy: Any = None, q: Any = None) -> Floats:
     Parameters
     ----------
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        A file is loaded, a structure cut into a chain with the default hinges.
+        A file is loaded, a structure cut into a chain with the default hinges, a result with its own.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     q : (n_q,) float, optional
@@ -170,7 +170,7 @@ def hessian(chain: Any, energy: Any = None, q: Any = None) -> Floats:
     in ubiquitin as much as 200 evaluations. Of other energies all is by central differences of torques, two
     evaluations a row, to about 1e-8 of the largest entry.
     """
-    chain = as_chain(chain)
+    chain, energy = with_energy(chain, energy)
     return torques_at(chain, energy, q).matrix(np.arange(chain.n_v))
 
 
@@ -199,5 +199,5 @@ def hessian_product(chain: Any, energy: Any, q: Any, direction: Any) -> Floats:
     ProtochainError
         If the input cannot be used.
     """
-    chain = as_chain(chain)
+    chain, energy = with_energy(chain, energy)
     return torques_at(chain, energy, q).product(floats(direction, (chain.n_v,), "direction"))

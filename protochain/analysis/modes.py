@@ -16,6 +16,7 @@ from protochain.core.units import ANGSTROM_PER_NM, LIGHT, MOLAR_GAS, MOLAR_PLANC
 from protochain.energies import Energy
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
+from protochain.structure import Structure
 from protochain.structure.matching import match, measurable
 from protochain.structure.superpose import motion
 
@@ -140,6 +141,11 @@ class NormalModes(Value):
     def x(self) -> Floats:
         """(na, 3) float, nm: positions at the point."""
         return pose(self.chain, self.q).x
+
+    @property
+    def structure(self) -> Structure:
+        """Structure at the point."""
+        return self.chain.structure.with_positions(self.x)
 
     def displacements(self, mode: int) -> Floats:
         """Displacements of all atoms along a mode.
@@ -304,7 +310,7 @@ class NormalModes(Value):
 
     def _against(self, other: Any) -> tuple[Floats, Floats]:
         """Displacements (k, 3n) of matched C-alphas without rigid motion, and the change (3n,), 1 long."""
-        own = self.chain.structure.with_positions(self.x)
+        own = self.structure
         there = measurable(other)
         found = match(own, there)
         alpha = {int(own.atom_residue[atom]): place for place, atom in enumerate(own.alpha_carbons)}

@@ -24,12 +24,11 @@ from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, lobp
 from protochain.analysis.hessian import Torques, torques_at
 from protochain.analysis.modes import NormalModes
 from protochain.analysis.pair_hessian import applies
-from protochain.articulate import as_chain, transferred, with_free_root
+from protochain.articulate import transferred, with_energy, with_free_root
 from protochain.chain import Chain, Pose, mass_matrix, pose
 from protochain.core.arrays import Floats, floats, read_only
 from protochain.core.checks import at_least, checked, text
 from protochain.core.errors import Fault, ProtochainError, refused
-from protochain.energies import as_energy
 from protochain.frame import frame_of
 from protochain.mechanics import multibody
 from protochain.minimisers import curvature, springs
@@ -151,8 +150,9 @@ def normal_modes(
     Parameters
     ----------
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        A file is loaded, a structure cut into a chain with the default hinges. A root that ``auto`` has fixed
-        is freed, unless obstacles or the energy hold the chain in place; one that ``fixed`` holds stays.
+        A file is loaded, a structure cut into a chain with the default hinges, a result with its own. A root
+        that ``auto`` has fixed is freed, unless obstacles or the energy hold the chain in place; one that
+        ``fixed`` holds stays.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     q : (n_q,) float, optional
@@ -180,9 +180,8 @@ def normal_modes(
     """
     check_modes(k, method)
     began = perf_counter()
-    given = as_chain(chain)
+    given, known = with_energy(chain, energy)
     start = given.q0 if q is None else floats(q, (given.n_q,), "q")
-    known = as_energy(energy, given.structure)
     held = frame_of(given, known).held_by
     chain, start = (given, start) if held else _freed(given, start)
     torques = torques_at(chain, known, start)

@@ -62,10 +62,9 @@ def _send(target: BinaryIO, message: Any) -> None:
 
 def _warm_up() -> None:
     """Compile the kernels on a new installation, before the first structure is timed."""
-    from protochain.articulate import build_chain
     from protochain.energies import energy
     from protochain.minimisers import minimise
     from protochain.structure import from_sequence
 
     structure = from_sequence("GAG")
-    minimise(build_chain(structure), energy(structure, threads=1), max_evaluations=3)
+    minimise(structure, energy(structure, threads=1), max_evaluations=3)

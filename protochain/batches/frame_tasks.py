@@ -62,17 +62,20 @@ class RelaxFrames:
     ----------
     relaxing : RelaxSettings
     setup : Setup
+    energy : Energy, optional
+        In place of that of the setup.
     """
 
     relaxing: RelaxSettings
     setup: Setup
+    energy: Energy | None = None
     name = "relax"
     columns = tuple(column.key for column in OF_FRAMES)
     at_a_time = 1
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
-        """Build the energy."""
-        energy = _with_threads(self.setup, threads).energy(structure)
+        """Build the energy, if there is none."""
+        energy = self.energy or _with_threads(self.setup, threads).energy(structure)
 
         def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
             _begin_anew(energy, frame.positions)

@@ -5,7 +5,7 @@ import tempfile
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from queue import SimpleQueue
@@ -16,11 +16,15 @@ from protochain.batches.frame_tasks import FrameJob, FrameRow, RelaxFrames, Task
 from protochain.batches.supervise import supervise
 from protochain.core.arrays import Value
 from protochain.core.checks import at_least, checked, optional
-from protochain.relaxation.settings import split
+from protochain.energies import Energy
+from protochain.energies.factory import has_energy
+from protochain.energies.shared import shared_energy
+from protochain.relaxation.settings import named, split
 from protochain.setup import Setup
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.frames import Frame, Frames, open_frames
+from protochain.structure.select import moved_of
 
 _AHEAD = 3
 """Jobs handed out for each worker: while one is done, others wait for it."""
@@ -38,11 +42,26 @@ class FrameResult(Value):
         Its row: ``frame``, ``time_ps``, ``status``, ``message`` and what was measured.
     structure : Structure, optional
         Relaxed, or as it was measured; None of a frame that cannot be used.
+    task : Task
+        What was done to it.
     """
 
     frame: int
     record: Mapping[str, Any]
     structure: Structure | None
+    task: Task
+
+    @property
+    def energy_function(self) -> Energy | None:
+        """Energy that frames were relaxed in, one for all; None of one that cannot be used, or was not."""
+        if self.structure is None or not isinstance(self.task, RelaxFrames):
+            return None
+        return self.task.energy or self.task.setup.energy(self.structure, shared_energy)
+
+    @property
+    def move(self) -> str | None:
+        """Selection of what could move."""
+        return self.task.setup.move if isinstance(self.task, RelaxFrames) else None
 
     def __repr__(self) -> str:
         return (
@@ -59,7 +78,8 @@ def relax_frames(
     Parameters
     ----------
     top : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Structure with the atoms of the frames, from which hydrogens and all that a frame lacks are known.
+        Structure with the atoms of the frames, from which hydrogens and all that a frame lacks are known. Of
+        a result, energy and selection as by :func:`protochain.relax`.
     frames : path-like, (n, atoms, 3) float, nm, mdtraj.Trajectory, MDAnalysis Universe or AtomGroup, optional
         Trajectory (``.xtc``, ``.trr``, ``.dcd``, ``.nc``), PDB or mmCIF file with models, or ``.npz`` with
         ``positions`` or ``pos`` and their ``unit``. Atoms are those of the file of ``top``, or of ``top`` as
@@ -82,10 +102,15 @@ def relax_frames(
     ProtochainError
         If an option makes no sense, or the structure or the frames cannot be used.
     """
-    relaxing, setup = split(options)
+    relaxing, setup = split({**moved_of(top), **options})
     ensemble, chosen = ensemble_of(top, frames, select, setup)
     processes = Processes(workers, threads=setup.threads or 1) if workers else None
-    return over_frames(ensemble, chosen, RelaxFrames(relaxing, setup), processes)
+    energy = None
+    if has_energy(top):
+        setup = setup if processes is None else replace(setup, threads=processes.threads)
+        given = named(relaxing, (*options, *(["threads"] if processes else [])))
+        energy = setup.energy_of(top, ensemble.structure, given)
+    return over_frames(ensemble, chosen, RelaxFrames(relaxing, setup, energy), processes)
 
 
 def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensemble, Frames]:
@@ -117,7 +142,7 @@ def over_frames(
     if processes is None:
         act = task.begin(ensemble.structure, None)
         for frame in frames:
-            yield _result(ensemble, frame.index, row_of(ensemble, act, frame))
+            yield _result(ensemble, task, frame.index, row_of(ensemble, act, frame))
         return
     with _shared(ensemble, task, frames.path) as path, at_work(processes) as workers:
         waiting: Iterator[Frame | int] = iter(frames if frames.path is None else frames.chosen)
@@ -152,7 +177,7 @@ def over_frames(
                 submit(FrameJob(path, job.frames[len(done) :]))
             while jobs and all(index in rows for index in jobs[0].indices):
                 for index in jobs.popleft().indices:
-                    yield _result(ensemble, index, rows.pop(index))
+                    yield _result(ensemble, task, index, rows.pop(index))
 
 
 @contextmanager
@@ -164,6 +189,6 @@ def _shared(ensemble: Ensemble, task: Task, source: Path | None) -> Iterator[Pat
         yield path
 
 
-def _result(ensemble: Ensemble, index: int, row: FrameRow) -> FrameResult:
+def _result(ensemble: Ensemble, task: Task, index: int, row: FrameRow) -> FrameResult:
     structure = None if row.x is None else ensemble.structure.with_positions(row.x)
-    return FrameResult(index, row.record, structure)
+    return FrameResult(index, row.record, structure, task)

@@ -3,13 +3,16 @@
 Functions take them by name; commands make their options of them, batches the columns of their manifests.
 """
 
+import inspect
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 from protochain.core.checks import Check, check_fields
 
 Made = TypeVar("Made")
+P = ParamSpec("P")
 
 
 @dataclass(frozen=True)
@@ -80,3 +83,27 @@ def settings_of(kind: type) -> Iterator[tuple[str, Setting]]:
 def taken(kind: type[Made], given: Mapping[str, Any], **more: Any) -> Made:
     """Settings of the arguments of a call, which bear their names; ``more`` are its other fields."""
     return kind(**{name: given[name] for name, _ in settings_of(kind)}, **more)
+
+
+def given(**options: Any) -> dict[str, Any]:
+    """Options that are not None."""
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def inheriting(
+    build: Callable[[Callable[..., Made], Any, dict[str, Any]], Made],
+) -> Callable[[Callable[P, Made]], Callable[P, Made]]:
+    """Decorate a function: ``build`` calls it, with its first argument and those that a caller has named."""
+
+    def decorate(function: Callable[P, Made]) -> Callable[P, Made]:
+        signature = inspect.signature(function)
+        first = next(iter(signature.parameters))
+
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> Made:
+            named = signature.bind(*args, **kwargs).arguments
+            return build(function, named.pop(first), named)
+
+        return call
+
+    return decorate

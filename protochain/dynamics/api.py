@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.articulate import as_chain, transferred, with_free_root
+from protochain.articulate import transferred, with_energy, with_free_root
 from protochain.chain import Chain, place_atoms
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats
@@ -36,7 +36,7 @@ from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring,
 from protochain.dynamics.settings import HingeSpring, Pull, RunSettings, SimulationSettings
 from protochain.dynamics.simulation import Simulation, said_of
 from protochain.dynamics.thermostats import THERMOSTATS, build_thermostat
-from protochain.energies import Energy, as_energy
+from protochain.energies import Energy
 from protochain.energies.custom import EnergyFunction
 from protochain.frame import Frame, frame_of
 from protochain.mechanics.motion.system import Phase, StepTooLargeError, System, total
@@ -76,8 +76,8 @@ def simulate(
     Parameters
     ----------
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        Chain to simulate. Files are loaded, structures divided into rigid bodies with the default hinges. A
-        root that ``auto`` has fixed is freed.
+        Chain to simulate. Files are loaded, structures divided into rigid bodies with the default hinges,
+        results with their own. A root that ``auto`` has fixed is freed.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     q : (n_q,) float, optional
@@ -143,8 +143,7 @@ def simulate(
         check_folder(Path(output), trajectory, running.resume, running.force)
     elif running.resume:
         raise ProtochainError(Argument("resume", True), ": give the folder of the simulation as output")
-    chain = as_chain(chain)
-    energy = as_energy(energy, chain.structure)
+    chain, energy = with_energy(chain, energy)
     # A resumed run has the loops of its own start, not of this q.
     run = _prepare(chain, energy, q, settings, constants_of(Path(output)) if resume and output else {})
     folder = Folder(Path(output), trajectory, run.identity, run.constants) if output is not None else None

@@ -45,12 +45,12 @@ def to_ase(structure: Any, energy: Any = None) -> "Atoms":
         from protochain.energies.ase_calculator import EnergyCalculator
     except ModuleNotFoundError as error:
         raise ProtochainError("ASE is not installed; python -m pip install ase") from error
-    structure = as_structure(structure)
-    energy = as_energy(energy, structure)
+    made = as_structure(structure)
+    energy = as_energy(energy, made, structure)
     return Atoms(
-        symbols=structure.atom_element.tolist(),
-        positions=structure.positions * nm,
-        masses=structure.atom_mass,
+        symbols=made.atom_element.tolist(),
+        positions=made.positions * nm,
+        masses=made.atom_mass,
         calculator=EnergyCalculator(energy),
     )
 

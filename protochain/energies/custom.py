@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import plain, shown
 from protochain.core.errors import Fault, ProtochainError
-from protochain.energies.factory import energy
+from protochain.energies.factory import energy, has_energy
 from protochain.energies.protocol import Energy, check_is_of
 from protochain.structure.model import Structure
 
@@ -35,6 +35,7 @@ class CustomEnergy:
     threads = 1
     is_exact = True
     left_out: Mapping[str, int] = MappingProxyType({})
+    settings: Mapping[str, Any] = MappingProxyType({})
     lists_at: Floats | None = None
 
     def __init__(self, function: EnergyFunction) -> None:
@@ -153,15 +154,20 @@ def name_of(value: Any) -> str:
     return f"{named.__module__ or '__main__'}.{named.__qualname__}"
 
 
-def as_energy(given: Any, structure: Structure) -> Energy:
+def as_energy(given: Any, structure: Structure, source: Any = None, **named: Any) -> Energy:
     """Make an energy of what a caller gives.
 
     Parameters
     ----------
     given : Energy, callable or None
-        Energy of this structure, callable as of :class:`CustomEnergy`, or None for the default force field.
+        Energy of this structure, or callable as of :class:`CustomEnergy`. By default that of the source, if
+        it has one, as a result has; else that of the default force field.
     structure : Structure
         Structure whose energy it is.
+    source : Any
+        What the caller gave as the structure.
+    **named
+        Arguments of :func:`protochain.energy` that the caller has named, in place of those of the source.
 
     Returns
     -------
@@ -174,7 +180,7 @@ def as_energy(given: Any, structure: Structure) -> Energy:
         If it is neither, was built for other atoms, or does not return an energy and its forces.
     """
     if given is None:
-        return energy(structure)
+        given = energy(source if has_energy(source) else structure, **named)
     if hasattr(given, "without_constants"):
         check_is_of(given, structure)
         return given

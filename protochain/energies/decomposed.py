@@ -21,14 +21,15 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import checked, file_name, optional, text
 from protochain.core.errors import ProtochainError
-from protochain.energies.factory import energy as build_energy
+from protochain.core.settings import given
+from protochain.energies.custom import as_energy
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.neighbours import partners as partners_of
 from protochain.energies.native.pairs import CLOSEST
 from protochain.energies.native.shares import residue_sums
 from protochain.energies.native.terms import Bonded, Terms
 from protochain.energies.openmm_engine import OpenMMEnergy
-from protochain.energies.protocol import Energy, an_energy, check_is_of
+from protochain.energies.protocol import Energy, an_energy
 from protochain.structure import as_structure
 from protochain.structure.model import Structure
 from protochain.structure.select import select
@@ -92,8 +93,8 @@ def energy_terms(
     by: str = "term",
     *,
     between: Sequence[str] | str | None = None,
-    forcefield: str = defaults.FORCEFIELD,
-    solvent: str = defaults.SOLVENT,
+    forcefield: str | None = None,
+    solvent: str | None = None,
     energy: Energy | None = None,
     **settings: Any,
 ) -> "pd.DataFrame":
@@ -108,10 +109,11 @@ def energy_terms(
     between : two str, or one text, optional
         Two parts of the structure, as ``"A:1-50,B"``, or two selections in the language of MDAnalysis: the
         terms of their interaction, and with ``residue`` or ``pair`` who brings it about.
-    forcefield, solvent : str
+    forcefield, solvent : str, optional
         As for :func:`protochain.energy`.
     energy : Energy, optional
-        In place of one of this force field and solvent; any whose System the native engine can compute.
+        In place of one of this force field and solvent; any whose System the native engine can compute. By
+        default that of a result.
     **settings
         Options of :func:`protochain.load`, for a file.
 
@@ -137,10 +139,9 @@ def energy_terms(
 
     if by not in BY:
         raise ProtochainError(f"by {by!r} is not known; choose from {', '.join(BY)}")
-    structure = as_structure(source, **({"forcefield": forcefield} | settings if settings else {}))
+    structure = as_structure(source, **given(forcefield=forcefield), **settings)
     parts = None if between is None else _parts(structure, between)
-    made = energy or build_energy(structure, forcefield, solvent, "native")
-    check_is_of(made, structure)
+    made = as_energy(energy, structure, source, **given(forcefield=forcefield, solvent=solvent))
     native = native_of(made)
     if native is None:
         raise ProtochainError(f"energy: terms are told by the native engine alone, not by: {made.reason}")

@@ -3,7 +3,7 @@
 import copy
 import io
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
@@ -26,6 +26,7 @@ from protochain.core.checks import (
     text,
 )
 from protochain.core.errors import Argument, ForceFieldError
+from protochain.core.settings import inheriting
 from protochain.core.storage import regular
 from protochain.core.units import COULOMB
 from protochain.energies.elements import create_system
@@ -85,11 +86,37 @@ TERMS = ("all", "nonbonded")
 angles); no dihedrals, impropers or CMAP, as where rigid peptide planes only attract and repel each other."""
 
 
+_FUNCTION = {"forcefield", "solvent", "terms", "cutoff", "system"}
+"""Arguments of an energy that say which function it is; the others say how it is computed."""
+
+
+def has_energy(source: Any) -> bool:
+    """Whether something brings an energy, as results do."""
+    return getattr(source, "energy_function", None) is not None
+
+
+def _as_of(build: Callable[..., Energy], source: Any, named: dict[str, Any]) -> Energy:
+    """Energy of a source: its own, if it has one, in which what is named is replaced."""
+    if not has_energy(source):
+        return build(source, **named)
+    own: Energy = source.energy_function
+    settings = dict(getattr(own, "settings", {}))
+    is_another = bool(named.keys() & _FUNCTION)
+    if not named or not (settings or is_another):  # A callable is computed in one way only.
+        return own
+    if not own.atoms and not is_another:
+        settings["system"] = own.system
+    if "forcefield" in named:
+        settings.pop("trust_forcefield", None)  # Another file is not trusted with the first.
+    return build(source, **(settings | named))
+
+
 @checked(
     forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, accuracy=accuracy_of,
     precision=text, threads=optional(at_least(1)),
     trust_forcefield=flag, terms=text, system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
+@inheriting(_as_of)
 def energy(
     structure: Any,
     forcefield: str = defaults.FORCEFIELD,
@@ -109,7 +136,8 @@ def energy(
     Parameters
     ----------
     structure : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Structure whose energy to build.
+        Structure whose energy to build. A result brings its own, as to all calls: what is not named here
+        stays as it was there.
     forcefield : str
         ``amber14`` (ff14SB), ``amber19`` (ff19SB), ``amber99sb``, ``amber99sbildn``, ``charmm36``, the
         name of an XML file bundled with OpenMM, or the path of an XML file; or several of them with commas
@@ -156,6 +184,7 @@ def energy(
     UnsupportedForceError
         If the engine is ``native`` and has no exact kernel for a force, which is named.
     """
+    settings = {name: value for name, value in locals().items() if name not in ("structure", "system")}
     structure = as_structure(structure)
     if engine not in ENGINES:
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
@@ -184,10 +213,14 @@ def energy(
         if terms == "nonbonded":
             _leave_out_torsions(system)
             forcefield += NONBONDED
-        by_openmm = OpenMMEnergy(system, "CPU", threads, forcefield, solvent, note, structure.fingerprint)
+        by_openmm = OpenMMEnergy(
+            system, "CPU", threads, forcefield, solvent, note, structure.fingerprint, settings
+        )
     elif system.getNumParticles() == structure.n_atoms:
         cutoff, system = None, copy.deepcopy(system)
-        by_openmm = OpenMMEnergy(system, threads=threads, note="System given by the caller")
+        by_openmm = OpenMMEnergy(
+            system, threads=threads, note="System given by the caller", settings=settings
+        )
     else:
         raise ForceFieldError(
             f"the System has {system.getNumParticles()} particles but {structure.name} has "

@@ -33,6 +33,8 @@ class OpenMMEnergy:
         Names for reports, and a note on how the System was built.
     atoms : str
         ``Structure.fingerprint`` of the structure; empty if the caller gave the System.
+    settings : mapping of str to Any
+        Arguments of :func:`protochain.energy` that it was built with, beside structure and System.
     """
 
     engine = "openmm"
@@ -48,6 +50,7 @@ class OpenMMEnergy:
         solvent: str = "custom",
         note: str = "",
         atoms: str = "",
+        settings: Mapping[str, Any] = MappingProxyType({}),
     ) -> None:
         self.system = system
         self.platform = platform
@@ -56,11 +59,15 @@ class OpenMMEnergy:
         self.solvent = solvent
         self.note = note
         self.atoms = atoms
+        self.settings = dict(settings)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Made anew from its System: contexts cannot be pickled."""
-        given = (self.platform, self.threads, self.forcefield, self.solvent, self.note, self.atoms)
-        return OpenMMEnergy, (self.system, *given)
+        return OpenMMEnergy, (self.system, self.platform, self.threads, *self._names)
+
+    @property
+    def _names(self) -> tuple[Any, ...]:
+        return self.forcefield, self.solvent, self.note, self.atoms, self.settings
 
     @property
     def reason(self) -> str:
@@ -86,9 +93,7 @@ class OpenMMEnergy:
         """The same System on the Reference platform."""
         if self.platform == "Reference":
             return self
-        return OpenMMEnergy(
-            self.system, "Reference", None, self.forcefield, self.solvent, self.note, self.atoms
-        )
+        return OpenMMEnergy(self.system, "Reference", None, *self._names)
 
     @cached_property
     def fingerprint(self) -> str:

@@ -37,6 +37,10 @@ class Energy(Protocol):
         """Name of the solvent model."""
 
     @property
+    def settings(self) -> Mapping[str, Any]:
+        """Arguments of :func:`protochain.energy` that it was built with; none of a callable."""
+
+    @property
     def threads(self) -> int:
         """Number of threads."""
 

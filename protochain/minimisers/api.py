@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.articulate import as_chain
+from protochain.articulate import with_energy
 from protochain.chain import Chain, Pose, pose
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, read_only
@@ -23,7 +23,6 @@ from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import taken
-from protochain.energies import as_energy
 from protochain.frame import Frame, frame_of, knows_places
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
@@ -64,12 +63,14 @@ def minimise(
     Parameters
     ----------
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
-        A file is loaded, a structure cut into a chain with the default hinges. Methods that move masses
-        (``md``, ``anneal``, ``kcm-metric``, ``fire``, ``quench``) free a root that ``auto`` has fixed: then
-        ``chain`` of the result is the freed one, to which its ``q`` belongs.
+        A file is loaded, a structure cut into a chain with the default hinges. A result goes on from its end,
+        with its own hinges. Methods that move masses (``md``, ``anneal``, ``kcm-metric``, ``fire``,
+        ``quench``) free a root that ``auto`` has fixed: then ``chain`` of the result is the freed one, to
+        which its ``q`` belongs.
     energy : Energy or callable, optional
-        Default: that of :func:`protochain.energy`. A callable takes positions (na, 3) in nm to energy in
-        kJ/mol and forces (na, 3) in kJ/mol/nm, and judges the result too.
+        Default: that of the result, if the chain is one, without the restraints of its run; else that of
+        :func:`protochain.energy`. A callable takes positions (na, 3) in nm to energy in kJ/mol and forces
+        (na, 3) in kJ/mol/nm, and judges the result too.
     method : str, Recipe, or object with ``init`` and ``step``
         ``cartesian`` (all atoms), ``hybrid`` (torsions, then all atoms), ``lbfgs`` or ``newton`` (torsions),
         ``kcm`` (kineto-static compliance, turns of a fixed angle, which :func:`protochain.kcm` sets) with
@@ -129,8 +130,7 @@ def minimise(
     platform, within the same budget.
     """
     run = taken(Minimisation, locals(), recipe=recipe_of(method))
-    chain = as_chain(chain)
-    return minimise_from(Start(chain, as_energy(energy, chain.structure)), run, watch)
+    return minimise_from(Start(*with_energy(chain, energy)), run, watch)
 
 
 minimize = minimise

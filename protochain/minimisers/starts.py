@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.articulate import as_chain, build_chain
+from protochain.articulate import build_chain, with_energy
 from protochain.chain import Chain, pose
 from protochain.core import defaults
 from protochain.core.arrays import read_only
@@ -15,7 +15,7 @@ from protochain.core.checks import WATCHER, checked, function, integer, number, 
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.units import MOLAR_GAS
-from protochain.energies import as_energy
+from protochain.energies import Energy
 from protochain.minimisers.api import minimise
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.settings import MinimiseSettings, StartSettings
@@ -23,6 +23,7 @@ from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk
 from protochain.minimisers.verdict import OTHER_ISOMER, Status
+from protochain.structure import Structure
 from protochain.structure.superpose import rmsd
 
 if TYPE_CHECKING:
@@ -54,6 +55,16 @@ class Starts:
     def best(self) -> Solution:
         """Solution of lowest energy, the first of equal ones; those that became another isomer come last."""
         return min(self.solutions, key=lambda each: (each.status in OTHER_ISOMER, each.end.energy))
+
+    @property
+    def structure(self) -> Structure:
+        """Structure at the end of the best."""
+        return self.best.structure
+
+    @property
+    def energy_function(self) -> Energy:
+        """Energy of all."""
+        return self.best.energy_function
 
     def records(self) -> list[dict[str, Any]]:
         """Record of each start, as written to JSON."""
@@ -171,8 +182,7 @@ def explore(
     StartSettings(n_starts=n_starts, spread=spread, hop_temperature=hop_temperature)
     refuse_held(settings.get("restraint", ()), settings.get("max_rmsd", np.inf))
     settings["tolerance"] = defaults.TOLERANCE if tolerance is None else tolerance
-    chain = as_chain(chain)
-    energy = as_energy(energy, chain.structure)
+    chain, energy = with_energy(chain, energy)
     solutions: list[Solution] = []
     accepted: list[bool] = []
     here, present = chain, np.inf
@@ -262,7 +272,7 @@ def _chain_at(solution: Solution) -> Chain:
     chain = solution.chain
     if len(solution.q) == chain.n_q and rmsd(pose(chain, solution.q).x, solution.x) < 1e-9:
         return _moved(chain, solution.q)
-    return build_chain(solution.structure, chain.opened, chain.root, move=chain.move)
+    return build_chain(solution)
 
 
 def _accept(rise: float, temperature: float, random: np.random.Generator) -> bool:

@@ -24,12 +24,12 @@ from protochain.minimisers.stages import Stage
 from protochain.minimisers.verdict import Status, verdict
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
-from protochain.relaxation.result import NATIVE, REFERENCE, Relaxation
+from protochain.relaxation.result import ITSELF, NATIVE, REFERENCE, Relaxation
 from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left, mendable
-from protochain.relaxation.settings import RelaxSettings, split
+from protochain.relaxation.settings import RelaxSettings, named, split
 from protochain.structure import Structure
 from protochain.structure.chirality import atoms_named, mirror_images, with_mirror_images
-from protochain.structure.select import moving, select, sides_named
+from protochain.structure.select import moved_of, moving, select, sides_named
 from protochain.validation import threaded_rings, violations
 from protochain.validation.fixed import fixed_counts, fixed_faults
 from protochain.validation.interface import native
@@ -52,7 +52,8 @@ def relax(
     Parameters
     ----------
     source : Structure, path, or anything that :func:`protochain.as_structure` takes
-        Structure to relax.
+        Structure to relax. Of a result, its energy and selection are those of the relaxation, where options
+        name no others.
     preset : str
         ``predicted``, ``crystal`` or ``design``; see :class:`protochain.relaxation.RelaxSettings`.
     watch : callable, optional
@@ -76,9 +77,10 @@ def relax(
     ProtochainError
         If an option makes no sense, or the input cannot be used.
     """
-    relaxing, setup = split({"preset": preset, **options})
+    relaxing, setup = split({"preset": preset, **moved_of(source), **options})
     structure = setup.load(source)
-    return relax_structure(structure, setup.energy(structure), relaxing, watch, setup.move)
+    energy = setup.energy_of(source, structure, named(relaxing, options))
+    return relax_structure(structure, energy, relaxing, watch, setup.move)
 
 
 @held_interrupts()
@@ -204,6 +206,8 @@ def _judge(energy: Energy) -> Energy:
 
 def _by(energy: Energy) -> str:
     """How what judges is called."""
+    if energy.engine == "custom":
+        return ITSELF
     return NATIVE if energy.is_exact or isinstance(energy, NativeEnergy) else REFERENCE
 
 

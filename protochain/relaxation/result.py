@@ -37,9 +37,10 @@ from protochain.validation.omega import PLANAR
 if TYPE_CHECKING:
     import pandas as pd
 
-NATIVE, REFERENCE = (
+NATIVE, REFERENCE, ITSELF = (
     "the native engine, in double precision",
     "OpenMM's Reference platform, in double precision",
+    "the callable itself",
 )
 """Who judges. The native engine equals the Reference platform to 1e-10 and is much faster."""
 
@@ -59,7 +60,7 @@ class Relaxation(TermsAtEnds, Value):
     settings : RelaxSettings
         How it was relaxed.
     energy_function : Energy
-        What was minimised, with springs.
+        Force field and solvent, without the springs, which are the run's alone.
     rounds : tuple of Round
         Minimisations, one after the other.
     best : int

@@ -1,6 +1,7 @@
 """Settings of a relaxation, checked once."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -160,6 +161,11 @@ class RelaxSettings(Settings):
 
 
 NAMES = tuple(each.name for each in fields(RelaxSettings))
+
+
+def named(relaxing: RelaxSettings, options: Iterable[str]) -> set[str]:
+    """Names of settings that are given: by options, or by the protocol."""
+    return {*options, *(name for name in ("forcefield", "solvent") if getattr(relaxing.strength, name))}
 
 
 def split(options: dict[str, Any]) -> tuple[RelaxSettings, Setup]:

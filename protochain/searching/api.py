@@ -14,7 +14,7 @@ from queue import Empty, SimpleQueue
 from time import perf_counter
 from typing import Any
 
-from protochain.articulate import as_chain
+from protochain.articulate import with_energy
 from protochain.batches.cluster import Processes, at_work
 from protochain.batches.supervise import supervise
 from protochain.core import defaults
@@ -23,7 +23,6 @@ from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.settings import taken
 from protochain.core.storage import check_writable, claimed
-from protochain.energies import as_energy
 from protochain.searching.annealing import Coolings
 from protochain.searching.csa import Crossings
 from protochain.searching.hopping import Hops
@@ -106,7 +105,7 @@ def search(
     chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
         One chain by itself, of which all walks begin; :func:`protochain.from_sequence` makes one.
     energy : Energy, optional
-        Default: that of :func:`protochain.energy`.
+        As in :func:`protochain.minimise`.
     method : str
         ``csa`` (conformational space annealing: a bank of minima is crossed), ``hopping`` (Metropolis over
         minima), ``annealing`` (cooled hybrid Monte Carlo, again and again) or ``tempering`` (replica
@@ -158,8 +157,7 @@ def search(
         raise ProtochainError(Argument("resume", True), ": give the folder of the search as output")
     if folder is not None:
         check_folder(folder, resume, force)
-    chain = as_chain(chain)
-    landscape = Landscape.of(chain, as_energy(energy, chain.structure))
+    landscape = Landscape.of(*with_energy(chain, energy))
     processes = Processes(workers, scheduler, 1, _LONG) if workers or scheduler else None
     with nullcontext() if folder is None else claimed(folder, "search"):
         walks = _Walks(landscape, settings, folder, running)
@@ -173,7 +171,8 @@ def search(
         )  # fmt: skip
         if not len(found.q):
             raise ProtochainError(
-                f"{chain.structure.name}: no descent ended at a finite energy; give another start or energy"
+                f"{landscape.chain.structure.name}: no descent ended at a finite energy; "
+                "give another start or energy"
             )
         if folder is not None:
             with held_interrupts():

@@ -94,9 +94,8 @@ class Landscape(Value):
             the energy depends on the place.
         """
         name = chain.structure.name
-        fixed = build_chain(
-            chain.structure, chain.opened, "fixed", move=chain.move, hydrogen_mass=chain.hydrogen_mass
-        )
+        # ``auto`` fixes the root of one chain, and lets runs that begin at a minimum free it.
+        fixed = build_chain(chain, root="fixed" if chain.root == "fixed" else "auto")
         if np.sum(fixed.tree.parent < 0) != 1 or chain.structure.obstacle.any():
             raise ProtochainError(
                 f"{name}: a search turns the bonds of one chain; give one, as by ", Argument("chains", "A"),

@@ -156,7 +156,7 @@ class Search(Value):
     def _free(self, q: Floats, energy: float) -> tuple[float, float]:
         """Free energies with stiff and with rigid bonds, kJ/mol."""
         chain, temperature = self.chain, self.settings.temperatures[0]
-        free = build_chain(chain.structure, chain.opened, "free", move=chain.move)
+        free = build_chain(chain, root="free")
         second = hessian(chain, self.energy_function, q)
         mass = log_det_mass(free, pose(free, transferred(chain, free, q)))
         return free_energy(energy, second, temperature), free_energy(energy, second, temperature, mass)

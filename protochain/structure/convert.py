@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,7 +36,8 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     source : Structure, path-like, or an object of another library
         A gemmi Structure, an mdtraj Trajectory (first frame), an MDAnalysis Universe or AtomGroup (current
         frame), or a pair of an OpenMM Topology and its positions. A Structure is returned unchanged; of a
-        Chain, Solution or Simulation, that which it holds.
+        Chain or a result, that which it holds, of several minima the lowest. Energy and hinges do not come
+        along: hand on the result itself where they should.
     name : str
         Short name for a source that is no file.
     **settings
@@ -52,8 +54,9 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
         If the type of the source is unknown, or it cannot be used.
     """
     held = getattr(source, "structure", source)
-    # A comparison has several ends beside the structure of its start.
-    if isinstance(held, Structure) and not hasattr(source, "solutions"):
+    held = held() if inspect.ismethod(held) else held  # Of a search the first, lowest minimum.
+    # A comparison has several ends beside the structure of its start, and no best.
+    if isinstance(held, Structure) and (hasattr(source, "best") or not hasattr(source, "solutions")):
         return held
     if isinstance(source, str | Path):
         return load(source, **settings)

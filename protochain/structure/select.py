@@ -64,6 +64,12 @@ def select(structure: Structure, selection: str) -> np.ndarray:
 _EXAMPLES = "give it as 'resid 5:20', 'chainID A and sidechain', 'interface' or 'around 5 chainID B'"
 
 
+def moved_of(source: Any) -> dict[str, str]:
+    """Argument ``move`` that a chain or a result brings; none of anything else."""
+    move = getattr(getattr(source, "chain", source), "move", None)
+    return {"move": move} if isinstance(move, str) else {}
+
+
 def moving(structure: Structure, move: str) -> NDArray[np.bool_]:
     """Atoms (na,) that a selection lets move; ``all`` but obstacles.
 

@@ -10,17 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import checked, file_name, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.graph import both_ways
 from protochain.core.markup import facts
+from protochain.core.settings import given
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.energies.decomposed import TERMS, interaction
-from protochain.energies.factory import energy as build_energy
+from protochain.energies.custom import as_energy
+from protochain.energies.decomposed import TERMS, interaction, native_of
 from protochain.energies.native import NativeEnergy
-from protochain.energies.protocol import Energy, an_energy, check_is_of
+from protochain.energies.protocol import Energy, an_energy
 from protochain.structure.confidences import Confidence, confidence_files, confidence_in
 from protochain.structure.convert import as_structure, to_mdtraj
 from protochain.structure.model import Structure
@@ -103,6 +103,8 @@ class Interface(Value):
     ----------
     structure : Structure
         Complex that was scored.
+    energy_function : Energy
+        Of the complex.
     first, second : str
         The two sides, as given.
     scores : mapping of str to int or float
@@ -117,6 +119,7 @@ class Interface(Value):
     """
 
     structure: Structure
+    energy_function: Energy
     first: str
     second: str
     scores: Mapping[str, Any]
@@ -162,8 +165,8 @@ def score_interface(
     first: str,
     second: str,
     *,
-    forcefield: str = defaults.FORCEFIELD,
-    solvent: str = defaults.SOLVENT,
+    forcefield: str | None = None,
+    solvent: str | None = None,
     energy: Energy | None = None,
     **settings: Any,
 ) -> Interface:
@@ -177,10 +180,11 @@ def score_interface(
         Chains of either side, as ``"A"`` or ``"A,B"``, with the molecules that bear their names; or
         selections in the language of MDAnalysis, as ``"resname LIG"``, whose residues the other side's chains
         do not have. Waters count for neither, and all else is left out.
-    forcefield, solvent : str
+    forcefield, solvent : str, optional
         As for :func:`protochain.energy`.
     energy : Energy, optional
-        Of the native engine, in place of one of this force field and solvent.
+        In place of one of this force field and solvent; any whose System the native engine can compute. By
+        default that of a result.
     **settings
         Options of :func:`protochain.load`, for a file.
 
@@ -201,25 +205,25 @@ def score_interface(
     Bondi's radii, both by mdtraj; Sc is that of Lawrence and Colman, J. Mol. Biol. 234:946 (1993); residues
     are in contact with heavy atoms within 5 angstrom.
     """
-    structure = as_structure(source, **({"forcefield": forcefield} | settings if settings else {}))
+    structure = as_structure(source, **given(forcefield=forcefield), **settings)
     parts = sides(structure, first, second)
-    made = energy or build_energy(structure, forcefield, solvent, "native")
-    check_is_of(made, structure)
+    made = as_energy(energy, structure, source, **given(forcefield=forcefield, solvent=solvent))
     beside = confidence_files(Path(source)) if isinstance(source, str | Path) else ()
     return scored(structure, native(made), first, second, parts, beside)
 
 
 def native(energy: Energy) -> NativeEnergy:
-    """The energy, if the native engine computes it, as that alone tells terms.
+    """The energy by the native engine, as that alone tells terms.
 
     Raises
     ------
     ProtochainError
-        If another does.
+        If it cannot compute it.
     """
-    if not isinstance(energy, NativeEnergy):
+    found = native_of(energy)
+    if found is None:
         raise ProtochainError(f"interface: is scored by the native engine alone, not by: {energy.reason}")
-    return energy
+    return found
 
 
 def scored(
@@ -293,7 +297,7 @@ def scored(
         }
     )  # fmt: skip
     shown = (table["contacts"] > 0) | (table["buried_area_angstrom2"] > 0.0)
-    return Interface(structure, first, second, scores, table[shown].reset_index(drop=True), shares)
+    return Interface(structure, energy, first, second, scores, table[shown].reset_index(drop=True), shares)
 
 
 def _across(parts: Sequence[NDArray[np.bool_]], pairs: Integers) -> NDArray[np.bool_]:

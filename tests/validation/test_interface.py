@@ -1,5 +1,6 @@
 """Scored interfaces: each column against another program or its definition, and what cannot be scored."""
 
+import copy
 import functools
 import json
 import shutil
@@ -8,6 +9,7 @@ from dataclasses import replace
 import biotite.structure
 import mdtraj
 import numpy as np
+import openmm
 import pandas as pd
 import pytest
 from fixtures.command_line import refusal, run
@@ -220,10 +222,14 @@ def test_sides_that_make_no_sense_are_refused(first, second, said):
         pc.score_interface(load("3i40.pdb"), first, second)
 
 
-def test_other_engines_are_refused():
+def test_what_the_native_engine_cannot_compute_is_refused():
     s = load("3i40.pdb")
+    by_openmm = pc.energy(s, engine="openmm")
+    assert pc.score_interface(s, "A", "B", energy=by_openmm).scores == pc.score_interface(s, "A", "B").scores
+    held = copy.deepcopy(by_openmm.system)
+    held.addForce(openmm.CustomExternalForce("x^2"))
     with pytest.raises(pc.ProtochainError, match="by the native engine alone"):
-        pc.score_interface(s, "A", "B", energy=pc.energy(s, engine="openmm"))
+        pc.score_interface(s, "A", "B", energy=pc.energy(s, system=held))
 
 
 def test_chains_in_contact_are_found_in_their_order():

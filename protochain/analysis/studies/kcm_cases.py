@@ -21,7 +21,7 @@ from typing import Any
 import gemmi
 import numpy as np
 
-from protochain.articulate import as_chain, build_chain
+from protochain.articulate import build_chain
 from protochain.chain import Chain, pose
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError, StrayWarning
@@ -406,7 +406,8 @@ def _by_openmm(start: Start, most: int) -> Found:
     raw = minimise_from(start, Minimisation(RECIPES["openmm"], tolerance=10.0, max_evaluations=most))
     if raw.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
-    polished = _polish(Start(as_chain(raw), start.energy), as_chain(raw).q0)
+    made = build_chain(raw)
+    polished = _polish(Start(made, start.energy), made.q0)
     rows = raw.trace[["evaluations", "energy_kj_mol"]].to_numpy()
     lowest = np.minimum.accumulate(rows[:, 1])
     return Found(

@@ -76,6 +76,7 @@ class NativeEnergy:
         """RMS errors of the forces in kJ/mol/nm: the first and the last that were measured."""
         self.system, self.atoms = by_openmm.system, by_openmm.atoms
         self.forcefield, self.solvent = by_openmm.forcefield, by_openmm.solvent
+        self.settings = by_openmm.settings
         self.threads = min(threads, MOST_THREADS)
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
