@@ -56,7 +56,7 @@ ENERGIES: Mapping[str, Mapping[str, Any]] = {
     "nonbonded": {"solvent": "vacuum", "terms": "nonbonded"},
 }  # fmt: skip
 """ff14SB with and without solvent, and its electrostatics and van der Waals alone, as of ProtoFold."""
-N_STARTS = 2
+N_STARTS = 1
 """Perturbed starts of each kind, beside the one that is not."""
 SPREAD: Mapping[str, float] = {"perturbed": 0.1, "extended": 0.5}
 """rad. Standard deviation of a dihedral: a folded chain soon overlaps."""
@@ -157,7 +157,7 @@ CONTROLS = {"half the step": "half", "another order of sums": "nudged"}
 
 
 def runs_of(n_residues: int, energy: str) -> tuple[str, ...]:
-    """Methods that are run of a structure; those that would not end in it are left out."""
+    """Methods that are run of a structure; those that would not end in it, or take hours, are left out."""
     wanted = {_base(name) for name in METHODS}
     if n_residues > SMALL or energy != "obc2":
         wanted = {"kcm-stiffness", "kcm-metric", "md-10", "lbfgs"}
@@ -165,7 +165,12 @@ def runs_of(n_residues: int, energy: str) -> tuple[str, ...]:
         wanted |= {"kcm-0.005", "kcm-adaptive", "md-1"}
     elif n_residues > TINY:
         wanted -= {"md-0.1", "md-100"}
-    return tuple(name for name in METHODS if _base(name) in wanted)
+    few = n_residues > SMALL
+    return tuple(
+        name
+        for name in METHODS
+        if _base(name) in wanted and not (few and name.endswith(("-nudged", "-fixed-half")))
+    )
 
 
 def _base(name: str) -> str:
@@ -221,7 +226,7 @@ def proteins(inputs: tuple[Path, ...]) -> list[tuple[str, str, bool]]:
 def cases(
     chosen: list[tuple[str, str, bool]], models: tuple[str, ...], energies: tuple[str, ...], n_starts: int
 ) -> list[tuple[Case, tuple[str, ...]]]:
-    """Starts of the study and their methods: first starts of the first model and energy first.
+    """Starts of the study and their methods: first starts of the first model first, small ones before large.
 
     Up to ``TINY`` residues there are other energies and models, of the first start.
     """
@@ -238,7 +243,7 @@ def cases(
             for seed, (m, model), (k, each) in product(seeds, enumerate(models), enumerate(energies)):
                 if m + k and (seed or (m and k) or structure.n_residues > TINY):
                     continue
-                order = (kind == "extended" and seed > 0, m + k, seed, structure.n_atoms)
+                order = (m + (kind == "extended" and seed > 0), structure.n_atoms * (1 + seed))
                 case = Case(name, source, is_file, model, each, kind, seed)
                 found.append((order, case, runs_of(structure.n_residues, each)))
     return [(case, methods) for _, case, methods in sorted(found, key=lambda each: each[0])]
