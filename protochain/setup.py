@@ -183,7 +183,9 @@ class Setup(Settings):
         metavar="NAME=SDF|MOL2|SMILES",
     )
     ligand_charges: str = setting(
-        "mmff94", "Partial charges of ligands: mmff94, gasteiger, or a file.", charges_of_ligands
+        defaults.LIGAND_CHARGES,
+        "Partial charges of ligands: nagl, mmff94, gasteiger, or a file.",
+        charges_of_ligands,
     )
     standard_residues: bool = setting(
         False, "Convert modified residues to their standard parents: SEP to SER.", flag, bool

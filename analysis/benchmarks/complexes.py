@@ -5,7 +5,7 @@
 poses: each crystal pose of a ligand, and two that were turned and shifted, in its protein, judged by
 PoseBusters before and after. `relax` moves the whole complex; the rival is the way of PoseBusters' paper
 (Buttenschoen, Morris, Deane, Chem. Sci. 15:3130, 2024): the protein stands still, the ligand moves in Sage
-(with MMFF94 charges, as here) and ff14SB in vacuum, by OpenMM's minimiser on the CPU platform until the RMS
+(with the same charges as here) and ff14SB in vacuum, by OpenMM's minimiser on the CPU platform until the RMS
 force is 10 kJ/mol/nm. Both begin from the same prepared structure, on two threads; seconds are from the file
 to the end.
 

@@ -287,7 +287,7 @@ def _pair(bond: Any, name: str) -> tuple[str, str]:
     raise refused(name, shown(bond), "give chain:number-chain:number, as A:3-A:40")
 
 
-CHARGE_RULES = ("mmff94", "gasteiger")
+CHARGE_RULES = ("nagl", "mmff94", "gasteiger")
 """Ways to the charges of ligands, beside a file."""
 
 

@@ -20,6 +20,7 @@ HINGES = "phi psi chi"
 ROOT = "auto"
 MOVE = "all"
 PH = 7.0
+LIGAND_CHARGES = "nagl"  # what Sage 2.3.0, the force field of ligands, was fitted with
 KEEP = ("near",)
 """Molecules kept beside the protein as fixed obstacles: all but waters, if an atom is near the protein."""
 KEEP_WITHIN = 5.0  # angstrom from a heavy atom of the protein

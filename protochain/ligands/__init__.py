@@ -5,11 +5,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from protochain.core import defaults
 from protochain.core.arrays import Floats, Value, floats
 from protochain.core.checks import CHARGE_RULES, acidity, checked, file_name, optional, path, text
 from protochain.core.errors import Argument, StructureError
 from protochain.ligands import charges as charging
-from protochain.ligands import energy, smirnoff
+from protochain.ligands import energy, nagl, smirnoff
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import Charged, at_ph
 from protochain.ligands.sources import read
@@ -29,11 +30,14 @@ class Ligand(Value):
         Arrays of its energy.
     charged : tuple of Charged
         Atoms whose formal charge the pH changed.
+    outside : tuple of str
+        Atoms outside the domain of NAGL's model; if there are any, MMFF94's charges take the place of its.
     """
 
     molecule: Molecule
     parameters: energy.Parameters
     charged: tuple[Charged, ...] = ()
+    outside: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         of = self.molecule
@@ -74,7 +78,7 @@ def _file_or_smiles(value: Any, name: str) -> str | Path:
 @checked(molecule=_file_or_smiles, charges=file_name, forcefield=optional(path), ph=optional(acidity))
 def ligand(
     molecule: str | Path,
-    charges: str | Path = "mmff94",
+    charges: str | Path = defaults.LIGAND_CHARGES,
     forcefield: str | Path | None = None,
     ph: float | None = None,
 ) -> Ligand:
@@ -87,10 +91,13 @@ def ligand(
     molecule : str or path-like
         An SDF or MOL2 file with one molecule, or SMILES. RDKit adds hydrogens that lack.
     charges : str or path-like
-        ``mmff94`` [1]_, ``gasteiger``, or a file: MOL2 with the same atoms in the same order, or a line with
+        ``nagl``, AM1-BCC charges by OpenFF's graph network [1]_, or, outside its domain, the next;
+        ``mmff94`` [2]_; ``gasteiger``; or a file: MOL2 with the same atoms in the same order, or a line with
         name and charge of each atom. They sum to the formal charge; what rounding leaves is spread over all.
     forcefield : path-like, optional
-        An .offxml file [2]_. By default Sage 2.2.1 without constraints [3]_, which comes with the package.
+        An .offxml file [3]_. Sage without constraints [4]_ comes with the package:
+        ``openff_unconstrained-2.3.0.offxml``, the default, was fitted with ``nagl``;
+        ``openff_unconstrained-2.2.1.offxml`` is the default with ``mmff94`` and ``gasteiger``.
     ph : float, optional
         Acids and bases get the charges that are most populated at this pH. By default they are as given.
 
@@ -109,9 +116,10 @@ def ligand(
 
     References
     ----------
-    .. [1] Halgren, J. Comput. Chem. 17:490 (1996).
-    .. [2] SMIRNOFF: Mobley et al., J. Chem. Theory Comput. 14:6076 (2018).
-    .. [3] Boothroyd et al., J. Chem. Theory Comput. 19:3251 (2023).
+    .. [1] openff-gnn-am1bcc-1.0.0 of OpenFF NAGL, doi:10.5281/zenodo.15770227.
+    .. [2] Halgren, J. Comput. Chem. 17:490 (1996).
+    .. [3] SMIRNOFF: Mobley et al., J. Chem. Theory Comput. 14:6076 (2018).
+    .. [4] Boothroyd et al., J. Chem. Theory Comput. 19:3251 (2023).
 
     Examples
     --------
@@ -124,16 +132,18 @@ def ligand(
 
 def parametrised(
     molecule: Molecule,
-    charges: str | Path = "mmff94",
+    charges: str | Path = defaults.LIGAND_CHARGES,
     forcefield: str | Path | None = None,
     charged: tuple[Charged, ...] = (),
 ) -> Ligand:
     """Give a molecule its parameters; arguments as for :func:`ligand`."""
     by_rule = charges in CHARGE_RULES
+    outside = nagl.outside(molecule) if charges == "nagl" else ()
     found = (
-        partial(charging.by_rule, rule=str(charges))
+        partial(charging.by_rule, rule="mmff94" if outside else str(charges))
         if by_rule
         else partial(charging.from_file, path=Path(charges))
     )
-    rules = smirnoff.read(smirnoff.SAGE if forcefield is None else Path(forcefield))
-    return Ligand(molecule, smirnoff.parametrised(molecule, rules, found, not by_rule), charged)
+    by_default = smirnoff.SAGE_2_2 if by_rule and charges != "nagl" else smirnoff.SAGE_2_3
+    rules = smirnoff.read(by_default if forcefield is None else Path(forcefield))
+    return Ligand(molecule, smirnoff.parametrised(molecule, rules, found, not by_rule), charged, outside)

@@ -6,6 +6,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import Argument, ForceFieldError
+from protochain.ligands import nagl
 from protochain.ligands.molecule import Molecule, library, quietly, to_rdkit
 from protochain.ligands.sources import read, text_of
 
@@ -14,13 +15,15 @@ _ROUNDING = 0.01
 
 
 def by_rule(molecule: Molecule, rule: str) -> Floats:
-    """Charges by ``mmff94`` (Halgren, J. Comput. Chem. 17:490, 1996) or ``gasteiger``.
+    """Charges by ``nagl``, ``mmff94`` (Halgren, J. Comput. Chem. 17:490, 1996) or ``gasteiger``.
 
     Raises
     ------
     ForceFieldError
         If the rule does not know an atom.
     """
+    if rule == "nagl":
+        return _summed(molecule, nagl.charges(molecule), rule)
     chem, made = library("rdkit.Chem.AllChem"), to_rdkit(molecule)
     if rule == "mmff94":
         found = quietly(chem.MMFFGetMoleculeProperties, made)

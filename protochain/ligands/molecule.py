@@ -112,6 +112,14 @@ def to_rdkit(molecule: Molecule, positions: Floats | None = None) -> Any:
     return made
 
 
+def in_mdl_aromaticity(molecule: Molecule) -> Any:
+    """Return the molecule as RDKit's, with the aromaticity that patterns of SMIRNOFF mean."""
+    chem, made = library("rdkit.Chem"), to_rdkit(molecule)
+    chem.Kekulize(made, clearAromaticFlags=True)
+    chem.SetAromaticity(made, chem.AromaticityModel.AROMATICITY_MDL)
+    return made
+
+
 def assembled(
     names: Sequence[str], elements: Any, charges: Any, bonds: Any, orders: Any, positions: Floats | None
 ) -> Any:

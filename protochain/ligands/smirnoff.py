@@ -18,12 +18,14 @@ from protochain.core.errors import Argument, ForceFieldError
 from protochain.core.graph import neighbours
 from protochain.core.storage import regular
 from protochain.ligands.energy import Parameters, Term
-from protochain.ligands.molecule import Molecule, library, quietly, to_rdkit
+from protochain.ligands.molecule import Molecule, in_mdl_aromaticity, library, quietly
 
-SAGE = Path(__file__).with_name("openff_unconstrained-2.2.1.offxml")
-"""Sage 2.2.1: Boothroyd et al., J. Chem. Theory Comput. 19:3251 (2023). CC BY 4.0, see NOTICE."""
+SAGE_2_2, SAGE_2_3 = (
+    Path(__file__).with_name(f"openff_unconstrained-{version}.offxml") for version in ("2.2.1", "2.3.0")
+)
+"""Sage: Boothroyd et al., J. Chem. Theory Comput. 19:3251 (2023). CC BY 4.0, see NOTICE."""
 _LARGEST = 10_000_000
-"""Bytes. Sage has 80 000."""
+"""Bytes. Sage has 100 000."""
 _MOST_MATCHES = 1_000_000
 _LENGTH, _SPRING, _PER_ANGLE, _ENERGY, _ANGLE = (1, 0, 0), (-2, 1, -1), (0, 1, -1), (0, 1, -1), (0, 0, 0)
 """Powers of length, energy and mole. Angles have no dimension."""
@@ -74,13 +76,15 @@ class ForceField(Value):
 
 
 def read(path: Path) -> ForceField:
-    """Read an .offxml file.
+    """Read an .offxml file, or one that comes with the package, by its name.
 
     Raises
     ------
     ForceFieldError
         Naming the file and the place.
     """
+    if not path.exists() and str(path) in (SAGE_2_2.name, SAGE_2_3.name):
+        path = SAGE_2_2.with_name(path.name)
     root = _root(path)
     if root.tag != "SMIRNOFF":
         raise ForceFieldError(f"{path}: is no SMIRNOFF force field; give an .offxml file")
@@ -155,9 +159,7 @@ class _Typing:
     def __init__(self, molecule: Molecule, force_field: ForceField) -> None:
         self.molecule, self.force_field = molecule, force_field
         self.chem = library("rdkit.Chem")
-        self.made = to_rdkit(molecule)
-        self.chem.Kekulize(self.made, clearAromaticFlags=True)
-        self.chem.SetAromaticity(self.made, self.chem.AromaticityModel.AROMATICITY_MDL)
+        self.made = in_mdl_aromaticity(molecule)
         self.near = neighbours(molecule.bonds, molecule.n_atoms)
 
     def of(self, section: str, key: Callable[[Atoms], Atoms], wanted: Iterable[Atoms]) -> dict[Atoms, Rule]:

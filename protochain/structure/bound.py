@@ -51,7 +51,7 @@ class Chemistry:
     """
 
     sources: tuple[LigandSource, ...] = ()
-    charges: str = "mmff94"
+    charges: str = defaults.LIGAND_CHARGES
     ph: float = defaults.PH
     has_glycam: bool = True
 
@@ -242,6 +242,8 @@ def take_up(draft: Draft, ph: float) -> None:
         for each in member.atoms:
             each.charge = charge.get(each.name, 0)
         draft.note(Kind.BOUND, residue=its, source=molecule.source, charge=f"{molecule.charge:+d}")
+        if part.ligand.outside:
+            draft.note(Kind.CHARGES_OF_MMFF94, residue=its, atoms=part.ligand.outside)
         if part.ligand.charged:
             atoms = tuple(f"{each.atom} {each.after:+d}" for each in part.ligand.charged)
             draft.note(Kind.CHARGED, residue=its, ph=ph, atoms=atoms)

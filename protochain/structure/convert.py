@@ -70,7 +70,7 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     disulfide = settings.pop("disulfide", None)
     settings.setdefault("keep", defaults.KEEP)
     acidity(ph, "ph")
-    given, charges = settings.pop("ligands", ()), settings.pop("ligand_charges", "mmff94")
+    given, charges = settings.pop("ligands", ()), settings.pop("ligand_charges", defaults.LIGAND_CHARGES)
     settings["chemistry"] = Chemistry.asked(given, charges, ph, parts_of(parts))
     draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
     return prepare(draft, disulfide, ph, forcefield)

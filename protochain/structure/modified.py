@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import gemmi
 
+from protochain.core import defaults
 from protochain.core.checks import CHARGE_RULES
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.ligands import Ligand, parametrised
@@ -30,7 +31,7 @@ def settle(part: Part, i: int, chemistry: Chemistry) -> Why | None:
     try:
         ligand = _capped(
             member.name,
-            chemistry.charges if chemistry.charges in CHARGE_RULES else CHARGE_RULES[0],
+            chemistry.charges if chemistry.charges in CHARGE_RULES else defaults.LIGAND_CHARGES,
             chemistry.ph,
         )
     except (ProtochainError, ValueError):  # RDKit's, of rings that it cannot kekulize once charged.

@@ -62,7 +62,7 @@ def load(
     forcefield: str | Path | None = None,
     chains: str | Sequence[str] = (),
     ligands: Mapping[str, str | Path] | str | Path | Sequence[str | Path] = (),
-    ligand_charges: str | Path = "mmff94",
+    ligand_charges: str | Path = defaults.LIGAND_CHARGES,
     standard_residues: bool = False,
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.

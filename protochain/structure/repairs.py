@@ -155,6 +155,9 @@ class Kind(Enum):
         "kept, with the force field of small molecules for its side chain: chemistry of {source}, charge "
         "{charge}",
     )
+    CHARGES_OF_MMFF94 = Words(
+        "{residue}: partial charges of MMFF94: {atoms:8} are outside the domain of NAGL's model"
+    )
     CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
     INVERTED = Words("{residue}: of the other hand than in its source: {atoms}", rank=Rank.LOSS)
     MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")

@@ -27,7 +27,7 @@ PLAIN = {
     "model": None,
     "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (), "ligands": (),
-    "ligand_charges": "mmff94", "standard_residues": False,
+    "ligand_charges": "nagl", "standard_residues": False,
 }  # fmt: skip
 """All settings of a minimisation by name, at their defaults."""
 

@@ -32,7 +32,7 @@ SETUP = {
     "terms": "all", "model": None,
     "chains": None, "altloc": "",
     "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
-    "ligands": None, "ligand_charges": "mmff94", "standard_residues": False,
+    "ligands": None, "ligand_charges": "nagl", "standard_residues": False,
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
 OWN = {**RUN, "tolerance": None}

@@ -7,6 +7,7 @@ import numpy as np
 import openmm
 import pytest
 from fixtures.samples import ROOT, STRUCTURES
+from fixtures.tolerances import NAGL_COULOMB
 
 import protochain as pc
 
@@ -26,7 +27,13 @@ TERMS = {
     "1N2J_PAF": (14.29148391, 9.046005779, 18.01814654, 47.68739406, 322.9680027),
     "1MEH_MOA": (45.15037238, 49.81081641, 69.86623456, 33.22971687, -203.473102),
 }
-"""Of the Open Force Field toolkit 0.18, interchange 0.5 and OpenMM's Reference platform."""
+"""MMFF94 charges, Sage 2.2.1: of the Open Force Field toolkit 0.18, interchange 0.5, OpenMM's Reference."""
+BY_DEFAULT = {
+    "1P2Y_NCT": (3.379473350, 40.67481304, 53.53835041, 43.98869036, -100.4495149),
+    "1N2J_PAF": (17.84406260, 9.175586721, 6.433687828, 47.27504277, 312.6972054),
+    "1MEH_MOA": (57.16190160, 76.21068828, 66.05277898, 35.70683857, -355.6716587),
+}
+"""The same of Sage 2.3.0 and NAGL's charges, by openff-nagl 0.5.5."""
 NAMES = ("bonds", "angles", "torsions", "lj", "coulomb")
 
 
@@ -36,9 +43,22 @@ def file(name):
 
 @pytest.mark.parametrize("name", TERMS)
 def test_terms_are_those_of_the_toolkit(name):
-    found = pc.ligand(file(name)).terms()
+    found = pc.ligand(file(name), charges="mmff94").terms()
     assert tuple(found) == NAMES
     assert list(found.values()) == pytest.approx(TERMS[name], abs=KJ_MOL, rel=0)
+    found = pc.ligand(file(name)).terms()
+    assert list(found.values())[:4] == pytest.approx(BY_DEFAULT[name][:4], abs=KJ_MOL, rel=0)
+    assert found["coulomb"] == pytest.approx(BY_DEFAULT[name][4], abs=NAGL_COULOMB)
+
+
+def test_a_force_field_of_the_package_is_taken_by_its_name():
+    named = [
+        pc.ligand("CCO", "mmff94", each.name).parameters for each in (smirnoff.SAGE_2_2, smirnoff.SAGE_2_3)
+    ]
+    default = [pc.ligand("CCO", each).parameters for each in ("mmff94", "nagl")]
+    for one, other in zip(named, default, strict=True):
+        assert np.array_equal(one.bonds.parameters, other.bonds.parameters)
+    assert not np.array_equal(default[0].bonds.parameters, default[1].bonds.parameters)
 
 
 @pytest.mark.skipif(not COMPLEXES.exists(), reason="needs ../shared/complexes")
@@ -47,7 +67,7 @@ def test_terms_are_those_of_the_toolkit_for_all_74():
         rows = list(csv.DictReader(lines))
     assert len(rows) == 74
     for row in rows:
-        made = pc.ligand(COMPLEXES / "ligands" / f"{row['ligand']}.sdf")
+        made = pc.ligand(COMPLEXES / "ligands" / f"{row['ligand']}.sdf", charges="mmff94")
         assert (made.molecule.n_atoms, made.molecule.charge) == (int(row["n_atoms"]), int(row["charge"]))
         for name, value in made.terms().items():
             assert value == pytest.approx(float(row[name]), abs=KJ_MOL, rel=0), (row["ligand"], name)
@@ -93,7 +113,7 @@ def test_terms_are_those_of_openmm(name):
 
 def test_the_last_rule_that_fits_wins(tmp_path):
     """A longer bond for all C-C, told last, is taken; told first, it is not."""
-    text = smirnoff.SAGE.read_text()
+    text = smirnoff.SAGE_2_3.read_text()
     spring = "1 * kilocalories_per_mole/angstrom**2"
     rule = f'<Bond smirks="[#6:1]-[#6:2]" id="x" length="2 * angstroms" k="{spring}"/>'
     start = re.search("<Bonds [^>]*>", text)[0]
@@ -109,7 +129,7 @@ def test_the_last_rule_that_fits_wins(tmp_path):
 
 def test_an_improper_is_shared_among_three():
     """Formaldehyde: one centre, Sage's i1 with a third of its barrier each, the oxygen once last."""
-    made = pc.ligand("C=O").parameters.torsions
+    made = pc.ligand("C=O", "mmff94").parameters.torsions
     assert made.atoms[:, 0].tolist() == [0, 0, 0] and sorted(made.atoms[:, 3].tolist()) == [1, 2, 3]
     assert made.parameters == pytest.approx(np.tile([2, np.pi, 5.300125669502 * 4.184 / 3], (3, 1)))
 
@@ -307,7 +327,7 @@ def test_bad_files_are_refused_in_one_line(tmp_path):
 
 
 def test_bad_force_fields_are_refused_in_one_line(tmp_path):
-    text, path = smirnoff.SAGE.read_text(), tmp_path / "bad.offxml"
+    text, path = smirnoff.SAGE_2_2.read_text(), tmp_path / "bad.offxml"
     entity = '<!DOCTYPE x [<!ENTITY a "a">]>'
     for bad, said in (
         ("no xml", "is no XML"),

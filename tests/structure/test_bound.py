@@ -184,6 +184,14 @@ def test_methods_move_it_torsions_as_a_rigid_body(tmp_path):
         assert same == rigid
 
 
+def test_charges_of_another_model_are_named(tmp_path):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, "OP(=O)(O)I"))
+    (noted,) = [each for each in s.repairs if each.kind is Kind.CHARGES_OF_MMFF94]
+    assert noted.facts["atoms"] == ("P1", "I1") and "P1" in str(noted)
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, "OP(=O)(O)I"), ligand_charges="mmff94")
+    assert s.ligands and Kind.CHARGES_OF_MMFF94 not in kinds(s)
+
+
 def test_what_no_source_knows_stays_in_place_and_says_what_to_give(tmp_path):
     s = pc.load(beside(tmp_path, embedded("CC(=O)OC"), "ZZ9"), keep="all")
     (told,) = [each for each in s.repairs if each.kind is Kind.STAYS_UNKNOWN]
