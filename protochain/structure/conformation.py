@@ -75,6 +75,25 @@ def without_nan(model: gemmi.Model) -> int:
     return n
 
 
+def without_deuterium(model: gemmi.Model) -> int:
+    """Make hydrogens of the deuterium atoms of a model, by element and name, and return how many there are.
+
+    Parameters
+    ----------
+    model : gemmi.Model
+        Changed in place.
+    """
+    heavy = [place for place in model.all() if place.atom.element.name == "D"]
+    for place in heavy:
+        place.atom.element = gemmi.Element("H")
+        name = place.atom.name.replace("D", "H", 1)
+        namesakes = [atom for atom in place.residue if atom.name == name]
+        # Of a hydrogen and a deuterium on one place each is an alternate location.
+        if all(each.has_altloc() and each.altloc != place.atom.altloc for each in namesakes):
+            place.atom.name = name
+    return len(heavy)
+
+
 def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
     """Choose the alternate that is asked for, or that of highest occupancy (the first of equals)."""
     weights: dict[tuple[int, str], list[float]] = {}

@@ -20,7 +20,14 @@ from protochain.structure.apart import refuse_crowds
 from protochain.structure.bound import AS_KNOWN, Chemistry, pose
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model
-from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place, without_nan
+from protochain.structure.conformation import (
+    Conformation,
+    check_altloc,
+    likeliest,
+    same_place,
+    without_deuterium,
+    without_nan,
+)
 from protochain.structure.draft import Address, Draft, Member, Part, losses
 from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, split_name
 from protochain.structure.header import take_header
@@ -136,6 +143,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     check_altloc(model, reading.altloc, draft.source)
     if atoms := without_nan(model):
         draft.note(Kind.NOT_A_NUMBER, count=atoms)
+    if atoms := without_deuterium(model):
+        draft.note(Kind.DEUTERIUM, count=atoms)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
@@ -157,8 +166,6 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         remedy = "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
         raise StructureError(f"{draft.source}: no protein found{found and f', only {found}'}; {remedy}")
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
-    if deuterium := draft.left_out["deuterium atoms"]:
-        draft.note(Kind.DEUTERIUM, count=deuterium)
     # As in a file written of it, where chains are whole: protein chains come first.
     order = list(dict.fromkeys(part.chain_id for part in draft.parts))
     beside.sort(
@@ -300,8 +307,7 @@ class _Reader:
         if name in residues.STANDARD or name in residues.CAPS:
             for atom in residue:
                 atom.element = _element(atom)
-        atoms = [atom for atom in residue if atom.element != gemmi.Element("D")]
-        self.draft.left_out["deuterium atoms"] += len(residue) - len(atoms)
+        atoms = [*residue]
         backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
         for atom in atoms if backbone else ():
             # Without columns of elements gemmi knows none for 1HB of a modified residue.
@@ -480,8 +486,8 @@ _TO_PARENT = Kind.CUT_TO_PARENT, Kind.CONVERTED
 def _element(atom: gemmi.Atom) -> gemmi.Element:
     """Element by the atom's name where it contradicts the element read: CHARMM puts HD1 in columns 13-15."""
     letter = atom.name.lstrip("0123456789")[:1]
-    known = atom.element.name in ("C", "H", "D", "N", "O", "S") and atom.element.name == letter
-    return atom.element if known or letter not in "CHDNOS" or not letter else gemmi.Element(letter)
+    known = atom.element.name in ("C", "H", "N", "O", "S") and atom.element.name == letter
+    return atom.element if known or letter not in "CHNOS" or not letter else gemmi.Element(letter)
 
 
 def standard_parent(name: str) -> str:

@@ -71,7 +71,7 @@ class Kind(Enum):
         rank=Rank.LOSS,
     )
     # Of what is taken.
-    DEUTERIUM = Words("{count} deuterium atoms left out", rank=Rank.LEFT_OUT)
+    DEUTERIUM = Words("{count:n deuterium atom} taken as hydrogen")
     ALTERNATES = Words(
         "{residue}: alternate location {taken} kept (occupancy {occupancy:.2f}), {others} left out",
         "alternate locations left out",
@@ -198,6 +198,12 @@ class Kind(Enum):
     )
     # Hydrogens.
     USUAL_STATE = Words("{residue}: kept in its usual state: the force field has no terminal {state}")
+    NO_PARTNER = Words(
+        "{residue}: called {name} in the file, without a disulfide bond: taken as {residue.name}"
+    )
+    RING_TURNED = Words(
+        "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
+    )
     STATE_CHOSEN = Words("{residue} taken as {state}")
     STRANGE_HYDROGENS = Words(
         "{residue}: {count} hydrogens left out: they do not belong to its state",
@@ -267,12 +273,14 @@ class Why(StrEnum):
     BACKBONE = "an atom of its backbone is missing"
     CAP = "a cap that is not at the end of a chain"
     ELEMENT = "its element is unknown"
+    CHARGE = "the charge of this ion is unknown; give it in the file"
+    DUMMY = "a dummy atom of a membrane"
     FAR = f"it is further than {defaults.KEEP_WITHIN:g} angstrom from the protein"
 
     @property
     def is_of_whole(self) -> bool:
         """Whether nothing stays of the residue."""
-        return self in (Why.BACKBONE, Why.CAP, Why.ELEMENT, Why.FAR)
+        return self in (Why.BACKBONE, Why.CAP, Why.ELEMENT, Why.CHARGE, Why.DUMMY, Why.FAR)
 
 
 @dataclass(frozen=True)
