@@ -25,8 +25,8 @@ TAUTOMERS = {"HID": "ND1", "HIE": "NE2"}
 """The nitrogen that has the hydrogen; of equal ones the first is taken."""
 _TAKEN = 0.75
 """What the bond of a hydroxyl or water to a nitrogen counts, which may turn elsewhere."""
-_EVIDENCE = 1.5
-"""What a ring must gain to be turned: two hydrogen bonds. Maps of density seldom tell N from C."""
+_EVIDENCE = 2.5
+"""What a ring must gain to be turned, as by three hydrogen bonds: only if the file is clearly wrong."""
 
 
 @dataclass(frozen=True, eq=False)

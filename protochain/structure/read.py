@@ -5,6 +5,7 @@ raises an error of one line.
 """
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import (
     Conformation,
+    agreed,
     check_altloc,
     likeliest,
     same_place,
@@ -153,9 +155,21 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     ] + _of_serials(structure, model)
     beside: list[Candidate] = []
     unknown: list[Member] = []
-    for chain in choose_chains(draft, model, reading.chains):
-        reader = _Reader(draft, reading, chain.name, beside)
-        reader.take(chain)
+    chains = choose_chains(draft, model, reading.chains)
+    places = [(chain.name, group) for chain in chains for group in same_place(chain)]
+    letters, gives_way = agreed([group for _, group in places], reading.altloc)
+    of_chain: dict[str, list[tuple[list[gemmi.Residue], str]]] = {chain.name: [] for chain in chains}
+    for k, (name, group) in enumerate(places):
+        if k not in gives_way:
+            of_chain[name].append((group, letters[k]))
+            continue
+        draft.left_out["alternate locations"] += 1
+        its, other = (_in_file(places[each][0], places[each][1][0]) for each in (k, gives_way[k]))
+        if not group[0].is_water():
+            draft.note(Kind.EXCLUDED, residue=its, other=other, occupancy=group[0][0].occ)
+    for name, mine in of_chain.items():
+        reader = _Reader(draft, reading, name, beside)
+        reader.take(mine)
         unknown += reader.refused
     if unknown:
         raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
@@ -214,6 +228,10 @@ def _unknown_told(draft: Draft, unknown: list[Member]) -> tuple[str | Argument, 
     )
 
 
+def _in_file(chain: str, residue: gemmi.Residue) -> residues.Residue:
+    return residues.Residue(chain, str(residue.seqid).strip(), residue.name)
+
+
 def _address(place: gemmi.AtomAddress) -> Address:
     return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
 
@@ -243,11 +261,11 @@ class _Reader:
         self.unknown: set[int] = set()
         self.refused: list[Member] = []
 
-    def take(self, chain: gemmi.Chain) -> None:
-        """Add the protein of a chain and the molecules kept beside it."""
+    def take(self, places: Iterable[tuple[list[gemmi.Residue], str]]) -> None:
+        """Add the protein of a chain and the molecules kept beside it, of places with their letters."""
         run: list[Member] = []
-        for group in same_place(chain):
-            found = likeliest(group, self.reading.altloc)
+        for group, letter in places:
+            found = likeliest(group, letter)
             self.notes: list[Repair] = []
             if self._is_protein(found.residue):
                 self._report_alternates(found)
@@ -269,9 +287,6 @@ class _Reader:
     def _chain(self) -> str:
         return self.chain_id or "(blank)"
 
-    def _in_file(self, residue: gemmi.Residue) -> residues.Residue:
-        return residues.Residue(self.chain_id, str(residue.seqid).strip(), residue.name)
-
     def _report_alternates(self, found: Conformation) -> None:
         self.draft.repairs += self._alternates(found)
         if found.others:
@@ -281,7 +296,7 @@ class _Reader:
 
     def _alternates(self, found: Conformation) -> list[Repair]:
         """Describe the choice among the alternate locations of a residue."""
-        facts: dict[str, Any] = {"residue": self._in_file(found.residue)}
+        facts: dict[str, Any] = {"residue": _in_file(self.chain_id, found.residue)}
         if found.others:
             facts |= {"taken": found.altloc, "occupancy": found.occupancy, "others": tuple(found.others)}
             return [Repair(Kind.ALTERNATES, facts)]
@@ -319,7 +334,7 @@ class _Reader:
         )  # fmt: skip
         if state or (name in residues.STANDARD and given[-3:] in residues.LINKED):
             kind = Kind.STATE_NAMED if state else Kind.RENAMED
-            self.draft.note(kind, residue=self._in_file(residue), name=name, state=state)
+            self.draft.note(kind, residue=_in_file(self.chain_id, residue), name=name, state=state)
         if name in residues.STANDARD or name in residues.CAPS:
             if member.is_cap:
                 rename(member.atoms, self.known[template_name(name)])

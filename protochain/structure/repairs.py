@@ -77,6 +77,10 @@ class Kind(Enum):
         "alternate locations left out",
         Rank.LOSS,
     )
+    EXCLUDED = Words(
+        "{residue}: left out (occupancy {occupancy:.2f}): an alternate of {other}, which lies upon it",
+        rank=Rank.LOSS,
+    )
     REPEATED = Words(
         "{residue}: {atoms} given more than once; the first of each kept",
         "atoms given more than once, the first of each kept",
