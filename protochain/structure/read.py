@@ -18,6 +18,7 @@ from protochain.core.errors import Argument, OnlyAlphaError, StructureError
 from protochain.core.markup import counted, listed
 from protochain.structure import residues
 from protochain.structure.apart import refuse_crowds
+from protochain.structure.backbone import complete_backbone
 from protochain.structure.bound import AS_KNOWN, Chemistry, pose
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model
@@ -54,6 +55,8 @@ PEPTIDE_TORN = 3.0
 two chain ends do not come that near: C and N that are not bonded touch at 3.25."""
 _MOST_STRAYS = 10
 """Residues in a row that may stand in another place of the file than in the chain."""
+_UPON, _BESIDE = 0.01, 2.0
+"""Angstrom: atoms nearer than the first are in one place, those that are bonded nearer than the second."""
 SMALLEST_RING = 4
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
@@ -272,8 +275,13 @@ class _Reader:
             else:
                 self.notes = self._alternates(found)
             member = self._member(found.residue)
-            if member is not None and self._has_backbone(member):
+            if member is not None:
                 run.append(member)
+        built = [
+            complete_backbone(run, i) if member.name in residues.STANDARD else ""
+            for i, member in enumerate(run)
+        ]
+        run = [member for member, name in zip(run, built, strict=True) if self._has_backbone(member, name)]
         bare = [[atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap]
         if bare and all(bare):
             raise OnlyAlphaError(
@@ -323,6 +331,10 @@ class _Reader:
             for atom in residue:
                 atom.element = _element(atom)
         atoms = [*residue]
+        if name in residues.STANDARD and (nowhere := _nowhere(atoms)):
+            atoms = [atom for atom in atoms if atom not in nowhere]
+            names = tuple(atom.name for atom in nowhere)
+            self.draft.note(Kind.NO_PLACE, residue=_in_file(self.chain_id, residue), atoms=names)
         backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
         for atom in atoms if backbone else ():
             # Without columns of elements gemmi knows none for 1HB of a modified residue.
@@ -411,8 +423,9 @@ class _Reader:
             kind = Kind.MIRRORED_CUT if gone else Kind.MIRRORED
             self.draft.note(kind, lost, residue=residue, atoms=gone)
 
-    def _has_backbone(self, member: Member) -> bool:
-        missing = [name for name in residues.BACKBONE if not member.atom(name)]
+    def _has_backbone(self, member: Member, built: str) -> bool:
+        """Whether a residue has N, CA and C, one of which may have been built."""
+        missing = [name for name in residues.BACKBONE if name == built or not member.atom(name)]
         if member.is_cap or not missing or [atom.name for atom in member.atoms] == ["CA"]:
             return True
         if self.reading.strict:
@@ -420,6 +433,9 @@ class _Reader:
                 f"{self.draft.source}: {member}: atom {missing[0]} missing; "
                 "rebuild the backbone or remove the residue"
             )
+        if built:
+            self.draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=(built,))
+            return True
         lost = losses(member, member.atoms, Why.BACKBONE)
         self.draft.note(Kind.NO_BACKBONE, lost, residue=member.residue, atom=missing[0])
         self.draft.left_out["incomplete residues"] += 1
@@ -503,6 +519,18 @@ def _element(atom: gemmi.Atom) -> gemmi.Element:
     letter = atom.name.lstrip("0123456789")[:1]
     known = atom.element.name in ("C", "H", "N", "O", "S") and atom.element.name == letter
     return atom.element if known or letter not in "CHNOS" or not letter else gemmi.Element(letter)
+
+
+def _nowhere(atoms: list[gemmi.Atom]) -> list[gemmi.Atom]:
+    """Atoms of an amino acid that are upon its CA, or at the origin, where at most one could be: missing."""
+    origin = [atom for atom in atoms if atom.pos.length() < _UPON]
+    others = [atom for atom in atoms if atom not in origin]
+    if len(origin) == 1 and any(origin[0].pos.dist(atom.pos) < _BESIDE for atom in others):
+        origin = []
+    alpha = next((atom for atom in others if atom.name == "CA"), None)
+    return origin + [
+        atom for atom in others if alpha and atom is not alpha and atom.pos.dist(alpha.pos) < _UPON
+    ]
 
 
 def standard_parent(name: str) -> str:

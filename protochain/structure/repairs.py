@@ -88,6 +88,7 @@ class Kind(Enum):
     UNRESOLVED = Words("{count} atoms of zero occupancy kept, in {residues:1}")
     RENAMED = Words("{residue}: taken as {name}")
     STATE_NAMED = Words("{residue}: taken as {name} in protonation state {state}")
+    NO_PLACE = Words("{residue}: {atoms} at the origin or upon CA: taken as missing")
     SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
     CONVERTED = Words(
         "{residue}: converted to its standard parent {name}",
