@@ -18,7 +18,7 @@ import gemmi
 from protochain.core.errors import StructureError
 from protochain.core.markup import excerpt
 from protochain.core.storage import regular
-from protochain.structure.apart import chains_told_apart, told_apart
+from protochain.structure.apart import caps_told_apart, chains_told_apart, told_apart
 from protochain.structure.ions import name_ions
 from protochain.structure.records import of_cif, of_pdb
 from protochain.structure.repairs import Kind, Repair
@@ -118,6 +118,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
     number_atoms(structure)
     name_ions(structure)
+    caps_told_apart(structure)
     overlooked += chains_told_apart(structure)
     structure.merge_chain_parts()
     _without_oddities(structure)
