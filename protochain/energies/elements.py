@@ -52,6 +52,12 @@ _UFF = {
 """Distance of the minimum (angstrom) and well depth (kcal/mol) of the universal force field: Rappe, Casewit,
 Colwell, Goddard, Skiff, J. Am. Chem. Soc. 114:10024 (1992), table 1."""
 _UNLISTED = (3.4, 0.1)
+_MONOVALENT = {
+    ("Cu", 1): (0.2139939, 0.0046986), ("Ag", 1): (0.2389390, 0.0342432), ("Tl", 1): (0.3034401, 0.5866722),
+}  # fmt: skip
+"""Sigma (nm) and epsilon (kJ/mol) of ions that OpenMM's set for TIP3P lacks: Li, Song, Merz, J. Chem. Theory
+Comput. 11:1645 (2015), fitted to free energies of hydration. Those of OpenMM's set with two charges and more
+are of Li, Roberts, Chakravorty, Merz, J. Chem. Theory Comput. 9:2733 (2013)."""
 _KCAL = 4.184
 _TOUCHING = 0.4
 """nm. Obstacles nearer to one another than this do not interact: their distance never changes, and alternate
@@ -61,10 +67,11 @@ _DONATED, _RETAINED = 0.37, 0.26
 Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935, 2010)."""
 
 
-def lennard_jones(element: str) -> tuple[float, float]:
-    """Sigma (nm) and epsilon (kJ/mol) of an element."""
+def lennard_jones(element: str, charge: float = 0.0) -> tuple[float, float]:
+    """Sigma (nm) and epsilon (kJ/mol) of an element with a charge (e)."""
     minimum, depth = _UFF.get(element, _UNLISTED)
-    return 0.1 * minimum / 2.0 ** (1.0 / 6.0), _KCAL * depth
+    by_element = 0.1 * minimum / 2.0 ** (1.0 / 6.0), _KCAL * depth
+    return _MONOVALENT.get((element, round(charge)), by_element)
 
 
 def create_system(
@@ -87,7 +94,9 @@ def create_system(
     """
     small = {int(structure.atom_residue[each.atoms[0]]): each for each in structure.ligands}
     sugars = structure.glycans
-    topology, unknown = _recognised(force_field, structure, [*small, *sugars])
+    ions = _ions(structure, force_field)
+    topology, unknown = _recognised(force_field, structure, [*small, *sugars, *ions])
+    unknown = sorted({*unknown, *(r for r, name in ions.items() if not name)})
     _refuse_unknown_mobile(structure, unknown)
     _refuse_without_glycam(structure, force_field)
     linked = _linked(structure)
@@ -102,6 +111,7 @@ def create_system(
             _glycosylated(residues[r]) if bears_sugar else _variant(force_field, residues[r], atoms)
         )
     chosen |= {residues[r]: code for r, code in sugars.items()}
+    chosen |= {residues[r]: name for r, name in ions.items() if name}
     for bound in structure.modified:
         place = _place(structure, bound)
         residue = residues[int(structure.atom_residue[min(place)])]
@@ -118,6 +128,23 @@ def create_system(
     for force in _springs(structure.ties):
         system.addForce(force)
     return system
+
+
+def _ions(structure: Structure, force_field: app.ForceField) -> dict[int, str]:
+    """Template of each ion of one atom, of its element and charge; empty where the force field has none."""
+    known = {
+        (atom.element, round(atom.parameters.get("charge", 0.0))): template.name
+        for template in reversed(force_field._templates.values())
+        for atom in template.atoms
+        if len(template.atoms) == 1
+    }
+    count = np.bincount(structure.atom_residue)
+    alone = np.flatnonzero(structure.kept & (count[structure.atom_residue] == 1))
+    elements = [atom.element for atom in structure.topology.atoms()] if len(alone) else []
+    charge = structure.formal_charge
+    return {
+        int(structure.atom_residue[k]): known.get((elements[k], int(charge[k])), "") for k in alone.tolist()
+    }
 
 
 def _recognised(
@@ -222,7 +249,7 @@ def _register(
         symbol = a.element.symbol
         if its is None:
             charge = float(structure.formal_charge[a.index])
-            kind, pair = f"by-element-{symbol}{charge:+g}", lennard_jones(symbol)
+            kind, pair = f"by-element-{symbol}{charge:+g}", lennard_jones(symbol, charge)
         else:
             i = place[a.index]
             charge, pair = float(its.charge[i]), (float(its.sigma[i]), float(its.epsilon[i]))

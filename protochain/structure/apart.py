@@ -54,6 +54,36 @@ def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
     return list(dict.fromkeys(renamed))  # Each model may have them.
 
 
+def caps_told_apart(structure: gemmi.Structure) -> None:
+    """Make residues of caps that CHARMM has within the first and last of a chain; changed in place."""
+    for chain in (chain for model in structure for chain in model):
+        for i in reversed(range(len(chain))):
+            there = {atom.name for atom in chain[i]}
+            for cap, (step, names) in _PATCHES.items():
+                if not {*names} <= there or there == {*names}:
+                    continue
+                made = gemmi.Residue()
+                made.name, made.subchain = cap, chain[i].subchain
+                made.seqid = gemmi.SeqId((chain[i].seqid.num or 0) + step, " ")
+                for k in reversed(range(len(chain[i]))):
+                    atom = chain[i][k]
+                    if atom.name in names or atom.name.startswith(_HYDROGENS[cap]):
+                        made.add_atom(atom, 0)
+                        made[0].name = names.get(atom.name, atom.name)
+                        del chain[i][k]
+                chain.add_residue(made, i + max(step, 0))
+                break
+
+
+_PATCHES = {
+    "ACE": (-1, {"CAY": "CH3", "CY": "C", "OY": "O"}),
+    "NME": (1, {"NT": "N", "CAT": "CH3"}),
+    "NH2": (1, {"NT": "N"}),
+}
+_HYDROGENS = {"ACE": ("HY",), "NME": ("HT", "HNT"), "NH2": ("HT",)}
+"""Caps of CHARMM (patches ACE, CT3 and CT2): number after that of their residue, heavy atoms, hydrogens."""
+
+
 def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
     """Refuse chains that lie upon others, as models that no MODEL record tells apart.
 

@@ -1,12 +1,23 @@
 """Choice among alternate locations: one conformation of each residue."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from math import dist, isfinite
+from typing import NamedTuple
 
 import gemmi
 import numpy as np
+from scipy.spatial import KDTree
 
 from protochain.core.errors import StructureError
+from protochain.core.graph import components
+
+_TOGETHER = 2.5
+"""Angstrom: alternates nearer than this belong together, as parts of a molecule, or exclude each other."""
+_UPON, _EXCLUDED = 1.0, 2.0
+"""Angstrom: atoms of two molecules nearer than this are not there at once, and ions further from others."""
+_WHOLE = "whole-"
+"""Letter of a molecule that is there in part, as all alternate locations are, but has none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,12 +47,102 @@ class Conformation:
 def same_place(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
     """Group copies of residues that share a number, the alternatives of microheterogeneity."""
     groups: list[list[gemmi.Residue]] = []
+    amino: dict[str, list[gemmi.Residue]] = {}
     for residue in map(gemmi.Residue.clone, chain):
-        if groups and groups[-1][0].seqid == residue.seqid and residue[0].has_altloc():
+        number, has_altloc = str(residue.seqid), residue[0].has_altloc()
+        if has_altloc and number in amino and residue.get_ca():
+            # Of two states, the first may be whole before the second begins.
+            amino[number].append(residue)
+        elif groups and groups[-1][0].seqid == residue.seqid and has_altloc:
             groups[-1].append(residue)
         else:
             groups.append([residue])
+            if has_altloc and residue.get_ca():
+                amino[number] = groups[-1]
     return groups
+
+
+class _Partial(NamedTuple):
+    """An atom that is there in one state: its place, letter, occupancy, and position (angstrom)."""
+
+    place: int
+    letter: str
+    occupancy: float
+    x: list[float]
+
+
+def agreed(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[list[str], dict[int, int]]:
+    """Choose one state of those places that touch, whatever their numbers and chains.
+
+    Places are connected where their alternates are as near as bonded atoms. Together they take the letter
+    that most of their molecules have, and of such letters that of highest occupancy (the first of equals).
+
+    Parameters
+    ----------
+    places : sequence of list of gemmi.Residue
+        Alternatives of each, as :func:`same_place` groups them.
+    asked : str
+        Preferred letter.
+
+    Returns
+    -------
+    list of str, dict of int to int
+        Preferred letter of each place; and which places are not there in this state, as another excludes
+        each: that one.
+    """
+    letters, gives_way = [asked] * len(places), dict[int, int]()
+    atoms = [atom for k, group in enumerate(places) for atom in _partial(k, group)]
+    if not atoms:
+        return letters, gives_way
+    touching = [
+        (atoms[i], atoms[j], length)
+        for i, j in KDTree([atom.x for atom in atoms]).query_pairs(_TOGETHER)
+        if atoms[i].place != atoms[j].place
+        and ((length := dist(atoms[i].x, atoms[j].x)) < _UPON or not _is_whole(atoms[i], atoms[j]))
+    ]
+    pairs = np.array([(a.place, b.place) for a, b, _ in touching], dtype=np.int64).reshape(-1, 2)
+    group = components(pairs, len(places))
+    for its in np.unique(group[pairs]).tolist():
+        mine = [atom for atom in atoms if group[atom.place] == its]
+        occupancies: dict[str, list[float]] = {}
+        having: dict[str, set[int]] = {}
+        for atom in mine:
+            occupancies.setdefault(atom.letter, []).append(atom.occupancy)
+            having.setdefault(atom.letter, set()).update(
+                [] if _is_water(places[atom.place]) else [atom.place]
+            )
+        rank = {each: (each == asked, len(having[each]), np.mean(occupancies[each])) for each in having}
+        for atom in mine:
+            letters[atom.place] = max(rank, key=rank.__getitem__)
+    there = {(atom.place, atom.letter) for atom in atoms}
+    for a, b, length in touching:
+        for first, second in ((a, b), (b, a)):
+            has, lacks = ((each.place, letters[each.place]) in there for each in (first, second))
+            if (
+                first.letter == letters[first.place] and has and not lacks
+                and length < (_EXCLUDED if len(places[second.place][0]) == 1 else _UPON)
+                and not places[second.place][0].get_ca()
+            ):  # fmt: skip
+                gives_way[second.place] = first.place
+    return letters, gives_way
+
+
+def _partial(place: int, group: list[gemmi.Residue]) -> Iterator[_Partial]:
+    """Heavy atoms of a place that another state lacks: all, of a molecule with part of the occupancy."""
+    heavy = [atom for residue in group for atom in residue if not atom.is_hydrogen()]
+    whole = not any(atom.has_altloc() for atom in heavy) and not group[0].get_ca()
+    for atom in heavy:
+        if atom.has_altloc() or (whole and 0.0 < atom.occ < 1.0):
+            letter = atom.altloc if atom.has_altloc() else f"{_WHOLE}{place}"
+            yield _Partial(place, letter, atom.occ, atom.pos.tolist())
+
+
+def _is_whole(*atoms: _Partial) -> bool:
+    return any(atom.letter.startswith(_WHOLE) for atom in atoms)
+
+
+def _is_water(group: list[gemmi.Residue]) -> bool:
+    return bool(group[0].is_water())
 
 
 def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
@@ -73,6 +174,25 @@ def without_nan(model: gemmi.Model) -> int:
             n += 1
             atom.occ, atom.b_iso = (value if isfinite(value) else 0.0 for value in (atom.occ, atom.b_iso))
     return n
+
+
+def without_deuterium(model: gemmi.Model) -> int:
+    """Make hydrogens of the deuterium atoms of a model, by element and name, and return how many there are.
+
+    Parameters
+    ----------
+    model : gemmi.Model
+        Changed in place.
+    """
+    heavy = [place for place in model.all() if place.atom.element.name == "D"]
+    for place in heavy:
+        place.atom.element = gemmi.Element("H")
+        name = place.atom.name.replace("D", "H", 1)
+        namesakes = [atom for atom in place.residue if atom.name == name]
+        # Of a hydrogen and a deuterium on one place each is an alternate location.
+        if all(each.has_altloc() and each.altloc != place.atom.altloc for each in namesakes):
+            place.atom.name = name
+    return len(heavy)
 
 
 def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:

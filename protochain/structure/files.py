@@ -18,7 +18,8 @@ import gemmi
 from protochain.core.errors import StructureError
 from protochain.core.markup import excerpt
 from protochain.core.storage import regular
-from protochain.structure.apart import chains_told_apart, told_apart
+from protochain.structure.apart import caps_told_apart, chains_told_apart, told_apart
+from protochain.structure.ions import name_ions
 from protochain.structure.records import of_cif, of_pdb
 from protochain.structure.repairs import Kind, Repair
 from protochain.structure.templates import standard_name
@@ -116,6 +117,8 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
         reason = excerpt(" ".join(str(error).replace("string:", "line ").split()))
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
     number_atoms(structure)
+    name_ions(structure)
+    caps_told_apart(structure)
     overlooked += chains_told_apart(structure)
     structure.merge_chain_parts()
     _without_oddities(structure)

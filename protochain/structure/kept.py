@@ -15,6 +15,7 @@ from protochain.core.graph import components
 from protochain.structure import glycans, residues
 from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry
 from protochain.structure.draft import Draft, Member, Part, losses
+from protochain.structure.ions import is_known
 from protochain.structure.recognise import by_element, recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.templates import Template
@@ -31,6 +32,8 @@ _LARGEST = 2000
 """Atoms of a molecule by element, none of which interact: memory grows with their square. The largest of the
 archive have some hundreds."""
 _NAMED = 20
+_DUMMY = "DUM"
+"""Residue that marks the faces of a membrane (OPM: Lomize et al., Nucleic Acids Res. 40:D370, 2012)."""
 
 
 @dataclass(eq=False)
@@ -107,7 +110,7 @@ def choose(
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
     _refuse_unknown_names(draft, candidates, [*chemistry.named], "ligand ")
-    usable = [candidate for candidate in candidates if _is_usable(candidate.member)]
+    usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
     near = _near(draft, usable) if "near" in keep else set()
     chosen = []
     gone: Counter[tuple[str, Why | None]] = Counter()
@@ -118,14 +121,12 @@ def choose(
         # A result names what it kept, which may have come further away.
         if id(candidate) in near or draft.says_of(candidate.member):
             words.add("near")
-        if (is_given or words & {*keep}) and _is_usable(candidate.member):
+        why = _why_unusable(candidate.member)
+        if (is_given or words & {*keep}) and not why:
             chosen.append(candidate)
             continue
         draft.absent.append(candidate.member)
-        why = None
-        if not _is_usable(candidate.member):
-            why = Why.ELEMENT
-        elif "near" in keep and candidate.kind != "water":
+        if not why and "near" in keep and candidate.kind != "water":
             why = Why.FAR
         if why:
             lost += losses(candidate.member, candidate.member.atoms, why)
@@ -154,9 +155,14 @@ def _refuse_unknown_names(
         )
 
 
-def _is_usable(member: Member) -> bool:
-    heavy = [atom for atom in member.atoms if not atom.is_hydrogen()]
-    return bool(heavy) and all(atom.element.atomic_number > 0 for atom in member.atoms)
+def _why_unusable(member: Member) -> Why | None:
+    if member.name == _DUMMY:
+        return Why.DUMMY
+    if not all(atom.element.atomic_number for atom in member.atoms) or all(
+        atom.is_hydrogen() for atom in member.atoms
+    ):
+        return Why.ELEMENT
+    return Why.CHARGE if len(member.atoms) == 1 and not is_known(member.atoms[0]) else None
 
 
 def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:

@@ -162,7 +162,12 @@ def prepare(
     take_up(draft, ph)
     # Before oxygens that the file lacks are added.
     refuse_crosslinks(draft)
-    given = {id(atom): atom for member in draft.members for atom in member.atoms}
+    given = {
+        id(atom): atom
+        for member in draft.members
+        for atom in member.atoms
+        if not draft.filed or place_in_file(atom) >= 0
+    }
     add_heavy_atoms(draft, known)
     bridges = disulfides(draft, wanted)
     done = protonate(draft, known, {id(member) for pair in bridges for member in pair}, ph)

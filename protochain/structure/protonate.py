@@ -4,20 +4,19 @@ from collections.abc import Mapping
 
 import gemmi
 import numpy as np
-from scipy.spatial import KDTree
 
 from protochain.structure import residues
 from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.histidines import settled
 from protochain.structure.repairs import Kind
 from protochain.structure.templates import Template, rename
 
 BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is dropped."""
-_HYDROGEN_BOND = 3.5
-"""Angstrom, donor to acceptor, as in OpenMM's Modeller."""
-_STRAIGHT = np.cos(np.deg2rad(50.0))
 _HYDROXYL = 1.3
 """Angstrom: a hydrogen nearer than this to an oxygen of a phosphate is bonded to it."""
+_BRIDGED = "CYX"
+"""What Amber calls half a disulfide."""
 _UNPLACED = [float("nan")] * 3
 
 
@@ -41,13 +40,27 @@ def protonate(
     list of (Member, Template)
         In order of the draft; each heavy atom of a member is followed by its hydrogens.
     """
-    acceptors = _Acceptors(draft)
+    shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _shown(m) for m in draft.members}
+    states = {id(m): shown[id(m)] or _at_ph(m, ph) for m in draft.members}
+    chosen, turned = settled(
+        (
+            member,
+            None
+            if member.name == "HIS" and not states[id(member)]
+            else part.template(known, i, states[id(member)]) or part.template(known, i),
+        )
+        for part in draft.parts
+        for i, member in enumerate(part.members)
+    )
+    states |= chosen
     done = []
     added = present = renamed = 0
     for part in draft.parts:
         for i, member in enumerate(part.members):
             before = sum(a.is_hydrogen() for a in member.atoms)
-            template = _template(draft, known, part, i, bridged, ph, acceptors)
+            if id(member) in turned:
+                draft.note(Kind.RING_TURNED, residue=member.residue)
+            template = _template(draft, known, part, i, shown[id(member)], states[id(member)])
             renamed += _match(draft, member, template)
             now = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
             present += min(before, now)
@@ -61,22 +74,15 @@ def protonate(
 
 
 def _template(
-    draft: Draft,
-    known: Mapping[str, Template],
-    part: Part,
-    i: int,
-    bridged: set[int],
-    ph: float,
-    acceptors: "_Acceptors",
+    draft: Draft, known: Mapping[str, Template], part: Part, i: int, shown: str, state: str
 ) -> Template:
+    """Template of a residue in a state that the file shows, or that was chosen; the repairs tell which."""
     member = part.members[i]
-    shown = "CYX" if id(member) in bridged else _free_pair(member) or _shown(member)
-    state = shown or _at_ph(member, ph)
-    if member.name == "HIS" and not state:
-        state = "HIE" if acceptors.prefer_epsilon(member) else "HID"
     template = part.template(known, i, state)
     usual = part.template(known, i)
     assert usual is not None
+    if member.given.endswith(_BRIDGED) and not shown:
+        draft.note(Kind.NO_PARTNER, residue=member.residue, name=member.given)
     if template is None:
         draft.note(Kind.USUAL_STATE, residue=member.residue, state=state)
     elif state and not shown:
@@ -179,36 +185,3 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
     if strange:
         draft.note(Kind.STRANGE_HYDROGENS, residue=member.residue, count=strange)
     return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)
-
-
-class _Acceptors:
-    """Oxygens and nitrogens to which a histidine may donate a hydrogen bond."""
-
-    def __init__(self, draft: Draft) -> None:
-        found = [
-            (a.pos.tolist(), id(member))
-            for member in draft.members
-            for a in member.atoms
-            if a.element.name in ("O", "N")
-        ]
-        self.x = np.array([x for x, _ in found]).reshape(-1, 3)
-        self.owner = [owner for _, owner in found]
-        self.tree = KDTree(self.x) if found else None
-
-    def prefer_epsilon(self, member: Member) -> bool:
-        """Whether NE2 can donate a hydrogen bond and ND1 cannot: the rule of OpenMM's Modeller."""
-        return self._bonds(member, "NE2", ("CD2", "CE1")) and not self._bonds(member, "ND1", ("CG", "CE1"))
-
-    def _bonds(self, member: Member, donor: str, beside: tuple[str, str]) -> bool:
-        atoms = [member.atom(name) for name in (donor, *beside)]
-        if self.tree is None or any(each is None for each in atoms):
-            return False
-        at, *others = (np.array(each.pos.tolist()) for each in atoms if each is not None)
-        out = 2 * at - sum(others)
-        out = out / max(float(np.linalg.norm(out)), 1e-9)
-        for k in self.tree.query_ball_point(at, _HYDROGEN_BOND):
-            if self.owner[k] != id(member):
-                way = self.x[k] - (at + out)
-                if way @ out > _STRAIGHT * np.linalg.norm(way):
-                    return True
-        return False

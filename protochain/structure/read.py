@@ -5,6 +5,7 @@ raises an error of one line.
 """
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,19 @@ from protochain.core.errors import Argument, OnlyAlphaError, StructureError
 from protochain.core.markup import counted, listed
 from protochain.structure import residues
 from protochain.structure.apart import refuse_crowds
+from protochain.structure.backbone import complete_backbone
 from protochain.structure.bound import AS_KNOWN, Chemistry, pose
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model
-from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place, without_nan
+from protochain.structure.conformation import (
+    Conformation,
+    agreed,
+    check_altloc,
+    likeliest,
+    same_place,
+    without_deuterium,
+    without_nan,
+)
 from protochain.structure.draft import Address, Draft, Member, Part, losses
 from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, split_name
 from protochain.structure.header import take_header
@@ -45,6 +55,8 @@ PEPTIDE_TORN = 3.0
 two chain ends do not come that near: C and N that are not bonded touch at 3.25."""
 _MOST_STRAYS = 10
 """Residues in a row that may stand in another place of the file than in the chain."""
+_UPON, _BESIDE = 0.01, 2.0
+"""Angstrom: atoms nearer than the first are in one place, those that are bonded nearer than the second."""
 SMALLEST_RING = 4
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
@@ -136,6 +148,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     check_altloc(model, reading.altloc, draft.source)
     if atoms := without_nan(model):
         draft.note(Kind.NOT_A_NUMBER, count=atoms)
+    if atoms := without_deuterium(model):
+        draft.note(Kind.DEUTERIUM, count=atoms)
     draft.stated = [
         (_address(bond.partner1), _address(bond.partner2))
         for bond in structure.connections
@@ -144,9 +158,21 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     ] + _of_serials(structure, model)
     beside: list[Candidate] = []
     unknown: list[Member] = []
-    for chain in choose_chains(draft, model, reading.chains):
-        reader = _Reader(draft, reading, chain.name, beside)
-        reader.take(chain)
+    chains = choose_chains(draft, model, reading.chains)
+    places = [(chain.name, group) for chain in chains for group in same_place(chain)]
+    letters, gives_way = agreed([group for _, group in places], reading.altloc)
+    of_chain: dict[str, list[tuple[list[gemmi.Residue], str]]] = {chain.name: [] for chain in chains}
+    for k, (name, group) in enumerate(places):
+        if k not in gives_way:
+            of_chain[name].append((group, letters[k]))
+            continue
+        draft.left_out["alternate locations"] += 1
+        its, other = (_in_file(places[each][0], places[each][1][0]) for each in (k, gives_way[k]))
+        if not group[0].is_water():
+            draft.note(Kind.EXCLUDED, residue=its, other=other, occupancy=group[0][0].occ)
+    for name, mine in of_chain.items():
+        reader = _Reader(draft, reading, name, beside)
+        reader.take(mine)
         unknown += reader.refused
     if unknown:
         raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
@@ -157,8 +183,6 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         remedy = "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
         raise StructureError(f"{draft.source}: no protein found{found and f', only {found}'}; {remedy}")
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
-    if deuterium := draft.left_out["deuterium atoms"]:
-        draft.note(Kind.DEUTERIUM, count=deuterium)
     # As in a file written of it, where chains are whole: protein chains come first.
     order = list(dict.fromkeys(part.chain_id for part in draft.parts))
     beside.sort(
@@ -207,6 +231,10 @@ def _unknown_told(draft: Draft, unknown: list[Member]) -> tuple[str | Argument, 
     )
 
 
+def _in_file(chain: str, residue: gemmi.Residue) -> residues.Residue:
+    return residues.Residue(chain, str(residue.seqid).strip(), residue.name)
+
+
 def _address(place: gemmi.AtomAddress) -> Address:
     return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
 
@@ -236,19 +264,24 @@ class _Reader:
         self.unknown: set[int] = set()
         self.refused: list[Member] = []
 
-    def take(self, chain: gemmi.Chain) -> None:
-        """Add the protein of a chain and the molecules kept beside it."""
+    def take(self, places: Iterable[tuple[list[gemmi.Residue], str]]) -> None:
+        """Add the protein of a chain and the molecules kept beside it, of places with their letters."""
         run: list[Member] = []
-        for group in same_place(chain):
-            found = likeliest(group, self.reading.altloc)
+        for group, letter in places:
+            found = likeliest(group, letter)
             self.notes: list[Repair] = []
             if self._is_protein(found.residue):
                 self._report_alternates(found)
             else:
                 self.notes = self._alternates(found)
             member = self._member(found.residue)
-            if member is not None and self._has_backbone(member):
+            if member is not None:
                 run.append(member)
+        built = [
+            complete_backbone(run, i) if member.name in residues.STANDARD else ""
+            for i, member in enumerate(run)
+        ]
+        run = [member for member, name in zip(run, built, strict=True) if self._has_backbone(member, name)]
         bare = [[atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap]
         if bare and all(bare):
             raise OnlyAlphaError(
@@ -262,9 +295,6 @@ class _Reader:
     def _chain(self) -> str:
         return self.chain_id or "(blank)"
 
-    def _in_file(self, residue: gemmi.Residue) -> residues.Residue:
-        return residues.Residue(self.chain_id, str(residue.seqid).strip(), residue.name)
-
     def _report_alternates(self, found: Conformation) -> None:
         self.draft.repairs += self._alternates(found)
         if found.others:
@@ -274,7 +304,7 @@ class _Reader:
 
     def _alternates(self, found: Conformation) -> list[Repair]:
         """Describe the choice among the alternate locations of a residue."""
-        facts: dict[str, Any] = {"residue": self._in_file(found.residue)}
+        facts: dict[str, Any] = {"residue": _in_file(self.chain_id, found.residue)}
         if found.others:
             facts |= {"taken": found.altloc, "occupancy": found.occupancy, "others": tuple(found.others)}
             return [Repair(Kind.ALTERNATES, facts)]
@@ -300,8 +330,11 @@ class _Reader:
         if name in residues.STANDARD or name in residues.CAPS:
             for atom in residue:
                 atom.element = _element(atom)
-        atoms = [atom for atom in residue if atom.element != gemmi.Element("D")]
-        self.draft.left_out["deuterium atoms"] += len(residue) - len(atoms)
+        atoms = [*residue]
+        if name in residues.STANDARD and (nowhere := _nowhere(atoms)):
+            atoms = [atom for atom in atoms if atom not in nowhere]
+            names = tuple(atom.name for atom in nowhere)
+            self.draft.note(Kind.NO_PLACE, residue=_in_file(self.chain_id, residue), atoms=names)
         backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
         for atom in atoms if backbone else ():
             # Without columns of elements gemmi knows none for 1HB of a modified residue.
@@ -313,7 +346,7 @@ class _Reader:
         )  # fmt: skip
         if state or (name in residues.STANDARD and given[-3:] in residues.LINKED):
             kind = Kind.STATE_NAMED if state else Kind.RENAMED
-            self.draft.note(kind, residue=self._in_file(residue), name=name, state=state)
+            self.draft.note(kind, residue=_in_file(self.chain_id, residue), name=name, state=state)
         if name in residues.STANDARD or name in residues.CAPS:
             if member.is_cap:
                 rename(member.atoms, self.known[template_name(name)])
@@ -390,8 +423,9 @@ class _Reader:
             kind = Kind.MIRRORED_CUT if gone else Kind.MIRRORED
             self.draft.note(kind, lost, residue=residue, atoms=gone)
 
-    def _has_backbone(self, member: Member) -> bool:
-        missing = [name for name in residues.BACKBONE if not member.atom(name)]
+    def _has_backbone(self, member: Member, built: str) -> bool:
+        """Whether a residue has N, CA and C, one of which may have been built."""
+        missing = [name for name in residues.BACKBONE if name == built or not member.atom(name)]
         if member.is_cap or not missing or [atom.name for atom in member.atoms] == ["CA"]:
             return True
         if self.reading.strict:
@@ -399,6 +433,9 @@ class _Reader:
                 f"{self.draft.source}: {member}: atom {missing[0]} missing; "
                 "rebuild the backbone or remove the residue"
             )
+        if built:
+            self.draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=(built,))
+            return True
         lost = losses(member, member.atoms, Why.BACKBONE)
         self.draft.note(Kind.NO_BACKBONE, lost, residue=member.residue, atom=missing[0])
         self.draft.left_out["incomplete residues"] += 1
@@ -480,8 +517,20 @@ _TO_PARENT = Kind.CUT_TO_PARENT, Kind.CONVERTED
 def _element(atom: gemmi.Atom) -> gemmi.Element:
     """Element by the atom's name where it contradicts the element read: CHARMM puts HD1 in columns 13-15."""
     letter = atom.name.lstrip("0123456789")[:1]
-    known = atom.element.name in ("C", "H", "D", "N", "O", "S") and atom.element.name == letter
-    return atom.element if known or letter not in "CHDNOS" or not letter else gemmi.Element(letter)
+    known = atom.element.name in ("C", "H", "N", "O", "S") and atom.element.name == letter
+    return atom.element if known or letter not in "CHNOS" or not letter else gemmi.Element(letter)
+
+
+def _nowhere(atoms: list[gemmi.Atom]) -> list[gemmi.Atom]:
+    """Atoms of an amino acid that are upon its CA, or at the origin, where at most one could be: missing."""
+    origin = [atom for atom in atoms if atom.pos.length() < _UPON]
+    others = [atom for atom in atoms if atom not in origin]
+    if len(origin) == 1 and any(origin[0].pos.dist(atom.pos) < _BESIDE for atom in others):
+        origin = []
+    alpha = next((atom for atom in others if atom.name == "CA"), None)
+    return origin + [
+        atom for atom in others if alpha and atom is not alpha and atom.pos.dist(alpha.pos) < _UPON
+    ]
 
 
 def standard_parent(name: str) -> str:

@@ -71,11 +71,15 @@ class Kind(Enum):
         rank=Rank.LOSS,
     )
     # Of what is taken.
-    DEUTERIUM = Words("{count} deuterium atoms left out", rank=Rank.LEFT_OUT)
+    DEUTERIUM = Words("{count:n deuterium atom} taken as hydrogen")
     ALTERNATES = Words(
         "{residue}: alternate location {taken} kept (occupancy {occupancy:.2f}), {others} left out",
         "alternate locations left out",
         Rank.LOSS,
+    )
+    EXCLUDED = Words(
+        "{residue}: left out (occupancy {occupancy:.2f}): an alternate of {other}, which lies upon it",
+        rank=Rank.LOSS,
     )
     REPEATED = Words(
         "{residue}: {atoms} given more than once; the first of each kept",
@@ -84,6 +88,7 @@ class Kind(Enum):
     UNRESOLVED = Words("{count} atoms of zero occupancy kept, in {residues:1}")
     RENAMED = Words("{residue}: taken as {name}")
     STATE_NAMED = Words("{residue}: taken as {name} in protonation state {state}")
+    NO_PLACE = Words("{residue}: {atoms} at the origin or upon CA: taken as missing")
     SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
     CONVERTED = Words(
         "{residue}: converted to its standard parent {name}",
@@ -201,6 +206,12 @@ class Kind(Enum):
     )
     # Hydrogens.
     USUAL_STATE = Words("{residue}: kept in its usual state: the force field has no terminal {state}")
+    NO_PARTNER = Words(
+        "{residue}: called {name} in the file, without a disulfide bond: taken as {residue.name}"
+    )
+    RING_TURNED = Words(
+        "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
+    )
     STATE_CHOSEN = Words("{residue} taken as {state}")
     STRANGE_HYDROGENS = Words(
         "{residue}: {count} hydrogens left out: they do not belong to its state",
@@ -270,12 +281,14 @@ class Why(StrEnum):
     BACKBONE = "an atom of its backbone is missing"
     CAP = "a cap that is not at the end of a chain"
     ELEMENT = "its element is unknown"
+    CHARGE = "the charge of this ion is unknown; give it in the file"
+    DUMMY = "a dummy atom of a membrane"
     FAR = f"it is further than {defaults.KEEP_WITHIN:g} angstrom from the protein"
 
     @property
     def is_of_whole(self) -> bool:
         """Whether nothing stays of the residue."""
-        return self in (Why.BACKBONE, Why.CAP, Why.ELEMENT, Why.FAR)
+        return self in (Why.BACKBONE, Why.CAP, Why.ELEMENT, Why.CHARGE, Why.DUMMY, Why.FAR)
 
 
 @dataclass(frozen=True)

@@ -83,6 +83,7 @@ def ring_and_acceptors(*places):
     radius = 0.5 * 1.36 / np.sin(np.radians(36.0))
     outward = dict(zip(names, np.stack([np.cos(turns), np.sin(turns), 0 * turns], axis=1), strict=True))
     ring = Member("HIS", "1", "", "A", [atom(n, n[0], (radius * outward[n]).tolist()) for n in names])
+    ring.atoms.append(atom("CB", "C", ((radius + 1.5) * outward["CG"]).tolist()))
     parts = [Part("A", [ring])]
     for donor, degrees in places:
         c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))

@@ -9,6 +9,7 @@ from protochain.core.checks import acidity
 from protochain.structure import protonate as module
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.protonate import protonate
+from protochain.structure.repairs import Kind
 from protochain.structure.templates import Template, templates
 
 
@@ -168,28 +169,16 @@ def test_states_that_are_chosen_are_said_and_those_of_the_file_are_not():
         "residue 1 ASP of chain A: kept in its usual state: the force field has no terminal ASH",
         "residue 2 HIS of chain A taken as HIP",
     ]
-    neutral = Draft("x", "x", [Part("A", chain("HIS"))])
-    assert protonate(neutral, templates(), set(), 7.0)[1][1].name == "HID"
-    assert sentences(neutral)[0] == "residue 1 HIS of chain A taken as HID"
 
 
-@pytest.mark.parametrize("element", ["O", "N", "C", "S"])
-@pytest.mark.parametrize(("far", "near_enough"), [(3.49, True), (3.51, False)])
-def test_a_histidine_donates_to_oxygen_and_nitrogen_within_three_and_a_half_angstrom(
-    element, far, near_enough
-):
-    ring = (("NE2", 0.0, 0.0, 0.0), ("CD2", -0.8, 1.0, 0.0), ("CE1", -0.8, -1.0, 0.0))
-    histidine = member("HIS", 1, *ring, ("ND1", -2.0, -0.7, 0.0), ("CG", -2.0, 0.7, 0.0))
-    other = member("SER", 2, (element, far, 0.0, 0.0))
-    acceptors = module._Acceptors(Draft("x", "x", [Part("A", [histidine, other])]))
-    assert acceptors.prefer_epsilon(histidine) is (near_enough and element in "ON")
-    # An atom of its own residue is none, nor is there a bond without the ring.
-    own = member("HIS", 1, *ring, ("ND1", -2.0, -0.7, 0.0), ("CG", -2.0, 0.7, 0.0), ("O", 3.0, 0.0, 0.0))
-    assert module._Acceptors(Draft("x", "x", [Part("A", [own])])).prefer_epsilon(own) is False
-    bare = member("HIS", 1, *ring[:2])
-    assert acceptors.prefer_epsilon(bare) is False
-    carbons = module._Acceptors(Draft("x", "x", [Part("A", [member("ALA", 1, ("CA", 0.0, 0.0, 0.0))])]))
-    assert carbons.prefer_epsilon(histidine) is False
+def test_half_a_disulfide_without_the_other_is_named():
+    alone = chain("CYS", "CYS")
+    alone[1].given = alone[2].given = "CYX"
+    draft = Draft("x", "x", [Part("A", alone)])
+    done = protonate(draft, templates(), {id(alone[2])}, 7.0)
+    assert [template.name for _, template in done][1:3] == ["CYS", "CYX"]
+    (said,) = (repair for repair in draft.repairs if repair.kind is Kind.NO_PARTNER)
+    assert said.facts["residue"] == alone[1].residue and "CYX" in str(said)
 
 
 def test_a_ph_is_between_0_and_14():

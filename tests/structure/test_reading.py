@@ -116,10 +116,10 @@ def test_a_file_without_a_protein_says_what_there_is():
         "x: no protein found, only 1 water, 1 residue ALA; a chain has two amino acids or more"
     )
     draft = taken(*alanines(2), water, iron, heavy, other, third)
-    assert dict(draft.left_out) == {"waters": 3, "XQQ": 2, "deuterium atoms": 1}
+    assert dict(draft.left_out) == {"waters": 3, "XQQ": 2}
     assert sentences(draft) == [
         '3 waters, 2 XQQ left out; keep="all" keeps everything',
-        "1 deuterium atoms left out",
+        "1 deuterium atom taken as hydrogen",
     ]
 
 
@@ -180,8 +180,7 @@ def test_elements_of_amino_acids_and_caps_follow_their_names():
     """As CHARMM writes them, HD1 in columns 13-15 reads as holmium or mercury."""
     odd = [("HG1", "Hg"), ("1HB", "Hf"), ("CD", "Cd"), ("QX", "C"), ("D1", "D"), ("NE", "Ne"), ("9", "C")]
     draft = taken(residue("LYS", 1, atoms=(*BACKBONE, *odd)), residue("ALA", 2))
-    assert [a.element.name for a in draft.members[0].atoms][4:] == ["H", "H", "C", "C", "N", "C"]
-    assert draft.left_out == {"deuterium atoms": 1}
+    assert [a.element.name for a in draft.members[0].atoms][4:] == ["H", "H", "C", "C", "H", "N", "C"]
     calcium = taken(*alanines(2), residue("CA", 9, atoms=[("CA", "Ca")]), keep=("ions",))
     assert calcium.members[-1].atoms[0].element.name == "Ca" and calcium.parts[-1].obstacle
 

@@ -199,10 +199,17 @@ def test_selenomethionine_and_gaps_in_real_entries():
     assert "Se" not in set(s.atom_element)
 
 
-def test_deuterium_is_replaced_by_hydrogen():
-    s = pc.load(shared("5pti_bpti.cif"), keep=())
-    assert s.left_out["deuterium atoms"] > 100
+def test_deuterium_is_hydrogen_in_its_place():
+    path = shared("5pti_bpti.cif")
+    s = pc.load(path, keep=())
     assert set(s.atom_element) <= set("HCNOS")
+    numbers = s.residue_number[s.atom_residue].tolist()
+    there = dict(zip(zip(map(str, numbers), s.atom_name, strict=True), s.positions, strict=True))
+    chain = gemmi.read_structure(str(path))[0][0]
+    exchanged = [(str(r.seqid), atom) for r in chain for atom in r if r.name != "DOD" and atom.name == "D"]
+    assert len(exchanged) > 20
+    for number, atom in exchanged:
+        assert there[number, "H"] == pytest.approx(np.array(atom.pos.tolist()) / 10.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(

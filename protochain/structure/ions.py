@@ -1,0 +1,70 @@
+"""Ions of one atom: element and charge by the names that the archive and programs give them."""
+
+import gemmi
+
+_ARCHIVE = {
+    "0BE": ("Be", 2), "3CO": ("Co", 3), "3NI": ("Ni", 3), "4MO": ("Mo", 4), "4PU": ("Pu", 4),
+    "4TI": ("Ti", 4), "6MO": ("Mo", 6), "AG": ("Ag", 1), "AL": ("Al", 3), "AM": ("Am", 3), "AR": ("Ar", 0),
+    "AU": ("Au", 1), "AU3": ("Au", 3), "BA": ("Ba", 2), "BR": ("Br", -1), "BRO": ("Br", 0), "BS3": ("Bi", 3),
+    "CA": ("Ca", 2), "CD": ("Cd", 2), "CE": ("Ce", 3), "CF": ("Cf", 3), "CL": ("Cl", -1), "CLO": ("Cl", 0),
+    "CO": ("Co", 2), "CR": ("Cr", 3), "CS": ("Cs", 1), "CU": ("Cu", 2), "CU1": ("Cu", 1), "CU3": ("Cu", 3),
+    "DY": ("Dy", 3), "ER3": ("Er", 3), "EU": ("Eu", 2), "EU3": ("Eu", 3), "F": ("F", -1), "FE": ("Fe", 3),
+    "FE2": ("Fe", 2), "FLO": ("F", 0), "GA": ("Ga", 3), "GD": ("Gd", 0), "GD3": ("Gd", 3), "HG": ("Hg", 2),
+    "HO": ("Ho", 0), "HO3": ("Ho", 3), "IDO": ("I", 0), "IN": ("In", 3), "IOD": ("I", -1), "IR": ("Ir", 4),
+    "IR3": ("Ir", 3), "K": ("K", 1), "KR": ("Kr", 0), "LA": ("La", 3), "LI": ("Li", 1), "LU": ("Lu", 3),
+    "MG": ("Mg", 2), "MN": ("Mn", 2), "MN3": ("Mn", 3), "MO": ("Mo", 0), "NA": ("Na", 1), "ND": ("Nd", 3),
+    "NI": ("Ni", 2), "OS": ("Os", 3), "OS4": ("Os", 4), "PB": ("Pb", 2), "PD": ("Pd", 2), "PR": ("Pr", 3),
+    "PT": ("Pt", 2), "PT4": ("Pt", 4), "RB": ("Rb", 1), "RE": ("Re", 0), "RH": ("Rh", 1), "RH3": ("Rh", 3),
+    "RHF": ("Rh", 2), "RU": ("Ru", 3), "SB": ("Sb", 3), "SM": ("Sm", 3), "SR": ("Sr", 2), "TA0": ("Ta", 0),
+    "TB": ("Tb", 3), "TH": ("Th", 4), "TL": ("Tl", 1), "U1": ("U", 0), "V": ("V", 3), "W": ("W", 6),
+    "XE": ("Xe", 0), "Y1": ("Y", 2), "YB": ("Yb", 3), "YB2": ("Yb", 2), "YT3": ("Y", 3), "ZCM": ("Cm", 3),
+    "ZN": ("Zn", 2), "ZN2": ("Zn", 2), "ZR": ("Zr", 4), "ZTM": ("Ac", 3),
+}  # fmt: skip
+"""Components of one atom in the Chemical Component Dictionary (Westbrook et al., Bioinformatics 31:1274,
+2015), but those of hydrogen, nitrogen and the oxygen group."""
+_PROGRAMS = {
+    "LIT": ("Li", 1), "SOD": ("Na", 1), "POT": ("K", 1), "RUB": ("Rb", 1), "CES": ("Cs", 1),
+    "CAL": ("Ca", 2), "BAR": ("Ba", 2), "CD2": ("Cd", 2), "CLA": ("Cl", -1), "I": ("I", -1), "C0": ("Ca", 2),
+    "IB": ("Na", 1), "IP": ("Na", 1), "IM": ("Cl", -1), "CIO": ("Cs", 1), "SN": ("Sn", 2), "HF": ("Hf", 4),
+    "RA": ("Ra", 2), "MG2": ("Mg", 2), "CA2": ("Ca", 2), "ER": ("Er", 3), "Y": ("Y", 3),
+}  # fmt: skip
+"""Names of CHARMM (toppar_water_ions.str), of Amber (atomic_ions.lib) and of GROMACS's ions.itp."""
+_IONS = _ARCHIVE | _PROGRAMS
+_OF_ELEMENT = dict(_IONS.values()) | {
+    element: charge for name, (element, charge) in _IONS.items() if name == element.upper()
+}
+"""The charge of each element's ion: of the component that is called as the element, if there is one."""
+_CHARGE = "+-0123456789"
+_ANY = ("ION", "IONS")
+"""Residue names under which GROMACS has every ion."""
+
+
+def name_ions(structure: gemmi.Structure) -> None:
+    """Give residues of one atom the element and charge of the ion that their names say; changed in place.
+
+    Without columns of elements, gemmi takes SOD for sulphur and CLA, of chlorine, for carbon. A charge in the
+    file stays.
+    """
+    for model in structure:
+        for residue in (residue for chain in model for residue in chain):
+            if len({atom.name for atom in residue}) == 1:
+                its = _ion(residue.name.strip().upper(), residue[0].name.upper())
+                for atom in residue:
+                    if its:
+                        atom.element = gemmi.Element(its[0])
+                    atom.charge = atom.charge or (its[1] if its else _OF_ELEMENT.get(atom.element.name, 0))
+
+
+def is_known(atom: gemmi.Atom) -> bool:
+    """Whether the charge of an atom that stands alone is known: it is no metal, or its ion is."""
+    return bool(atom.charge) or not atom.element.is_metal or atom.element.name in _OF_ELEMENT
+
+
+def _ion(residue: str, atom: str) -> tuple[str, int] | None:
+    """Element and charge of an atom that is a residue of its own, by the names of both."""
+    name = atom if residue in _ANY else residue
+    for called in (name, name.rstrip(_CHARGE)):
+        its = _IONS.get(called)
+        if its and atom.rstrip(_CHARGE) in {name, called, called.rstrip(_CHARGE), its[0].upper()}:
+            return its
+    return None

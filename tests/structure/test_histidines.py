@@ -1,0 +1,109 @@
+"""Tautomers of histidine: which of its nitrogens meets what, and rings that lie the wrong way round."""
+
+import gemmi
+import numpy as np
+import pytest
+from fixtures.samples import STRUCTURES, shared
+
+import protochain as pc
+from protochain.structure.draft import Member, atom
+from protochain.structure.histidines import settled
+from protochain.structure.repairs import Kind
+from protochain.structure.templates import templates
+
+KNOWN = templates()
+
+
+def histidine() -> Member:
+    """His 68 of ubiquitin."""
+    chain = gemmi.read_structure(str(STRUCTURES / "1ubq.pdb"))[0][0]
+    return Member("HIS", "68", "", "A", [a.clone() for r in chain if r.name == "HIS" for a in r])
+
+
+def before(member: Member, nitrogen: str, name: str, residue: str, far: float = 2.9) -> Member:
+    """A residue with one atom, which is this far from a nitrogen, away from the ring."""
+    at, *others = (np.array(member.atom(each).pos.tolist()) for each in (nitrogen, *RING[nitrogen]))
+    out = (2 * at - sum(others)) / np.linalg.norm(2 * at - sum(others))
+    return Member(residue, "9", "", "B", [atom(name, name[0], (at + far * out).tolist())])
+
+
+RING = {"ND1": ("CG", "CE1"), "NE2": ("CD2", "CE1")}
+GIVES, TAKES, BOTH, NEITHER = ("N", "ALA"), ("O", "ALA"), ("OG", "SER"), ("CB", "ALA")
+METAL = ("ZN", "ZN")
+
+
+def chosen(member: Member, *others: Member) -> tuple[str, bool]:
+    of = [(member, None), *((each, KNOWN[each.name]) for each in others)]
+    states, turned = settled(of)
+    return states[id(member)], bool(turned)
+
+
+@pytest.mark.parametrize(
+    ("at_nd1", "at_ne2", "state"),
+    [
+        (GIVES, TAKES, "HIE"), (TAKES, GIVES, "HID"), (GIVES, NEITHER, "HIE"), (NEITHER, GIVES, "HID"),
+        (TAKES, NEITHER, "HID"), (NEITHER, TAKES, "HIE"), (NEITHER, BOTH, "HIE"), (BOTH, NEITHER, "HID"),
+        (NEITHER, NEITHER, "HID"), (GIVES, BOTH, "HIE"), (BOTH, GIVES, "HID"),
+    ],
+)  # fmt: skip
+def test_a_nitrogen_has_a_hydrogen_where_it_meets_what_takes_one(at_nd1, at_ne2, state):
+    member = histidine()
+    others = (before(member, "ND1", *at_nd1), before(member, "NE2", *at_ne2))
+    start = [a.pos.tolist() for a in member.atoms]
+    assert chosen(member, *others) == (state, False)
+    assert [a.pos.tolist() for a in member.atoms] == start
+
+
+def test_a_metal_is_at_the_nitrogen_without_hydrogen():
+    for nitrogen, state in (("ND1", "HIE"), ("NE2", "HID")):
+        member = histidine()
+        metal = before(member, nitrogen, *METAL, far=3.0)
+        metal.atoms[0].element = gemmi.Element("Zn")
+        assert chosen(member, metal) == (state, False)
+
+
+@pytest.mark.parametrize(("far", "state"), [(3.49, "HIE"), (3.51, "HID")])
+def test_a_hydrogen_bond_is_three_and_a_half_angstrom_long_at_most(far, state):
+    member = histidine()
+    assert chosen(member, before(member, "NE2", *TAKES, far=far)) == (state, False)
+    aside = before(member, "NE2", *TAKES, far=0.0)
+    ring = np.array([member.atom(name).pos.tolist() for name in ("NE2", "CD2", "CE1")])
+    normal = np.cross(ring[1] - ring[0], ring[2] - ring[0])
+    aside.atoms[0].pos = gemmi.Position(*(ring[0] + 2.9 * normal / np.linalg.norm(normal)))
+    assert chosen(member, aside) == ("HID", False)
+
+
+def test_of_two_histidines_the_second_meets_the_first_as_it_is():
+    first, second = histidine(), histidine()
+    at = np.array(first.atom("NE2").pos.tolist())
+    out = before(first, "NE2", "O", "ALA", far=1.0).atoms[0].pos.tolist() - at
+    # The image by a point beyond NE2: nitrogen to nitrogen.
+    for a in second.atoms:
+        a.pos = gemmi.Position(*(2 * (at + 1.45 * out) - a.pos.tolist()))
+    giver = before(first, "ND1", *GIVES)
+    states, turned = settled([(first, None), (second, None), (giver, KNOWN["ALA"])])
+    assert [states[id(each)] for each in (first, second)] == ["HIE", "HID"] and not turned
+
+
+def test_a_ring_is_turned_back_where_both_nitrogens_then_make_bonds(tmp_path):
+    """A file whose density was read the wrong way round: the same ring turned about CB-CG."""
+    path = shared("../cases/protonation/his349.pdb")
+    lines = path.read_text().splitlines(keepends=True)
+    ring = [k for k, line in enumerate(lines) if line[17:20] == "HIS" and line[22:26] == " 349"]
+    place = {
+        lines[k][12:16].strip(): np.array([float(lines[k][i : i + 8]) for i in (30, 38, 46)]) for k in ring
+    }
+    right = pc.load(path)
+    axis = (place["CG"] - place["CB"]) / np.linalg.norm(place["CG"] - place["CB"])
+    for k in ring:
+        if (name := lines[k][12:16].strip()) in ("ND1", "CD2", "CE1", "NE2"):
+            arm = place[name] - place["CG"]
+            x = place["CG"] + 2 * (arm @ axis) * axis - arm
+            lines[k] = lines[k][:30] + "{:8.3f}{:8.3f}{:8.3f}".format(*x) + lines[k][54:]
+    (tmp_path / "turned.pdb").write_text("".join(lines))
+    wrong = pc.load(tmp_path / "turned.pdb")
+    assert not [r for r in right.repairs if r.kind is Kind.RING_TURNED]
+    (turned,) = (r for r in wrong.repairs if r.kind is Kind.RING_TURNED)
+    assert turned.facts["residue"].number == "349"
+    assert np.array_equal(wrong.atom_name, right.atom_name)
+    assert wrong.positions == pytest.approx(right.positions, abs=2e-4)
