@@ -1,5 +1,6 @@
 """Ligands of a structure as an SDF file, with the orders and charges that the structure's files may lack."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 
 
-def save_ligands(structure: Any, path: str | Path) -> None:
+def save_ligands(structure: Any, path: str | Path, sources: Sequence[str | Path] = ()) -> None:
     """Write the ligands of a structure to an SDF file, a record for each.
 
     Atoms are in the order of the molecule that was given, then come its hydrogens. Titles are name, chain and
@@ -23,6 +24,8 @@ def save_ligands(structure: Any, path: str | Path) -> None:
         One with ``ligands``; of a result, its end.
     path : path-like
         Ends in ``.sdf``.
+    sources : sequence of str or path-like
+        Files of poses, of which alone records are written; by default of all.
 
     Raises
     ------
@@ -31,7 +34,7 @@ def save_ligands(structure: Any, path: str | Path) -> None:
     """
     path = as_path(path, "path")
     check_ligand_file(path)
-    text = ligand_text(as_structure(structure))
+    text = ligand_text(as_structure(structure), sources)
     write_text(path, text)
 
 
@@ -62,7 +65,7 @@ def check_ligands(structure: Structure) -> None:
         )  # fmt: skip
 
 
-def ligand_text(structure: Structure) -> str:
+def ligand_text(structure: Structure, sources: Sequence[str | Path] = ()) -> str:
     """Return the text that :func:`save_ligands` writes.
 
     Raises
@@ -71,9 +74,11 @@ def ligand_text(structure: Structure) -> str:
         If there are none.
     """
     check_ligands(structure)
-    chem, records = library("rdkit.Chem"), []
+    chem, records, wanted = library("rdkit.Chem"), [], {str(Path(each)) for each in sources}
     for each in structure.ligands:
         molecule = each.ligand.molecule
+        if wanted and molecule.source not in wanted:
+            continue
         made = to_rdkit(molecule, structure.positions[each.atoms])
         its = structure.residue(int(structure.atom_residue[each.atoms[0]]))
         made.SetProp("_Name", f"{its.name} {its.chain} {its.number}")
