@@ -126,7 +126,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     if turned := (*result.hands_turned, *result.peptides_turned):
         said.insert(1, "; ".join(summarised(turned)))
     said += [
-        f"ligand {each.residue}: {', '.join(each.inverted)} inverted, unlike the chemistry given ({each.source})"
+        f"{each.residue}: {', '.join(each.inverted)} inverted, unlike its chemistry ({each.source})"
         for each in result.ligands_end
         if each.inverted
     ]
