@@ -184,7 +184,7 @@ def net_charges() -> Mapping[str, int]:
     Its sources: ChEBI, major species at pH 7.3 (Hastings et al., Nucleic Acids Res. 44:D1214, 2016); and from
     pKa, Dawson, Elliott, Elliott, Jones, Data for Biochemical Research (1986); Goldberg, Kishore, Lennen,
     J. Phys. Chem. Ref. Data 31:231 (2002); Massey, Biochem. Soc. Trans. 28:283 (2000), of flavins, whose N3
-    has 10; Perrin (1982), Prankerd (2007) and Yount (1971) as for ``RULES``.
+    has 10; Perrin (1965, 1982), Prankerd (2007) and Yount (1971) as for ``RULES``.
     """
     with _KNOWN.open() as lines:
         return {row["skeleton"]: int(row["charge"]) for row in csv.DictReader(lines)}
