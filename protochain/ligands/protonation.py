@@ -72,6 +72,8 @@ RULES = (
     Rule(-1, "[NX4+;!H0]-[CX3]=[CX3]-[CX3]=O", 1.0, "vinylogous amides, dihydropyridine of NADH: [4]"),
     Rule(-1, "[NX4+;!H0]1-C-C-[NX4+;!H0]-C-C1", 5.4, "piperazine, second: [4]"),
     Rule(-1, "[NX4+;!H0]-[CX4]-[CX4]-[NX4+;!H0]", 6.8, "1,2-diamines, second: [4]"),
+    Rule(-1, "[NX4+;!H0]-[OX2]", 6.0, "hydroxylamines: [4]"),
+    Rule(-1, "[NX4+;!H0]-P", 3.0, "phosphoramidates: [4]"),
     Rule(-1, "[N+;!H0]=C-[NX3]-C=[N+;!H0]", 2.8, "biguanides, second: [5]"),
     Rule(1, f"[nX2+0]1{_PLAIN}{_PLAIN}c(-[NX3+0;!$(N-[C,S]=[O,S])]){_PLAIN}{_PLAIN}1", 9.1,
          "4-aminopyridines and -quinolines: [4]"),

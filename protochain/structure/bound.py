@@ -155,18 +155,14 @@ class Chemist:
             molecule, charged = self._looked_up(name, member)
             at = _placed(molecule, member, by_name=name not in self.chemistry.named)
             called = dict(zip(molecule.names, at.molecule.names, strict=True))
-            states = {called[each.atom]: (each.before, each.after) for each in charged}
+            charged = tuple(replace(each, atom=called[each.atom]) for each in charged)
             molecule = _as_shown(at.molecule, member)
             if name in self.chemistry.posed or not any(a.is_hydrogen() for a in member.atoms):
-                holding = [self._holds(member, called) for called in molecule.names]
-                molecule, released = at_metal(molecule, np.flatnonzero(holding).tolist())
-                member.atoms = [a for a in member.atoms if not a.is_hydrogen() or a.name in molecule.names]
-                for each in released:
-                    states[each.atom] = (states.get(each.atom, (each.before,))[0], each.after)
+                molecule, charged = self._at_metals(molecule, charged, member)
             molecule = _as_filed(molecule, member)
-            # What the file's hydrogens show is not what the pH, or a metal, has done.
+            # What the file's hydrogens show, the pH has not done.
             now = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
-            charged = tuple(Charged(a, *its) for a, its in states.items() if its[0] != its[1] == now[a])
+            charged = tuple(each for each in charged if each.after == now[each.atom])
             part.ligand = parametrised(molecule, self.chemistry.charges, charged=charged)
         except ProtochainError as error:
             # What the user gives is not left aside.
@@ -176,12 +172,16 @@ class Chemist:
             return
         part.inverted, part.mobile = at.inverted, True
 
-    def _holds(self, member: Member, name: str) -> bool:
-        """Whether an atom holds a metal."""
-        its = member.atom(name)
-        return its is not None and any(
-            Link(member, its, *metal).is_coordinated for metal in self.metals if metal[0] is not member
-        )
+    def _at_metals(self, molecule: Molecule, charged: tuple[Charged, ...], member: Member) -> Charging:
+        """The molecule without the protons that metals displace; their places are left out of the residue."""
+        metals = [metal for metal in self.metals if metal[0] is not member]
+        holding = {a.name for a in member.atoms if any(Link(member, a, *m).is_coordinated for m in metals)}
+        released, more = at_metal(molecule, [k for k, name in enumerate(molecule.names) if name in holding])
+        member.atoms = [a for a in member.atoms if not a.is_hydrogen() or a.name in released.names]
+        before = {each.atom: each.before for each in charged}
+        more = tuple(replace(each, before=before.get(each.atom, each.before)) for each in more)
+        changed = {each.atom: each for each in (*charged, *more)}.values()
+        return released, tuple(each for each in changed if each.before != each.after)
 
     def _looked_up(self, name: str, member: Member) -> Charging:
         """Chemistry of a residue by name, charged for the pH."""

@@ -295,6 +295,8 @@ def test_acids_and_bases_are_charged_at_a_ph(smiles, ph, charges):
         ("Cc1cc(NS(=O)(=O)c2ccccc2)no1", -1),
         ("CC(=O)NN", 0),
         ("CC(=O)NO", 0),
+        ("CNO", 0),
+        ("COP(=O)(O)NC", -1),
         ("OC(=O)O", -1),
     ],
 )
