@@ -26,7 +26,6 @@ from protochain.core.checks import (
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import Setting, setting, settings_of
 from protochain.core.storage import regular
-from protochain.ligands.sources import are_several, poses
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.recipes import recipe_of
 from protochain.minimisers.settings import MinimiseSettings, StartSettings
@@ -36,6 +35,7 @@ from protochain.relaxation.settings import NAMES as OF_RELAXING
 from protochain.relaxation.settings import WITHOUT, RelaxSettings
 from protochain.setup import ALL_MODELS, Setup, models_asked
 from protochain.structure.files import format_of
+from protochain.structure.ligand_files import are_several, poses
 from protochain.structure.prepare import user_files
 from protochain.structure.read import model_numbers
 

@@ -227,9 +227,12 @@ def inputs_of(setup: Setup, *given: str | Path | None) -> list[Path]:
 
 def has_poses(setup: Setup) -> bool:
     """Whether several poses of a ligand are given, each of which is added by itself."""
-    from protochain.ligands.sources import are_several
+    added = [given for name, given in setup.ligands if not name]
+    if not added:
+        return False
+    from protochain.structure.ligand_files import are_several
 
-    return any(not name and are_several(given) for name, given in setup.ligands)
+    return any(map(are_several, added))
 
 
 def poses_alone(setup: Setup) -> tuple[str, ...]:

@@ -136,30 +136,7 @@ def text_of(path: Path) -> str:
         raise StructureError(f"{path}: cannot be read ({error.strerror}); give another file") from None
 
 
-def poses(path: Path) -> list[str]:
-    """Sources of the poses of a folder, or of the molecules of a file: the file itself if it has one.
-
-    Raises
-    ------
-    StructureError
-        If a file cannot be read.
-    """
-    if path.is_dir():
-        files = sorted(each for each in path.iterdir() if each.suffix.lower() in MOLECULE_SUFFIXES)
-        return [pose for file in files for pose in poses(file)]
-    n = 1 if file_and_record(path)[1] else len(_records(text_of(path), path.suffix.lower()))
-    return [f"{path}#{k}" for k in range(1, n + 1)] if n > 1 else [str(path)]
-
-
-def are_several(given: str) -> bool:
-    """Whether a source is a folder of poses, or a file with several; one that cannot be read is none."""
-    try:
-        return Path(given).is_dir() or len(poses(Path(given))) > 1
-    except StructureError:
-        return False
-
-
-def _records(text: str, suffix: str) -> list[str]:
+def records(text: str, suffix: str) -> list[str]:
     """Molecules of an SDF or MOL2 file."""
     if suffix == ".mol2":
         found = text.split(_MOL2)[1:]
@@ -171,7 +148,7 @@ def _from_file(path: Path, number: int) -> Molecule:
     suffix = path.suffix.lower()
     if suffix not in MOLECULE_SUFFIXES:
         raise StructureError(f"{path}: is none of {_LISTED}; give one of them, or SMILES")
-    found = _records(text_of(path), suffix)
+    found = records(text_of(path), suffix)
     if number > len(found) or (not number and len(found) != 1):
         one = f", as {path}#1" if found else ""
         raise StructureError(f"{path}: has {len(found)} molecules; give a file with one, or one of its{one}")

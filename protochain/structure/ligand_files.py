@@ -1,13 +1,15 @@
-"""Ligands of a structure as an SDF file, with the orders and charges that the structure's files may lack."""
+"""Ligands of a structure as an SDF file, with orders and charges that its files may lack; files of poses."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record
 from protochain.core.checks import path as as_path
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import write_text
 from protochain.ligands.molecule import library, to_rdkit
+from protochain.ligands.sources import records, text_of
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 
@@ -74,7 +76,7 @@ def ligand_text(structure: Structure, sources: Sequence[str | Path] = ()) -> str
         If there are none.
     """
     check_ligands(structure)
-    chem, records, wanted = library("rdkit.Chem"), [], {str(Path(each)) for each in sources}
+    chem, found, wanted = library("rdkit.Chem"), [], {str(Path(each)) for each in sources}
     for each in structure.ligands:
         molecule = each.ligand.molecule
         if wanted and molecule.source not in wanted:
@@ -83,5 +85,28 @@ def ligand_text(structure: Structure, sources: Sequence[str | Path] = ()) -> str
         its = structure.residue(int(structure.atom_residue[each.atoms[0]]))
         made.SetProp("_Name", f"{its.name} {its.chain} {its.number}")
         source = " ".join(molecule.source.split())
-        records.append(f"{chem.MolToMolBlock(made)}>  <source>\n{source}\n\n$$$$\n")
-    return "".join(records)
+        found.append(f"{chem.MolToMolBlock(made)}>  <source>\n{source}\n\n$$$$\n")
+    return "".join(found)
+
+
+def poses(path: Path) -> list[str]:
+    """Sources of the poses of a folder, or of the molecules of a file: the file itself if it has one.
+
+    Raises
+    ------
+    StructureError
+        If a file cannot be read.
+    """
+    if path.is_dir():
+        files = sorted(each for each in path.iterdir() if each.suffix.lower() in MOLECULE_SUFFIXES)
+        return [pose for file in files for pose in poses(file)]
+    n = 1 if file_and_record(path)[1] else len(records(text_of(path), path.suffix.lower()))
+    return [f"{path}#{k}" for k in range(1, n + 1)] if n > 1 else [str(path)]
+
+
+def are_several(given: str) -> bool:
+    """Whether a source is a folder of poses, or a file with several; one that cannot be read is none."""
+    try:
+        return Path(given).is_dir() or len(poses(Path(given))) > 1
+    except StructureError:
+        return False

@@ -20,6 +20,7 @@ from rdkit.Chem.rdDistGeom import EmbedMolecule
 from protochain.ligands import matching, protonation, smirnoff, sources
 from protochain.ligands.molecule import from_rdkit, to_rdkit
 from protochain.ligands.protonation import at_ph
+from protochain.structure import ligand_files
 
 COMPLEXES = ROOT.parent / "shared" / "complexes"
 KJ_MOL = 1e-6
@@ -404,11 +405,11 @@ def test_a_nitrogen_of_four_bonds_is_charged_where_a_table_has_no_charges(bonds,
 def test_a_molecule_of_a_file_with_several_is_given_by_its_number(tmp_path):
     text, path = "".join(file(name).read_text() for name in ("1P2Y_NCT", "1MEH_MOA")), tmp_path / "poses.sdf"
     path.write_text(text)
-    assert sources.poses(path) == [f"{path}#1", f"{path}#2"] and sources.are_several(str(path))
+    assert ligand_files.poses(path) == [f"{path}#1", f"{path}#2"] and ligand_files.are_several(str(path))
     for number, name in enumerate(("1P2Y_NCT", "1MEH_MOA"), 1):
         made, alone = sources.read(f"{path}#{number}"), sources.read(file(name))
         assert made.source == f"{path}#{number}" and np.array_equal(made.positions, alone.positions)
-        assert sources.poses(file(name)) == [str(file(name))]
+        assert ligand_files.poses(file(name)) == [str(file(name))]
     with pytest.raises(pc.ProtochainError, match=r"has 2 molecules; give .* as .*poses.sdf#1"):
         sources.read(path)
     with pytest.raises(pc.ProtochainError, match=r"poses.sdf: has 2 molecules"):
