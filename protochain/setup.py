@@ -175,8 +175,8 @@ class Setup(Settings):
     )
     ligands: tuple[LigandSource, ...] = setting(
         (),
-        "Chemistry of a ligand by the name of its residue, or a pose to add (FILE alone; relax and batch "
-        "take a folder of poses, each of which they add by itself); repeat for more.",
+        "Chemistry of a ligand by the name of its residue, or a pose to add (FILE alone; relax, score and "
+        "batch take several poses, in a folder or a file, and add each by itself); repeat for more.",
         ligands_of,
         list[str],
         option="--ligand",

@@ -15,7 +15,14 @@ from typing import Any
 
 from protochain.batches.naming import Earlier, Wanted, absolute, named_apart
 from protochain.core import defaults
-from protochain.core.checks import MOLECULE_SUFFIXES, check_fields, force_field_parts, instance, several
+from protochain.core.checks import (
+    MOLECULE_SUFFIXES,
+    check_fields,
+    file_and_record,
+    force_field_parts,
+    instance,
+    several,
+)
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import Setting, setting, settings_of
 from protochain.core.storage import regular
@@ -28,6 +35,7 @@ from protochain.relaxation.settings import NAMES as OF_RELAXING
 from protochain.relaxation.settings import WITHOUT, RelaxSettings
 from protochain.setup import ALL_MODELS, Setup, models_asked
 from protochain.structure.files import format_of
+from protochain.structure.ligand_files import are_several, poses
 from protochain.structure.prepare import user_files
 from protochain.structure.read import model_numbers
 
@@ -223,7 +231,11 @@ class Job:
         setup = self.settings.setup
         files = {str(file): str(file.absolute()) for file in _files(setup)}
         whole = ",".join(files.get(part, part) for part in force_field_parts(setup.forcefield))
-        ligands = tuple((name, files.get(given, given)) for name, given in setup.ligands)
+        records = [(name, given, *file_and_record(given)) for name, given in setup.ligands]
+        ligands = tuple(
+            (name, f"{files[str(file)]}#{record}".removesuffix("#0") if str(file) in files else given)
+            for name, given, file, record in records
+        )
         charges = files.get(setup.ligand_charges, setup.ligand_charges)
         moved = {"forcefield": whole, "ligands": ligands, "ligand_charges": charges}
         return replace(self, settings=self.settings.changed(**moved)) if files else self
@@ -410,21 +422,24 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
 
 
 def _poses(found: _Found) -> list[_Found]:
-    """The structure with each pose of a folder that was given as a ligand."""
+    """The structure with each pose of a folder or a file that was given as a ligand."""
     given = found.settings.setup.ligands
-    folder = next((Path(source) for name, source in given if not name and Path(source).is_dir()), None)
-    if folder is None:
+    group = next((source for name, source in given if not name and are_several(source)), None)
+    if group is None:
         return [found]
-    poses = sorted(each for each in folder.iterdir() if each.suffix.lower() in MOLECULE_SUFFIXES)
-    if not poses:
-        raise ProtochainError(f"{folder}: no poses in it; give a folder of {', '.join(MOLECULE_SUFFIXES)}")
-    others = tuple(each for each in given if each != ("", str(folder)))
+    sources = poses(Path(group))
+    if not sources:
+        raise ProtochainError(f"{group}: no poses in it; give a folder of {', '.join(MOLECULE_SUFFIXES)}")
+    others = tuple(each for each in given if each != ("", group))
     return [
         replace(
-            found, settings=found.settings.changed(ligands=(*others, ("", str(pose)))), pose=pose.stem
+            found,
+            settings=found.settings.changed(ligands=(*others, ("", pose))),
+            pose="_".join(str(each) for each in (file.stem, record) if each),
         )
-        for pose in poses
-    ]  # fmt: skip
+        for pose in sources
+        for file, record in [file_and_record(pose)]
+    ]
 
 
 def _models(found: _Found) -> list[_Found]:
@@ -445,8 +460,8 @@ def _models(found: _Found) -> list[_Found]:
 
 def _files(setup: Setup) -> list[Path]:
     """Other files that a structure is prepared with: of force fields, of ligands and their charges."""
-    given = (*(source for _, source in setup.ligands), setup.ligand_charges)
-    return [*user_files(setup.forcefield), *(Path(each) for each in given if Path(each).is_file())]
+    given = (*(file_and_record(source)[0] for _, source in setup.ligands), Path(setup.ligand_charges))
+    return [*user_files(setup.forcefield), *(each for each in given if each.is_file())]
 
 
 def _hash(path: Path) -> str:

@@ -25,6 +25,7 @@ from protochain.cli.options import (
     fail,
     inputs_of,
     named_after,
+    poses_alone,
     prepare,
     print_json,
     print_lost,
@@ -119,7 +120,7 @@ def minimise(
     most = minimising.max_evaluations
     lengths = starting.n_starts * typical_evaluations(chosen, most), starting.n_starts * most
     records: list[dict[str, Any]] = []
-    with _Writer(output, suffix, one_file, trace, report, ligand_out) as write:
+    with _Writer(output, suffix, one_file, trace, report, ligand_out, poses_alone(setup)) as write:
         for own, path in runs:
             records.append(_solved(context, source, own, path, chosen, solve, lengths, write))
             if records[-1]["status"] == "interrupted":
@@ -177,9 +178,10 @@ class _Writer:
         trace: Path | None,
         report: Path | None,
         ligands: Path | None,
+        alone: tuple[str, ...],
     ) -> None:
         self.output, self.suffix, self.one_file = output, suffix, one_file
-        self.trace, self.report, self.ligands = trace, report, ligands
+        self.trace, self.report, self.ligands, self.alone = trace, report, ligands, alone
         self.done: list[Solution] = []
 
     def __call__(
@@ -206,7 +208,7 @@ class _Writer:
                 written["report"] = str(self.report)
             written["confidences"] = with_confidences(Path(origin["input"]), path)
             if self.ligands:
-                save_ligands(solution, self.ligands)
+                save_ligands(solution, self.ligands, self.alone)
                 written["ligands_written"] = str(self.ligands)
         except WriteError as error:
             lost = [*lost, str(error)]

@@ -46,7 +46,11 @@ Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster t
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
 LigandOut = Annotated[
-    Path | None, typer.Option(help="SDF of the ligands whose chemistry is known, a record for each.")
+    Path | None,
+    typer.Option(
+        help="SDF of the pose that was added (--ligand POSE), or, without one or with --keep all, of all "
+        "ligands whose chemistry is known, a record for each."
+    ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace the input.")]
 
@@ -221,17 +225,37 @@ def inputs_of(setup: Setup, *given: str | Path | None) -> list[Path]:
     return [*(Path(each) for each in given if each is not None), *user_files(setup.forcefield)]
 
 
+def has_poses(setup: Setup) -> bool:
+    """Whether several poses of a ligand are given, each of which is added by itself."""
+    added = [given for name, given in setup.ligands if not name]
+    if not added:
+        return False
+    from protochain.structure.ligand_files import are_several
+
+    return any(map(are_several, added))
+
+
+def poses_alone(setup: Setup) -> tuple[str, ...]:
+    """Poses that a file of ligands is to have alone; none where it has all."""
+    return () if "all" in setup.keep else tuple(given for name, given in setup.ligands if not name)
+
+
 def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:
     """Name, path and setup of each structure."""
     given = [each for each in inputs if each != "-"]
-    if all(Path(each).is_file() for each in given) and not isinstance(setup.model, str):
+    poses = has_poses(setup)
+    if all(Path(each).is_file() for each in given) and not isinstance(setup.model, str) and not poses:
         found = [(each, Path(each), setup) for each in given]
     else:
         # Only here, as it takes a second to load.
         from protochain.batches.jobs import BatchSettings, find_jobs
 
         jobs = find_jobs(given, BatchSettings(setup=setup))
-        found = [(_name(job.path), Path(_name(job.path)), job.settings.setup) for job in jobs]
+        paths = [_name(job.path) for job in jobs]
+        found = [
+            (job.name if poses else path, Path(path), job.settings.setup)
+            for job, path in zip(jobs, paths, strict=True)
+        ]
     return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
 
 

@@ -23,7 +23,9 @@ from protochain.cli.options import (
     check_names,
     check_outputs,
     fail,
+    has_poses,
     inputs_of,
+    poses_alone,
     print_json,
     with_confidences,
     with_settings,
@@ -83,7 +85,7 @@ def relax(
 ) -> None:
     """Make predicted models clean: overlaps and broken bonds gone, the fold kept.
 
-    Several files, a folder, a pattern, a manifest or one file with a folder of poses (--ligand POSES) go to a
+    Several files, a folder, a pattern, a manifest or one file with several poses (--ligand POSES) go to a
     folder, with the table relaxed.csv; so does what a cluster does. With --trajectory, or --frames of a file
     with models, every frame is relaxed, into one trajectory and a table.
     """
@@ -97,8 +99,7 @@ def relax(
                 given, trajectory, frames, output, relaxing, setup, report, each, as_json, resume, force
             )
         raise typer.Exit(done)
-    poses = any(not name and Path(given).is_dir() for name, given in setup.ligands)
-    several = manifest or scheduler or poses or isinstance(setup.model, str)
+    several = manifest or scheduler or has_poses(setup) or isinstance(setup.model, str)
     if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not several:
         if resume:
             raise ProtochainError(f"resume: {inputs[0]} is one file, which is not resumed; leave it out")
@@ -201,7 +202,7 @@ def _one(
         record = result.record() | {
             "input": str(source), "output": str(output), "seconds_preparation": preparation,
         }  # fmt: skip
-        lost = _write_beside(result, record, source, report, ligand_out)
+        lost = _write_beside(result, record, source, report, ligand_out, poses_alone(setup))
     if lost:
         record["not_written"] = [lost]
         fail(f"{lost}; saved: {output}")
@@ -219,6 +220,7 @@ def _write_beside(
     source: Path,
     report: Path | None,
     ligand_out: Path | None,
+    alone: tuple[str, ...],
 ) -> str:
     """Write confidences, page and ligands; return why one could not be written, which loses nothing else."""
     from protochain.core.errors import WriteError
@@ -227,7 +229,7 @@ def _write_beside(
     try:
         record["confidences"] = with_confidences(source, Path(record["output"]))
         if ligand_out:
-            save_ligands(result, ligand_out)
+            save_ligands(result, ligand_out, alone)
             record["ligands_written"] = str(ligand_out)
         if report:
             from protochain.analysis.relaxed import write_relaxed

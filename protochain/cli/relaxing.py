@@ -125,6 +125,11 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         said.insert(1, f"repacked first: {'; '.join(told)}")
     if turned := (*result.hands_turned, *result.peptides_turned):
         said.insert(1, "; ".join(summarised(turned)))
+    said += [
+        f"{each.residue}: {', '.join(each.inverted)} inverted, unlike its chemistry ({each.source})"
+        for each in result.ligands_end
+        if each.inverted
+    ]
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
     print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")

@@ -301,7 +301,14 @@ def charges_of_ligands(given: Any, name: str) -> str:
 LigandSource = tuple[str, str]
 """Name of a residue, or none for a molecule that is added; SMILES, or the path of a file."""
 MOLECULE_SUFFIXES = (".sdf", ".mol", ".mol2")
-"""Of files with one small molecule."""
+"""Of files with small molecules."""
+
+
+def file_and_record(given: str | Path) -> tuple[Path, int]:
+    """File and number of the molecule in it that ``FILE.sdf#2`` means; 0 where none is named."""
+    file, sign, number = str(given).rpartition("#")
+    is_record = sign and number.isdecimal() and file.lower().endswith(MOLECULE_SUFFIXES)
+    return (Path(file), int(number)) if is_record else (Path(given), 0)
 
 
 def ligands(given: Any, name: str) -> tuple[LigandSource, ...]:
@@ -327,13 +334,13 @@ def _ligand(given: Any, name: str) -> LigandSource:
         its, source = given
     else:
         its, source = "", given
-        is_file = str(given).lower().endswith(MOLECULE_SUFFIXES)
+        is_file = file_and_record(given)[0].suffix.lower() in MOLECULE_SUFFIXES
         before, sign, after = str(given).partition("=")
         # ./a=b.sdf is a file.
         if (
             sign
             and re.fullmatch(r"[A-Za-z0-9+-]{1,5}", before)
-            and not (is_file and Path(str(given)).exists())
+            and not (is_file and file_and_record(given)[0].exists())
         ):
             its, source = before, after
         elif not is_file and not Path(str(given)).is_dir():

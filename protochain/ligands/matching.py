@@ -17,6 +17,15 @@ _MOST_MATCHES = 1000
 """Of symmetric molecules: six phenyl groups have 64, four t-butyl groups 1296."""
 _REACH = 1.3
 """Of the sum of covalent radii: bonds of distorted models count. Only which atoms are joined follows."""
+_SHORTER = {1.0: 1.0, 1.5: 0.92, 2.0: 0.87, 3.0: 0.78}
+"""Length of a bond by its order, of the sum of covalent radii: those of 74 ligands of the archive, to 0.1
+angstrom RMS in each."""
+_ALIKE = 0.02
+"""Angstrom RMS: matches whose lengths fit as well as the best but for this are told apart by stereo."""
+_WORST = 0.25
+"""Angstrom RMS between lengths of bonds; crystal ligands have up to 0.1."""
+_OTHER_RING = 0.09
+"""Angstrom: bonds of benzene are 0.13 shorter than those of cyclohexane."""
 _FLAT = 0.1
 """Volume of three unit vectors; 0.77 in a tetrahedron."""
 
@@ -41,13 +50,18 @@ class Placed(Value):
 
 
 def placed(
-    molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], x: Floats, bonds: ArrayLike | None = None
+    molecule: Molecule,
+    elements: ArrayLike,
+    names: tuple[str, ...],
+    x: Floats,
+    hydrogens: ArrayLike | None = None,
+    *,
+    by_name: bool = False,
 ) -> Placed:
-    """Put a molecule where a model has it; names need not agree.
+    """Put a molecule where a model has it, by the bonds that its coordinates show.
 
-    Of several matches that symmetry allows, the one in which all names agree is taken, else that with fewest
-    stereocentres inverted, then that whose distances are most like those of the source. (Some names may agree
-    by chance: those of SMILES and SDF files are counted off.)
+    Of several matches, the one whose hydrogens and lengths of bonds fit best is taken; where they fit alike,
+    that with fewest stereocentres inverted.
 
     Parameters
     ----------
@@ -56,45 +70,25 @@ def placed(
         Atomic numbers in the model; hydrogens are left out.
     names : tuple of str
     x : (nm, 3) float, nm
-    bonds : (m, 2) int, optional
-        Of the model; without them, atoms that are near enough. Orders are always those of the source.
+    hydrogens : (nm,) int, optional
+        How many each atom has in the model, if it has some.
+    by_name : bool
+        Whether names are those of the source: where all agree, distorted bonds do not matter.
 
     Raises
     ------
     StructureError
-        If the model has another molecule there.
+        If the model has another molecule there, with what differs.
     """
     elements = np.asarray(elements)
     if not np.isfinite(x).all():
         raise StructureError(f"{molecule.source}: the model has coordinates that are not finite; mend them")
-    kept = np.flatnonzero(elements != 1)
-    model = _skeleton(elements, x, bonds, kept)
-    heavy = molecule.heavy
-    inside = np.isin(molecule.bonds, heavy).all(1)
-    order = {number: place for place, number in enumerate(heavy.tolist())}
-    own = [(order[i], order[j]) for i, j in molecule.bonds[inside].tolist()]
-    n = len(heavy)
-    query = assembled([""] * n, molecule.elements[heavy], [0] * n, own, [1] * len(own), None)
-    matches = (
-        model.GetSubstructMatches(query, uniquify=False, maxMatches=_MOST_MATCHES)
-        if len(kept) == len(heavy)
-        else ()
-    )
-    here, whole = Counter(elements[kept].tolist()), Counter(molecule.elements[heavy].tolist())
-    if not matches and here < whole:
-        raise StructureError(
-            f"{molecule.source}: the model has {_formula(elements[kept])} of "
-            f"{_formula(molecule.elements[heavy])}; complete it"
-        )
-    if not matches:
-        raise StructureError(
-            f"{molecule.source}: is another molecule than the model has: {_formula(elements[kept])}, not "
-            f"{_formula(molecule.elements[heavy])}, or bonded otherwise; give the one that it has"
-        )
-    found = [kept[list(match)] for match in matches]
-    own_names = [molecule.names[i] for i in heavy]
-    same = [each for each in found if [names[i] for i in each] == own_names]
-    chosen = min(same or found, key=lambda i: (len(inverted_atoms(molecule, x[i])), _away(molecule, x[i])))
+    kept, heavy = np.flatnonzero(elements != 1), molecule.heavy
+    place_of = {names[k]: k for k in kept.tolist()}
+    chosen = np.array([place_of.get(molecule.names[i], -1) for i in heavy])
+    agree = len(kept) == len(heavy) and np.array_equal(elements[chosen], molecule.elements[heavy])
+    if not by_name or -1 in chosen or not agree:
+        chosen = _matched(molecule, elements, names, x, kept, hydrogens)
     atoms = np.full(molecule.n_atoms, -1)
     atoms[heavy] = chosen
     renamed = tuple(names[i] if i >= 0 else name for i, name in zip(atoms, molecule.names, strict=True))
@@ -103,20 +97,105 @@ def placed(
     return Placed(moved, read_only(atoms, np.int64), inverted)
 
 
-def _skeleton(elements: Any, x: Floats, bonds: ArrayLike | None, kept: Integers) -> Any:
-    """The model's heavy atoms, joined by single bonds, as RDKit's molecule."""
-    if bonds is None:
-        table = library("rdkit.Chem").GetPeriodicTable()
-        radius = np.array([table.GetRcovalent(int(z)) for z in elements[kept]])
-        apart = np.linalg.norm(x[kept][:, None] - x[kept], axis=2) * ANGSTROM_PER_NM
-        pairs = np.argwhere(np.triu(apart < _REACH * (radius[:, None] + radius), 1))
-    else:
-        number = np.full(len(elements), -1)
-        number[kept] = np.arange(len(kept))
-        pairs = number[np.asarray(bonds, dtype=np.int64).reshape(-1, 2)]
-        pairs = pairs[(pairs >= 0).all(1)]
-    n = len(kept)
-    return assembled([""] * n, elements[kept], [0] * n, pairs, [1] * len(pairs), None)
+def _matched(
+    molecule: Molecule,
+    elements: Any,
+    names: tuple[str, ...],
+    x: Floats,
+    kept: Integers,
+    hydrogens: ArrayLike | None,
+) -> Integers:
+    """The model's atom of each heavy atom of a molecule.
+
+    Raises
+    ------
+    StructureError
+        If there are none, with what differs.
+    """
+    heavy = molecule.heavy
+    number = np.cumsum(molecule.elements != 1) - 1
+    inside = np.isin(molecule.bonds, heavy).all(1)
+    own, its = number[molecule.bonds[inside]], molecule.elements[heavy]
+    table = library("rdkit.Chem").GetPeriodicTable()
+    radius = np.array([table.GetRcovalent(int(z)) for z in elements[kept]])
+    reach = radius[:, None] + radius
+    apart = np.linalg.norm(x[kept][:, None] - x[kept], axis=2) * ANGSTROM_PER_NM
+    joined = np.argwhere(np.triu(apart < _REACH * reach, 1))
+    here, whole = _formula(elements[kept]), _formula(its)
+    if here != whole:
+        if Counter(elements[kept].tolist()) < Counter(its.tolist()):
+            raise StructureError(f"{molecule.source}: the model has {here} of {whole}; complete it")
+        raise StructureError(
+            f"{molecule.source}: is another molecule than the model has: {here}, not {whole}; "
+            "give the one that it has"
+        )
+    found = np.array(
+        _skeleton(elements[kept], joined).GetSubstructMatches(
+            _skeleton(its, own), uniquify=False, maxMatches=_MOST_MATCHES
+        )
+    )
+    if not len(found):
+        raise StructureError(
+            f"{molecule.source}: is another molecule than the model has: both are {whole}, but bonded "
+            f"otherwise ({_difference(elements[kept], joined, its, own)}); give the one that it has"
+        )
+    made = to_rdkit(molecule)
+    orders = [1.5 if each.GetIsAromatic() else each.GetBondTypeAsDouble() for each in made.GetBonds()]
+    usual = np.array([_SHORTER[order] for order in orders])[inside]
+    first, second = found[:, own].transpose(2, 0, 1)
+    beyond = apart[first, second] - usual * reach[first, second]
+    misfit = np.sqrt(np.mean(beyond**2, axis=1)) if len(own) else np.zeros(len(found))
+    likest = np.arange(len(found))
+    if hydrogens is not None:
+        of_molecule = np.array([_hydrogens(molecule, i) for i in heavy.tolist()])
+        unlike = np.abs(np.asarray(hydrogens)[kept][found] - of_molecule).sum(1)
+        likest = np.flatnonzero(unlike == unlike.min())
+    likest = likest[misfit[likest] <= misfit[likest].min() + _ALIKE]
+    places = kept[found]
+    best = min(likest.tolist(), key=lambda k: (len(inverted_atoms(molecule, x[places[k]])), misfit[k]))
+    off = np.zeros(len(orders))
+    off[inside] = beyond[best]
+    if misfit[best] > _WORST:
+        raise StructureError(
+            f"{molecule.source}: fits the model badly: bonds differ by {misfit[best]:.2f} angstrom RMS; give "
+            "the molecule that it has, or mend its coordinates"
+        )
+    for ring in made.GetRingInfo().BondRings():
+        atoms = {i for k in ring for i in molecule.bonds[k].tolist()}
+        kinds = {orders[k] for k in ring}
+        # Single bonds that are too short, or aromatic ones that are too long.
+        beyond_usual = off[[*ring]].mean() * {1.0: -1.0, 1.5: 1.0}.get(max(kinds), 0.0)
+        is_plain = len(kinds) == 1 and {*molecule.elements[[*atoms]].tolist()} == {6}
+        if is_plain and beyond_usual > _OTHER_RING:
+            where = ", ".join(names[places[best][number[i]]] for i in sorted(atoms))
+            raise StructureError(
+                f"{molecule.source}: fits the model badly: bonds of the ring of {where} differ by "
+                f"{off[[*ring]].mean():+.2f} angstrom, as if it had others; give the molecule that it has"
+            )
+    return np.asarray(places[best])
+
+
+def _hydrogens(molecule: Molecule, atom: int) -> int:
+    ends = molecule.bonds[(molecule.bonds == atom).any(1)]
+    return int((molecule.elements[ends] == 1).sum())
+
+
+def _skeleton(elements: Any, bonds: Any) -> Any:
+    """Heavy atoms joined by single bonds, as RDKit's molecule."""
+    n = len(elements)
+    return assembled([""] * n, elements, [0] * n, bonds, [1] * len(bonds), None)
+
+
+def _difference(here: Any, joined: Any, whole: Any, own: Any) -> str:
+    """Kinds of bonds of which the model lacks some, or else has more."""
+    model, given = (
+        Counter(_formula(sorted(elements[list(pair)])) for pair in bonds)
+        for elements, bonds in ((here, joined), (whole, own))
+    )
+    lacks = given - model or model - given
+    word = "lacks" if given - model else "has more of"
+    told = ", ".join(f"{n} of {kind}" for kind, n in sorted(lacks.items()))
+    return f"it {word} bonds: {told}" if told else "other atoms of the same elements are joined"
 
 
 def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
@@ -148,22 +227,6 @@ def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
         if (sides > 0.0) != bool(cis):
             found.append((begin, end))
     return found
-
-
-def _away(molecule: Molecule, heavy: Floats) -> float:
-    """Root mean square difference of distances between heavy atoms, in nm.
-
-    If the source has no positions, bonds' orders times lengths: double bonds are the shorter ones.
-    """
-    if molecule.positions is None:
-        x = np.full((molecule.n_atoms, 3), np.nan)
-        x[molecule.heavy] = heavy
-        length = np.linalg.norm(np.subtract(*x[molecule.bonds.T]), axis=1)
-        return float(np.nansum(molecule.orders * length))
-    there, here = (
-        np.linalg.norm(each[:, None] - each, axis=2) for each in (molecule.positions[molecule.heavy], heavy)
-    )
-    return float(np.sqrt(np.mean((here - there) ** 2)))
 
 
 def _with_hydrogens(molecule: Molecule, heavy: Floats) -> Floats:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import read_only
-from protochain.core.checks import MOLECULE_SUFFIXES
+from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
@@ -24,8 +24,10 @@ from protochain.ligands.tables import CATEGORY, stereo
 
 _LARGEST = 10_000_000
 """Bytes. Of a molecule; a model with its ligand is larger."""
+_MOL2 = "@<TRIPOS>MOLECULE"
 _LISTED = ", ".join(MOLECULE_SUFFIXES)
-_ORDERS = {"sing": 1, "doub": 2, "trip": 3, "arom": 12, "delo": 12}
+_AROMATIC = 12
+_ORDERS = {"sing": 1, "doub": 2, "trip": 3, "arom": _AROMATIC, "delo": _AROMATIC}
 """Of mmCIF's bond tables, by the first four letters; the last as RDKit numbers them."""
 
 
@@ -70,16 +72,16 @@ def of_residue(
 
 
 def read(given: str | Path) -> Molecule:
-    """Read what a user gives: the path of an SDF or MOL2 file, or SMILES.
+    """Read what a user gives: the path of an SDF or MOL2 file, perhaps with ``#2`` for a record, or SMILES.
 
     Raises
     ------
     StructureError
         If it is neither, or not one molecule.
     """
-    path = Path(given)
+    path, record = file_and_record(given)
     if isinstance(given, Path) or path.suffix.lower() in MOLECULE_SUFFIXES:
-        return _from_file(path)
+        return _from_file(path, record)
     made = quietly(library("rdkit.Chem").MolFromSmiles, given)
     if made is None or not made.GetNumAtoms():
         raise StructureError(
@@ -134,31 +136,38 @@ def text_of(path: Path) -> str:
         raise StructureError(f"{path}: cannot be read ({error.strerror}); give another file") from None
 
 
-def _from_file(path: Path) -> Molecule:
-    text, suffix = text_of(path), path.suffix.lower()
-    chem = library("rdkit.Chem")
+def records(text: str, suffix: str) -> list[str]:
+    """Molecules of an SDF or MOL2 file."""
     if suffix == ".mol2":
-        n = sum(line.startswith("@<TRIPOS>MOLECULE") for line in text.splitlines())
-        parse: Callable[..., Any] = chem.MolFromMol2Block
-    elif suffix in MOLECULE_SUFFIXES:
-        records = [each for each in text.replace("\r\n", "\n").split("\n$$$$") if each.strip()]
-        n, parse = len(records), chem.MolFromMolBlock
-    else:
+        found = text.split(_MOL2)[1:]
+        return [f"{_MOL2}{each}" for each in found]
+    return [each for each in text.replace("\r\n", "\n").split("\n$$$$") if each.strip()]
+
+
+def _from_file(path: Path, number: int) -> Molecule:
+    suffix = path.suffix.lower()
+    if suffix not in MOLECULE_SUFFIXES:
         raise StructureError(f"{path}: is none of {_LISTED}; give one of them, or SMILES")
-    if n != 1:
-        raise StructureError(f"{path}: has {n} molecules; give a file with one")
+    found = records(text_of(path), suffix)
+    if number > len(found) or (not number and len(found) != 1):
+        one = f", as {path}#1" if found else ""
+        raise StructureError(f"{path}: has {len(found)} molecules; give a file with one, or one of its{one}")
+    text = found[max(number, 1) - 1].removeprefix("\n" if number > 1 else "")
+    source = f"{path}#{number}" if number else str(path)
+    chem = library("rdkit.Chem")
+    parse: Callable[..., Any] = chem.MolFromMol2Block if suffix == ".mol2" else chem.MolFromMolBlock
     made = quietly(parse, text, removeHs=False)
     if made is None:  # Without its checks RDKit says what is wrong.
         made = quietly(parse, text, removeHs=False, sanitize=False)
         if made is None:
-            raise StructureError(f"{path}: is no {suffix[1:].upper()} file that can be read; mend it")
-        return _sanitised(made, str(path))
+            raise StructureError(f"{source}: is no {suffix[1:].upper()} file that can be read; mend it")
+        return _sanitised(made, source)
     for atom in made.GetAtoms():
         if atom.HasProp("_TriposAtomName"):
             atom.SetProp("name", atom.GetProp("_TriposAtomName"))
     if not made.GetNumAtoms():
-        raise StructureError(f"{path}: has no atoms; give a file with one molecule")
-    return from_rdkit(made, str(path))
+        raise StructureError(f"{source}: has no atoms; give a file with one molecule")
+    return from_rdkit(made, source)
 
 
 def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> tuple[Molecule | None, bool]:
@@ -193,6 +202,8 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
     elements = [_atomic_number(symbol) for symbol, _ in atoms.values()]
     pairs = [(names.index(row[0]), names.index(row[1])) for row in bonds]
     charges = [charge for _, charge in atoms.values()]
+    if not is_charged:
+        charges = _by_valence(elements, pairs, orders)
     made = _sanitised(assembled(names, elements, charges, pairs, orders, None), source)
     own = [
         {"kind": row.str(1), "atoms": row.str(2)}
@@ -208,6 +219,19 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
         double_bonds=read_only(double, np.int64).reshape(-1, 5),
     )
     return from_rdkit(to_rdkit(handed), source), is_charged
+
+
+def _by_valence(elements: list[int], pairs: list[tuple[int, int]], orders: list[int]) -> list[int]:
+    """Charges of atoms of a table that has none: a nitrogen with four bonds, and an oxide at such a one."""
+    bonds = np.zeros(len(elements))
+    for pair, order in zip(pairs, orders, strict=True):
+        bonds[list(pair)] += 1.5 if order == _AROMATIC else order
+    charges = [int(z == 7 and n == 4) for z, n in zip(elements, bonds, strict=True)]
+    for ends in (*pairs, *(pair[::-1] for pair in pairs)):
+        nitrogen, oxygen = ends
+        if charges[nitrogen] == 1 and elements[oxygen] == 8 and bonds[oxygen] == 1:
+            charges[oxygen] = -1
+    return charges
 
 
 def _sanitised(made: Any, source: str) -> Molecule:

@@ -145,6 +145,10 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     )  # fmt: skip
     before, after = (record.get(f"ligand_strain_{when}_kj_mol") for when in ("start", "end"))
     rows.append(("largest strain of a ligand, kJ/mol", before, after))
+    before, after = (
+        sum(len(each[f"inverted_{when}"]) for each in record.get("ligands", ())) for when in ("start", "end")
+    )
+    rows.append(("inverted stereocentres and double bonds of ligands", before, after))
     rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
     rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
     rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))

@@ -4,8 +4,8 @@ Orders of bonds and charges are never taken from distances. A molecule whose che
 which the force field of small molecules has no parameters, stays in place, and its repair says why.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
 from string import ascii_lowercase, ascii_uppercase, digits
@@ -23,9 +23,10 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import Ligand, parametrised
 from protochain.ligands.matching import Placed, placed
 from protochain.ligands.molecule import Molecule, library
-from protochain.ligands.protonation import Charged, at_ph, with_hydrogens
+from protochain.ligands.protonation import Charged, at_metal, at_ph, with_hydrogens
 from protochain.ligands.sources import of_residue
 from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.linkage import Link
 from protochain.structure.repairs import Kind
 from protochain.structure.templates import HAS_GLYCAM, Template
 
@@ -33,6 +34,10 @@ _BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is not taken."""
 _DECIMALS = 5
 """Of angstrom: libraries differ in the last bits."""
+
+
+Charging = tuple[Molecule, tuple[Charged, ...]]
+"""A molecule as it is at a pH, and what was charged."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +53,15 @@ class Chemistry:
     ph : float
     has_glycam : bool
         Whether the force field is one that GLYCAM-06j goes with.
+    posed : mapping of str to (Molecule, tuple of Charged)
+        Poses that were added, by the name of the residue.
     """
 
     sources: tuple[LigandSource, ...] = ()
     charges: str = defaults.LIGAND_CHARGES
     ph: float = defaults.PH
     has_glycam: bool = True
+    posed: Mapping[str, "Charging"] = field(default_factory=dict, compare=False)
 
     @classmethod
     def asked(cls, ligands: Any, ligand_charges: Any, ph: float, forcefield: Sequence[str]) -> "Chemistry":
@@ -67,6 +75,21 @@ class Chemistry:
         return {name: given for name, given in self.sources if name}
 
     @property
+    def moving(self) -> set[str]:
+        """Names of residues that are to move, whatever else is kept."""
+        return {*self.named, *self.posed}
+
+    def charged(self, molecule: Molecule, given: bool) -> Charging:
+        """Charge a molecule for the pH, unless its source shows how it is charged.
+
+        The table knows acids of carbon and phosphorus. SO4 is as its source has it, as is what users give
+        with charges.
+        """
+        if not np.isin(molecule.elements, (6, 15)).any() or (given and molecule.formal_charges.any()):
+            return molecule, ()
+        return at_ph(molecule, self.ph)
+
+    @property
     def poses(self) -> list[str]:
         """Paths of the molecules to add."""
         return [given for name, given in self.sources if not name]
@@ -76,23 +99,26 @@ AS_KNOWN = Chemistry()
 """Of the file, or of the dictionary."""
 
 
-def pose(path: str, chains: set[str], names: set[str]) -> Member:
-    """Return the molecule of a file as a residue beside the protein, in a chain and under a name of its own.
+def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]) -> tuple[Chemistry, Member]:
+    """Return the molecule of a file as a residue beside the protein, and the chemistry with it.
 
     Parameters
     ----------
+    chemistry : Chemistry
     path : str
     chains, names : set of str
-        That others have.
+        That others have; its own are others.
 
     Raises
     ------
     StructureError
         If the file cannot be read, or has no coordinates.
     """
-    molecule = of_residue("", given=Path(path))
-    if molecule.positions is None:
+    given = of_residue("", given=Path(path))
+    if given.positions is None:
         raise StructureError(f"{path}: has no coordinates in space; dock it first")
+    molecule, charged = chemistry.charged(given, given=True)
+    assert molecule.positions is not None
     name = next(each for k in count() if (each := f"L{k:02d}" if k else "LIG") not in names)
     chain = next((each for each in ascii_uppercase + ascii_lowercase + digits if each not in chains), "Z")
     atoms = []
@@ -101,15 +127,18 @@ def pose(path: str, chains: set[str], names: set[str]) -> Member:
     ):
         atoms.append(atom(called, gemmi.Element(int(z)).name, (x * ANGSTROM_PER_NM).tolist()))
         atoms[-1].charge = int(charge)
-    return Member(name, "1", "", chain, atoms, given=name)
+    posed = {**chemistry.posed, name: (molecule, charged)}
+    return replace(chemistry, posed=posed), Member(name, "1", "", chain, atoms, given=name)
 
 
 class Chemist:
     """Gives molecules of a draft their chemistry; those of one name share what is looked up."""
 
-    def __init__(self, draft: Draft, chemistry: Chemistry) -> None:
-        self.draft, self.chemistry = draft, chemistry
-        self.known: dict[str, tuple[Molecule, tuple[Charged, ...]]] = {}
+    def __init__(
+        self, draft: Draft, chemistry: Chemistry, metals: Sequence[tuple[Member, gemmi.Atom]]
+    ) -> None:
+        self.draft, self.chemistry, self.metals = draft, chemistry, metals
+        self.known: dict[str, Charging] = dict(chemistry.posed)
 
     def settle(self, part: Part) -> None:
         """Let a molecule move if its chemistry is known; a repair says why one is not.
@@ -124,41 +153,54 @@ class Chemist:
         try:
             library("rdkit.Chem")
             molecule, charged = self._looked_up(name, member)
-            at = _placed(molecule, member)
-            molecule = _as_filed(_as_shown(at.molecule, member), member)
+            at = _placed(molecule, member, by_name=name not in self.chemistry.named)
+            called = dict(zip(molecule.names, at.molecule.names, strict=True))
+            charged = tuple(replace(each, atom=called[each.atom]) for each in charged)
+            molecule = _as_shown(at.molecule, member)
+            if name in self.chemistry.posed or not any(a.is_hydrogen() for a in member.atoms):
+                molecule, charged = self._at_metals(molecule, charged, member)
+            molecule = _as_filed(molecule, member)
+            # What the file's hydrogens show, the pH has not done.
+            now = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
+            charged = tuple(each for each in charged if each.after == now[each.atom])
             part.ligand = parametrised(molecule, self.chemistry.charges, charged=charged)
         except ProtochainError as error:
             # What the user gives is not left aside.
-            if name in self.chemistry.named or self.chemistry.charges not in CHARGE_RULES:
+            if name in self.chemistry.moving or self.chemistry.charges not in CHARGE_RULES:
                 raise StructureError(f"{self.draft.source}: {member}: ", *error.parts) from None
             self.draft.note(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
             return
         part.inverted, part.mobile = at.inverted, True
 
-    def _looked_up(self, name: str, member: Member) -> tuple[Molecule, tuple[Charged, ...]]:
-        """Chemistry of a residue by name, charged for the pH unless its source shows how it is charged."""
+    def _at_metals(self, molecule: Molecule, charged: tuple[Charged, ...], member: Member) -> Charging:
+        """The molecule without the protons that metals displace; their places are left out of the residue."""
+        metals = [metal for metal in self.metals if metal[0] is not member]
+        holding = {a.name for a in member.atoms if any(Link(member, a, *m).is_coordinated for m in metals)}
+        released, more = at_metal(molecule, [k for k, name in enumerate(molecule.names) if name in holding])
+        member.atoms = [a for a in member.atoms if not a.is_hydrogen() or a.name in released.names]
+        before = {each.atom: each.before for each in charged}
+        more = tuple(replace(each, before=before.get(each.atom, each.before)) for each in more)
+        changed = {each.atom: each for each in (*charged, *more)}.values()
+        return released, tuple(each for each in changed if each.before != each.after)
+
+    def _looked_up(self, name: str, member: Member) -> Charging:
+        """Chemistry of a residue by name, charged for the pH."""
         if name not in self.known:
             given = self.chemistry.named.get(name)
             atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
             found = of_residue(name, self.draft.header, atoms, given)
-            # The table knows acids of carbon and phosphorus. SO4 is as its source has it, as is what users
-            # give with charges.
-            as_it_is = not np.isin(found.elements, (6, 15)).any() or (given and found.formal_charges.any())
-            self.known[name] = (found, ()) if as_it_is else at_ph(found, self.chemistry.ph)
+            self.known[name] = self.chemistry.charged(found, given is not None)
         return self.known[name]
 
 
-def _placed(molecule: Molecule, member: Member) -> Placed:
-    """The molecule where the file has it; where all names agree, distorted bonds do not matter."""
+def _placed(molecule: Molecule, member: Member, by_name: bool) -> Placed:
+    """The molecule where the file has it."""
     atoms = [a for a in member.atoms if not a.is_hydrogen()]
-    names = tuple(a.name for a in atoms)
-    bonds = None
-    if {*names} == {molecule.names[i] for i in molecule.heavy}:
-        place = {name: i for i, name in enumerate(names)}
-        ends = [[place.get(molecule.names[i], -1) for i in pair] for pair in molecule.bonds]
-        bonds = [pair for pair in ends if min(pair) >= 0]
-    x = np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
-    return placed(molecule, [a.element.atomic_number for a in atoms], names, x, bonds)
+    there = _hydrogens(member)
+    n = [len(there[a.name]) for a in atoms]
+    names, x = tuple(a.name for a in atoms), np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
+    elements = [a.element.atomic_number for a in atoms]
+    return placed(molecule, elements, names, x, n if any(n) else None, by_name=by_name)
 
 
 def _as_shown(molecule: Molecule, member: Member) -> Molecule:

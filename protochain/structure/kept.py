@@ -16,6 +16,7 @@ from protochain.structure import glycans, residues
 from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry
 from protochain.structure.draft import Draft, Member, Part, losses
 from protochain.structure.ions import is_known
+from protochain.structure.linkage import is_metal
 from protochain.structure.recognise import by_element, recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.templates import Template
@@ -117,7 +118,7 @@ def choose(
     lost: list[Loss] = []
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.given}
-        is_given = candidate.given in chemistry.named
+        is_given = candidate.given in chemistry.moving
         # A result names what it kept, which may have come further away.
         if id(candidate) in near or draft.says_of(candidate.member):
             words.add("near")
@@ -133,7 +134,10 @@ def choose(
         gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
     for (kind, _), count in gone.items():
         draft.left_out[kind] += count
-    parts = _parts(draft, chosen, known, Chemist(draft, chemistry))
+    metals = [
+        (each.member, a) for each in chosen for a in each.member.atoms if is_metal(a.element.name)
+    ]  # fmt: skip
+    parts = _parts(draft, chosen, known, Chemist(draft, chemistry, metals))
     moves = {id(member) for part in parts if part.mobile for member in part.members}
     _report(draft, gone, tuple(lost), chosen, moves)
     return parts
@@ -195,7 +199,7 @@ def _parts(
         else:
             parts.append(Part(member.chain_id, [member], obstacle=True))
     chemistry = chemist.chemistry
-    held = glycans.settle(draft, parts, known.keys() | chemistry.named.keys(), chemistry.has_glycam)
+    held = glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
     for part in (each for each in parts if not each.glycan):
         _trim(draft, part)
     parts = [piece for part in parts for piece in _pieces(draft, part, known)]

@@ -1,17 +1,20 @@
-"""Ligands of a structure as an SDF file, with the orders and charges that the structure's files may lack."""
+"""Ligands of a structure as an SDF file, with orders and charges that its files may lack; files of poses."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record
 from protochain.core.checks import path as as_path
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import write_text
 from protochain.ligands.molecule import library, to_rdkit
+from protochain.ligands.sources import records, text_of
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 
 
-def save_ligands(structure: Any, path: str | Path) -> None:
+def save_ligands(structure: Any, path: str | Path, sources: Sequence[str | Path] = ()) -> None:
     """Write the ligands of a structure to an SDF file, a record for each.
 
     Atoms are in the order of the molecule that was given, then come its hydrogens. Titles are name, chain and
@@ -23,6 +26,8 @@ def save_ligands(structure: Any, path: str | Path) -> None:
         One with ``ligands``; of a result, its end.
     path : path-like
         Ends in ``.sdf``.
+    sources : sequence of str or path-like
+        Files of poses, of which alone records are written; by default of all.
 
     Raises
     ------
@@ -31,7 +36,7 @@ def save_ligands(structure: Any, path: str | Path) -> None:
     """
     path = as_path(path, "path")
     check_ligand_file(path)
-    text = ligand_text(as_structure(structure))
+    text = ligand_text(as_structure(structure), sources)
     write_text(path, text)
 
 
@@ -62,7 +67,7 @@ def check_ligands(structure: Structure) -> None:
         )  # fmt: skip
 
 
-def ligand_text(structure: Structure) -> str:
+def ligand_text(structure: Structure, sources: Sequence[str | Path] = ()) -> str:
     """Return the text that :func:`save_ligands` writes.
 
     Raises
@@ -71,12 +76,37 @@ def ligand_text(structure: Structure) -> str:
         If there are none.
     """
     check_ligands(structure)
-    chem, records = library("rdkit.Chem"), []
+    chem, found, wanted = library("rdkit.Chem"), [], {str(Path(each)) for each in sources}
     for each in structure.ligands:
         molecule = each.ligand.molecule
+        if wanted and molecule.source not in wanted:
+            continue
         made = to_rdkit(molecule, structure.positions[each.atoms])
         its = structure.residue(int(structure.atom_residue[each.atoms[0]]))
         made.SetProp("_Name", f"{its.name} {its.chain} {its.number}")
         source = " ".join(molecule.source.split())
-        records.append(f"{chem.MolToMolBlock(made)}>  <source>\n{source}\n\n$$$$\n")
-    return "".join(records)
+        found.append(f"{chem.MolToMolBlock(made)}>  <source>\n{source}\n\n$$$$\n")
+    return "".join(found)
+
+
+def poses(path: Path) -> list[str]:
+    """Sources of the poses of a folder, or of the molecules of a file: the file itself if it has one.
+
+    Raises
+    ------
+    StructureError
+        If a file cannot be read.
+    """
+    if path.is_dir():
+        files = sorted(each for each in path.iterdir() if each.suffix.lower() in MOLECULE_SUFFIXES)
+        return [pose for file in files for pose in poses(file)]
+    n = 1 if file_and_record(path)[1] else len(records(text_of(path), path.suffix.lower()))
+    return [f"{path}#{k}" for k in range(1, n + 1)] if n > 1 else [str(path)]
+
+
+def are_several(given: str) -> bool:
+    """Whether a source is a folder of poses, or a file with several; one that cannot be read is none."""
+    try:
+        return Path(given).is_dir() or len(poses(Path(given))) > 1
+    except StructureError:
+        return False

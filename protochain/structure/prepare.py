@@ -103,8 +103,9 @@ def load(
     ligands : mapping of str to path-like or str, or sequence
         Chemistry of molecules beside the protein by the name of their residue: an SDF or MOL2 file, or
         SMILES. ``"NAME=FILE"`` is taken, too, and a list of such; a file without a name is a pose, which is
-        added. Others have the bonds that the file states (``_chem_comp_bond``, CONECT records with orders),
-        or those of the Chemical Component Dictionary. Their force field is that of :func:`protochain.ligand`.
+        added (``"FILE.sdf#2"`` its second molecule). Others have the bonds that the file states
+        (``_chem_comp_bond``, CONECT records with orders), or those of the Chemical Component Dictionary.
+        Their force field is that of :func:`protochain.ligand`.
         It needs ``pip install "protochain[ligands]"``.
     ligand_charges : str or path-like
         Their partial charges, as ``charges`` of :func:`protochain.ligand`.

@@ -19,7 +19,7 @@ from protochain.core.markup import counted, listed
 from protochain.structure import residues
 from protochain.structure.apart import refuse_crowds
 from protochain.structure.backbone import complete_backbone
-from protochain.structure.bound import AS_KNOWN, Chemistry, pose
+from protochain.structure.bound import AS_KNOWN, Chemistry, with_pose
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import (
@@ -191,9 +191,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     chemistry = reading.chemistry
     for path in chemistry.poses:
         taken = {(each.chain_id, each.number) for each in (*draft.members, *(b.member for b in beside))}
-        names = {*chemistry.named, *(each.given for each in beside)}
-        member = pose(path, {chain for chain, _ in taken}, names)
-        chemistry = replace(chemistry, sources=(*chemistry.sources, (member.name, path)))
+        names = {*chemistry.moving, *(each.given for each in beside)}
+        chemistry, member = with_pose(chemistry, path, {chain for chain, _ in taken}, names)
         beside.append(Candidate(member, member.name))
     there = [*draft.members, *(each.member for each in beside)]
     refuse_crowds([atom for member in there for atom in member.atoms], draft.source)

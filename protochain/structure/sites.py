@@ -20,19 +20,8 @@ from protochain.structure.linkage import COVALENT_SLACK, Link, is_metal, told_ap
 from protochain.structure.model import Tie
 from protochain.structure.repairs import Apart, Count, Kind
 
-_OXYGEN_DISTANCE = {
-    "Na": 2.38, "Mg": 2.07, "K": 2.74, "Ca": 2.36, "Mn": 2.15, "Fe": 2.04, "Co": 2.05, "Ni": 2.06,
-    "Cu": 1.99, "Zn": 1.99,
-}  # fmt: skip
-"""Angstrom, usual distance of oxygen in proteins: Harding, Acta Cryst. D62:678 (2006); Ni by its radius."""
-_OTHER_METAL = 2.3
-"""Angstrom: of metals that are not in the table."""
-_SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
-"""Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
 STATED = 3.3
 """Angstrom: bonds that the file states are believed up to this length."""
-_TOO_NEAR = 0.6
-"""Angstrom by which a donor may be nearer to a metal than usual; nearer ones lie on it."""
 _BEYOND = 0.25
 """Angstrom: a covalent bond that is off by more is drawn to its usual length."""
 _LEAST, _MOST = np.deg2rad(90.0), np.deg2rad(140.0)
@@ -69,7 +58,7 @@ def find_links(draft: Draft) -> list[Link]:
     for link in near:
         if link in said:
             continue
-        if link.is_metal and _is_coordinated(link):
+        if link.is_metal and link.is_coordinated:
             bonded.add(link)
         elif link.is_metal and link.stated:
             refused.append((link, f"it is {link.length:.2f} angstrom long"))
@@ -242,7 +231,7 @@ def metal_ties(draft: Draft, at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, 
     for part, member, donor in atoms:
         for k in sorted(tree.query_ball_point(donor.pos.tolist(), STATED)) if part.mobile else ():
             link = Link(member, donor, *metals[k])
-            if _is_coordinated(link):
+            if link.is_coordinated:
                 ends = at[id(member)][donor.name], at[id(link.other)][link.other_atom.name]
                 found.append(Tie(ends, 0.1 * link.length, _METAL_BOND))
     return tuple(found)
@@ -250,17 +239,6 @@ def metal_ties(draft: Draft, at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, 
 
 def _heavy(member: Member) -> list[gemmi.Atom]:
     return [a for a in member.atoms if not a.is_hydrogen()]
-
-
-def _is_coordinated(link: Link) -> bool:
-    """Whether an atom holds a metal: it is a donor at a usual distance, or the file says so."""
-    usual = _OXYGEN_DISTANCE.get(link.other_atom.element.name, _OTHER_METAL)
-    if link.stated or link.length < usual - _TOO_NEAR:
-        return link.length >= usual - _TOO_NEAR
-    slack = _SLACK.get(link.atom.element.name)
-    # An amide nitrogen of the chain has no free pair of electrons.
-    is_amide = link.atom.name == "N" and bool(link.member.atom("CA"))
-    return slack is not None and not is_amide and link.length <= usual + slack
 
 
 def ties(

@@ -385,6 +385,19 @@ def test_a_folder_of_poses_is_a_job_for_each_which_is_done_anew_if_its_pose_chan
         find_jobs([tmp_path / "protein.pdb"], settings)
 
 
+def test_a_file_with_several_poses_is_a_job_for_each(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("protein.pdb").write_text((STRUCTURES / "ala10.pdb").read_text())
+    Path("poses.sdf").write_text("one\n$$$$\ntwo\n$$$$\n")
+    jobs = find_jobs(["protein.pdb"], BatchSettings(setup=pc.Setup(ligands=("poses.sdf",))))
+    assert [job.name for job in jobs] == ["protein.poses_1", "protein.poses_2"]
+    assert [job.settings.setup.ligands for job in jobs] == [(("", f"poses.sdf#{k}"),) for k in (1, 2)]
+    assert jobs[1].anywhere.settings.setup.ligands == (("", f"{tmp_path / 'poses.sdf'}#2"),)
+    Path("poses.sdf").write_text("one\n$$$$\nmoved\n$$$$\n")
+    again = find_jobs(["protein.pdb"], BatchSettings(setup=pc.Setup(ligands=("poses.sdf",))))
+    assert {job.key for job in jobs}.isdisjoint(job.key for job in again)
+
+
 def test_a_worker_in_another_folder_finds_poses_and_charges(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("x.pdb", "pose.sdf", "q.csv"):

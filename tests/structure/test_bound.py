@@ -245,3 +245,77 @@ def test_donors_of_a_ligand_that_hold_a_metal_are_tied_to_it():
         assert s.atom_element[i] == "O" and s.atom_element[j] == "Mg"
         assert np.linalg.norm(s.positions[i] - s.positions[j]) == pytest.approx(tie.rest, abs=1e-6)
         assert np.linalg.norm(relaxed.x[i] - relaxed.x[j]) == pytest.approx(tie.rest, abs=0.02)
+
+
+def with_metal(path, name, element, away):
+    """The same file with an ion at a distance in angstrom from an atom of residue L, on its far side."""
+    structure = gemmi.read_structure(str(path))
+    (residue,) = structure[0]["L"]
+    at = residue[name][0].pos
+    out = at - gemmi.Position(*np.mean([a.pos.tolist() for a in residue], axis=0))
+    chain, ion, site = gemmi.Chain("M"), gemmi.Residue(), gemmi.Atom()
+    ion.name, ion.seqid, ion.het_flag = element.upper(), gemmi.SeqId("1"), "H"
+    site.name, site.element = element.upper(), gemmi.Element(element)
+    site.pos = at + out * (away / out.length())
+    ion.add_atom(site)
+    chain.add_residue(ion)
+    structure[0].add_chain(chain)
+    structure.write_pdb(str(path))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("smiles", "name", "near", "far"),
+    [("NS(=O)(=O)c1ccccc1", "X0", -1, 0), ("NCCc1ccccc1", "X0", 0, 1), ("OC1CCCCC1", "X0", 0, 0)],
+)
+def test_a_donor_that_holds_a_metal_has_no_proton_to_lose(tmp_path, smiles, name, near, far):
+    """Sulphonamide and ammonium on zinc; an alcohol keeps its own."""
+    for away, charge in ((2.0, near), (4.0, far)):
+        path = with_metal(beside(tmp_path, embedded(smiles, away=0.8)), name, "Zn", away)
+        (bound,) = pc.load(path, ligands={"XYZ": smiles}, keep="all").ligands
+        assert bound.ligand.molecule.charge == charge
+        assert sum(each.after - each.before for each in bound.ligand.charged) == charge
+
+
+@pytest.mark.parametrize("smiles", ["CC(=O)O", "NCCO", "CN1CCN(C)CC1"])
+def test_a_pose_is_charged_as_the_same_molecule_under_a_name(tmp_path, smiles):
+    pose, made = posed(tmp_path, smiles), embedded(smiles)
+    added = pc.load(PROTEIN, ligands=pose)
+    named = pc.load(beside(tmp_path, made), ligands={"XYZ": str(pose)})
+    found = [each.ligands[0].ligand for each in (added, named)]
+    assert found[0].molecule.charge == found[1].molecule.charge == (-1 if smiles == "CC(=O)O" else 1)
+    assert [len(each.charged) for each in found] == [1, 1] and Kind.CHARGED in kinds(added)
+    assert added.atom_element.tolist() == named.atom_element.tolist()
+    pc.save_ligands(added, tmp_path / "out.sdf")
+    (written,) = Chem.SDMolSupplier(str(tmp_path / "out.sdf"), removeHs=False)
+    assert Chem.GetFormalCharge(written) == found[0].molecule.charge
+
+
+def test_names_of_smiles_match_nothing(tmp_path):
+    """Two orders of paracetamol, whose names made of element and number are those of other atoms."""
+    made = embedded("CC(=O)Nc1ccc(O)cc1", away=0.8)
+    path = beside(tmp_path, made)
+    structure, count = gemmi.read_structure(str(path)), {}
+    for each in structure[0]["L"][0]:
+        count[each.element.name] = count.get(each.element.name, 0) + 1
+        each.name = f"{each.element.name}{count[each.element.name]}"
+    structure.write_pdb(str(path))
+    energies = []
+    for smiles in ("CC(=O)Nc1ccc(O)cc1", "Oc1ccc(NC(C)=O)cc1"):
+        s = pc.load(path, ligands={"XYZ": smiles})
+        (bound,) = s.ligands
+        molecule, x = bound.ligand.molecule, s.positions[bound.atoms]
+        assert np.linalg.norm(np.subtract(*x[molecule.bonds.T]), axis=1).max() < 0.16
+        energies.append(bound.ligand.terms(x)["bonds"])
+    assert energies[0] == pytest.approx(energies[1], rel=1e-9)
+
+
+def test_records_of_a_file_of_ligands_are_named_and_a_pose_can_be_alone(tmp_path):
+    pose, other = posed(tmp_path, "CC(=O)O"), embedded("OCCO", away=0.9)
+    s = pc.load(beside(tmp_path, other, "EDO", label="A{}"), ligands=["EDO=OCCO", str(pose)], keep="all")
+    titles = []
+    for sources in ((), (pose,)):
+        pc.save_ligands(s, tmp_path / "out.sdf", sources)
+        records = Chem.SDMolSupplier(str(tmp_path / "out.sdf"), removeHs=False)
+        titles.append([each.GetProp("_Name").split()[0] for each in records])
+    assert titles == [["EDO", "LIG"], ["LIG"]]
