@@ -168,4 +168,4 @@ def _apart(first: Member, second: Member) -> float:
 
 
 def _is_stated(draft: Draft, first: Member, second: Member) -> bool:
-    return draft.states(*((member.chain_id, member.seqid, "SG") for member in (first, second)))
+    return draft.states(first.address("SG"), second.address("SG"))

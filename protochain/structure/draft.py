@@ -78,6 +78,10 @@ class Member:
         """Number and insertion code."""
         return self.number + self.insertion_code
 
+    def address(self, name: str) -> Address:
+        """Where the file has one of its atoms."""
+        return self.chain_id, self.seqid, name
+
     def atom(self, name: str) -> gemmi.Atom | None:
         """Return the atom of that name, if there is one."""
         return next((atom for atom in self.atoms if atom.name == name), None)

@@ -82,7 +82,7 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
             draft.note(Kind.GLYCAN_STAYS, residue=mine[0].members[0].residue, why=why)
             refused += mine
             continue
-        draft.glycosidic += [(_address(x.member, x.atom), _address(x.other, x.other_atom)) for x in own]
+        draft.glycosidic += [(x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in own]
         facts: dict[str, Any] = {"count": len(mine), "codes": (*dict.fromkeys(codes.values()),)}
         root = next((link for link in own if id(link.member) not in place), None)
         if root is not None:
@@ -147,7 +147,7 @@ class _Surroundings:
             for a in m.atoms if not a.is_hydrogen()
         ]  # fmt: skip
         self.tree = KDTree([a.pos.tolist() for _, a in self.heavy])
-        self.at = {_address(m, a): (m, a) for m, a in self.heavy}
+        self.at = {m.address(a.name): (m, a) for m, a in self.heavy}
         self.stated: dict[Address, list[Address]] = {}
         for first, second in draft.stated:
             if first[:2] != second[:2]:
@@ -156,7 +156,7 @@ class _Surroundings:
 
     def bonds_stated(self, member: Member, atom: gemmi.Atom) -> list[_Owned]:
         """Atoms of other residues, metals left out, to which the file states a bond."""
-        ends = (self.at.get(each) for each in self.stated.get(_address(member, atom), ()))
+        ends = (self.at.get(each) for each in self.stated.get(member.address(atom.name), ()))
         return [end for end in ends if end is not None and not is_metal(end[1].element.name)]
 
     def link(self, sugar: Member) -> Link | None:

@@ -275,8 +275,13 @@ class Structure(Value):
 
     @cached_property
     def residue_chain_index(self) -> Integers:
-        """(nr,) int: index of the unbroken chain of each residue."""
-        return read_only([residue.chain.index for residue in self.topology.residues()], np.int64)
+        """(nr,) int: index of the unbroken chain of each residue; its id may change within."""
+        chain = np.array([residue.chain.index for residue in self.topology.residues()], dtype=np.int64)
+        starts = np.diff(chain, prepend=-1) != 0
+        (i, j), residue = self.bonds.T, self.atom_residue
+        along = (residue[j] == residue[i] + 1) & (self.atom_name[i] == "C") & (self.atom_name[j] == "N")
+        starts[residue[j[along & ~self.kept[i] & ~self.kept[j]]]] = False
+        return read_only(np.cumsum(starts) - 1, np.int64)
 
     @cached_property
     def bonds(self) -> Integers:

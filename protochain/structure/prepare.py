@@ -299,8 +299,10 @@ def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Int
     atoms = []
     templates_of = {id(member): template for member, template in done}
     for part in parts:
-        chain = topology.addChain(part.chain_id)
+        chain = None
         for member in part.members:
+            if chain is None or chain.id != member.chain_id:
+                chain = topology.addChain(member.chain_id)
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)

@@ -6,11 +6,13 @@ raises an error of one line.
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import gemmi
 import numpy as np
+from scipy.spatial import KDTree
 
 from protochain.core.checks import check_fields, flag, integer, optional, text, words
 from protochain.core.errors import Argument, OnlyAlphaError, StructureError
@@ -43,8 +45,6 @@ PEPTIDE_BREAK = 2.0
 PEPTIDE_TORN = 3.0
 """Angstrom: C and N of consecutive numbers are bonded up to here, as in models whose bonds are off. Atoms of
 two chain ends do not come that near: C and N that are not bonded touch at 3.25."""
-_MOST_STRAYS = 10
-"""Residues in a row that may stand in another place of the file than in the chain."""
 SMALLEST_RING = 4
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
@@ -143,13 +143,12 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         if bond.type in _BONDS and bond.asu != gemmi.Asu.Different
     ] + _of_serials(structure, model)
     beside: list[Candidate] = []
-    unknown: list[Member] = []
+    reader = _Reader(draft, reading, beside)
     for chain in choose_chains(draft, model, reading.chains):
-        reader = _Reader(draft, reading, chain.name, beside)
         reader.take(chain)
-        unknown += reader.refused
-    if unknown:
-        raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
+    reader.join()
+    if reader.refused:
+        raise StructureError(f"{draft.source}: ", *_unknown_told(draft, reader.refused))
     if not draft.parts and not any(each.kind == "nucleic" for each in beside):
         kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
         found = ", ".join(_counted(kind, count) for kind, count in kinds.items())
@@ -161,9 +160,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         draft.note(Kind.DEUTERIUM, count=deuterium)
     # As in a file written of it, where chains are whole: protein chains come first.
     order = list(dict.fromkeys(part.chain_id for part in draft.parts))
-    beside.sort(
-        key=lambda each: order.index(each.member.chain_id) if each.member.chain_id in order else len(order)
-    )
+    order += [chain.name for chain in model if chain.name not in order]
+    beside.sort(key=lambda each: order.index(each.member.chain_id))
     chemistry = reading.chemistry
     for path in chemistry.poses:
         taken = {(each.chain_id, each.number) for each in (*draft.members, *(b.member for b in beside))}
@@ -228,16 +226,18 @@ def _of_serials(structure: gemmi.Structure, model: gemmi.Model) -> list[tuple[Ad
 
 
 class _Reader:
-    """Reader of one chain, which adds its parts and repairs to the draft."""
+    """Reader of chains, which adds their parts and repairs to the draft."""
 
-    def __init__(self, draft: Draft, reading: Reading, chain_id: str, beside: list[Candidate]) -> None:
-        self.draft, self.reading, self.chain_id, self.beside = draft, reading, chain_id, beside
+    def __init__(self, draft: Draft, reading: Reading, beside: list[Candidate]) -> None:
+        self.draft, self.reading, self.beside, self.chain_id = draft, reading, beside, ""
         self.known = templates(reading.forcefield)
+        self.runs: list[list[Member]] = []
         self.unknown: set[int] = set()
         self.refused: list[Member] = []
 
     def take(self, chain: gemmi.Chain) -> None:
-        """Add the protein of a chain and the molecules kept beside it."""
+        """Take the protein of a chain, in pieces without a break, and the molecules beside it."""
+        self.chain_id = chain.name
         run: list[Member] = []
         for group in same_place(chain):
             found = likeliest(group, self.reading.altloc)
@@ -256,7 +256,7 @@ class _Reader:
                 "rebuild the others first, by PULCHRA or cg2all"
             )
         self._report_zero_occupancy(run)
-        self._add_unbroken(run)
+        self.runs += self._unbroken(run)
 
     @property
     def _chain(self) -> str:
@@ -404,25 +404,40 @@ class _Reader:
         self.draft.left_out["incomplete residues"] += 1
         return False
 
-    def _add_unbroken(self, run: list[Member]) -> None:
-        """Split a chain where residues are not bonded; a bond across a gap would be far too long."""
-        part: list[Member] = []
-        strays = {id(member): member for member in _strays(run)}
-        for member in strays.values():
-            self._add([member])
+    def _unbroken(self, run: list[Member]) -> list[list[Member]]:
+        """Pieces of a chain whose residues are bonded one after the other."""
+        pieces: list[list[Member]] = []
         for member in run:
-            if id(member) in strays:
-                continue
+            gap = _gap(pieces[-1][-1], member) if pieces else np.inf
+            if gap >= PEPTIDE_BREAK and not (pieces and _is_torn(pieces[-1][-1], member, gap)):
+                pieces.append([])
+            elif gap >= PEPTIDE_BREAK:
+                self.draft.note(Kind.TORN, last=pieces[-1][-1].residue, first=member.residue, length=gap)
+            pieces[-1].append(member)
+        return pieces
+
+    def join(self) -> None:
+        """Add the chains: pieces whose ends are bonded are one, whatever their ids, numbers or order."""
+        following, before = _bonded_ends(self.draft, self.runs)
+        for i, (run, after) in enumerate(pairwise(self.runs)):
+            is_one = run[-1].chain_id == after[0].chain_id and len(run) + len(after) > 2
+            if is_one and i not in following and i + 1 not in before:
+                self._break(run[-1], after[0], _gap(run[-1], after[0]))
+        heads = [i for i in range(len(self.runs)) if i not in before]
+        done: set[int] = set()
+        # What is left after all that begin somewhere is in rings.
+        for head in (*heads, *range(len(self.runs))):
+            part: list[Member] = []
+            at: int | None = head
+            while at is not None and at not in done:
+                done.add(at)
+                part += self.runs[at]
+                at = following.get(at)
+            for last, first in pairwise(part):
+                if last.chain_id != first.chain_id:
+                    self.draft.note(Kind.CHAIN_GOES_ON, last=last.residue, first=first.residue)
             if part:
-                gap = _gap(part[-1], member)
-                if gap >= PEPTIDE_BREAK and _is_torn(part[-1], member, gap):
-                    self.draft.note(Kind.TORN, last=part[-1].residue, first=member.residue, length=gap)
-                elif gap >= PEPTIDE_BREAK:
-                    self._break(part[-1], member, gap)
-                    self._add(part)
-                    part = []
-            part.append(member)
-        self._add(part)
+                self._add(part)
 
     def _break(self, last: Member, first: Member, gap: float) -> None:
         """Report a chain break, unless the file has termini there."""
@@ -430,8 +445,8 @@ class _Reader:
             return
         if self.reading.strict:
             raise StructureError(
-                f"{self.draft.source}: chain {self._chain} is broken between {last.seqid} and {first.seqid} "
-                f"({gap:.1f} angstrom); model the missing residues, or leave out ",
+                f"{self.draft.source}: chain {last.residue.chain_name} is broken between {last.seqid} and "
+                f"{first.seqid} ({gap:.1f} angstrom); model the missing residues, or leave out ",
                 Argument("strict", True),
             )
         self.draft.note(Kind.GAP, last=last.residue, first=first.residue, length=gap)
@@ -451,16 +466,13 @@ class _Reader:
         elif strange:
             self.refused += strange
         elif part:
-            made = Part(self.chain_id, part)
+            made = Part(part[0].chain_id, part)
             made.cyclic = len(part) >= SMALLEST_RING and _gap(part[-1], part[0]) < PEPTIDE_BREAK
             for i, member in enumerate(part):
                 if why := self._why_converted(made, i):
                     self._convert(member, why)
             if made.cyclic:
-                ends = tuple(
-                    (self.chain_id, member.seqid, name) for member, name in ((part[-1], "C"), (part[0], "N"))
-                )
-                if not self.draft.states(*ends):
+                if not self.draft.states(part[-1].address("C"), part[0].address("N")):
                     self.draft.note(Kind.CYCLIC, last=part[-1].residue, first=part[0].residue)
             self.draft.parts.append(made)
 
@@ -498,23 +510,24 @@ def _gap(last: Member, first: Member) -> float:
     return float(end.pos.dist(start.pos))
 
 
-def _strays(run: list[Member]) -> list[Member]:
-    """Single residues, bonded to none, that stand between two that are bonded to each other."""
-    starts = [
-        i
-        for i in range(1, len(run))
-        if (gap := _gap(run[i - 1], run[i])) >= PEPTIDE_BREAK and not _is_torn(run[i - 1], run[i], gap)
-    ]
-    found: set[int] = set()
-    for k, start in enumerate(starts):
-        # Ends of the pieces of one residue that follow one another from here on.
-        for i, end in enumerate(starts[k + 1 : k + 1 + _MOST_STRAYS], start + 1):
-            if end != i:
-                break
-            if _gap(run[start - 1], run[end]) < PEPTIDE_BREAK:
-                found.update(range(start, end))
-                break
-    return [run[i] for i in sorted(found)]
+def _bonded_ends(draft: Draft, runs: list[list[Member]]) -> tuple[dict[int, int], dict[int, int]]:
+    """Piece that follows a piece, and piece before it, where their ends are as near as bonded atoms."""
+    ends = {i: a for i, run in enumerate(runs) if (a := run[-1].atom("C"))}
+    starts = {i: a for i, run in enumerate(runs) if (a := run[0].atom("N"))}
+    tree, number = KDTree(np.array([a.pos.tolist() for a in starts.values()]).reshape(-1, 3)), [*starts]
+    near = []
+    for i, a in ends.items():
+        for j in (number[k] for k in tree.query_ball_point(a.pos.tolist(), PEPTIDE_BREAK)):
+            last, first = runs[i][-1], runs[j][0]
+            ended = last.atom("OXT") and not draft.states(last.address("C"), first.address("N"))
+            if i != j and not ended and (gap := _gap(last, first)) < PEPTIDE_BREAK:
+                near.append((gap, i, j))
+    following: dict[int, int] = {}
+    before: dict[int, int] = {}
+    for _, i, j in sorted(near):
+        if i not in following and j not in before:
+            following[i], before[j] = j, i
+    return following, before
 
 
 def _is_torn(last: Member, first: Member, gap: float) -> bool:

@@ -113,6 +113,7 @@ class Kind(Enum):
         "split there, with charged termini; to avoid it, model the missing residues",
         rank=Rank.GAP,
     )
+    CHAIN_GOES_ON = Words("{last} and {first} are bonded: one chain, whose ids are kept")
     CYCLIC = Words("chain {last.chain_name} is cyclic: {last} is bonded to {first}")
     # Beside the protein.
     WATERS_LEFT_OUT = Words(

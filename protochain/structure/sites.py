@@ -110,7 +110,7 @@ def _near(draft: Draft, protein: _Owned, beside: _Owned) -> list[Link]:
     for member, a in protein:
         for k in sorted(tree.query_ball_point(a.pos.tolist(), STATED)):
             other, its = beside[k]
-            ends = _address(member, a), _address(other, its)
+            ends = member.address(a.name), other.address(its.name)
             link = Link(member, a, other, its, ends in bonds or ends[::-1] in bonds)
             if link.stated or link.is_metal or link.excess <= COVALENT_SLACK:
                 found.append(link)
@@ -119,7 +119,7 @@ def _near(draft: Draft, protein: _Owned, beside: _Owned) -> list[Link]:
 
 def _far(draft: Draft, protein: _Owned, beside: _Owned) -> Iterator[tuple[Link, str]]:
     """Bonds between the protein and others that the file states, and that are no bonds by their length."""
-    mine, its = ({_address(*each): each for each in atoms} for atoms in (protein, beside))
+    mine, its = ({m.address(a.name): (m, a) for m, a in atoms} for atoms in (protein, beside))
     for ends in draft.stated:
         for first, second in (ends, ends[::-1]):
             if first in mine and second in its:
@@ -128,20 +128,16 @@ def _far(draft: Draft, protein: _Owned, beside: _Owned) -> Iterator[tuple[Link, 
                     yield link, f"it is {link.length:.2f} angstrom long"
 
 
-def _address(member: Member, atom: gemmi.Atom) -> Address:
-    return member.chain_id, member.seqid, atom.name
-
-
 def _ends(link: Link) -> tuple[Address, Address]:
     """Addresses of its atoms, the protein's first."""
-    return _address(link.member, link.atom), _address(link.other, link.other_atom)
+    return link.member.address(link.atom.name), link.other.address(link.other_atom.name)
 
 
 def glycosidic(draft: Draft) -> list[Link]:
     """Bonds of the glycans that move, and tell the residues of the protein about them."""
     if not draft.glycosidic:
         return []
-    there = {_address(member, atom): (member, atom) for member in draft.members for atom in member.atoms}
+    there = {member.address(atom.name): (member, atom) for member in draft.members for atom in member.atoms}
     links = [Link(*there[first], *there[second]) for first, second in draft.glycosidic]
     for link in links:
         link.member.links.append(link.atom)
@@ -151,7 +147,7 @@ def glycosidic(draft: Draft) -> list[Link]:
 def stated_beside(draft: Draft) -> list[Link]:
     """Bonds between residues kept beside the protein that the file states, and that are short enough."""
     there = {
-        _address(member, atom): (member, atom)
+        member.address(atom.name): (member, atom)
         for part in draft.parts if part.obstacle for member in part.members for atom in member.atoms
     }  # fmt: skip
     # An ion on an axis of the crystal is bonded to its image, too.
@@ -182,7 +178,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
     tied = {id(link.other) for link in links}
     beside = [(part, a) for part, _, a in beside_of(draft)]
     tree = KDTree([a.pos.tolist() for _, a in beside]) if beside else None
-    metals = {_address(m, a) for _, m, a in beside_of(draft) if is_metal(a.element.name)}
+    metals = {m.address(a.name) for _, m, a in beside_of(draft) if is_metal(a.element.name)}
     along = {frozenset(_ends(link)) for link in strand_links(draft)}
     names: Counter[str] = Counter()
     for part in draft.parts:
