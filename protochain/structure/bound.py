@@ -4,7 +4,7 @@ Orders of bonds and charges are never taken from distances. A molecule whose che
 which the force field of small molecules has no parameters, stays in place, and its repair says why.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
@@ -27,6 +27,7 @@ from protochain.ligands.protonation import Charged, at_ph, with_hydrogens
 from protochain.ligands.sources import of_residue
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.repairs import Kind
+from protochain.structure.residues import STANDARD
 from protochain.structure.templates import HAS_GLYCAM, Template
 
 _BONDED = 1.5
@@ -107,8 +108,8 @@ def pose(path: str, chains: set[str], names: set[str]) -> Member:
 class Chemist:
     """Gives molecules of a draft their chemistry; those of one name share what is looked up."""
 
-    def __init__(self, draft: Draft, chemistry: Chemistry) -> None:
-        self.draft, self.chemistry = draft, chemistry
+    def __init__(self, draft: Draft, chemistry: Chemistry, known: Mapping[str, Template]) -> None:
+        self.draft, self.chemistry, self.templates = draft, chemistry, known
         self.known: dict[str, tuple[Molecule, tuple[Charged, ...]]] = {}
 
     def settle(self, part: Part) -> None:
@@ -135,12 +136,26 @@ class Chemist:
             return
         part.inverted, part.mobile = at.inverted, True
 
+    def name(self, member: Member) -> str:
+        """Name by which the chemistry of a residue is looked up."""
+        return member.name if member.name in STANDARD else member.given or member.name
+
+    def free(self, member: Member) -> Molecule:
+        """Chemistry of a residue by name, as its source has it.
+
+        Raises
+        ------
+        ProtochainError
+            If no source has it.
+        """
+        name = self.name(member)
+        atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
+        return of_residue(name, self.draft.header, atoms, self.chemistry.named.get(name))
+
     def _looked_up(self, name: str, member: Member) -> tuple[Molecule, tuple[Charged, ...]]:
         """Chemistry of a residue by name, charged for the pH unless its source shows how it is charged."""
         if name not in self.known:
-            given = self.chemistry.named.get(name)
-            atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
-            found = of_residue(name, self.draft.header, atoms, given)
+            found, given = self.free(member), self.chemistry.named.get(name)
             # The table knows acids of carbon and phosphorus. SO4 is as its source has it, as is what users
             # give with charges.
             as_it_is = not np.isin(found.elements, (6, 15)).any() or (given and found.formal_charges.any())

@@ -70,6 +70,8 @@ def _template(
     acceptors: "_Acceptors",
 ) -> Template:
     member = part.members[i]
+    if member.own is not None:
+        return member.own
     shown = "CYX" if id(member) in bridged else _free_pair(member) or _shown(member)
     state = shown or _at_ph(member, ph)
     if member.name == "HIS" and not state:

@@ -6,6 +6,7 @@ raises an error of one line.
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,24 +17,23 @@ from scipy.spatial import KDTree
 
 from protochain.core.checks import check_fields, flag, integer, optional, text, words
 from protochain.core.errors import Argument, OnlyAlphaError, StructureError
-from protochain.core.markup import counted, listed
-from protochain.structure import residues
+from protochain.core.markup import counted
+from protochain.structure import fragments, residues
 from protochain.structure.apart import refuse_crowds
-from protochain.structure.bound import AS_KNOWN, Chemistry, pose
-from protochain.structure.chirality import WELL_FORMED, hand
+from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry, pose
+from protochain.structure.chirality import hand
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import Conformation, check_altloc, likeliest, same_place, without_nan
 from protochain.structure.draft import Address, Draft, Member, Part, losses
 from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, split_name
 from protochain.structure.header import take_header
-from protochain.structure.kept import Candidate, choose, water_named
-from protochain.structure.modified import settle
+from protochain.structure.kept import Candidate, choose, report, water_named
 from protochain.structure.repairs import Kind, Repair, Why
+from protochain.structure.sites import find_links
 from protochain.structure.springs import springs
 from protochain.structure.templates import (
     archive_parent,
     named,
-    other_names,
     rename,
     standard_name,
     template_name,
@@ -147,8 +147,6 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     for chain in choose_chains(draft, model, reading.chains):
         reader.take(chain)
     reader.join()
-    if reader.refused:
-        raise StructureError(f"{draft.source}: ", *_unknown_told(draft, reader.refused))
     if not draft.parts and not any(each.kind == "nucleic" for each in beside):
         kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
         found = ", ".join(_counted(kind, count) for kind, count in kinds.items())
@@ -171,7 +169,14 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         beside.append(Candidate(member, member.name))
     there = [*draft.members, *(each.member for each in beside)]
     refuse_crowds([atom for member in there for atom in member.atoms], draft.source)
-    draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield), chemistry)
+    known = templates(reading.forcefield)
+    draft.parts += choose(draft, beside, reading.keep, known, chemistry)
+    chemist = Chemist(draft, chemistry, known)
+    draft.links = find_links(draft, partial(fragments.settle, draft, chemist))
+    for part in draft.parts:
+        if part.is_small:
+            chemist.settle(part)
+    report(draft)
     return draft
 
 
@@ -189,20 +194,6 @@ def model_numbers(path: str | Path) -> list[int]:
         As :func:`read`.
     """
     return [model.num for model in parse(Path(path))[0]]
-
-
-def _unknown_told(draft: Draft, unknown: list[Member]) -> tuple[str | Argument, ...]:
-    """What amino acids are unknown, and what to do; taking other chains is offered if they hold none."""
-    chains = dict.fromkeys(part.chain_id for part in draft.parts)
-    free = [name for name in chains if name and name not in {member.chain_id for member in unknown}]
-    said = "is an unknown amino acid" if len(unknown) == 1 else "are unknown amino acids"
-    it = "it" if len(unknown) == 1 else "them"
-    others = (", or take only what has none: ", Argument("chains", ",".join(free))) if free else ()
-    return (
-        f"{listed([str(member) for member in unknown])} {said} without a standard parent; replace or remove "
-        f"{it}, or give a force field that defines {it}",
-        *others,
-    )
 
 
 def _address(place: gemmi.AtomAddress) -> Address:
@@ -233,7 +224,6 @@ class _Reader:
         self.known = templates(reading.forcefield)
         self.runs: list[list[Member]] = []
         self.unknown: set[int] = set()
-        self.refused: list[Member] = []
 
     def take(self, chain: gemmi.Chain) -> None:
         """Take the protein of a chain, in pieces without a break, and the molecules beside it."""
@@ -322,9 +312,9 @@ class _Reader:
         template = self.known.get(name) if name not in residues.STATE_PARENT else None
         if backbone and template and {*residues.BACKBONE} <= template.element.keys():
             return member
-        member.parent = archive_parent(name) if backbone else ""
         if backbone:
-            # One that is unknown is refused within a chain; alone, it is a ligand.
+            # One without a parent may be a ligand, if it stands alone.
+            member.odd, member.parent = True, archive_parent(name)
             self.unknown |= set() if member.parent else {id(member)}
             return member
         self.beside.append(Candidate(water_named(member, given), given, self.notes))
@@ -336,17 +326,10 @@ class _Reader:
         if member.parent:
             if self.reading.standard_residues:
                 return Why.ASKED
-            if member.name == "MSE" or member.is_d or hand(member) < 0:
-                return Why.PARENT
-            why = settle(part, i, self.reading.chemistry)
-            if why is None:
-                member.parent = ""
-                assert member.capped is not None
-                of = member.capped.molecule
-                self.draft.note(
-                    Kind.MODIFIED, residue=member.residue, source=of.source, charge=f"{of.charge:+d}"
-                )
-            return why
+            there = {atom.name for atom in member.atoms if not atom.is_hydrogen()} - {"OXT"}
+            member.is_d = member.is_d or hand(member) < 0
+            is_mirrored = member.is_d and there == {*self.known[fragments.fullest(member.parent)].heavy}
+            return Why.PARENT if member.name == "MSE" or is_mirrored else None
         if member.name not in residues.PHOSPHORYLATED:
             return None
         if self.reading.standard_residues:
@@ -358,37 +341,6 @@ class _Reader:
             template.synonyms.get(atom.name, atom.name) for atom in member.atoms if not atom.is_hydrogen()
         }
         return None if there - {"OXT"} == {*template.heavy} else Why.INCOMPLETE
-
-    def _convert(self, member: Member, why: Why) -> None:
-        """Convert a modified residue of a chain to its standard parent."""
-        residue, parent, given = member.residue, member.parent or archive_parent(member.name), member.name
-        # HIP has the atoms of every state of histidine.
-        named = self.known["HIP" if parent == "HIS" else parent]
-        expected = {*named.element, *other_names(member.atoms, named), "OXT", "H1", "H2", "H3", "H"}
-        for name in set(named.heavy) - {atom.name for atom in member.atoms}:
-            # Selenium, or a sulphur of another name, becomes the parent's sulphur.
-            chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
-            if named.element[name] == "S" and len(chalcogens) == 1:
-                chalcogens[0].name, chalcogens[0].element = name, gemmi.Element("S")
-        strange = [atom for atom in member.atoms if atom.name not in expected and not atom.is_hydrogen()]
-        member.atoms = [
-            atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
-        ]
-        member.name, member.parent, member.state = parent, "", ""
-        gone = tuple(a.name for a in strange)
-        lost = losses(member, strange, why)
-        if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
-            # The table does not say of which hand it is.
-            member.is_d = hand(member, least=WELL_FORMED) < 0
-        if given == "MSE":
-            self.draft.note(Kind.SELENOMETHIONINE, lost, residue=residue)
-        elif given != residues.name_in_file(parent, member.is_d):
-            cut, whole = _TO_D if member.is_d else _TO_PARENT
-            name = residues.name_in_file(parent, member.is_d)
-            self.draft.note(cut if gone else whole, lost, residue=residue, name=name, atoms=gone)
-        elif gone or hand(member) < 1:  # One of the other hand is told with all that are.
-            kind = Kind.MIRRORED_CUT if gone else Kind.MIRRORED
-            self.draft.note(kind, lost, residue=residue, atoms=gone)
 
     def _has_backbone(self, member: Member) -> bool:
         missing = [name for name in residues.BACKBONE if not member.atom(name)]
@@ -458,22 +410,19 @@ class _Reader:
             for i, member in enumerate(part)
             if not member.is_cap or self._is_in_place(member, i, len(part))
         ]
-        strange = [member for member in part if id(member) in self.unknown]
         if len(part) == 1:
-            if not strange:
+            if id(part[0]) not in self.unknown:
                 self.draft.note(Kind.ALONE, residue=part[0].residue)
+            part[0].odd = False
             self.beside.append(Candidate(part[0], part[0].name))
-        elif strange:
-            self.refused += strange
         elif part:
             made = Part(part[0].chain_id, part)
             made.cyclic = len(part) >= SMALLEST_RING and _gap(part[-1], part[0]) < PEPTIDE_BREAK
             for i, member in enumerate(part):
                 if why := self._why_converted(made, i):
-                    self._convert(member, why)
-            if made.cyclic:
-                if not self.draft.states(part[-1].address("C"), part[0].address("N")):
-                    self.draft.note(Kind.CYCLIC, last=part[-1].residue, first=part[0].residue)
+                    fragments.to_parent(self.draft, self.known, member, why)
+            if made.cyclic and not self.draft.states(part[-1].address("C"), part[0].address("N")):
+                self.draft.note(Kind.CYCLIC, last=part[-1].residue, first=part[0].residue)
             self.draft.parts.append(made)
 
     def _is_in_place(self, member: Member, i: int, n: int) -> bool:
@@ -482,11 +431,6 @@ class _Reader:
         self.draft.note(Kind.CAP, losses(member, member.atoms, Why.CAP), residue=member.residue)
         self.draft.left_out[member.name] += 1
         return False
-
-
-_TO_D = Kind.CUT_TO_D, Kind.CONVERTED_TO_D
-_TO_PARENT = Kind.CUT_TO_PARENT, Kind.CONVERTED
-"""With atoms left out, and whole."""
 
 
 def _element(atom: gemmi.Atom) -> gemmi.Element:

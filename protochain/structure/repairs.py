@@ -151,11 +151,11 @@ class Kind(Enum):
         "moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
     )
     MODIFIED = Words(
-        "{residue}: kept, with the force field of small molecules for its side chain: chemistry of {source}, "
-        "charge {charge}",
-        "kept, with the force field of small molecules for its side chain: chemistry of {source}, charge "
-        "{charge}",
+        "{residue}: kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
+        "kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
     )
+    LINKED = Words("{atoms:and} are bonded ({length:.2f} angstrom): kept, in the place of {gone}")
+    NO_PARAMETERS = Words("the bond between {atoms:and} has no parameters: {why}")
     CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
     INVERTED = Words("{residue}: of the other hand than in its source: {atoms}", rank=Rank.LOSS)
     MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
@@ -265,6 +265,7 @@ class Why(StrEnum):
     ASKED = "standard residues are asked for"
     PHOSPHATE = "the force fields have no phosphate of a lone nucleotide"
     INNER = "the chain continues"
+    BONDED = "a bond takes its place"
     BACKBONE = "an atom of its backbone is missing"
     CAP = "a cap that is not at the end of a chain"
     ELEMENT = "its element is unknown"

@@ -5,7 +5,7 @@ atoms it joins do not repel one another.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, pairwise
 
 import gemmi
@@ -51,11 +51,11 @@ _BOND, _ANGLE = 2.7e5, 500.0
 """kJ/mol/nm^2, kJ/mol/rad^2: of the size of bonds and angles between first-row atoms in ff14SB."""
 
 
-def find_links(draft: Draft) -> list[Link]:
+def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) -> list[Link]:
     """Find the bonds between protein and obstacles, tell the residues about them, and report them.
 
     What is as near as bonded atoms and not bonded is reported as an overlap, and a bond of the file that
-    cannot be as ignored.
+    cannot be as ignored. Of those found, ``settle`` returns the ones that springs are to hold.
     """
     protein, beside = (_heavy_atoms(p for p in draft.parts if p.obstacle is kept) for kept in (False, True))
     free = {*draft.glycosidic}
@@ -77,6 +77,9 @@ def find_links(draft: Draft) -> list[Link]:
     sites: dict[int, list[Link]] = {}
     for link in links:
         (link.member.metals if link.is_metal else link.member.links).append(link.atom)
+    held = {*settle([link for link in links if link not in sprung])} | sprung
+    links = [link for link in links if link in held]
+    for link in links:
         sites.setdefault(id(link.other_atom), []).append(link)
     for site in sites.values():
         kind = Kind.COORDINATED if site[0].is_metal else Kind.BONDED
@@ -180,9 +183,10 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
     tree = KDTree([a.pos.tolist() for _, a in beside]) if beside else None
     metals = {m.address(a.name) for _, m, a in beside_of(draft) if is_metal(a.element.name)}
     along = {frozenset(_ends(link)) for link in strand_links(draft)}
+    framed = {id(m) for made in draft.fragments for m, _ in made.owners}
     names: Counter[str] = Counter()
     for part in draft.parts:
-        if tree is None or not part.mobile or part.glycan:
+        if tree is None or not part.mobile or part.glycan or id(part.members[0]) in framed:
             continue
         near = {
             k for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)
