@@ -370,10 +370,13 @@ class _Maker:
     ) -> None:
         self.chemist, self.members, self.links, self.where = chemist, members, links, where
         self.special = special
-        self.number = {id(m): k for k, m in enumerate(members)}
+        tags = [f"{m.name}-{k}" if k else m.name for k, m in enumerate(members)]
+        self.tag = {id(m): f"{tag}:" for m, tag in zip(members, tags, strict=True)}
+        self.of_tag = dict(zip(tags, members, strict=True))
         self.graph, self.flagged = _Graph(), set[str]()
         self.acids, self.amines = list[str](), list[str]()
-        self.at = {f"{k}:{a.name}": a for k, m in enumerate(members) for a in m.atoms if not a.is_hydrogen()}
+        heavy = ((m, a) for m in members for a in m.atoms if not a.is_hydrogen())
+        self.at = {self.tag[id(m)] + a.name: a for m, a in heavy}
 
     def fragment(self) -> Fragment:
         """Chemistry and parameters, whose atoms these are, and what leaves at each bond.
@@ -384,20 +387,20 @@ class _Maker:
             If it has no chemistry or no parameters; with ``Fault.INCOMPLETE`` if the file lacks atoms.
         """
         sources: dict[str, None] = {}
-        for k, m in enumerate(self.members):
-            free = self.chemist.free(m)
+        for m in self.members:
+            free, tag = self.chemist.free(m), self.tag[id(m)]
             sources[free.source] = None
-            self.graph.add(f"{k}:", free)
-            self.flagged |= {f"{k}:{name}" for name in (*leaving(self.chemist.name(m)), "OXT", "OP3")}
+            self.graph.add(tag, free)
+            self.flagged |= {tag + name for name in (*leaving(self.chemist.name(m)), "OXT", "OP3")}
         bonds = {}
         for link in self.links:
             ends = (link.member, link.atom), (link.other, link.other_atom)
-            first, second = (f"{self.number[id(m)]}:{a.name}" for m, a in ends)
+            first, second = (self.tag[id(m)] + a.name for m, a in ends)
             gone = self._join(first, second)
             parted = (each.split(":") for each in gone)
-            bonds[link] = tuple((self.members[int(k)], name) for k, name in parted)
-        for k, m in enumerate(self.members):
-            self._go_on(f"{k}:", m)
+            bonds[link] = tuple((self.of_tag[tag], name) for tag, name in parted)
+        for m in self.members:
+            self._go_on(self.tag[id(m)], m)
         chemistry = self.chemist.chemistry
         ligand = _parametrised(
             tuple((name, z, q) for name, (z, q) in self.graph.atoms.items()),
@@ -410,7 +413,7 @@ class _Maker:
         owners, core = list[tuple[Member | None, str]](), list[str]()
         for name in graph.atoms:
             prefix, _, own = name.partition(":")
-            m = self.members[int(prefix)]
+            m = self.of_tag[prefix]
             owners.append(self._cap_owner(m, own) if own[-1] in "+-" else (m, own))
             is_core = id(m) not in self.special or _is_core(graph, f"{prefix}:", own)
             core.append(own if is_core else "")
@@ -462,18 +465,18 @@ class _Maker:
         part, _, before, after = self.where[id(member)]
         end, start = ("O3'", "P") if part.obstacle else ("C", "N")
         c, n, graph = prefix + end, prefix + start, self.graph
-        if after is not None and id(after) in self.number:
-            self._join(c, f"{self.number[id(after)]}:{start}", along=True)
+        if after is not None and id(after) in self.tag:
+            self._join(c, self.tag[id(after)] + start, along=True)
         if part.obstacle:
             return
         linked = {a.name for a in member.links}
-        if (after is not None and id(after) not in self.number) or (
+        if (after is not None and id(after) not in self.tag) or (
             after is None and "C" not in linked and f"{prefix}OXT" in graph.atoms
         ):
             self.acids += [prefix] * (after is None)
             self._cap(c, {"N+": _N, "CA+": _C}, {("N+", "CA+"): 1})
         is_amine = bool(graph.light(n)) and not graph.is_acyl(n)
-        if (before is not None and id(before) not in self.number) or (
+        if (before is not None and id(before) not in self.tag) or (
             before is None and "N" not in linked and is_amine
         ):
             self.amines += [prefix] * (before is None)

@@ -12,7 +12,7 @@ from protochain.structure import fragments
 from protochain.structure.bridges import disulfides
 from protochain.structure.conformation import likeliest, same_place
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.kept import Candidate, check_words, choose, water_named
+from protochain.structure.kept import Candidate, check_words, choose, report, water_named
 from protochain.structure.linkage import is_metal
 from protochain.structure.recognise import by_element
 from protochain.structure.repairs import Kind
@@ -202,7 +202,9 @@ def test_near_is_five_angstrom_from_heavy_atoms_of_the_protein_or_joined_to_what
     if near == ():
         given[2].member.atoms[0].pos.y = 1.7
     draft = drafted(glycine())
-    kept = [part.members[0] for part in choose(draft, given, ("near",), {})]
+    draft.parts += choose(draft, given, ("near",), {})
+    report(draft)
+    kept = [part.members[0] for part in draft.parts[1:]]
     assert kept == [given[k].member for k in near]
     gone = len(places) - len(near)
     said = (
@@ -221,7 +223,8 @@ def test_what_is_left_out_is_said_first_and_then_what_is_kept():
     ]  # fmt: skip
     draft = drafted(glycine())
     draft.repairs.append(noted("earlier"))
-    choose(draft, given, ("near",), {})
+    draft.parts += choose(draft, given, ("near",), {})
+    report(draft)
     assert sentences(draft) == [
         "2 LIG (it is further than 5 angstrom from the protein), 1 waters, 1 UNX (its element is unknown), "
         '1 DUM (its element is unknown) left out; keep="all" keeps everything',
@@ -233,7 +236,9 @@ def test_what_is_left_out_is_said_first_and_then_what_is_kept():
     choose(dry, candidates(1.0, 2.0, name="HOH"), ("near",), {})
     assert sentences(dry) == ['2 waters left out: the solvent is implicit; keep="all" keeps everything']
     many = drafted(glycine())
-    choose(many, [each for k in range(9) for each in candidates(1.0, name=f"L{k}")], ("all",), {})
+    given = [each for k in range(9) for each in candidates(1.0, name=f"L{k}")]
+    many.parts += choose(many, given, ("all",), {})
+    report(many)
     names = [f"L{k}" for k in range(8)]
     assert sentences(many) == [
         f"{', '.join('1 ' + name for name in names)} and 1 more kept beside the protein "
@@ -280,7 +285,8 @@ def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
     water, last = member("LIG", 3, ("C", 9.1), chain="B"), member("LIG", 4, ("C", 9.1), chain="C")
     draft = Draft("x", "x")
     given = [Candidate(each, each.name) for each in (first, second, water, last)]
-    parts = choose(draft, given, ("all",), DNA)
+    parts = draft.parts = choose(draft, given, ("all",), DNA)
+    report(draft)
     strands = [[first, second]] if bonded else [[first], [second]]
     assert [part.members for part in parts] == [*strands, [water], [last]]
     assert all(part.obstacle and not part.cyclic for part in parts)
@@ -348,7 +354,9 @@ def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
     choose(draft, [Candidate(strand, "A"), Candidate(ligand, "ATP")], ("all",), known)
     assert [a.name for a in strand.atoms] == ["O5'", "O3'", "O2'"] and [a.name for a in ligand.atoms] == ["P"]
     clean = Draft("x", "x")
-    assert len(choose(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)) == 1
+    clean.parts = choose(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)
+    report(clean)
+    assert len(clean.parts) == 1
     assert sentences(clean) == ["1 DG kept beside the protein"]
 
 
