@@ -39,6 +39,7 @@ from protochain.structure.sites import (
     glycosidic,
     metal_ties,
     moves,
+    note_unused,
     settle_mobile,
     stated_beside,
     stated_ties,
@@ -159,6 +160,7 @@ def prepare(
     settle_mobile(draft, draft.links)
     links = [*draft.links, *strand_links(draft)]
     beyond = [*sugars, *(link for made in draft.fragments for link in made.bonds)]
+    note_unused(draft, [*links, *beyond, *beside])
     take_up(draft, ph)
     given = {id(atom): atom for member in draft.members for atom in member.atoms}
     add_heavy_atoms(draft, known)

@@ -138,6 +138,7 @@ class Kind(Enum):
     BOND_IGNORED = Words(
         "bond of the file between {atoms:and} ignored: {why}; mend the file if it is real", rank=Rank.LOSS
     )
+    BONDS_LEFT_OUT = Words("{count:n bond} of the file to atoms that are left out", rank=Rank.LEFT_OUT)
     NEAR = Words(
         "{count:n pair} of atoms as near as bonded ones, but not bonded (no LINK, CONECT or struct_conn, and "
         "no known kind of bond): {pairs:6}"

@@ -136,6 +136,24 @@ def _ends(link: Link) -> tuple[Address, Address]:
     return link.member.address(link.atom.name), link.other.address(link.other_atom.name)
 
 
+def note_unused(draft: Draft, used: Iterable[Link]) -> None:
+    """Report the bonds of the file that are neither used nor reported: too long, or to what is left out."""
+    there = {m.address(a.name): (m, a) for m in draft.members for a in m.atoms}
+    told = {frozenset(repair.facts["atoms"]) for repair in draft.repairs if repair.kind is Kind.BOND_IGNORED}
+    done = {frozenset(link.atoms) for link in used} | told
+    gone = 0
+    for first, second in dict.fromkeys((min(ends), max(ends)) for ends in draft.stated):
+        if not {first, second} <= there.keys():
+            gone += 1
+            continue
+        link = Link(*there[first], *there[second])
+        is_chains = {first[2], second[2]} in ({"C", "N"}, {"SG"}, {"O3'", "P"}) and link.length <= STATED
+        if not is_chains and link.member is not link.other and frozenset(link.atoms) not in done:
+            draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
+    if gone:
+        draft.note(Kind.BONDS_LEFT_OUT, count=gone)
+
+
 def glycosidic(draft: Draft) -> list[Link]:
     """Bonds of the glycans that move, and tell the residues of the protein about them."""
     if not draft.glycosidic:
