@@ -292,7 +292,9 @@ class _Graph:
             Valences of the atom that this frees.
         """
         ends = [x for x in self.heavy(a) if not {*self.heavy(x)} - {a}]
-        gone = [x for x in ends if x in absent] or [x for x in ends if x in flagged]
+        marked = sorted((x for x in ends if x in flagged), key=lambda x: self.order(a, x))
+        # Of both oxygens of an acid that are marked, the hydroxyl leaves.
+        gone = [x for x in ends if x in absent] or marked[:1]
         freed = sum(self.order(a, x) for x in gone)
         self.drop([each for x in gone for each in (x, *self.light(x))])
         return gone, freed

@@ -25,7 +25,7 @@ from protochain.batches.task import run
 from protochain.structure import residues
 from protochain.structure.files import parse
 from protochain.structure.read import model_numbers
-from protochain.structure.repairs import Why
+from protochain.structure.repairs import Kind, Why
 from protochain.structure.write import as_text
 
 FILES = sorted(

@@ -1,4 +1,4 @@
-"""Residues that no template fits: cross-linked, bonded beside a chain, and chains that go on under another id."""
+"""Residues that no template fits: cross-linked, or bonded beside a chain; chains whose id changes."""
 
 import gemmi
 import numpy as np
