@@ -61,7 +61,8 @@ class Hinge:
 def cross_links(structure: Structure) -> np.ndarray:
     """(nbonds,) bool: bonds between residues other than those of chains to the next one, strands and glycans.
 
-    An ion that moves stays rigidly at the first of the atoms that hold it.
+    An ion that moves stays rigidly at the first of the atoms that hold it, as does a molecule with several
+    bonds to one chain.
     """
     first, second = structure.bonds.T
     r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
@@ -72,6 +73,12 @@ def cross_links(structure: Structure) -> np.ndarray:
     held = np.flatnonzero(cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first])
     _, rows = np.unique(second[held], return_index=True)
     cut[held[rows]] = False
+    borne = (r1 != r2) & (structure.mobile[first] != structure.mobile[second]) & ~cut
+    piece = components(structure.bonds[~cut & ~borne], structure.n_atoms)
+    for row in np.flatnonzero(borne).tolist():
+        one, other = piece[structure.bonds[row]]
+        cut[row] = one == other
+        piece[piece == other] = one
     return cut
 
 

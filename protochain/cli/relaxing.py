@@ -8,6 +8,8 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from protochain.cli.options import print_changes, print_lost, said_of_move
 from protochain.core import defaults
 from protochain.core.markup import counted
@@ -81,8 +83,8 @@ def _twisted(structure: "Structure") -> list[str]:
 def _breaks(structure: "Structure") -> list[str]:
     """Breaks in chains, in words."""
     mine = sorted({*structure.atom_residue[~structure.kept].tolist()})
-    parts, chains = {*structure.residue_chain_index[mine].tolist()}, {*structure.residue_chain[mine].tolist()}
-    n = len(parts) - len(chains)
+    _, first = np.unique(structure.residue_chain_index[mine], return_index=True)
+    n = len(first) - len({*structure.residue_chain[np.array(mine)[first]].tolist()})
     return (
         [f"{n} chain break{'s' * (n > 1)}, which stay{'s' * (n == 1)} as {'they are' if n > 1 else 'it is'}"]
         if n > 0

@@ -50,6 +50,7 @@ class Fault(Enum):
     FRICTION = "friction too high for one solution"
     HALF_TURN = "half a turn"
     IMMOVABLE = "nothing can move"
+    INCOMPLETE = "atoms missing or unknown"
     JAMMED = "a contact that sticks"
     NEGATIVE = "below zero"
     NOT_FINITE = "not a finite number"

@@ -6,7 +6,7 @@ element, the formal charges of the file if it has any, and the radii that the so
 
 import copy
 import io
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -22,7 +22,6 @@ from protochain.core.errors import ForceFieldError
 from protochain.energies.native.terms import TIES
 from protochain.structure.linkage import is_metal
 from protochain.structure.model import BoundLigand, Structure, Tie
-from protochain.structure.residues import OF_ALANINE
 from protochain.structure.sugars import GLYCOSYLATED
 from protochain.structure.templates import HAS_GLYCAM
 
@@ -95,12 +94,14 @@ def create_system(
     small = {int(structure.atom_residue[each.atoms[0]]): each for each in structure.ligands}
     sugars = structure.glycans
     ions = _ions(structure, force_field)
-    topology, unknown = _recognised(force_field, structure, [*small, *sugars, *ions])
+    framed = [_framed(structure, bound) for bound in structure.fragments]
+    own = {r for places in framed for r in places}
+    topology, unknown = _recognised(force_field, structure, [*small, *sugars, *ions, *own])
     unknown = sorted({*unknown, *(r for r, name in ions.items() if not name)})
     _refuse_unknown_mobile(structure, unknown)
     _refuse_without_glycam(structure, force_field)
-    linked = _linked(structure)
-    if unknown or linked or small or structure.modified:
+    linked = {r: atoms for r, atoms in _linked(structure).items() if r not in own}
+    if unknown or linked or small or own:
         force_field = fresh()
     residues = list(topology.residues())
     chosen = {residues[r]: _register(force_field, structure, residues[r]) for r in unknown}
@@ -112,15 +113,13 @@ def create_system(
         )
     chosen |= {residues[r]: code for r, code in sugars.items()}
     chosen |= {residues[r]: name for r, name in ions.items() if name}
-    for bound in structure.modified:
-        place = _place(structure, bound)
-        residue = residues[int(structure.atom_residue[min(place)])]
-        chosen[residue] = _register_modified(force_field, residue, bound, place)
+    for bound, places in zip(structure.fragments, framed, strict=True):
+        chosen |= _register_fragment(force_field, residues, bound, places)
     system = force_field.createSystem(topology, rigidWater=False, residueTemplates=chosen, **pairs)
     if structure.ligands:
         _add_ligands(system, structure.ligands)
-    for bound in structure.modified:
-        _add_modified(system, structure, bound)
+    for bound in structure.fragments:
+        _add_fragment(system, bound)
     _refuse_unheld(structure, system)
     by_element = np.isin(structure.atom_residue, list(unknown))
     _exclude(system, _not_interacting(structure, by_element))
@@ -344,71 +343,97 @@ def _add_ligands(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
                     force.setBondParameters(k, i, j, [sigma, its.scale_lj * depth])
 
 
-def _place(structure: Structure, bound: BoundLigand) -> dict[int, int]:
-    """Atoms of a modified residue, by those of the structure; without its caps."""
-    alpha = bound.atoms[bound.ligand.molecule.names.index("CA")]
-    own = structure.atom_residue[alpha]
-    return {k: i for i, k in enumerate(bound.atoms.tolist()) if k >= 0 and structure.atom_residue[k] == own}
+def _is_cap(bound: BoundLigand, i: int) -> bool:
+    """Whether an atom of a fragment stands for one of a neighbour in the chain."""
+    return bound.ligand.molecule.names[i][-1] in "+-"
 
 
-def _register_modified(
-    force_field: app.ForceField, residue: Any, bound: BoundLigand, place: Mapping[int, int]
-) -> str:
-    """Add the template of a modified residue to a force field; return its name.
+def _framed(structure: Structure, bound: BoundLigand) -> dict[int, dict[int, int]]:
+    """Atoms of a fragment, by those of the structure, in each of its residues."""
+    found: dict[int, dict[int, int]] = {}
+    for i, k in enumerate(bound.atoms.tolist()):
+        if k >= 0 and not _is_cap(bound, i):
+            found.setdefault(int(structure.atom_residue[k]), {})[k] = i
+    return found
 
-    Types and charges of its backbone are alanine's; a nitrogen without hydrogen has the charge of proline's.
-    C-beta has alanine's type. The other charges are those of the capped residue, and what lacks to a whole
-    charge is spread over them.
+
+def _register_fragment(
+    force_field: app.ForceField,
+    residues: Sequence[Any],
+    bound: BoundLigand,
+    places: Mapping[int, Mapping[int, int]],
+) -> dict[Any, str]:
+    """Add the templates of a fragment's residues to a force field; return their names by residue.
+
+    Types and charges of a backbone are alanine's; a nitrogen without hydrogen has the charge of proline's.
+    C-beta has alanine's type. The other charges are those of the capped molecule, and what lacks to a whole
+    charge is spread over them. Residues all of whose atoms keep their parameters are the force field's.
     """
-    its = bound.ligand.parameters
-    atoms = {a.name: a for a in residue.atoms()}
-    end = "N" if "H1" in atoms else "C" if "OXT" in atoms else ""
-    base = force_field._templates.get(end + ("ALA" if "CB" in atoms else "GLY"))
-    known = {a.name: a for a in base.atoms} if base else {}
-    backbone = OF_ALANINE & atoms.keys()
-    with_charge = {name for name, a in known.items() if "charge" in a.parameters}
-    if not backbone | ({"CB"} & atoms.keys()) <= with_charge:
+    its, formal = bound.ligand.parameters, bound.ligand.molecule.formal_charges
+    places = {r: place for r, place in places.items() if not all(bound.core[i] for i in place.values())}
+    at = {k: i for place in places.values() for k, i in place.items()}
+    known = {r: _of_alanine(force_field, residues[r], bound, place) for r, place in places.items()}
+    kept = {k: charge for of in known.values() for k, (_, charge) in of.items() if charge is not None}
+    charge = {k: kept.get(k, float(its.charge[i])) for k, i in at.items()}
+    rest = [k for k in at if k not in kept]
+    lacking = (int(formal[[*at.values()]].sum()) - sum(charge.values())) / len(rest)
+    charge |= {k: charge[k] + lacking for k in rest}
+    chosen = {}
+    for r, place in places.items():
+        residue = residues[r]
+        name = f"fragment-{residue.index}"
+        atoms = {a.index: a for a in residue.atoms()}
+        kinds = {
+            f"{name}-{atoms[k].name}": _Kind(
+                atoms[k].element.symbol, charge[k], float(its.sigma[i]), float(its.epsilon[i])
+            )
+            for k, i in place.items()
+            if k not in known[r]
+        }
+        root = ElementTree.Element("ForceField")
+        _add_types(ElementTree.SubElement(root, "AtomTypes"), kinds)
+        _add_pairs(root, force_field, kinds)
+        force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
+        made = app.ForceField._TemplateData(name)
+        for k, a in atoms.items():
+            kind = known[r][k][0] if k in known[r] else f"{name}-{a.name}"
+            made.addAtom(app.ForceField._TemplateAtomData(a.name, kind, a.element, {"charge": charge[k]}))
+        for bond in residue.internal_bonds():
+            made.addBondByName(bond[0].name, bond[1].name)
+        for bond in residue.external_bonds():
+            made.addExternalBondByName(next(a.name for a in bond if a.residue is residue))
+        force_field.registerResidueTemplate(made)
+        chosen[residue] = name
+    return chosen
+
+
+def _of_alanine(
+    force_field: app.ForceField, residue: Any, bound: BoundLigand, place: Mapping[int, int]
+) -> dict[int, tuple[str, float | None]]:
+    """Types and charges of the atoms of a residue that are alanine's, or glycine's; C-beta has no charge."""
+    core = {bound.core[i]: k for k, i in place.items() if bound.core[i]}
+    if not core:
+        return {}
+    end = "N" if "H1" in core else "C" if "OXT" in core else ""
+    has_beta = "HA" in core or any(a.name == "CB" for a in residue.atoms())
+    base = force_field._templates.get(end + ("ALA" if has_beta else "GLY"))
+    known = {a.name: a for a in base.atoms if "charge" in a.parameters} if base else {}
+    if not core.keys() <= known.keys():
         raise ForceFieldError(f"residue {residue.name} has parameters beside amber14 and amber19 only")
-    charge = {name: known[name].parameters["charge"] for name in backbone}
-    if not end and not {"H", "H1"} & atoms.keys():
-        charge["N"] = next(a for a in force_field._templates["PRO"].atoms if a.name == "N").parameters[
-            "charge"
-        ]
-    rest = [name for name in atoms if name not in backbone]
-    charge |= {name: float(its.charge[place[atoms[name].index]]) for name in rest}
-    lacking = bound.ligand.molecule.charge + (end == "N") - (end == "C") - sum(charge.values())
-    charge |= {name: charge[name] + lacking / len(rest) for name in rest}
-    kinds = {}
-    for name in (name for name in rest if name != "CB"):
-        i = place[atoms[name].index]
-        pair = float(its.sigma[i]), float(its.epsilon[i])
-        kinds[f"modified-{residue.index}-{name}"] = _Kind(atoms[name].element.symbol, charge[name], *pair)
-    root = ElementTree.Element("ForceField")
-    _add_types(ElementTree.SubElement(root, "AtomTypes"), kinds)
-    _add_pairs(root, force_field, kinds)
-    force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
-    made = type(base)(f"modified-{residue.index}")
-    for name, a in atoms.items():
-        kind = (
-            known[name].type
-            if name in known and (name in backbone or name == "CB")
-            else (f"modified-{residue.index}-{name}")
-        )
-        made.addAtom(type(base.atoms[0])(name, kind, a.element, {"charge": charge[name]}))
-    for bond in residue.internal_bonds():
-        made.addBondByName(bond[0].name, bond[1].name)
-    for bond in residue.external_bonds():
-        made.addExternalBondByName(next(a.name for a in bond if a.residue is residue))
-    force_field.registerResidueTemplate(made)
-    return str(made.name)
+    found = {
+        k: (known[name].type, None if name == "CB" else known[name].parameters["charge"])
+        for name, k in core.items()
+    }
+    if "N" in core and not end and "H" not in core:
+        proline = next(a for a in force_field._templates["PRO"].atoms if a.name == "N")
+        found[core["N"]] = known["N"].type, proline.parameters["charge"]
+    return found
 
 
-def _add_modified(system: openmm.System, structure: Structure, bound: BoundLigand) -> None:
-    """Add the bonded terms of the side chain of a modified residue, in place of those of the force field."""
+def _add_fragment(system: openmm.System, bound: BoundLigand) -> None:
+    """Add the bonded terms of a fragment, in place of those of the force field that touch its own atoms."""
     its, at = bound.ligand.parameters, bound.atoms
-    names = np.array(bound.ligand.molecule.names)
-    own = ~np.isin(names, [*OF_ALANINE, "CB"])
-    side = {*at[own & (at >= 0)].tolist()} & _place(structure, bound).keys()
+    side = {k for i, k in enumerate(at.tolist()) if k >= 0 and not bound.core[i] and not _is_cap(bound, i)}
     torsions = _force(system, openmm.PeriodicTorsionForce)
     for k in range(torsions.getNumTorsions()):
         *atoms, n, phase, _ = torsions.getTorsionParameters(k)

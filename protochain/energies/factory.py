@@ -299,7 +299,7 @@ def build_system(
     try:
         # A user's file may change between calls, and a trusted one may raise anything.
         force_field = _force_field(*files) if None in bundled else _bundled_force_field(*files)
-        if structure.kept.any() or structure.modified:
+        if structure.kept.any() or structure.fragments:
             system = create_system(structure, force_field, lambda: _force_field(*files), pairs)
         else:
             system = force_field.createSystem(structure.topology, rigidWater=False, **pairs)
@@ -308,7 +308,7 @@ def build_system(
         remedy = ("; without modified residues: ", Argument("standard_residues", True))
         raise ForceFieldError(
             f"{structure.name}: force field {forcefield!r} with solvent {solvent!r} does not fit: {reason}",
-            *(remedy if structure.modified or _phosphorylated(structure) else ()),
+            *(remedy if structure.fragments or _phosphorylated(structure) else ()),
         ) from None
     _number_types(system)
     for atom in np.flatnonzero(structure.obstacle).tolist():

@@ -4,6 +4,7 @@ Its own call decodes all 49,000 of them, in seconds, and keeps 800 MB; here only
 texts and coordinates (BinaryCIF: Sehnal et al., PLoS Comput. Biol. 16:e1008247, 2020).
 """
 
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from protochain.ligands.molecule import library
 
 _COLUMNS = {
     "chem_comp_atom": (
-        "comp_id", "atom_id", "type_symbol", "charge",
+        "comp_id", "atom_id", "type_symbol", "charge", "pdbx_leaving_atom_flag",
         *(f"{which}_{axis}{ideal}" for axis in "xyz"
           for which, ideal in (("pdbx_model_Cartn", "_ideal"), ("model_Cartn", ""))),
     ),
@@ -23,8 +24,19 @@ _COLUMNS = {
 """Those that biotite makes a component of."""
 
 
+def leaving(name: str) -> frozenset[str]:
+    """Atoms of a component that leave where it is bonded to others; none if there is no such component."""
+    try:
+        atoms = component(name)
+    except KeyError:
+        return frozenset()
+    marks = atoms.leaving if "leaving" in atoms.get_annotation_categories() else np.zeros(len(atoms), bool)
+    return frozenset(atoms.atom_name[marks].tolist())
+
+
+@lru_cache(maxsize=64)
 def component(name: str) -> Any:
-    """Atoms and bonds of a component, as biotite's ``residue`` returns them.
+    """Atoms and bonds of a component, as biotite's ``residue`` returns them, with those that may leave.
 
     Raises
     ------
@@ -47,7 +59,11 @@ def component(name: str) -> Any:
         )
         if not len(rows) and table == "chem_comp_atom":
             raise KeyError(name)
-    return pdbx.get_component(pdbx.BinaryCIFBlock(made), res_name=name)
+    found = pdbx.get_component(pdbx.BinaryCIFBlock(made), res_name=name)
+    names, flags = (made["chem_comp_atom"][each].as_array() for each in ("atom_id", "pdbx_leaving_atom_flag"))
+    leave = dict(zip(names, flags, strict=True))
+    found.set_annotation("leaving", np.array([leave.get(each) == "Y" for each in found.atom_name]))
+    return found
 
 
 def _rows_of(name: str, data: Any, decoder: Any) -> Any:

@@ -26,8 +26,9 @@ from protochain.ligands.molecule import Molecule, library
 from protochain.ligands.protonation import Charged, at_metal, at_ph, with_hydrogens
 from protochain.ligands.sources import of_residue
 from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.linkage import Link
+from protochain.structure.linkage import Link, is_metal
 from protochain.structure.repairs import Kind
+from protochain.structure.residues import STANDARD
 from protochain.structure.templates import HAS_GLYCAM, Template
 
 _BONDED = 1.5
@@ -134,10 +135,9 @@ def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]
 class Chemist:
     """Gives molecules of a draft their chemistry; those of one name share what is looked up."""
 
-    def __init__(
-        self, draft: Draft, chemistry: Chemistry, metals: Sequence[tuple[Member, gemmi.Atom]]
-    ) -> None:
-        self.draft, self.chemistry, self.metals = draft, chemistry, metals
+    def __init__(self, draft: Draft, chemistry: Chemistry, known: Mapping[str, Template]) -> None:
+        self.draft, self.chemistry, self.templates = draft, chemistry, known
+        self.metals = [(m, a) for m in draft.members for a in m.atoms if is_metal(a.element.name)]
         self.known: dict[str, Charging] = dict(chemistry.posed)
 
     def settle(self, part: Part) -> None:
@@ -183,13 +183,26 @@ class Chemist:
         changed = {each.atom: each for each in (*charged, *more)}.values()
         return released, tuple(each for each in changed if each.before != each.after)
 
+    def name(self, member: Member) -> str:
+        """Name by which the chemistry of a residue is looked up."""
+        return member.name if member.name in STANDARD else member.given or member.name
+
+    def free(self, member: Member) -> Molecule:
+        """Chemistry of a residue by name, as its source has it.
+
+        Raises
+        ------
+        ProtochainError
+            If no source has it.
+        """
+        name = self.name(member)
+        atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
+        return of_residue(name, self.draft.header, atoms, self.chemistry.named.get(name))
+
     def _looked_up(self, name: str, member: Member) -> Charging:
         """Chemistry of a residue by name, charged for the pH."""
         if name not in self.known:
-            given = self.chemistry.named.get(name)
-            atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
-            found = of_residue(name, self.draft.header, atoms, given)
-            self.known[name] = self.chemistry.charged(found, given is not None)
+            self.known[name] = self.chemistry.charged(self.free(member), name in self.chemistry.named)
         return self.known[name]
 
 

@@ -1,4 +1,4 @@
-"""Disulfide bonds, and cross-links that the force fields do not cover."""
+"""Disulfide bonds."""
 
 from collections.abc import Sequence
 
@@ -11,13 +11,6 @@ from protochain.structure.repairs import Kind
 
 DISULFIDE = 3.0
 """Angstrom: sulphurs nearer than this are bonded, as in OpenMM (a disulfide bond is 2.05)."""
-_CROSSLINK = 1.7
-"""Angstrom: a side-chain amine nearer than this to a side-chain carboxyl is bonded to it (1.33)."""
-_AMINES = (("LYS", "NZ"), ("ORN", "NE"), ("DAB", "ND"))
-_CARBOXYLS = (("ASP", "CG", ("OD1", "OD2")), ("GLU", "CD", ("OE1", "OE2")))
-"""With the oxygens, of which an amide bond takes the place of one: where both are there, two side chains of a
-poor model overlap."""
-
 Bridge = tuple[Member, Member]
 
 
@@ -128,34 +121,6 @@ def _place(member: Member) -> str:
     return f"{member.chain_id}:{member.seqid}"
 
 
-def refuse_crosslinks(draft: Draft) -> None:
-    """Refuse side chains joined by amide bonds, for which the force fields have no parameters.
-
-    Raises
-    ------
-    StructureError
-        Naming both residues.
-    """
-    amines = [
-        (m, atom) for m in draft.members for name, n in _AMINES if m.name == name and (atom := m.atom(n))
-    ]
-    carboxyls = [
-        (m, atom)
-        for m in draft.members
-        for name, c, oxygens in _CARBOXYLS
-        if m.name == name and (atom := m.atom(c)) and not all(map(m.atom, oxygens))
-    ]
-    if not amines or not carboxyls:
-        return
-    near = KDTree([atom.pos.tolist() for _, atom in carboxyls])
-    for member, atom in amines:
-        for j in near.query_ball_point(atom.pos.tolist(), _CROSSLINK):
-            raise StructureError(
-                f"{draft.source}: {member} and {carboxyls[j][0]} are joined by an amide bond "
-                f"({atom.name}-{carboxyls[j][1].name}), which the force fields lack; remove that bond"
-            )
-
-
 def _sulphur(member: Member) -> list[float]:
     sulphur = member.atom("SG")
     assert sulphur is not None
@@ -168,4 +133,4 @@ def _apart(first: Member, second: Member) -> float:
 
 
 def _is_stated(draft: Draft, first: Member, second: Member) -> bool:
-    return draft.states(*((member.chain_id, member.seqid, "SG") for member in (first, second)))
+    return draft.states(first.address("SG"), second.address("SG"))

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gemmi
 
@@ -13,6 +13,9 @@ from protochain.structure import residues
 from protochain.structure.header import NO_LABEL, Label
 from protochain.structure.repairs import Kind, Loss, Repair, Why
 from protochain.structure.templates import PHOSPHATE_END, Template, template_name
+
+if TYPE_CHECKING:
+    from protochain.structure.linkage import Link
 
 Address = tuple[str, str, str]
 """Chain id, number with insertion code, and atom name in the file."""
@@ -39,10 +42,10 @@ class Member:
         Label ids of the file.
     given : str
         Its name in the file, where another.
-    capped : Ligand, optional
-        Chemistry and parameters of a modified residue that no force field has, with its caps.
+    odd : bool
+        Whether it is an amino acid that no force field has.
     parent : str
-        Standard amino acid that it becomes as part of a chain; empty if it has a template.
+        Standard amino acid that such a one becomes without parameters; empty if there is none.
     """
 
     name: str
@@ -57,7 +60,7 @@ class Member:
     metals: list[gemmi.Atom] = field(default_factory=list)
     label: Label = NO_LABEL
     given: str = ""
-    capped: Ligand | None = None
+    odd: bool = False
     parent: str = ""
 
     def __str__(self) -> str:
@@ -77,6 +80,10 @@ class Member:
     def seqid(self) -> str:
         """Number and insertion code."""
         return self.number + self.insertion_code
+
+    def address(self, name: str) -> Address:
+        """Where the file has one of its atoms."""
+        return self.chain_id, self.seqid, name
 
     def atom(self, name: str) -> gemmi.Atom | None:
         """Return the atom of that name, if there is one."""
@@ -103,6 +110,8 @@ class Part:
         Whether the last residue is bonded to the first.
     glycan : str
         GLYCAM's code of a sugar of a glycan that moves.
+    is_small : bool
+        Whether it is a small molecule that no force field has.
     """
 
     chain_id: str
@@ -113,6 +122,7 @@ class Part:
     inverted: tuple[str, ...] = ()
     cyclic: bool = False
     glycan: str = ""
+    is_small: bool = False
 
     @property
     def is_strand(self) -> bool:
@@ -143,6 +153,28 @@ class Part:
         return known.get(("N" if ends[0] else "C") + name)
 
 
+@dataclass(frozen=True, eq=False)
+class Fragment:
+    """Residues that no template fits, as one molecule, with caps where chains go on.
+
+    Parameters
+    ----------
+    ligand : Ligand
+        Chemistry and parameters.
+    owners : tuple of (Member or None, str)
+        Residue of each atom of the molecule, and its name there; None for atoms of caps that stand for none.
+    core : tuple of str
+        What the force field calls each atom that keeps its parameters; empty for others.
+    bonds : mapping of Link to tuple of (Member, str)
+        Its bonds otherwise than along a chain, and the atoms that left there.
+    """
+
+    ligand: Ligand
+    owners: tuple[tuple[Member | None, str], ...]
+    core: tuple[str, ...]
+    bonds: Mapping["Link", tuple[tuple[Member, str], ...]]
+
+
 @dataclass(eq=False)
 class Draft:
     """Molecules of a file, completed step by step.
@@ -162,6 +194,9 @@ class Draft:
         Molecules and atoms left out, by kind.
     glycosidic : list of pairs of Address
         Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
+    links : list of Link
+        Bonds of the protein to molecules beside it that springs hold.
+    fragments : list of Fragment
     springs : mapping of tuple of Address to (float, float)
         Springs that the file says hold the bonds to molecules beside the protein: rest, nm or rad, and
         stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
@@ -180,6 +215,8 @@ class Draft:
     parts: list[Part] = field(default_factory=list)
     stated: list[tuple[Address, Address]] = field(default_factory=list)
     glycosidic: list[tuple[Address, Address]] = field(default_factory=list)
+    links: list["Link"] = field(default_factory=list)
+    fragments: list[Fragment] = field(default_factory=list)
     repairs: list[Repair] = field(default_factory=list)
     rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)

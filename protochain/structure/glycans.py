@@ -16,9 +16,9 @@ from scipy.spatial import KDTree
 
 from protochain.core.graph import components
 from protochain.structure.chirality import volume
-from protochain.structure.draft import Address, Draft, Member, Part
+from protochain.structure.draft import Address, Draft, Member, Part, losses
 from protochain.structure.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, Link, is_metal, is_usual
-from protochain.structure.repairs import Kind
+from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import Atom
 from protochain.structure.sugars import (
     GLYCOSYLATED,
@@ -38,6 +38,9 @@ _FREE = "-ROH"
 """What the code of a sugar at a free reducing end has in addition."""
 _REACH = 2.0
 """Angstrom: no bond that is looked for is longer."""
+
+_CLEAR = 0.1
+"""Angstrom by which the length of a bond may be off if the hydroxyl that it takes the place of is there."""
 
 _Owned = tuple[Member, gemmi.Atom]
 
@@ -67,6 +70,8 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
     near = _Surroundings(draft, parts, sugars)
     place = {id(part.members[0]): k for k, part in enumerate(sugars)}
     links = [link for part in sugars if (link := near.link(part.members[0])) is not None]
+    for link in links:
+        _without_hydroxyl(draft, link)
     pairs = [(place[id(a)], place[id(b)]) for a, b in ((x.member, x.other) for x in links) if id(a) in place]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(sugars))
     refused: list[Part] = []
@@ -82,7 +87,7 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
             draft.note(Kind.GLYCAN_STAYS, residue=mine[0].members[0].residue, why=why)
             refused += mine
             continue
-        draft.glycosidic += [(_address(x.member, x.atom), _address(x.other, x.other_atom)) for x in own]
+        draft.glycosidic += [(x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in own]
         facts: dict[str, Any] = {"count": len(mine), "codes": (*dict.fromkeys(codes.values()),)}
         root = next((link for link in own if id(link.member) not in place), None)
         if root is not None:
@@ -112,6 +117,16 @@ def _code(member: Member, links: Sequence[Link]) -> str:
 def _hydroxyl(member: Member) -> gemmi.Atom | None:
     """Oxygen at the anomeric carbon, which a sugar has that no other residue bears."""
     return member.atom("O" + anomeric_carbon(member.name)[1:])
+
+
+def _without_hydroxyl(draft: Draft, link: Link) -> None:
+    """Take away the oxygen at an anomeric carbon that another bond takes the place of."""
+    sugar, oxygen = link.other, _hydroxyl(link.other)
+    if oxygen is not None:
+        lost = losses(sugar, [oxygen], Why.BONDED)
+        sugar.atoms = [a for a in sugar.atoms if a is not oxygen]
+        gone = (f"{oxygen.name} of {sugar.name}",)
+        draft.note(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=gone)
 
 
 def _tell_hands(draft: Draft, member: Member, letters: str, links: Sequence[Link]) -> None:
@@ -147,7 +162,7 @@ class _Surroundings:
             for a in m.atoms if not a.is_hydrogen()
         ]  # fmt: skip
         self.tree = KDTree([a.pos.tolist() for _, a in self.heavy])
-        self.at = {_address(m, a): (m, a) for m, a in self.heavy}
+        self.at = {m.address(a.name): (m, a) for m, a in self.heavy}
         self.stated: dict[Address, list[Address]] = {}
         for first, second in draft.stated:
             if first[:2] != second[:2]:
@@ -156,7 +171,7 @@ class _Surroundings:
 
     def bonds_stated(self, member: Member, atom: gemmi.Atom) -> list[_Owned]:
         """Atoms of other residues, metals left out, to which the file states a bond."""
-        ends = (self.at.get(each) for each in self.stated.get(_address(member, atom), ()))
+        ends = (self.at.get(each) for each in self.stated.get(member.address(atom.name), ()))
         return [end for end in ends if end is not None and not is_metal(end[1].element.name)]
 
     def link(self, sugar: Member) -> Link | None:
@@ -167,14 +182,17 @@ class _Surroundings:
         stated = self.bonds_stated(sugar, carbon)
         if stated:
             return Link(*stated[0], sugar, carbon, stated=True)
-        if len([a for a in _inner(sugar, carbon) if a.element.name == "O"]) > 1:
+        hydroxyl = _hydroxyl(sugar)
+        inner = [a for a in _inner(sugar, carbon) if a is not hydroxyl]
+        if len([a for a in inner if a.element.name == "O"]) > 1:
             return None
         found = [
             link
             for link in self._pairs(sugar, carbon)
             if self._bears(link.member, link.atom)
+            and (hydroxyl is None or abs(link.excess) <= _CLEAR)
             and is_usual(_inner(link.member, link.atom), link.atom, carbon)
-            and is_usual(_inner(sugar, carbon), carbon, link.atom)
+            and is_usual(inner, carbon, link.atom)
         ]
         return min(found, key=lambda link: abs(link.excess), default=None)
 

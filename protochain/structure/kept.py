@@ -13,10 +13,9 @@ from protochain.core import defaults
 from protochain.core.errors import StructureError
 from protochain.core.graph import components
 from protochain.structure import glycans, residues
-from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry
+from protochain.structure.bound import AS_KNOWN, Chemistry
 from protochain.structure.draft import Draft, Member, Part, losses
 from protochain.structure.ions import is_known
-from protochain.structure.linkage import is_metal
 from protochain.structure.recognise import by_element, recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.templates import Template
@@ -134,12 +133,13 @@ def choose(
         gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
     for (kind, _), count in gone.items():
         draft.left_out[kind] += count
-    metals = [
-        (each.member, a) for each in chosen for a in each.member.atoms if is_metal(a.element.name)
-    ]  # fmt: skip
-    parts = _parts(draft, chosen, known, Chemist(draft, chemistry, metals))
-    moves = {id(member) for part in parts if part.mobile for member in part.members}
-    _report(draft, gone, tuple(lost), chosen, moves)
+    parts = _parts(draft, chosen, known, chemistry)
+    if gone:
+        counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
+        facts = {"counts": counts, "count": counts[0].n, "remedy": EVERYTHING}
+        dry = any(count.kind != "waters" for count in counts)
+        left = Kind.LEFT_OUT if dry else Kind.WATERS_LEFT_OUT
+        draft.repairs.insert(0, Repair(left, facts, tuple(lost)))
     return parts
 
 
@@ -187,7 +187,7 @@ def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
 
 
 def _parts(
-    draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Template], chemist: Chemist
+    draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Template], chemistry: Chemistry
 ) -> list[Part]:
     """Group residues into molecules: bonded nucleotides form a strand, all others stand alone."""
     parts: list[Part] = []
@@ -198,7 +198,6 @@ def _parts(
             parts[-1].members.append(member)
         else:
             parts.append(Part(member.chain_id, [member], obstacle=True))
-    chemistry = chemist.chemistry
     held = glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
     for part in (each for each in parts if not each.glycan):
         _trim(draft, part)
@@ -228,8 +227,7 @@ def _parts(
                 first.own, part.mobile = known_as or first.own, known_as is not None
                 n_heavy = sum(not atom.is_hydrogen() for atom in first.atoms)
                 is_known = part.mobile or part in held or first.name in residues.NUCLEOTIDES
-                if n_heavy > 1 and not is_known:
-                    chemist.settle(part)
+                part.is_small = n_heavy > 1 and not is_known
         elif len(whole) > len(first.atoms):
             lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)
             draft.note(Kind.PHOSPHATE, lost, residue=first.residue)
@@ -291,30 +289,15 @@ def _fits(member: Member, template: Template | None) -> bool:
     return heavy | {"OP3"} == {*template.heavy, "OP3"}
 
 
-def _report(
-    draft: Draft,
-    gone: Mapping[tuple[str, Why | None], int],
-    lost: tuple[Loss, ...],
-    chosen: Sequence[Candidate],
-    moves: set[int],
-) -> None:
-    """Say what is left out, before all other repairs, and then what is kept; ``moves``: ``id`` of members."""
-    told = []
-    if gone:
-        counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
-        dry = any(count.kind != "waters" for count in counts)
-        told.append(
-            Repair(Kind.LEFT_OUT, {"counts": counts, "remedy": EVERYTHING}, lost)
-            if dry
-            else Repair(Kind.WATERS_LEFT_OUT, {"count": counts[0].n, "remedy": EVERYTHING}, lost)
-        )
-    if chosen:
-        its = Counter("waters" if each.kind == "water" else each.given for each in chosen)
-        kept = tuple(Count(n, name) for name, n in its.most_common())
-        bare = {each.given for each in chosen if each.member.own and id(each.member) not in moves}
-        kind = Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT
-        told.append(Repair(kind, {"counts": kept, "bare": tuple(sorted(bare))}))
-    draft.repairs[:0] = told
+def report(draft: Draft) -> None:
+    """Say what is kept, before all other repairs but what is left out."""
+    its = [(part, m) for part in draft.parts if part.obstacle for m in part.members]
+    if its:
+        counts = Counter("waters" if m.name == "HOH" else m.given or m.name for _, m in its).most_common()
+        bare = {m.given or m.name for part, m in its if m.own and not part.mobile}
+        facts = {"counts": tuple(Count(n, name) for name, n in counts), "bare": tuple(sorted(bare))}
+        first = bool(draft.repairs) and draft.repairs[0].kind in (Kind.LEFT_OUT, Kind.WATERS_LEFT_OUT)
+        draft.repairs.insert(first, Repair(Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT, facts))
 
 
 def water_named(member: Member, given: str) -> Member:

@@ -41,7 +41,7 @@ class Tie:
 
 @dataclass(frozen=True, eq=False)
 class BoundLigand(Value):
-    """A small molecule beside the protein whose chemistry is known, so that it moves.
+    """A small molecule beside the protein that moves, or residues that no template fits: of known chemistry.
 
     Parameters
     ----------
@@ -51,11 +51,14 @@ class BoundLigand(Value):
         The structure's atom of each atom of the molecule, hydrogens included.
     inverted : tuple of str
         Stereocentres, and double bonds as ``C1=C2``, that the file has the other way round than the source.
+    core : tuple of str
+        Of residues what the force field calls each atom that keeps its parameters; empty for others.
     """
 
     ligand: Ligand
     atoms: Integers
     inverted: tuple[str, ...] = ()
+    core: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "atoms", read_only(self.atoms, np.int64))
@@ -69,7 +72,8 @@ class BoundLigand(Value):
                 rows.append((min(atoms, atoms[::-1]), _rounded(values)))
         single = np.column_stack([its.charge, its.sigma, its.epsilon])
         rows += zip(([k] for k in self.atoms.tolist()), _rounded(single), strict=True)
-        return repr(sorted(rows))
+        core = sorted(zip(self.atoms.tolist(), self.core, strict=True)) if self.core else ""
+        return f"{sorted(rows)!r}{core}"
 
 
 def _rounded(values: Floats) -> list[Any]:
@@ -148,9 +152,9 @@ class Structure(Value):
         Heavy atoms that the file lacks.
     ligands : tuple of BoundLigand
         Small molecules beside the protein that move with parameters of their own.
-    modified : tuple of BoundLigand
-        Modified residues of the protein whose side chains have the force field of small molecules; atoms of
-        the molecule that cap it are those of its neighbours, or -1.
+    fragments : tuple of BoundLigand
+        Residues that no template fits, with the force field of small molecules: modified, cross-linked, or
+        bonded to the protein; atoms of the molecule that cap it are those of its neighbours, or -1.
     glycans : mapping of int to str
         Codes in GLYCAM-06j, as ``4YB``, of the sugars that move with the protein that bears them, by residue.
     origin : Origin, optional
@@ -179,7 +183,7 @@ class Structure(Value):
     mirrored: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     built: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, dtype=bool))
     ligands: tuple[BoundLigand, ...] = ()
-    modified: tuple[BoundLigand, ...] = ()
+    fragments: tuple[BoundLigand, ...] = ()
     glycans: Mapping[int, str] = field(default_factory=dict)
     origin: Origin | None = None
 
@@ -275,8 +279,13 @@ class Structure(Value):
 
     @cached_property
     def residue_chain_index(self) -> Integers:
-        """(nr,) int: index of the unbroken chain of each residue."""
-        return read_only([residue.chain.index for residue in self.topology.residues()], np.int64)
+        """(nr,) int: index of the unbroken chain of each residue; its id may change within."""
+        chain = np.array([residue.chain.index for residue in self.topology.residues()], dtype=np.int64)
+        starts = np.diff(chain, prepend=-1) != 0
+        (i, j), residue = self.bonds.T, self.atom_residue
+        along = (residue[j] == residue[i] + 1) & (self.atom_name[i] == "C") & (self.atom_name[j] == "N")
+        starts[residue[j[along & ~self.kept[i] & ~self.kept[j]]]] = False
+        return read_only(np.cumsum(starts) - 1, np.int64)
 
     @cached_property
     def bonds(self) -> Integers:
@@ -327,7 +336,7 @@ class Structure(Value):
         seen.update(repr(self.ties).encode())
         if self.mobile.any():
             seen.update(self.mobile.tobytes())
-        for each in (*self.ligands, *self.modified):
+        for each in (*self.ligands, *self.fragments):
             seen.update(each.in_energy().encode())
         if self.glycans:
             seen.update(repr(sorted(self.glycans.items())).encode())

@@ -4,7 +4,7 @@ Atoms are placed by geometry, missing side chains on rotamers: the same file giv
 for bit.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import gemmi
@@ -25,9 +25,9 @@ from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.bound import Chemistry, put_hydrogens, take_up
-from protochain.structure.bridges import Bridge, disulfides, refuse_crosslinks
+from protochain.structure.bridges import Bridge, disulfides
 from protochain.structure.complete import add_heavy_atoms
-from protochain.structure.draft import Draft, Member, Part
+from protochain.structure.draft import Draft, Fragment, Member, Part
 from protochain.structure.files import place_in_file
 from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.linkage import Link
@@ -36,10 +36,10 @@ from protochain.structure.protonate import protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.sidechains.relief import relieved
 from protochain.structure.sites import (
-    find_links,
     glycosidic,
     metal_ties,
     moves,
+    note_unused,
     settle_mobile,
     stated_beside,
     stated_ties,
@@ -157,12 +157,12 @@ def prepare(
     """
     wanted = bonds_of(disulfide, "disulfide")
     known = templates(forcefield)
-    links, beside, sugars = find_links(draft), stated_beside(draft), glycosidic(draft)
-    settle_mobile(draft, links)
-    links += strand_links(draft)
+    beside, sugars = stated_beside(draft), glycosidic(draft)
+    settle_mobile(draft, draft.links)
+    links = [*draft.links, *strand_links(draft)]
+    beyond = [*sugars, *(link for made in draft.fragments for link in made.bonds)]
+    note_unused(draft, [*links, *beyond, *beside])
     take_up(draft, ph)
-    # Before oxygens that the file lacks are added.
-    refuse_crosslinks(draft)
     given = {
         id(atom): atom
         for member in draft.members
@@ -176,7 +176,7 @@ def prepare(
     atoms = [atom for member, _ in done for atom in member.atoms]
     elements = [atom.element.name for atom in atoms]
     at = _indices(done)
-    bonds = _bonds(draft, done, bridges, [*links, *sugars], at)
+    bonds = _bonds(draft, done, bridges, [*links, *beyond], at)
     charge = np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms])
     x = np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM
     place = np.where(np.isnan(x[:, 0]), -1, [place_in_file(atom) for atom in atoms])
@@ -208,29 +208,20 @@ def prepare(
         model_number=draft.model_number,
         ties=stated_ties(draft, links, at) or (*ties(links, at, x, elements, bonds), *metal_ties(draft, at)),
         mobile=mobile,
-        links=np.array(_linked(_told(draft, [*links, *sugars, *beside]), at), dtype=np.int64).reshape(-1, 2),
+        links=np.array(_linked(_told(draft, [*links, *beyond, *beside]), at), np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
         ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
-        modified=tuple(_modified(draft, at)),
+        fragments=tuple(_fragment(made, at) for made in draft.fragments),
         glycans={r: part.glycan for r, part in enumerate(of_residues) if part.glycan},
         origin=Origin(draft.filed, place, charge) if (place >= 0).any() else None,
     )
 
 
-def _modified(draft: Draft, at: dict[int, dict[str, int]]) -> Iterator[BoundLigand]:
-    """Modified residues, whose caps are atoms of their neighbours in the chain."""
-    for part in draft.parts:
-        for i, member in enumerate(part.members):
-            if member.capped is None:
-                continue
-            before, after = (part.members[(i + step) % len(part.members)] for step in (-1, 1))
-            index = dict(at[id(member)])
-            index |= {f"{name}-": k for name, k in at[id(before)].items() if name in ("C", "O", "CA")}
-            index |= {"CA-": at[id(before)]["CH3"]} if "CH3" in at[id(before)] else {}
-            index |= {"N+": at[id(after)]["N"]} if "N" in at[id(after)] else {}
-            atoms = np.array([index.get(name, -1) for name in member.capped.molecule.names])
-            yield BoundLigand(member.capped, atoms)
+def _fragment(made: Fragment, at: dict[int, dict[str, int]]) -> BoundLigand:
+    """A fragment with the atoms of the structure; those of its caps are atoms of its neighbours."""
+    atoms = [-1 if m is None else at[id(m)].get(name, -1) for m, name in made.owners]
+    return BoundLigand(made.ligand, np.array(atoms), core=made.core)
 
 
 def _bound(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
@@ -249,7 +240,7 @@ def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int,
 def _told(draft: Draft, links: list[Link]) -> list[Link]:
     """Each bond once, those of the protein first."""
     protein = {id(member) for part in draft.parts if not part.obstacle for member in part.members}
-    once = {frozenset(link.ends): link for link in links}
+    once = {frozenset(link.ends): link for link in links if not {*link.owners} <= protein}
     return sorted(once.values(), key=lambda link: id(link.member) not in protein)
 
 
@@ -305,8 +296,10 @@ def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Int
     atoms = []
     templates_of = {id(member): template for member, template in done}
     for part in parts:
-        chain = topology.addChain(part.chain_id)
+        chain = None
         for member in part.members:
+            if chain is None or chain.id != member.chain_id:
+                chain = topology.addChain(member.chain_id)
             residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
             for atom in member.atoms:
                 element = app.Element.getBySymbol(atom.element.name)

@@ -78,6 +78,8 @@ def _template(
 ) -> Template:
     """Template of a residue in a state that the file shows, or that was chosen; the repairs tell which."""
     member = part.members[i]
+    if member.own is not None:
+        return member.own
     template = part.template(known, i, state)
     usual = part.template(known, i)
     assert usual is not None

@@ -6,21 +6,24 @@ raises an error of one line.
 
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import gemmi
 import numpy as np
+from scipy.spatial import KDTree
 
 from protochain.core.checks import check_fields, flag, integer, optional, text, words
 from protochain.core.errors import Argument, OnlyAlphaError, StructureError
-from protochain.core.markup import counted, listed
-from protochain.structure import residues
+from protochain.core.markup import counted
+from protochain.structure import fragments, residues
 from protochain.structure.apart import refuse_crowds
 from protochain.structure.backbone import complete_backbone
-from protochain.structure.bound import AS_KNOWN, Chemistry, with_pose
-from protochain.structure.chirality import WELL_FORMED, hand
+from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry, with_pose
+from protochain.structure.chirality import hand
 from protochain.structure.choose import choose_chains, choose_model
 from protochain.structure.conformation import (
     Conformation,
@@ -34,14 +37,13 @@ from protochain.structure.conformation import (
 from protochain.structure.draft import Address, Draft, Member, Part, losses
 from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, split_name
 from protochain.structure.header import take_header
-from protochain.structure.kept import Candidate, choose, water_named
-from protochain.structure.modified import settle
+from protochain.structure.kept import Candidate, choose, report, water_named
 from protochain.structure.repairs import Kind, Repair, Why
+from protochain.structure.sites import find_links
 from protochain.structure.springs import springs
 from protochain.structure.templates import (
     archive_parent,
     named,
-    other_names,
     rename,
     standard_name,
     template_name,
@@ -53,8 +55,6 @@ PEPTIDE_BREAK = 2.0
 PEPTIDE_TORN = 3.0
 """Angstrom: C and N of consecutive numbers are bonded up to here, as in models whose bonds are off. Atoms of
 two chain ends do not come that near: C and N that are not bonded touch at 3.25."""
-_MOST_STRAYS = 10
-"""Residues in a row that may stand in another place of the file than in the chain."""
 _UPON, _BESIDE = 0.01, 2.0
 """Angstrom: atoms nearer than the first are in one place, those that are bonded nearer than the second."""
 SMALLEST_RING = 4
@@ -157,7 +157,6 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         if bond.type in _BONDS and bond.asu != gemmi.Asu.Different
     ] + _of_serials(structure, model)
     beside: list[Candidate] = []
-    unknown: list[Member] = []
     chains = choose_chains(draft, model, reading.chains)
     places = [(chain.name, group) for chain in chains for group in same_place(chain)]
     letters, gives_way = agreed([group for _, group in places], reading.altloc)
@@ -170,12 +169,10 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         its, other = (_in_file(places[each][0], places[each][1][0]) for each in (k, gives_way[k]))
         if not group[0].is_water():
             draft.note(Kind.EXCLUDED, residue=its, other=other, occupancy=group[0][0].occ)
+    reader = _Reader(draft, reading, beside)
     for name, mine in of_chain.items():
-        reader = _Reader(draft, reading, name, beside)
-        reader.take(mine)
-        unknown += reader.refused
-    if unknown:
-        raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
+        reader.take(name, mine)
+    reader.join()
     if not draft.parts and not any(each.kind == "nucleic" for each in beside):
         kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
         found = ", ".join(_counted(kind, count) for kind, count in kinds.items())
@@ -185,9 +182,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
     # As in a file written of it, where chains are whole: protein chains come first.
     order = list(dict.fromkeys(part.chain_id for part in draft.parts))
-    beside.sort(
-        key=lambda each: order.index(each.member.chain_id) if each.member.chain_id in order else len(order)
-    )
+    order += [chain.name for chain in model if chain.name not in order]
+    beside.sort(key=lambda each: order.index(each.member.chain_id))
     chemistry = reading.chemistry
     for path in chemistry.poses:
         taken = {(each.chain_id, each.number) for each in (*draft.members, *(b.member for b in beside))}
@@ -196,7 +192,14 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         beside.append(Candidate(member, member.name))
     there = [*draft.members, *(each.member for each in beside)]
     refuse_crowds([atom for member in there for atom in member.atoms], draft.source)
-    draft.parts += choose(draft, beside, reading.keep, templates(reading.forcefield), chemistry)
+    known = templates(reading.forcefield)
+    draft.parts += choose(draft, beside, reading.keep, known, chemistry)
+    chemist = Chemist(draft, chemistry, known)
+    draft.links = find_links(draft, partial(fragments.settle, draft, chemist))
+    for part in draft.parts:
+        if part.is_small:
+            chemist.settle(part)
+    report(draft)
     return draft
 
 
@@ -214,20 +217,6 @@ def model_numbers(path: str | Path) -> list[int]:
         As :func:`read`.
     """
     return [model.num for model in parse(Path(path))[0]]
-
-
-def _unknown_told(draft: Draft, unknown: list[Member]) -> tuple[str | Argument, ...]:
-    """What amino acids are unknown, and what to do; taking other chains is offered if they hold none."""
-    chains = dict.fromkeys(part.chain_id for part in draft.parts)
-    free = [name for name in chains if name and name not in {member.chain_id for member in unknown}]
-    said = "is an unknown amino acid" if len(unknown) == 1 else "are unknown amino acids"
-    it = "it" if len(unknown) == 1 else "them"
-    others = (", or take only what has none: ", Argument("chains", ",".join(free))) if free else ()
-    return (
-        f"{listed([str(member) for member in unknown])} {said} without a standard parent; replace or remove "
-        f"{it}, or give a force field that defines {it}",
-        *others,
-    )
 
 
 def _in_file(chain: str, residue: gemmi.Residue) -> residues.Residue:
@@ -255,16 +244,20 @@ def _of_serials(structure: gemmi.Structure, model: gemmi.Model) -> list[tuple[Ad
 
 
 class _Reader:
-    """Reader of one chain, which adds its parts and repairs to the draft."""
+    """Reader of chains, which adds their parts and repairs to the draft."""
 
-    def __init__(self, draft: Draft, reading: Reading, chain_id: str, beside: list[Candidate]) -> None:
-        self.draft, self.reading, self.chain_id, self.beside = draft, reading, chain_id, beside
+    def __init__(self, draft: Draft, reading: Reading, beside: list[Candidate]) -> None:
+        self.draft, self.reading, self.beside, self.chain_id = draft, reading, beside, ""
         self.known = templates(reading.forcefield)
+        self.runs: list[list[Member]] = []
         self.unknown: set[int] = set()
-        self.refused: list[Member] = []
 
-    def take(self, places: Iterable[tuple[list[gemmi.Residue], str]]) -> None:
-        """Add the protein of a chain and the molecules kept beside it, of places with their letters."""
+    def take(self, chain_id: str, places: Iterable[tuple[list[gemmi.Residue], str]]) -> None:
+        """Take the protein of a chain, in pieces without a break, and the molecules beside it.
+
+        Of places in the file, each with the letter of its alternates.
+        """
+        self.chain_id = chain_id
         run: list[Member] = []
         for group, letter in places:
             found = likeliest(group, letter)
@@ -288,7 +281,7 @@ class _Reader:
                 "rebuild the others first, by PULCHRA or cg2all"
             )
         self._report_zero_occupancy(run)
-        self._add_unbroken(run)
+        self.runs += self._unbroken(run)
 
     @property
     def _chain(self) -> str:
@@ -354,9 +347,9 @@ class _Reader:
         template = self.known.get(name) if name not in residues.STATE_PARENT else None
         if backbone and template and {*residues.BACKBONE} <= template.element.keys():
             return member
-        member.parent = archive_parent(name) if backbone else ""
         if backbone:
-            # One that is unknown is refused within a chain; alone, it is a ligand.
+            # One without a parent may be a ligand, if it stands alone.
+            member.odd, member.parent = True, archive_parent(name)
             self.unknown |= set() if member.parent else {id(member)}
             return member
         self.beside.append(Candidate(water_named(member, given), given, self.notes))
@@ -368,17 +361,10 @@ class _Reader:
         if member.parent:
             if self.reading.standard_residues:
                 return Why.ASKED
-            if member.name == "MSE" or member.is_d or hand(member) < 0:
-                return Why.PARENT
-            why = settle(part, i, self.reading.chemistry)
-            if why is None:
-                member.parent = ""
-                assert member.capped is not None
-                of = member.capped.molecule
-                self.draft.note(
-                    Kind.MODIFIED, residue=member.residue, source=of.source, charge=f"{of.charge:+d}"
-                )
-            return why
+            there = {atom.name for atom in member.atoms if not atom.is_hydrogen()} - {"OXT"}
+            member.is_d = member.is_d or hand(member) < 0
+            is_mirrored = member.is_d and there == {*self.known[fragments.fullest(member.parent)].heavy}
+            return Why.PARENT if member.name == "MSE" or is_mirrored else None
         if member.name not in residues.PHOSPHORYLATED:
             return None
         if self.reading.standard_residues:
@@ -390,37 +376,6 @@ class _Reader:
             template.synonyms.get(atom.name, atom.name) for atom in member.atoms if not atom.is_hydrogen()
         }
         return None if there - {"OXT"} == {*template.heavy} else Why.INCOMPLETE
-
-    def _convert(self, member: Member, why: Why) -> None:
-        """Convert a modified residue of a chain to its standard parent."""
-        residue, parent, given = member.residue, member.parent or archive_parent(member.name), member.name
-        # HIP has the atoms of every state of histidine.
-        named = self.known["HIP" if parent == "HIS" else parent]
-        expected = {*named.element, *other_names(member.atoms, named), "OXT", "H1", "H2", "H3", "H"}
-        for name in set(named.heavy) - {atom.name for atom in member.atoms}:
-            # Selenium, or a sulphur of another name, becomes the parent's sulphur.
-            chalcogens = [a for a in member.atoms if a.element.name in ("S", "Se") and a.name not in expected]
-            if named.element[name] == "S" and len(chalcogens) == 1:
-                chalcogens[0].name, chalcogens[0].element = name, gemmi.Element("S")
-        strange = [atom for atom in member.atoms if atom.name not in expected and not atom.is_hydrogen()]
-        member.atoms = [
-            atom for atom in member.atoms if atom.name in expected and not (strange and atom.is_hydrogen())
-        ]
-        member.name, member.parent, member.state = parent, "", ""
-        gone = tuple(a.name for a in strange)
-        lost = losses(member, strange, why)
-        if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
-            # The table does not say of which hand it is.
-            member.is_d = hand(member, least=WELL_FORMED) < 0
-        if given == "MSE":
-            self.draft.note(Kind.SELENOMETHIONINE, lost, residue=residue)
-        elif given != residues.name_in_file(parent, member.is_d):
-            cut, whole = _TO_D if member.is_d else _TO_PARENT
-            name = residues.name_in_file(parent, member.is_d)
-            self.draft.note(cut if gone else whole, lost, residue=residue, name=name, atoms=gone)
-        elif gone or hand(member) < 1:  # One of the other hand is told with all that are.
-            kind = Kind.MIRRORED_CUT if gone else Kind.MIRRORED
-            self.draft.note(kind, lost, residue=residue, atoms=gone)
 
     def _has_backbone(self, member: Member, built: str) -> bool:
         """Whether a residue has N, CA and C, one of which may have been built."""
@@ -440,25 +395,40 @@ class _Reader:
         self.draft.left_out["incomplete residues"] += 1
         return False
 
-    def _add_unbroken(self, run: list[Member]) -> None:
-        """Split a chain where residues are not bonded; a bond across a gap would be far too long."""
-        part: list[Member] = []
-        strays = {id(member): member for member in _strays(run)}
-        for member in strays.values():
-            self._add([member])
+    def _unbroken(self, run: list[Member]) -> list[list[Member]]:
+        """Pieces of a chain whose residues are bonded one after the other."""
+        pieces: list[list[Member]] = []
         for member in run:
-            if id(member) in strays:
-                continue
+            gap = _gap(pieces[-1][-1], member) if pieces else np.inf
+            if gap >= PEPTIDE_BREAK and not (pieces and _is_torn(pieces[-1][-1], member, gap)):
+                pieces.append([])
+            elif gap >= PEPTIDE_BREAK:
+                self.draft.note(Kind.TORN, last=pieces[-1][-1].residue, first=member.residue, length=gap)
+            pieces[-1].append(member)
+        return pieces
+
+    def join(self) -> None:
+        """Add the chains: pieces whose ends are bonded are one, whatever their ids, numbers or order."""
+        following, before = _bonded_ends(self.draft, self.runs)
+        for i, (run, after) in enumerate(pairwise(self.runs)):
+            is_one = run[-1].chain_id == after[0].chain_id and len(run) + len(after) > 2
+            if is_one and i not in following and i + 1 not in before:
+                self._break(run[-1], after[0], _gap(run[-1], after[0]))
+        heads = [i for i in range(len(self.runs)) if i not in before]
+        done: set[int] = set()
+        # What is left after all that begin somewhere is in rings.
+        for head in (*heads, *range(len(self.runs))):
+            part: list[Member] = []
+            at: int | None = head
+            while at is not None and at not in done:
+                done.add(at)
+                part += self.runs[at]
+                at = following.get(at)
+            for last, first in pairwise(part):
+                if last.chain_id != first.chain_id:
+                    self.draft.note(Kind.CHAIN_GOES_ON, last=last.residue, first=first.residue)
             if part:
-                gap = _gap(part[-1], member)
-                if gap >= PEPTIDE_BREAK and _is_torn(part[-1], member, gap):
-                    self.draft.note(Kind.TORN, last=part[-1].residue, first=member.residue, length=gap)
-                elif gap >= PEPTIDE_BREAK:
-                    self._break(part[-1], member, gap)
-                    self._add(part)
-                    part = []
-            part.append(member)
-        self._add(part)
+                self._add(part)
 
     def _break(self, last: Member, first: Member, gap: float) -> None:
         """Report a chain break, unless the file has termini there."""
@@ -466,8 +436,8 @@ class _Reader:
             return
         if self.reading.strict:
             raise StructureError(
-                f"{self.draft.source}: chain {self._chain} is broken between {last.seqid} and {first.seqid} "
-                f"({gap:.1f} angstrom); model the missing residues, or leave out ",
+                f"{self.draft.source}: chain {last.residue.chain_name} is broken between {last.seqid} and "
+                f"{first.seqid} ({gap:.1f} angstrom); model the missing residues, or leave out ",
                 Argument("strict", True),
             )
         self.draft.note(Kind.GAP, last=last.residue, first=first.residue, length=gap)
@@ -479,25 +449,19 @@ class _Reader:
             for i, member in enumerate(part)
             if not member.is_cap or self._is_in_place(member, i, len(part))
         ]
-        strange = [member for member in part if id(member) in self.unknown]
         if len(part) == 1:
-            if not strange:
+            if id(part[0]) not in self.unknown:
                 self.draft.note(Kind.ALONE, residue=part[0].residue)
+            part[0].odd = False
             self.beside.append(Candidate(part[0], part[0].name))
-        elif strange:
-            self.refused += strange
         elif part:
-            made = Part(self.chain_id, part)
+            made = Part(part[0].chain_id, part)
             made.cyclic = len(part) >= SMALLEST_RING and _gap(part[-1], part[0]) < PEPTIDE_BREAK
             for i, member in enumerate(part):
                 if why := self._why_converted(made, i):
-                    self._convert(member, why)
-            if made.cyclic:
-                ends = tuple(
-                    (self.chain_id, member.seqid, name) for member, name in ((part[-1], "C"), (part[0], "N"))
-                )
-                if not self.draft.states(*ends):
-                    self.draft.note(Kind.CYCLIC, last=part[-1].residue, first=part[0].residue)
+                    fragments.to_parent(self.draft, self.known, member, why)
+            if made.cyclic and not self.draft.states(part[-1].address("C"), part[0].address("N")):
+                self.draft.note(Kind.CYCLIC, last=part[-1].residue, first=part[0].residue)
             self.draft.parts.append(made)
 
     def _is_in_place(self, member: Member, i: int, n: int) -> bool:
@@ -506,11 +470,6 @@ class _Reader:
         self.draft.note(Kind.CAP, losses(member, member.atoms, Why.CAP), residue=member.residue)
         self.draft.left_out[member.name] += 1
         return False
-
-
-_TO_D = Kind.CUT_TO_D, Kind.CONVERTED_TO_D
-_TO_PARENT = Kind.CUT_TO_PARENT, Kind.CONVERTED
-"""With atoms left out, and whole."""
 
 
 def _element(atom: gemmi.Atom) -> gemmi.Element:
@@ -546,23 +505,24 @@ def _gap(last: Member, first: Member) -> float:
     return float(end.pos.dist(start.pos))
 
 
-def _strays(run: list[Member]) -> list[Member]:
-    """Single residues, bonded to none, that stand between two that are bonded to each other."""
-    starts = [
-        i
-        for i in range(1, len(run))
-        if (gap := _gap(run[i - 1], run[i])) >= PEPTIDE_BREAK and not _is_torn(run[i - 1], run[i], gap)
-    ]
-    found: set[int] = set()
-    for k, start in enumerate(starts):
-        # Ends of the pieces of one residue that follow one another from here on.
-        for i, end in enumerate(starts[k + 1 : k + 1 + _MOST_STRAYS], start + 1):
-            if end != i:
-                break
-            if _gap(run[start - 1], run[end]) < PEPTIDE_BREAK:
-                found.update(range(start, end))
-                break
-    return [run[i] for i in sorted(found)]
+def _bonded_ends(draft: Draft, runs: list[list[Member]]) -> tuple[dict[int, int], dict[int, int]]:
+    """Piece that follows a piece, and piece before it, where their ends are as near as bonded atoms."""
+    ends = {i: a for i, run in enumerate(runs) if (a := run[-1].atom("C"))}
+    starts = {i: a for i, run in enumerate(runs) if (a := run[0].atom("N"))}
+    tree, number = KDTree(np.array([a.pos.tolist() for a in starts.values()]).reshape(-1, 3)), [*starts]
+    near = []
+    for i, a in ends.items():
+        for j in (number[k] for k in tree.query_ball_point(a.pos.tolist(), PEPTIDE_BREAK)):
+            last, first = runs[i][-1], runs[j][0]
+            ended = last.atom("OXT") and not draft.states(last.address("C"), first.address("N"))
+            if i != j and not ended and (gap := _gap(last, first)) < PEPTIDE_BREAK:
+                near.append((gap, i, j))
+    following: dict[int, int] = {}
+    before: dict[int, int] = {}
+    for _, i, j in sorted(near):
+        if i not in following and j not in before:
+            following[i], before[j] = j, i
+    return following, before
 
 
 def _is_torn(last: Member, first: Member, gap: float) -> bool:

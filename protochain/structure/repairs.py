@@ -118,6 +118,7 @@ class Kind(Enum):
         "split there, with charged termini; to avoid it, model the missing residues",
         rank=Rank.GAP,
     )
+    CHAIN_GOES_ON = Words("{last} and {first} are bonded: one chain, whose ids are kept")
     CYCLIC = Words("chain {last.chain_name} is cyclic: {last} is bonded to {first}")
     # Beside the protein.
     WATERS_LEFT_OUT = Words(
@@ -142,6 +143,7 @@ class Kind(Enum):
     BOND_IGNORED = Words(
         "bond of the file between {atoms:and} ignored: {why}; mend the file if it is real", rank=Rank.LOSS
     )
+    BONDS_LEFT_OUT = Words("{count:n bond} of the file to atoms that are left out", rank=Rank.LEFT_OUT)
     NEAR = Words(
         "{count:n pair} of atoms as near as bonded ones, but not bonded (no LINK, CONECT or struct_conn, and "
         "no known kind of bond): {pairs:6}"
@@ -155,14 +157,14 @@ class Kind(Enum):
         "moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
     )
     MODIFIED = Words(
-        "{residue}: kept, with the force field of small molecules for its side chain: chemistry of {source}, "
-        "charge {charge}",
-        "kept, with the force field of small molecules for its side chain: chemistry of {source}, charge "
-        "{charge}",
+        "{residue}: kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
+        "kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
     )
     CHARGES_OF_MMFF94 = Words(
         "{residue}: partial charges of MMFF94: {atoms:8} are outside the domain of NAGL's model"
     )
+    LINKED = Words("{atoms:and} are bonded ({length:.2f} angstrom): kept, in the place of {gone}")
+    NO_PARAMETERS = Words("the bond between {atoms:and} has no parameters: {why}")
     CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
     INVERTED = Words("{residue}: of the other hand than in its source: {atoms}", rank=Rank.LOSS)
     MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
@@ -278,6 +280,7 @@ class Why(StrEnum):
     ASKED = "standard residues are asked for"
     PHOSPHATE = "the force fields have no phosphate of a lone nucleotide"
     INNER = "the chain continues"
+    BONDED = "a bond takes its place"
     BACKBONE = "an atom of its backbone is missing"
     CAP = "a cap that is not at the end of a chain"
     ELEMENT = "its element is unknown"

@@ -5,7 +5,7 @@ atoms it joins do not repel one another.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import combinations, pairwise
 
 import gemmi
@@ -40,11 +40,11 @@ _BOND, _ANGLE = 2.7e5, 500.0
 """kJ/mol/nm^2, kJ/mol/rad^2: of the size of bonds and angles between first-row atoms in ff14SB."""
 
 
-def find_links(draft: Draft) -> list[Link]:
+def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) -> list[Link]:
     """Find the bonds between protein and obstacles, tell the residues about them, and report them.
 
     What is as near as bonded atoms and not bonded is reported as an overlap, and a bond of the file that
-    cannot be as ignored.
+    cannot be as ignored. Of those found, ``settle`` returns the ones that springs are to hold.
     """
     protein, beside = (_heavy_atoms(p for p in draft.parts if p.obstacle is kept) for kept in (False, True))
     free = {*draft.glycosidic}
@@ -66,6 +66,9 @@ def find_links(draft: Draft) -> list[Link]:
     sites: dict[int, list[Link]] = {}
     for link in links:
         (link.member.metals if link.is_metal else link.member.links).append(link.atom)
+    held = {*settle([link for link in links if link not in sprung])} | sprung
+    links = [link for link in links if link in held]
+    for link in links:
         sites.setdefault(id(link.other_atom), []).append(link)
     for site in sites.values():
         kind = Kind.COORDINATED if site[0].is_metal else Kind.BONDED
@@ -99,7 +102,7 @@ def _near(draft: Draft, protein: _Owned, beside: _Owned) -> list[Link]:
     for member, a in protein:
         for k in sorted(tree.query_ball_point(a.pos.tolist(), STATED)):
             other, its = beside[k]
-            ends = _address(member, a), _address(other, its)
+            ends = member.address(a.name), other.address(its.name)
             link = Link(member, a, other, its, ends in bonds or ends[::-1] in bonds)
             if link.stated or link.is_metal or link.excess <= COVALENT_SLACK:
                 found.append(link)
@@ -108,7 +111,7 @@ def _near(draft: Draft, protein: _Owned, beside: _Owned) -> list[Link]:
 
 def _far(draft: Draft, protein: _Owned, beside: _Owned) -> Iterator[tuple[Link, str]]:
     """Bonds between the protein and others that the file states, and that are no bonds by their length."""
-    mine, its = ({_address(*each): each for each in atoms} for atoms in (protein, beside))
+    mine, its = ({m.address(a.name): (m, a) for m, a in atoms} for atoms in (protein, beside))
     for ends in draft.stated:
         for first, second in (ends, ends[::-1]):
             if first in mine and second in its:
@@ -117,20 +120,34 @@ def _far(draft: Draft, protein: _Owned, beside: _Owned) -> Iterator[tuple[Link, 
                     yield link, f"it is {link.length:.2f} angstrom long"
 
 
-def _address(member: Member, atom: gemmi.Atom) -> Address:
-    return member.chain_id, member.seqid, atom.name
-
-
 def _ends(link: Link) -> tuple[Address, Address]:
     """Addresses of its atoms, the protein's first."""
-    return _address(link.member, link.atom), _address(link.other, link.other_atom)
+    return link.member.address(link.atom.name), link.other.address(link.other_atom.name)
+
+
+def note_unused(draft: Draft, used: Iterable[Link]) -> None:
+    """Report the bonds of the file that are neither used nor reported: too long, or to what is left out."""
+    there = {m.address(a.name): (m, a) for m in draft.members for a in m.atoms}
+    told = {frozenset(repair.facts["atoms"]) for repair in draft.repairs if repair.kind is Kind.BOND_IGNORED}
+    done = {frozenset(link.atoms) for link in used} | told
+    gone = 0
+    for first, second in dict.fromkeys((min(ends), max(ends)) for ends in draft.stated):
+        if not {first, second} <= there.keys():
+            gone += 1
+            continue
+        link = Link(*there[first], *there[second])
+        is_chains = {first[2], second[2]} in ({"C", "N"}, {"SG"}, {"O3'", "P"}) and link.length <= STATED
+        if not is_chains and link.member is not link.other and frozenset(link.atoms) not in done:
+            draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
+    if gone:
+        draft.note(Kind.BONDS_LEFT_OUT, count=gone)
 
 
 def glycosidic(draft: Draft) -> list[Link]:
     """Bonds of the glycans that move, and tell the residues of the protein about them."""
     if not draft.glycosidic:
         return []
-    there = {_address(member, atom): (member, atom) for member in draft.members for atom in member.atoms}
+    there = {member.address(atom.name): (member, atom) for member in draft.members for atom in member.atoms}
     links = [Link(*there[first], *there[second]) for first, second in draft.glycosidic]
     for link in links:
         link.member.links.append(link.atom)
@@ -140,7 +157,7 @@ def glycosidic(draft: Draft) -> list[Link]:
 def stated_beside(draft: Draft) -> list[Link]:
     """Bonds between residues kept beside the protein that the file states, and that are short enough."""
     there = {
-        _address(member, atom): (member, atom)
+        member.address(atom.name): (member, atom)
         for part in draft.parts if part.obstacle for member in part.members for atom in member.atoms
     }  # fmt: skip
     # An ion on an axis of the crystal is bonded to its image, too.
@@ -171,11 +188,12 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
     tied = {id(link.other) for link in links}
     beside = [(part, a) for part, _, a in beside_of(draft)]
     tree = KDTree([a.pos.tolist() for _, a in beside]) if beside else None
-    metals = {_address(m, a) for _, m, a in beside_of(draft) if is_metal(a.element.name)}
+    metals = {m.address(a.name) for _, m, a in beside_of(draft) if is_metal(a.element.name)}
     along = {frozenset(_ends(link)) for link in strand_links(draft)}
+    framed = {id(m) for made in draft.fragments for m, _ in made.owners}
     names: Counter[str] = Counter()
     for part in draft.parts:
-        if tree is None or not part.mobile or part.glycan:
+        if tree is None or not part.mobile or part.glycan or id(part.members[0]) in framed:
             continue
         near = {
             k for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)

@@ -274,7 +274,9 @@ def _is_between(structure: Structure, first: int, second: int) -> bool:
     """Whether a bond joins residues otherwise than a chain does."""
     apart = structure.atom_residue[second] - structure.atom_residue[first]
     names = {str(structure.atom_name[end]) for end in (first, second)}
-    return bool(apart > 1 or (apart == 1 and names != {"C", "N"} and names != {"O3'", "P"}))
+    ids = {str(structure.residue_chain[structure.atom_residue[end]]) for end in (first, second)}
+    is_along = apart == 1 and len(ids) == 1 and names in ({"C", "N"}, {"O3'", "P"})
+    return bool(apart and not is_along)
 
 
 def _link_type(structure: Structure, pair: tuple[int, int]) -> gemmi.ConnectionType:

@@ -25,7 +25,7 @@ from protochain.batches.task import run
 from protochain.structure import residues
 from protochain.structure.files import parse
 from protochain.structure.read import model_numbers
-from protochain.structure.repairs import Why
+from protochain.structure.repairs import Kind, Why
 from protochain.structure.write import as_text
 
 FILES = sorted(
@@ -505,7 +505,7 @@ def test_real_mmcif_files_do_not_need_their_last_mark(name, tmp_path):
     )
 
 
-def test_a_crosslink_that_no_force_field_has_is_named(tmp_path):
+def test_a_crosslink_that_the_file_does_not_state_is_kept(tmp_path):
     lines = atoms_of("1ubq.pdb")
     (carbon,) = [line for line in lines if line[12:26] == " CG  ASP A  58"]
     (amine,) = [line for line in lines if line[12:26] == " NZ  LYS A  48"]
@@ -515,8 +515,11 @@ def test_a_crosslink_that_no_force_field_has_is_named(tmp_path):
     # With both oxygens it is an overlap of a poor model.
     assert pc.load(written(tmp_path, text + "END\n")).n_residues == 76
     joined = "".join(line for line in text.splitlines(keepends=True) if line[12:26] != " OD2 ASP A  58")
-    with pytest.raises(pc.ProtochainError, match=r"residue 48 LYS .* and residue 58 ASP .* amide bond"):
-        pc.load(written(tmp_path, joined + "END\n"))
+    s = pc.load(written(tmp_path, joined + "END\n"))
+    (linked,) = (each for each in s.repairs if each.kind is Kind.LINKED)
+    assert str(linked).startswith(
+        "NZ of residue 48 LYS of chain A and CG of residue 58 ASP of chain A are bonded"
+    )
 
 
 def test_residues_of_a_force_field_of_ones_own_are_known(tmp_path):

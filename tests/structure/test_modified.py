@@ -83,7 +83,7 @@ def test_nothing_is_lost_and_every_bond_and_angle_has_its_term(name, tmp_path):
 def test_torsions_of_a_side_chain_are_those_of_the_small_molecule_alone(name, tmp_path):
     """Rules of the force field for any atoms about a bond, as about N-CA, would else count beside them."""
     s = made(name, tmp_path)
-    (bound,) = s.modified
+    (bound,) = s.fragments
     side = {k for k in own(s, name).tolist() if str(s.atom_name[k]) not in {*OF_ALANINE, "CB"}}
     force = of_kind(build_system(s, "amber14", "vacuum"), openmm.PeriodicTorsionForce)
     there = []
@@ -188,9 +188,9 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     def absent(name):
         raise ImportError(name)
 
-    from protochain.structure import modified as kept
+    from protochain.structure import fragments
 
-    kept._capped.cache_clear()
+    fragments._parametrised.cache_clear()
     monkeypatch.setattr(molecule.importlib, "import_module", absent)
     s = made("M3L", tmp_path)
     assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]

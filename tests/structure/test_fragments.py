@@ -1,0 +1,142 @@
+"""Residues that no template fits: cross-linked, or bonded beside a chain; chains whose id changes."""
+
+import gemmi
+import numpy as np
+import openmm
+import pytest
+from fixtures.modified import modified
+from fixtures.samples import STRUCTURES, shared
+
+import protochain as pc
+from protochain.energies.factory import build_system
+from protochain.structure.repairs import Kind
+
+pytest.importorskip("rdkit")
+pytest.importorskip("dimorphite_dl")
+
+PYRIDOXAL = {
+    "C2'": "C2A", "C4'": "C4A", "C5'": "C5A", "OP4": "O4P", "OP1": "O1P", "OP2": "O2P", "OP3": "O3P",
+}  # fmt: skip
+"""Names in PLP of atoms of LLP that have other ones."""
+LINKS = {
+    "staple_link.pdb": (("NLE", "CE"), ("MK8", "CE")),
+    "staple_conn.cif": (("NLE", "CE"), ("MK8", "CE")),
+    "isopeptide_KN_link.pdb": (("LYS", "NZ"), ("ASN", "CG")),
+    "lasso_link.pdb": (("TYR", "N"), ("GLU", "CD")),
+}
+
+
+def pyridoxal(tmp_path):
+    """Lysine with pyridoxal phosphate as one residue of the archive, and as two that a LINK record joins."""
+    pc.save(pc.from_sequence("AAKAAA"), tmp_path / "plain.pdb")
+    whole = modified(tmp_path / "plain.pdb", {("A", 3): ("LLP", ("CD", "CE", "NZ"))}, tmp_path)
+    parted = gemmi.read_structure(str(whole))
+    lysine = parted[0]["A"][2]
+    lysine.name = "LYS"
+    own = {"N", "CA", "C", "O", "CB", "CG", "CD", "CE", "NZ"}
+    other = gemmi.Residue()
+    other.name, other.seqid, other.het_flag = "PLP", gemmi.SeqId("1"), "H"
+    for k in reversed(range(len(lysine))):
+        if lysine[k].name not in own:
+            moved = lysine[k].clone()
+            moved.name = PYRIDOXAL.get(moved.name, moved.name)
+            other.add_atom(moved, 0)
+            del lysine[k]
+    parted[0].add_chain(gemmi.Chain("L"))
+    parted[0]["L"].add_residue(other)
+    bond = gemmi.Connection()
+    bond.type, bond.name = gemmi.ConnectionType.Covale, "covale1"
+    bond.partner1 = gemmi.AtomAddress("A", gemmi.SeqId("3"), "LYS", "NZ")
+    bond.partner2 = gemmi.AtomAddress("L", gemmi.SeqId("1"), "PLP", "C4A")
+    parted.connections.append(bond)
+    parted.write_pdb(str(tmp_path / "parted.pdb"))
+    return whole, tmp_path / "parted.pdb"
+
+
+def heavy(s):
+    return np.flatnonzero(s.atom_element != "H")
+
+
+def reference(s):
+    context = openmm.Context(
+        build_system(s, "amber14", "obc2"),
+        openmm.VerletIntegrator(0.001),
+        openmm.Platform.getPlatformByName("Reference"),
+    )
+    context.setPositions(s.positions)
+    state = context.getState(getEnergy=True, getForces=True)
+    return state.getPotentialEnergy()._value, state.getForces(asNumpy=True)._value
+
+
+def assert_is_openmms(s):
+    energy, forces = pc.energy(s, engine="native")(s.positions)
+    expected, expected_forces = reference(s)
+    assert energy == pytest.approx(expected, rel=1e-8)
+    assert np.abs(forces - expected_forces).max() <= 1e-8 * np.abs(expected_forces).max()
+
+
+def test_one_residue_or_two_that_a_bond_joins_are_the_same_molecule(tmp_path):
+    one, two = (pc.load(path) for path in pyridoxal(tmp_path))
+    assert one.n_atoms == two.n_atoms and len(two.fragments) == 1
+    x = np.zeros_like(two.positions)
+    for k in range(two.n_atoms):
+        near = np.linalg.norm(one.positions - two.positions[k], axis=1)
+        x[k] = one.positions[np.argmin(near)]
+    assert len(np.unique(x, axis=0)) == len(x)
+    expected = pc.energy(one)(one.positions)[0]
+    assert pc.energy(two)(x)[0] == pytest.approx(expected, abs=1e-4)
+    (linked,) = (each for each in two.repairs if each.kind is Kind.LINKED)
+    assert "O4A of PLP" in linked.facts["gone"]
+    assert_is_openmms(two)
+
+
+def test_a_molecule_bonded_to_a_chain_moves_with_it_and_is_read_again(tmp_path):
+    s = pc.minimise(pc.load(pyridoxal(tmp_path)[1]), max_evaluations=100).structure
+    assert s.mobile.any() and not s.ties and not s.obstacle.any()
+    for suffix in (".pdb", ".cif"):
+        pc.save(s, tmp_path / f"out{suffix}")
+        assert pc.load(tmp_path / f"out{suffix}").fingerprint == s.fingerprint
+    # It hangs on its residue, and is no molecule of its own.
+    assert len(pc.build_chain(s).tree.parent[pc.build_chain(s).tree.parent < 0]) == 1
+
+
+def renamed(tmp_path, from_residue, backwards):
+    """The sample in which a chain has another id from a residue on, its later part first if asked."""
+    structure = gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))
+    del structure[1:]
+    first, second = gemmi.Chain("A"), gemmi.Chain("B")
+    for residue in structure[0]["A"]:
+        (first if residue.seqid.num < from_residue else second).add_residue(residue)
+    del structure[0]["A"]
+    for chain in (second, first) if backwards else (first, second):
+        structure[0].add_chain(chain)
+    path = tmp_path / "renamed.pdb"
+    structure.write_pdb(str(path))
+    return path
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_chain_that_goes_on_under_another_id_is_one(backwards, tmp_path):
+    plain, s = pc.load(STRUCTURES / "1l2y.pdb"), pc.load(renamed(tmp_path, 9, backwards))
+    assert s.n_chains == 1 and Kind.CHAIN_GOES_ON in {each.kind for each in s.repairs}
+    assert {*s.residue_chain.tolist()} == {"A", "B"}
+    assert np.array_equal(s.positions, plain.positions) and np.array_equal(s.bonds, plain.bonds)
+    assert len(pc.build_chain(s).hinges) == len(pc.build_chain(plain).hinges)
+    pc.save(s, tmp_path / "out.cif")
+    again = pc.load(tmp_path / "out.cif")
+    assert again.fingerprint == s.fingerprint and again.residue_chain.tolist() == s.residue_chain.tolist()
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_a_bond_that_the_file_states_is_kept(name, tmp_path):
+    s = pc.load(shared(f"../cases/links/{name}"))
+    called = [(str(s.residue_name[s.atom_residue[k]]), str(s.atom_name[k])) for k in range(s.n_atoms)]
+    ends = [pair for pair in s.bonds.tolist() if {called[k] for k in pair} == {*LINKS[name]}]
+    assert len(ends) == 1 and Kind.LINKED in {each.kind for each in s.repairs}
+    assert_is_openmms(s)
+    (i, j) = ends[0]
+    done = pc.minimise(s, method="hybrid").structure
+    before, after = (np.linalg.norm(each.positions[i] - each.positions[j]) for each in (s, done))
+    assert abs(after - before) < 0.01
+    pc.save(done, tmp_path / "out.cif")
+    assert pc.load(tmp_path / "out.cif").fingerprint == done.fingerprint
