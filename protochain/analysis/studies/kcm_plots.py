@@ -29,7 +29,7 @@ def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Fig
     figure = Figure(figsize=(11, 8), layout="constrained")
     axes = figure.subplot_mosaic([["shares", "shares"], ["energy", "cost"]])
     shares, energy, cost = axes["shares"], axes["energy"], axes["cost"]
-    style = {
+    style: dict[str, dict[str, Any]] = {
         name: {"color": colour, "linestyle": dash, "label": name}
         for name, colour, dash in zip(SHOWN, cycle(COLOURS), cycle(DASHES), strict=False)
     }
