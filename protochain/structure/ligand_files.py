@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record
+from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record, several
 from protochain.core.checks import path as as_path
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import write_text
@@ -26,7 +26,7 @@ def save_ligands(structure: Any, path: str | Path, sources: Sequence[str | Path]
         One with ``ligands``; of a result, its end.
     path : path-like
         Ends in ``.sdf``.
-    sources : sequence of str or path-like
+    sources : path-like, or sequence of such
         Files of poses, of which alone records are written; by default of all.
 
     Raises
@@ -36,7 +36,8 @@ def save_ligands(structure: Any, path: str | Path, sources: Sequence[str | Path]
     """
     path = as_path(path, "path")
     check_ligand_file(path)
-    text = ligand_text(as_structure(structure), sources)
+    wanted = [as_path(each, "sources") for each in several(sources, "sources")]
+    text = ligand_text(as_structure(structure), wanted)
     write_text(path, text)
 
 
