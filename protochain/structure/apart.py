@@ -58,9 +58,8 @@ def caps_told_apart(structure: gemmi.Structure) -> None:
     """Make residues of caps that CHARMM has within the first and last of a chain; changed in place."""
     for chain in (chain for model in structure for chain in model):
         for i in reversed(range(len(chain))):
-            there = {atom.name for atom in chain[i]}
             for cap, (step, names) in _PATCHES.items():
-                if not {*names} <= there or there == {*names}:
+                if not {*names, "N", "CA", "C"} <= {atom.name for atom in chain[i]}:
                     continue
                 made = gemmi.Residue()
                 made.name, made.subchain = cap, chain[i].subchain
@@ -72,13 +71,12 @@ def caps_told_apart(structure: gemmi.Structure) -> None:
                         made[0].name = names.get(atom.name, atom.name)
                         del chain[i][k]
                 chain.add_residue(made, i + max(step, 0))
-                break
 
 
 _PATCHES = {
-    "ACE": (-1, {"CAY": "CH3", "CY": "C", "OY": "O"}),
     "NME": (1, {"NT": "N", "CAT": "CH3"}),
     "NH2": (1, {"NT": "N"}),
+    "ACE": (-1, {"CAY": "CH3", "CY": "C", "OY": "O"}),
 }
 _HYDROGENS = {"ACE": ("HY",), "NME": ("HT", "HNT"), "NH2": ("HT",)}
 """Caps of CHARMM (patches ACE, CT3 and CT2): number after that of their residue, heavy atoms, hydrogens."""
