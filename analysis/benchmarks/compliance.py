@@ -21,7 +21,6 @@ from made import SAMPLES
 from scipy.optimize import minimize
 
 import protochain as pc
-from protochain.articulate import with_free_root
 from protochain.minimisers import (
     KCM,
     RECIPES,
@@ -83,7 +82,7 @@ def enkephalin(options: argparse.Namespace) -> pd.DataFrame:
     for k, chain in enumerate(random_starts(structure, starts)):
         for name, method in settings.items():
             moves = name in RECIPES and RECIPES[name].moves_masses
-            own = with_free_root(chain) if moves else chain
+            own = pc.build_chain(chain, root="free") if moves else chain
             problem = problem_of(own, energy, most)
             points = []
             ending = run(problem, method, own.q0, 1e-3, most, points.append)
