@@ -281,9 +281,10 @@ def _as_number(text: str) -> float:
 
 @of_atoms
 def _contacts(structure: Structure) -> tuple[Integers, Floats, Integers]:
-    """Atoms (n,) that may clash, radii (na,), and joined pairs C-N, each as one number."""
+    """Atoms (n,) that may clash, radii (na,), and pairs that are bonded or joined C-N, each as one number."""
     at, _ = places(structure)
     atoms = np.sort(at[at >= 0])
     radius = np.array([_RADIUS.get(name[:1], 0.0) for name in structure.atom_name.tolist()])
-    bonded = np.sort(_joints(structure)[0][:, 1:3], axis=1) @ np.array([structure.n_atoms, 1])
+    joined = np.vstack([_joints(structure)[0][:, 1:3], structure.bonds])
+    bonded = np.sort(joined, axis=1) @ np.array([structure.n_atoms, 1])
     return read_only(atoms, np.int64), read_only(radius), read_only(bonded, np.int64)

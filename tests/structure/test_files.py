@@ -34,7 +34,7 @@ FILES = sorted(
     if path.suffix in (".pdb", ".cif")
 )
 SLOW = {"1r19_poor_1176.pdb", "3o21_1489.pdb"}
-REFUSED = {"2n0n_lactam.pdb", "ubiquitin_ca_only.pdb"}
+REFUSED = {"ubiquitin_ca_only.pdb"}
 
 
 @functools.cache

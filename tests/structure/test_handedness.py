@@ -25,7 +25,7 @@ D_NAMES = {
 }  # fmt: skip
 OVERLAP, CHI = 0.6, 40.0
 SHARED = sorted(path.name for path in MORE_STRUCTURES.glob("*.[pc][di][bf]"))
-REFUSED = ("2n0n_lactam.pdb", "ubiquitin_ca_only.pdb")
+REFUSED = ("ubiquitin_ca_only.pdb",)
 CRYSTALS = ("1ubq.pdb", "4pti.pdb", "1hel.pdb", "3i40.pdb")
 MORE_CRYSTALS = (
     "1ake_A.pdb",

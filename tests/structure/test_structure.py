@@ -293,13 +293,15 @@ def test_a_c_alpha_trace_is_refused(tmp_path):
 
 def test_a_residue_without_its_backbone_is_left_out_and_said_or_refused(tmp_path):
     gone = [
-        line for line in lines_of("1ubq.pdb") if not (line[:4] == "ATOM" and line[12:26] == " C   GLU A  18")
+        line
+        for line in lines_of("1ubq.pdb")
+        if not (line[:4] == "ATOM" and line[12:26] in (" C   GLU A  18", " CA  GLU A  18"))
     ]
     path = written(tmp_path, "".join(gone))
-    with pytest.raises(pc.ProtochainError, match="residue 18 GLU of chain A: atom C missing"):
+    with pytest.raises(pc.ProtochainError, match="residue 18 GLU of chain A: atom CA missing"):
         pc.load(path, strict=True)
     s = pc.load(path)
-    assert "residue 18 GLU of chain A: left out: its backbone atom C is missing" in sentences(s)
+    assert "residue 18 GLU of chain A: left out: its backbone atom CA is missing" in sentences(s)
     assert s.n_residues == 75 and s.n_chains == 2
 
 
