@@ -215,12 +215,10 @@ def _unknown_told(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) -> 
     it = "it" if len(unknown) == 1 else "them"
     others = (", or take only what has none: ", Argument("chains", ",".join(free))) if free else ()
     return (
-        f"{listed([str(member) for member, _ in unknown])} {said} without a standard parent; replace or "
-        f"remove {it}, or give a force field that defines {it}",
-        *others,
-        " (",
+        f"{listed([str(member) for member, _ in unknown])} {said} without a standard parent (",
         *_parts(unknown[0][1]),
-        ")",
+        f"); replace or remove {it}, or give a force field that defines {it}",
+        *others,
     )
 
 
