@@ -435,7 +435,9 @@ class _Maker:
         if not {a, b} <= graph.atoms.keys():
             raise StructureError(f"its chemistry has no {(b if a in graph.atoms else a).partition(':')[2]}")
         absent = () if along else graph.atoms.keys() - self.at.keys()
-        is_short = not along and self._excess(a, b) < -_DOUBLE
+        # Poor models have amide and glycosidic bonds of nitrogen as short as double ones.
+        carbons = graph.atoms[a][0] == graph.atoms[b][0] == _C
+        is_short = not along and carbons and self._excess(a, b) < -_DOUBLE
         left = {end: graph.leave(end, absent, self.flagged) for end in (a, b)}
         free = {end: freed for end, (_, freed) in left.items()}
         is_double = (max(free.values()) > 1 or is_short) and all(

