@@ -52,8 +52,8 @@ def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Fig
     for axis in (energy, shares, cost):
         plain(axis)
         if axis.get_legend_handles_labels()[0]:
-            above: Any = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
-            axis.legend(frameon=False, fontsize=8, **(above if axis is shares else {}))
+            legend: Any = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
+            axis.legend(frameon=False, fontsize=8, **(legend if axis is shares else {}))
     return figure
 
 

@@ -161,7 +161,7 @@ def contrasts(pairs: pd.DataFrame) -> pd.DataFrame:
             if each.what not in by_what:
                 continue
             every = by_what[each.what]
-            row = {"scope": scope, "what": each.what, "starts": len(every)}
+            row: dict[str, Any] = {"scope": scope, "what": each.what, "starts": len(every)}
             row["pairs"] = int(every["finished"].sum())
             row["left_out"] = row["starts"] - row["pairs"]
             if row["pairs"]:
@@ -328,7 +328,7 @@ def deposited(runs: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(found).reset_index(names="method")
 
 
-def _torsions(row: Mapping[str, Any]) -> np.ndarray:
+def _torsions(row: Mapping[Any, Any]) -> np.ndarray:
     """(n_hinges,) float, degrees: torsions of a row."""
     return np.array(str(row["torsions_deg"]).split(), dtype=float)
 
