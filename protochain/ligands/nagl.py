@@ -214,23 +214,33 @@ def _resonant_charges(made: Any) -> Floats:
 def _lowest(form: Form, group: list[Any]) -> list[Form]:
     """Forms of lowest energy of conjugated atoms.
 
-    Two forms differ by moves along paths that share no atom, whose differences in energy add up: from a form
-    that is not lowest a move leads to a lower one, and moves at one energy lead from each lowest to all.
+    Two forms differ along paths that share no atom, whose differences in energy add up. Each is a move from
+    donor to acceptor, or one of donors and one of acceptors are two moves together: from a form that is not
+    lowest one or two moves lead to a lower one, and at one energy from each lowest to all.
     """
-    while (lower := next((to for gain, to in _moves(form, group) if gain < 0), None)) is not None:
+    while (lower := next((to for cost, to in _steps(form, group) if cost < 0), None)) is not None:
         form = lower
     found = {form[0]: form}
     reached = [form]
     for each in reached:
-        for gain, to in _moves(each, group):
-            if gain == 0 and to[0] not in found:
+        for cost, to in _steps(each, group):
+            if cost == 0 and to[0] not in found:
                 found[to[0]] = to
                 reached.append(to)
     return reached
 
 
-def _moves(form: Form, group: list[Any]) -> Iterator[tuple[int, Form]]:
-    """Forms after an electron pair of a donor has moved to an acceptor, with what that costs, if not more.
+def _steps(form: Form, group: list[Any]) -> Iterator[tuple[int, Form]]:
+    """Forms one or two moves away that are no higher, with what they cost."""
+    for cost, to in _moves(form, group, 2 * _PAIR):
+        if cost <= 0:
+            yield cost, to
+        else:
+            yield from ((cost + more, last) for more, last in _moves(to, group, -cost))
+
+
+def _moves(form: Form, group: list[Any], most: int) -> Iterator[tuple[int, Form]]:
+    """Forms after an electron pair of a donor has moved to an acceptor, with its cost, up to the most.
 
     The pair moves along bonds whose orders rise by one and fall by one, in turn, and so change places.
     """
@@ -246,7 +256,7 @@ def _moves(form: Form, group: list[Any]) -> Iterator[tuple[int, Form]]:
         if (kind := _KINDS.get((atom.GetAtomicNum(), charge[i], around))) is not None:
             gives[i], cost[i] = kind[0], _PAIR - 2 * kind[1]
     for donor in (i for i in gives if gives[i]):
-        wanted = {i for i in gives if not gives[i] and cost[i] + cost[donor] <= 0}
+        wanted = {i for i in gives if not gives[i] and cost[i] + cost[donor] <= most}
         paths: list[tuple[tuple[int, ...], tuple[int, ...]]] = [((donor,), ())]
         while paths and wanted:
             path, along = paths.pop()

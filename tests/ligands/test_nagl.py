@@ -144,6 +144,7 @@ def test_atoms_alike_have_one_charge(smiles):
     [
         ("CN(C)C=CC=[N+](C)C", "C[N+](C)=CC=CN(C)C"),
         ("CC(N)=[N+](C)C", "CC(=[NH2+])N(C)C"),
+        ("CC1=C([O-])C(=C[NH+]=CC(=O)O)C=CN1", "CC1=[NH+]C=CC(=CNC=C(O)[O-])C1=O"),  # two moves at once
         ("C[n+]1ccc(N)cc1", "CN1C=CC(=[NH2+])C=C1"),
         ("[O-]c1ccncc1", "O=c1cc[n-]cc1"),
         ("CC(=O)C=C([O-])C", "CC([O-])=CC(=O)C"),
