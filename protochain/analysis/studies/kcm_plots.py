@@ -52,8 +52,7 @@ def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Fig
     for axis in (energy, shares, cost):
         plain(axis)
         if axis.get_legend_handles_labels()[0]:
-            legend: Any = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": 2}
-            axis.legend(frameon=False, fontsize=8, **(legend if axis is shares else {}))
+            axis.legend(frameon=False, fontsize=8, loc="lower left" if axis is shares else "best")
     return figure
 
 
