@@ -127,6 +127,8 @@ def test_a_chain_that_goes_on_under_another_id_is_one(backwards, tmp_path):
     assert again.fingerprint == s.fingerprint and again.residue_chain.tolist() == s.residue_chain.tolist()
 
 
+# Pieces of five residues move far.
+@pytest.mark.filterwarnings("ignore::protochain.core.errors.StrayWarning")
 @pytest.mark.parametrize("name", LINKS)
 def test_a_bond_that_the_file_states_is_kept(name, tmp_path):
     s = pc.load(shared(f"../cases/links/{name}"))
