@@ -12,9 +12,12 @@ TRACE_POINTS = 50
 
 
 def thinned(trace: "pd.DataFrame") -> list[dict[str, float]]:
-    """Return some rows of a trace."""
+    """Return some rows of a trace, each without what it does not have."""
     n = len(trace)
     if n > TRACE_POINTS:
         places = np.unique(np.geomspace(1, n, TRACE_POINTS).astype(int)) - 1
         trace = trace.iloc[places]
-    return [{str(key): value for key, value in row.items()} for row in trace.to_dict("records")]
+    return [
+        {str(key): value for key, value in row.items() if not np.isnan(value)}
+        for row in trace.to_dict("records")
+    ]

@@ -308,7 +308,7 @@ def file_and_record(given: str | Path) -> tuple[Path, int]:
     """File and number of the molecule in it that ``FILE.sdf#2`` means; 0 where none is named."""
     file, sign, number = str(given).rpartition("#")
     is_record = sign and number.isdecimal() and file.lower().endswith(MOLECULE_SUFFIXES)
-    return (Path(file), int(number)) if is_record else (Path(given), 0)
+    return (Path(file), int(number)) if is_record else (Path(str(given)), 0)
 
 
 def ligands(given: Any, name: str) -> tuple[LigandSource, ...]:

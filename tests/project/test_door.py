@@ -412,7 +412,7 @@ def test_a_solution_has_frames_and_the_displacement_of_each_residue():
 def test_frames_are_few_evenly_spaced_and_include_the_ends(length):
     record = Recorder(S(), Frame(S(), "a test"))
     for k in range(length):
-        record(S().positions + k, 0.0, 0.0, k)
+        record(S().positions + k, 0.0, {}, k)
     rows = list(record.kept())
     assert len(rows) <= N_FRAMES + 1 and rows == sorted(rows)
     if length:
