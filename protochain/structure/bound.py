@@ -29,7 +29,7 @@ from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.linkage import Link, is_metal
 from protochain.structure.repairs import Kind
 from protochain.structure.residues import STANDARD
-from protochain.structure.templates import HAS_GLYCAM, Template
+from protochain.structure.templates import HAS_GLYCAM, HAS_SAGE, Template
 
 _BONDED = 1.5
 """Angstrom: a hydrogen further than this from every heavy atom of its residue is not taken."""
@@ -54,6 +54,8 @@ class Chemistry:
     ph : float
     has_glycam : bool
         Whether the force field is one that GLYCAM-06j goes with.
+    has_sage : bool
+        Whether it is one that Sage goes with where molecules are bonded to residues.
     posed : mapping of str to (Molecule, tuple of Charged)
         Poses that were added, by the name of the residue.
     """
@@ -62,13 +64,15 @@ class Chemistry:
     charges: str = defaults.LIGAND_CHARGES
     ph: float = defaults.PH
     has_glycam: bool = True
+    has_sage: bool = True
     posed: Mapping[str, "Charging"] = field(default_factory=dict, compare=False)
 
     @classmethod
     def asked(cls, ligands: Any, ligand_charges: Any, ph: float, forcefield: Sequence[str]) -> "Chemistry":
         """Chemistry of the options of :func:`protochain.load`, checked; of a force field its parts."""
         given, charges = ligands_of(ligands, "ligands"), charges_of_ligands(ligand_charges, "ligand_charges")
-        return cls(given, charges, ph, not forcefield or HAS_GLYCAM in forcefield)
+        glycam = not forcefield or HAS_GLYCAM in forcefield
+        return cls(given, charges, ph, glycam, glycam or HAS_SAGE in forcefield)
 
     @property
     def named(self) -> dict[str, str]:

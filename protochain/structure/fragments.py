@@ -84,7 +84,8 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     for link in cross:
         link.member.links.append(link.atom)
         link.other.links.append(link.other_atom)
-    bonds = [link for link in links if not link.is_metal] + cross
+    beside = [link for link in links if not link.is_metal] if chemist.chemistry.has_sage else []
+    bonds = beside + cross
     ends: dict[int, set[str]] = {}
     for link in bonds:
         ends.setdefault(id(link.member), set()).add(link.atom.name)
@@ -117,7 +118,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
         bonds = [link for link in bonds if link not in own]
     if unknown:
         raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
-    return [link for link in links if link.is_metal or link in bonds]
+    return [link for link in links if link in bonds or link not in beside]
 
 
 def _places(part: Part) -> Iterator[tuple[Member, _Place]]:
@@ -595,6 +596,11 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         draft.note(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
         if parts[id(m)].obstacle:
             parts[id(m)].mobile, parts[id(m)].is_small = True, False
+            draft.repairs = [
+                each
+                for each in draft.repairs
+                if each.kind is not Kind.GLYCAN_STAYS or each.facts["residue"] != m.residue
+            ]
         m.odd, m.parent = False, ""
     for link, gone in made.bonds.items():
         lost = [loss for m in (link.member, link.other) for loss in _lost(m, {n for o, n in gone if o is m})]

@@ -29,6 +29,8 @@ GLYCAM = _DATA / "amber14" / "GLYCAM_06j-1.xml"
 """Parameters of glycans, with the atom types of the protein's."""
 HAS_GLYCAM = "amber14"
 """The force field that they were made for."""
+HAS_SAGE = "amber19"
+"""The other one whose residues Sage goes with."""
 _BONDED = 2.2
 """Angstrom: no bond of an amino acid is longer (C-S 1.8, S-S 2.0)."""
 SMIRNOFF = "SMIRNOFF"

@@ -228,7 +228,7 @@ def test_what_is_left_out_is_said_first_and_then_what_is_kept():
     report(draft)
     assert sentences(draft) == [
         "2 LIG (it is further than 5 angstrom from the protein), 1 waters, 1 UNX (its element is unknown), "
-        '1 DUM (its element is unknown) left out; keep="all" keeps everything',
+        '1 DUM (a dummy atom of a membrane) left out; keep="all" keeps everything',
         "2 BIG, 1 LIG kept beside the protein (BIG, LIG by element, unless the force field has parameters)",
         str(noted("earlier")),
     ]

@@ -329,7 +329,7 @@ def _unknown(model):
 
 @pytest.mark.parametrize(
     ("change", "forcefield", "word"),
-    [(_without_o6, None, "O6"), (lambda model: None, "amber19", "amber14"), (_unknown, None, "")],
+    [(_without_o6, None, "O6"), (lambda model: None, "charmm36", "amber14"), (_unknown, None, "")],
 )
 def test_what_glycam_does_not_know_is_tied_and_said(tmp_path, change, forcefield, word):
     s = pc.load(borne(tmp_path, "60 ND2", "NAG", change), forcefield=forcefield)
@@ -340,10 +340,12 @@ def test_what_glycam_does_not_know_is_tied_and_said(tmp_path, change, forcefield
     assert_equals_reference(pc.energy(s, forcefield or "amber14", engine="native"), s.positions)
 
 
-def test_a_link_that_glycam_does_not_know_keeps_the_sugar_tied(tmp_path):
+def test_a_link_that_glycam_does_not_know_has_the_parameters_of_small_molecules(tmp_path):
     s = pc.load(borne(tmp_path, "59 OH", "MAN"))
-    assert not s.glycans and len(told(s, Kind.GLYCAN_STAYS)) == 1
-    assert "OH of residue 59 TYR" in str(told(s, Kind.GLYCAN_STAYS)[0])
+    assert not s.glycans and not told(s, Kind.GLYCAN_STAYS) and s.mobile.any() and not s.obstacle.any()
+    (link,) = told(s, Kind.LINKED)
+    assert "OH of residue 59 TYR" in str(link)
+    assert_equals_reference(pc.energy(s, engine="native"), s.positions)
 
 
 def test_another_force_field_is_refused_with_the_remedy(tmp_path):
