@@ -528,7 +528,7 @@ def test_percentages_of_the_page_are_those_of_other_code():
         "half the step of md-1": ("md-1", "md-1-half"),
     }  # fmt: skip
     for what, (a, b) in contrasts.items():
-        pairs = by[a].join(by[b], lsuffix="_a", rsuffix="_b", how="inner")
+        pairs = by[a].merge(by[b], left_index=True, right_index=True, suffixes=("_a", "_b"))
         pairs = pairs[pairs["finished_a"].astype(bool) & pairs["finished_b"].astype(bool)]
         same = pd.Series(index=pairs.index, dtype=float)
         for place, row in pairs.iterrows():

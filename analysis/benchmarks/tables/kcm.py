@@ -167,8 +167,8 @@ def kcm_sentence(contrasts: pd.DataFrame) -> str:
         "From one start, with one force field and the same rigid bodies, KCM along the torques and damped "
         f"dynamics with a friction of 10 per ps end in one minimum in {both} pairs, where the worst "
         f"repetition of either method comes back in {control:.0f} % (by protein); the masses suffice for "
-        f"that, since KCM in their metric, which has no inertia, ends with KCM along the torques in {without}, and "
-        f"with dynamics in {at_10} at a friction of 10 and in {at_100} at 100; at a friction of 1 inertia, "
-        f"too, decides ({at_1}); and a root that is fixed, which is no part of either method, changes the "
-        f"end as well (one minimum in {root} without inertia, in {of_dynamics} in dynamics)."
+        "that, since KCM in their metric, which has no inertia, ends with KCM along the torques in "
+        f"{without}, and with dynamics in {at_10} at a friction of 10 and in {at_100} at 100; at a friction "
+        f"of 1 inertia, too, decides ({at_1}); and a root that is fixed, which is no part of either method, "
+        f"changes the end as well (one minimum in {root} without inertia, in {of_dynamics} in dynamics)."
     )
