@@ -22,7 +22,7 @@ def rows_of(folder):
         ({"methods": ("lbfgs", "kcm")}, "methods lbfgs, not lbfgs,kcm"),
         ({"solvent": "vacuum"}, "solvent obc2, not vacuum"), ({"seed": 3}, "seed 0, not 3"),
         ({"max_evaluations": 50}, "max_evaluations 5, not 50"),
-        ({"curvature": False}, "curvature None, not False"),
+        ({"curvature": False}, "curvature, which is False now"),
         ({"max_rmsd": 2.0}, "out max_rmsd, which is 2.0 now"),
         ({"keep": "water"}, "keep near, not water"), ({"keep": "none"}, "keep near, not none"),
         ({"ph": 5.0}, r"ph 7\.0, not 5\.0"), ({"disulfide": "none"}, "out disulfide, which is none now"),
