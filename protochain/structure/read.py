@@ -483,7 +483,7 @@ def _nowhere(atoms: list[gemmi.Atom]) -> list[gemmi.Atom]:
     """Atoms of an amino acid that are upon its CA, or at the origin, where at most one could be: missing."""
     origin = [atom for atom in atoms if atom.pos.length() < _UPON]
     others = [atom for atom in atoms if atom not in origin]
-    if len(origin) == 1 and any(origin[0].pos.dist(atom.pos) < _BESIDE for atom in others):
+    if not others or (len(origin) == 1 and any(origin[0].pos.dist(atom.pos) < _BESIDE for atom in others)):
         origin = []
     alpha = next((atom for atom in others if atom.name == "CA"), None)
     return origin + [

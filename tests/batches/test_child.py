@@ -75,8 +75,8 @@ def test_a_child_warms_up_on_three_residues_with_one_thread(monkeypatch):
     given = []
     monkeypatch.setattr("protochain.minimisers.minimise", lambda *what, **more: given.append((*what, more)))
     child._warm_up()
-    ((chain, energy, options),) = given
-    names = chain.structure.residue_name.tolist()
+    ((structure, energy, options),) = given
+    names = structure.residue_name.tolist()
     assert names == ["GLY", "ALA", "GLY"] and energy.threads == 1 and options == {"max_evaluations": 3}
 
 

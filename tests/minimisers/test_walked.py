@@ -33,7 +33,8 @@ def noted(monkeypatch):
     def walk(plan, x, max_evaluations, allowed, note, waypoint):
         seen.walk = SimpleNamespace(plan=plan, x=x, most=max_evaluations, allowed=allowed, waypoint=waypoint)
         for k, space in enumerate(spaces(chain("ala10.pdb")), 1):
-            at = SimpleNamespace(x=f"x{k}", energy=10.0, restraint=float(k), residual=5.0)
+            n = space.chain.n_v if k == 1 else 3 * len(space.moving)
+            at = SimpleNamespace(x=f"x{k}", energy=10.0, restraint=float(k), torque=np.full(n, 5.0))
             note(at, SimpleNamespace(space=space, name=f"stage {k}", recorded=True), k)
             note(at, SimpleNamespace(space=space, name="apart", recorded=False), k)
         return seen.done
@@ -76,8 +77,9 @@ def test_a_walk_is_of_the_plan_within_the_budget_and_recorded_without_restraints
     assert [stage.restraint is None for stage in noted.walk.plan] == [False, True]
     assert (noted.walk.x is start.chain.structure.positions, noted.walk.most) == (True, 7)
     assert noted.walk.allowed is None and noted.walk.waypoint is None
-    # The largest torque is that of the hinges; where all atoms move it is none.
-    assert noted.rows == [("x1", 9.0, 5.0, 1), ("x2", 8.0, pytest.approx(np.nan, nan_ok=True), 2)]
+    torques = {"rms_torque_kj_mol_rad": 5.0, "max_torque_kj_mol_rad": 5.0}
+    forces = {"rms_force_kj_mol_nm": 5.0, "max_force_kj_mol_nm": 5.0 * np.sqrt(3.0)}
+    assert noted.rows == [("x1", 9.0, pytest.approx(torques), 1), ("x2", 8.0, pytest.approx(forces), 2)]
     assert noted.stages == [("stage 1", 1), ("apart", 1), ("stage 2", 2), ("apart", 2)]
     assert noted.saved == noted.loaded == []
 
@@ -113,7 +115,7 @@ def test_a_walk_in_all_atoms_looks_at_its_end_at_tight_tolerances_or_if_asked(no
 def test_a_walk_that_parts_overlaps_records_its_start_first(noted, monkeypatch):
     monkeypatch.setattr("protochain.minimisers.recipes.overlaps", lambda *_: ["one"])
     start, _ = walked(noted)
-    assert noted.rows[0][1:] == (start.judgement.energy, start.judgement.max_torque, 0)
+    assert noted.rows[0][1:] == (start.judgement.energy, start.judgement.sizes, 0)
     assert np.array_equal(noted.rows[0][0], start.pose.x) and len(noted.rows) == 3
 
 
@@ -138,12 +140,13 @@ def test_checkpoints_are_read_before_and_written_after(noted):
     assert len(noted.saved) == 1
 
 
-def test_openmms_minimiser_gets_the_settings_and_records_no_torques(monkeypatch):
+def test_openmms_minimiser_gets_the_settings_and_records_forces(monkeypatch):
     given, rows, stages = [], [], []
+    x = chain("ala10.pdb").structure.positions
 
     def by_openmm(*parts):
         given.append(parts[:-1])
-        parts[-1]("x", -5.0, 3)
+        parts[-1](x, -5.0, 3, np.full(x.shape, 2.0))
         return "the outcome"
 
     monkeypatch.setattr(api, "minimise_by_openmm", by_openmm)
@@ -151,7 +154,9 @@ def test_openmms_minimiser_gets_the_settings_and_records_no_torques(monkeypatch)
     run = Minimisation(RECIPES["openmm"], tolerance=2.0, max_evaluations=7, seed=3)
     assert api._by_openmm(start, run, Noting(rows, stages)) == "the outcome"
     assert given == [(RECIPES["openmm"], start.chain, start.energy, 2.0, 7, 3)]
-    assert rows == [("x", -5.0, pytest.approx(np.nan, nan_ok=True), 3)] and stages == [("all atoms", 3)]
+    (row,) = rows
+    sizes = {"rms_force_kj_mol_nm": 2.0, "max_force_kj_mol_nm": 2.0 * np.sqrt(3.0)}
+    assert row[0] is x and row[1:] == (-5.0, pytest.approx(sizes), 3) and stages == [("all atoms", 3)]
 
 
 @pytest.mark.parametrize(("method", "by"), [("lbfgs", "_walked"), ("openmm", "_by_openmm")])

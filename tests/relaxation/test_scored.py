@@ -61,9 +61,15 @@ def test_sides_that_make_no_sense_are_refused_before_any_work(given, said, tmp_p
     assert not (tmp_path / "o.pdb").exists()
 
 
-def test_another_engine_is_refused_before_any_work():
-    with pytest.raises(pc.ProtochainError, match="native engine alone"):
-        pc.relax(load(FILE.name), interface="A:B", engine="openmm", max_iterations=1)
+def test_the_engine_changes_nothing_of_an_interface():
+    of = {
+        engine: pc.relax(load(FILE.name), interface="A:B", engine=engine, max_iterations=1).record()
+        for engine in ("native", "openmm")
+    }
+    names = [name for name in of["native"] if name.startswith("interface_") and "_start_" in name]
+    assert len(names) > 3
+    for name in names:
+        assert of["openmm"][name] == pytest.approx(of["native"][name], rel=1e-6, abs=1e-6), name
 
 
 def test_the_command_prints_them_and_a_folder_has_them(tmp_path, capsys, monkeypatch):
