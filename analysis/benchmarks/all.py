@@ -32,7 +32,7 @@ from time import monotonic
 import made
 import pages
 import pandas as pd
-from made import DOCS, MORE, RESULTS, ROOT
+from made import DOCS, HELD_OUT, MORE, RESULTS, ROOT
 
 
 @dataclass(frozen=True)
@@ -99,6 +99,8 @@ STARTED = " ".join(
     + [f"MORE/{name}" for name in ("1ajj_ldlr.pdb", "1bx8_hirustasin.pdb", "1orc_icode.pdb")]
 )
 ENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y", "1vii", "1ejg", "3i40"))
+HELD = " ".join(f"MORE/{name}" for name in HELD_OUT[:-1])
+"""Without the largest, in which OpenMM's minimiser takes more than ten minutes to a tolerance of 1."""
 DESCENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y"))
 RELAXED = " ".join(
     f"MORE/{name}"
@@ -167,7 +169,7 @@ JOBS = (
     Job("fuzz", f"{HERE}/fuzz.py -o DIR", 20),
     Job("race", f"{HERE}/race.py --more MORE -o DIR", 15, writes="race_gbsa race_obc2 race_vacuum"),
     Job("race-parts", f"{HERE}/parts.py -o DIR", 5, writes="minimise_parts"),
-    Job("near", f"{HERE}/near.py --more MORE -o DIR", 20, threads=1, writes="near near_ends"),
+    Job("near", f"{HERE}/near.py {HELD} -o DIR", 20, threads=1, writes="near near_ends"),
     Job(
         "basins", f"{HERE}/near.py --basins {DESCENDED} {SMALL} -o DIR", 12,
         f"{HERE}/near.py --basins structures/ala10.pdb --quick -o DIR", threads=1, writes="near_basins",
