@@ -167,7 +167,7 @@ JOBS = (
     Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),
     Job("kinds", f"{HERE}/kinds.py -o DIR", 15),
     Job("fuzz", f"{HERE}/fuzz.py -o DIR", 20),
-    Job("race", f"{HERE}/race.py --more MORE -o DIR", 15, writes="race_gbsa race_obc2 race_vacuum"),
+    Job("race", f"{HERE}/race.py {HELD} --custom 450 -o DIR", 12, writes="race_gbsa race_obc2 race_vacuum"),
     Job("race-parts", f"{HERE}/parts.py -o DIR", 5, writes="minimise_parts"),
     Job("near", f"{HERE}/near.py {HELD} -o DIR", 20, threads=1, writes="near near_ends"),
     Job(
