@@ -30,7 +30,9 @@ def test_what_is_not_there_is_not_found(name):
         dictionary.component(name)
 
 
-def test_where_the_dictionary_lies_elsewhere_biotite_is_asked(monkeypatch, tmp_path):
+def test_where_the_dictionary_lies_elsewhere_biotite_is_asked(monkeypatch, tmp_path, request):
+    dictionary.component.cache_clear()
+    request.addfinalizer(dictionary.component.cache_clear)
     monkeypatch.setattr(biotite, "__file__", str(tmp_path / "__init__.py"))
     asked = []
     monkeypatch.setattr(biotite, "residue", lambda name: asked.append(name) or "theirs")
