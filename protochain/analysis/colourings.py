@@ -32,7 +32,7 @@ def colourings(
     if changes:
         turned = {name: _of_residues(start, each, "torsions_degrees") for name, each in changes.items()}
         found.append(Colouring("change of torsions, degrees", turned))
-    if start.b_factor.any():
+    if np.nan_to_num(start.b_factor).any():
         found.append(Colouring(OF_INPUT, dict.fromkeys(ends, _mean_b_factor(start))))
     return found
 

@@ -242,7 +242,8 @@ def _solved(
     chain, energy, preparation = prepare(source, setup)
     if write.ligands:
         check_ligands(chain.structure)
-    check_fits(chain.structure, output)
+    for line in check_fits(chain.structure, output):
+        print(line, file=sys.stderr)
     troubled = print_outlook(source, chain.structure, method)
     typical, most = lengths
     foretell(source, chain, energy, min(most, (TROUBLED if troubled else 1) * typical), most)

@@ -189,7 +189,8 @@ def _one(
     if ligand_out:
         check_ligands(structure)
     energy = setup.energy(structure)
-    check_fits(structure, output)
+    for line in check_fits(structure, output):
+        print(line, file=sys.stderr)
     preparation = perf_counter() - began
     seconds = tell_plan(source, structure, energy, setup.move)
     with held_interrupts():

@@ -28,7 +28,7 @@ from protochain.mechanics.multibody import Frames, Tree, pose
 from protochain.mechanics.multibody.articulated import Articulated, articulate
 from protochain.structure import Structure
 from protochain.structure.trajectory import TrajectoryFile, check_trajectory
-from protochain.structure.write import check_fits
+from protochain.structure.write import common_suffix
 
 CHECKPOINT = "checkpoint.npz"
 _STALE = (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv")
@@ -247,11 +247,7 @@ class Folder:
 
     def last(self, structure: Structure) -> Path:
         """Path of the final structure: PDB if the format can hold it, otherwise mmCIF."""
-        try:
-            check_fits(structure, self.path / "last.pdb")
-        except StructureError:
-            return self.path / "last.cif"
-        return self.path / "last.pdb"
+        return self.path / f"last{common_suffix([structure])}"
 
     def summarise(self, record: Mapping[str, Any]) -> None:
         """Write ``summary.json``."""

@@ -34,6 +34,15 @@ def leaving(name: str) -> frozenset[str]:
     return frozenset(atoms.atom_name[marks].tolist())
 
 
+def heavy_atoms(name: str) -> frozenset[str]:
+    """Names of the heavy atoms of a component; none if there is no such component."""
+    try:
+        atoms = component(name)
+    except KeyError:
+        return frozenset()
+    return frozenset(atoms.atom_name[atoms.element != "H"].tolist())
+
+
 @lru_cache(maxsize=64)
 def component(name: str) -> Any:
     """Atoms and bonds of a component, as biotite's ``residue`` returns them, with those that may leave.

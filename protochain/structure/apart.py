@@ -41,6 +41,7 @@ def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
     """
     renamed = []
     for model in structure:
+        _split_where_numbers_begin_again(model)
         taken: dict[str, set[str]] = {}
         for part in model:
             numbers = {str(residue.seqid) for residue in part if _is_amino(residue)}
@@ -52,6 +53,25 @@ def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
                 part.name = name
             taken.setdefault(part.name, set()).update(numbers)
     return list(dict.fromkeys(renamed))  # Each model may have them.
+
+
+def _split_where_numbers_begin_again(model: gemmi.Model) -> None:
+    """Split chains in which an amino acid has the number of one before it, as segments that share a blank id."""
+    for k in reversed(range(len(model))):
+        chain, seen, starts = model[k], set[str](), list[int]()
+        for i, residue in enumerate(chain):
+            number = str(residue.seqid)
+            if _is_amino(residue) and number in seen and number != str(chain[i - 1].seqid):
+                starts.append(i)
+                seen.clear()
+            seen.add(number) if _is_amino(residue) else None
+        for start in reversed(starts):
+            rest = gemmi.Chain(chain.name)
+            for residue in chain[start:]:
+                rest.add_residue(residue)
+            for i in reversed(range(start, len(chain))):
+                del chain[i]
+            model.add_chain(rest, k + 1)
 
 
 def caps_told_apart(structure: gemmi.Structure) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from math import dist, isfinite
+from math import dist, isfinite, nan
 from typing import NamedTuple
 
 import gemmi
@@ -160,7 +160,7 @@ def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
 
 
 def without_nan(model: gemmi.Model) -> int:
-    """Put 0 for occupancies and B factors that are no numbers, and return of how many atoms.
+    """Put 0 for occupancies that are no numbers, and return of how many atoms; B factors remain unknown.
 
     Parameters
     ----------
@@ -170,9 +170,10 @@ def without_nan(model: gemmi.Model) -> int:
     n = 0
     for place in model.all():
         atom = place.atom
-        if not (isfinite(atom.occ) and isfinite(atom.b_iso)):
+        atom.b_iso = atom.b_iso if isfinite(atom.b_iso) else nan
+        if not isfinite(atom.occ):
             n += 1
-            atom.occ, atom.b_iso = (value if isfinite(value) else 0.0 for value in (atom.occ, atom.b_iso))
+            atom.occ = 0.0
     return n
 
 

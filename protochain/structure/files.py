@@ -22,6 +22,7 @@ from protochain.structure.apart import caps_told_apart, chains_told_apart, told_
 from protochain.structure.ions import name_ions
 from protochain.structure.records import of_cif, of_pdb
 from protochain.structure.repairs import Kind, Repair
+from protochain.structure.residues import STANDARD
 from protochain.structure.templates import standard_name
 
 MAX_MEGABYTES = 512
@@ -99,17 +100,23 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     try:
         if _is_cif(text):
             text = _ascii(text, source, slice(None))
-            block = _block_with_atoms(gemmi.cif.read_string(text), source)
+            block, *others = _blocks_with_atoms(gemmi.cif.read_string(text), source)
+            if others:
+                names = tuple(each.name for each in others)
+                overlooked.append(Repair(Kind.BLOCKS_LEFT_OUT, {"taken": block.name, "others": names}))
             _refuse_cut_cif(text, block, source)
             _complete(block, source)
             structure, ends, records = gemmi.make_structure_from_block(block), True, of_cif(block)
         else:
             _refuse_cut_pdb(text, source)
-            text = _corrected(_ascii(text, source, _USED), source, overlooked)
+            text, long_names = _corrected(_ascii(text, source, _USED), source, overlooked)
             ends = any(line.startswith("END") for line in text.splitlines())
             # gemmi takes a short last line without an end for an incomplete one.
             # Split at TER: gemmi would join residues of two chains that share id, number and name.
             structure = gemmi.read_pdb_string(f"{text}\n", split_chain_on_ter=True)
+            for residue, chain in ((r, c) for m in structure for c in m for r in c) if long_names else ():
+                place = residue.name, chain.name.strip(), str(residue.seqid).strip()
+                residue.name = long_names.get(place, residue.name)
             records = of_pdb(text, structure)
     except StructureError:
         raise
@@ -188,11 +195,12 @@ def _is_cif(text: str) -> bool:
     return False
 
 
-def _block_with_atoms(document: gemmi.cif.Document, source: str) -> gemmi.cif.Block:
-    for block in document:
-        if block.find_loop("_atom_site.Cartn_x") or block.find_pair("_atom_site.Cartn_x"):
-            return block
-    raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
+def _blocks_with_atoms(document: gemmi.cif.Document, source: str) -> list[gemmi.cif.Block]:
+    item = "_atom_site.Cartn_x"
+    found = [block for block in document if block.find_loop(item) or block.find_pair(item)]
+    if not found:
+        raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
+    return found
 
 
 def _complete(block: gemmi.cif.Block, source: str) -> None:
@@ -210,9 +218,12 @@ def _complete(block: gemmi.cif.Block, source: str) -> None:
     there = {tag.lower() for tag in loop.tags}
     if "_atom_site.type_symbol" not in there:
         raise StructureError(f"{source}: its atoms have no elements; add the item _atom_site.type_symbol")
-    for tag in ("id", "label_alt_id", "label_asym_id"):
-        if f"_atom_site.{tag}" not in there:
+    for tag in ("id", "label_alt_id", "label_asym_id", "B_iso_or_equiv"):
+        if f"_atom_site.{tag}".lower() not in there:
             loop.add_columns([f"_atom_site.{tag}"], ".")
+    for row in block.find("_atom_site.", ["B_iso_or_equiv"]):
+        if row[0] in (".", "?"):
+            row[0] = "nan"  # gemmi reads 20 of it.
     if "_atom_site.label_asym_id" not in there and "_atom_site.auth_asym_id" in there:
         for row in block.find("_atom_site.", ["label_asym_id", "auth_asym_id"]):
             row[0] = row[1]
@@ -300,12 +311,21 @@ def _ascii(text: str, source: str, used: slice) -> str:
 _STRANGE = re.compile(r"[^\t\n -~]")
 
 
-def _corrected(text: str, source: str, overlooked: list[Repair]) -> str:
+def _corrected(
+    text: str, source: str, overlooked: list[Repair]
+) -> tuple[str, dict[tuple[str, str, str], str]]:
     """Check the columns of a PDB file that are used, and correct those whose meaning is clear.
 
     gemmi reads anything that is not a number as 0, and entry names after column 72 of old files as elements.
+
+    Returns
+    -------
+    text : str
+    long_names : dict
+        Names of four letters, by the first three, chain and number of their residue.
     """
     lines = text.split("\n")
+    long_names = _put_names_of_four_letters(lines)
     in_model, unended, lower = False, 0, 0
     strange: list[int] = []
     for i, line in enumerate(lines):
@@ -326,7 +346,6 @@ def _corrected(text: str, source: str, overlooked: list[Repair]) -> str:
             lower += 1
             for start, end in _UPPER:
                 line = line[:start] + line[start:end].upper() + line[end:]
-        line = _of_three_letters(line)
         _refuse_odd_numbers(line, i + 1, source)
         element = line[76:78].strip()
         if element and not 0 < gemmi.Element(element).atomic_number <= _HEAVIEST:
@@ -334,6 +353,10 @@ def _corrected(text: str, source: str, overlooked: list[Repair]) -> str:
             line = line[:76].rstrip()
         if not _CHARGE.fullmatch(line[78:80].strip()):
             line = line[:78].rstrip()
+        if not (line[54:60].strip() and line[60:66].strip()):
+            # gemmi reads 0 of what is not there.
+            occupancy, b_factor = line[54:60].strip() or "1.00", line[60:66].strip() or "nan"
+            line = f"{line[:54]:<54}{occupancy:>6}{b_factor:>6}{line[66:]}"
         lines[i] = line
     if lower:
         overlooked.append(Repair(Kind.LOWER_CASE, {"count": lower}))
@@ -341,19 +364,52 @@ def _corrected(text: str, source: str, overlooked: list[Repair]) -> str:
         overlooked.append(Repair(Kind.NO_ELEMENT, {"count": len(strange), "line": strange[0]}))
     if unended:
         overlooked.append(Repair(Kind.NO_ENDMDL, {"count": unended}))
-    return "\n".join(lines)
+    return "\n".join(lines), long_names
 
 
-def _of_three_letters(line: str) -> str:
-    """Put a name of four letters in columns 18 to 21 into three: gemmi takes the fourth for a chain's.
+def _put_names_of_four_letters(lines: list[str]) -> dict[tuple[str, str, str], str]:
+    """Put residue names of four letters in columns 18 to 21 into three: gemmi takes the fourth for a chain's.
 
-    NASN and NHIE of Amber, LYSH and HISB of GROMACS, TIP3 of CHARMM. Others may be a chain id of two letters.
+    Returned are those that are no names of amino acids or caps, by place.
+
+    NASN of Amber, LYSH of GROMACS, GLUP of CHARMM. The letter in column 21 is the first of a chain id if
+    column 22 has one, too, no residue before or after it in the chain is without it, and some residue with
+    that id is of a polymer, or none of the chain with the second letter alone.
     """
-    name = line[17:21]
-    if len(name.strip()) < 4:
-        return line
-    short, state = standard_name(name)
-    return f"{line[:17]}{state or short:<4}{line[21:]}" if short != name else line
+    places = [(i, line[17:27]) for i, line in enumerate(lines) if line[:6].upper() in ("ATOM  ", "HETATM")]
+    found: dict[tuple[str, str, str], str] = {}
+    if all(place[3:4] in " " for _, place in places):
+        return found
+    polymers = {line[20:22] for line in lines if line[:6].upper() == "ATOM  "}
+    runs: list[list[tuple[int, str]]] = []
+    for i, place in places:
+        before = runs[-1][-1] if runs else (-2, "")
+        is_next = before[0] == i - 1 and before[1][4:5] == place[4:5]
+        if not (is_next and _follows(before[1][5:9], place[5:9])):
+            runs.append([])
+        runs[-1].append((i, place))
+    for run in runs:
+        ids = {place[3:5] for _, place in run}
+        is_id = all(each.strip() for each in ids) and (
+            bool(ids & polymers) or not any(f" {each[1:]}" in polymers for each in ids)
+        )
+        for i, place in run:
+            name = place[:4]
+            short, state = standard_name(name)
+            if len(name.strip()) == 4 and (short != name or not (is_id and place[4:5].strip())):
+                new = (state or short)[:3] if short != name else name[:3]
+                lines[i] = f"{lines[i][:17]}{new:<4}{lines[i][21:]}"
+                if short == name and new not in STANDARD:
+                    found[new, place[4:5].strip(), place[5:].strip()] = name
+    return found
+
+
+def _follows(before: str, number: str) -> bool:
+    """Whether two residue numbers are those of one residue, or of one and the next."""
+    try:
+        return int(number) - int(before) in (0, 1)
+    except ValueError:
+        return before == number
 
 
 _CHARGE = re.compile(r"(\d?[+-]|[+-]\d)?")

@@ -126,7 +126,7 @@ class Structure(Value):
     left_out : mapping of str to int
         Numbers of molecules and atoms of the file that were left out, by kind.
     b_factor : (na,) float, angstrom^2
-        B factors of the file; an added atom has its neighbour's.
+        B factors of the file, NaN where it has none; an added atom has its neighbour's.
     obstacle : (na,) bool
         Atoms held fixed: ligands, ions and other molecules beside the protein.
     occupancy : (na,) float

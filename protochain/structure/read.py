@@ -327,6 +327,8 @@ class _Reader:
             atoms = [atom for atom in atoms if atom not in nowhere]
             names = tuple(atom.name for atom in nowhere)
             self.draft.note(Kind.NO_PLACE, residue=_in_file(self.chain_id, residue), atoms=names)
+        if name in residues.NUCLEOTIDES:
+            rename(atoms, self.known[name])
         backbone = {*residues.BACKBONE} <= {atom.name for atom in atoms}
         for atom in atoms if backbone else ():
             # Without columns of elements gemmi knows none for 1HB of a modified residue.

@@ -56,7 +56,7 @@ class Kind(Enum):
 
     # Of the file.
     LOWER_CASE = Words("{count:n atom record} in lower case read as upper case")
-    NOT_A_NUMBER = Words("occupancy or B factor of {count:n atom} is no number: taken as 0")
+    NOT_A_NUMBER = Words("occupancy of {count:n atom} is no number: taken as 0")
     NO_ELEMENT = Words(
         "columns 77-78 of {count:n atom record}, from line {line} on, hold no element: elements derived from "
         "atom names"
@@ -65,6 +65,10 @@ class Kind(Enum):
     CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
     MOLECULES_TOLD_APART = Words("molecules that share number and name told apart: {count} more")
     ATOMS_NUMBERED = Words("atoms that share a name numbered in {count} molecules")
+    BLOCKS_LEFT_OUT = Words(
+        "data block {taken} used, others with atoms left out: {others:4}; give each its own file",
+        rank=Rank.LOSS,
+    )
     MODELS_LEFT_OUT = Words("model {taken} used, {count} other models left out", rank=Rank.LOSS)
     NO_END = Words(
         "the file ends at {residue} without an END record or a terminal oxygen: check that it is complete",

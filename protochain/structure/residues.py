@@ -25,7 +25,8 @@ STATE_PARENT = {
     "ASH": ("ASP", "ASH"), "GLH": ("GLU", "GLH"), "LYN": ("LYS", "LYN"),
     "HISA": ("HIS", "HID"), "HISD": ("HIS", "HID"), "HISB": ("HIS", "HIE"), "HISE": ("HIS", "HIE"),
     "HISH": ("HIS", "HIP"), "LYSH": ("LYS", ""), "CYSH": ("CYS", ""), "CYS2": ("CYS", ""),
-    "ASPH": ("ASP", "ASH"), "GLUH": ("GLU", "GLH"),
+    "ASPH": ("ASP", "ASH"), "GLUH": ("GLU", "GLH"), "ASPP": ("ASP", "ASH"), "GLUP": ("GLU", "GLH"),
+    "LSN": ("LYS", "LYN"), "LYSN": ("LYS", "LYN"), "HIS1": ("HIS", "HID"), "CYN": ("CYS", ""),
     "S1P": ("SEP", "S1P"), "T1P": ("TPO", "T1P"), "Y1P": ("PTR", "Y1P"),
 }  # fmt: skip
 """Standard residue and protonation state of the names that Amber, CHARMM and GROMACS give to states."""

@@ -14,6 +14,7 @@ from openmm import app
 from pdbfixer.pdbfixer import substitutions
 
 from protochain.core.errors import StructureError
+from protochain.ligands.dictionary import heavy_atoms
 from protochain.structure.residues import CAPS, LINKED, NUCLEOTIDES, STANDARD, STATE_PARENT
 
 _DATA = Path(app.__file__).parent / "data"
@@ -316,9 +317,13 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
         Name and protonation state.
     """
     name, state = standard_name(given)
-    if name == given:
+    if name == given and name in (*STANDARD, *CAPS, "HOH"):
         return given, ""
     heavy = {atom.name for atom in atoms if not atom.is_hydrogen()}
+    if (name == given or name in NUCLEOTIDES) and (found := _of_atoms(given, heavy)):
+        return found, ""
+    if name == given:
+        return given, ""
     if name == "HOH":
         fits = [atom.element.name for atom in atoms if atom.element.atomic_number > 1] == ["O"]
     elif name in NUCLEOTIDES:
@@ -331,6 +336,26 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
         # A whole amino acid with another atom is that, or a modified one if the archive has one so named.
         fits = not strange or (name in STANDARD and not lacking and not archive_parent(given))
     return (name, state) if fits else (given, "")
+
+
+def _of_atoms(given: str, heavy: Collection[str]) -> str:
+    """Standard residue with these heavy atoms, unless an archive's component so named has them, too.
+
+    Programs call residues as they like: GLUP, ARN, RA, and A for the DNA of old files.
+    """
+    is_nucleic, is_amino = bool(heavy & {"C1'", "C1*"}), {"N", "CA", "C", "O", "CB"} < heavy
+    if not (is_nucleic or is_amino) or given in _amber() and given not in NUCLEOTIDES or archive_parent(given):
+        return ""
+    for name in sorted(NUCLEOTIDES) if is_nucleic else STANDARD:
+        template = _amber()["HIP" if name == "HIS" else name]
+        if {template.synonyms.get(each, each) for each in heavy} - _OF_ENDS == {*template.heavy} - _OF_ENDS:
+            same = given not in NUCLEOTIDES and {*heavy_atoms(given)} - _OF_ENDS == {*heavy} - _OF_ENDS
+            return "" if same else name
+    return ""
+
+
+_OF_ENDS = {"OXT", "OT1", "OT2", "P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P"}
+"""Heavy atoms that a residue has or not, as it is within a chain or at its end."""
 
 
 def archive_parent(name: str) -> str:

@@ -2,8 +2,11 @@
 
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import replace
+from itertools import chain, count
 from pathlib import Path
+from string import ascii_uppercase
 from typing import Any
 
 import gemmi
@@ -27,6 +30,8 @@ from protochain.structure.springs import CATEGORY, Spring, as_remarks, as_rows, 
 _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
 """Angstrom: range of eight columns with three decimals."""
+_PDB_NAME = 3
+"""Letters of the name of a residue."""
 _PDB_SERIALS = 99_999
 """Largest serial number of an atom in five columns; the end of each chain takes one."""
 _CIS = 30.0
@@ -79,12 +84,37 @@ def as_text(
     """Return the text that :func:`save` writes, in the format of the suffix."""
     models = [structure] if isinstance(structure, Structure) else list(structure)
     format_ = SUFFIXES[suffix.lower()]
+    if format_ == "PDB" and (short := short_names(models)):
+        remarks = [*remarks, *map(_short_name, *zip(*short.items(), strict=True))]
+        models = [_renamed(each, short) for each in models]
     out = as_gemmi(models)
     settle(out, whole=format_ == "mmCIF")
     if not hydrogens:
         out.remove_hydrogens()
     repairs = dict.fromkeys(str(repair) for each in models for repair in each.repairs)
     return _WRITERS[format_](out, models, remarks, repairs)
+
+
+def short_names(structures: Iterable[Structure]) -> dict[str, str]:
+    """Names of three letters that components with longer ones have in a PDB file."""
+    there = {str(name) for each in structures for name in each.residue_name_in_file}
+    found: dict[str, str] = {}
+    for name in sorted(name for name in there if len(name) > _PDB_NAME):
+        tried = (f"{name[:k]}{n or ''}" for n in range(1000) for k in [_PDB_NAME - len(f"{n or ''}")])
+        found[name] = next(each for each in tried if each not in there)
+        there.add(found[name])
+    return found
+
+
+def _short_name(name: str, short: str) -> str:
+    return f"component {name} is called {short} here: PDB files have names of three letters"
+
+
+def _renamed(structure: Structure, names: Mapping[str, str]) -> Structure:
+    topology = deepcopy(structure.topology)
+    for residue in topology.residues():
+        residue.name = names.get(residue.name, residue.name)
+    return replace(structure, topology=topology)
 
 
 def check_format(path: Path) -> None:
@@ -100,8 +130,13 @@ def check_format(path: Path) -> None:
         raise StructureError(f"{path}: unknown suffix {suffix!r}; use {' or '.join(SUFFIXES)}")
 
 
-def check_fits(structure: Structure, path: Path) -> None:
+def check_fits(structure: Structure, path: Path) -> list[str]:
     """Refuse a structure that does not fit the columns of a PDB file: it would be cut, or read as another.
+
+    Returns
+    -------
+    list of str
+        What the file will have otherwise than the structure.
 
     Raises
     ------
@@ -109,10 +144,9 @@ def check_fits(structure: Structure, path: Path) -> None:
         Naming the chain, residue or atom.
     """
     if format_of(path) != "PDB":
-        return
+        return []
     for what, values, width in (
         ("chain id", structure.residue_chain, 1),
-        ("residue name", structure.residue_name, 3),
         ("residue number", structure.residue_number, 4),
         ("atom name", structure.atom_name, 4),
         ("formal charge", np.abs(structure.formal_charge).astype(str), 1),
@@ -128,16 +162,16 @@ def check_fits(structure: Structure, path: Path) -> None:
         raise StructureError(
             f"{path}: the coordinates of {structure.describe(int(far[0]))} do not fit a PDB file; write .cif"
         )
+    return [f"{path}: {_short_name(*names)}" for names in short_names([structure]).items()]
 
 
 def common_suffix(structures: Iterable[Structure]) -> str:
-    """Return ``.pdb`` if all structures fit that format, else ``.cif``."""
+    """Return ``.pdb`` if all structures fit that format under their names, else ``.cif``."""
     try:
-        for structure in structures:
-            check_fits(structure, Path("x.pdb"))
+        changed = [line for structure in structures for line in check_fits(structure, Path("x.pdb"))]
     except StructureError:
         return ".cif"
-    return ".pdb"
+    return ".cif" if changed else ".pdb"
 
 
 def as_gemmi(structures: Sequence[Structure]) -> gemmi.Structure:
@@ -205,6 +239,7 @@ def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
                 parts[chain_id].append(part)
     labels: list[Label] = []
     renamed: dict[str, set[str]] = {}
+    blank = next(each for each in chain(ascii_uppercase, map(str, count())) if each not in of_chain)
     for r, (chain_id, part) in enumerate(zip(chains, structure.residue_chain_index.tolist(), strict=True)):
         name, place = known[r]
         if r in held:
@@ -215,7 +250,7 @@ def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
             labels.append(known[r])
             continue
         number = parts[chain_id].index(part) + 1
-        new = (chain_id or "A") + (str(number) if number > 1 else "")
+        new = (chain_id or blank) + (str(number) if number > 1 else "")
         labels.append((new, place if is_one else None))
         if is_one:
             renamed.setdefault(name, set()).add(new)
@@ -330,6 +365,9 @@ def _mmcif(
         for i, line in enumerate(lines, 1):
             loop.add_row([str(i), gemmi.cif.quote(line)])
     out.update_mmcif_block(block, atoms)
+    for row in block.find("_atom_site.", ["B_iso_or_equiv"]):
+        if row[0] == "NaN":
+            row[0] = "?"
     # As in the PDB archive, every category ends with '#', so that a truncated file can be recognised.
     return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
 
@@ -354,7 +392,9 @@ def _pdb(
         atom_records=False, end_record=False, cryst1_record=out.cell.is_crystal(), cispep_records=True
     )
     atoms = gemmi.PdbWriteOptions(minimal=True, cryst1_record=False, end_record=True, conect_records=True)
-    return with_names(str(_whole(out).make_pdb_string(head)), names) + str(out.make_pdb_string(atoms))
+    # Columns 61-66 are blank where the B factor is not known.
+    written = str(out.make_pdb_string(atoms)).replace("   NaN          ", " " * 16)
+    return with_names(str(_whole(out).make_pdb_string(head)), names) + written
 
 
 def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:

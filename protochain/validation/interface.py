@@ -394,7 +394,7 @@ def _confidences(
         np.bincount(of, minlength=structure.n_residues), 1
     )
     # Some programs write shares.
-    plddt = per_residue * (100.0 if per_residue.max() <= 1.0 else 1.0)
+    plddt = per_residue * (100.0 if np.nanmax(per_residue, initial=0.0) <= 1.0 else 1.0)
     chains = [*dict.fromkeys(structure.residue_chain.tolist())]
     names = [{*structure.residue_chain[part].tolist()} for part in parts]
     return {
