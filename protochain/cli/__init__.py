@@ -16,13 +16,18 @@ from typer.core import TyperGroup, TyperOption
 from typer.exceptions import TyperException
 from typer.main import get_command
 
-from protochain.cli.options import BAD_INPUT, RENAMED, as_option, fail
+from protochain.cli.options import (
+    BAD_INPUT,
+    INTERRUPTED,
+    RENAMED,
+    as_option,
+    fail,
+)
 from protochain.cli.printable import Printable
 from protochain.core.errors import Argument, ProtochainError, WriteError
 
 __all__ = ["main"]
 
-_INTERRUPTED = 130
 
 _COMMANDS = {
     "minimise": "minimise", "relax": "relax", "compare": "compare", "batch": "batch", "simulate": "simulate",
@@ -31,6 +36,7 @@ _COMMANDS = {
     "search": "search", "schema": "schema",
 }  # fmt: skip
 """Name of each command, which is that of its function, and the module that has it."""
+_NO_RESULT = "interrupted before there was a result"
 _ALIASES = {"minimize": "minimise"}
 
 
@@ -49,6 +55,13 @@ class _Commands(TyperGroup):
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """One command; None if there is none of that name."""
         return _command(cmd_name) if cmd_name in {*_COMMANDS, *_ALIASES} else None
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command, of which Typer would return the status of an interrupt without a word."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise typer.Exit(fail(_NO_RESULT, INTERRUPTED)) from None
 
 
 def _command(name: str) -> Any:
@@ -108,9 +121,6 @@ def _status() -> int:
     """Run the command of the arguments, and return the exit status."""
     try:
         status = app(standalone_mode=False)
-        # What Typer makes of a KeyboardInterrupt, without a word.
-        if status == _INTERRUPTED:
-            raise KeyboardInterrupt
         sys.stdout.flush()
     except WriteError as error:
         return fail(as_said(error))
@@ -132,7 +142,7 @@ def _status() -> int:
         where = f"{error.filename}: " if error.filename else ""
         return fail(f"{where}{error.strerror or error}")
     except KeyboardInterrupt:
-        return fail("interrupted before there was a result")
+        return fail(_NO_RESULT, INTERRUPTED)
     return status if isinstance(status, int) else 0
 
 

@@ -8,11 +8,10 @@ import typer
 
 from protochain.cli.options import (
     CONVERGED,
-    FAILED,
-    UNCONVERGED,
     AsJson,
     Manifest,
     Scheduler,
+    batch_status,
     check_outputs,
     inputs_of,
     print_json,
@@ -26,7 +25,7 @@ from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
-    from protochain.batches import Batch
+    pass
 
 Inputs = Annotated[
     list[str] | None,
@@ -106,10 +105,4 @@ def batch(
         print_batch(done.table, str(done.report))
     if done.interrupted:
         print("protochain: interrupted; --resume does the rest", file=sys.stderr)
-    raise typer.Exit(_status(done))
-
-
-def _status(done: "Batch") -> int:
-    if set(done.counts()) == {"converged"} and not done.interrupted:
-        return CONVERGED
-    return UNCONVERGED if done.table["output"].notna().any() else FAILED
+    raise typer.Exit(batch_status(done))

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from protochain.cli.options import (
-    CONVERGED,
-    UNCONVERGED,
     AsJson,
     Input,
     check_outputs,
+    exit_status,
     fail,
     inputs_of,
     named_after,
@@ -97,8 +96,8 @@ def compare(
         print(f"written: {page} and the tables, plots and structures beside it")
     if not any(solution.is_usable for solution in comparison.solutions):
         raise SystemExit(fail(f"{source}: no method gave a usable structure; {page} says why"))
-    converged = all(solution.status == "converged" for solution in comparison.solutions)
-    raise typer.Exit(CONVERGED if converged else UNCONVERGED)
+    statuses = [str(solution.status) for solution in comparison.solutions]
+    raise typer.Exit(exit_status(statuses, interrupted=bool(missing)))
 
 
 def _chosen(methods: str, tolerance: float, max_evaluations: int) -> tuple[str, ...]:

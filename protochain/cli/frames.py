@@ -1,5 +1,6 @@
 """What ``--trajectory`` and ``--frames`` do, in every command that has them: a row a frame."""
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
@@ -9,10 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 import typer
 
 from protochain.cli.options import (
-    CONVERGED,
-    FAILED,
-    UNCONVERGED,
     check_outputs,
+    exit_status,
     fail,
     inputs_of,
     print_json,
@@ -181,10 +180,8 @@ def run(
 
 def status_of(done: "FramesRun") -> int:
     """Exit status, as of a batch."""
-    sound = done.counts.get("converged", 0) + done.counts.get("measured", 0)
-    if sound == sum(done.counts.values()) and sound and not done.interrupted:
-        return CONVERGED
-    return UNCONVERGED if sound or done.written else FAILED
+    usable = bool(done.counts.get("measured") or done.counts.get("converged") or done.written)
+    return exit_status(Counter(done.counts).elements(), usable=usable, interrupted=done.interrupted)
 
 
 @contextmanager

@@ -5,11 +5,12 @@ from collections import Counter
 from importlib import import_module
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, TypedDict
+from typing import Annotated, NotRequired, TypedDict
 
 import typer
 
 from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, as_option, print_json, with_settings
+from protochain.core.checks import force_field_parts
 from protochain.core.markup import counted
 from protochain.setup import Setup
 
@@ -31,32 +32,41 @@ class Facts(TypedDict):
     lost_atoms: list[str]
     repairs: list[str]
     overlaps: list[str]
-    engine: str
-    engine_reason: str
-    threads: int | None
-    constant_terms: dict[str, int]
+    engine: NotRequired[str]
+    engine_reason: NotRequired[str]
+    threads: NotRequired[int | None]
+    constant_terms: NotRequired[dict[str, int]]
     seconds_import: float
     seconds_preparation: float
     seconds_chain: float
-    seconds_energy: float
+    seconds_energy: NotRequired[float]
 
 
-@with_settings(setup="engine move")
-def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
+@with_settings(setup="engine move terms solvent cutoff accuracy precision threads")
+def info(
+    source: Input,
+    energy: Annotated[
+        bool, typer.Option("--energy", help="Set up the default energy, too, and tell what computes it.")
+    ] = False,
+    as_json: AsJson = False,
+    *,
+    setup: Setup,
+) -> None:
     """Show the contents of a file, the repairs to its structure, and its rigid bodies and hinges."""
     began = perf_counter()
-    for name in ("articulate", "energies"):
-        # Loaded here, so that the other times are those of the work alone.
-        import_module(f"protochain.{name}")
+    # Loaded here, so that the other times are those of the work alone.
+    import_module("protochain.articulate")
     from protochain.contacts import overlaps
     from protochain.structure.losses import lost_atoms
 
+    from protochain.energies.factory import checked_files
+
+    checked_files(force_field_parts(setup.forcefield), setup.trust_forcefield)
     imported = perf_counter()
     structure = setup.load(source)
     loaded = perf_counter()
     chain = setup.chain(structure)
     built = perf_counter()
-    energy = setup.energy(structure).without_constants(chain.rigid_groups, structure.positions)
     facts: Facts = {
         "input": str(source),
         "n_chains": structure.n_chains,
@@ -72,15 +82,17 @@ def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
         "lost_atoms": lost_atoms(structure.losses),
         "repairs": [each.told(str if as_json else as_option) for each in structure.repairs],
         "overlaps": [f"{each}; {each.remedy}" for each in overlaps(structure, structure.positions, chain)],
-        "engine": energy.engine,
-        "engine_reason": energy.reason,
-        "threads": energy.threads,
-        "constant_terms": dict(energy.left_out),
         "seconds_import": imported - began,
         "seconds_preparation": loaded - imported,
         "seconds_chain": built - loaded,
-        "seconds_energy": perf_counter() - built,
     }
+    if energy:
+        began = perf_counter()
+        used = setup.energy(structure).without_constants(chain.rigid_groups, structure.positions)
+        facts |= {
+            "engine": used.engine, "engine_reason": used.reason, "threads": used.threads,
+            "constant_terms": dict(used.left_out), "seconds_energy": perf_counter() - began,
+        }  # fmt: skip
     if as_json:
         print_json(facts)
         return

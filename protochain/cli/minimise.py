@@ -1,5 +1,6 @@
 """``protochain minimise``."""
 
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -22,6 +23,7 @@ from protochain.cli.options import (
     beside_structure,
     check_names,
     check_outputs,
+    exit_status,
     fail,
     inputs_of,
     named_after,
@@ -132,8 +134,9 @@ def minimise(
 
 def _status(records: list[dict[str, Any]], n_runs: int) -> int:
     """Exit status of all runs."""
-    whole = [record["status"] == "converged" and "not_written" not in record for record in records]
-    return CONVERGED if len(whole) == n_runs and all(whole) else UNCONVERGED
+    lost = any("not_written" in record for record in records)
+    done = exit_status(record["status"] for record in records)
+    return UNCONVERGED if done == CONVERGED and (lost or len(records) < n_runs) else done
 
 
 def _runs(

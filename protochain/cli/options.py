@@ -25,12 +25,14 @@ from protochain.searching.settings import SearchRunSettings, SearchSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
+    from protochain.batches import Batch
     from protochain.chain import Chain
     from protochain.energies import Energy
     from protochain.structure import Structure
 
-CONVERGED, FAILED, BAD_INPUT, UNCONVERGED = 0, 1, 2, 3
-"""Exit statuses: 1 when nothing usable was made, 3 when a usable result is not converged."""
+CONVERGED, FAILED, BAD_INPUT, UNCONVERGED, SOME_REFUSED, INTERRUPTED = 0, 1, 2, 3, 4, 130
+"""Exit statuses: 1 when nothing usable was made, 3 when a usable result is not converged, 4 when some of
+several inputs were refused, 130 when a signal ended the command."""
 
 STANDARD_OUTPUT = "-"
 """Name of an output that is printed instead of written to a file."""
@@ -119,6 +121,26 @@ def _made(kind: type[Made], options: Mapping[str, Any]) -> Made | None:
             given[name] = its.read(value) if its.read else value
     needed = {each.name for each in fields(kind) if each.default is MISSING}  # type: ignore[arg-type]  # a dataclass
     return kind(**given) if needed <= given.keys() else None
+
+
+def exit_status(statuses: Iterable[str], *, usable: bool = True, interrupted: bool = False) -> int:
+    """Exit status of a command of several results; ``usable`` tells whether any of them was written."""
+    count = Counter(statuses)
+    if interrupted or count["interrupted"]:
+        return INTERRUPTED
+    if {*count} == {"refused"}:
+        return BAD_INPUT
+    if not (count and usable):
+        return FAILED
+    if count["refused"]:
+        return SOME_REFUSED
+    return CONVERGED if {*count} <= {"converged", "measured"} else UNCONVERGED
+
+
+def batch_status(done: "Batch") -> int:
+    """Exit status of a batch."""
+    table = done.table
+    return exit_status(table["status"], usable=table["output"].notna().any(), interrupted=done.interrupted)
 
 
 def fail(message: str, status: int = FAILED) -> int:

@@ -10,8 +10,6 @@ import typer
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Trajectory
 from protochain.cli.options import (
-    CONVERGED,
-    FAILED,
     UNCONVERGED,
     AsJson,
     Force,
@@ -19,9 +17,11 @@ from protochain.cli.options import (
     Manifest,
     Report,
     Scheduler,
+    batch_status,
     beside_structure,
     check_names,
     check_outputs,
+    exit_status,
     fail,
     has_poses,
     inputs_of,
@@ -212,7 +212,7 @@ def _one(
     else:
         with beside_structure(output):
             print_relaxed(result, record)
-    return CONVERGED if record["status"] == "converged" and not lost else UNCONVERGED
+    return UNCONVERGED if lost else exit_status([record["status"]])
 
 
 def _write_beside(
@@ -280,6 +280,4 @@ def _several(
         print_folder(done.table, folder)
     if done.interrupted:
         print("protochain: interrupted; --resume does the rest", file=sys.stderr)
-    if set(done.counts()) == {"converged"} and not done.interrupted:
-        return CONVERGED
-    return UNCONVERGED if done.table["output"].notna().any() else FAILED
+    return batch_status(done)

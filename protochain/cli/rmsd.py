@@ -9,11 +9,9 @@ import typer
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import (
-    CONVERGED,
-    FAILED,
-    UNCONVERGED,
     AsJson,
     check_outputs,
+    exit_status,
     named_after,
     print_json,
 )
@@ -74,8 +72,7 @@ def rmsd(
         print_json(told)
     else:
         print_deviations(rows)
-    failed = sum(bool(row["message"]) for row in rows)
-    raise typer.Exit(CONVERGED if not failed else FAILED if failed == len(rows) else UNCONVERGED)
+    raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
 
 
 def _frames(

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, TypedDict
 import typer
 
 from protochain.cli.options import (
-    BAD_INPUT,
-    CONVERGED,
     AsJson,
     check_outputs,
+    exit_status,
     files_of,
     inputs_of,
     print_json,
@@ -135,7 +134,7 @@ def score(
         print_json(told)
     elif done:
         _print(done)
-    raise typer.Exit(CONVERGED if len(done) == len(rows) else BAD_INPUT)
+    raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
 
 
 def _ranked(rows: Sequence[Mapping[str, Any]], column: str | None, better: int) -> list[int]:

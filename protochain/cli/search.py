@@ -9,7 +9,7 @@ import typer
 
 from protochain.cli.options import (
     CONVERGED,
-    UNCONVERGED,
+    INTERRUPTED,
     AsJson,
     Scheduler,
     check_outputs,
@@ -71,7 +71,7 @@ def search(
         print_search(done, output)
     if done.interrupted:
         print("protochain: interrupted; --resume goes on", file=sys.stderr)
-    raise typer.Exit(UNCONVERGED if done.interrupted else CONVERGED)
+    raise typer.Exit(INTERRUPTED if done.interrupted else CONVERGED)
 
 
 def is_sequence(source: Path) -> bool:

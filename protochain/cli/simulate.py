@@ -9,7 +9,7 @@ import typer
 
 from protochain.cli.options import (
     CONVERGED,
-    UNCONVERGED,
+    INTERRUPTED,
     AsJson,
     Input,
     check_outputs,
@@ -97,7 +97,7 @@ def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
     if not done.is_sound:
         where = f"the frames until then are in {beside['output']}/*.part.*"
         raise SystemExit(fail(f"{beside['input']}: {done.message}; {where}"))
-    raise typer.Exit(CONVERGED if done.ending == "completed" else UNCONVERGED)
+    raise typer.Exit(CONVERGED if done.ending == "completed" else INTERRUPTED)
 
 
 def _foretell(source: Path, chain: "Chain", energy: "Energy", steps: int, relax: bool) -> None:

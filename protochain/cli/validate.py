@@ -10,10 +10,9 @@ import typer
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import (
-    BAD_INPUT,
-    CONVERGED,
     AsJson,
     check_outputs,
+    exit_status,
     files_of,
     inputs_of,
     named_after,
@@ -145,7 +144,7 @@ def validate(
         print_json(Told(reference=str(reference) if reference else None, results=rows))
     elif done:
         _print(done, notes)
-    raise typer.Exit(CONVERGED if len(done) == len(rows) else BAD_INPUT)
+    raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
 
 
 def _frames(

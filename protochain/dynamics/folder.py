@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats, frozen
-from protochain.core.errors import Argument, ProtochainError, StructureError, WriteError
+from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.storage import (
     check_writable,
     fitting,

@@ -283,9 +283,7 @@ def build_system(
         pairs = {"nonbondedMethod": app.CutoffNonPeriodic, "nonbondedCutoff": cutoff * unit.nanometer}
     parts = force_field_parts(forcefield)
     bundled = [_bundled_file(part) for part in parts]
-    files = [
-        its or _checked_file(Path(part), trust_forcefield) for its, part in zip(bundled, parts, strict=True)
-    ]
+    files = checked_files(parts, trust_forcefield)
     files += _phosphates(structure, parts)
     if structure.kept.any():
         beside = [str(DATA / name) for part in parts for name in _BESIDE.get(part, ())]
@@ -378,6 +376,17 @@ def _bundled_file(name: str) -> str | None:
     path = (DATA / FORCE_FIELDS.get(name, name)).resolve()
     bundled = name in FORCE_FIELDS or (path.is_relative_to(DATA.resolve()) and not Path(name).exists())
     return str(path) if bundled and path.is_file() else None
+
+
+def checked_files(parts: Sequence[str], trusted: bool) -> list[str | bytes]:
+    """What OpenMM is to read of a force field, by the names of its parts.
+
+    Raises
+    ------
+    ForceFieldError
+        If one is no force field, is not there, or would run code.
+    """
+    return [_bundled_file(part) or _checked_file(Path(part), trusted) for part in parts]
 
 
 def _checked_file(path: Path, trusted: bool) -> str | bytes:

@@ -56,7 +56,7 @@ def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
 
 
 def _split_where_numbers_begin_again(model: gemmi.Model) -> None:
-    """Split chains in which an amino acid has the number of one before it, as segments that share a blank id."""
+    """Split chains in which an amino acid has the number of one before it, as segments without ids."""
     for k in reversed(range(len(model))):
         chain, seen, starts = model[k], set[str](), list[int]()
         for i, residue in enumerate(chain):

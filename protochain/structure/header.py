@@ -123,7 +123,7 @@ def _entity(subchain: str, residues: list[gemmi.Residue], whole: bool) -> gemmi.
         water = all(residue.is_water() for residue in residues)
         made.entity_type = gemmi.EntityType.Water if water else made.entity_type
         return made
-    made.polymer_type = gemmi.PolymerType.PeptideL
+    made.polymer_type = _polymer_type(residues)
     places: dict[tuple[str, str], int] = {}
     for residue in residues:
         place = places.setdefault((str(residue.seqid), residue.name), len(places) + 1)
@@ -131,6 +131,17 @@ def _entity(subchain: str, residues: list[gemmi.Residue], whole: bool) -> gemmi.
     if whole:
         made.full_sequence = [name for _, name in places]
     return made
+
+
+def _polymer_type(residues: list[gemmi.Residue]) -> gemmi.PolymerType:
+    """DNA, RNA or both by the sugars of its nucleotides, or a polypeptide."""
+    sugars = [residue for residue in residues if residue.find_atom("C1'", "*")]
+    if 2 * len(sugars) <= len(residues):
+        return gemmi.PolymerType.PeptideL
+    kinds = {bool(residue.find_atom("O2'", "*")) for residue in sugars}
+    if len(kinds) == 2:
+        return gemmi.PolymerType.DnaRnaHybrid
+    return gemmi.PolymerType.Rna if kinds == {True} else gemmi.PolymerType.Dna
 
 
 def _name_apart(entities: list[gemmi.Entity]) -> None:

@@ -5,7 +5,7 @@ that hold the same. Rows about residues and molecules that are no longer there a
 """
 
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 import gemmi
 
@@ -106,7 +106,7 @@ def cif_rows(
     ligands : mapping of str to list
         Chemistry of ligands by category, in the place of what the header says of the same components.
     """
-    names = {residue.name: None for model in out for chain in model for residue in chain}
+    names = {residue.name: residue for model in out for chain in model for residue in chain}
     there = _There(out, label, names)
     found = _with(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})
     kept = {
@@ -191,7 +191,7 @@ def put(block: gemmi.cif.Block, categories: Mapping[str, Rows]) -> None:
 class _There:
     """What is in a structure, by the names that the file read has for it."""
 
-    def __init__(self, out: gemmi.Structure, label: Mapping[Label, Label], names: Mapping[str, None]) -> None:
+    def __init__(self, out: gemmi.Structure, label: Mapping[Label, Label], names: Collection[str]) -> None:
         self.names, self.entities = names, {entity.name for entity in out.entities}
         self.models = {f"{model.num}" for model in out}
         now = {
@@ -233,21 +233,23 @@ class _There:
         return row
 
 
-def _components(known: Rows, names: Iterable[str]) -> Iterator[dict[str, str]]:
-    """Rows of ``_chem_comp``: those of the file, those of others from the tables."""
+def _components(known: Rows, names: Mapping[str, gemmi.Residue]) -> Iterator[dict[str, str]]:
+    """Rows of ``_chem_comp``: those of the file, those of others from the tables, or by their sugar."""
     there = {_plain(row["id"]): row for row in known}
     for name in sorted(names):
         row = there.get(name, {})
-        kind = row["type"] if _is_given(row, "type") else _quoted(component_type(name))
+        kind = row["type"] if _is_given(row, "type") else _quoted(component_type(name, names[name]))
         yield {"id": _quoted(name), "type": kind, **{k: v for k, v in row.items() if k not in ("id", "type")}}
 
 
-def component_type(name: str) -> str:
+def component_type(name: str, residue: gemmi.Residue) -> str:
     """Return the type of a component, as ``_chem_comp.type`` of the PDB's dictionary has it."""
     if name == "GLY":
         return "peptide linking"
     info = gemmi.find_tabulated_residue(name)
-    return _KINDS.get(info.kind, "non-polymer") if info is not None else "non-polymer"
+    if not info.found() and residue.entity_type == gemmi.EntityType.Polymer and residue.find_atom("C1'", "*"):
+        return "RNA linking" if residue.find_atom("O2'", "*") else "DNA linking"
+    return _KINDS.get(info.kind, "non-polymer")
 
 
 def _drawn(structure: gemmi.Structure, known: set[str]) -> Iterator[dict[str, str]]:

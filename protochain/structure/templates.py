@@ -344,7 +344,11 @@ def _of_atoms(given: str, heavy: Collection[str]) -> str:
     Programs call residues as they like: GLUP, ARN, RA, and A for the DNA of old files.
     """
     is_nucleic, is_amino = bool(heavy & {"C1'", "C1*"}), {"N", "CA", "C", "O", "CB"} < heavy
-    if not (is_nucleic or is_amino) or given in _amber() and given not in NUCLEOTIDES or archive_parent(given):
+    if (
+        not (is_nucleic or is_amino)
+        or (given in _amber() and given not in NUCLEOTIDES)
+        or archive_parent(given)
+    ):
         return ""
     for name in sorted(NUCLEOTIDES) if is_nucleic else STANDARD:
         template = _amber()["HIP" if name == "HIS" else name]

@@ -4,7 +4,8 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
-from itertools import chain, count
+from itertools import chain as chained
+from itertools import count
 from pathlib import Path
 from string import ascii_uppercase
 from typing import Any
@@ -197,7 +198,7 @@ def as_gemmi(structures: Sequence[Structure]) -> gemmi.Structure:
 
 
 def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.Model:
-    model = gemmi.Model(number)
+    model, strands = gemmi.Model(number), _in_strands(structure)
     for chain in structure.topology.chains():
         # Parts of a broken chain share its id; gemmi ends each of them.
         gemmi_chain = gemmi.Chain(chain.id or " ")
@@ -206,7 +207,7 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
             made.name = str(structure.residue_name_in_file[residue.index])
             made.seqid = _seqid(structure, residue.index)
             kept = structure.kept[next(residue.atoms()).index]
-            is_polymer = not kept or residue.name in NUCLEOTIDES
+            is_polymer = not kept or residue.name in NUCLEOTIDES or residue.index in strands
             made.entity_type = gemmi.EntityType.Polymer if is_polymer else gemmi.EntityType.NonPolymer
             made.subchain, made.label_seq = labels[residue.index]
             for atom in residue.atoms():
@@ -220,6 +221,14 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
             gemmi_chain.add_residue(made)
         model.add_chain(gemmi_chain)
     return model
+
+
+def _in_strands(structure: Structure) -> set[int]:
+    """Residues that a phosphodiester bond joins to others, whatever they are called."""
+    ends = np.vstack([structure.bonds, structure.links])
+    names, of = structure.atom_name[ends], structure.atom_residue[ends]
+    along = (names == ["O3'", "P"]).all(axis=1) | (names == ["P", "O3'"]).all(axis=1)
+    return {*of[along & (of[:, 0] != of[:, 1])].ravel().tolist()}
 
 
 def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
@@ -239,7 +248,7 @@ def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
                 parts[chain_id].append(part)
     labels: list[Label] = []
     renamed: dict[str, set[str]] = {}
-    blank = next(each for each in chain(ascii_uppercase, map(str, count())) if each not in of_chain)
+    blank = next(each for each in chained(ascii_uppercase, map(str, count())) if each not in of_chain)
     for r, (chain_id, part) in enumerate(zip(chains, structure.residue_chain_index.tolist(), strict=True)):
         name, place = known[r]
         if r in held:

@@ -55,12 +55,6 @@ def test_a_chain_that_is_not_there_is_refused_with_those_that_are(protochain):
     assert status == 0 and json.loads(out)["n_residues"] == 21
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_info_takes_threads_as_the_other_commands_do(threads, protochain):
-    status, out, _ = protochain("info", STRUCTURES / "ala10.pdb", "--threads", threads, "--json")
-    assert status == 0 and json.loads(out)["threads"] == threads
-
-
 @pytest.mark.parametrize(
     ("given", "kept"),
     [("4", 4), (4, 4), ("1-5", "1-5"), (" 1 - 3, 7 ", "1-3,7"), ("all", "all"), (None, None)],

@@ -14,7 +14,7 @@ from fixtures.waiting import HANG, until
 
 from protochain.batches import Batch
 from protochain.cli import app
-from protochain.cli.batch import _status
+from protochain.cli.options import batch_status
 
 
 def test_help_loads_nothing_heavy():
@@ -213,7 +213,7 @@ def test_a_signal_ends_with_the_best_so_far_written(method, sent, tmp_path):
     process.send_signal(sent)
     out, _ = process.communicate(timeout=HANG)
     record = json.loads(out)
-    assert process.returncode == 3 and record["status"] == "interrupted"
+    assert process.returncode == 130 and record["status"] == "interrupted"
     assert record["energy_end_reference_kj_mol"] < record["energy_start_kj_mol"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out.pdb", "t.dcd"]
 
@@ -274,12 +274,12 @@ def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(protochain, tmp_pa
     ]
     work = ("batch", "in", "-o", "out", "--methods", "lbfgs", "--workers", 1)
     done = protochain(*work)
-    assert done.returncode == 3 and "lbfgs: 1 converged, 1 refused" in done.stdout
+    assert done.returncode == 4 and "lbfgs: 1 converged, 1 refused" in done.stdout
     assert f"b: refused: {tmp_path}/in/b.pdb" in done.stdout and (tmp_path / "out" / "a.lbfgs.pdb").exists()
     refused = protochain(*work)
     assert refused.returncode == 2 and "holds a batch; --resume" in refused.stderr
     again = protochain(*work, "--resume", "--json")
-    assert again.returncode == 3
+    assert again.returncode == 4
     assert json.loads(again.stdout)["status"] == {"converged": 1, "refused": 1}
 
 
@@ -300,12 +300,13 @@ def test_a_batch_takes_names_with_nuls_between_and_refuses_to_do_nothing(protoch
     ("ends", "interrupted", "status"),
     [
         ((("converged", "a.pdb"), ("converged", "b.pdb")), False, 0),
-        ((("converged", "a.pdb"), ("converged", "b.pdb")), True, 3),
-        ((("converged", "a.pdb"), ("refused", "")), False, 3),
+        ((("converged", "a.pdb"), ("converged", "b.pdb")), True, 130),
+        ((("converged", "a.pdb"), ("refused", "")), False, 4),
         ((("budget", "a.pdb"), ("stalled", "b.pdb")), False, 3),
         ((("refused", ""), ("killed", "")), False, 1),
-        ((("refused", ""), ("killed", "")), True, 1),
-        ((), True, 1),
+        ((("refused", ""), ("killed", "")), True, 130),
+        ((("refused", ""), ("refused", "")), False, 2),
+        ((), False, 1),
     ],
 )
 def test_a_batchs_exit_status_tells_all_converged_from_some_results_from_none(
@@ -313,14 +314,14 @@ def test_a_batchs_exit_status_tells_all_converged_from_some_results_from_none(
 ):
     rows = "".join(f"{end},{output}\n" for end, output in ends)
     (tmp_path / "summary.csv").write_text(f"status,output\n{rows}")
-    assert _status(Batch(tmp_path, interrupted)) == status
+    assert batch_status(Batch(tmp_path, interrupted)) == status
 
 
 @pytest.mark.parametrize(
     ("ends", "status"),
     [
         (("converged", "converged"), 0), (("converged", "budget"), 3), (("budget", "converged"), 3),
-        (("converged", "interrupted"), 3), (("interrupted",), 3),
+        (("converged", "interrupted"), 130), (("interrupted",), 130),
     ],
 )  # fmt: skip
 def test_models_end_with_0_only_if_all_converged(ends, status, tmp_path, monkeypatch, capsys):

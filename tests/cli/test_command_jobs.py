@@ -147,7 +147,7 @@ def test_simulate_does_not_begin_if_interrupted_while_it_relaxes(simulated, caps
 
 def test_simulate_ends_by_how_the_run_ended(simulated, capsys):
     simulated.done.ending = "interrupted"
-    assert run("simulate", "a.pdb") == 3
+    assert run("simulate", "a.pdb") == 130
     simulated.done.is_sound = False
     capsys.readouterr()
     with pytest.raises(SystemExit) as ended:
@@ -261,9 +261,9 @@ def test_a_dry_batch_lists_its_jobs(batched, capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("rows", "interrupted", "status"),
     [
-        ({"converged": "a"}, True, 3), ({"converged": "a", "refused": None}, False, 3), ({"budget": "a"},
+        ({"converged": "a"}, True, 130), ({"converged": "a", "refused": None}, False, 4), ({"budget": "a"},
         False, 3),
-        ({"refused": None}, False, 1), ({"refused": None}, True, 1), ({"converged": "a"}, False, 0),
+        ({"refused": None}, False, 2), ({"refused": None}, True, 130), ({"converged": "a"}, False, 0),
     ],
 )  # fmt: skip
 def test_a_batch_ends_by_its_results_and_says_if_it_was_interrupted(

@@ -26,6 +26,7 @@ from protochain.structure.repairs import EVERYTHING, Kind, Repair
 from protochain.structure.residues import Residue
 from protochain.structure.write import as_text
 
+WITHOUT_ENERGY = ("engine", "move", "terms", "solvent", "cutoff", "accuracy", "precision", "threads")
 SETUP = {
     "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
     "cutoff": "auto", "accuracy": "auto", "precision": "double", "threads": None, "trust_forcefield": False,
@@ -125,8 +126,8 @@ COMMANDS = {
     },
     "scene": {"name": None, **OUTPUT, "quick": False, **AS_JSON},
     "info": {
-        "source": None, **AS_JSON,
-        **{k: v for k, v in SETUP.items() if k not in ("engine", "move")},
+        "source": None, "energy": False, **AS_JSON,
+        **{k: v for k, v in SETUP.items() if k not in WITHOUT_ENERGY},
     },
     "build": {"sequence": None, **OUTPUT},
     "schema": {"command": None},
@@ -210,8 +211,7 @@ def test_every_option_has_its_name_default_and_help():
         (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd. See protochain --help.\n"),
         (FileNotFoundError(2, "gone", "a.pdb"), 1, "protochain: a.pdb: gone\n"),
         (OSError("strange"), 1, "protochain: strange\n"),
-        (KeyboardInterrupt(), 1, "protochain: interrupted before there was a result\n"),
-        (130, 1, "protochain: interrupted before there was a result\n"),
+        (KeyboardInterrupt(), 130, "protochain: interrupted before there was a result\n"), (130, 130, ""),
         (3, 3, ""),
         (None, 0, ""),
     ],
@@ -367,7 +367,7 @@ def info(monkeypatch):
         "protochain.contacts.overlaps", lambda *given: [near] if given == (s, s.positions, c) else []
     )
     command = importlib.import_module("protochain.cli.inspect")
-    monkeypatch.setattr(command, "perf_counter", iter([0.0, 1.0, 3.0, 6.0, 10.0]).__next__)
+    monkeypatch.setattr(command, "perf_counter", iter([0.0, 1.0, 3.0, 6.0, 6.0, 10.0]).__next__)
     return s, c, near
 
 
@@ -381,21 +381,30 @@ def facts_of(s, c, near):
         "left_out": {"waters": 3, "ZN": 1}, "lost_atoms": [],
         "repairs": [str(noted("one")), str(noted("two"))],
         "overlaps": [f"{near}; mend"],
+        "seconds_import": 1.0, "seconds_preparation": 2.0, "seconds_chain": 3.0,
         "engine": "native", "engine_reason": "why", "threads": 2, "constant_terms": {"bonds": 5},
-        "seconds_import": 1.0,
-        "seconds_preparation": 2.0, "seconds_chain": 3.0, "seconds_energy": 4.0,
+        "seconds_energy": 4.0,
     }  # fmt: skip
 
 
 def test_info_is_one_object_of_all_facts(info, capsys):
     s, c, near = info
-    run("info", "in.pdb", "--json")
+    run("info", "in.pdb", "--json", "--energy")
     assert json.loads(capsys.readouterr().out) == facts_of(s, c, near)
+
+
+def test_info_sets_up_no_energy_unless_asked(info, monkeypatch, capsys):
+    monkeypatch.setattr(Setup, "energy", lambda self, structure: pytest.fail("an energy"))
+    run("info", "in.pdb", "--json")
+    told = json.loads(capsys.readouterr().out)
+    assert told.keys() == facts_of(*info).keys() - {
+        "engine", "engine_reason", "threads", "constant_terms", "seconds_energy"
+    }  # fmt: skip
 
 
 def test_info_is_a_line_for_each_fact_and_each_repair(info, capsys):
     s, c, near = info
-    run("info", "in.pdb")
+    run("info", "in.pdb", "--energy")
     expected = []
     for key, value in facts_of(s, c, near).items():
         if isinstance(value, list):
@@ -411,7 +420,7 @@ def test_info_is_a_line_for_each_fact_and_each_repair(info, capsys):
 ROWS = [{"message": "", "rmsd_angstrom": 1 / 3}, {"message": "bad", "rmsd_angstrom": None}]
 
 
-@pytest.mark.parametrize(("chosen", "status"), [((0,), 0), ((0, 1), 3), ((1,), 1), ((1, 1), 1)])
+@pytest.mark.parametrize(("chosen", "status"), [((0,), 0), ((0, 1), 4), ((1,), 2), ((1, 1), 2)])
 def test_rmsd_ends_by_how_many_were_measured(chosen, status, monkeypatch, tmp_path, capsys):
     asked, printed = [], []
     table = pd.DataFrame([ROWS[k] for k in chosen])

@@ -42,7 +42,7 @@ def here_alone(monkeypatch):
 
 def test_relax_writes_frames_rows_topology_and_page(here, capsys):
     given = ["relax", "top.pdb", "--trajectory", "x.dcd", "-o", "o.xtc", "--report", "o.html"]
-    assert run(*given, "--threads", 1) == 3
+    assert run(*given, "--threads", 1) == 4
     said = capsys.readouterr()
     assert "3 converged" in said.out and "1 refused" in said.out and "o.xtc" in said.out
     assert "frame 1: " in said.err
@@ -69,9 +69,9 @@ def test_models_are_relaxed_into_models_and_named_after_the_file(here, capsys):
 
 def test_other_commands_write_a_row_a_frame(here, capsys):
     common = ["--trajectory", "x.dcd"]
-    assert run("validate", "top.pdb", *common, "--csv", "v.csv", "--reference", "top.pdb") == 3
-    assert run("energy", "top.pdb", *common, "-o", "e.csv", "--threads", 1) == 3
-    assert run("rmsd", "top.pdb", "top.pdb", *common, "-o", "r.csv") == 3
+    assert run("validate", "top.pdb", *common, "--csv", "v.csv", "--reference", "top.pdb") == 4
+    assert run("energy", "top.pdb", *common, "-o", "e.csv", "--threads", 1) == 4
+    assert run("rmsd", "top.pdb", "top.pdb", *common, "-o", "r.csv") == 4
     assert run("rmsd", "top.pdb", "top.pdb", *common, "--frames", "2:", "-o", "r2.csv") == 0
     for name, key in (("v", "violations"), ("v", "lddt"), ("e", "total_kj_mol"), ("r", "rmsd_angstrom")):
         table = pd.read_csv(f"{name}.csv")
@@ -89,7 +89,7 @@ def test_other_commands_write_a_row_a_frame(here, capsys):
 
 
 def test_frames_of_which_none_can_be_used_are_a_failure(here):
-    assert run("relax", "top.pdb", "--trajectory", "x.dcd", "--frames", "1", "-o", "o.dcd") == 1
+    assert run("relax", "top.pdb", "--trajectory", "x.dcd", "--frames", "1", "-o", "o.dcd") == 2
     assert not (here / "o.dcd").exists() and len(pd.read_csv("o.csv")) == 1
 
 
@@ -130,9 +130,9 @@ def test_a_stopped_run_is_not_replaced_by_chance(here, capsys, monkeypatch):
         from contextlib import contextmanager
 
         patched.setattr(of_frames, "_progress", contextmanager(lambda name, total: (yield stop)))
-        assert run(*begun) == 3
+        assert run(*begun) == 130
     assert "--resume" in capsys.readouterr().err
     assert "resume" in refusal(*begun)
-    assert run(*begun, "--resume") == 3 and len(pd.read_csv("o.csv")) == 4
+    assert run(*begun, "--resume") == 4 and len(pd.read_csv("o.csv")) == 4
     assert "complete" in refusal(*begun, "--resume")
-    assert run(*begun) == 3
+    assert run(*begun) == 4

@@ -38,7 +38,6 @@ def source(tmp_path, monkeypatch):
 
 
 COMMANDS = [
-    ("rmsd", f"{CODES}.pdb"),
     ("info",), ("validate",), ("rmsd", STRUCTURES / "ala10.pdb"),
     ("minimise", *VACUUM, "--max-evaluations", 5), ("minimise", *VACUUM, "-o", "-"),
     ("relax", *VACUUM), ("relax", STRUCTURES / "ala10.pdb", *VACUUM, "--workers", 1),
@@ -47,7 +46,7 @@ COMMANDS = [
     ("batch", "--dry-run"),
 ]  # fmt: skip
 REFUSED = [
-    ("info", "--chain", f"{CODES}"), ("minimise", f"{CODES}.cif"), (CODES,),
+    ("rmsd", f"{CODES}.pdb"), ("info", "--chain", f"{CODES}"), ("minimise", f"{CODES}.cif"), (CODES,),
     ("info", "--forcefield", f"{CODES}.xml"), ("info", f"--{CODES}"),
 ]  # fmt: skip
 

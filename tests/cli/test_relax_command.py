@@ -117,7 +117,7 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here, capsys):
     (here / "in" / "ala.cif").write_text(as_text(load("ala10.pdb"), ".cif"))
     (here / "in" / "broken.pdb").write_text("ATOM      1  N   ALA A   1\n")
     given = ("relax", "in", "-o", "out", "--workers", 1, "--solvent", "vacuum")
-    assert run(*given) == 3
+    assert run(*given) == 4
     said = capsys.readouterr().out
     assert "3 structures: 2 converged, 1 refused" in said and "broken: " in said
     table = pd.read_csv(here / "out" / "relaxed.csv").set_index("structure")
@@ -135,7 +135,7 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here, capsys):
     assert "--resume continues it" in refusal_as_said(*given)
     assert "without stiffness, which is 100.0 now" in refusal(*given, "--resume", "--stiffness", 100)
     shutil.copy(STRUCTURES / "ala10.pdb", here / "in" / "new.pdb")
-    assert run(*given, "--resume") == 3
+    assert run(*given, "--resume") == 4
     assert "4 structures: 3 converged, 1 refused" in capsys.readouterr().out
     assert (here / "out" / "x_relaxed_rank_002_y.pdb").stat().st_mtime_ns == kept
 
@@ -201,7 +201,7 @@ def test_relax_takes_manifests_and_clusters_as_batch_does(predictions, cluster, 
         "job/seed-1_sample-1/model.cif,,300,\nmodel.pdb,,,B\n"
     )
     given = ("relax", "--manifest", sheet, "--scheduler", cluster, "--solvent", "vacuum", "-o", "out")
-    assert run(*given) == 3
+    assert run(*given) == 4
     said = capsys.readouterr()
     assert "3 structures: 2 converged, 1 refused" in said.out and "model: " in said.out
     assert "[1 of 3] " in said.err and "violations 0 to 0" in said.err
@@ -214,7 +214,7 @@ def test_relax_takes_manifests_and_clusters_as_batch_does(predictions, cluster, 
     assert table.loc["model", "status"] == "refused" and "B" in table.loc["model", "message"]
     # What is done is not done again, and one file is a folder's run where a cluster is named.
     before = (here / "out" / "relaxed.csv").read_bytes()
-    assert run(*given, "--resume") == 3 and (here / "out" / "relaxed.csv").read_bytes() == before
+    assert run(*given, "--resume") == 4 and (here / "out" / "relaxed.csv").read_bytes() == before
     single = ("relax", predictions / "model.pdb", "--scheduler", cluster, "--solvent", "vacuum")
     assert run(*single) == 0 and (here / "relaxed" / "model.relaxed.pdb").exists()
     assert run("batch", predictions / "model.pdb", "--methods", "relax", "--preset", "crystal",
