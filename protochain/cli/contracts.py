@@ -15,7 +15,7 @@ from protochain.batches.frame_tasks import EnergyFrames
 from protochain.cli.batch import Planned
 from protochain.cli.energy import Told as Energies
 from protochain.cli.frames import Told as Frames
-from protochain.cli.inspect import Facts
+from protochain.cli.inspect import Built, Facts
 from protochain.cli.rmsd import Told as Deviations
 from protochain.cli.score import Told as Scores
 from protochain.cli.validate import Told as Findings
@@ -322,6 +322,7 @@ CONTRACTS: Mapping[str, Contract] = {
          "--trajectory": (_frames(RmsdFrames.columns),)},
     ),
     "info": Contract((Facts,)),
+    "build": Contract((Built,)),
     "scene": Contract(
         (_SCENE, {"scenes": dict[str, str]}),
         {

@@ -1,6 +1,5 @@
 """``protochain info`` and ``protochain build``."""
 
-import sys
 from collections import Counter
 from importlib import import_module
 from pathlib import Path
@@ -9,7 +8,18 @@ from typing import Annotated, NotRequired, TypedDict
 
 import typer
 
-from protochain.cli.options import STANDARD_OUTPUT, AsJson, Input, as_option, print_json, with_settings
+from protochain.cli.options import (
+    STANDARD_OUTPUT,
+    AsJson,
+    Input,
+    as_option,
+    beside_structure,
+    check_names,
+    check_outputs,
+    print_json,
+    with_settings,
+    write_models,
+)
 from protochain.core.checks import force_field_parts
 from protochain.core.markup import counted
 from protochain.setup import Setup
@@ -42,6 +52,14 @@ class Facts(TypedDict):
     seconds_energy: NotRequired[float]
 
 
+class Built(TypedDict):
+    """What ``protochain build`` made."""
+
+    output: str
+    n_residues: int
+    n_atoms: int
+
+
 @with_settings(setup="engine move terms solvent cutoff accuracy precision threads")
 def info(
     source: Input,
@@ -57,9 +75,8 @@ def info(
     # Loaded here, so that the other times are those of the work alone.
     import_module("protochain.articulate")
     from protochain.contacts import overlaps
-    from protochain.structure.losses import lost_atoms
-
     from protochain.energies.factory import checked_files
+    from protochain.structure.losses import lost_atoms
 
     checked_files(force_field_parts(setup.forcefield), setup.trust_forcefield)
     imported = perf_counter()
@@ -114,21 +131,21 @@ def build(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="PDB or mmCIF file; - is standard output, in PDB format.")
     ],
+    as_json: AsJson = False,
 ) -> None:
     """Build an extended all-atom chain from a sequence."""
-    from protochain.core.storage import check_writable
-    from protochain.structure import from_sequence, save
-    from protochain.structure.write import as_text, check_format, common_suffix
+    from protochain.structure import from_sequence
 
-    printed = str(output) == STANDARD_OUTPUT
-    if not printed:
-        check_format(output)
-        check_writable(output)
+    check_names(output, None, None, as_json)
+    check_outputs([], [output])
     structure = from_sequence(sequence)
-    if printed:
-        sys.stdout.write(as_text(structure, common_suffix([structure])))
-    else:
-        save(structure, output)
-    size = f"{counted(structure.n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}"
-    where = "standard output" if printed else output
-    print(f"written: {where} ({size})", file=sys.stderr if printed else sys.stdout)
+    write_models([structure], output, ".pdb", ())
+    built: Built = {
+        "output": str(output), "n_residues": structure.n_residues, "n_atoms": structure.n_atoms,
+    }  # fmt: skip
+    if as_json:
+        return print_json(built)
+    with beside_structure(output):
+        where = "standard output" if str(output) == STANDARD_OUTPUT else output
+        size = f"{counted(structure.n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}"
+        print(f"written: {where} ({size})")

@@ -310,6 +310,9 @@ def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool |
             instead = "" if force is None else ", or --force to replace it"
             raise ProtochainError(f"{output}: is the input; give another name{instead}")
         check_writable(output)
+    if there := [str(output) for output in outputs if output.is_file()]:
+        more = f" and {len(there) - 1} more" if len(there) > 1 else ""
+        print(f"{there[0]}{more}: there already, will be replaced", file=sys.stderr)
 
 
 def check_names(output: Path, report: Path | None, ligands: Path | None, as_json: bool) -> None:

@@ -1,5 +1,6 @@
 """What is printed: names of files may hold codes that drive a terminal, which are shown instead."""
 
+import os
 import re
 import sys
 from typing import TYPE_CHECKING, Any, TextIO
@@ -58,4 +59,9 @@ def printer(stderr: bool = False) -> "Console":
                 yield segment if segment.control else segment._replace(text=printable(segment.text))
 
     stream = sys.stderr if stderr else sys.stdout
-    return Printing(file=getattr(stream, "raw", stream), stderr=stderr)
+    is_seen = stream.isatty() or "COLUMNS" in os.environ
+    # What reads a pipe wants each row in a line.
+    return Printing(file=getattr(stream, "raw", stream), stderr=stderr, width=None if is_seen else _WIDEST)
+
+
+_WIDEST = 10_000

@@ -1,6 +1,7 @@
 """``protochain rmsd``."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any, TypedDict
 
@@ -65,6 +66,9 @@ def rmsd(
     if output:
         write_atomically(output, lambda to: table.to_csv(to, index=False))
     rows = json.loads(table.to_json(orient="records", double_precision=15))
+    for row in rows:
+        if row["message"]:
+            print(" ".join(row["message"].split()), file=sys.stderr)
     if as_json:
         told: Told = {
             "reference": str(reference), "align": align, "measure": measure or align, "results": rows,

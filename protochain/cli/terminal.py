@@ -422,7 +422,7 @@ def print_distribution(summary: dict[str, float]) -> None:
 
 
 def print_deviations(rows: list[dict[str, Any]]) -> None:
-    """Print a row for each model measured, and a line for each that cannot be."""
+    """Print a row for each model measured."""
     from rich.markup import escape
     from rich.table import Table
 
@@ -443,6 +443,3 @@ def print_deviations(rows: list[dict[str, Any]]) -> None:
     console = printer()
     if measured:
         console.print(table, crop=False)
-    for row in rows:
-        if row["message"]:
-            console.print(row["message"], markup=False, highlight=False, soft_wrap=True)

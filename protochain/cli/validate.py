@@ -59,8 +59,8 @@ def validate(
         Path | None, typer.Option(help="CSV to write: a row for each residue of each structure.")
     ] = None,
     posebusters: Annotated[
-        bool, typer.Option(help="Whether PoseBusters' tests are run on ligands; seconds for each.")
-    ] = True,
+        bool, typer.Option("--posebusters", help="Run PoseBusters' tests on ligands; seconds for each.")
+    ] = False,
     changes: Annotated[
         Path | None,
         typer.Option(help="CSV to write: torsions, rotamers and motion of each residue from the reference."),

@@ -41,7 +41,7 @@ def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
     return Found(structure, x).measures()
 
 
-def validate(source: Any, reference: Any = None, posebusters: bool = True, **settings: Any) -> Validation:
+def validate(source: Any, reference: Any = None, posebusters: bool = False, **settings: Any) -> Validation:
     """Find what is wrong with a structure by itself, and how like a reference it is.
 
     Heavy atoms are measured where the file has them. Those that it lacks are added, as by

@@ -380,7 +380,9 @@ def test_compare_refuses_before_it_reads(compared, asked):
         assert refusal("compare", "a.pdb", "-o", ".", *force) == f".: holds {why}"
     Path("log.csv").unlink()
     assert asked.prepared == [] and compared.given == []
-    assert run("compare", "a.pdb", "-o", ".", "--force", "--methods", "md,kcm") == 0 and len(compared.given) == 1
+    assert (
+        run("compare", "a.pdb", "-o", ".", "--force", "--methods", "md,kcm") == 0 and len(compared.given) == 1
+    )
 
 
 def test_one_bar_is_shown_at_a_time(monkeypatch):

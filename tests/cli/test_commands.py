@@ -96,7 +96,7 @@ COMMANDS = {
     },
     "validate": {
         "inputs": None, "reference": None, "csv": None, "residues": None, "changes": None,
-        "posebusters": True, **FRAMES, "report": None, **AS_JSON,
+        "posebusters": False, **FRAMES, "report": None, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in NOT_IN_VALIDATE},
     },
     "relax": {
@@ -160,7 +160,6 @@ FLAGS = {
 }  # fmt: skip
 SECONDARY = {
     "curvature": ["--no-curvature"], "relax": ["--no-relax"], "keep_hydrogens": ["--strip-hydrogens"],
-    ("posebusters", "validate"): ["--no-posebusters"],
 }  # fmt: skip
 ARGUMENTS = {
     ("source", None),
@@ -211,7 +210,8 @@ def test_every_option_has_its_name_default_and_help():
         (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd. See protochain --help.\n"),
         (FileNotFoundError(2, "gone", "a.pdb"), 1, "protochain: a.pdb: gone\n"),
         (OSError("strange"), 1, "protochain: strange\n"),
-        (KeyboardInterrupt(), 130, "protochain: interrupted before there was a result\n"), (130, 130, ""),
+        (KeyboardInterrupt(), 130, "protochain: interrupted before there was a result\n"),
+        (130, 130, ""),
         (3, 3, ""),
         (None, 0, ""),
     ],

@@ -69,7 +69,7 @@ def test_contacts_and_clashes_are_those_of_the_distances(tmp_path):
         x = s.positions.copy()
         x[atoms] -= [closer, 0.0, 0.0]
         moved = s.with_positions(x)
-        (found,) = pc.validate(moved, posebusters=False).ligands
+        (found,) = pc.validate(moved).ligands
         apart = np.linalg.norm(
             x[atoms][heavy[atoms]][:, None] - x[(~s.kept & heavy).nonzero()[0]], axis=2
         ).min(1)
@@ -83,7 +83,7 @@ def test_a_mirrored_centre_is_named(tmp_path):
     atoms = s.ligands[0].atoms
     x = s.positions.copy()
     x[atoms] *= [1.0, -1.0, 1.0]
-    (found,) = pc.validate(s.with_positions(x), posebusters=False).ligands
+    (found,) = pc.validate(s.with_positions(x)).ligands
     centres = {name for name, _ in s.ligands[0].ligand.molecule.stereo}
     assert set(found.inverted) == centres and len(centres) == 2
 
@@ -92,7 +92,7 @@ def test_posebusters_tests_are_those_of_its_own_reader(tmp_path):
     busters = pytest.importorskip("posebusters")
     for closer in (0.0, 1.0):
         s = pc.load(PROTEIN, ligands=posed(tmp_path, away=0.3 - closer))
-        (found,) = pc.validate(s).ligands
+        (found,) = pc.validate(s, posebusters=True).ligands
         pc.save_ligands(s, tmp_path / "pose_of.sdf")
         pc.save(pc.load(PROTEIN), tmp_path / "protein.pdb")
         bust = busters.PoseBusters(config="dock").bust(
@@ -106,7 +106,7 @@ def test_posebusters_tests_are_those_of_its_own_reader(tmp_path):
 def test_without_posebusters_one_line_says_so_and_the_rest_is_found(tmp_path, monkeypatch, capsys):
     pose = posed(tmp_path)
     monkeypatch.setitem(__import__("sys").modules, "posebusters", None)
-    v = pc.validate(pc.load(PROTEIN, ligands=pose))
+    v = pc.validate(pc.load(PROTEIN, ligands=pose), posebusters=True)
     assert v.ligands[0].posebusters is None and v.ligands[0].strain_kj_mol > 0
     assert "posebusters" in v.posebusters_missing and "pip install" in v.posebusters_missing
     assert run("validate", PROTEIN, "--ligand", pose) == 0
@@ -116,7 +116,7 @@ def test_without_posebusters_one_line_says_so_and_the_rest_is_found(tmp_path, mo
 def test_table_json_and_terminal_tell_the_same(tmp_path, capsys):
     pytest.importorskip("posebusters")
     pose = posed(tmp_path)
-    v = pc.validate(pc.load(PROTEIN, ligands=pose))
+    v = pc.validate(pc.load(PROTEIN, ligands=pose), posebusters=True)
     (row,) = v.ligand_table.to_dict("records")
     assert run("validate", PROTEIN, "--ligand", pose, "--json") == 0
     (said,) = json.loads(capsys.readouterr().out)["results"]
@@ -134,7 +134,7 @@ def test_relax_records_each_ligand_before_and_after(tmp_path, capsys):
     record = result.record()
     (row,) = record["ligands"]
     (start,), (end,) = (
-        pc.validate(each, posebusters=False).ligands for each in (result.start, result.structure)
+        pc.validate(each).ligands for each in (result.start, result.structure)
     )
     for when, found in (("start", start), ("end", end)):
         assert row[f"strain_{when}_kj_mol"] == record[f"ligand_strain_{when}_kj_mol"] == found.strain_kj_mol
@@ -153,8 +153,8 @@ def test_posebusters_pass_after_the_stream_of_another_call_was_closed(tmp_path):
     import rdkit
 
     s = pc.load(PROTEIN, ligands=posed(tmp_path))
-    (before,) = pc.validate(s).ligands
+    (before,) = pc.validate(s, posebusters=True).ligands
     with (tmp_path / "log").open("w") as stream:
         rdkit.log_handler.stream = stream
-    (after,) = pc.validate(pc.load(PROTEIN, ligands=tmp_path / "pose.sdf")).ligands
+    (after,) = pc.validate(pc.load(PROTEIN, ligands=tmp_path / "pose.sdf"), posebusters=True).ligands
     assert dict(after.posebusters) == dict(before.posebusters)
