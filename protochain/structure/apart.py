@@ -56,15 +56,20 @@ def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
 
 
 def _split_where_numbers_begin_again(model: gemmi.Model) -> None:
-    """Split chains in which an amino acid has the number of one before it, as segments without ids."""
+    """Split chains in which an amino acid has the number of one before it, as segments without ids have.
+
+    States that exclude each other may have it, too.
+    """
     for k in reversed(range(len(model))):
         chain, seen, starts = model[k], set[str](), list[int]()
         for i, residue in enumerate(chain):
             number = str(residue.seqid)
-            if _is_amino(residue) and number in seen and number != str(chain[i - 1].seqid):
+            if not _is_amino(residue) or any(atom.has_altloc() for atom in residue):
+                continue
+            if number in seen and number != str(chain[i - 1].seqid):
                 starts.append(i)
                 seen.clear()
-            seen.add(number) if _is_amino(residue) else None
+            seen.add(number)
         for start in reversed(starts):
             rest = gemmi.Chain(chain.name)
             for residue in chain[start:]:

@@ -390,7 +390,7 @@ def _put_names_of_four_letters(lines: list[str]) -> dict[tuple[str, str, str], s
         runs[-1].append((i, place))
     for run in runs:
         ids = {place[3:5] for _, place in run}
-        is_id = all(each.strip() for each in ids) and (
+        is_id = all(each[:1].strip() for each in ids) and (
             bool(ids & polymers) or not any(f" {each[1:]}" in polymers for each in ids)
         )
         for i, place in run:

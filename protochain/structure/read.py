@@ -338,7 +338,9 @@ class _Reader:
             is_d=gemmi.find_tabulated_residue(name).kind == gemmi.ResidueKind.AAD,
             label=(residue.subchain, residue.label_seq), given=given,
         )  # fmt: skip
-        if state or (name in residues.STANDARD and given[-3:] in residues.LINKED):
+        by_atoms = name in residues.STANDARD and standard_name(given)[0] != name
+        member.is_d = member.is_d or (by_atoms and hand(member) < 0)
+        if state or by_atoms or (name in residues.STANDARD and given[-3:] in residues.LINKED):
             kind = Kind.STATE_NAMED if state else Kind.RENAMED
             self.draft.note(kind, residue=_in_file(self.chain_id, residue), name=name, state=state)
         if name in residues.STANDARD or name in residues.CAPS:

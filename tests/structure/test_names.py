@@ -122,6 +122,7 @@ def racemate(tmp_path, unknown=""):
         place.atom.pos.x += far + 5.0
     if unknown:
         other[0][0][4].name = unknown
+        other[0][0][4]["CD"][0].name = "CX"
     other[0][0].name = "B"
     made[0].add_chain(other[0][0])
     made.remove_empty_chains()
@@ -287,3 +288,11 @@ def test_disulfides_of_insulin_stay_when_another_is_asked_for(tmp_path):
         return int(sulphur[structure.bonds].all(axis=1).sum())
 
     assert (bonded(load("3i40.pdb")), bonded(more), bonded(only)) == (3, 4, 1)
+
+
+def test_an_unknown_name_of_a_mirrored_residue_is_that_of_its_atoms(tmp_path):
+    path = racemate(tmp_path)
+    path.write_text(path.read_text().replace("DGN B", "XQZ B"))
+    s = pc.load(path)
+    (at,) = (k for k, name in enumerate(s.residue_name_in_file) if s.mirrored[k] and name == "DGN")
+    assert s.residue_name[at] == "GLN" and s.mirrored[20:].sum() == pc.load(racemate(tmp_path)).mirrored.sum()

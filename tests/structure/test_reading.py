@@ -416,7 +416,7 @@ def test_an_occupancy_that_is_no_number_is_no_choice(tmp_path):
     (tmp_path / "x.pdb").write_text("\n".join([*lines, "END", ""]))
     s = pc.load(tmp_path / "x.pdb")
     assert s.residue_name[21] == "SER" and np.isfinite(s.occupancy).all()
-    assert f"occupancy or B factor of {len(own)} atoms is no number: taken as 0" in sentences(s)
+    assert f"occupancy of {len(own)} atoms is no number: taken as 0" in sentences(s)
 
 
 def test_atoms_upon_one_another_beyond_measure_are_refused(tmp_path):

@@ -306,7 +306,8 @@ def test_a_residue_without_its_backbone_is_left_out_and_said_or_refused(tmp_path
 
 
 def test_an_unknown_residue_is_named(tmp_path):
-    text = "".join(lines_of("1ubq.pdb")).replace("GLU A  18", "XYZ A  18")
+    text = "".join(lines_of("1ubq.pdb")).replace("CD  GLU A  18", "CX  GLU A  18")
+    text = text.replace("GLU A  18", "XYZ A  18")
     with pytest.raises(pc.ProtochainError, match="residue 18 XYZ of chain A is an unknown amino acid"):
         pc.load(written(tmp_path, text))
 

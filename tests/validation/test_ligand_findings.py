@@ -109,7 +109,7 @@ def test_without_posebusters_one_line_says_so_and_the_rest_is_found(tmp_path, mo
     v = pc.validate(pc.load(PROTEIN, ligands=pose), posebusters=True)
     assert v.ligands[0].posebusters is None and v.ligands[0].strain_kj_mol > 0
     assert "posebusters" in v.posebusters_missing and "pip install" in v.posebusters_missing
-    assert run("validate", PROTEIN, "--ligand", pose) == 0
+    assert run("validate", PROTEIN, "--ligand", pose, "--posebusters") == 0
     assert capsys.readouterr().out.count("pip install") == 1
 
 
@@ -118,11 +118,11 @@ def test_table_json_and_terminal_tell_the_same(tmp_path, capsys):
     pose = posed(tmp_path)
     v = pc.validate(pc.load(PROTEIN, ligands=pose), posebusters=True)
     (row,) = v.ligand_table.to_dict("records")
-    assert run("validate", PROTEIN, "--ligand", pose, "--json") == 0
+    assert run("validate", PROTEIN, "--ligand", pose, "--posebusters", "--json") == 0
     (said,) = json.loads(capsys.readouterr().out)["results"]
     assert said["ligands"] == [row] == [v.ligands[0].record()]
     assert said["ligand_clashes"] == row["clashes"]
-    assert run("validate", PROTEIN, "--ligand", pose, "--csv", tmp_path / "t.csv") == 0
+    assert run("validate", PROTEIN, "--ligand", pose, "--posebusters", "--csv", tmp_path / "t.csv") == 0
     out = capsys.readouterr().out
     assert "PoseBusters" in out and f"{row['strain_kj_mol']:.0f} kJ/mol" in out
     assert pc.validate(PROTEIN).ligands == () and pc.validate(PROTEIN).ligand_table.empty
@@ -133,9 +133,7 @@ def test_relax_records_each_ligand_before_and_after(tmp_path, capsys):
     result = pc.relax(pc.load(PROTEIN, ligands=pose))
     record = result.record()
     (row,) = record["ligands"]
-    (start,), (end,) = (
-        pc.validate(each).ligands for each in (result.start, result.structure)
-    )
+    (start,), (end,) = (pc.validate(each).ligands for each in (result.start, result.structure))
     for when, found in (("start", start), ("end", end)):
         assert row[f"strain_{when}_kj_mol"] == record[f"ligand_strain_{when}_kj_mol"] == found.strain_kj_mol
         assert row[f"clashes_{when}"] == record[f"ligand_clashes_{when}"] == found.clashes
