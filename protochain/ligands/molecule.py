@@ -30,7 +30,7 @@ def library(name: str) -> Any:
     except ImportError:
         which = name.partition(".")[0]
         remedy = 'pip install "protochain[ligands]"'
-        raise ProtochainError(f"small molecules need {which}, which is not installed: {remedy}") from None
+        raise ProtochainError(f"{which} is needed, which is not installed: {remedy}") from None
 
 
 def quietly(call: Callable[..., Any], *args: Any, **named: Any) -> Any:

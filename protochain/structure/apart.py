@@ -48,7 +48,7 @@ def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
             if numbers & taken.get(part.name, set()):
                 names = {chain.name for chain in model}
                 name = next((each for each in _IDS if each not in names), part.name)
-                called = {"before": part.name or BLANK, "after": name}
+                called = {"before": part.name.strip() or BLANK, "after": name}
                 renamed.append(Repair(Kind.CHAIN_RENAMED, called))
                 part.name = name
             taken.setdefault(part.name, set()).update(numbers)

@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import gemmi
+import zstandard
 
 from protochain.core.errors import StructureError
 from protochain.core.markup import excerpt
 from protochain.core.storage import regular
+from protochain.structure import foreign
 from protochain.structure.apart import caps_told_apart, chains_told_apart, told_apart
 from protochain.structure.ions import name_ions
 from protochain.structure.records import of_cif, of_pdb
@@ -39,6 +41,7 @@ PACKINGS: dict[str, Callable[[bytes], bytes]] = {
     ".gz": lambda data: gzip.compress(data, mtime=0),
     ".bz2": bz2.compress,
     ".xz": lzma.compress,
+    ".zst": zstandard.compress,
 }
 """How a file is packed, by the suffix after that of its format."""
 
@@ -95,8 +98,10 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     source = "standard input" if path == STANDARD_INPUT else str(path)
     if not _is_unicode(source):
         raise StructureError(f"{ascii(source)[1:-1]}: its name is not UTF-8; rename the file")
-    text = _text(path, source)
     overlooked: list[Repair] = []
+    if path.suffix.lower() in foreign.SUFFIXES:
+        return _settled(foreign.by_mdanalysis(path), source, overlooked, True, "")
+    text = _text(path, source)
     try:
         if _is_cif(text):
             text = _ascii(text, source, slice(None))
@@ -123,6 +128,13 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     except (RuntimeError, ValueError, IndexError) as error:
         reason = excerpt(" ".join(str(error).replace("string:", "line ").split()))
         raise StructureError(f"{source}: cannot be read: {reason}; correct or download it again") from None
+    return _settled(structure, source, overlooked, ends, records)
+
+
+def _settled(
+    structure: gemmi.Structure, source: str, overlooked: list[Repair], ends: bool, records: str
+) -> tuple[gemmi.Structure, list[Repair], bool, str]:
+    """Number atoms, and tell ions, chains and copies apart."""
     number_atoms(structure)
     name_ions(structure)
     caps_told_apart(structure)
@@ -144,12 +156,14 @@ def _text(path: Path, source: str) -> str:
             try:
                 with unpack(io.BytesIO(data)) as file:
                     data = file.read(_BYTES + 1)
-            except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
+            except (OSError, EOFError, zlib.error, lzma.LZMAError, zstandard.ZstdError) as error:
                 raise StructureError(
                     f"{source}: not a whole {name} file ({error}); download it again"
                 ) from None
     if len(data) > _BYTES:
         raise StructureError(f"{source}: larger than {MAX_MEGABYTES} megabytes; give fewer models or chains")
+    if b"dataBlocks" in data[:_HEAD]:
+        return foreign.text_of_binary(data, source)
     if b"\0" in data:
         raise StructureError(f"{source}: is a binary file; give PDB or mmCIF text")
     text = data.decode("utf-8-sig", errors="replace")
@@ -162,10 +176,13 @@ def _text(path: Path, source: str) -> str:
 
 
 _BYTES = MAX_MEGABYTES << 20
+_HEAD = 400
+"""Bytes within which a BinaryCIF file, a map of MessagePack, names its program, version and blocks."""
 _PACKED: tuple[tuple[bytes, str, Callable[[Any], Any]], ...] = (
     (b"\x1f\x8b", "gzip", gzip.open),
     (b"BZh", "bzip2", bz2.open),
     (b"\xfd7zXZ\0", "xz", lzma.open),
+    (b"\x28\xb5\x2f\xfd", "zstd", zstandard.open),
 )
 """First bytes of packed files, and what opens them."""
 
