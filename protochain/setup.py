@@ -73,6 +73,8 @@ class Setup(Settings):
     model : int or str, optional
         Number of the model in the file; the first by default. A batch, or the command ``minimise``, also
         takes ``all`` or numbers as ``1-5,8``, and treats each of these models by itself.
+    assembly : str
+        As in :func:`protochain.load`.
     altloc : str
         Alternate location to prefer, which some atom must have; by default, and where it is absent, the one
         of highest occupancy.
@@ -146,6 +148,9 @@ class Setup(Settings):
         "Number of the model [default: the first]; minimise, relax, batch and validate also take all, "
         "or 1-5,8.",
         lambda given, name: _model(given, name),
+    )
+    assembly: str = setting(
+        "", "Biological assembly to build, by its name in the file [default: the molecules as filed].", text
     )
     altloc: str = setting("", "Alternate location to prefer [default: of highest occupancy].", text)
     keep: tuple[str, ...] = setting(
@@ -226,7 +231,7 @@ class Setup(Settings):
         if isinstance(self.model, str):
             raise ProtochainError(f"model {self.model}: one structure is prepared at a time; give its number")
         return as_structure(
-            source, name, model=self.model, altloc=self.altloc, keep=self.keep, disulfide=self.disulfide,
+            source, name, model=self.model, assembly=self.assembly, altloc=self.altloc, keep=self.keep, disulfide=self.disulfide,
             ph=self.ph, strict=self.strict, forcefield=self.forcefield, chains=self.chains,
             ligands=self.ligands, ligand_charges=self.ligand_charges,
             standard_residues=self.standard_residues,

@@ -66,7 +66,7 @@ def refuse_misplaced(call: str, name: str) -> None:
 
 
 _TAKEN_BY = {
-    "pc.load(file, {}=...)": "model altloc keep disulfide ph strict chains ligands ligand_charges "
+    "pc.load(file, {}=...)": "model assembly altloc keep disulfide ph strict chains ligands ligand_charges "
     "standard_residues",
     "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
     "pc.energy(structure, {}=...)": "forcefield solvent engine cutoff accuracy precision threads "

@@ -7,7 +7,28 @@ import gemmi
 from protochain.core.errors import StructureError
 from protochain.structure.apart import refuse_copies
 from protochain.structure.draft import Draft
+from protochain.structure.files import number_atoms
 from protochain.structure.repairs import Kind
+
+
+def assemble(draft: Draft, structure: gemmi.Structure, name: str) -> None:
+    """Build a biological assembly in the place of the molecules as filed.
+
+    Raises
+    ------
+    StructureError
+        If the file states none of that name.
+    """
+    there = [each.name for each in structure.assemblies]
+    if name not in there:
+        known = f"it has {', '.join(there)}" if there else "it states none"
+        raise StructureError(f"{draft.source}: has no assembly {name}; {known}")
+    before = {chain.name for chain in structure[0]}
+    structure.transform_to_assembly(name, gemmi.HowToNameCopiedChain.Short)
+    structure.merge_chain_parts()
+    number_atoms(structure)
+    made = [chain.name for chain in structure[0]]
+    draft.note(Kind.ASSEMBLY, name=name, before=len(before), chains=tuple(made))
 
 
 def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -> gemmi.Model:

@@ -45,7 +45,7 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
         topology = _beside(path, (".prmtop", ".parm7"), "topology")
         files = [topology, path]
     elif suffix in _POSITIONS:
-        files = [path, _beside(path, _POSITIONS[suffix], "positions")]
+        files = [path, _beside(path, _POSITIONS[suffix], "coordinate")]
     else:
         # A .crd file beside a topology of Amber is Amber's.
         amber = [each for each in (path.with_suffix(".prmtop"), path.with_suffix(".parm7")) if each.exists()]
@@ -98,7 +98,7 @@ def _beside(path: Path, suffixes: Iterable[str], what: str) -> Path:
     found = next((each for each in tried if each.is_file()), None)
     if found is None:
         names = ", ".join(each.name for each in tried)
-        raise StructureError(f"{path}: its {what} are in another file; put one of {names} beside it")
+        raise StructureError(f"{path}: its {what} file is missing; put one of {names} into the same folder")
     return found
 
 

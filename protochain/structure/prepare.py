@@ -54,6 +54,7 @@ def load(
     path: str | Path,
     *,
     model: int | None = None,
+    assembly: str = "",
     altloc: str = "",
     keep: str | Sequence[str] = defaults.KEEP,
     disulfide: str | Sequence[str | tuple[str, str]] | None = None,
@@ -79,6 +80,8 @@ def load(
         PDB or mmCIF, also packed by gzip, bzip2 or xz; ``-`` is standard input. The content decides.
     model : int, optional
         Number of the model in the file; the first by default.
+    assembly : str
+        Name of the biological assembly to build, as the file states it; by default its molecules as filed.
     altloc : str
         Preferred alternate location, which some atom must have; by default, and where it is absent, the one
         of highest occupancy.
@@ -127,7 +130,8 @@ def load(
     residues = user_files(forcefield)
     chemistry = Chemistry.asked(ligands, ligand_charges, ph, parts_of(forcefield))
     reading = Reading(
-        model, altloc, words(keep), strict, residues, words(chains, "chains"), chemistry, standard_residues
+        model, altloc, words(keep), strict, residues, words(chains, "chains"), chemistry, standard_residues,
+        assembly,
     )
     return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)
 

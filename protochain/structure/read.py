@@ -24,7 +24,7 @@ from protochain.structure.apart import refuse_crowds
 from protochain.structure.backbone import complete_backbone
 from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry, with_pose
 from protochain.structure.chirality import hand
-from protochain.structure.choose import choose_chains, choose_model
+from protochain.structure.choose import assemble, choose_chains, choose_model
 from protochain.structure.conformation import (
     Conformation,
     agreed,
@@ -85,6 +85,8 @@ class Reading:
         Of ligands.
     standard_residues : bool
         Convert modified residues to their standard parents, also those that have parameters.
+    assembly : str
+        Name of the biological assembly to build; none by default.
     """
 
     model: int | None = None
@@ -95,11 +97,12 @@ class Reading:
     chains: tuple[str, ...] = ()
     chemistry: Chemistry = AS_KNOWN
     standard_residues: bool = False
+    assembly: str = ""
 
     def __post_init__(self) -> None:
         check_fields(
             self, model=optional(integer), altloc=text, keep=words, strict=flag, chains=words,
-            standard_residues=flag,
+            standard_residues=flag, assembly=text,
         )  # fmt: skip
 
 
@@ -142,6 +145,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     StructureError
         If it holds no protein, or residues that cannot be used.
     """
+    if reading.assembly:
+        assemble(draft, structure, reading.assembly)
     draft.header = take_header(structure, draft.header)
     model = choose_model(draft, structure, reading.model)
     draft.filed = tuple(name for name, _ in in_file_order(model))

@@ -65,6 +65,7 @@ class Kind(Enum):
     CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
     MOLECULES_TOLD_APART = Words("molecules that share number and name told apart: {count} more")
     ATOMS_NUMBERED = Words("atoms that share a name numbered in {count} molecules")
+    ASSEMBLY = Words("assembly {name} built of {before:n chain}: chains {chains:8}")
     BLOCKS_LEFT_OUT = Words(
         "data block {taken} used, others with atoms left out: {others:4}; give each its own file",
         rank=Rank.LOSS,
