@@ -15,7 +15,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from protochain.batches.cluster import Processes
-from protochain.batches.frame_tasks import Task
+from protochain.batches.frame_tasks import GAP, Task
 from protochain.batches.frames import FrameResult, over_frames
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.interrupts import held_interrupts
@@ -36,7 +36,7 @@ _MOST_IN_TEXT = 20_000_000
 _KIND = "run over frames"
 _NOTHING: Mapping[str, Any] = {"rows": 0, "sound": 0, "bytes": 0, "trajectory": None, "counts": {}}
 """What is kept of a run that has not begun."""
-FIRST = ("frame", "time_ps", "status", "message")
+FIRST = ("frame", "time_ps", "status", "message", GAP)
 
 Watch = Callable[[int, int, FrameResult], None]
 """Told of each frame: how many are done, how many of these cannot be used, and the last."""

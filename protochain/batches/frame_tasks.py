@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from protochain.core.arrays import Floats, Value
 from protochain.core.errors import ProtochainError
+from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies import Energy
 from protochain.energies.decomposed import TERMS, energy_terms
 from protochain.minimisers.verdict import Status
@@ -250,6 +251,8 @@ def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
     row, began = origin(frame), perf_counter()
     try:
         structure = ensemble.at(frame)
+        gap = ensemble.gap(structure.positions)
+        row[GAP] = None if gap is None else ANGSTROM_PER_NM * gap
         found, x = act(structure)
         found["seconds"] = perf_counter() - began
         return FrameRow(
@@ -264,6 +267,10 @@ def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
     except Exception as error:  # A bug met by one frame must not stop the others.
         wrong = failed(frame, "error", f"{type(error).__name__}: {error}")
     return FrameRow(frame.index, row | wrong | {"seconds": perf_counter() - began}, None)
+
+
+GAP = "largest_gap_angstrom"
+"""Largest distance of a molecule from those that it touches in the structure."""
 
 
 def origin(frame: Frame) -> dict[str, Any]:

@@ -114,7 +114,8 @@ _RELAXED = {
 def _frames(columns: Iterable[str | Column], optional: Iterable[str] = ()) -> Kinds:
     """Columns of a table of frames, which only those have that could be used."""
     its = {**_row(columns), **_optional(_row(optional))}
-    return _cells(_row(FIRST, frame=int), its, _row("seconds"), _optional(_row("output_frame")))
+    first = {**_row(FIRST, frame=int), **_optional(_row(FIRST[-1:]))}
+    return _cells(first, its, _row("seconds"), _optional(_row("output_frame")))
 
 
 _TRACE = _row(TRACE_COLUMNS)

@@ -209,6 +209,8 @@ def _print(done: "FramesRun", report: Path | None) -> None:
     print(f"{counted(sum(done.counts.values()), 'frame')}: {counts or 'none done'}")
     if done.counts:
         print(_medians(done))
+        if parted := _parted(done):
+            print(parted)
     for path in (
         done.trajectory if done.written and not done.interrupted else None,
         done.topology,
@@ -217,6 +219,25 @@ def _print(done: "FramesRun", report: Path | None) -> None:
     ):
         if path:
             print(f"written: {path}")
+
+
+_PARTED = 10.0
+"""Angstrom: molecules that touch in the structure and lie so far apart in a frame may be in two images."""
+
+
+def _parted(done: "FramesRun") -> str:
+    """In how many frames molecules that touch in the structure lie far apart, and how far."""
+    import pandas as pd
+
+    from protochain.batches.frame_tasks import GAP
+
+    gap = pd.read_csv(done.csv, usecols=[GAP])[GAP]
+    if not (many := int((gap > _PARTED).sum())):
+        return ""
+    return (
+        f"{counted(many, 'frame')} with molecules up to {gap.max():.0f} angstrom apart that touch in the "
+        f"structure ({GAP}): if a box was cut off, make them whole and write the trajectory again"
+    )
 
 
 def _medians(done: "FramesRun") -> str:

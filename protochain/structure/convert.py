@@ -11,7 +11,6 @@ import numpy as np
 from protochain.core import defaults
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import acidity, plain
-from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.bound import Chemistry
 from protochain.structure.draft import Draft

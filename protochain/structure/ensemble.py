@@ -85,6 +85,25 @@ class Ensemble(Value):
         """
         return self.structure.with_positions(self._positions(frame))
 
+    def gap(self, x: Floats) -> float | None:
+        """Largest distance, nm, of a molecule of a frame from those that it touches in the structure."""
+        apart = [float(np.min(KDTree(x[a]).query(x[b])[0])) for a, b in self._touching]
+        return max(apart, default=None)
+
+    @cached_property
+    def _touching(self) -> list[tuple[Integers, Integers]]:
+        """Atoms of molecules, and of all before them, that are in contact in the structure."""
+        x = self.structure.positions
+        own = self._molecules
+        pairs = [(np.concatenate(own[:k]), own[k]) for k in range(1, len(own))]
+        return [(a, b) for a, b in pairs if np.min(KDTree(x[a]).query(x[b])[0]) < _CONTACT]
+
+    @cached_property
+    def _molecules(self) -> list[Integers]:
+        """Atoms that frames have of each molecule."""
+        molecule = self._outward[2][self._known]
+        return [self._known[molecule == m] for m in dict.fromkeys(molecule.tolist())]
+
     def _positions(self, frame: Frame) -> Floats:
         if frame.x is None:
             raise StructureError(frame.why)
@@ -159,8 +178,7 @@ class Ensemble(Value):
 
     def _together(self, x: Floats, box: Floats) -> Floats:
         """Bring molecules that touch none of those before them to an image that does, if there is one."""
-        molecule = self._outward[2]
-        own = [self._known[molecule[self._known] == m] for m in dict.fromkeys(molecule[self._known].tolist())]
+        own = self._molecules
         for k, atoms in enumerate(own[1:], 1):
             tree = KDTree(x[np.concatenate(own[:k])])
             if np.min(tree.query(x[atoms])[0]) < _CONTACT:

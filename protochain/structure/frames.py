@@ -236,13 +236,14 @@ def _own(x: Any, scale: float = 1.0) -> Floats:
 
 
 def _box(vectors: Any) -> Floats | None:
-    """Vectors of a box, nm; None where they are zeros, as files without a box have them."""
+    """Vectors of a box, nm; None where they are zeros or of 1 angstrom, as files without a box have them."""
     box = np.array(vectors, dtype=float).reshape(3, 3)
-    return box if np.isfinite(box).all() and abs(np.linalg.det(box)) > _SMALLEST else None
+    is_box = np.isfinite(box).all() and np.linalg.norm(box, axis=1).min() > _THINNEST
+    return box if is_box and abs(np.linalg.det(box)) > _THINNEST**3 else None
 
 
-_SMALLEST = 1e-3
-"""nm^3. Smaller boxes, as of 1 angstrom, stand for none."""
+_THINNEST = 0.3
+"""nm. No molecule has a cell as thin as this."""
 
 
 def _of_universe(atoms: Any) -> Frames:

@@ -130,7 +130,14 @@ def load(
     residues = user_files(forcefield)
     chemistry = Chemistry.asked(ligands, ligand_charges, ph, parts_of(forcefield))
     reading = Reading(
-        model, altloc, words(keep), strict, residues, words(chains, "chains"), chemistry, standard_residues,
+        model,
+        altloc,
+        words(keep),
+        strict,
+        residues,
+        words(chains, "chains"),
+        chemistry,
+        standard_residues,
         assembly,
     )
     return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)

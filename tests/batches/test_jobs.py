@@ -25,7 +25,7 @@ PLAIN = {
     "engine": "auto", "terms": "all", "cutoff": "auto", "accuracy": "auto", "precision": "double",
     "trust_forcefield": False,
     "model": None,
-    "altloc": "",
+    "assembly": "", "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (), "ligands": (),
     "ligand_charges": "nagl", "standard_residues": False,
 }  # fmt: skip

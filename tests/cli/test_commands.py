@@ -31,7 +31,7 @@ SETUP = {
     "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
     "cutoff": "auto", "accuracy": "auto", "precision": "double", "threads": None, "trust_forcefield": False,
     "terms": "all", "model": None,
-    "chains": None, "altloc": "",
+    "chains": None, "assembly": "", "altloc": "",
     "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
     "ligands": None, "ligand_charges": "nagl", "standard_residues": False,
 }  # fmt: skip
@@ -129,7 +129,7 @@ COMMANDS = {
         "source": None, "energy": False, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in WITHOUT_ENERGY},
     },
-    "build": {"sequence": None, **OUTPUT},
+    "build": {"sequence": None, **OUTPUT, **AS_JSON},
     "schema": {"command": None},
 }  # fmt: skip
 METAVARS = {

@@ -1,5 +1,6 @@
 """Frames of one preparation: the same structures, bit for bit, as each frame prepared by itself."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -196,3 +197,32 @@ def test_a_hydrogen_far_from_its_atom_is_placed_anew_as_in_a_file(tmp_path):
     assert np.array_equal(found.positions, alone.positions)
     length = np.linalg.norm(found.positions[hydrogen] - found.positions[heavy])
     assert length == pytest.approx(0.109, abs=1e-5)
+
+
+def test_the_gap_is_how_far_chains_lie_apart_that_touch_in_the_structure():
+    s = load("3i40.pdb")
+    ensemble = Ensemble(s, np.arange(s.n_atoms), {})
+    b = s.residue_chain[s.atom_residue] == "B"
+    near = np.linalg.norm(s.positions[b][:, None] - s.positions[~b][None], axis=2).min()
+    # Disulfides join insulin's chains to one molecule.
+    assert ensemble.gap(s.positions) is None
+    cut = replace(s, topology=without_disulfides(s.topology))
+    ensemble = Ensemble(cut, np.arange(s.n_atoms), {})
+    assert ensemble.gap(cut.positions) == pytest.approx(near)
+    moved = cut.positions + np.outer(b, [5.0, 0.0, 0.0])
+    far = np.linalg.norm(moved[b][:, None] - moved[~b][None], axis=2).min()
+    assert far > 1.0 and ensemble.gap(moved) == pytest.approx(far)
+
+
+def without_disulfides(topology):
+    made = copy.deepcopy(topology)
+    made._bonds = [bond for bond in made._bonds if {bond[0].name, bond[1].name} != {"SG"}]
+    return made
+
+
+@pytest.mark.parametrize(("side", "is_box"), [(0.1, False), (0.25, False), (0.4, True)])
+def test_cells_too_thin_for_any_molecule_are_none(side, is_box):
+    t = pc.to_mdtraj(load("1l2y.pdb"))
+    t.unitcell_vectors = side * np.eye(3)[None]
+    (frame,) = open_frames(t)
+    assert (frame.box is not None) == is_box

@@ -101,7 +101,8 @@ def test_a_chain_id_of_two_letters_stays_one(tmp_path):
 def acetate(name, chain="A"):
     at = (("C1", 20.0, 0.0), ("C2", 21.5, 0.0), ("O1", 22.1, 1.08), ("O2", 22.1, -1.08))
     return "".join(
-        f"HETATM{900 + k:5} {atom:^4} {name:<4}{chain}   1    {x:8.3f}{y:8.3f}   0.000  1.00  0.00{atom[0]:>12}\n"
+        f"HETATM{900 + k:5} {atom:^4} {name:<4}{chain}   1    {x:8.3f}{y:8.3f}   0.000  1.00  0.00"
+        f"{atom[0]:>12}\n"
         for k, (atom, x, y) in enumerate(at)
     )
 
