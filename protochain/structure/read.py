@@ -35,7 +35,7 @@ from protochain.structure.conformation import (
     without_nan,
 )
 from protochain.structure.draft import Address, Draft, Member, Part, losses
-from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, split_name
+from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, place_in_file, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, report, water_named
 from protochain.structure.repairs import Kind, Repair, Why
@@ -205,7 +205,13 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         if part.is_small:
             chemist.settle(part)
     report(draft)
+    draft.parts.sort(key=_place)
     return draft
+
+
+def _place(part: Part) -> int:
+    """Where a part begins in the file."""
+    return min((place for m in part.members for a in m.atoms if (place := place_in_file(a)) >= 0), default=0)
 
 
 def _counted(kind: str, count: int) -> str:

@@ -168,7 +168,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "restrain": "5 0", "curvature": "no",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": "2.5", "accuracy": "1e-3", "precision": "mixed",
-        "model": "2", "altloc": "B", "keep": "ZN,CA",
+        "model": "2", "assembly": "1", "altloc": "B", "keep": "ZN,CA",
         "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B", "energy": "nonbonded",
         "ligand": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes",
     }  # fmt: skip
@@ -177,7 +177,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": False,
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": 2.5, "accuracy": 1e-3, "precision": "mixed",
-        "model": 2, "altloc": "B", "keep": ("ZN", "CA"),
+        "model": 2, "assembly": "1", "altloc": "B", "keep": ("ZN", "CA"),
         "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
         "terms": "nonbonded",
         "chains": ("A", "B"), "ligands": (("ABC", "CCO"),), "ligand_charges": "gasteiger",
