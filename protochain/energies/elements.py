@@ -96,7 +96,7 @@ def create_system(
     ions = _ions(structure, force_field)
     framed = [_framed(structure, bound) for bound in structure.fragments]
     own = {r for places in framed for r in places}
-    topology, unknown = _recognised(force_field, structure, [*small, *sugars, *ions, *own])
+    topology, unknown = _recognised(force_field, structure, [*small, *sugars, *ions], own)
     unknown = sorted({*unknown, *(r for r, name in ions.items() if not name)})
     _refuse_unknown_mobile(structure, unknown)
     _refuse_without_glycam(structure, force_field)
@@ -147,11 +147,11 @@ def _ions(structure: Structure, force_field: app.ForceField) -> dict[int, str]:
 
 
 def _recognised(
-    force_field: app.ForceField, structure: Structure, small: Iterable[int]
+    force_field: app.ForceField, structure: Structure, small: Iterable[int], own: set[int]
 ) -> tuple[app.Topology, list[int]]:
     """Topology for the force field, without bonds it does not know, and indices of unknown obstacles.
 
-    Those of ``small`` have parameters of their own.
+    Those of ``small`` and ``own`` have parameters of their own; the latter are bonded to others.
     """
     residue = structure.atom_residue
     kept = structure.kept & ~np.isin(residue, [*small])
@@ -162,7 +162,7 @@ def _recognised(
     while True:
         found = {
             int(res.id) for res in force_field.getUnmatchedResidues(_topology(structure, bonds, only=kept))
-        }
+        } - own
         if not found - unknown:
             return _topology(structure, bonds), sorted(unknown)
         unknown |= found
@@ -372,11 +372,12 @@ def _register_fragment(
     its, formal = bound.ligand.parameters, bound.ligand.molecule.formal_charges
     places = {r: place for r, place in places.items() if not all(bound.core[i] for i in place.values())}
     at = {k: i for place in places.values() for k, i in place.items()}
-    known = {r: _of_alanine(force_field, residues[r], bound, place) for r, place in places.items()}
+    known = {r: _kept(force_field, residues[r], bound, place) for r, place in places.items()}
     kept = {k: charge for of in known.values() for k, (_, charge) in of.items() if charge is not None}
     charge = {k: kept.get(k, float(its.charge[i])) for k, i in at.items()}
     rest = [k for k in at if k not in kept]
-    lacking = (int(formal[[*at.values()]].sum()) - sum(charge.values())) / len(rest)
+    whole = int(formal[[*at.values()]].sum()) + sum(_of_end(force_field, bound, p) for p in places.values())
+    lacking = (whole - sum(charge.values())) / len(rest)
     charge |= {k: charge[k] + lacking for k in rest}
     chosen = {}
     for r, place in places.items():
@@ -407,24 +408,37 @@ def _register_fragment(
     return chosen
 
 
-def _of_alanine(
+def _of_end(force_field: app.ForceField, bound: BoundLigand, place: Mapping[int, int]) -> float:
+    """Charge that a nucleotide at one end of a strand has in Amber, beyond a whole one; the other end lacks it."""
+    base = next((bound.core[i].partition("/")[0] for i in place.values() if "/" in bound.core[i]), "")
+    found = force_field._templates.get(base)
+    charge = sum(a.parameters["charge"] for a in found.atoms) if found else 0.0
+    return float(charge - round(charge))
+
+
+def _kept(
     force_field: app.ForceField, residue: Any, bound: BoundLigand, place: Mapping[int, int]
 ) -> dict[int, tuple[str, float | None]]:
-    """Types and charges of the atoms of a residue that are alanine's, or glycine's; C-beta has no charge."""
-    core = {bound.core[i]: k for k, i in place.items() if bound.core[i]}
+    """Types and charges of the atoms of a residue that are alanine's, glycine's, or those of a nucleotide.
+
+    C-beta has no charge, nor what bears a modified base.
+    """
+    core = {bound.core[i].rpartition("/")[2]: k for k, i in place.items() if bound.core[i]}
     if not core:
         return {}
+    (base,) = {bound.core[i].rpartition("/")[0] for i in place.values() if bound.core[i]}
     end = "N" if "H1" in core else "C" if "OXT" in core else ""
     has_beta = "HA" in core or any(a.name == "CB" for a in residue.atoms())
-    base = force_field._templates.get(end + ("ALA" if has_beta else "GLY"))
-    known = {a.name: a for a in base.atoms if "charge" in a.parameters} if base else {}
+    template = force_field._templates.get(base or end + ("ALA" if has_beta else "GLY"))
+    known = {a.name: a for a in template.atoms if "charge" in a.parameters} if template else {}
     if not core.keys() <= known.keys():
         raise ForceFieldError(f"residue {residue.name} has parameters beside amber14 and amber19 only")
+    changed = {"CB"} if not base else {"C1'", "H1'"} if residue.name not in base else set()
     found = {
-        k: (known[name].type, None if name == "CB" else known[name].parameters["charge"])
+        k: (known[name].type, None if name in changed else known[name].parameters["charge"])
         for name, k in core.items()
     }
-    if "N" in core and not end and "H" not in core:
+    if not base and "N" in core and not end and "H" not in core:
         proline = next(a for a in force_field._templates["PRO"].atoms if a.name == "N")
         found[core["N"]] = known["N"].type, proline.parameters["charge"]
     return found

@@ -27,12 +27,13 @@ from protochain.ligands.protonation import at_ph
 from protochain.structure.bound import Chemist
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.draft import Draft, Fragment, Member, Part, losses
+from protochain.structure.kept import cut
 from protochain.structure.linkage import SHORTEST, STATED_SLACK, Link, usual_length
 from protochain.structure.repairs import Kind, Loss, Why
-from protochain.structure.residues import BACKBONE, OF_ALANINE, name_in_file
-from protochain.structure.templates import Template, archive_parent, other_names
+from protochain.structure.residues import BACKBONE, NUCLEOTIDES, OF_ALANINE, name_in_file
+from protochain.structure.templates import PHOSPHATE_END, Template, archive_parent, other_names
 
-_H, _C, _N, _O = 1, 6, 7, 8
+_H, _C, _N, _O, _P = 1, 6, 7, 8, 15
 _MONOVALENT = (_N, _O, 9, 16, 17, 35, 53)
 """Elements of atoms at the end of a single bond that may leave, hydrogens aside."""
 _DOUBLE = 0.03
@@ -99,17 +100,24 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     pairs = [(number[a], number[b]) for link in bonds for a, b in [link.owners]]
     for m in special:
         _, _, before, after = where[id(m)]
-        if (before or after) and not _is_like_alanine(chemist, m):
-            pairs += [(number[id(m)], number[id(each)]) for each in (before, after) if each]
+        if where[id(m)].part.obstacle:
+            wide = [before] if before and before.odd and not _is_phosphodiester(before, m) else []
+        else:
+            wide = [] if not (before or after) or _is_like_alanine(chemist, m) else [before, after]
+        pairs += [(number[id(m)], number[id(each)]) for each in wide if each]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(number))
     unknown: list[tuple[Member, ProtochainError | ValueError]] = []
+    still: list[Member] = []
     for g in dict.fromkeys(int(group[number[id(m)]]) for m in special):
         mine = [m for m in draft.members if group[number[id(m)]] == g]
         own = [link for link in bonds if any(link.member is m for m in mine)]
         try:
             _take_in(draft, chemist, _Maker(chemist, mine, own, where, odd).fragment(), odd)
         except (ProtochainError, ValueError) as error:  # RDKit's, of rings that it cannot kekulize.
-            unknown += [(m, error) for m in mine if m.odd and not m.parent]
+            for m in (m for m in mine if m.odd and where[id(m)].part.obstacle):
+                draft.note(Kind.STAYS_UNKNOWN, residue=m.residue, why=error)
+                still.append(m)
+            unknown += [(m, error) for m in mine if m.odd and not m.parent and m not in still]
             _refuse_or_tie(draft, own, error)
             why = Why.INCOMPLETE if getattr(error, "fault", None) is Fault.INCOMPLETE else Why.PARENT
             for m in (m for m in mine if m.parent):
@@ -118,6 +126,9 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
         bonds = [link for link in bonds if link not in own]
     if unknown:
         raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
+    draft.parts = [
+        piece for part in draft.parts for piece in cut(draft, part, [m for m in part.members if m in still])
+    ]
     return [link for link in links if link in bonds or link not in beside]
 
 
@@ -133,6 +144,11 @@ def _is_whole(at: _Place, member: Member, ends: set[str]) -> bool:
     """Whether a template fits a residue of a chain all the same: its bond goes on where the chain ends."""
     open_ends = {name for name, other in (("N", at.before), ("C", at.after)) if other is None}
     return not at.part.obstacle and ends <= open_ends and not member.odd
+
+
+def _is_phosphodiester(before: Member, after: Member) -> bool:
+    """Whether two nucleotides are joined as those of the force field are, so that no term has atoms of both."""
+    return before.atom("O3'") is not None and all(map(after.atom, ("P", "OP1", "OP2", "O5'")))
 
 
 def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
@@ -413,22 +429,56 @@ class _Maker:
         graph = _Graph()
         graph.add("", ligand.molecule)
         owners, core = list[tuple[Member | None, str]](), list[str]()
+        strands = [m for m in self.members if self.where[id(m)].part.is_strand and id(m) in self.special]
+        cores = {id(m): self._nucleic_core(graph, m) for m in strands}
         for name in graph.atoms:
             prefix, _, own = name.partition(":")
             m = self.of_tag[prefix]
             owners.append(self._cap_owner(m, own) if own[-1] in "+-" else (m, own))
             is_core = id(m) not in self.special or _is_core(graph, f"{prefix}:", own)
-            core.append(own if is_core else "")
+            core.append(cores[id(m)].get(own, "") if id(m) in cores else own if is_core else "")
         return Fragment(ligand, tuple(owners), tuple(core), bonds)
 
     def _cap_owner(self, member: Member, name: str) -> tuple[Member | None, str]:
         """Residue and atom that an atom of a cap stands for, if it does."""
-        _, _, before, after = self.where[id(member)]
+        part, _, before, after = self.where[id(member)]
         own = name[:-1]
+        if part.obstacle:
+            return before if name[-1] == "-" else after, own
         if name == "CA-" and before is not None and before.atom("CH3"):
             own = "CH3"
         other = before if name in ("C-", "O-", "CA-") else after if name == "N+" else None
         return other, own
+
+    def _nucleic_core(self, graph: _Graph, member: Member) -> dict[str, str]:
+        """What the force field calls atoms of a nucleotide, if all of their neighbours are those it has there.
+
+        Of a modified one only those of sugar and phosphate.
+        """
+        tag, (_, _, before, after) = self.tag[id(member)], self.where[id(member)]
+        is_standard = member.name in NUCLEOTIDES
+        start, end = (PHOSPHATE_END if f"{tag}P" in graph.atoms else "", "5") if not before else ("", "")
+        end = start and "" or end
+        end = {"5": "N"}.get(end, "3") if not after else end
+        best: dict[str, str] = {}
+        for kind in (member.name,) if is_standard else ("A", "DA"):
+            its = self.chemist.templates.get(f"{start}{kind}{end}")
+            found: dict[str, str] = {}
+            inner = [name for name in its.heavy if is_standard or set(name) & {"'", "P"}] if its else []
+            for name in (name for name in inner if its and tag + name in graph.atoms):
+                a, light = tag + name, its.hydrogens.get(name, [])
+                outer = {"P": bool(before), "O3'": bool(after), "C1'": not is_standard}.get(name, False)
+                near = {tag + each for each in its.neighbours(name) if each in inner}
+                beyond = [each for each in graph.heavy(a) if each not in near]
+                if (
+                    gemmi.Element(graph.atoms[a][0]).name == its.element[name]
+                    and near <= {*graph.heavy(a)} and len(beyond) == outer and len(graph.light(a)) == len(light)
+                ):  # fmt: skip
+                    mine = [each.removeprefix(tag) for each in graph.light(a)]
+                    pairs = zip((name, *mine), (name, *light), strict=True)
+                    found |= {own: f"{its.name}/{other}" for own, other in pairs}
+            best = max(best, found, key=len)
+        return best
 
     def _join(self, a: str, b: str, along: bool = False) -> tuple[str, ...]:
         """Bond two atoms; return those that leave."""
@@ -472,6 +522,14 @@ class _Maker:
         if after is not None and id(after) in self.tag:
             self._join(c, self.tag[id(after)] + start, along=True)
         if part.obstacle:
+            if after is not None and id(after) not in self.tag:
+                self._cap(c, *_STRAND_AFTER)
+            if before is not None and id(before) not in self.tag:
+                self._cap(n, *_STRAND_BEFORE)
+            elif before is None and part.is_strand and n in graph.atoms and n not in self.at:
+                # The strand begins with a hydroxyl.
+                ends = [x for x in graph.heavy(n) if len(graph.heavy(x)) == 1]
+                graph.drop([y for x in (n, *ends) for y in ((x, *graph.light(x)) if x in graph.atoms else ())])
             return
         linked = {a.name for a in member.links}
         if (after is not None and id(after) not in self.tag) or (
@@ -496,6 +554,14 @@ class _Maker:
         self.graph.bonds[frozenset((a, prefix + next(iter(atoms))))] = 1
         for ends, order in bonds.items():
             self.graph.bonds[frozenset(prefix + end for end in ends)] = order
+
+
+_STRAND_BEFORE = {"O3'-": _O, "C3'-": _C}, {("O3'-", "C3'-"): 1}
+_STRAND_AFTER = (
+    {"P+": _P, "OP1+": _O, "OP2+": _O, "O5'+": _O, "C5'+": _C},
+    {("P+", "OP1+"): 2, ("P+", "OP2+"): 1, ("P+", "O5'+"): 1, ("O5'+", "C5'+"): 1},
+)
+"""Atoms and bonds that stand for the neighbours of a nucleotide."""
 
 
 def _is_core(graph: _Graph, prefix: str, name: str) -> bool:
@@ -553,7 +619,7 @@ def _names(molecule: Molecule) -> tuple[str, ...]:
     taken = {names[i] for i in molecule.heavy}
     done: set[int] = set()
     for _, prefix, own, light in parents:
-        if own in _CALLED and f"{prefix}:C" in taken:
+        if own in _CALLED and (own == "O5'" or f"{prefix}:C" in taken):
             for j, name in zip(light, _CALLED[own][len(light) > 1], strict=False):
                 names[j] = f"{prefix}:{name}"
                 taken.add(names[j])
@@ -568,7 +634,7 @@ def _names(molecule: Molecule) -> tuple[str, ...]:
     return tuple(names)
 
 
-_CALLED = {"N": (("H",), ("H1", "H2", "H3")), "CA": (("HA",), ("HA2", "HA3"))}
+_CALLED = {"N": (("H",), ("H1", "H2", "H3")), "CA": (("HA",), ("HA2", "HA3")), "O5'": (("HO5'",), ())}
 """Hydrogens of a backbone, if it is one, and if there are several."""
 
 
@@ -580,11 +646,12 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     StructureError
         With ``Fault.INCOMPLETE``, if the file lacks atoms of one.
     """
-    found = {id(m): (m, _template(m, made)) for m, _ in made.owners if m is not None and id(m) in special}
+    mine = {id(m): m for (m, _), name in zip(made.owners, made.ligand.molecule.names, strict=True) if name[-1] not in "+-"}
+    found = {key: (m, _template(m, made)) for key, m in mine.items() if m is not None and key in special}
     leavers = {(id(m), name) for gone in made.bonds.values() for m, name in gone}
     for m, template in found.values():
         there = {a.name for a in m.atoms if not a.is_hydrogen() and (id(m), a.name) not in leavers}
-        if strange := (there ^ {*template.heavy}) - {"OXT"}:
+        if strange := (there ^ {*template.heavy}) - {"OXT", "OP3"}:
             odd = ", ".join(sorted(strange))
             raise StructureError(f"{m}: {odd} missing or unknown", fault=Fault.INCOMPLETE)
     parts = {id(m): part for part in draft.parts for m in part.members}

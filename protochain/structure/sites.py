@@ -190,10 +190,12 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
     tree = KDTree([a.pos.tolist() for _, a in beside]) if beside else None
     metals = {m.address(a.name) for _, m, a in beside_of(draft) if is_metal(a.element.name)}
     along = {frozenset(_ends(link)) for link in strand_links(draft)}
+    along |= {frozenset(_ends(link)) for made in draft.fragments for link in made.bonds}
     framed = {id(m) for made in draft.fragments for m, _ in made.owners}
     names: Counter[str] = Counter()
     for part in draft.parts:
-        if tree is None or not part.mobile or part.glycan or id(part.members[0]) in framed:
+        is_framed = not part.is_strand and id(part.members[0]) in framed
+        if tree is None or not part.mobile or part.glycan or is_framed:
             continue
         near = {
             k for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)
