@@ -409,7 +409,7 @@ def _register_fragment(
 
 
 def _of_end(force_field: app.ForceField, bound: BoundLigand, place: Mapping[int, int]) -> float:
-    """Charge that a nucleotide at one end of a strand has in Amber, beyond a whole one; the other end lacks it."""
+    """Charge that a nucleotide at an end of a strand has beyond a whole one; the other end lacks it."""
     base = next((bound.core[i].partition("/")[0] for i in place.values() if "/" in bound.core[i]), "")
     found = force_field._templates.get(base)
     charge = sum(a.parameters["charge"] for a in found.atoms) if found else 0.0

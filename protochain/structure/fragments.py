@@ -31,7 +31,7 @@ from protochain.structure.kept import cut
 from protochain.structure.linkage import SHORTEST, STATED_SLACK, Link, usual_length
 from protochain.structure.repairs import Kind, Loss, Why
 from protochain.structure.residues import BACKBONE, NUCLEOTIDES, OF_ALANINE, name_in_file
-from protochain.structure.templates import PHOSPHATE_END, Template, archive_parent, other_names
+from protochain.structure.templates import PHOSPHATE_END, Template, archive_parent, other_names, rename
 
 _H, _C, _N, _O, _P = 1, 6, 7, 8, 15
 _MONOVALENT = (_N, _O, 9, 16, 17, 35, 53)
@@ -147,8 +147,16 @@ def _is_whole(at: _Place, member: Member, ends: set[str]) -> bool:
 
 
 def _is_phosphodiester(before: Member, after: Member) -> bool:
-    """Whether two nucleotides are joined as those of the force field are, so that no term has atoms of both."""
+    """Whether two nucleotides are joined as usual, so that no term has changed atoms of both."""
     return before.atom("O3'") is not None and all(map(after.atom, ("P", "OP1", "OP2", "O5'")))
+
+
+def _is_dna(members: Sequence[Member]) -> bool:
+    """Whether most standard nucleotides are those of DNA; without such, whether none has O2'."""
+    known = [m.name for m in members if m.name in NUCLEOTIDES]
+    if not known:
+        return not any(m.atom("O2'") for m in members)
+    return 2 * sum(name[0] == "D" for name in known) > len(known)
 
 
 def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
@@ -393,8 +401,7 @@ class _Maker:
         self.of_tag = dict(zip(tags, members, strict=True))
         self.graph, self.flagged = _Graph(), set[str]()
         self.acids, self.amines = list[str](), list[str]()
-        heavy = ((m, a) for m in members for a in m.atoms if not a.is_hydrogen())
-        self.at = {self.tag[id(m)] + a.name: a for m, a in heavy}
+        self.at: dict[str, gemmi.Atom] = {}
 
     def fragment(self) -> Fragment:
         """Chemistry and parameters, whose atoms these are, and what leaves at each bond.
@@ -407,8 +414,12 @@ class _Maker:
         sources: dict[str, None] = {}
         for m in self.members:
             free, tag = self.chemist.free(m), self.tag[id(m)]
+            if self.where[id(m)].part.is_strand:
+                # Names of old files, as O1P, unless the molecule has them.
+                rename(m.atoms, replace(self.chemist.templates["A"], element=dict.fromkeys(free.names, "")))
             sources[free.source] = None
             self.graph.add(tag, free)
+            self.at |= {tag + a.name: a for a in m.atoms if not a.is_hydrogen()}
             self.flagged |= {tag + name for name in (*leaving(self.chemist.name(m)), "OXT", "OP3")}
         bonds = {}
         for link in self.links:
@@ -451,34 +462,43 @@ class _Maker:
         return other, own
 
     def _nucleic_core(self, graph: _Graph, member: Member) -> dict[str, str]:
-        """What the force field calls atoms of a nucleotide, if all of their neighbours are those it has there.
+        """What the force field calls atoms of a nucleotide, if their neighbours are those it has there.
 
         Of a modified one only those of sugar and phosphate.
         """
-        tag, (_, _, before, after) = self.tag[id(member)], self.where[id(member)]
+        tag, (part, _, before, after) = self.tag[id(member)], self.where[id(member)]
         is_standard = member.name in NUCLEOTIDES
-        start, end = (PHOSPHATE_END if f"{tag}P" in graph.atoms else "", "5") if not before else ("", "")
-        end = start and "" or end
-        end = {"5": "N"}.get(end, "3") if not after else end
-        best: dict[str, str] = {}
-        for kind in (member.name,) if is_standard else ("A", "DA"):
-            its = self.chemist.templates.get(f"{start}{kind}{end}")
-            found: dict[str, str] = {}
-            inner = [name for name in its.heavy if is_standard or set(name) & {"'", "P"}] if its else []
-            for name in (name for name in inner if its and tag + name in graph.atoms):
-                a, light = tag + name, its.hydrogens.get(name, [])
-                outer = {"P": bool(before), "O3'": bool(after), "C1'": not is_standard}.get(name, False)
-                near = {tag + each for each in its.neighbours(name) if each in inner}
-                beyond = [each for each in graph.heavy(a) if each not in near]
-                if (
-                    gemmi.Element(graph.atoms[a][0]).name == its.element[name]
-                    and near <= {*graph.heavy(a)} and len(beyond) == outer and len(graph.light(a)) == len(light)
-                ):  # fmt: skip
-                    mine = [each.removeprefix(tag) for each in graph.light(a)]
-                    pairs = zip((name, *mine), (name, *light), strict=True)
-                    found |= {own: f"{its.name}/{other}" for own, other in pairs}
-            best = max(best, found, key=len)
-        return best
+        kind = member.name if is_standard else "DA" if _is_dna(part.members) else "A"
+        start, ends = (
+            "",
+            {(True, True): "N", (True, False): "5", (False, True): "3"}.get((not before, not after), ""),
+        )
+        if not before and f"{tag}P" in graph.atoms:
+            ends, start = "", PHOSPHATE_END
+        its = self.chemist.templates.get(start + kind + ends)
+        if its is None:
+            return {}
+        # There are no parameters of bonds between DNA and RNA.
+        across = {
+            name
+            for name, other in (("P", before), ("O3'", after))
+            if other and other.name in NUCLEOTIDES and _is_dna([other]) != (kind[0] == "D")
+        }
+        called = {its.synonyms.get(own, own): tag + own for own in (a.name for a in member.atoms)}
+        inner = [name for name in its.heavy if is_standard or {*name} & {"'", "P"}]
+        found: dict[str, str] = {}
+        for name in (name for name in inner if name not in across and called.get(name) in graph.atoms):
+            a, light = called[name], its.hydrogens.get(name, [])
+            outer = {"P": bool(before), "O3'": bool(after), "C1'": not is_standard}.get(name, False)
+            near = {called.get(each, "") for each in its.neighbours(name) if each in inner}
+            heavy = {*graph.heavy(a)}
+            if (
+                gemmi.Element(graph.atoms[a][0]).name == its.element[name]
+                and near <= heavy and len(heavy - near) == outer and len(graph.light(a)) == len(light)
+            ):  # fmt: skip
+                mine = (each.removeprefix(tag) for each in (a, *graph.light(a)))
+                found |= dict(zip(mine, (f"{its.name}/{each}" for each in (name, *light)), strict=True))
+        return found
 
     def _join(self, a: str, b: str, along: bool = False) -> tuple[str, ...]:
         """Bond two atoms; return those that leave."""
@@ -529,7 +549,9 @@ class _Maker:
             elif before is None and part.is_strand and n in graph.atoms and n not in self.at:
                 # The strand begins with a hydroxyl.
                 ends = [x for x in graph.heavy(n) if len(graph.heavy(x)) == 1]
-                graph.drop([y for x in (n, *ends) for y in ((x, *graph.light(x)) if x in graph.atoms else ())])
+                graph.drop(
+                    [y for x in (n, *ends) for y in ((x, *graph.light(x)) if x in graph.atoms else ())]
+                )
             return
         linked = {a.name for a in member.links}
         if (after is not None and id(after) not in self.tag) or (
@@ -646,7 +668,11 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     StructureError
         With ``Fault.INCOMPLETE``, if the file lacks atoms of one.
     """
-    mine = {id(m): m for (m, _), name in zip(made.owners, made.ligand.molecule.names, strict=True) if name[-1] not in "+-"}
+    mine = {
+        id(m): m
+        for (m, _), name in zip(made.owners, made.ligand.molecule.names, strict=True)
+        if name[-1] not in "+-"
+    }
     found = {key: (m, _template(m, made)) for key, m in mine.items() if m is not None and key in special}
     leavers = {(id(m), name) for gone in made.bonds.values() for m, name in gone}
     for m, template in found.values():

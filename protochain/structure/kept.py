@@ -19,7 +19,7 @@ from protochain.structure.draft import Draft, Member, Part, losses
 from protochain.structure.ions import is_known
 from protochain.structure.recognise import by_element, recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
-from protochain.structure.templates import Template, rename
+from protochain.structure.templates import Template
 
 KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
 """Words that choose molecules by kind; any other word is the name of a residue."""
@@ -260,12 +260,11 @@ def _pieces(draft: Draft, part: Part, known: Mapping[str, Template], has_sage: b
     strange = [m for i, m in enumerate(part.members) if not _fits(m, part.template(known, i))]
     for member in strange:
         member.odd = has_sage and member.name not in residues.NUCLEOTIDES
-        rename(member.atoms, known["A"])
     return cut(draft, part, [member for member in strange if not member.odd])
 
 
 def cut(draft: Draft, part: Part, strange: Sequence[Member]) -> list[Part]:
-    """Cut a strand at nucleotides without parameters, which stay in place, tied to the others, and report it."""
+    """Cut a strand at nucleotides without parameters, which stay in place, and report it."""
     if not strange:
         return [part]
     pieces: list[Part] = []

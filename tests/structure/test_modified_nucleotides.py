@@ -1,0 +1,90 @@
+"""Modified nucleotides within strands and at their ends: their own chemistry, the rest Amber's."""
+
+import gemmi
+import numpy as np
+import openmm
+import pytest
+from fixtures.modified import modified
+from fixtures.oracles import assert_equals_reference
+from fixtures.samples import STRUCTURES
+
+import protochain as pc
+from protochain.energies.factory import build_system
+from protochain.structure.repairs import Kind
+
+pytest.importorskip("rdkit")
+pytest.importorskip("dimorphite_dl")
+
+PYRIMIDINE, PURINE = ("C1'", "N1", "C6"), ("C1'", "N9", "C8")
+MADE = {
+    "inner": {("A", 3): ("5CM", PYRIMIDINE), ("A", 5): ("6MA", PURINE), ("B", 19): ("BRU", PYRIMIDINE)},
+    "ends": {("A", 1): ("5CM", PYRIMIDINE), ("B", 24): ("8OG", PURINE)},
+    "neighbours": {("A", 4): ("8OG", PURINE), ("A", 5): ("6MA", PURINE), ("A", 6): ("6MA", PURINE)},
+    "locked sugar": {("B", 16): ("LCG", ("C1'", "C3'", "C4'"))},
+    "phosphorothioate": {("A", 3): ("SC", ("P", "O5'", "OP1")), ("A", 4): ("GS", ("P", "O5'", "OP1"))},
+}
+
+
+def made(name, tmp_path):
+    """The duplex with modified nucleotides; that at the 5' end without a phosphate."""
+    path = modified(STRUCTURES / "1bna.pdb", MADE[name], tmp_path, name=f"{name[:4]}.pdb")
+    structure = gemmi.read_structure(str(path))
+    for atom in ("P", "OP1", "OP2"):
+        if structure[0]["A"][0].name != "DC":
+            structure[0]["A"][0].remove_atom(atom, "\0")
+    structure.write_pdb(str(path))
+    return path
+
+
+def charges(s, forcefield="amber14"):
+    system = build_system(s, forcefield, "vacuum")
+    (force,) = (each for each in system.getForces() if isinstance(each, openmm.NonbondedForce))
+    return np.array([force.getParticleParameters(k)[0]._value for k in range(s.n_atoms)])
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_a_strand_with_modified_nucleotides_moves_as_one(name, tmp_path):
+    s = pc.load(made(name, tmp_path))
+    assert s.mobile.all() and not s.ties
+    assert [each.kind for each in s.repairs].count(Kind.MODIFIED) == len(MADE[name])
+    # 22 phosphates; nothing else here is charged at pH 7.
+    assert charges(s).sum() == pytest.approx(-22.0, abs=1e-9)
+    assert_equals_reference(pc.energy(s, engine="native"), s.positions)
+    done = pc.minimise(s, method="hybrid", max_evaluations=30).structure
+    for suffix in (".pdb", ".cif"):
+        pc.save(done, tmp_path / f"out{suffix}")
+        assert pc.load(tmp_path / f"out{suffix}").fingerprint == done.fingerprint
+
+
+def test_what_is_not_changed_keeps_ambers_charges(tmp_path):
+    plain, s = pc.load(STRUCTURES / "1bna.pdb"), pc.load(made("inner", tmp_path))
+    changed = {(chain, number) for chain, number in MADE["inner"]}
+    found = []
+    for each in (plain, s):
+        r = each.atom_residue
+        places = zip(
+            each.residue_chain[r].tolist(),
+            map(int, each.residue_number[r]),
+            each.atom_name.tolist(),
+            strict=True,
+        )
+        found.append(dict(zip(places, charges(each), strict=True)))
+    before, after = found
+    kept = [
+        at for at in after
+        if at[:2] not in changed or ((at[2][-1] == "'" or "P" in at[2]) and at[2] not in ("C1'", "H1'"))
+    ]  # fmt: skip
+    assert len(kept) > 690
+    assert [after[at] for at in kept] == [before[at] for at in kept]
+    # Of modified bases the charges are those of a graph network, not those of the standard ones.
+    assert abs(after["A", 5, "N6"] - before["A", 5, "N6"]) > 0.05
+
+
+def test_a_modified_nucleotide_that_lacks_an_atom_stays_in_place_and_says_why(tmp_path):
+    path = made("inner", tmp_path)
+    path.write_text("".join(line for line in path.read_text().splitlines(True) if line[12:16] != " C5A"))
+    s = pc.load(path)
+    (stays,) = (each for each in s.repairs if each.kind is Kind.STAYS_UNKNOWN)
+    assert "C5A" in str(stays) and s.obstacle.any() and s.ties
+    assert {str(s.residue_name[r]) for r in s.atom_residue[s.obstacle]} == {"5CM"}
+    assert_equals_reference(pc.energy(s, engine="native"), s.positions)
