@@ -31,7 +31,15 @@ from protochain.structure.kept import cut
 from protochain.structure.linkage import SHORTEST, STATED_SLACK, Link, usual_length
 from protochain.structure.repairs import Kind, Loss, Why
 from protochain.structure.residues import BACKBONE, NUCLEOTIDES, OF_ALANINE, name_in_file
-from protochain.structure.templates import PHOSPHATE_END, Template, archive_parent, other_names, rename
+from protochain.structure.sites import stated_beside
+from protochain.structure.templates import (
+    HAS_GLYCAM,
+    HAS_SAGE,
+    PHOSPHATE_END,
+    Template,
+    archive_parent,
+    other_names,
+)
 
 _H, _C, _N, _O, _P = 1, 6, 7, 8, 15
 _MONOVALENT = (_N, _O, 9, 16, 17, 35, 53)
@@ -85,7 +93,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     for link in cross:
         link.member.links.append(link.atom)
         link.other.links.append(link.other_atom)
-    beside = [link for link in links if not link.is_metal] if chemist.chemistry.has_sage else []
+    beside = [link for link in links if not link.is_metal] + _between(draft)
     bonds = beside + cross
     ends: dict[int, set[str]] = {}
     for link in bonds:
@@ -111,12 +119,19 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     for g in dict.fromkeys(int(group[number[id(m)]]) for m in special):
         mine = [m for m in draft.members if group[number[id(m)]] == g]
         own = [link for link in bonds if any(link.member is m for m in mine)]
+        around = [m for m in mine if where[id(m)].part.obstacle]
         try:
+            if around and not chemist.chemistry.has_sage:
+                raise StructureError(f"OpenFF Sage goes with {HAS_GLYCAM} and {HAS_SAGE} only")
             _take_in(draft, chemist, _Maker(chemist, mine, own, where, odd).fragment(), odd)
         except (ProtochainError, ValueError) as error:  # RDKit's, of rings that it cannot kekulize.
-            for m in (m for m in mine if m.odd and where[id(m)].part.obstacle):
-                draft.note(Kind.STAYS_UNKNOWN, residue=m.residue, why=error)
-                still.append(m)
+            if given := next((m for m in around if chemist.name(m) in chemist.chemistry.moving), None):
+                raise StructureError(f"{draft.source}: {given}: ", *_parts(error)) from None
+            for m in around:
+                where[id(m)].part.is_small = False
+                if m.odd:
+                    draft.note(Kind.STAYS_UNKNOWN, residue=m.residue, why=error)
+                    still.append(m)
             unknown += [(m, error) for m in mine if m.odd and not m.parent and m not in still]
             _refuse_or_tie(draft, own, error)
             why = Why.INCOMPLETE if getattr(error, "fault", None) is Fault.INCOMPLETE else Why.PARENT
@@ -130,6 +145,23 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
         piece for part in draft.parts for piece in cut(draft, part, [m for m in part.members if m in still])
     ]
     return [link for link in links if link in bonds or link not in beside]
+
+
+def _between(draft: Draft) -> list[Link]:
+    """Bonds that the file states between molecules beside the protein, but of metals and known glycans."""
+    parts = {id(m): part for part in draft.parts for m in part.members}
+    return [
+        link
+        for link in stated_beside(draft)
+        if link.length >= SHORTEST and link.excess <= STATED_SLACK
+        and not (link.atom.element.is_metal or link.other_atom.element.is_metal)
+        and min(len(link.member.atoms), len(link.other.atoms)) > 1
+        and not (parts[id(link.member)].glycan and parts[id(link.other)].glycan)
+        and (
+            parts[id(link.member)] is not parts[id(link.other)]
+            or {link.atom.name, link.other_atom.name} != {"O3'", "P"}
+        )
+    ]  # fmt: skip
 
 
 def _places(part: Part) -> Iterator[tuple[Member, _Place]]:
@@ -414,13 +446,12 @@ class _Maker:
         sources: dict[str, None] = {}
         for m in self.members:
             free, tag = self.chemist.free(m), self.tag[id(m)]
-            if self.where[id(m)].part.is_strand:
-                # Names of old files, as O1P, unless the molecule has them.
-                rename(m.atoms, replace(self.chemist.templates["A"], element=dict.fromkeys(free.names, "")))
             sources[free.source] = None
             self.graph.add(tag, free)
             self.at |= {tag + a.name: a for a in m.atoms if not a.is_hydrogen()}
             self.flagged |= {tag + name for name in (*leaving(self.chemist.name(m)), "OXT", "OP3")}
+            if self.where[id(m)].part.obstacle:
+                self._without_far(tag)
         bonds = {}
         for link in self.links:
             ends = (link.member, link.atom), (link.other, link.other_atom)
@@ -446,9 +477,20 @@ class _Maker:
             prefix, _, own = name.partition(":")
             m = self.of_tag[prefix]
             owners.append(self._cap_owner(m, own) if own[-1] in "+-" else (m, own))
-            is_core = id(m) not in self.special or _is_core(graph, f"{prefix}:", own)
+            is_core = id(m) not in self.special or (
+                not self.where[id(m)].part.obstacle and _is_core(graph, f"{prefix}:", own)
+            )
             core.append(cores[id(m)].get(own, "") if id(m) in cores else own if is_core else "")
         return Fragment(ligand, tuple(owners), tuple(core), bonds)
+
+    def _without_far(self, tag: str) -> None:
+        """Take away atoms that the file lacks, but those next to one that it has, which may leave there."""
+        graph = self.graph
+        absent = [
+            a for a, (z, _) in graph.atoms.items() if a.startswith(tag) and z != _H and a not in self.at
+        ]
+        far = [a for a in absent if not self.at.keys() & {*graph.heavy(a)}]
+        graph.drop([y for x in far for y in (x, *graph.light(x))])
 
     def _cap_owner(self, member: Member, name: str) -> tuple[Member | None, str]:
         """Residue and atom that an atom of a cap stands for, if it does."""
@@ -505,7 +547,13 @@ class _Maker:
         graph = self.graph
         if not {a, b} <= graph.atoms.keys():
             raise StructureError(f"its chemistry has no {(b if a in graph.atoms else a).partition(':')[2]}")
-        absent = () if along else graph.atoms.keys() - self.at.keys()
+        absent = set() if along else graph.atoms.keys() - self.at.keys()
+        # Carbon that a ligand lacks has not left: it is missing.
+        absent -= {
+            x
+            for x in absent
+            if graph.atoms[x][0] == _C and self.where[id(self.of_tag[x.partition(":")[0]])].part.obstacle
+        }
         # Poor models have amide and glycosidic bonds of nitrogen as short as double ones.
         carbons = graph.atoms[a][0] == graph.atoms[b][0] == _C
         is_short = not along and carbons and self._excess(a, b) < -_DOUBLE
@@ -568,7 +616,10 @@ class _Maker:
 
     def _cap(self, a: str, atoms: Mapping[str, int], bonds: Mapping[tuple[str, str], int]) -> None:
         """Bond an atom to the first of those that stand for a neighbour."""
-        prefix = a.partition(":")[0] + ":"
+        prefix, _, own = a.partition(":")
+        prefix += ":"
+        if a not in self.graph.atoms:
+            raise StructureError(f"its chemistry has no {own}")
         _, freed = self.graph.leave(a, (), self.flagged)
         self.graph.give(a, 1, freed, ())
         for name, z in atoms.items():
@@ -689,11 +740,6 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         draft.note(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
         if parts[id(m)].obstacle:
             parts[id(m)].mobile, parts[id(m)].is_small = True, False
-            draft.repairs = [
-                each
-                for each in draft.repairs
-                if each.kind is not Kind.GLYCAN_STAYS or each.facts["residue"] != m.residue
-            ]
         m.odd, m.parent = False, ""
     for link, gone in made.bonds.items():
         lost = [loss for m in (link.member, link.other) for loss in _lost(m, {n for o, n in gone if o is m})]

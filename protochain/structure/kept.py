@@ -205,7 +205,7 @@ def _parts(
             parts[-1].members.append(member)
         else:
             parts.append(Part(member.chain_id, [member], obstacle=True))
-    held = glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
+    glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
     for part in (each for each in parts if not each.glycan):
         _trim(draft, part)
     parts = [piece for part in parts for piece in _pieces(draft, part, known, chemistry.has_sage)]
@@ -233,7 +233,7 @@ def _parts(
                 known_as = recognised(first, first.own, users) if first.own else None
                 first.own, part.mobile = known_as or first.own, known_as is not None
                 n_heavy = sum(not atom.is_hydrogen() for atom in first.atoms)
-                is_known = part.mobile or part in held or first.name in residues.NUCLEOTIDES
+                is_known = part.mobile or first.name in residues.NUCLEOTIDES
                 part.is_small = n_heavy > 1 and not is_known
         elif len(whole) > len(first.atoms):
             lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)
