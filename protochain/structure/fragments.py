@@ -30,7 +30,7 @@ from protochain.structure.draft import Draft, Fragment, Member, Part, losses
 from protochain.structure.kept import cut
 from protochain.structure.linkage import SHORTEST, STATED_SLACK, Link, usual_length
 from protochain.structure.repairs import Kind, Loss, Why
-from protochain.structure.residues import BACKBONE, NUCLEOTIDES, OF_ALANINE, name_in_file
+from protochain.structure.residues import BACKBONE, NUCLEOTIDES, OF_ALANINE, Atom, name_in_file
 from protochain.structure.sites import stated_beside
 from protochain.structure.templates import (
     HAS_GLYCAM,
@@ -745,6 +745,14 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         lost = [loss for m in (link.member, link.other) for loss in _lost(m, {n for o, n in gone if o is m})]
         names = tuple(f"{name} of {m.residue.name}" for m, name in gone)
         draft.note(Kind.LINKED, tuple(lost), atoms=link.atoms, length=link.length, gone=names)
+    # A chain goes on through what both of its ends are bonded to, as GFP's through the chromophore.
+    ends = {end for link in made.bonds for end in link.atoms}
+    draft.repairs = [
+        each
+        for each in draft.repairs
+        if each.kind is not Kind.GAP
+        or not {Atom("C", each.facts["last"]), Atom("N", each.facts["first"])} <= ends
+    ]
     draft.fragments.append(made)
 
 

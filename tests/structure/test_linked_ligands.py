@@ -6,6 +6,7 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
+from fixtures.modified import component
 from fixtures.oracles import assert_equals_reference
 from fixtures.samples import ROOT
 from scipy.spatial.transform import Rotation
@@ -32,11 +33,13 @@ def embedded(smiles):
     return [made.GetAtomWithIdx(i).GetSymbol() for i in heavy], made.GetConformer().GetPositions()[heavy]
 
 
-def written(tmp_path, sequence, ligands, bonds):
+def written(tmp_path, sequence, ligands, bonds, gone=()):
     """A peptide with residues beside it, as names and rows of atom, element, position; LINK records."""
     pc.save(pc.from_sequence(sequence), tmp_path / "plain.pdb")
     structure = gemmi.read_structure(str(tmp_path / "plain.pdb"))
     structure.remove_hydrogens()
+    for place in gone:
+        del structure[0]["A"][place]
     chain = gemmi.Chain("L")
     for number, (name, rows) in enumerate(ligands, 1):
         residue = gemmi.Residue()
@@ -105,6 +108,22 @@ def staple(tmp_path):
     return written(tmp_path, "ACACA", [("Q-Q", rows)], bonds)
 
 
+def chromophore(tmp_path):
+    """A chain that goes on through the chromophore of GFP, as which two of its residues are."""
+    x = {name: at for name, at in component("CRO").items() if name != "OXT"}
+    s = pc.from_sequence("AAAAAA")
+    at = {(int(s.atom_residue[k]), str(s.atom_name[k])): 10.0 * s.positions[k] for k in range(s.n_atoms)}
+    before, after = at[1, "C"], at[4, "N"]
+    axis, own = (after - before) / np.linalg.norm(after - before), x["C3"] - x["N1"]
+    turn = Rotation.align_vectors([axis], [own / np.linalg.norm(own)])[0]
+    middle = (x["N1"] + x["C3"]) / 2
+    moved = turn.apply(np.array([*x.values()]) - middle) + (before + after) / 2
+    others = np.array([y for (residue, name), y in at.items() if residue not in (2, 3) and name[0] != "H"])
+    rows = [(name, name[0], y) for name, y in zip(x, turned(moved, axis, before, others), strict=True)]
+    bonds = [(("A", 2, "ALA", "C"), ("L", 1, "CRO", "N1")), (("L", 1, "CRO", "C3"), ("A", 5, "ALA", "N"))]
+    return written(tmp_path, "AAAAAA", [("CRO", rows)], bonds, gone=(3, 2))
+
+
 def charge(s):
     system = build_system(s, "amber14", "vacuum")
     (force,) = (each for each in system.getForces() if isinstance(each, openmm.NonbondedForce))
@@ -150,17 +169,23 @@ def test_what_users_draw_with_or_without_what_leaves_is_one_adduct(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("made", "ligand", "bonds"), [(thioether, "ClCC(=O)NC", 1), (staple, PERFLUOROBENZENE, 2)]
+    ("made", "ligands", "bonds", "length"),
+    [
+        (thioether, {"Q-Q": "ClCC(=O)NC"}, 1, 0.181),
+        (staple, {"Q-Q": PERFLUOROBENZENE}, 2, 0.177),
+        (chromophore, {}, 2, 0.135),
+    ],
 )
-def test_bonds_of_a_ligand_are_kept_and_read_again(tmp_path, made, ligand, bonds):
-    load = partial(pc.load, ligands={"Q-Q": ligand})
+def test_bonds_of_a_ligand_are_kept_and_read_again(tmp_path, made, ligands, bonds, length):
+    load = partial(pc.load, ligands=ligands)
     s = load(made(tmp_path))
     assert not s.ties and not s.obstacle.any() and len(s.links) == bonds and len(s.fragments) == 1
     assert abs(charge(s)) < 1e-9
     assert_equals_reference(pc.energy(s, engine="native"), s.positions)
     relaxed = pc.relax(s)
     for i, j in s.links.tolist():
-        assert np.linalg.norm(relaxed.x[i] - relaxed.x[j]) == pytest.approx(0.18, abs=0.01)
+        assert np.linalg.norm(relaxed.x[i] - relaxed.x[j]) == pytest.approx(length, abs=0.01)
+    assert Kind.GAP not in {each.kind for each in s.repairs}
     for suffix in (".pdb", ".cif"):
         relaxed.save(tmp_path / f"out{suffix}")
         assert load(tmp_path / f"out{suffix}").fingerprint == relaxed.structure.fingerprint
