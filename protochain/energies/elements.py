@@ -23,7 +23,7 @@ from protochain.energies.native.terms import TIES
 from protochain.structure.linkage import is_metal
 from protochain.structure.model import BoundLigand, Structure, Tie
 from protochain.structure.sugars import GLYCOSYLATED
-from protochain.structure.templates import HAS_GLYCAM
+from protochain.structure.templates import HAS_GLYCAM, PHOSPHATE_END
 
 _UFF = {
     "H": (2.886, 0.044), "He": (2.362, 0.056), "Li": (2.451, 0.025), "Be": (2.745, 0.085),
@@ -370,14 +370,16 @@ def _register_fragment(
     charge is spread over them. Residues all of whose atoms keep their parameters are the force field's.
     """
     its, formal = bound.ligand.parameters, bound.ligand.molecule.formal_charges
+    beyond = sum(
+        _of_end(force_field, residues[r], [bound.core[i] for i in p.values()]) for r, p in places.items()
+    )
     places = {r: place for r, place in places.items() if not all(bound.core[i] for i in place.values())}
     at = {k: i for place in places.values() for k, i in place.items()}
     known = {r: _kept(force_field, residues[r], bound, place) for r, place in places.items()}
     kept = {k: charge for of in known.values() for k, (_, charge) in of.items() if charge is not None}
     charge = {k: kept.get(k, float(its.charge[i])) for k, i in at.items()}
     rest = [k for k in at if k not in kept]
-    whole = int(formal[[*at.values()]].sum()) + sum(_of_end(force_field, bound, p) for p in places.values())
-    lacking = (whole - sum(charge.values())) / len(rest)
+    lacking = (int(formal[[*at.values()]].sum()) + beyond - sum(charge.values())) / len(rest)
     charge |= {k: charge[k] + lacking for k in rest}
     chosen = {}
     for r, place in places.items():
@@ -408,10 +410,17 @@ def _register_fragment(
     return chosen
 
 
-def _of_end(force_field: app.ForceField, bound: BoundLigand, place: Mapping[int, int]) -> float:
+def _of_end(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> float:
     """Charge that a nucleotide at an end of a strand has beyond a whole one; the other end lacks it."""
-    base = next((bound.core[i].partition("/")[0] for i in place.values() if "/" in bound.core[i]), "")
-    found = force_field._templates.get(base)
+    kind = next(
+        (name.partition("/")[0].removeprefix(PHOSPHATE_END).rstrip("35N") for name in core if "/" in name), ""
+    )
+    joined = {
+        tuple(a.name for a in sorted(bond, key=lambda a: a.residue is not residue))
+        for bond in residue.external_bonds()
+    }
+    end = {(False, True): "5", (True, False): "3"}.get((("P", "O3'") in joined, ("O3'", "P") in joined), "")
+    found = force_field._templates.get(kind + end) if kind and end else None
     charge = sum(a.parameters["charge"] for a in found.atoms) if found else 0.0
     return float(charge - round(charge))
 

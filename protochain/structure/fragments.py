@@ -511,27 +511,27 @@ class _Maker:
         tag, (part, _, before, after) = self.tag[id(member)], self.where[id(member)]
         is_standard = member.name in NUCLEOTIDES
         kind = member.name if is_standard else "DA" if _is_dna(part.members) else "A"
-        start, ends = (
-            "",
-            {(True, True): "N", (True, False): "5", (False, True): "3"}.get((not before, not after), ""),
-        )
-        if not before and f"{tag}P" in graph.atoms:
-            ends, start = "", PHOSPHATE_END
-        its = self.chemist.templates.get(start + kind + ends)
+        both = [end for x in self.links for end in ((x.member, x.atom), (x.other, x.other_atom))]
+        bonded = {a.name for m, a in both if m is member}
+        is_first, is_last = not (before or "P" in bonded), not (after or "O3'" in bonded)
+        ends = {(True, True): "N", (True, False): "5", (False, True): "3"}.get((is_first, is_last), "")
+        if is_first and f"{tag}P" in graph.atoms:
+            kind, ends = PHOSPHATE_END + kind, ""
+        its = self.chemist.templates.get(kind + ends)
         if its is None:
             return {}
         # There are no parameters of bonds between DNA and RNA.
         across = {
             name
             for name, other in (("P", before), ("O3'", after))
-            if other and other.name in NUCLEOTIDES and _is_dna([other]) != (kind[0] == "D")
+            if other and other.name in NUCLEOTIDES and _is_dna([other]) != ("D" in kind)
         }
         called = {its.synonyms.get(own, own): tag + own for own in (a.name for a in member.atoms)}
         inner = [name for name in its.heavy if is_standard or {*name} & {"'", "P"}]
         found: dict[str, str] = {}
         for name in (name for name in inner if name not in across and called.get(name) in graph.atoms):
             a, light = called[name], its.hydrogens.get(name, [])
-            outer = {"P": bool(before), "O3'": bool(after), "C1'": not is_standard}.get(name, False)
+            outer = {"P": not is_first, "O3'": not is_last, "C1'": not is_standard}.get(name, False)
             near = {called.get(each, "") for each in its.neighbours(name) if each in inner}
             heavy = {*graph.heavy(a)}
             if (

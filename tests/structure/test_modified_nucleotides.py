@@ -42,6 +42,15 @@ def charges(s, forcefield="amber14"):
     return np.array([force.getParticleParameters(k)[0]._value for k in range(s.n_atoms)])
 
 
+def by_place(s):
+    """Charges by chain, number and name."""
+    r = s.atom_residue
+    places = zip(
+        s.residue_chain[r].tolist(), map(int, s.residue_number[r]), s.atom_name.tolist(), strict=True
+    )
+    return dict(zip(places, charges(s), strict=True))
+
+
 @pytest.mark.parametrize("name", MADE)
 def test_a_strand_with_modified_nucleotides_moves_as_one(name, tmp_path):
     s = pc.load(made(name, tmp_path))
@@ -59,17 +68,7 @@ def test_a_strand_with_modified_nucleotides_moves_as_one(name, tmp_path):
 def test_what_is_not_changed_keeps_ambers_charges(tmp_path):
     plain, s = pc.load(STRUCTURES / "1bna.pdb"), pc.load(made("inner", tmp_path))
     changed = {(chain, number) for chain, number in MADE["inner"]}
-    found = []
-    for each in (plain, s):
-        r = each.atom_residue
-        places = zip(
-            each.residue_chain[r].tolist(),
-            map(int, each.residue_number[r]),
-            each.atom_name.tolist(),
-            strict=True,
-        )
-        found.append(dict(zip(places, charges(each), strict=True)))
-    before, after = found
+    before, after = by_place(plain), by_place(s)
     kept = [
         at for at in after
         if at[:2] not in changed or ((at[2][-1] == "'" or "P" in at[2]) and at[2] not in ("C1'", "H1'"))
@@ -88,3 +87,42 @@ def test_a_modified_nucleotide_that_lacks_an_atom_stays_in_place_and_says_why(tm
     assert "C5A" in str(stays) and s.obstacle.any() and s.ties
     assert {str(s.residue_name[r]) for r in s.atom_residue[s.obstacle]} == {"5CM"}
     assert_equals_reference(pc.energy(s, engine="native"), s.positions)
+
+
+def test_a_base_that_bears_a_ligand_keeps_the_rest_of_ambers(tmp_path):
+    """N4 of a cytosine with an acetyl of its own residue, as protecting groups and adducts are."""
+    structure = gemmi.read_structure(str(STRUCTURES / "1bna.pdb"))
+    structure.remove_waters()
+    structure.remove_hydrogens()
+    base = structure[0]["A"]["9"][0]
+    at = {name: np.array(base[name][0].pos.tolist()) for name in ("N4", "C4", "C5")}
+    out = (at["N4"] - at["C4"]) / np.linalg.norm(at["N4"] - at["C4"])
+    aside = at["C5"] - at["C4"] - ((at["C5"] - at["C4"]) @ out) * out
+    aside /= np.linalg.norm(aside)
+    carbon = at["N4"] + 1.36 * (0.5 * out + 0.87 * aside)
+    residue = gemmi.Residue()
+    residue.name, residue.seqid, residue.het_flag = "Q-Q", gemmi.SeqId("1"), "H"
+    for name, x in (
+        ("C1", carbon),
+        ("O1", carbon + 1.22 * (-0.5 * out + 0.87 * aside)),
+        ("C2", carbon + 1.5 * out),
+    ):
+        atom = gemmi.Atom()
+        atom.name, atom.element, atom.occ, atom.pos = name, gemmi.Element(name[0]), 1.0, gemmi.Position(*x)
+        residue.add_atom(atom)
+    chain = gemmi.Chain("L")
+    chain.add_residue(residue)
+    structure[0].add_chain(chain)
+    bond = gemmi.Connection()
+    bond.type, bond.name = gemmi.ConnectionType.Covale, "covale1"
+    bond.partner1 = gemmi.AtomAddress("A", gemmi.SeqId("9"), "DC", "N4")
+    bond.partner2 = gemmi.AtomAddress("L", gemmi.SeqId("1"), "Q-Q", "C1")
+    structure.connections.append(bond)
+    structure.write_pdb(str(tmp_path / "acetyl.pdb"))
+    s = pc.load(tmp_path / "acetyl.pdb", ligands={"Q-Q": "CC(=O)O"})
+    assert s.mobile.all() and len(s.fragments) == 1
+    assert charges(s).sum() == pytest.approx(-22.0, abs=1e-9)
+    assert_equals_reference(pc.energy(s, engine="native"), s.positions)
+    before, after = by_place(pc.load(STRUCTURES / "1bna.pdb")), by_place(s)
+    changed = {at for at in before if at not in after or before[at] != after[at]}
+    assert changed == {("A", 9, name) for name in ("N4", "H41", "H42")}
