@@ -259,7 +259,8 @@ def _add_template(
         made.addBondByName(*(f"{a.index}" for a in bond))
     for bond in residue.external_bonds():
         made.addExternalBondByName(f"{next(a.index for a in bond if a.residue is residue)}")
-    force_field.registerResidueTemplate(made)
+    # Not registered: it is for this residue only, and may be bonded as another that has a template.
+    force_field._templates[made.name] = made
     return str(made.name)
 
 

@@ -108,10 +108,11 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     pairs = [(number[a], number[b]) for link in bonds for a, b in [link.owners]]
     for m in special:
         _, _, before, after = where[id(m)]
+        wide: list[Member | None] = []
         if where[id(m)].part.obstacle:
             wide = [before] if before and before.odd and not _is_phosphodiester(before, m) else []
-        else:
-            wide = [] if not (before or after) or _is_like_alanine(chemist, m) else [before, after]
+        elif (before or after) and not _is_like_alanine(chemist, m):
+            wide = [before, after]
         pairs += [(number[id(m)], number[id(each)]) for each in wide if each]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(number))
     unknown: list[tuple[Member, ProtochainError | ValueError]] = []
@@ -492,6 +493,12 @@ class _Maker:
         far = [a for a in absent if not self.at.keys() & {*graph.heavy(a)}]
         graph.drop([y for x in far for y in (x, *graph.light(x))])
 
+    def _absent_at(self, a: str) -> list[str]:
+        """An oxygen of a nucleotide, by whatever name, that leaves where its strand goes on."""
+        if not self.where[id(self.of_tag[a.partition(":")[0]])].part.is_strand:
+            return []
+        return [x for x in self.graph.heavy(a) if x not in self.at and self.graph.atoms[x][0] == _O][:1]
+
     def _cap_owner(self, member: Member, name: str) -> tuple[Member | None, str]:
         """Residue and atom that an atom of a cap stands for, if it does."""
         part, _, before, after = self.where[id(member)]
@@ -547,7 +554,7 @@ class _Maker:
         graph = self.graph
         if not {a, b} <= graph.atoms.keys():
             raise StructureError(f"its chemistry has no {(b if a in graph.atoms else a).partition(':')[2]}")
-        absent = set() if along else graph.atoms.keys() - self.at.keys()
+        absent = {*self._absent_at(a), *self._absent_at(b)} if along else graph.atoms.keys() - self.at.keys()
         # Carbon that a ligand lacks has not left: it is missing.
         absent -= {
             x
@@ -620,7 +627,7 @@ class _Maker:
         prefix += ":"
         if a not in self.graph.atoms:
             raise StructureError(f"its chemistry has no {own}")
-        _, freed = self.graph.leave(a, (), self.flagged)
+        _, freed = self.graph.leave(a, self._absent_at(a), self.flagged)
         self.graph.give(a, 1, freed, ())
         for name, z in atoms.items():
             self.graph.atoms[prefix + name] = [z, 0]
