@@ -18,7 +18,8 @@ pytest.importorskip("dimorphite_dl")
 PYRIMIDINE, PURINE = ("C1'", "N1", "C6"), ("C1'", "N9", "C8")
 MADE = {
     "inner": {("A", 3): ("5CM", PYRIMIDINE), ("A", 5): ("6MA", PURINE), ("B", 19): ("BRU", PYRIMIDINE)},
-    "ends": {("A", 1): ("5CM", PYRIMIDINE), ("B", 24): ("8OG", PURINE)},
+    "first": {("A", 1): ("5CM", PYRIMIDINE)},
+    "last": {("B", 24): ("8OG", PURINE)},
     "neighbours": {("A", 4): ("8OG", PURINE), ("A", 5): ("6MA", PURINE), ("A", 6): ("6MA", PURINE)},
     "locked sugar": {("B", 16): ("LCG", ("C1'", "C3'", "C4'"))},
     "phosphorothioate": {("A", 3): ("SC", ("P", "O5'", "OP1")), ("A", 4): ("GS", ("P", "O5'", "OP1"))},
@@ -27,7 +28,7 @@ MADE = {
 
 def made(name, tmp_path):
     """The duplex with modified nucleotides; that at the 5' end without a phosphate."""
-    path = modified(STRUCTURES / "1bna.pdb", MADE[name], tmp_path, name=f"{name[:4]}.pdb")
+    path = modified(STRUCTURES / "1bna.pdb", MADE[name], tmp_path)
     structure = gemmi.read_structure(str(path))
     for atom in ("P", "OP1", "OP2"):
         if structure[0]["A"][0].name != "DC":
