@@ -309,7 +309,10 @@ def take_up(draft: Draft, ph: float) -> None:
         if part.ligand is None:
             continue
         (member,), molecule = part.members, part.ligand.molecule
-        member.own, its = _template(member.name, part.ligand), member.residue
+        member.own, its = (
+            template_of(member.name, part.ligand, dict(enumerate(molecule.names))),
+            member.residue,
+        )
         charge = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
         for each in member.atoms:
             each.charge = charge.get(each.name, 0)
@@ -342,13 +345,14 @@ def put_hydrogens(draft: Draft) -> None:
                 each.pos = gemmi.Position(*np.round(x, _DECIMALS))
 
 
-def _template(name: str, ligand: Ligand) -> Template:
+def template_of(name: str, ligand: Ligand, called: Mapping[int, str]) -> Template:
+    """Template of a residue: atoms of a molecule, and the names that they have there."""
     molecule, charge = ligand.molecule, ligand.parameters.charge
-    bonds = [(molecule.names[i], molecule.names[j]) for i, j in molecule.bonds.tolist()]
+    bonds = ([called[i], called[j]] for i, j in molecule.bonds.tolist() if i in called and j in called)
     return Template(
         name,
-        {each: gemmi.Element(int(z)).name for each, z in zip(molecule.names, molecule.elements, strict=True)},
-        dict(zip(molecule.names, charge.tolist(), strict=True)),
+        {each: gemmi.Element(int(molecule.elements[i])).name for i, each in called.items()},
+        {each: float(charge[i]) for i, each in called.items()},
         # By name, so that a file written of it gives the same again.
         tuple(sorted((min(bond), max(bond)) for bond in bonds)),
         {},

@@ -24,7 +24,7 @@ from protochain.ligands import Ligand, parametrised
 from protochain.ligands.dictionary import leaving
 from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly
 from protochain.ligands.protonation import at_ph
-from protochain.structure.bound import Chemist
+from protochain.structure.bound import Chemist, template_of
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.draft import Draft, Fragment, Member, Part, losses
 from protochain.structure.kept import cut
@@ -93,7 +93,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     for link in cross:
         link.member.links.append(link.atom)
         link.other.links.append(link.other_atom)
-    beside = [link for link in links if not link.is_metal] + _between(draft)
+    beside = [link for link in links if not link.is_metal] + [*_between(draft)]
     bonds = beside + cross
     ends: dict[int, set[str]] = {}
     for link in bonds:
@@ -130,6 +130,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
                 raise StructureError(f"{draft.source}: {given}: ", *_parts(error)) from None
             for m in around:
                 where[id(m)].part.is_small = False
+                where[id(m)].part.mobile &= m.odd
                 if m.odd:
                     draft.note(Kind.STAYS_UNKNOWN, residue=m.residue, why=error)
                     still.append(m)
@@ -148,21 +149,24 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     return [link for link in links if link in bonds or link not in beside]
 
 
-def _between(draft: Draft) -> list[Link]:
-    """Bonds that the file states between molecules beside the protein, but of metals and known glycans."""
+def _between(draft: Draft) -> Iterator[Link]:
+    """Bonds that the file states between molecules beside the protein, but of metals and known glycans.
+
+    Those that are too long are reported.
+    """
     parts = {id(m): part for part in draft.parts for m in part.members}
-    return [
-        link
-        for link in stated_beside(draft)
-        if link.length >= SHORTEST and link.excess <= STATED_SLACK
-        and not (link.atom.element.is_metal or link.other_atom.element.is_metal)
-        and min(len(link.member.atoms), len(link.other.atoms)) > 1
-        and not (parts[id(link.member)].glycan and parts[id(link.other)].glycan)
-        and (
-            parts[id(link.member)] is not parts[id(link.other)]
-            or {link.atom.name, link.other_atom.name} != {"O3'", "P"}
-        )
-    ]  # fmt: skip
+    for link in stated_beside(draft):
+        (one, other), names = (parts[each] for each in link.owners), {link.atom.name, link.other_atom.name}
+        if (
+            link.atom.element.is_metal or link.is_metal or (one.glycan and other.glycan)
+            or min(len(link.member.atoms), len(link.other.atoms)) == 1
+            or (one is other and names == {"O3'", "P"})
+        ):  # fmt: skip
+            continue
+        if link.length < SHORTEST or link.excess > STATED_SLACK:
+            draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
+        else:
+            yield link
 
 
 def _places(part: Part) -> Iterator[tuple[Member, _Place]]:
@@ -772,20 +776,11 @@ def _lost(member: Member, names: Collection[str]) -> tuple[Loss, ...]:
 
 def _template(member: Member, made: Fragment) -> Template:
     """Atoms and bonds of a residue; charges only turn hydroxyls while hydrogens are placed."""
-    molecule = made.ligand.molecule
-    mine = {
+    called = {
         i: name for i, (owner, name) in enumerate(made.owners)
-        if owner is member and molecule.names[i][-1] not in "+-"
+        if owner is member and made.ligand.molecule.names[i][-1] not in "+-"
     }  # fmt: skip
-    charge = made.ligand.parameters.charge
-    return Template(
-        member.name,
-        {name: gemmi.Element(int(molecule.elements[i])).name for i, name in mine.items()},
-        {name: float(charge[i]) for i, name in mine.items()},
-        tuple((mine[i], mine[j]) for i, j in molecule.bonds.tolist() if i in mine and j in mine),
-        {},
-        is_users=True,
-    )
+    return template_of(member.name, made.ligand, called)
 
 
 def fullest(name: str) -> str:
