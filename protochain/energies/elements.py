@@ -362,7 +362,7 @@ def _register(
     known = {r: _kept(force_field, residues[r], core, place) for r, place in places.items()}
     kept = {k: charge for of in known.values() for k, (_, charge) in of.items() if charge is not None}
     charge = {k: kept.get(k, float(its.charge[i])) for k, i in at.items()}
-    if kept:
+    if bound.core:  # A ligand has the charge that it has.
         rest = [k for k in at if k not in kept]
         lacking = (int(formal[[*at.values()]].sum()) + beyond - sum(charge.values())) / len(rest)
         charge |= {k: charge[k] + lacking for k in rest}

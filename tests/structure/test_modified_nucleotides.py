@@ -7,6 +7,7 @@ import pytest
 from fixtures.modified import modified
 from fixtures.oracles import assert_equals_reference
 from fixtures.samples import STRUCTURES
+from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.energies.factory import build_system
@@ -127,3 +128,40 @@ def test_a_base_that_bears_a_ligand_keeps_the_rest_of_ambers(tmp_path):
     before, after = by_place(pc.load(STRUCTURES / "1bna.pdb")), by_place(s)
     changed = {at for at in before if at not in after or before[at] != after[at]}
     assert changed == {("A", 9, name) for name in ("N4", "H41", "H42")}
+
+
+def test_a_strand_that_a_tyrosine_holds_moves_with_it(tmp_path):
+    """As topoisomerases hold DNA: the tyrosine's oxygen is where O3' of the nucleotide before was."""
+    structure = gemmi.read_structure(str(STRUCTURES / "1bna.pdb"))
+    structure.remove_waters()
+    structure.remove_hydrogens()
+    first = structure[0]["A"][0]
+    oxygen, carbon = (np.array(first[name][0].pos.tolist()) for name in ("O3'", "C3'"))
+    del structure[0]["A"][0]
+    pc.save(pc.from_sequence("AAYAA"), tmp_path / "peptide.pdb")
+    peptide = gemmi.read_structure(str(tmp_path / "peptide.pdb"))
+    peptide.remove_hydrogens()
+    chain = peptide[0]["A"]
+    chain.name = "P"
+    atoms = [atom for residue in chain for atom in residue]
+    x = np.array([atom.pos.tolist() for atom in atoms])
+    own, its = (np.array(chain["3"][0][name][0].pos.tolist()) for name in ("OH", "CZ"))
+    axis = (carbon - oxygen) / np.linalg.norm(carbon - oxygen)
+    x = Rotation.align_vectors([axis], [(its - own) / np.linalg.norm(its - own)])[0].apply(x - own)
+    others = np.array([a.pos.tolist() for a in structure[0]["A"][0]])
+    ways = [Rotation.from_rotvec(turn * axis).apply(x) + oxygen for turn in np.arange(0.0, 2.0 * np.pi, 0.1)]
+    best = max(ways, key=lambda y: np.sort(np.linalg.norm(y[:, None] - others, axis=2).min(axis=1))[2])
+    for atom, at in zip(atoms, best, strict=True):
+        atom.pos = gemmi.Position(*at)
+    structure[0].add_chain(chain)
+    bond = gemmi.Connection()
+    bond.type, bond.name = gemmi.ConnectionType.Covale, "covale1"
+    bond.partner1 = gemmi.AtomAddress("P", gemmi.SeqId("3"), "TYR", "OH")
+    bond.partner2 = gemmi.AtomAddress("A", gemmi.SeqId("2"), "DG", "P")
+    structure.connections.append(bond)
+    structure.write_pdb(str(tmp_path / "held.pdb"))
+    s = pc.load(tmp_path / "held.pdb", keep="all")
+    assert not s.ties and not s.obstacle.any() and len(s.links) == 1 and len(s.fragments) == 1
+    # Eleven phosphates in each strand.
+    assert charges(s).sum() == pytest.approx(-22.0, abs=1e-9)
+    assert_equals_reference(pc.energy(s, engine="native"), s.positions)
