@@ -23,7 +23,7 @@ from protochain.energies.native.terms import TIES
 from protochain.structure.linkage import is_metal
 from protochain.structure.model import BoundLigand, Structure, Tie
 from protochain.structure.sugars import GLYCOSYLATED
-from protochain.structure.templates import HAS_GLYCAM
+from protochain.structure.templates import HAS_GLYCAM, PHOSPHATE_END
 
 _UFF = {
     "H": (2.886, 0.044), "He": (2.362, 0.056), "Li": (2.451, 0.025), "Be": (2.745, 0.085),
@@ -91,21 +91,20 @@ def create_system(
         If a residue that is bonded to an obstacle, or a molecule that moves, has no template, or a bond of
         the latter no parameters.
     """
-    small = {int(structure.atom_residue[each.atoms[0]]): each for each in structure.ligands}
+    bounds = (*structure.ligands, *structure.fragments)
     sugars = structure.glycans
     ions = _ions(structure, force_field)
-    framed = [_framed(structure, bound) for bound in structure.fragments]
+    framed = [_framed(structure, bound) for bound in bounds]
     own = {r for places in framed for r in places}
-    topology, unknown = _recognised(force_field, structure, [*small, *sugars, *ions, *own])
+    topology, unknown = _recognised(force_field, structure, [*sugars, *ions], own)
     unknown = sorted({*unknown, *(r for r, name in ions.items() if not name)})
     _refuse_unknown_mobile(structure, unknown)
     _refuse_without_glycam(structure, force_field)
     linked = {r: atoms for r, atoms in _linked(structure).items() if r not in own}
-    if unknown or linked or small or own:
+    if unknown or linked or own:
         force_field = fresh()
     residues = list(topology.residues())
-    chosen = {residues[r]: _register(force_field, structure, residues[r]) for r in unknown}
-    chosen |= {residues[r]: _register(force_field, structure, residues[r], small[r]) for r in small}
+    chosen = {residues[r]: _by_element(force_field, structure, residues[r]) for r in unknown}
     for r, atoms in linked.items():
         bears_sugar = any(structure.mobile[k] for atom in atoms for k in structure.neighbours[atom])
         chosen[residues[r]] = (
@@ -113,13 +112,13 @@ def create_system(
         )
     chosen |= {residues[r]: code for r, code in sugars.items()}
     chosen |= {residues[r]: name for r, name in ions.items() if name}
-    for bound, places in zip(structure.fragments, framed, strict=True):
-        chosen |= _register_fragment(force_field, residues, bound, places)
+    for bound, places in zip(bounds, framed, strict=True):
+        chosen |= _register(force_field, residues, bound, places)
     system = force_field.createSystem(topology, rigidWater=False, residueTemplates=chosen, **pairs)
+    for bound in bounds:
+        _add_terms(system, bound)
     if structure.ligands:
-        _add_ligands(system, structure.ligands)
-    for bound in structure.fragments:
-        _add_fragment(system, bound)
+        _scale_pairs(system, structure.ligands)
     _refuse_unheld(structure, system)
     by_element = np.isin(structure.atom_residue, list(unknown))
     _exclude(system, _not_interacting(structure, by_element))
@@ -147,11 +146,11 @@ def _ions(structure: Structure, force_field: app.ForceField) -> dict[int, str]:
 
 
 def _recognised(
-    force_field: app.ForceField, structure: Structure, small: Iterable[int]
+    force_field: app.ForceField, structure: Structure, small: Iterable[int], own: set[int]
 ) -> tuple[app.Topology, list[int]]:
     """Topology for the force field, without bonds it does not know, and indices of unknown obstacles.
 
-    Those of ``small`` have parameters of their own.
+    Those of ``small`` and ``own`` have parameters of their own; the latter are bonded to others.
     """
     residue = structure.atom_residue
     kept = structure.kept & ~np.isin(residue, [*small])
@@ -162,7 +161,7 @@ def _recognised(
     while True:
         found = {
             int(res.id) for res in force_field.getUnmatchedResidues(_topology(structure, bonds, only=kept))
-        }
+        } - own
         if not found - unknown:
             return _topology(structure, bonds), sorted(unknown)
         unknown |= found
@@ -229,42 +228,40 @@ def _topology(structure: Structure, bonds: Integers, only: Any = None) -> app.To
     return made
 
 
-def _register(
-    force_field: app.ForceField, structure: Structure, residue: Any, ligand: BoundLigand | None = None
-) -> str:
-    """Add the template of an unknown molecule, or of a ligand, to a force field; return its name.
+def _by_element(force_field: app.ForceField, structure: Structure, residue: Any) -> str:
+    """Add the template of an unknown molecule to a force field; return its name."""
+    types, kinds = dict[int, tuple[str, float]](), dict[str, _Kind]()
+    for a in residue.atoms():
+        symbol, charge = a.element.symbol, float(structure.formal_charge[a.index])
+        kind = f"by-element-{symbol}{charge:+g}"
+        kinds[kind] = _Kind(symbol, charge, *lennard_jones(symbol, charge))
+        types[a.index] = kind, charge
+    return _add_template(force_field, residue, types, kinds)
 
-    Of a ligand it has charges and Lennard-Jones parameters, one type an atom; bonded terms are added later.
-    """
-    name = f"molecule-{residue.index}"
-    atoms = list(residue.atoms())
+
+def _add_template(
+    force_field: app.ForceField,
+    residue: Any,
+    types: Mapping[int, tuple[str, float]],
+    kinds: Mapping[str, "_Kind"],
+) -> str:
+    """Add the template of a residue, with type and charge of each atom, and these types; return its name."""
     root = ElementTree.Element("ForceField")
-    types, templates = (ElementTree.SubElement(root, tag) for tag in ("AtomTypes", "Residues"))
-    template = ElementTree.SubElement(templates, "Residue", name=name)
-    kinds: dict[str, _Kind] = {}
-    its = ligand.ligand.parameters if ligand else None
-    place = {int(k): i for i, k in enumerate(ligand.atoms)} if ligand else {}
-    for a in atoms:
-        symbol = a.element.symbol
-        if its is None:
-            charge = float(structure.formal_charge[a.index])
-            kind, pair = f"by-element-{symbol}{charge:+g}", lennard_jones(symbol, charge)
-        else:
-            i = place[a.index]
-            charge, pair = float(its.charge[i]), (float(its.sigma[i]), float(its.epsilon[i]))
-            kind = f"{name}-{a.name}"
-        kinds[kind] = _Kind(symbol, charge, *pair)
-        ElementTree.SubElement(template, "Atom", name=f"{a.index}", type=kind, charge=f"{charge!r}")
-    for bond in residue.internal_bonds():
-        ends = {f"atomName{i}": f"{a.index}" for i, a in enumerate(bond, 1)}
-        ElementTree.SubElement(template, "Bond", ends)
-    for bond in residue.external_bonds():
-        mine = next(a.index for a in bond if a.residue is residue)
-        ElementTree.SubElement(template, "ExternalBond", atomName=f"{mine}")
-    _add_types(types, {kind: of for kind, of in kinds.items() if kind not in force_field._atomTypes})
+    new = {kind: of for kind, of in kinds.items() if kind not in force_field._atomTypes}
+    _add_types(ElementTree.SubElement(root, "AtomTypes"), new)
     _add_pairs(root, force_field, kinds)
     force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
-    return name
+    made = app.ForceField._TemplateData(f"molecule-{residue.index}")
+    for a in residue.atoms():
+        kind, charge = types[a.index]
+        made.addAtom(app.ForceField._TemplateAtomData(f"{a.index}", kind, a.element, {"charge": charge}))
+    for bond in residue.internal_bonds():
+        made.addBondByName(*(f"{a.index}" for a in bond))
+    for bond in residue.external_bonds():
+        made.addExternalBondByName(f"{next(a.index for a in bond if a.residue is residue)}")
+    # Not registered: it is for this residue only, and may be bonded as another that has a template.
+    force_field._templates[made.name] = made
+    return str(made.name)
 
 
 def _add_types(node: ElementTree.Element, kinds: Mapping[str, "_Kind"]) -> None:
@@ -308,21 +305,9 @@ def _add_pairs(root: ElementTree.Element, force_field: app.ForceField, kinds: Ma
             ElementTree.SubElement(node, "Atom", values)
 
 
-def _add_ligands(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
-    """Add the bonded terms of ligands to a System, and scale their pairs three bonds apart as theirs are."""
-    bonds, angles = _force(system, openmm.HarmonicBondForce), _force(system, openmm.HarmonicAngleForce)
-    torsions = _force(system, openmm.PeriodicTorsionForce)
-    owner: dict[int, tuple[Any, int]] = {}
-    for bound in ligands:
-        its, at = bound.ligand.parameters, bound.atoms
-        owner |= {int(k): (its, i) for i, k in enumerate(at)}
-        for term, add in (
-            (its.bonds, bonds.addBond),
-            (its.angles, angles.addAngle),
-            (its.torsions, _torsion(torsions)),
-        ):
-            for atoms, values in zip(at[term.atoms].tolist(), term.parameters.tolist(), strict=True):
-                add(*atoms, *values)
+def _scale_pairs(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
+    """Scale pairs of ligands three bonds apart as theirs are."""
+    owner = {int(k): (bound.ligand.parameters, i) for bound in ligands for i, k in enumerate(bound.atoms)}
     nonbonded = _force(system, openmm.NonbondedForce)
     for k in range(nonbonded.getNumExceptions()):
         i, j, product, _, epsilon = nonbonded.getExceptionParameters(k)
@@ -345,7 +330,7 @@ def _add_ligands(system: openmm.System, ligands: Iterable[BoundLigand]) -> None:
 
 def _is_cap(bound: BoundLigand, i: int) -> bool:
     """Whether an atom of a fragment stands for one of a neighbour in the chain."""
-    return bound.ligand.molecule.names[i][-1] in "+-"
+    return bool(bound.core) and bound.ligand.molecule.names[i][-1] in "+-"
 
 
 def _framed(structure: Structure, bound: BoundLigand) -> dict[int, dict[int, int]]:
@@ -357,102 +342,106 @@ def _framed(structure: Structure, bound: BoundLigand) -> dict[int, dict[int, int
     return found
 
 
-def _register_fragment(
+def _register(
     force_field: app.ForceField,
     residues: Sequence[Any],
     bound: BoundLigand,
     places: Mapping[int, Mapping[int, int]],
 ) -> dict[Any, str]:
-    """Add the templates of a fragment's residues to a force field; return their names by residue.
+    """Add the templates of a ligand's or fragment's residues to a force field; return their names by residue.
 
     Types and charges of a backbone are alanine's; a nitrogen without hydrogen has the charge of proline's.
     C-beta has alanine's type. The other charges are those of the capped molecule, and what lacks to a whole
     charge is spread over them. Residues all of whose atoms keep their parameters are the force field's.
     """
     its, formal = bound.ligand.parameters, bound.ligand.molecule.formal_charges
-    places = {r: place for r, place in places.items() if not all(bound.core[i] for i in place.values())}
+    core = bound.core or ("",) * len(bound.atoms)
+    beyond = sum(_of_end(force_field, residues[r], [core[i] for i in p.values()]) for r, p in places.items())
+    places = {r: place for r, place in places.items() if not all(core[i] for i in place.values())}
     at = {k: i for place in places.values() for k, i in place.items()}
-    known = {r: _of_alanine(force_field, residues[r], bound, place) for r, place in places.items()}
+    known = {r: _kept(force_field, residues[r], core, place) for r, place in places.items()}
     kept = {k: charge for of in known.values() for k, (_, charge) in of.items() if charge is not None}
     charge = {k: kept.get(k, float(its.charge[i])) for k, i in at.items()}
-    rest = [k for k in at if k not in kept]
-    lacking = (int(formal[[*at.values()]].sum()) - sum(charge.values())) / len(rest)
-    charge |= {k: charge[k] + lacking for k in rest}
+    if bound.core:  # A ligand has the charge that it has.
+        rest = [k for k in at if k not in kept]
+        lacking = (int(formal[[*at.values()]].sum()) + beyond - sum(charge.values())) / len(rest)
+        charge |= {k: charge[k] + lacking for k in rest}
     chosen = {}
     for r, place in places.items():
-        residue = residues[r]
-        name = f"fragment-{residue.index}"
-        atoms = {a.index: a for a in residue.atoms()}
-        kinds = {
-            f"{name}-{atoms[k].name}": _Kind(
-                atoms[k].element.symbol, charge[k], float(its.sigma[i]), float(its.epsilon[i])
-            )
-            for k, i in place.items()
-            if k not in known[r]
-        }
-        root = ElementTree.Element("ForceField")
-        _add_types(ElementTree.SubElement(root, "AtomTypes"), kinds)
-        _add_pairs(root, force_field, kinds)
-        force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
-        made = app.ForceField._TemplateData(name)
-        for k, a in atoms.items():
-            kind = known[r][k][0] if k in known[r] else f"{name}-{a.name}"
-            made.addAtom(app.ForceField._TemplateAtomData(a.name, kind, a.element, {"charge": charge[k]}))
-        for bond in residue.internal_bonds():
-            made.addBondByName(bond[0].name, bond[1].name)
-        for bond in residue.external_bonds():
-            made.addExternalBondByName(next(a.name for a in bond if a.residue is residue))
-        force_field.registerResidueTemplate(made)
-        chosen[residue] = name
+        types, kinds = dict[int, tuple[str, float]](), dict[str, _Kind]()
+        for a in residues[r].atoms():
+            k, i = a.index, place[a.index]
+            types[k] = known[r][k][0] if k in known[r] else f"molecule-{r}-{a.name}", charge[k]
+            if k not in known[r]:
+                kinds[types[k][0]] = _Kind(
+                    a.element.symbol, charge[k], float(its.sigma[i]), float(its.epsilon[i])
+                )
+        chosen[residues[r]] = _add_template(force_field, residues[r], types, kinds)
     return chosen
 
 
-def _of_alanine(
-    force_field: app.ForceField, residue: Any, bound: BoundLigand, place: Mapping[int, int]
+def _of_end(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> float:
+    """Charge that a nucleotide at an end of a strand has beyond a whole one; the other end lacks it."""
+    kind = next(
+        (name.partition("/")[0].removeprefix(PHOSPHATE_END).rstrip("35N") for name in core if "/" in name), ""
+    )
+    joined = {
+        tuple(a.name for a in sorted(bond, key=lambda a: a.residue is not residue))
+        for bond in residue.external_bonds()
+    }
+    end = {(False, True): "5", (True, False): "3"}.get((("P", "O3'") in joined, ("O3'", "P") in joined), "")
+    found = force_field._templates.get(kind + end) if kind and end else None
+    charge = sum(a.parameters["charge"] for a in found.atoms) if found else 0.0
+    return float(charge - round(charge))
+
+
+def _kept(
+    force_field: app.ForceField, residue: Any, called: Sequence[str], place: Mapping[int, int]
 ) -> dict[int, tuple[str, float | None]]:
-    """Types and charges of the atoms of a residue that are alanine's, or glycine's; C-beta has no charge."""
-    core = {bound.core[i]: k for k, i in place.items() if bound.core[i]}
+    """Types and charges of the atoms of a residue that are alanine's, glycine's, or those of a nucleotide.
+
+    C-beta has no charge, nor what bears a modified base.
+    """
+    core = {called[i].rpartition("/")[2]: k for k, i in place.items() if called[i]}
     if not core:
         return {}
+    (base,) = {called[i].rpartition("/")[0] for i in place.values() if called[i]}
     end = "N" if "H1" in core else "C" if "OXT" in core else ""
     has_beta = "HA" in core or any(a.name == "CB" for a in residue.atoms())
-    base = force_field._templates.get(end + ("ALA" if has_beta else "GLY"))
-    known = {a.name: a for a in base.atoms if "charge" in a.parameters} if base else {}
+    template = force_field._templates.get(base or end + ("ALA" if has_beta else "GLY"))
+    known = {a.name: a for a in template.atoms if "charge" in a.parameters} if template else {}
     if not core.keys() <= known.keys():
         raise ForceFieldError(f"residue {residue.name} has parameters beside amber14 and amber19 only")
+    changed = {"CB"} if not base else {"C1'", "H1'"} if residue.name not in base else set()
     found = {
-        k: (known[name].type, None if name == "CB" else known[name].parameters["charge"])
+        k: (known[name].type, None if name in changed else known[name].parameters["charge"])
         for name, k in core.items()
     }
-    if "N" in core and not end and "H" not in core:
+    if not base and "N" in core and not end and "H" not in core:
         proline = next(a for a in force_field._templates["PRO"].atoms if a.name == "N")
         found[core["N"]] = known["N"].type, proline.parameters["charge"]
     return found
 
 
-def _add_fragment(system: openmm.System, bound: BoundLigand) -> None:
-    """Add the bonded terms of a fragment, in place of those of the force field that touch its own atoms."""
+def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
+    """Add the bonded terms of a molecule that touch its own atoms, in place of the force field's."""
     its, at = bound.ligand.parameters, bound.atoms
-    side = {k for i, k in enumerate(at.tolist()) if k >= 0 and not bound.core[i] and not _is_cap(bound, i)}
-    torsions = _force(system, openmm.PeriodicTorsionForce)
-    for k in range(torsions.getNumTorsions()):
-        *atoms, n, phase, _ = torsions.getTorsionParameters(k)
-        if side & {*atoms}:  # By a rule for any atoms about a bond.
-            torsions.setTorsionParameters(k, *atoms, n, phase, 0.0)
+    core = bound.core or ("",) * len(at)
+    own = {k for i, k in enumerate(at.tolist()) if k >= 0 and not core[i] and not _is_cap(bound, i)}
     bonds, angles = _force(system, openmm.HarmonicBondForce), _force(system, openmm.HarmonicAngleForce)
+    torsions = _force(system, openmm.PeriodicTorsionForce)
+    for k in range(torsions.getNumTorsions() if bound.core else 0):
+        *atoms, n, phase, _ = torsions.getTorsionParameters(k)
+        if own & {*atoms}:  # By a rule for any atoms about a bond.
+            torsions.setTorsionParameters(k, *atoms, n, phase, 0.0)
     for term, add in (
         (its.bonds, bonds.addBond),
         (its.angles, angles.addAngle),
-        (its.torsions, _torsion(torsions)),
+        (its.torsions, lambda i, j, k, m, n, *values: torsions.addTorsion(i, j, k, m, round(n), *values)),
     ):
         for atoms, values in zip(at[term.atoms].tolist(), term.parameters.tolist(), strict=True):
-            if min(atoms) >= 0 and side & {*atoms}:
+            if min(atoms) >= 0 and own & {*atoms}:
                 add(*atoms, *values)
-
-
-def _torsion(force: openmm.PeriodicTorsionForce) -> Callable[..., Any]:
-    """Adder of torsions whose periodicity comes as a real number."""
-    return lambda i, j, k, m, n, *values: force.addTorsion(i, j, k, m, round(n), *values)
 
 
 def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -97,6 +98,61 @@ def placed(
     return Placed(moved, read_only(atoms, np.int64), inverted)
 
 
+def named_as(molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], x: Floats) -> Molecule:
+    """Give atoms of a molecule the names of a model, which may lack some, as where it is bonded to another.
+
+    Parameters
+    ----------
+    molecule : Molecule
+    elements : (nm,) int
+        Atomic numbers in the model, without hydrogens.
+    names : tuple of str
+    x : (nm, 3) float, nm
+
+    Raises
+    ------
+    StructureError
+        If the model has another molecule there.
+    """
+    elements, heavy = np.asarray(elements), molecule.heavy
+    if len(names) >= len(heavy):
+        places = _matched(molecule, elements, names, x, np.arange(len(names)), None)
+        called = {i: names[k] for i, k in zip(heavy.tolist(), places.tolist(), strict=True)}
+    else:
+        apart, reach, joined = _distances(elements, x)
+        found = _skeleton(molecule.elements, molecule.bonds).GetSubstructMatches(
+            _skeleton(elements, joined), uniquify=False, maxMatches=_MOST_MATCHES
+        )
+        if not found:
+            raise StructureError(
+                f"{molecule.source}: is another molecule than the model has; give the one that it has"
+            )
+        usual = {
+            frozenset(pair): _SHORTER[k]
+            for pair, k in zip(molecule.bonds.tolist(), molecule.orders.tolist(), strict=True)
+        }
+        misfit = [
+            sum(abs(apart[i, j] - usual[frozenset((match[i], match[j]))] * reach[i, j]) for i, j in joined)
+            for match in found
+        ]
+        called = dict(zip(found[int(np.argmin(misfit))], names, strict=True))
+    taken = {*called.values()}
+    for i, name in enumerate(molecule.names):
+        if i not in called:
+            called[i] = next(each for n in count() if (each := name + n * "X") not in taken)
+            taken.add(called[i])
+    return replace(molecule, names=tuple(called[i] for i in range(molecule.n_atoms)))
+
+
+def _distances(elements: Any, x: Floats) -> tuple[Floats, Floats, Integers]:
+    """Distances of atoms and sums of their radii, angstrom, and the pairs that are bonded by these."""
+    table = library("rdkit.Chem").GetPeriodicTable()
+    radius = np.array([table.GetRcovalent(int(z)) for z in elements])
+    reach = radius[:, None] + radius
+    apart = np.linalg.norm(x[:, None] - x, axis=2) * ANGSTROM_PER_NM
+    return apart, reach, np.argwhere(np.triu(apart < _REACH * reach, 1))
+
+
 def _matched(
     molecule: Molecule,
     elements: Any,
@@ -116,11 +172,7 @@ def _matched(
     number = np.cumsum(molecule.elements != 1) - 1
     inside = np.isin(molecule.bonds, heavy).all(1)
     own, its = number[molecule.bonds[inside]], molecule.elements[heavy]
-    table = library("rdkit.Chem").GetPeriodicTable()
-    radius = np.array([table.GetRcovalent(int(z)) for z in elements[kept]])
-    reach = radius[:, None] + radius
-    apart = np.linalg.norm(x[kept][:, None] - x[kept], axis=2) * ANGSTROM_PER_NM
-    joined = np.argwhere(np.triu(apart < _REACH * reach, 1))
+    apart, reach, joined = _distances(elements[kept], x[kept])
     here, whole = _formula(elements[kept]), _formula(its)
     if here != whole:
         if Counter(elements[kept].tolist()) < Counter(its.tolist()):

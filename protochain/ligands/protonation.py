@@ -75,6 +75,7 @@ RULES = (
     Rule(-1, "[NX4+;!H0]-[OX2]", 6.0, "hydroxylamines: [4]"),
     Rule(-1, "[NX4+;!H0]-P", 3.0, "phosphoramidates: [4]"),
     Rule(-1, "[N+;!H0]=C-[NX3]-C=[N+;!H0]", 2.8, "biguanides, second: [5]"),
+    Rule(-1, "[N+;!H0]=[CX3;!$(C(-N)-N)]-[NX3]-C=O", 2.0, "imidazolinones, GFP's chromophore: [6]"),
     Rule(1, f"[nX2+0]1{_PLAIN}{_PLAIN}c(-[NX3+0;!$(N-[C,S]=[O,S])]){_PLAIN}{_PLAIN}1", 9.1,
          "4-aminopyridines and -quinolines: [4]"),
     Rule(-1, "[NX3H](-S(=O)=O)-[c;r5;$(c:n:[o,n])]", 5.7, "sulphonamides of isoxazole, thiadiazole: [5]"),
@@ -89,7 +90,7 @@ RULES = (
 [1] Perrin, Ionisation Constants of Inorganic Acids and Bases (1982). [2] Alberty, Goldberg, Biochemistry
 31:10610 (1992). [3] Yount, Babcock, Ballantyne, Ojala, Biochemistry 10:2484 (1971). [4] Perrin, Dissociation
 Constants of Organic Bases (1965); Albert, Serjeant, The Determination of Ionization Constants (1984).
-[5] Prankerd, Profiles Drug Subst. 33:1 (2007).
+[5] Prankerd, Profiles Drug Subst. 33:1 (2007). [6] Bell, He, Wachter, Tonge, Biochemistry 39:4423 (2000).
 """
 _AT_METAL = "[$([#7+;!H0]),$([NX3;!H0]-S(=O)=O),$([SX2H]),$([OX2H]-[!$([CX4])])]"
 """Sites that lose a proton to a metal. An alcohol, as of a sugar at calcium, keeps its own."""

@@ -21,7 +21,7 @@ from protochain.core.checks import ligands as ligands_of
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import Ligand, parametrised
-from protochain.ligands.matching import Placed, placed
+from protochain.ligands.matching import Placed, named_as, placed
 from protochain.ligands.molecule import Molecule, library
 from protochain.ligands.protonation import Charged, at_metal, at_ph, with_hydrogens
 from protochain.ligands.sources import of_residue
@@ -192,13 +192,26 @@ class Chemist:
         return member.name if member.name in STANDARD else member.given or member.name
 
     def free(self, member: Member) -> Molecule:
-        """Chemistry of a residue by name, as its source has it.
+        """Chemistry of a residue as its source has it, under the names of its atoms in the file.
 
         Raises
         ------
         ProtochainError
             If no source has it.
         """
+        found, atoms = self._of_source(member), [a for a in member.atoms if not a.is_hydrogen()]
+        names, is_given = tuple(a.name for a in atoms), self.name(member) in self.chemistry.moving
+        if not is_given and {*names} <= {*found.names}:
+            return found
+        x = np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
+        try:
+            return named_as(found, [a.element.atomic_number for a in atoms], names, x)
+        except ProtochainError:
+            if is_given:
+                raise
+            return found
+
+    def _of_source(self, member: Member) -> Molecule:
         name = self.name(member)
         atoms = {a.name: (a.element.name, int(a.charge)) for a in member.atoms}
         return of_residue(name, self.draft.header, atoms, self.chemistry.named.get(name))
@@ -206,7 +219,7 @@ class Chemist:
     def _looked_up(self, name: str, member: Member) -> Charging:
         """Chemistry of a residue by name, charged for the pH."""
         if name not in self.known:
-            self.known[name] = self.chemistry.charged(self.free(member), name in self.chemistry.named)
+            self.known[name] = self.chemistry.charged(self._of_source(member), name in self.chemistry.named)
         return self.known[name]
 
 
@@ -296,7 +309,10 @@ def take_up(draft: Draft, ph: float) -> None:
         if part.ligand is None:
             continue
         (member,), molecule = part.members, part.ligand.molecule
-        member.own, its = _template(member.name, part.ligand), member.residue
+        member.own, its = (
+            template_of(member.name, part.ligand, dict(enumerate(molecule.names))),
+            member.residue,
+        )
         charge = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
         for each in member.atoms:
             each.charge = charge.get(each.name, 0)
@@ -329,13 +345,14 @@ def put_hydrogens(draft: Draft) -> None:
                 each.pos = gemmi.Position(*np.round(x, _DECIMALS))
 
 
-def _template(name: str, ligand: Ligand) -> Template:
+def template_of(name: str, ligand: Ligand, called: Mapping[int, str]) -> Template:
+    """Template of a residue: atoms of a molecule, and the names that they have there."""
     molecule, charge = ligand.molecule, ligand.parameters.charge
-    bonds = [(molecule.names[i], molecule.names[j]) for i, j in molecule.bonds.tolist()]
+    bonds = ([called[i], called[j]] for i, j in molecule.bonds.tolist() if i in called and j in called)
     return Template(
         name,
-        {each: gemmi.Element(int(z)).name for each, z in zip(molecule.names, molecule.elements, strict=True)},
-        dict(zip(molecule.names, charge.tolist(), strict=True)),
+        {each: gemmi.Element(int(molecule.elements[i])).name for i, each in called.items()},
+        {each: float(charge[i]) for i, each in called.items()},
         # By name, so that a file written of it gives the same again.
         tuple(sorted((min(bond), max(bond)) for bond in bonds)),
         {},

@@ -43,7 +43,7 @@ class Member:
     given : str
         Its name in the file, where another.
     odd : bool
-        Whether it is an amino acid that no force field has.
+        Whether it is an amino acid, or a nucleotide of a strand, that no force field has.
     parent : str
         Standard amino acid that such a one becomes without parameters; empty if there is none.
     """
@@ -126,8 +126,8 @@ class Part:
 
     @property
     def is_strand(self) -> bool:
-        """Whether it is of nucleotides."""
-        return self.members[0].name in residues.NUCLEOTIDES
+        """Whether it is of nucleotides, also modified ones."""
+        return self.members[0].name in residues.NUCLEOTIDES or (self.obstacle and len(self.members) > 1)
 
     def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:
         """Template of residue i, in a protonation state or in the usual one.

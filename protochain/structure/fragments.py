@@ -24,15 +24,24 @@ from protochain.ligands import Ligand, parametrised
 from protochain.ligands.dictionary import leaving
 from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly
 from protochain.ligands.protonation import at_ph
-from protochain.structure.bound import Chemist
+from protochain.structure.bound import Chemist, template_of
 from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.draft import Draft, Fragment, Member, Part, losses
+from protochain.structure.kept import cut
 from protochain.structure.linkage import SHORTEST, STATED_SLACK, Link, usual_length
 from protochain.structure.repairs import Kind, Loss, Why
-from protochain.structure.residues import BACKBONE, OF_ALANINE, name_in_file
-from protochain.structure.templates import Template, archive_parent, other_names
+from protochain.structure.residues import BACKBONE, NUCLEOTIDES, OF_ALANINE, Atom, name_in_file
+from protochain.structure.sites import stated_beside
+from protochain.structure.templates import (
+    HAS_GLYCAM,
+    HAS_SAGE,
+    PHOSPHATE_END,
+    Template,
+    archive_parent,
+    other_names,
+)
 
-_H, _C, _N, _O = 1, 6, 7, 8
+_H, _C, _N, _O, _P = 1, 6, 7, 8, 15
 _MONOVALENT = (_N, _O, 9, 16, 17, 35, 53)
 """Elements of atoms at the end of a single bond that may leave, hydrogens aside."""
 _DOUBLE = 0.03
@@ -84,7 +93,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     for link in cross:
         link.member.links.append(link.atom)
         link.other.links.append(link.other_atom)
-    beside = [link for link in links if not link.is_metal] if chemist.chemistry.has_sage else []
+    beside = [link for link in links if not link.is_metal] + [*_between(draft)]
     bonds = beside + cross
     ends: dict[int, set[str]] = {}
     for link in bonds:
@@ -99,17 +108,33 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     pairs = [(number[a], number[b]) for link in bonds for a, b in [link.owners]]
     for m in special:
         _, _, before, after = where[id(m)]
-        if (before or after) and not _is_like_alanine(chemist, m):
-            pairs += [(number[id(m)], number[id(each)]) for each in (before, after) if each]
+        wide: list[Member | None] = []
+        if where[id(m)].part.obstacle:
+            wide = [before] if before and before.odd and not _is_phosphodiester(before, m) else []
+        elif (before or after) and not _is_like_alanine(chemist, m):
+            wide = [before, after]
+        pairs += [(number[id(m)], number[id(each)]) for each in wide if each]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(number))
     unknown: list[tuple[Member, ProtochainError | ValueError]] = []
+    still: list[Member] = []
     for g in dict.fromkeys(int(group[number[id(m)]]) for m in special):
         mine = [m for m in draft.members if group[number[id(m)]] == g]
         own = [link for link in bonds if any(link.member is m for m in mine)]
+        around = [m for m in mine if where[id(m)].part.obstacle]
         try:
+            if around and not chemist.chemistry.has_sage:
+                raise StructureError(f"OpenFF Sage goes with {HAS_GLYCAM} and {HAS_SAGE} only")
             _take_in(draft, chemist, _Maker(chemist, mine, own, where, odd).fragment(), odd)
         except (ProtochainError, ValueError) as error:  # RDKit's, of rings that it cannot kekulize.
-            unknown += [(m, error) for m in mine if m.odd and not m.parent]
+            if given := next((m for m in around if chemist.name(m) in chemist.chemistry.moving), None):
+                raise StructureError(f"{draft.source}: {given}: ", *_parts(error)) from None
+            for m in around:
+                where[id(m)].part.is_small = False
+                where[id(m)].part.mobile &= m.odd
+                if m.odd:
+                    draft.note(Kind.STAYS_UNKNOWN, residue=m.residue, why=error)
+                    still.append(m)
+            unknown += [(m, error) for m in mine if m.odd and not m.parent and m not in still]
             _refuse_or_tie(draft, own, error)
             why = Why.INCOMPLETE if getattr(error, "fault", None) is Fault.INCOMPLETE else Why.PARENT
             for m in (m for m in mine if m.parent):
@@ -118,7 +143,30 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
         bonds = [link for link in bonds if link not in own]
     if unknown:
         raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
+    draft.parts = [
+        piece for part in draft.parts for piece in cut(draft, part, [m for m in part.members if m in still])
+    ]
     return [link for link in links if link in bonds or link not in beside]
+
+
+def _between(draft: Draft) -> Iterator[Link]:
+    """Bonds that the file states between molecules beside the protein, but of metals and known glycans.
+
+    Those that are too long are reported.
+    """
+    parts = {id(m): part for part in draft.parts for m in part.members}
+    for link in stated_beside(draft):
+        (one, other), names = (parts[each] for each in link.owners), {link.atom.name, link.other_atom.name}
+        if (
+            link.atom.element.is_metal or link.is_metal or (one.glycan and other.glycan)
+            or min(len(link.member.atoms), len(link.other.atoms)) == 1
+            or (one is other and names == {"O3'", "P"})
+        ):  # fmt: skip
+            continue
+        if link.length < SHORTEST or link.excess > STATED_SLACK:
+            draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
+        else:
+            yield link
 
 
 def _places(part: Part) -> Iterator[tuple[Member, _Place]]:
@@ -133,6 +181,19 @@ def _is_whole(at: _Place, member: Member, ends: set[str]) -> bool:
     """Whether a template fits a residue of a chain all the same: its bond goes on where the chain ends."""
     open_ends = {name for name, other in (("N", at.before), ("C", at.after)) if other is None}
     return not at.part.obstacle and ends <= open_ends and not member.odd
+
+
+def _is_phosphodiester(before: Member, after: Member) -> bool:
+    """Whether two nucleotides are joined as usual, so that no term has changed atoms of both."""
+    return before.atom("O3'") is not None and all(map(after.atom, ("P", "OP1", "OP2", "O5'")))
+
+
+def _is_dna(members: Sequence[Member]) -> bool:
+    """Whether most standard nucleotides are those of DNA; without such, whether none has O2'."""
+    known = [m.name for m in members if m.name in NUCLEOTIDES]
+    if not known:
+        return not any(m.atom("O2'") for m in members)
+    return 2 * sum(name[0] == "D" for name in known) > len(known)
 
 
 def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
@@ -377,8 +438,7 @@ class _Maker:
         self.of_tag = dict(zip(tags, members, strict=True))
         self.graph, self.flagged = _Graph(), set[str]()
         self.acids, self.amines = list[str](), list[str]()
-        heavy = ((m, a) for m in members for a in m.atoms if not a.is_hydrogen())
-        self.at = {self.tag[id(m)] + a.name: a for m, a in heavy}
+        self.at: dict[str, gemmi.Atom] = {}
 
     def fragment(self) -> Fragment:
         """Chemistry and parameters, whose atoms these are, and what leaves at each bond.
@@ -393,7 +453,10 @@ class _Maker:
             free, tag = self.chemist.free(m), self.tag[id(m)]
             sources[free.source] = None
             self.graph.add(tag, free)
+            self.at |= {tag + a.name: a for a in m.atoms if not a.is_hydrogen()}
             self.flagged |= {tag + name for name in (*leaving(self.chemist.name(m)), "OXT", "OP3")}
+            if self.where[id(m)].part.obstacle:
+                self._without_far(tag)
         bonds = {}
         for link in self.links:
             ends = (link.member, link.atom), (link.other, link.other_atom)
@@ -413,29 +476,95 @@ class _Maker:
         graph = _Graph()
         graph.add("", ligand.molecule)
         owners, core = list[tuple[Member | None, str]](), list[str]()
+        strands = [m for m in self.members if self.where[id(m)].part.is_strand and id(m) in self.special]
+        cores = {id(m): self._nucleic_core(graph, m) for m in strands}
         for name in graph.atoms:
             prefix, _, own = name.partition(":")
             m = self.of_tag[prefix]
             owners.append(self._cap_owner(m, own) if own[-1] in "+-" else (m, own))
-            is_core = id(m) not in self.special or _is_core(graph, f"{prefix}:", own)
-            core.append(own if is_core else "")
+            is_core = id(m) not in self.special or (
+                not self.where[id(m)].part.obstacle and _is_core(graph, f"{prefix}:", own)
+            )
+            core.append(cores[id(m)].get(own, "") if id(m) in cores else own if is_core else "")
         return Fragment(ligand, tuple(owners), tuple(core), bonds)
+
+    def _without_far(self, tag: str) -> None:
+        """Take away atoms that the file lacks, but those next to one that it has, which may leave there."""
+        graph = self.graph
+        absent = [
+            a for a, (z, _) in graph.atoms.items() if a.startswith(tag) and z != _H and a not in self.at
+        ]
+        far = [a for a in absent if not self.at.keys() & {*graph.heavy(a)}]
+        graph.drop([y for x in far for y in (x, *graph.light(x))])
+
+    def _absent_at(self, a: str) -> list[str]:
+        """An oxygen of a nucleotide, by whatever name, that leaves where its strand goes on."""
+        if not self.where[id(self.of_tag[a.partition(":")[0]])].part.is_strand:
+            return []
+        return [x for x in self.graph.heavy(a) if x not in self.at and self.graph.atoms[x][0] == _O][:1]
 
     def _cap_owner(self, member: Member, name: str) -> tuple[Member | None, str]:
         """Residue and atom that an atom of a cap stands for, if it does."""
-        _, _, before, after = self.where[id(member)]
+        part, _, before, after = self.where[id(member)]
         own = name[:-1]
+        if part.obstacle:
+            return before if name[-1] == "-" else after, own
         if name == "CA-" and before is not None and before.atom("CH3"):
             own = "CH3"
         other = before if name in ("C-", "O-", "CA-") else after if name == "N+" else None
         return other, own
+
+    def _nucleic_core(self, graph: _Graph, member: Member) -> dict[str, str]:
+        """What the force field calls atoms of a nucleotide, if their neighbours are those it has there.
+
+        Of a modified one only those of sugar and phosphate.
+        """
+        tag, (part, _, before, after) = self.tag[id(member)], self.where[id(member)]
+        is_standard = member.name in NUCLEOTIDES
+        kind = member.name if is_standard else "DA" if _is_dna(part.members) else "A"
+        both = [end for x in self.links for end in ((x.member, x.atom), (x.other, x.other_atom))]
+        bonded = {a.name for m, a in both if m is member}
+        is_first, is_last = not (before or "P" in bonded), not (after or "O3'" in bonded)
+        ends = {(True, True): "N", (True, False): "5", (False, True): "3"}.get((is_first, is_last), "")
+        if is_first and f"{tag}P" in graph.atoms:
+            kind, ends = PHOSPHATE_END + kind, ""
+        its = self.chemist.templates.get(kind + ends)
+        if its is None:
+            return {}
+        # There are no parameters of bonds between DNA and RNA.
+        across = {
+            name
+            for name, other in (("P", before), ("O3'", after))
+            if other and other.name in NUCLEOTIDES and _is_dna([other]) != ("D" in kind)
+        }
+        called = {its.synonyms.get(own, own): tag + own for own in (a.name for a in member.atoms)}
+        inner = [name for name in its.heavy if is_standard or {*name} & {"'", "P"}]
+        found: dict[str, str] = {}
+        for name in (name for name in inner if name not in across and called.get(name) in graph.atoms):
+            a, light = called[name], its.hydrogens.get(name, [])
+            outer = {"P": not is_first, "O3'": not is_last, "C1'": not is_standard}.get(name, False)
+            near = {called.get(each, "") for each in its.neighbours(name) if each in inner}
+            heavy = {*graph.heavy(a)}
+            if (
+                gemmi.Element(graph.atoms[a][0]).name == its.element[name]
+                and near <= heavy and len(heavy - near) == outer and len(graph.light(a)) == len(light)
+            ):  # fmt: skip
+                mine = (each.removeprefix(tag) for each in (a, *graph.light(a)))
+                found |= dict(zip(mine, (f"{its.name}/{each}" for each in (name, *light)), strict=True))
+        return found
 
     def _join(self, a: str, b: str, along: bool = False) -> tuple[str, ...]:
         """Bond two atoms; return those that leave."""
         graph = self.graph
         if not {a, b} <= graph.atoms.keys():
             raise StructureError(f"its chemistry has no {(b if a in graph.atoms else a).partition(':')[2]}")
-        absent = () if along else graph.atoms.keys() - self.at.keys()
+        absent = {*self._absent_at(a), *self._absent_at(b)} if along else graph.atoms.keys() - self.at.keys()
+        # Carbon that a ligand lacks has not left: it is missing.
+        absent -= {
+            x
+            for x in absent
+            if graph.atoms[x][0] == _C and self.where[id(self.of_tag[x.partition(":")[0]])].part.obstacle
+        }
         # Poor models have amide and glycosidic bonds of nitrogen as short as double ones.
         carbons = graph.atoms[a][0] == graph.atoms[b][0] == _C
         is_short = not along and carbons and self._excess(a, b) < -_DOUBLE
@@ -472,6 +601,16 @@ class _Maker:
         if after is not None and id(after) in self.tag:
             self._join(c, self.tag[id(after)] + start, along=True)
         if part.obstacle:
+            if after is not None and id(after) not in self.tag:
+                self._cap(c, *_STRAND_AFTER)
+            if before is not None and id(before) not in self.tag:
+                self._cap(n, *_STRAND_BEFORE)
+            elif before is None and part.is_strand and n in graph.atoms and n not in self.at:
+                # The strand begins with a hydroxyl.
+                ends = [x for x in graph.heavy(n) if len(graph.heavy(x)) == 1]
+                graph.drop(
+                    [y for x in (n, *ends) for y in ((x, *graph.light(x)) if x in graph.atoms else ())]
+                )
             return
         linked = {a.name for a in member.links}
         if (after is not None and id(after) not in self.tag) or (
@@ -488,14 +627,25 @@ class _Maker:
 
     def _cap(self, a: str, atoms: Mapping[str, int], bonds: Mapping[tuple[str, str], int]) -> None:
         """Bond an atom to the first of those that stand for a neighbour."""
-        prefix = a.partition(":")[0] + ":"
-        _, freed = self.graph.leave(a, (), self.flagged)
+        prefix, _, own = a.partition(":")
+        prefix += ":"
+        if a not in self.graph.atoms:
+            raise StructureError(f"its chemistry has no {own}")
+        _, freed = self.graph.leave(a, self._absent_at(a), self.flagged)
         self.graph.give(a, 1, freed, ())
         for name, z in atoms.items():
             self.graph.atoms[prefix + name] = [z, 0]
         self.graph.bonds[frozenset((a, prefix + next(iter(atoms))))] = 1
         for ends, order in bonds.items():
             self.graph.bonds[frozenset(prefix + end for end in ends)] = order
+
+
+_STRAND_BEFORE = {"O3'-": _O, "C3'-": _C}, {("O3'-", "C3'-"): 1}
+_STRAND_AFTER = (
+    {"P+": _P, "OP1+": _O, "OP2+": _O, "O5'+": _O, "C5'+": _C},
+    {("P+", "OP1+"): 2, ("P+", "OP2+"): 1, ("P+", "O5'+"): 1, ("O5'+", "C5'+"): 1},
+)
+"""Atoms and bonds that stand for the neighbours of a nucleotide."""
 
 
 def _is_core(graph: _Graph, prefix: str, name: str) -> bool:
@@ -553,7 +703,7 @@ def _names(molecule: Molecule) -> tuple[str, ...]:
     taken = {names[i] for i in molecule.heavy}
     done: set[int] = set()
     for _, prefix, own, light in parents:
-        if own in _CALLED and f"{prefix}:C" in taken:
+        if own in _CALLED and (own == "O5'" or f"{prefix}:C" in taken):
             for j, name in zip(light, _CALLED[own][len(light) > 1], strict=False):
                 names[j] = f"{prefix}:{name}"
                 taken.add(names[j])
@@ -568,7 +718,7 @@ def _names(molecule: Molecule) -> tuple[str, ...]:
     return tuple(names)
 
 
-_CALLED = {"N": (("H",), ("H1", "H2", "H3")), "CA": (("HA",), ("HA2", "HA3"))}
+_CALLED = {"N": (("H",), ("H1", "H2", "H3")), "CA": (("HA",), ("HA2", "HA3")), "O5'": (("HO5'",), ())}
 """Hydrogens of a backbone, if it is one, and if there are several."""
 
 
@@ -580,11 +730,16 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     StructureError
         With ``Fault.INCOMPLETE``, if the file lacks atoms of one.
     """
-    found = {id(m): (m, _template(m, made)) for m, _ in made.owners if m is not None and id(m) in special}
+    mine = {
+        id(m): m
+        for (m, _), name in zip(made.owners, made.ligand.molecule.names, strict=True)
+        if name[-1] not in "+-"
+    }
+    found = {key: (m, _template(m, made)) for key, m in mine.items() if m is not None and key in special}
     leavers = {(id(m), name) for gone in made.bonds.values() for m, name in gone}
     for m, template in found.values():
         there = {a.name for a in m.atoms if not a.is_hydrogen() and (id(m), a.name) not in leavers}
-        if strange := (there ^ {*template.heavy}) - {"OXT"}:
+        if strange := (there ^ {*template.heavy}) - {"OXT", "OP3"}:
             odd = ", ".join(sorted(strange))
             raise StructureError(f"{m}: {odd} missing or unknown", fault=Fault.INCOMPLETE)
     parts = {id(m): part for part in draft.parts for m in part.members}
@@ -596,16 +751,19 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         draft.note(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
         if parts[id(m)].obstacle:
             parts[id(m)].mobile, parts[id(m)].is_small = True, False
-            draft.repairs = [
-                each
-                for each in draft.repairs
-                if each.kind is not Kind.GLYCAN_STAYS or each.facts["residue"] != m.residue
-            ]
         m.odd, m.parent = False, ""
     for link, gone in made.bonds.items():
         lost = [loss for m in (link.member, link.other) for loss in _lost(m, {n for o, n in gone if o is m})]
         names = tuple(f"{name} of {m.residue.name}" for m, name in gone)
         draft.note(Kind.LINKED, tuple(lost), atoms=link.atoms, length=link.length, gone=names)
+    # A chain goes on through what both of its ends are bonded to, as GFP's through the chromophore.
+    ends = {end for link in made.bonds for end in link.atoms}
+    draft.repairs = [
+        each
+        for each in draft.repairs
+        if each.kind is not Kind.GAP
+        or not {Atom("C", each.facts["last"]), Atom("N", each.facts["first"])} <= ends
+    ]
     draft.fragments.append(made)
 
 
@@ -618,20 +776,11 @@ def _lost(member: Member, names: Collection[str]) -> tuple[Loss, ...]:
 
 def _template(member: Member, made: Fragment) -> Template:
     """Atoms and bonds of a residue; charges only turn hydroxyls while hydrogens are placed."""
-    molecule = made.ligand.molecule
-    mine = {
+    called = {
         i: name for i, (owner, name) in enumerate(made.owners)
-        if owner is member and molecule.names[i][-1] not in "+-"
+        if owner is member and made.ligand.molecule.names[i][-1] not in "+-"
     }  # fmt: skip
-    charge = made.ligand.parameters.charge
-    return Template(
-        member.name,
-        {name: gemmi.Element(int(molecule.elements[i])).name for i, name in mine.items()},
-        {name: float(charge[i]) for i, name in mine.items()},
-        tuple((mine[i], mine[j]) for i, j in molecule.bonds.tolist() if i in mine and j in mine),
-        {},
-        is_users=True,
-    )
+    return template_of(member.name, made.ligand, called)
 
 
 def fullest(name: str) -> str:

@@ -1,6 +1,6 @@
 """Glycans that move: sugars linked to Asn, Ser, Thr and to one another, with the parameters of GLYCAM-06j.
 
-A glycan of which any sugar or link is unknown stays as it is in the file, and its repair says why.
+A glycan of which any sugar or link is unknown has its own chemistry, as other molecules.
 """
 
 import re
@@ -45,8 +45,8 @@ _CLEAR = 0.1
 _Owned = tuple[Member, gemmi.Atom]
 
 
-def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_glycam: bool) -> list[Part]:
-    """Let glycans move whose sugars and links GLYCAM-06j knows; a repair says why one does not.
+def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_glycam: bool) -> None:
+    """Let glycans move whose sugars and links GLYCAM-06j knows; links of others are as if stated.
 
     Parameters
     ----------
@@ -59,14 +59,10 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
     has_glycam : bool
         Whether the force field is one that GLYCAM-06j goes with.
 
-    Returns
-    -------
-    list of Part
-        Sugars of the glycans that stay in place.
     """
     sugars = [part for part in parts if part.members[0].name in SUGARS.keys() - {*others}]
     if not sugars:
-        return []
+        return
     near = _Surroundings(draft, parts, sugars)
     place = {id(part.members[0]): k for k, part in enumerate(sugars)}
     links = [link for part in sugars if (link := near.link(part.members[0])) is not None]
@@ -74,7 +70,6 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
         _without_hydroxyl(draft, link)
     pairs = [(place[id(a)], place[id(b)]) for a, b in ((x.member, x.other) for x in links) if id(a) in place]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(sugars))
-    refused: list[Part] = []
     for g in range(group.max() + 1):
         mine = [part for part, its in zip(sugars, group, strict=True) if its == g]
         own = [link for link in links if any(link.other is part.members[0] for part in mine)]
@@ -84,8 +79,8 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
         why = next(near.refusals([part.members[0] for part in mine], own, codes), "")
         why = why if has_glycam else f"GLYCAM-06j goes with {HAS_GLYCAM} only"
         if why:
-            draft.note(Kind.GLYCAN_STAYS, residue=mine[0].members[0].residue, why=why)
-            refused += mine
+            # Those found by their geometry are as if the file stated them.
+            draft.stated += [(x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in own]
             continue
         draft.glycosidic += [(x.member.address(x.atom.name), x.other.address(x.other_atom.name)) for x in own]
         facts: dict[str, Any] = {"count": len(mine), "codes": (*dict.fromkeys(codes.values()),)}
@@ -99,7 +94,6 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
             part.glycan, part.mobile = codes[id(member)], True
             member.own = _template(member, part.glycan)
             _tell_hands(draft, member, letters_of(part.glycan), own)
-    return refused
 
 
 def _code(member: Member, links: Sequence[Link]) -> str:

@@ -4,6 +4,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import gemmi
 import numpy as np
@@ -112,11 +113,17 @@ def choose(
     _refuse_unknown_names(draft, candidates, [*chemistry.named], "ligand ")
     usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
     near = _near(draft, usable) if "near" in keep else set()
+    strands = {
+        id(each)
+        for pair in pairwise(candidates) if _is_bonded(*(each.member for each in pair))
+        for each in pair
+    }  # fmt: skip
     chosen = []
     gone: Counter[tuple[str, Why | None]] = Counter()
     lost: list[Loss] = []
     for candidate in candidates:
         words = {"all", candidate.kind, candidate.member.name, candidate.given}
+        words |= {"nucleic"} if id(candidate) in strands else set()
         is_given = candidate.given in chemistry.moving
         # A result names what it kept, which may have come further away.
         if id(candidate) in near or draft.says_of(candidate.member):
@@ -198,10 +205,10 @@ def _parts(
             parts[-1].members.append(member)
         else:
             parts.append(Part(member.chain_id, [member], obstacle=True))
-    held = glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
+    glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
     for part in (each for each in parts if not each.glycan):
         _trim(draft, part)
-    parts = [piece for part in parts for piece in _pieces(draft, part, known)]
+    parts = [piece for part in parts for piece in _pieces(draft, part, known, chemistry.has_sage)]
     for part in parts:
         first, whole = part.members[0], [*part.members[0].atoms]
         if first.own is not None:
@@ -209,7 +216,7 @@ def _parts(
         if len(part.members) == 1 and part.is_strand and not first.links:
             first.atoms = [atom for atom in whole if atom.name not in _PHOSPHATE]
         found = [part.template(known, i) for i in range(len(part.members))]
-        fits = all(_fits(member, its) for member, its in zip(part.members, found, strict=True))
+        fits = all(m.odd or _fits(m, its) for m, its in zip(part.members, found, strict=True))
         is_users = len(found) == 1 and found[0] is not None and found[0].is_users
         part.mobile = fits and (is_users or part.is_strand)
         if not fits:
@@ -226,7 +233,7 @@ def _parts(
                 known_as = recognised(first, first.own, users) if first.own else None
                 first.own, part.mobile = known_as or first.own, known_as is not None
                 n_heavy = sum(not atom.is_hydrogen() for atom in first.atoms)
-                is_known = part.mobile or part in held or first.name in residues.NUCLEOTIDES
+                is_known = part.mobile or first.name in residues.NUCLEOTIDES
                 part.is_small = n_heavy > 1 and not is_known
         elif len(whole) > len(first.atoms):
             lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)
@@ -246,29 +253,33 @@ def _trim(draft: Draft, part: Part) -> None:
         draft.note(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")
 
 
-def _pieces(draft: Draft, part: Part, known: Mapping[str, Template]) -> list[Part]:
-    """Cut a strand at the nucleotides without parameters, which stay in place, tied to the others."""
+def _pieces(draft: Draft, part: Part, known: Mapping[str, Template], has_sage: bool) -> list[Part]:
+    """Cut a strand at the nucleotides without parameters; modified ones are to get their own."""
     if len(part.members) == 1:
         return [part]
-    fit = [_fits(member, part.template(known, i)) for i, member in enumerate(part.members)]
-    pieces: list[Part] = []
-    for i, (member, its) in enumerate(zip(part.members, fit, strict=True)):
-        if i and its == fit[i - 1]:
-            pieces[-1].members.append(member)
-            continue
-        pieces.append(Part(part.chain_id, [member], obstacle=True))
-        if i:
-            before = part.members[i - 1]
-            # Beside it, the strand goes on.
-            one, name = (member, "P") if its else (before, "O3'")
-            one.links += [atom for atom in one.atoms if atom.name == name]
-    strange = [member for member, its in zip(part.members, fit, strict=True) if not its]
+    strange = [m for i, m in enumerate(part.members) if not _fits(m, part.template(known, i))]
     for member in strange:
-        member.own = by_element(member)
-    if strange:
-        draft.note(
-            Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(each.residue for each in strange)
-        )
+        member.odd = has_sage and member.name not in residues.NUCLEOTIDES
+    return cut(draft, part, [member for member in strange if not member.odd])
+
+
+def cut(draft: Draft, part: Part, strange: Sequence[Member]) -> list[Part]:
+    """Cut a strand at nucleotides without parameters, which stay in place, and report it."""
+    if not strange:
+        return [part]
+    pieces: list[Part] = []
+    for i, member in enumerate(part.members):
+        moves, before = member not in strange, part.members[i - 1]
+        if not i or moves == (before in strange):
+            pieces.append(Part(part.chain_id, [], obstacle=True, mobile=moves))
+            if i:
+                # Beside it, the strand goes on.
+                one, name = (member, "P") if moves else (before, "O3'")
+                one.links += [atom for atom in one.atoms if atom.name == name]
+        pieces[-1].members.append(member)
+    for member in strange:
+        member.own, member.odd = by_element(member), False
+    draft.note(Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(each.residue for each in strange))
     return pieces
 
 

@@ -184,7 +184,6 @@ class Kind(Enum):
         "{count:n sugar} bonded to one another, {residue} first: free to move, with the parameters of "
         "GLYCAM-06j ({codes}), in torsions as a rigid body"
     )
-    GLYCAN_STAYS = Words("the glycan of {residue} stays in place: {why}")
     OTHER_ANOMER = Words(
         "{residue}: by its atoms the other anomer than by its name: it stays so, with the parameters of that"
     )

@@ -188,24 +188,17 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
     tied = {id(link.other) for link in links}
     beside = [(part, a) for part, _, a in beside_of(draft)]
     tree = KDTree([a.pos.tolist() for _, a in beside]) if beside else None
-    metals = {m.address(a.name) for _, m, a in beside_of(draft) if is_metal(a.element.name)}
-    along = {frozenset(_ends(link)) for link in strand_links(draft)}
     framed = {id(m) for made in draft.fragments for m, _ in made.owners}
     names: Counter[str] = Counter()
     for part in draft.parts:
-        if tree is None or not part.mobile or part.glycan or id(part.members[0]) in framed:
+        is_framed = not part.is_strand and id(part.members[0]) in framed
+        if tree is None or not part.mobile or part.glycan or is_framed:
             continue
-        near = {
-            k for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)
-        }
-        joined = any(beside[k][0] is not part for k in near)
-        if part.ligand is not None or part.is_strand:
-            # Of a whole molecule near others are no bonds, unless the file says so.
-            its = {(m.chain_id, m.seqid) for m in part.members}
-            joined = any(
-                len({a[:2], b[:2]} & its) == 1 and not {a, b} & metals and {a, b} not in along
-                for a, b in draft.stated
-            )
+        # Of a whole molecule near others are no bonds.
+        joined = part.ligand is None and not part.is_strand and any(
+            beside[k][0] is not part
+            for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)
+        )  # fmt: skip
         if joined or tied & {id(m) for m in part.members}:
             part.mobile = False
             draft.note(Kind.STAYS, residue=part.members[0].residue)

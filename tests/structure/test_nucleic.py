@@ -131,10 +131,10 @@ def test_a_strand_pushed_into_the_protein_comes_free():
 
 @pytest.fixture(scope="module")
 def modified(tmp_path_factory):
-    """The dodecamer with one base brominated, as 5-bromouracil is: the force fields do not have it."""
+    """The dodecamer with one base brominated, under a name that no dictionary has."""
     given = gemmi.read_structure(str(STRUCTURES / "1bna.pdb"))
     residue = given[0]["A"]["7"][0]
-    residue.name = "BRU"
+    residue.name = "Q-Q"
     (methyl,) = (each for each in residue if each.name == "C7")
     methyl.name, methyl.element = "BR", gemmi.Element("Br")
     given.remove_hydrogens()
@@ -145,8 +145,8 @@ def modified(tmp_path_factory):
 
 def test_only_a_nucleotide_without_parameters_stays_and_the_strand_is_tied_to_it(modified, tmp_path):
     (told,) = (each for each in modified.repairs if each.kind is Kind.NUCLEOTIDES_STAY)
-    assert [str(residue.name) for residue in told.facts["residues"]] == ["BRU"]
-    stays = modified.residue_name[modified.atom_residue] == "BRU"
+    assert [str(residue.name) for residue in told.facts["residues"]] == ["Q-Q"]
+    stays = modified.residue_name[modified.atom_residue] == "Q-Q"
     assert (modified.obstacle == stays).all() and (modified.mobile == ~stays).all()
     # Of phosphates, only the two at the 5' ends of the file are none.
     assert (modified.atom_element == "P").sum() == 22
