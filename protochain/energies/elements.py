@@ -415,8 +415,7 @@ def _of_alanine(
     if not core:
         return {}
     end = "N" if "H1" in core else "C" if "OXT" in core else ""
-    has_beta = "HA" in core or any(a.name == "CB" for a in residue.atoms())
-    base = force_field._templates.get(end + ("ALA" if has_beta else "GLY"))
+    base = force_field._templates.get(end + ("GLY" if "HA2" in core else "ALA"))
     known = {a.name: a for a in base.atoms if "charge" in a.parameters} if base else {}
     if not core.keys() <= known.keys():
         raise ForceFieldError(f"residue {residue.name} has parameters beside amber14 and amber19 only")

@@ -504,7 +504,7 @@ def _is_core(graph: _Graph, prefix: str, name: str) -> bool:
     if name not in (*OF_ALANINE, "CB") or not graph.backbone(prefix):
         return False
     if name == "CB":
-        return graph.atoms[a][0] == _C and len(graph.near(a)) == 4
+        return graph.atoms[a][0] == _C and len(graph.near(a)) == 4 and f"{prefix}CA" in graph.near(a)
     n, alpha = prefix + "N", prefix + "CA"
     if a in (n, *graph.light(n)):
         # An amine at the start of a chain is that of alanine, unless it bears more.
