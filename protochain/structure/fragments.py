@@ -323,10 +323,9 @@ class _Graph:
                     self.atoms[a], self.atoms[x] = self.atoms[x], self.atoms[a]
 
     def acceptors(self, a: str) -> list[str]:
-        """Neighbours to which a double bond is used up when a nucleophile adds to a carbon, as of acrylamides.
+        """Neighbours whose double bond is used up when a nucleophile adds to a carbon, as of acrylamides.
 
-        The other carbon holds a carbonyl or the like; where more carbons are conjugated, as in quinones,
-        distances have to show it.
+        They hold a carbonyl or the like. Where more carbons are conjugated, as in quinones, none are known.
         """
 
         def draws(x: str) -> bool:
@@ -487,7 +486,8 @@ class _Maker:
         carbons = graph.atoms[a][0] == graph.atoms[b][0] == _C
         is_short = not along and carbons and self._excess(a, b) < -_DOUBLE
         for end in () if along else (a, b):
-            graph.turn(end)
+            for o in (end, *(x for x in graph.heavy(end) if x in absent)):
+                graph.turn(o)
         left = {end: graph.leave(end, absent, self.flagged) for end in (a, b)}
         free = {end: freed for end, (_, freed) in left.items()}
         is_double = (max(free.values()) > 1 or is_short) and all(
