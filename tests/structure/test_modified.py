@@ -3,9 +3,11 @@
 import numpy as np
 import openmm
 import pytest
+from fixtures import covalent
 from fixtures.modified import component, modified
 
 import protochain as pc
+from protochain.core.errors import StructureError
 from protochain.core.graph import bond_angles
 from protochain.energies.factory import build_system
 from protochain.ligands import molecule
@@ -202,3 +204,44 @@ def test_histidinium_is_made_neutral(name, atom, charge):
     """Its ring has a hydrogen too many for a Kekule form until that is gone."""
     made, charged = at_ph(from_dictionary(name), 9.0)
     assert made.charge == charge and Charged(atom, 1, 0) in charged
+
+
+SAMPLE = (
+    "0AF", "0AH", "1C3", "41Q", "4PQ", "4WQ", "5GM", "60F", "6GL", "9R1", "AN8", "BH2", "CE7",
+    "D0Q", "DA2", "DDE", "DHA", "DIR", "DLS", "E0Y", "FAK", "FGL", "FLE", "HCL", "HIX", "I2F",
+    "I4G", "I58", "IAE", "IAM", "K5L", "KOR", "L3O", "LEF", "LMF", "LMQ", "LPG", "LYU", "LYV",
+    "MD3", "MIS", "MP4", "MTY", "NPI", "OLT", "PBB", "PHE", "Q3S", "SNC", "TNB", "TTQ", "UU4",
+    "WLU", "XA6", "ZCL", "ZIQ",
+)  # fmt: skip
+"""Of the 1,102 amino acids of the dictionary 52 at random, and kinds that are easily taken for others."""
+REFUSED = "I4O", "SE7", "TSQ", "ZT6"
+
+
+def between_alanines(name, tmp_path):
+    """A peptide with an amino acid, which starts it if its nitrogen has no hydrogen."""
+    atoms = covalent.component(name)
+    near, _ = atoms.bonds.get_bonds(atoms.atom_name.tolist().index("N"))
+    has_hydrogen = any(atoms.element[k] == "H" for k in near)
+    case = covalent.Bonded((f"{'ALA ' if has_hydrogen else ''}{name} ALA",), ())
+    return case, *covalent.written(tmp_path, case)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(each, marks=() if each in ("I4G", "OLT", "XA6") else pytest.mark.slow) for each in SAMPLE],
+)
+def test_an_amino_acid_of_the_dictionary_has_its_atoms_and_parameters(name, tmp_path):
+    case, path, product = between_alanines(name, tmp_path)
+    s = pc.load(path)
+    assert name in s.residue_name_in_file and not s.losses
+    assert not any(each.kind is Kind.MIRRORED for each in s.repairs)
+    covalent.assert_is(s, case, product)
+    _, energy, _ = reference(s, "amber14", "obc2")
+    assert np.isfinite(energy)
+
+
+@pytest.mark.parametrize("name", [pytest.param(each, marks=pytest.mark.slow) for each in REFUSED])
+def test_an_amino_acid_of_elements_without_parameters_is_refused_by_name(name, tmp_path):
+    _, path, _ = between_alanines(name, tmp_path)
+    with pytest.raises(StructureError, match=name):
+        pc.load(path)
