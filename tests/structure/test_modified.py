@@ -13,6 +13,7 @@ from protochain.energies.factory import build_system
 from protochain.ligands import molecule
 from protochain.ligands.protonation import Charged, at_ph
 from protochain.ligands.sources import from_dictionary
+from protochain.structure.chirality import chiral_atoms
 from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import OF_ALANINE
 
@@ -234,7 +235,9 @@ def test_an_amino_acid_of_the_dictionary_has_its_atoms_and_parameters(name, tmp_
     case, path, product = between_alanines(name, tmp_path)
     s = pc.load(path)
     assert name in s.residue_name_in_file and not s.losses
-    assert not any(each.kind is Kind.MIRRORED for each in s.repairs)
+    bonded = {frozenset(pair) for pair in s.bonds.tolist()}
+    assert all(frozenset((row[0], end)) in bonded for row in chiral_atoms(s).tolist() for end in row[1:])
+    assert sum(each.kind is Kind.WRONG_HAND for each in s.repairs) == 0
     covalent.assert_is(s, case, product)
     _, energy, _ = reference(s, "amber14", "obc2")
     assert np.isfinite(energy)
