@@ -325,7 +325,8 @@ class _Graph:
     def acceptors(self, a: str) -> list[str]:
         """Neighbours whose double bond is used up when a nucleophile adds to a carbon, as of acrylamides.
 
-        They hold a carbonyl or the like. Where more carbons are conjugated, as in quinones, none are known.
+        They hold a carbonyl or the like. Distances have to show it in quinones, where more carbons are
+        conjugated, and in but-2-enamides, as which the archive has bonded but-2-ynamides.
         """
 
         def draws(x: str) -> bool:
@@ -337,7 +338,7 @@ class _Graph:
             )
 
         carbons = [x for x in self.heavy(a) if self.atoms[a][0] == self.atoms[x][0] == _C]
-        if any(is_alkene(x) for x in carbons):
+        if any(is_alkene(x) or self.heavy(x) == [a] for x in carbons):
             return []
         return [x for x in carbons if self.order(a, x) > 1 and any(draws(y) for y in self.heavy(x) if y != a)]
 
