@@ -311,16 +311,14 @@ class _Graph:
         return found
 
     def turn(self, a: str) -> None:
-        """Give a doubly bonded oxygen of an acid the hydrogen and the charge of the other one."""
+        """Give a doubly bonded oxygen of an acid the hydrogen and the charge of one of its others."""
         for c in self.heavy(a) if self.atoms[a][0] == _O else ():
-            acids = [x for x in self.heavy(c) if self.atoms[x][0] == _O and self.heavy(x) == [c]]
-            for x in acids:
-                if self.order(a, c) == 2 and self.order(x, c) == 1:
-                    self.bonds |= {frozenset((a, c)): 1, frozenset((x, c)): 2}
-                    self.bonds |= {
-                        frozenset((a, h)): self.bonds.pop(frozenset((x, h))) for h in self.light(x)
-                    }
-                    self.atoms[a], self.atoms[x] = self.atoms[x], self.atoms[a]
+            single = (x for x in self.heavy(c) if self.order(x, c) == 1 and self.heavy(x) == [c])
+            x = next((x for x in single if self.atoms[x][0] == _O), a)
+            if self.order(a, c) == 2 and x != a:
+                self.bonds |= {frozenset((a, c)): 1, frozenset((x, c)): 2}
+                self.bonds |= {frozenset((a, h)): self.bonds.pop(frozenset((x, h))) for h in self.light(x)}
+                self.atoms[a], self.atoms[x] = self.atoms[x], self.atoms[a]
 
     def acceptors(self, a: str) -> list[str]:
         """Neighbours whose double bond is used up when a nucleophile adds to a carbon, as of acrylamides.
@@ -329,18 +327,14 @@ class _Graph:
         conjugated, and in but-2-enamides, as which the archive has bonded but-2-ynamides.
         """
 
-        def draws(x: str) -> bool:
-            return any(self.order(x, y) > 1 and self.atoms[y][0] in (_N, _O) for y in self.heavy(x))
-
-        def is_alkene(x: str) -> bool:
-            return self.atoms[x][0] == _C and any(
-                self.order(x, y) > 1 and self.atoms[y][0] == _C for y in self.heavy(x) if y != a
-            )
+        def is_multiple(x: str, *elements: int) -> bool:
+            return any(self.order(x, y) > 1 and self.atoms[y][0] in elements for y in self.heavy(x) if y != a)
 
         carbons = [x for x in self.heavy(a) if self.atoms[a][0] == self.atoms[x][0] == _C]
-        if any(is_alkene(x) or self.heavy(x) == [a] for x in carbons):
+        if any(is_multiple(x, _C) or self.heavy(x) == [a] for x in carbons):
             return []
-        return [x for x in carbons if self.order(a, x) > 1 and any(draws(y) for y in self.heavy(x) if y != a)]
+        double = [x for x in carbons if self.order(a, x) > 1]
+        return [x for x in double if any(is_multiple(y, _N, _O) for y in self.heavy(x) if y != a)]
 
     def give(self, a: str, order: int, freed: int, single: Sequence[str]) -> list[str]:
         """Free valences of an atom for a bond; ``single`` are neighbours whose bonds are used up first.
@@ -372,10 +366,8 @@ class _Graph:
             if need > 0 and (x in single or len(light) < need):
                 self.bonds[frozenset((a, x))] -= 1
                 need -= 1
-        ends = [
-            x for x in heavy
-            if self.order(a, x) == 1 and self.atoms[x][0] in _MONOVALENT and not {*self.heavy(x)} - {a}
-        ]  # fmt: skip
+        alone = [x for x in heavy if self.order(a, x) == 1 and self.heavy(x) == [a]]
+        ends = [x for x in alone if self.atoms[x][0] in _MONOVALENT]
         gone = [*light, *ends][: max(need, 0)]
         if len(gone) < need == 1 and z == _S and len(heavy) == 2 and not q:
             self.atoms[a][1], need = 1, 0  # A sulphonium, as of methionine and tyrosine of catalases.
