@@ -293,9 +293,10 @@ class _Graph:
         """
         groups = {x: self.beyond(a, x) for x in self.heavy(a)}
         marked = sorted((x for x in groups if groups[x].keys() <= {*flagged}), key=lambda x: self.order(a, x))
-        # Of both oxygens of an acid that are marked, the hydroxyl leaves.
         at = [x for x in groups if groups[x].keys() <= {*absent} and (x in marked or len(groups[x]) == 1)]
         at = at or marked[:1]
+        for x in at:  # Of an acid a hydroxyl leaves, whatever its oxygens are called.
+            self.turn(x)
         gone = [each for x in at for each in groups[x]]
         freed = sum(self.order(a, x) for x in at)
         self.drop([each for x in gone for each in (x, *self.light(x))])
@@ -479,8 +480,7 @@ class _Maker:
         carbons = graph.atoms[a][0] == graph.atoms[b][0] == _C
         is_short = not along and carbons and self._excess(a, b) < -_DOUBLE
         for end in () if along else (a, b):
-            for o in (end, *(x for x in graph.heavy(end) if x in absent)):
-                graph.turn(o)
+            graph.turn(end)
         left = {end: graph.leave(end, absent, self.flagged) for end in (a, b)}
         free = {end: freed for end, (_, freed) in left.items()}
         is_double = (max(free.values()) > 1 or is_short) and all(

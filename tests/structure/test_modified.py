@@ -208,7 +208,7 @@ def test_histidinium_is_made_neutral(name, atom, charge):
 
 
 SAMPLE = (
-    "0AF", "0AH", "1C3", "41Q", "4PQ", "4WQ", "5GM", "60F", "6GL", "9R1", "AN8", "BH2", "CE7",
+    "0AF", "0AH", "1C3", "41Q", "4PQ", "4WQ", "5GM", "60F", "6GL", "85F", "9R1", "AN8", "BH2", "CE7",
     "D0Q", "DA2", "DDE", "DHA", "DIR", "DLS", "E0Y", "FAK", "FGL", "FLE", "HCL", "HIX", "I2F",
     "I4G", "I58", "IAE", "IAM", "K5L", "KOR", "L3O", "LEF", "LMF", "LMQ", "LPG", "LYU", "LYV",
     "MD3", "MIS", "MP4", "MTY", "NPI", "OLT", "PBB", "PHE", "Q3S", "SNC", "TNB", "TTQ", "UU4",
@@ -229,7 +229,10 @@ def between_alanines(name, tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(each, marks=() if each in ("I4G", "OLT", "XA6") else pytest.mark.slow) for each in SAMPLE],
+    [
+        pytest.param(each, marks=() if each in ("85F", "I4G", "OLT", "XA6") else pytest.mark.slow)
+        for each in SAMPLE
+    ],
 )
 def test_an_amino_acid_of_the_dictionary_has_its_atoms_and_parameters(name, tmp_path):
     case, path, product = between_alanines(name, tmp_path)
