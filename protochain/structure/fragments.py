@@ -363,8 +363,11 @@ class _Graph:
         if q < 0 < need:
             self.atoms[a][1], need = q + 1, need - 1
         multiple = [x for x in heavy if self.order(a, x) > 1 and z == _C]
+        # An acid keeps its carbonyl: a group of it leaves.
+        is_acid = any(self.order(a, x) == 1 and self.atoms[x][0] in (_N, _O, _S) for x in heavy)
         for x in multiple:
-            if need > 0 and (x in single or len(light) < need):
+            is_kept = is_acid and self.order(a, x) == 2
+            if need > 0 and (x in single or (len(light) < need and not is_kept)):
                 self.bonds[frozenset((a, x))] -= 1
                 need -= 1
         alone = [x for x in heavy if self.order(a, x) == 1 and self.heavy(x) == [a]]
