@@ -366,7 +366,7 @@ class _Graph:
         # An acid keeps its carbonyl: a group of it leaves.
         is_acid = any(self.order(a, x) == 1 and self.atoms[x][0] in (_N, _O, _S) for x in heavy)
         for x in multiple:
-            is_kept = is_acid and self.order(a, x) == 2
+            is_kept = is_acid and self.atoms[x][0] == _O
             if need > 0 and (x in single or (len(light) < need and not is_kept)):
                 self.bonds[frozenset((a, x))] -= 1
                 need -= 1
