@@ -522,7 +522,7 @@ class _Maker:
             return
         linked = {a.name for a in member.links}
         if (after is not None and id(after) not in self.tag) or (
-            after is None and "C" not in linked and f"{prefix}OXT" in graph.atoms
+            after is None and "C" not in linked and graph.heavy(f"{prefix}OXT") == [c]
         ):
             self.acids += [prefix] * (after is None)
             self._cap(c, {"N+": _N, "CA+": _C}, {("N+", "CA+"): 1})

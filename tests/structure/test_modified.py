@@ -211,7 +211,7 @@ SAMPLE = (
     "0AF", "0AH", "1C3", "41Q", "4PQ", "4WQ", "5GM", "60F", "6GL", "85F", "9R1", "AN8", "BH2", "CE7",
     "D0Q", "DA2", "DDE", "DHA", "DIR", "DLS", "E0Y", "FAK", "FGL", "FLE", "HCL", "HIX", "I2F",
     "I4G", "I58", "IAE", "IAM", "K5L", "KOR", "L3O", "LEF", "LMF", "LMQ", "LPG", "LYU", "LYV",
-    "MD3", "MIS", "MP4", "MTY", "NPI", "OLT", "PBB", "PHE", "Q3S", "SNC", "TNB", "TTQ", "UU4",
+    "MD3", "MIS", "MP4", "MTY", "NPI", "OLT", "PBB", "PHE", "PVH", "Q3S", "SNC", "TNB", "TTQ", "UU4",
     "WLU", "XA6", "ZCL", "ZIQ",
 )  # fmt: skip
 """Of the 1,102 amino acids of the dictionary 52 at random, and kinds that are easily taken for others."""
@@ -219,18 +219,19 @@ REFUSED = "I4O", "SE7", "TSQ", "ZT6"
 
 
 def between_alanines(name, tmp_path):
-    """A peptide with an amino acid, which starts it if its nitrogen has no hydrogen."""
+    """A peptide with an amino acid, which starts or ends it if N has no hydrogen, or OXT is that of an ester."""
     atoms = covalent.component(name)
-    near, _ = atoms.bonds.get_bonds(atoms.atom_name.tolist().index("N"))
-    has_hydrogen = any(atoms.element[k] == "H" for k in near)
-    case = covalent.Bonded((f"{'ALA ' if has_hydrogen else ''}{name} ALA",), ())
+    n, oxt = (atoms.bonds.get_bonds(atoms.atom_name.tolist().index(each))[0] for each in ("N", "OXT"))
+    before = "ALA " if "H" in atoms.element[n] else ""
+    after = " ALA" if sum(atoms.element[oxt] != "H") == 1 else ""
+    case = covalent.Bonded((f"{before}{name}{after}",), ())
     return case, *covalent.written(tmp_path, case)
 
 
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(each, marks=() if each in ("85F", "I4G", "OLT", "XA6") else pytest.mark.slow)
+        pytest.param(each, marks=() if each in ("85F", "I4G", "OLT", "PVH", "XA6") else pytest.mark.slow)
         for each in SAMPLE
     ],
 )
