@@ -219,7 +219,7 @@ REFUSED = "I4O", "SE7", "TSQ", "ZT6"
 
 
 def between_alanines(name, tmp_path):
-    """A peptide with an amino acid, which starts it if N has no hydrogen, and ends it if OXT is of an ester."""
+    """A peptide with an amino acid, its first if N has no hydrogen, its last if OXT is of an ester."""
     atoms = covalent.component(name)
     n, oxt = (atoms.bonds.get_bonds(atoms.atom_name.tolist().index(each))[0] for each in ("N", "OXT"))
     before = "ALA " if "H" in atoms.element[n] else ""
