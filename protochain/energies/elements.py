@@ -407,8 +407,7 @@ def _kept(
         return {}
     (base,) = {called[i].rpartition("/")[0] for i in place.values() if called[i]}
     end = "N" if "H1" in core else "C" if "OXT" in core else ""
-    has_beta = "HA" in core or any(a.name == "CB" for a in residue.atoms())
-    template = force_field._templates.get(base or end + ("ALA" if has_beta else "GLY"))
+    template = force_field._templates.get(base or end + ("GLY" if "HA2" in core else "ALA"))
     known = {a.name: a for a in template.atoms if "charge" in a.parameters} if template else {}
     if not core.keys() <= known.keys():
         raise ForceFieldError(f"residue {residue.name} has parameters beside amber14 and amber19 only")

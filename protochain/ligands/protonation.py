@@ -184,10 +184,12 @@ def _in_state(molecule: Molecule, state: Any) -> tuple[Molecule, tuple[Charged, 
 def net_charges() -> Mapping[str, int]:
     """Net charges at pH 7 that the literature gives, by the skeleton of the molecule.
 
-    Its sources: ChEBI, major species at pH 7.3 (Hastings et al., Nucleic Acids Res. 44:D1214, 2016); and from
-    pKa, Dawson, Elliott, Elliott, Jones, Data for Biochemical Research (1986); Goldberg, Kishore, Lennen,
-    J. Phys. Chem. Ref. Data 31:231 (2002); Massey, Biochem. Soc. Trans. 28:283 (2000), of flavins, whose N3
-    has 10; Perrin (1965, 1982), Prankerd (2007) and Yount (1971) as for ``RULES``.
+    Its sources: ChEBI, major species at pH 7.3 (Hastings et al., Nucleic Acids Res. 44:D1214, 2016), whose
+    dUTP(3-) and lysine(0) are not taken; MetaCyc, at pH 7.3 (Caspi et al., Nucleic Acids Res. 48:D445, 2020);
+    ``groups``, by the pKa of theirs as of acids and phosphates elsewhere in the table; and from pKa, Dawson,
+    Elliott, Elliott, Jones, Data for Biochemical Research (1986); Goldberg, Kishore, Lennen, J. Phys. Chem.
+    Ref. Data 31:231 (2002); Massey, Biochem. Soc. Trans. 28:283 (2000), of flavins, whose N3 has 10; Perrin
+    (1965, 1982), Prankerd (2007) and Yount (1971) as for ``RULES``.
     """
     with _KNOWN.open() as lines:
         return {row["skeleton"]: int(row["charge"]) for row in csv.DictReader(lines)}

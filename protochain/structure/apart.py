@@ -84,7 +84,11 @@ def caps_told_apart(structure: gemmi.Structure) -> None:
     for chain in (chain for model in structure for chain in model):
         for i in reversed(range(len(chain))):
             for cap, (step, names) in _PATCHES.items():
-                if not {*names, "N", "CA", "C"} <= {atom.name for atom in chain[i]}:
+                there = {atom.name: atom for atom in chain[i]}
+                at, end = ("N", "CY") if step < 0 else ("C", "NT")
+                if not {*names, "N", "CA", "C"} <= there.keys():
+                    continue
+                if there[at].pos.dist(there[end].pos) > _NOT_BONDED:
                     continue
                 made = gemmi.Residue()
                 made.name, made.subchain = cap, chain[i].subchain

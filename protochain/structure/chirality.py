@@ -17,6 +17,8 @@ from protochain.structure.sugars import letters_of, sugar_centres
 
 WELL_FORMED = 2.2e-3
 """nm^3. Volume at a C-alpha below which its hand may be noise; 2.5e-3 in ideal residues."""
+_BONDED = 0.22
+"""nm: neighbours further away are not bonded; 0.25 where another atom is between."""
 _ALPHA = {"CA": ("N", "C", "CB")}
 _CENTRES = {
     "THR": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
@@ -55,12 +57,13 @@ def volume(x: Floats) -> Floats:
 def hand(member: Member, centre: str = "CA", least: float = 0.0) -> int:
     """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in its mirror image, 0 if atoms are missing.
 
-    Also 0 if it is flatter than ``least``, nm^3.
+    Also 0 if it is flatter than ``least``, nm^3, or an atom is not bonded to it, as CB of a peptoid is not.
     """
     neighbours = centres(member.name).get(centre, ())
     found = [member.atom(name) for name in (centre, *neighbours)]
-    places = [atom.pos.tolist() for atom in found if atom is not None]
-    size = float(volume(np.array(places) / ANGSTROM_PER_NM)) if len(places) == 4 else 0.0
+    x = np.array([atom.pos.tolist() for atom in found if atom is not None]) / ANGSTROM_PER_NM
+    is_whole = len(x) == 4 and np.linalg.norm(x[1:] - x[0], axis=1).max() < _BONDED
+    size = float(volume(x)) if is_whole else 0.0
     return int(np.sign(size)) if abs(size) > least else 0
 
 
@@ -154,7 +157,10 @@ def chiral_atoms(structure: Structure) -> Integers:
         if {centre, *neighbours} <= at.keys()
     ]
     found += [row for bound in structure.ligands for row in _of_ligand(bound)]
-    return np.array(found, dtype=np.int64).reshape(-1, 4)
+    rows = np.array(found, dtype=np.int64).reshape(-1, 4)
+    ends = np.sort(np.stack(np.broadcast_arrays(rows[:, :1], rows[:, 1:])), axis=0)
+    bonded = np.sort(structure.bonds, axis=1) @ [structure.n_atoms, 1]
+    return rows[np.isin(ends[0] * structure.n_atoms + ends[1], bonded).all(axis=1)]
 
 
 def _of_ligand(bound: BoundLigand) -> Iterator[list[int]]:

@@ -41,7 +41,7 @@ from protochain.structure.templates import (
     other_names,
 )
 
-_H, _C, _N, _O, _P = 1, 6, 7, 8, 15
+_H, _C, _N, _O, _P, _S = 1, 6, 7, 8, 15, 16
 _MONOVALENT = (_N, _O, 9, 16, 17, 35, 53)
 """Elements of atoms at the end of a single bond that may leave, hydrogens aside."""
 _DOUBLE = 0.03
@@ -344,7 +344,7 @@ class _Graph:
         )  # fmt: skip
 
     def leave(self, a: str, absent: Collection[str], flagged: Collection[str]) -> tuple[list[str], int]:
-        """Take away end groups that are absent at an atom, or else those that its component says may leave.
+        """Take away groups that are absent at an atom, or else one that its component says may leave.
 
         Returns
         -------
@@ -352,16 +352,54 @@ class _Graph:
         freed : int
             Valences of the atom that this frees.
         """
-        ends = [x for x in self.heavy(a) if not {*self.heavy(x)} - {a}]
-        marked = sorted((x for x in ends if x in flagged), key=lambda x: self.order(a, x))
-        # Of both oxygens of an acid that are marked, the hydroxyl leaves.
-        gone = [x for x in ends if x in absent] or marked[:1]
-        freed = sum(self.order(a, x) for x in gone)
+        groups = {x: self.beyond(a, x) for x in self.heavy(a)}
+        marked = sorted((x for x in groups if groups[x].keys() <= {*flagged}), key=lambda x: self.order(a, x))
+        at = [x for x in groups if groups[x].keys() <= {*absent} and (x in marked or len(groups[x]) == 1)]
+        at = at or marked[:1]
+        for x in at:  # Of an acid a hydroxyl leaves, whatever its oxygens are called.
+            self.turn(x)
+        gone = [each for x in at for each in groups[x]]
+        freed = sum(self.order(a, x) for x in at)
         self.drop([each for x in gone for each in (x, *self.light(x))])
         return gone, freed
 
+    def beyond(self, a: str, x: str) -> dict[str, None]:
+        """Heavy atoms of a group: a neighbour of an atom, and all that only this holds."""
+        found = {x: None}
+        ends = [x]
+        while ends:
+            ends = [y for end in ends for y in self.heavy(end) if (end, y) != (x, a) and y not in found]
+            found |= dict.fromkeys(ends)
+        return found
+
+    def turn(self, a: str) -> None:
+        """Give a doubly bonded oxygen of an acid the hydrogen and the charge of one of its others."""
+        for c in self.heavy(a) if self.atoms[a][0] == _O else ():
+            single = (x for x in self.heavy(c) if self.order(x, c) == 1 and self.heavy(x) == [c])
+            x = next((x for x in single if self.atoms[x][0] == _O), a)
+            if self.order(a, c) == 2 and x != a:
+                self.bonds |= {frozenset((a, c)): 1, frozenset((x, c)): 2}
+                self.bonds |= {frozenset((a, h)): self.bonds.pop(frozenset((x, h))) for h in self.light(x)}
+                self.atoms[a], self.atoms[x] = self.atoms[x], self.atoms[a]
+
+    def acceptors(self, a: str) -> list[str]:
+        """Neighbours whose double bond is used up when a nucleophile adds to a carbon, as of acrylamides.
+
+        They hold a carbonyl or the like. Distances have to show it in quinones, where more carbons are
+        conjugated, and in but-2-enamides, as which the archive has bonded but-2-ynamides.
+        """
+
+        def is_multiple(x: str, *elements: int) -> bool:
+            return any(self.order(x, y) > 1 and self.atoms[y][0] in elements for y in self.heavy(x) if y != a)
+
+        carbons = [x for x in self.heavy(a) if self.atoms[a][0] == self.atoms[x][0] == _C]
+        if any(is_multiple(x, _C) or self.heavy(x) == [a] for x in carbons):
+            return []
+        double = [x for x in carbons if self.order(a, x) > 1]
+        return [x for x in double if any(is_multiple(y, _N, _O) for y in self.heavy(x) if y != a)]
+
     def give(self, a: str, order: int, freed: int, single: Sequence[str]) -> list[str]:
-        """Free valences of an atom for a bond; ``single`` are neighbours as far away as by single bonds.
+        """Free valences of an atom for a bond; ``single`` are neighbours whose bonds are used up first.
 
         Returns
         -------
@@ -380,19 +418,24 @@ class _Graph:
             self.atoms[a][1] = 0
             self.drop(light[room:])
             return light[room:]
+        # A bond that another has used up may have left it one free.
+        freed = max(freed, 4 - sum(self.order(a, x) for x in (*light, *heavy)) if z == _C and not q else 0)
         need = order - freed
         if q < 0 < need:
             self.atoms[a][1], need = q + 1, need - 1
         multiple = [x for x in heavy if self.order(a, x) > 1 and z == _C]
+        # An acid keeps its carbonyl: a group of it leaves.
+        is_acid = any(self.order(a, x) == 1 and self.atoms[x][0] in (_N, _O, _S) for x in heavy)
         for x in multiple:
-            if need > 0 and (x in single or len(light) < need):
+            is_kept = is_acid and self.atoms[x][0] == _O
+            if need > 0 and (x in single or (len(light) < need and not is_kept)):
                 self.bonds[frozenset((a, x))] -= 1
                 need -= 1
-        ends = [
-            x for x in heavy
-            if self.order(a, x) == 1 and self.atoms[x][0] in _MONOVALENT and not {*self.heavy(x)} - {a}
-        ]  # fmt: skip
+        alone = [x for x in heavy if self.order(a, x) == 1 and self.heavy(x) == [a]]
+        ends = [x for x in alone if self.atoms[x][0] in _MONOVALENT]
         gone = [*light, *ends][: max(need, 0)]
+        if len(gone) < need == 1 and z == _S and len(heavy) == 2 and not q:
+            self.atoms[a][1], need = 1, 0  # A sulphonium, as of methionine and tyrosine of catalases.
         if len(gone) < need:
             raise StructureError(f"{a.partition(':')[2]} has no valence left for a bond")
         self.drop([y for x in gone for y in (x, *(self.light(x) if x in ends else ()))])
@@ -568,6 +611,8 @@ class _Maker:
         # Poor models have amide and glycosidic bonds of nitrogen as short as double ones.
         carbons = graph.atoms[a][0] == graph.atoms[b][0] == _C
         is_short = not along and carbons and self._excess(a, b) < -_DOUBLE
+        for end in () if along else (a, b):
+            graph.turn(end)
         left = {end: graph.leave(end, absent, self.flagged) for end in (a, b)}
         free = {end: freed for end, (_, freed) in left.items()}
         is_double = (max(free.values()) > 1 or is_short) and all(
@@ -577,8 +622,10 @@ class _Maker:
             for end in (a, b)
         )
         gone = [x for each, _ in left.values() for x in each]
+        adds = not carbons and not gone and not self.flagged & {*graph.light(a), *graph.light(b)}
         for end in (a, b):
-            gone += graph.give(end, 1 + is_double, free[end], self._single(end))
+            single = self._single(end) + (graph.acceptors(end) if adds else [])
+            gone += graph.give(end, 1 + is_double, free[end], single)
         graph.bonds[frozenset((a, b))] = 1 + is_double
         return tuple(gone)
 
@@ -614,7 +661,7 @@ class _Maker:
             return
         linked = {a.name for a in member.links}
         if (after is not None and id(after) not in self.tag) or (
-            after is None and "C" not in linked and f"{prefix}OXT" in graph.atoms
+            after is None and "C" not in linked and graph.heavy(f"{prefix}OXT") == [c]
         ):
             self.acids += [prefix] * (after is None)
             self._cap(c, {"N+": _N, "CA+": _C}, {("N+", "CA+"): 1})
@@ -654,7 +701,7 @@ def _is_core(graph: _Graph, prefix: str, name: str) -> bool:
     if name not in (*OF_ALANINE, "CB") or not graph.backbone(prefix):
         return False
     if name == "CB":
-        return graph.atoms[a][0] == _C and len(graph.near(a)) == 4
+        return graph.atoms[a][0] == _C and len(graph.near(a)) == 4 and f"{prefix}CA" in graph.near(a)
     n, alpha = prefix + "N", prefix + "CA"
     if a in (n, *graph.light(n)):
         # An amine at the start of a chain is that of alanine, unless it bears more.

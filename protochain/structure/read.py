@@ -23,7 +23,7 @@ from protochain.structure import fragments, residues
 from protochain.structure.apart import refuse_crowds
 from protochain.structure.backbone import complete_backbone
 from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry, with_pose
-from protochain.structure.chirality import hand
+from protochain.structure.chirality import WELL_FORMED, hand
 from protochain.structure.choose import assemble, choose_chains, choose_model
 from protochain.structure.conformation import (
     Conformation,
@@ -377,7 +377,7 @@ class _Reader:
             if self.reading.standard_residues:
                 return Why.ASKED
             there = {atom.name for atom in member.atoms if not atom.is_hydrogen()} - {"OXT"}
-            member.is_d = member.is_d or hand(member) < 0
+            member.is_d = member.is_d or hand(member, least=WELL_FORMED) < 0
             is_mirrored = member.is_d and there == {*self.known[fragments.fullest(member.parent)].heavy}
             return Why.PARENT if member.name == "MSE" or is_mirrored else None
         if member.name not in residues.PHOSPHORYLATED:

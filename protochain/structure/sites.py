@@ -19,6 +19,7 @@ from protochain.structure.kept import JOINED
 from protochain.structure.linkage import COVALENT_SLACK, Link, is_metal, told_apart, usual_length
 from protochain.structure.model import Tie
 from protochain.structure.repairs import Apart, Count, Kind
+from protochain.structure.springs import DIGITS
 
 STATED = 3.3
 """Angstrom: bonds that the file states are believed up to this length."""
@@ -244,7 +245,7 @@ def metal_ties(draft: Draft, at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, 
             link = Link(member, donor, *metals[k])
             if link.is_coordinated:
                 ends = at[id(member)][donor.name], at[id(link.other)][link.other_atom.name]
-                found.append(Tie(ends, 0.1 * link.length, _METAL_BOND))
+                found.append(Tie(ends, round(0.1 * link.length, DIGITS), _METAL_BOND))
     return tuple(found)
 
 
@@ -297,7 +298,7 @@ def ties(
             rest = rest if abs(rest - usual) < 0.1 * _BEYOND else usual
         elif stiffness == _ANGLE:
             rest = float(np.clip(rest, _LEAST, _MOST))
-        made.append(Tie(atoms, rest, stiffness))
+        made.append(Tie(atoms, round(rest, DIGITS), stiffness))
     return tuple(tie for tie in made if len(tie.atoms) == 2 or tie.rest < _STRAIGHT)
 
 

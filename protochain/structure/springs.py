@@ -17,6 +17,8 @@ CATEGORY = "_protochain_tie."
 _REMARK = "REMARK 980"
 """A number that the PDB does not use."""
 _ENDS = ("auth_asym_id_{}", "auth_seq_id_{}", "PDB_ins_code_{}", "auth_atom_id_{}")
+DIGITS = 9
+"""Of nm and rad in a remark, and so of springs anywhere: read again, they are the same."""
 _START, _WIDTH = 11, 12
 """Columns of a remark: chain, number with insertion code and name of up to three atoms, rest, stiffness."""
 
@@ -95,7 +97,7 @@ def as_remarks(found: Iterable[Spring]) -> list[str]:
     made = []
     for atoms, rest, stiffness in found:
         cells = "".join(f"{chain:1}{_padded(number):>5} {name:<4} " for chain, number, name in atoms)
-        made.append(f"{_REMARK} {cells.ljust(3 * _WIDTH)}{rest:12.9f}{stiffness:11.1f}")
+        made.append(f"{_REMARK} {cells.ljust(3 * _WIDTH)}{rest:12.{DIGITS}f}{stiffness:11.1f}")
     return made
 
 

@@ -334,7 +334,9 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
         strange = heavy - {name for each in like for name in (*each.element, *each.synonyms)}
         lacking = {*template.heavy} - {template.synonyms.get(each, each) for each in heavy}
         # A whole amino acid with another atom is that, or a modified one if the archive has one so named.
-        fits = not strange or (name in STANDARD and not lacking and not archive_parent(given))
+        fits = not strange or not (
+            lacking or given in LINKED or name not in STANDARD or archive_parent(given)
+        )
     return (name, state) if fits else (given, "")
 
 

@@ -4,8 +4,10 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
+from fixtures import covalent
 from fixtures.modified import modified
 from fixtures.samples import STRUCTURES, shared
+from fixtures.tolerances import BOND_KEPT
 
 import protochain as pc
 from protochain.energies.factory import build_system
@@ -142,3 +144,53 @@ def test_a_bond_that_the_file_states_is_kept(name, tmp_path):
     assert abs(after - before) < 0.01
     pc.save(done, tmp_path / "out.cif")
     assert pc.load(tmp_path / "out.cif").fingerprint == done.fingerprint
+
+
+QUICK = (
+    "acrylate-at-histidine", "lanthionine", "chloroacetyl", "hemithioacetal-of-bisulfite", "pyruvate",
+    "octanoyl", "adenylyl-tyrosine", "disulfide-spin-label", "boronate", "glycosyl-enzyme",
+    "isopeptide-aspartate", "staple", "methionine-tyrosine", "cycle",
+)  # fmt: skip
+ALL = [
+    pytest.param(name, marks=() if name in QUICK else pytest.mark.slow, id=name) for name in covalent.KINDS
+]
+TIED = {"boronate"}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_stated_bond_of_any_kind_has_its_chemistry_and_length(name, tmp_path):
+    case = covalent.KINDS[name]
+    path, product = covalent.written(tmp_path, case)
+    s = pc.load(path)
+    at = covalent.places(s, case)
+    ends = [(at[i, a], at[j, b]) for i, a, j, b, _ in case.bonds]
+    assert {frozenset(pair) for pair in ends} <= {frozenset(pair) for pair in s.bonds.tolist()}
+    if name in TIED:
+        assert s.ties and Kind.NO_PARAMETERS in {each.kind for each in s.repairs}
+    else:
+        assert not s.ties and not s.obstacle.any()
+        covalent.assert_is(s, case, product)
+    done = pc.minimise(s, method="hybrid", max_evaluations=400).structure
+    for i, j in ends:
+        before, after = (np.linalg.norm(each.positions[i] - each.positions[j]) for each in (s, done))
+        assert abs(after - before) < BOND_KEPT
+    for suffix in (".pdb", ".cif"):
+        pc.save(done, tmp_path / f"out{suffix}")
+        assert pc.load(tmp_path / f"out{suffix}").fingerprint == done.fingerprint
+
+
+def test_an_acrylamide_drawn_as_it_was_before_it_reacted_is_saturated(tmp_path):
+    added = covalent.KINDS["acrylate-at-histidine"]
+    path, _ = covalent.written(tmp_path, added._replace(changed=()))
+    covalent.assert_is(pc.load(path), added, covalent.product(added))
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_flat_alpha_carbon_is_of_neither_hand(sign, tmp_path):
+    path, _ = covalent.written(tmp_path, covalent.Bonded(("GLY DHA GLY",), ()))
+    structure = gemmi.read_structure(str(path))
+    for atom in (atom for residue in structure[0]["A"] for atom in residue):
+        atom.pos.x *= sign
+    structure.make_mmcif_document().write_file(str(path))
+    s = pc.load(path)
+    assert s.residue_name_in_file[1] == "DHA" and not s.mirrored.any() and len(s.fragments) == 1

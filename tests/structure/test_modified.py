@@ -3,14 +3,17 @@
 import numpy as np
 import openmm
 import pytest
+from fixtures import covalent
 from fixtures.modified import component, modified
 
 import protochain as pc
+from protochain.core.errors import StructureError
 from protochain.core.graph import bond_angles
 from protochain.energies.factory import build_system
 from protochain.ligands import molecule
 from protochain.ligands.protonation import Charged, at_ph
 from protochain.ligands.sources import from_dictionary
+from protochain.structure.chirality import chiral_atoms
 from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import OF_ALANINE
 
@@ -202,3 +205,50 @@ def test_histidinium_is_made_neutral(name, atom, charge):
     """Its ring has a hydrogen too many for a Kekule form until that is gone."""
     made, charged = at_ph(from_dictionary(name), 9.0)
     assert made.charge == charge and Charged(atom, 1, 0) in charged
+
+
+SAMPLE = (
+    "0AF", "0AH", "1C3", "41Q", "4PQ", "4WQ", "5GM", "60F", "6GL", "85F", "9R1", "AN8", "BH2", "CE7",
+    "D0Q", "DA2", "DDE", "DHA", "DIR", "DLS", "E0Y", "FAK", "FGL", "FLE", "HCL", "HIX", "I2F",
+    "I4G", "I58", "IAE", "IAM", "K5L", "KOR", "L3O", "LEF", "LMF", "LMQ", "LPG", "LYU", "LYV",
+    "MD3", "MIS", "MP4", "MTY", "NPI", "OLT", "PBB", "PHE", "PVH", "Q3S", "SNC", "TNB", "TTQ", "UU4",
+    "WLU", "XA6", "ZCL", "ZIQ",
+)  # fmt: skip
+"""Of the 1,102 amino acids of the dictionary 52 at random, and kinds that are easily taken for others."""
+REFUSED = "I4O", "SE7", "TSQ", "ZT6"
+
+
+def between_alanines(name, tmp_path):
+    """A peptide with an amino acid, its first if N has no hydrogen, its last if OXT is of an ester."""
+    atoms = covalent.component(name)
+    n, oxt = (atoms.bonds.get_bonds(atoms.atom_name.tolist().index(each))[0] for each in ("N", "OXT"))
+    before = "ALA " if "H" in atoms.element[n] else ""
+    after = " ALA" if sum(atoms.element[oxt] != "H") == 1 else ""
+    case = covalent.Bonded((f"{before}{name}{after}",), ())
+    return case, *covalent.written(tmp_path, case)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(each, marks=() if each in ("85F", "I4G", "OLT", "PVH", "XA6") else pytest.mark.slow)
+        for each in SAMPLE
+    ],
+)
+def test_an_amino_acid_of_the_dictionary_has_its_atoms_and_parameters(name, tmp_path):
+    case, path, product = between_alanines(name, tmp_path)
+    s = pc.load(path)
+    assert name in s.residue_name_in_file and not s.losses
+    bonded = {frozenset(pair) for pair in s.bonds.tolist()}
+    assert all(frozenset((row[0], end)) in bonded for row in chiral_atoms(s).tolist() for end in row[1:])
+    assert sum(each.kind is Kind.WRONG_HAND for each in s.repairs) == 0
+    covalent.assert_is(s, case, product)
+    _, energy, _ = reference(s, "amber14", "obc2")
+    assert np.isfinite(energy)
+
+
+@pytest.mark.parametrize("name", [pytest.param(each, marks=pytest.mark.slow) for each in REFUSED])
+def test_an_amino_acid_of_elements_without_parameters_is_refused_by_name(name, tmp_path):
+    _, path, _ = between_alanines(name, tmp_path)
+    with pytest.raises(StructureError, match=name):
+        pc.load(path)
