@@ -215,6 +215,7 @@ class Kind(Enum):
         "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
     )
     STATE_CHOSEN = Words("{residue} taken as {state}")
+    STATE_BY_PKA = Words("{residue} taken as {state}: its pKa is {pka:.1f} by PROPKA")
     STRANGE_HYDROGENS = Words(
         "{residue}: {count} hydrogens left out: they do not belong to its state",
         "hydrogens left out that do not belong to the state",
