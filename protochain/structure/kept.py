@@ -29,6 +29,8 @@ JOINED = 2.0
 _PAIRED, _ABOVE = 3.4, 1.5
 """Angstrom: length of hydrogen bonds of paired bases, and their rise from the plane of a base; stacked bases
 are 3.4 apart. (Lu, Bussemaker, Olson, Nucleic Acids Res. 43:e142, 2015, allow 4.0 and 2.5.)"""
+_UPON = 0.5
+"""Angstrom: atoms of two molecules nearer than this are in one place."""
 _FARTHEST = max(_PAIRED, STATED)
 _PHOSPHATE_BREAK, _PHOSPHATE_TORN = 2.5, 10.0
 """Angstrom: O3' and P further apart than this are not bonded (1.6), where numbers go on not than the second:
@@ -139,6 +141,8 @@ def choose(
         gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
     for (kind, _), count in gone.items():
         draft.left_out[kind] += count
+    _note_coincident(draft, [each.member for each in chosen])
+    note_unresolved(draft, [each.member for each in chosen])
     parts = _parts(draft, chosen, known, chemistry)
     if gone:
         counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
@@ -147,6 +151,24 @@ def choose(
         left = Kind.LEFT_OUT if dry else Kind.WATERS_LEFT_OUT
         draft.repairs.insert(0, Repair(left, facts, tuple(lost)))
     return parts
+
+
+def note_unresolved(draft: Draft, members: Sequence[Member]) -> None:
+    """Report heavy atoms that the experiment did not resolve."""
+    unseen = [sum(a.occ == 0.0 for a in member.atoms if not a.is_hydrogen()) for member in members]
+    places = tuple(member.residue for member, n in zip(members, unseen, strict=True) if n)
+    if places:
+        draft.note(Kind.UNRESOLVED, count=sum(unseen), residues=places)
+
+
+def _note_coincident(draft: Draft, members: Sequence[Member]) -> None:
+    """Report molecules that lie upon one another and are no alternates by their occupancies."""
+    ends = [(m, a) for m in members for a in m.atoms if not a.is_hydrogen()]
+    near = KDTree([a.pos.tolist() for _, a in ends]).query_pairs(_UPON) if ends else set()
+    pairs = Counter((ends[i][0].residue, ends[j][0].residue) for i, j in sorted(near))
+    for (first, second), number in pairs.items():
+        if first != second and number > 1:
+            draft.note(Kind.COINCIDENT, residue=second, other=first)
 
 
 def _refuse_unknown_names(

@@ -81,6 +81,10 @@ class Kind(Enum):
         "{residue}: left out (occupancy {occupancy:.2f}): an alternate of {other}, which lies upon it",
         rank=Rank.LOSS,
     )
+    COINCIDENT = Words(
+        "{residue} lies upon {other}: both kept; leave one out of the file, or give each its occupancy",
+        rank=Rank.LOSS,
+    )
     REPEATED = Words(
         "{residue}: {atoms} given more than once; the first of each kept",
         "atoms given more than once, the first of each kept",

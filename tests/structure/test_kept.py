@@ -19,6 +19,7 @@ from protochain.contacts import overlaps
 from protochain.energies.elements import lennard_jones
 from protochain.mechanics.multibody import HingeKind
 from protochain.structure.files import parse
+from protochain.structure.repairs import Kind
 from protochain.structure.superpose import superpose
 
 WITH_OTHERS = (
@@ -181,6 +182,29 @@ def test_an_ion_stays_with_a_kept_molecule_that_holds_it(tmp_path, distance, sta
         lines.append(placed(line, x + np.array([way, 0.0, 0.0]), "A"))
     s = pc.load(written(tmp_path, "".join(lines) + "END\n"))
     assert s.residue_name[20:].tolist() == ["PO3", "MG"][: 1 + stays]
+
+
+@pytest.mark.parametrize(
+    ("occupancies", "kinds"),
+    [
+        ((1.0,), set()),
+        ((0.0,), {Kind.UNRESOLVED}),
+        ((1.0, 1.0), {Kind.COINCIDENT}),
+        ((0.0, 0.0), {Kind.UNRESOLVED, Kind.COINCIDENT}),
+    ],
+)
+def test_ligands_without_occupancy_or_in_one_place_are_kept_and_reported(tmp_path, occupancies, kinds):
+    lines = records(STRUCTURES / "1l2y.pdb")
+    x = np.array([place(line) for line in lines if line[22:26] == "  20"]).max(axis=0)
+    for k, occupancy in enumerate(occupancies):
+        for atom, way in (("P", 3.5), ("O", 5.0)):
+            line = (
+                f"HETATM  900  {atom:<3} PO3 A {101 + k}    {'':24}{occupancy:6.2f}  0.00           {atom}\n"
+            )
+            lines.append(placed(line, x + np.array([way, 0.0, 0.0]), "A"))
+    s = pc.load(written(tmp_path, "".join(lines) + "END\n"))
+    assert s.residue_name[20:].tolist() == ["PO3"] * len(occupancies)
+    assert {each.kind for each in s.repairs} & {Kind.UNRESOLVED, Kind.COINCIDENT} == kinds
 
 
 def with_a_duplex(tmp_path: Path, apart: float, *beside: str) -> pc.Structure:
