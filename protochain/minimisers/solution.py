@@ -27,7 +27,8 @@ from protochain.results.columns import record
 from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
 from protochain.structure.superpose import displacements, rmsd_angstrom
-from protochain.validation import measures, remains
+from protochain.validation import measures
+from protochain.validation.findings import remains
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -258,7 +259,7 @@ class Solution(TermsAtEnds, Value):
 
     @cached_property
     def remains_end(self) -> dict[str, list[str]]:
-        """Places in the end of what a biologist may reject: :func:`protochain.validation.remains`."""
+        """Places in the end of what a biologist may reject: the keys of ``REMAINS``."""
         return remains(self.chain.structure, self.x)
 
     @cached_property

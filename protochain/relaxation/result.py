@@ -29,7 +29,8 @@ from protochain.structure import Structure, save
 from protochain.structure.repairs import Kind, Repair, summarised
 from protochain.structure.select import sides, sides_named
 from protochain.structure.superpose import displacements
-from protochain.validation import MEASURES, measures, remains
+from protochain.validation import MEASURES, measures
+from protochain.validation.findings import remains
 from protochain.validation.interface import Interface, native, scored
 from protochain.validation.ligands import LigandFound, findings_of
 from protochain.validation.omega import PLANAR
@@ -163,7 +164,7 @@ class Relaxation(TermsAtEnds, Value):
 
     @cached_property
     def remains_end(self) -> dict[str, list[str]]:
-        """Places in the end of what a biologist may reject: :func:`protochain.validation.remains`."""
+        """Places in the end of what a biologist may reject: the keys of ``REMAINS``."""
         return remains(self.start, self.x)
 
     @cached_property

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 
 from protochain.core.arrays import Floats
 from protochain.structure.draft import Member, atom
@@ -65,8 +65,12 @@ def _built(missing: Sequence[str], at: dict[str, Floats]) -> Floats | None:
         return np.array([np.linalg.norm(there[a] - there[b]) - d for (a, b), d in pairs])
 
     near = np.mean([at[name] for pair, _ in pairs for name in pair if name in at], axis=0)
-    rng = np.random.default_rng(0)
-    starts = near + rng.normal(size=(_STARTS, len(missing), 3))
-    best = min((least_squares(lambda x: weight * off(x), s.ravel()) for s in starts), key=lambda r: r.cost)
+    starts = near + np.random.default_rng(0).normal(size=(_STARTS, len(missing), 3))
+    found = [least_squares(lambda x: weight * off(x), each.ravel()) for each in starts]
+    best = min(found, key=_cost)
     bonds = [abs(each) for each, (pair, _) in zip(off(best.x), pairs, strict=True) if pair in _BONDS]
     return np.asarray(best.x.reshape(-1, 3)) if max(bonds) < _OFF else None
+
+
+def _cost(found: OptimizeResult) -> float:
+    return float(found.cost)

@@ -1,6 +1,6 @@
 """What is wrong with a structure: violations, clashes, threaded rings, strain, statistical outliers."""
 
-from protochain.validation.api import measures, remains, validate
+from protochain.validation.api import measures, validate
 from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.findings import MEASURES
 from protochain.validation.interface import CONFIDENCES, SCORES, Interface, score_interface
@@ -26,7 +26,6 @@ __all__ = [
     "clashes",
     "likeness",
     "measures",
-    "remains",
     "score_interface",
     "strain",
     "threaded_rings",

@@ -8,8 +8,7 @@ from protochain.core.arrays import Floats, floats
 from protochain.core.checks import flag
 from protochain.structure.convert import as_structure
 from protochain.structure.matching import measurable
-from protochain.structure.model import Structure
-from protochain.validation.findings import MEASURES, REMAINS, Found
+from protochain.validation.findings import MEASURES, Found
 from protochain.validation.ligands import with_posebusters
 from protochain.validation.likeness import likeness
 from protochain.validation.result import Validation
@@ -40,11 +39,6 @@ def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
     if not np.isfinite(x).all():
         return dict.fromkeys(MEASURES)
     return Found(structure, x).measures()
-
-
-def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
-    """Name the places of what a biologist may reject at positions x (na, 3): the keys of ``REMAINS``."""
-    return Found(structure, x).remains() if np.isfinite(x).all() else {key: [] for key in REMAINS}
 
 
 def validate(source: Any, reference: Any = None, posebusters: bool = True, **settings: Any) -> Validation:

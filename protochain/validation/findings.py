@@ -309,6 +309,11 @@ REMAINS = {
 """What results name by place, by key of their records."""
 
 
+def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
+    """Name the places of what a biologist may reject at positions x (na, 3): the keys of ``REMAINS``."""
+    return Found(structure, x).remains() if np.isfinite(x).all() else {key: [] for key in REMAINS}
+
+
 def remains_in_words(record: Mapping[str, Any]) -> list[str]:
     """Describe what remains in a record: a line for each of ``REMAINS`` that has places."""
     there = {key: record.get(key) for key in REMAINS}

@@ -13,7 +13,7 @@ from protochain.chain import pose, pull_back
 from protochain.contacts import overlaps
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import ALL_PAIRS, Status, judge, judge_of, rebuilt, rejected, verdict
-from protochain.validation import remains
+from protochain.validation.findings import remains
 
 MESSAGES = {
     Stop.TOLERANCE: ("stalled", "stalled: the tolerance was met only above the lowest energy: so far"),
