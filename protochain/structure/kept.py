@@ -222,7 +222,9 @@ def _joined(
 ) -> Integers:
     """Pairs (n, 2) of residues: bonded ones, a metal and what holds it, and nucleotides with paired bases."""
     near = KDTree(x).query_pairs(_FARTHEST, output_type="ndarray")
-    near = near[owner[near[:, 0]] != owner[near[:, 1]]]
+    # Hydrogens, which a file may have or not, decide nothing: those of hydrogen bonds are nearer than JOINED.
+    heavy = np.array([not atom.is_hydrogen() for _, atom in ends])
+    near = near[(owner[near[:, 0]] != owner[near[:, 1]]) & heavy[near].all(axis=1)]
     length = np.linalg.norm(x[near[:, 0]] - x[near[:, 1]], axis=1)
     is_joined = length <= JOINED
     stated = {frozenset(pair) for pair in draft.stated}
