@@ -58,15 +58,20 @@ def _built(missing: Sequence[str], at: dict[str, Floats]) -> Floats | None:
         return None
     usual = _BONDS | _ACROSS | (_TRANS if len(missing) > 1 else {})
     pairs = [(pair, d) for pair, d in usual.items() if {*pair} & {*missing} and {*pair} <= {*missing, *at}]
+    if len(pairs) <= 3 * len(missing):  # Places are not determined.
+        return None
     weight = np.array([1.0 if pair in _BONDS else 0.5 for pair, _ in pairs])
 
     def off(x: Floats) -> Floats:
         there = at | dict(zip(missing, x.reshape(-1, 3), strict=True))
         return np.array([np.linalg.norm(there[a] - there[b]) - d for (a, b), d in pairs])
 
+    def weighted(x: Floats) -> Floats:
+        return np.asarray(weight * off(x))
+
     near = np.mean([at[name] for pair, _ in pairs for name in pair if name in at], axis=0)
     starts = near + np.random.default_rng(0).normal(size=(_STARTS, len(missing), 3))
-    found = [least_squares(lambda x: weight * off(x), each.ravel()) for each in starts]
+    found = [least_squares(weighted, each.ravel()) for each in starts]
     best = min(found, key=_cost)
     bonds = [abs(each) for each, (pair, _) in zip(off(best.x), pairs, strict=True) if pair in _BONDS]
     return np.asarray(best.x.reshape(-1, 3)) if max(bonds) < _OFF else None
