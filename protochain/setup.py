@@ -11,7 +11,7 @@ from protochain.core.checks import (
     Bond,
     LigandSource,
     accuracy_of,
-    acidity,
+    acidity_or_auto,
     at_least,
     bonds,
     charges_of_ligands,
@@ -20,6 +20,7 @@ from protochain.core.checks import (
     flag,
     integer,
     kinds,
+    number_in,
     optional,
     selection,
     text,
@@ -84,8 +85,8 @@ class Setup(Settings):
     disulfide : tuple of pairs of str, optional
         Disulfide bonds beside those where sulphurs are near, each ``("A:3", "A:40")`` or ``"A:3-A:40"``;
         ``"none"`` among them drops those.
-    ph : float
-        Of the protonation of residues whose hydrogens or names do not show it.
+    ph : float or "auto"
+        Of the protonation of residues whose hydrogens or names do not show it, as in :func:`protochain.load`.
     strict : bool
         Refuse chain breaks and incomplete backbones.
     chains : tuple of str
@@ -167,8 +168,12 @@ class Setup(Settings):
         metavar="A:3-A:40",
         word=("no_disulfide", "No disulfide bonds but those of --disulfide.", NO_BONDS),
     )
-    ph: float = setting(
-        defaults.PH, "pH for residues whose protonation the file does not show.", acidity, float
+    ph: float | Literal["auto"] = setting(
+        defaults.PH,
+        "pH for residues whose protonation the file does not show, or auto: 7, with the pKa of each by "
+        "PROPKA [default: 7].",
+        acidity_or_auto,
+        read=number_in,
     )
     strict: bool = setting(False, "Refuse chain breaks and incomplete backbones.", flag, bool)
     chains: tuple[str, ...] = setting(

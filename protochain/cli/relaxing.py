@@ -108,6 +108,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     """Print what is wrong before and after, how far the structure moved, and where it is."""
     from protochain.relaxation.record import before_and_after
     from protochain.structure.repairs import summarised
+    from protochain.validation.findings import remains_in_words
 
     rows = before_and_after(record)
     wide = max(len(what) for what, _, _ in rows)
@@ -127,11 +128,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         said.insert(1, f"repacked first: {'; '.join(told)}")
     if turned := (*result.hands_turned, *result.peptides_turned):
         said.insert(1, "; ".join(summarised(turned)))
-    said += [
-        f"{each.residue}: {', '.join(each.inverted)} inverted, unlike its chemistry ({each.source})"
-        for each in result.ligands_end
-        if each.inverted
-    ]
+    said += remains_in_words(record)
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
     print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")

@@ -369,7 +369,11 @@ def print_table(records: list[dict[str, Any]]) -> None:
 
 
 def print_written(record: dict[str, Any]) -> None:
-    """Print the file of a result, and how far it lies from its start: superposed, and as filed."""
+    """Print what remains in a result, its file, and how far it lies from its start."""
+    from protochain.validation.findings import remains_in_words
+
+    for line in remains_in_words(record):
+        print(line)
     superposed, filed = (_distance(record[f"ca_rmsd_{name}angstrom"]) for name in ("", "as_filed_"))
     print(f"C-alpha RMSD {superposed} angstrom, as filed {filed}: {record['frame']}")
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")

@@ -100,6 +100,23 @@ def acidity(value: Any, name: str) -> float:
     return value
 
 
+AUTO = "auto"
+"""What a pH of 7 is called with pKa by PROPKA."""
+
+
+def acidity_or_auto(value: Any, name: str) -> float | str:
+    """Return a pH as it is, or ``auto``."""
+    return AUTO if isinstance(value, str) and value == AUTO else acidity(value, name)
+
+
+def number_in(given: str) -> float | str:
+    """Return the number in a text, or the text where it has none."""
+    try:
+        return float(given)
+    except ValueError:
+        return given
+
+
 def integer(value: Any, name: str) -> int:
     """Return a whole number as an int, also one that is given as 1e4."""
     if isinstance(value, Real) and not isinstance(value, bool) and float(value).is_integer():

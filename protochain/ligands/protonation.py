@@ -124,7 +124,8 @@ def at_ph(molecule: Molecule, ph: float) -> tuple[Molecule, tuple[Charged, ...]]
 def at_metal(molecule: Molecule, holding: Collection[int]) -> tuple[Molecule, tuple[Charged, ...]]:
     """Return a molecule without protons on atoms that hold a metal, and what was changed.
 
-    Ammonium, sulphonamides, thiols, phenols and acids lose theirs.
+    Ammonium, sulphonamides, thiols, phenols and acids lose theirs; an azole has its proton on another
+    nitrogen, if one is free.
 
     Parameters
     ----------
@@ -136,7 +137,24 @@ def at_metal(molecule: Molecule, holding: Collection[int]) -> tuple[Molecule, tu
         return molecule, ()
     state, rank = _numbered(molecule)
     _apply(state, _AT_METAL, -1, rank, holding)
+    for site in [atom for atom in state.GetAtoms() if _number(atom) in holding]:
+        if site.GetSymbol() == "N" and site.GetIsAromatic() and site.GetTotalNumHs():
+            _move_proton(state, site, rank, holding)
     return _in_state(molecule, state)
+
+
+def _move_proton(state: Any, site: Any, rank: list[int], holding: Collection[int]) -> None:
+    """Move the proton of an azole's nitrogen to another of its ring without one, or else away."""
+    rings = [ring for ring in state.GetRingInfo().AtomRings() if site.GetIdx() in ring]
+    ring_atoms = (state.GetAtomWithIdx(k) for ring in rings for k in ring)
+    free = [a for a in ring_atoms if a.GetSymbol() == "N" and a.GetDegree() == 2 and not a.GetTotalNumHs()]
+    free = sorted((a for a in free if _number(a) not in holding), key=lambda a: rank[_number(a)])
+    if not free:
+        _change(site, -1)
+        return
+    site.SetNumExplicitHs(0)
+    free[0].SetNumExplicitHs(1)
+    state.UpdatePropertyCache(strict=False)
 
 
 def _numbered(molecule: Molecule) -> tuple[Any, list[int]]:

@@ -38,7 +38,6 @@ from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
 from protochain.minimisers.start_warnings import Straying
 from protochain.minimisers.verdict import judge, rebuilt, verdict
-from protochain.validation.fixed import fixed_faults
 from protochain.validation.omega import twisted_bonds
 
 
@@ -311,8 +310,6 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     status, ended = verdict(stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
         ended = f"{ended}; peptide bonds that became twisted: {listed(twisted)}"
-    if faults := fixed_faults(structure, at.x).said(structure, at.x):
-        ended = f"{ended}; not minimised: {faults}"
     x = at.x if at is start.pose else record.frame(at.x)
     # Made when first read, from what does not hold the watcher.
     trace: Any = partial(trace_of, record.structure, record.rows, record.alphas)

@@ -7,8 +7,16 @@ import numpy as np
 from protochain.articulate import turned_atoms
 from protochain.core import defaults
 from protochain.energies.decomposed import TERMS
-from protochain.results.columns import Column, of_energy, of_losses, of_measures, of_structure, of_terms
-from protochain.validation.findings import MEASURES
+from protochain.results.columns import (
+    Column,
+    of_energy,
+    of_losses,
+    of_measures,
+    of_remains,
+    of_structure,
+    of_terms,
+)
+from protochain.validation.findings import MEASURES, REMAINS
 
 
 def _structure(solution: Any) -> Any:
@@ -32,6 +40,7 @@ COLUMNS = (
     Column("frame", lambda s: str(s.frame)),
     *of_terms(TERMS),
     *of_measures(MEASURES, "start", "end"),
+    *of_remains(REMAINS),
     Column("iterations", lambda s: s.n_iterations),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals"),
     Column("seconds", lambda s: s.seconds, "seconds", "time s", 6),

@@ -28,6 +28,7 @@ from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
 from protochain.structure.superpose import displacements, rmsd_angstrom
 from protochain.validation import measures
+from protochain.validation.findings import remains
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -257,6 +258,11 @@ class Solution(TermsAtEnds, Value):
         return measures(self.chain.structure, self.x)
 
     @cached_property
+    def remains_end(self) -> dict[str, list[str]]:
+        """Places in the end of what a biologist may reject: the keys of ``REMAINS``."""
+        return remains(self.chain.structure, self.x)
+
+    @cached_property
     def message(self) -> str:
         """Status and residual in words; beyond 2 angstrom (C-alpha RMSD) also how far the start is."""
         turned = self.frame.start is not self.chain.structure
@@ -283,8 +289,8 @@ class Solution(TermsAtEnds, Value):
 
     @property
     def is_usable(self) -> bool:
-        """Whether the end has a finite energy, below that of the start unless it converged."""
-        improved = self.status is Status.CONVERGED or self.end.energy < self.start.energy
+        """Whether the end has a finite energy, below that of the start unless forces are within tolerance."""
+        improved = self.status in (Status.CONVERGED, Status.VIOLATIONS) or self.end.energy < self.start.energy
         return bool(np.isfinite(self.end.energy) and improved)
 
     def to_scipy(self) -> "OptimizeResult":

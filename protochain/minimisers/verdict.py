@@ -16,8 +16,11 @@ from protochain.energies.protocol import Energy
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
-from protochain.structure.chirality import changed_hands
+from protochain.structure.chirality import atoms_named, changed_hands, mirror_images
 from protochain.structure.model import Structure
+from protochain.validation.fixed import chains_still, fixed_faults
+from protochain.validation.hands import inverted_stereocentres
+from protochain.validation.ligands import double_bonds_named, inverted_double_bonds
 from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
 
@@ -107,6 +110,7 @@ def verdict(
     n_evaluations: int,
     inverted: Sequence[str] | None = None,
     isomerised: Sequence[str] | None = None,
+    left: Sequence[str] | None = None,
 ) -> tuple[Status, str]:
     """Status and message, from the reason a run ended and the residual that the judge measured.
 
@@ -126,11 +130,58 @@ def verdict(
         Atoms that changed hand and should not have; by default all that did.
     isomerised : sequence of str, optional
         Peptide bonds that went from trans to cis, or back, and should not have; by default all that did.
+    left : sequence of str, optional
+        What no result may have, in words; by default :func:`rejected`.
 
     Returns
     -------
     Status, str
     """
+    left = rejected(structure, x) if left is None else left
+    status, message = _without_left(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
+    if left and status is Status.CONVERGED:
+        return Status.VIOLATIONS, f"violations: {'; '.join([*left, measured])}"
+    return status, message if status is Status.CLASH else "; ".join([message, *left])
+
+
+def rejected(structure: Structure, x: Floats) -> list[str]:
+    """Describe what no result may have: mirror images, other isomers, chains that stand still, faults.
+
+    Parameters
+    ----------
+    structure : Structure
+        The start.
+    x : (na, 3) float, nm
+
+    Returns
+    -------
+    list of str
+    """
+    found = [
+        f"chain {chain} is a mirror image, D-amino acids under names of L (relax --mirror if it is meant)"
+        for chain in mirror_images(structure.with_positions(x))
+    ]
+    inverted = atoms_named(structure, inverted_stereocentres(structure, x))
+    found += [f"inverted stereocentres: {listed(inverted)}"] if inverted else []
+    bonds = double_bonds_named(structure, inverted_double_bonds(structure, x))
+    found += [f"double bonds with the other E/Z: {listed(bonds)}"] if bonds else []
+    still, whole = chains_still(structure)
+    found += [f"{still} of {whole} residues of the protein have no parameters: fixed"] * (2 * still > whole)
+    faults = fixed_faults(structure, x).said(structure, x)
+    return [*found, faults] if faults else found
+
+
+def _without_left(
+    stop: Stop,
+    met: bool,
+    measured: str,
+    structure: Structure,
+    x: Floats,
+    n_evaluations: int,
+    inverted: Sequence[str] | None,
+    isomerised: Sequence[str] | None,
+) -> tuple[Status, str]:
+    """Status and message from forces, overlaps, and what changed."""
     remedy = "build these residues anew first"
     if inverted is None:
         inverted = changed_hands(structure, x, structure.positions)

@@ -21,17 +21,17 @@ from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.recipes import check_dihedrals
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import Stage
-from protochain.minimisers.verdict import Status, verdict
+from protochain.minimisers.verdict import Status, rejected, verdict
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.result import ITSELF, NATIVE, REFERENCE, Relaxation
 from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import RelaxSettings, named, split
 from protochain.structure import Structure
-from protochain.structure.chirality import atoms_named, mirror_images, with_mirror_images
+from protochain.structure.chirality import atoms_named, with_mirror_images
 from protochain.structure.select import moved_of, moving, select, sides_named
 from protochain.validation import threaded_rings, violations
-from protochain.validation.fixed import fixed_counts, fixed_faults
+from protochain.validation.fixed import fixed_counts
 from protochain.validation.interface import native
 from protochain.validation.omega import bonds_named
 
@@ -234,15 +234,12 @@ def _verdict(
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
     fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]
     measured += f"; fixed, not relaxed: {listed(fixed)}" if fixed else ""
-    status, message = verdict(
+    return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
         inverted=_spoiled(structure, end.x),
         isomerised=_bonds_before(structure, end.x, _lost(structure, end.x)),
+        left=left_in_words(structure, end.x),
     )  # fmt: skip
-    left = left_in_words(structure, end.x)
-    if left and status is Status.CONVERGED:
-        return Status.VIOLATIONS, f"violations: {left}; {measured}"
-    return status, f"{message}; {left}" if left and status is not Status.CLASH else message
 
 
 def _spoiled(structure: Structure, x: Floats) -> list[str]:
@@ -261,27 +258,19 @@ def _bonds_before(structure: Structure, x: Floats, nitrogens: Integers) -> list[
     return bonds_named(structure, x, structure.positions, structure.atom_residue[nitrogens])
 
 
-def left_in_words(structure: Structure, x: Floats) -> str:
-    """What is left to mend at positions x (na, 3), by name, and faults of what is fixed, if there are any."""
-    others = [
-        f"chain {chain} is a mirror image, D-amino acids under names of L (option mirror if it is meant)"
-        for chain in mirror_images(structure.with_positions(x))
-    ]
-    others += [str(ring) for ring in threaded_rings(structure, x)]
-    wrong = atoms_named(structure, Hands.of(structure).wrong(x))
-    others += [f"left of the wrong hand: {listed(wrong)}"] if wrong else []
+def left_in_words(structure: Structure, x: Floats) -> list[str]:
+    """What is left to mend at positions x (na, 3), by name."""
+    others = [*rejected(structure, x), *map(str, threaded_rings(structure, x))]
     peptides = PeptideBonds.of(structure).wrong(x)
     twisted = _bonds_before(structure, x, np.setdiff1d(peptides, _lost(structure, x)))
     others += [f"twisted peptide bonds: {listed(twisted)}"] if twisted else []
-    fixed = fixed_faults(structure, x).said(structure, x)
-    others += [fixed] if fixed else []
     found = violations(structure, x)
     residues = found.residues.tolist()
     if not residues:
-        return "; ".join(others)
+        return others
     named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
     more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
     left = f"{counted(len(residues), 'residue is', 'residues are')} left with violations"
     broken = int((found.per_residue & ~mendable(structure, found)).sum())
     why = f"; {broken} of them at breaks of the chain, which stay: model what is missing" if broken else ""
-    return "; ".join([*others, f"{left}: {', '.join(named)}{more}{why}"])
+    return [*others, f"{left}: {', '.join(named)}{more}{why}"]

@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, cross
-from protochain.structure.chirality import WELL_FORMED, chiral_atoms, mirror_images, volume
+from protochain.structure.chirality import volume
 from protochain.structure.model import Structure
-from protochain.validation.layout import peptides
+from protochain.validation.hands import expected_hands
 
 _STIFFNESS = 1e8
 """kJ/mol/nm^6. To turn a hand against it costs about 1000 kJ/mol, more than overlaps and springs give."""
@@ -37,12 +37,7 @@ class Hands:
 
     @classmethod
     def of(cls, structure: Structure) -> "Hands":
-        """Find the chiral atoms of a protein and its ligands, and the hands that they should have.
-
-        These are those that the names of the residues in the file say, but where D-amino acids have names of
-        L, as in older files: residues whose C-alpha is well-formed and whose phi is positive, as theirs is,
-        and chains that are mirror images keep what they have. Those of ligands are the ones of their sources.
-        """
+        """Find the chiral atoms of a protein and its ligands, and the hands that they should have."""
         return _hands(structure)
 
     def wrong(self, x: Floats) -> Integers:
@@ -69,26 +64,11 @@ class Hands:
 
 @lru_cache(maxsize=2)
 def _hands(structure: Structure) -> Hands:
-    centres, rows = chiral_atoms(structure), list[tuple[int, ...]]()
-    for (centre, a, b, c), wanted in zip(centres.tolist(), _wanted(structure, centres), strict=True):
-        a, b = (a, b) if wanted > 0.0 else (b, a)
+    rows = list[tuple[int, ...]]()
+    for centre, a, b, c in expected_hands(structure).atoms.tolist():
         rows.append((centre, a, b, c))
         for d in {*structure.neighbours[centre]} - {a, b, c}:
             rows += [(centre, b, a, d), (centre, c, b, d), (centre, a, c, d)]
     atoms = np.array(rows, dtype=np.int64).reshape(-1, 4)
     hydrogen = (structure.atom_element[atoms] == "H").any(axis=1)
     return Hands(atoms, np.where(hydrogen, _WITH_HYDROGEN, _HEAVY))
-
-
-def _wanted(structure: Structure, centres: Integers) -> Floats:
-    """(n,) float: 1 for each centre of an L-amino acid, -1 for its mirror image."""
-    of, x = structure.atom_residue[centres[:, 0]], structure.positions
-    by_name = np.where(structure.mirrored[of], -1.0, 1.0)
-    size = volume(x[centres])
-    has = np.where(size < 0.0, -1.0, 1.0)
-    phi = peptides(structure, x)[0][of]
-    alpha, other = np.isin(centres[:, 0], structure.alpha_carbons), has != by_name
-    # NaN, at the start of a chain, may be that of D as well.
-    meant = alpha & other & (by_name > 0.0) & (np.abs(size) > WELL_FORMED) & ~(phi < 0.0)
-    stays = [of[meant], *mirror_images(structure).values()]
-    return np.where(np.isin(of, np.concatenate(stays)), has, by_name)

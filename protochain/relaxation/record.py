@@ -15,10 +15,12 @@ from protochain.results.columns import (
     of_energy,
     of_losses,
     of_measures,
+    of_remains,
     of_structure,
     of_terms,
 )
 from protochain.validation import MEASURES
+from protochain.validation.findings import REMAINS
 from protochain.validation.fixed import fixed_counts
 from protochain.validation.interface import SCORES
 from protochain.validation.ligands import LigandFound, at_both_ends
@@ -46,6 +48,7 @@ COLUMNS = (
     *of_terms(TERMS),
     *of_measures(MEASURES, "start"),
     *of_measures(MEASURES, "end"),
+    *of_remains(REMAINS),
     Column("overlaps_start", lambda r: len(overlaps(r.start, r.start.positions))),
     Column("overlaps_end", lambda r: r.rounds[r.best].overlaps),
     Column("overlaps_beside_start", lambda r: _beside(r, r.start.positions)),
@@ -145,10 +148,6 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     )  # fmt: skip
     before, after = (record.get(f"ligand_strain_{when}_kj_mol") for when in ("start", "end"))
     rows.append(("largest strain of a ligand, kJ/mol", before, after))
-    before, after = (
-        sum(len(each[f"inverted_{when}"]) for each in record.get("ligands", ())) for when in ("start", "end")
-    )
-    rows.append(("inverted stereocentres and double bonds of ligands", before, after))
     rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
     rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
     rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))

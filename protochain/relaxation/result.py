@@ -30,6 +30,7 @@ from protochain.structure.repairs import Kind, Repair, summarised
 from protochain.structure.select import sides, sides_named
 from protochain.structure.superpose import displacements
 from protochain.validation import MEASURES, measures
+from protochain.validation.findings import remains
 from protochain.validation.interface import Interface, native, scored
 from protochain.validation.ligands import LigandFound, findings_of
 from protochain.validation.omega import PLANAR
@@ -160,6 +161,11 @@ class Relaxation(TermsAtEnds, Value):
     def measures_end(self) -> dict[str, Any]:
         """What is wrong with the end."""
         return measures(self.start, self.x)
+
+    @cached_property
+    def remains_end(self) -> dict[str, list[str]]:
+        """Places in the end of what a biologist may reject: the keys of ``REMAINS``."""
+        return remains(self.start, self.x)
 
     @cached_property
     def ligands_start(self) -> tuple[LigandFound, ...]:

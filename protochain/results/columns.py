@@ -105,6 +105,17 @@ def _measure(key: str, when: str, of: Any) -> Any:
     return getattr(of, f"measures_{when}")[key]
 
 
+def of_remains(keys: Iterable[str]) -> Iterator[Column]:
+    """Columns of what remains at the end of a run that a biologist may reject, by place."""
+    for key in keys:
+        yield Column(key, partial(_remaining, key))
+
+
+def _remaining(key: str, of: Any) -> list[str]:
+    found: list[str] = of.remains_end[key]
+    return found
+
+
 def of_terms(names: Iterable[str]) -> Iterator[Column]:
     """Columns of the terms of the energy, and of restraints, which are no part of it; None if not known."""
     for name in names:

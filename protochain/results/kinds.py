@@ -49,7 +49,9 @@ _KINDS: Mapping[str, Kind] = {
             """),
         (list[str], """
             lost_atoms far_molecules repairs side_chains_turned hands_turned peptides_turned confidences
-            not_written command findings loops inverted
+            not_written command findings loops inverted inverted_stereocentres d_amino_acids_unnamed
+            inverted_double_bonds clashes_between_chains rotamer_outlier_residues cbeta_outlier_residues
+            fixed_residues
             """),
         (dict[str, int], "left_out constant_terms fixed"),
         (dict[str, str], "versions"),

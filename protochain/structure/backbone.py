@@ -1,79 +1,81 @@
-"""One missing atom of a residue's backbone, from the residues before and after it."""
+"""Missing atoms of a residue's backbone, from its other atoms and the residues before and after it."""
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import OptimizeResult, least_squares
 
 from protochain.core.arrays import Floats
 from protochain.structure.draft import Member, atom
 from protochain.structure.residues import BACKBONE
-from protochain.structure.sidechains.ideal import unit
 
-_N_CA, _CA_C, _C_N = 1.459, 1.525, 1.336
+_BONDS = {
+    ("C-", "N"): 1.336, ("N", "CA"): 1.459, ("CA", "C"): 1.525, ("C", "N+"): 1.336, ("C", "O"): 1.229,
+    ("CA", "CB"): 1.532,
+}  # fmt: skip
 """Angstrom: Engh, Huber, International Tables for Crystallography F, 18.3 (2001)."""
-_OFF = 0.4
-"""Angstrom by which the other bond of a rebuilt atom may be off."""
-_CIS = 3.4
-"""Angstrom: C-alphas on both sides of a peptide bond are 3.8 apart, of a cis one 2.9."""
+_ACROSS = {
+    ("CA-", "N"): 2.43, ("O-", "N"): 2.25, ("C-", "CA"): 2.43, ("N", "C"): 2.46, ("N", "CB"): 2.46,
+    ("C", "CB"): 2.50, ("CA", "O"): 2.40, ("CA", "N+"): 2.43, ("O", "N+"): 2.25, ("C", "CA+"): 2.43,
+}  # fmt: skip
+"""Angstrom: the same across an angle."""
+_TRANS = {("CA-", "CA"): 3.80, ("CA", "CA+"): 3.80}
+"""Angstrom: across a peptide bond; a cis one has 2.9, and is told from it by the other distances alone."""
+_OFF = 0.25
+"""Angstrom by which a bond of a rebuilt atom may be off."""
+_STARTS = 8
 
 
-def complete_backbone(run: Sequence[Member], i: int) -> str:
-    """Build the atom of the backbone that residue i alone lacks, where its neighbours say where it is.
+def complete_backbone(run: Sequence[Member], i: int) -> tuple[str, ...]:
+    """Build the atoms of the backbone that residue i lacks, where its neighbours say where they are.
 
     Returns
     -------
-    str
-        Its name; empty if it has all, or none can be built.
+    tuple of str
+        Their names; empty if it has all, or they cannot be built.
     """
     member = run[i]
-    missing = [name for name in BACKBONE if not member.atom(name)]
-    if len(missing) != 1 or member.is_cap:
-        return ""
+    missing = tuple(name for name in BACKBONE if not member.atom(name))
+    if not missing or member.is_cap:
+        return ()
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
     for step, mark in ((-1, "-"), (1, "+")):
         if 0 <= i + step < len(run):
             at |= {a.name + mark: np.array(a.pos.tolist()) for a in run[i + step].atoms}
-    found = _BUILD[missing[0]](at)
+    found = _built(missing, at)
     if found is None:
-        return ""
-    name = missing[0]
+        return ()
     b_iso = float(np.mean([a.b_iso for a in member.atoms]))
-    member.atoms.insert(BACKBONE.index(name), atom(name, name[0], np.round(found, 4).tolist(), b_iso))
-    return name
+    for name, x in zip(missing, found, strict=True):
+        member.atoms.insert(BACKBONE.index(name), atom(name, name[0], np.round(x, 4).tolist(), b_iso))
+    return missing
 
 
-def _nitrogen(at: dict[str, Floats]) -> Floats | None:
-    return _opposite(at, "C-", ("CA-", "O-"), _C_N, "CA", _N_CA)
-
-
-def _alpha(at: dict[str, Floats]) -> Floats | None:
-    return _opposite(at, "C", ("O", "N+"), _CA_C, "N", _N_CA)
-
-
-def _opposite(
-    at: dict[str, Floats], centre: str, others: tuple[str, str], length: float, end: str, expected: float
-) -> Floats | None:
-    """The third neighbour of a trigonal carbon, if it is as far from its other neighbour as bonded atoms."""
-    if not {centre, end, *others} <= at.keys():
+def _built(missing: Sequence[str], at: dict[str, Floats]) -> Floats | None:
+    """Places (n, 3) of atoms at the usual distances from others; None if no bond may be so long or short."""
+    ends = {"N": ("C-", "CA-"), "CA": (), "C": ("N+", "CA+")}
+    if not {end for name in missing for end in ends[name]} <= at.keys():
         return None
-    first, second = (unit(at[other] - at[centre]) for other in others)
-    x = at[centre] - length * unit(first + second)
-    return x if abs(np.linalg.norm(x - at[end]) - expected) < _OFF else None
-
-
-def _carbonyl(at: dict[str, Floats]) -> Floats | None:
-    """C between CA and the next N, in the plane of the peptide bond."""
-    if not {"CA", "N+", "CA+"} <= at.keys():
+    usual = _BONDS | _ACROSS | (_TRANS if len(missing) > 1 else {})
+    pairs = [(pair, d) for pair, d in usual.items() if {*pair} & {*missing} and {*pair} <= {*missing, *at}]
+    if len(pairs) <= 3 * len(missing):  # Places are not determined.
         return None
-    way = at["N+"] - at["CA"]
-    length = float(np.linalg.norm(way))
-    along = (length**2 + _CA_C**2 - _C_N**2) / (2.0 * length)
-    if length > _CA_C + _C_N + _OFF or along > _CA_C:
-        return None
-    beyond = at["CA+"] - at["CA"]
-    aside = unit(beyond - (beyond @ unit(way)) * unit(way))
-    side = 1.0 if np.linalg.norm(beyond) > _CIS else -1.0
-    return np.asarray(at["CA"] + along * unit(way) + side * np.sqrt(_CA_C**2 - along**2) * aside)
+    weight = np.array([1.0 if pair in _BONDS else 0.5 for pair, _ in pairs])
+
+    def off(x: Floats) -> Floats:
+        there = at | dict(zip(missing, x.reshape(-1, 3), strict=True))
+        return np.array([np.linalg.norm(there[a] - there[b]) - d for (a, b), d in pairs])
+
+    def weighted(x: Floats) -> Floats:
+        return np.asarray(weight * off(x))
+
+    near = np.mean([at[name] for pair, _ in pairs for name in pair if name in at], axis=0)
+    starts = near + np.random.default_rng(0).normal(size=(_STARTS, len(missing), 3))
+    found = [least_squares(weighted, each.ravel()) for each in starts]
+    best = min(found, key=_cost)
+    bonds = [abs(each) for each, (pair, _) in zip(off(best.x), pairs, strict=True) if pair in _BONDS]
+    return np.asarray(best.x.reshape(-1, 3)) if max(bonds) < _OFF else None
 
 
-_BUILD = {"N": _nitrogen, "CA": _alpha, "C": _carbonyl}
+def _cost(found: OptimizeResult) -> float:
+    return float(found.cost)

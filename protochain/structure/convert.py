@@ -10,13 +10,14 @@ import numpy as np
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, floats
-from protochain.core.checks import acidity, plain
+from protochain.core.checks import acidity_or_auto, plain
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.bound import Chemistry
 from protochain.structure.draft import Draft
 from protochain.structure.files import check, number_atoms, place_in_file
 from protochain.structure.foreign import as_gemmi
 from protochain.structure.model import Structure
+from protochain.structure.pka import value_of
 from protochain.structure.prepare import load, parts_of, prepare, user_files
 from protochain.structure.read import Reading, read_structure
 
@@ -66,9 +67,9 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     forcefield = user_files(parts)
     disulfide = settings.pop("disulfide", None)
     settings.setdefault("keep", defaults.KEEP)
-    acidity(ph, "ph")
+    ph = acidity_or_auto(ph, "ph")
     given, charges = settings.pop("ligands", ()), settings.pop("ligand_charges", defaults.LIGAND_CHARGES)
-    settings["chemistry"] = Chemistry.asked(given, charges, ph, parts_of(parts))
+    settings["chemistry"] = Chemistry.asked(given, charges, value_of(ph), parts_of(parts))
     draft = read_structure(made, Draft(name, name), Reading(**settings, forcefield=forcefield))
     return prepare(draft, disulfide, ph, forcefield)
 

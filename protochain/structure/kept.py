@@ -11,12 +11,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core import defaults
+from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import StructureError
 from protochain.core.graph import components
 from protochain.structure import glycans, residues
 from protochain.structure.bound import AS_KNOWN, Chemistry
 from protochain.structure.draft import Draft, Member, Part, losses
 from protochain.structure.ions import is_known
+from protochain.structure.linkage import STATED, Link, is_metal
 from protochain.structure.recognise import by_element, recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.templates import Template
@@ -25,6 +27,12 @@ KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
 """Words that choose molecules by kind; any other word is the name of a residue."""
 JOINED = 2.0
 """Angstrom: molecules with atoms nearer than this are parts of one, as the sugars of a glycan (1.4)."""
+_PAIRED, _ABOVE = 3.4, 1.5
+"""Angstrom: length of hydrogen bonds of paired bases, and their rise from the plane of a base; stacked bases
+are 3.4 apart. (Lu, Bussemaker, Olson, Nucleic Acids Res. 43:e142, 2015, allow 4.0 and 2.5.)"""
+_UPON = 0.5
+"""Angstrom: atoms of two molecules nearer than this are in one place."""
+_FARTHEST = max(_PAIRED, STATED)
 _PHOSPHATE_BREAK, _PHOSPHATE_TORN = 2.5, 10.0
 """Angstrom: O3' and P further apart than this are not bonded (1.6), where numbers go on not than the second:
 then the strand is torn. Ends of two strands of a duplex are 15 apart and more."""
@@ -140,6 +148,8 @@ def choose(
         gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
     for (kind, _), count in gone.items():
         draft.left_out[kind] += count
+    _note_coincident(draft, [each.member for each in chosen])
+    note_unresolved(draft, [each.member for each in chosen])
     parts = _parts(draft, chosen, known, chemistry)
     if gone:
         counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
@@ -148,6 +158,24 @@ def choose(
         left = Kind.LEFT_OUT if dry else Kind.WATERS_LEFT_OUT
         draft.repairs.insert(0, Repair(left, facts, tuple(lost)))
     return parts
+
+
+def note_unresolved(draft: Draft, members: Sequence[Member]) -> None:
+    """Report heavy atoms that the experiment did not resolve."""
+    unseen = [sum(a.occ == 0.0 for a in member.atoms if not a.is_hydrogen()) for member in members]
+    places = tuple(member.residue for member, n in zip(members, unseen, strict=True) if n)
+    if places:
+        draft.note(Kind.UNRESOLVED, count=sum(unseen), residues=places)
+
+
+def _note_coincident(draft: Draft, members: Sequence[Member]) -> None:
+    """Report molecules that lie upon one another and are no alternates by their occupancies."""
+    ends = [(m, a) for m in members for a in m.atoms if not a.is_hydrogen()]
+    near = KDTree([a.pos.tolist() for _, a in ends]).query_pairs(_UPON) if ends else set()
+    pairs = Counter((ends[i][0].residue, ends[j][0].residue) for i, j in sorted(near))
+    for (first, second), number in pairs.items():
+        if first != second and number > 1:
+            draft.note(Kind.COINCIDENT, residue=second, other=first)
 
 
 def _refuse_unknown_names(
@@ -177,20 +205,70 @@ def _why_unusable(member: Member) -> Why | None:
 
 
 def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
-    """``id`` of the candidates with an atom near the protein, and of those joined to one that has."""
+    """``id`` of the candidates with an atom near the protein, and of all that is joined to one that has."""
     # Of a file without protein, its nucleic acids.
     whole = draft.members or [each.member for each in candidates if each.kind == "nucleic"]
     protein = [a.pos.tolist() for member in whole for a in member.atoms if not a.is_hydrogen()]
     dry = [candidate for candidate in candidates if candidate.kind != "water"]
     if not dry or not protein:
         return set()
-    x = np.array([a.pos.tolist() for candidate in dry for a in candidate.member.atoms])
-    owner = np.repeat(np.arange(len(dry)), [len(candidate.member.atoms) for candidate in dry])
+    ends = [(k, a) for k, candidate in enumerate(dry) for a in candidate.member.atoms]
+    owner, x = np.array([k for k, _ in ends]), np.array([a.pos.tolist() for _, a in ends])
     distance, _ = KDTree(protein).query(x, distance_upper_bound=defaults.KEEP_WITHIN)
-    pairs = owner[KDTree(x).query_pairs(JOINED, output_type="ndarray")]
-    group = components(pairs, len(dry))
+    group = components(_joined(draft, [each.member for each in dry], ends, owner, x), len(dry))
     touching = np.unique(group[owner[np.isfinite(distance)]])
     return {id(candidate) for candidate, its in zip(dry, group, strict=True) if its in touching}
+
+
+def _joined(
+    draft: Draft,
+    members: Sequence[Member],
+    ends: Sequence[tuple[int, gemmi.Atom]],
+    owner: Integers,
+    x: Floats,
+) -> Integers:
+    """Pairs (n, 2) of residues: bonded ones, a metal and what holds it, and nucleotides with paired bases."""
+    near = KDTree(x).query_pairs(_FARTHEST, output_type="ndarray")
+    # Hydrogens, which a file may have or not, decide nothing: those of hydrogen bonds are nearer than JOINED.
+    heavy = np.array([not atom.is_hydrogen() for _, atom in ends])
+    near = near[(owner[near[:, 0]] != owner[near[:, 1]]) & heavy[near].all(axis=1)]
+    length = np.linalg.norm(x[near[:, 0]] - x[near[:, 1]], axis=1)
+    is_joined = length <= JOINED
+    stated = {frozenset(pair) for pair in draft.stated}
+    metal = np.array([is_metal(atom.element.name) for _, atom in ends])
+    address = [members[k].address(atom.name) for k, atom in ends] if stated or metal.any() else []
+    for row in np.flatnonzero(~is_joined & (length <= STATED)).tolist() if address else ():
+        i, j = near[row].tolist()
+        is_stated = {address[i], address[j]} in stated
+        if metal[i] != metal[j]:
+            donor, ion = (i, j) if metal[j] else (j, i)
+            (k, atom), (other, its) = ends[donor], ends[ion]
+            is_joined[row] = Link(members[k], atom, members[other], its, is_stated).is_coordinated
+        else:
+            is_joined[row] = is_stated
+    return np.vstack([owner[near[is_joined]], _paired(members, ends, owner, x, near[length <= _PAIRED])])
+
+
+def _paired(
+    members: Sequence[Member],
+    ends: Sequence[tuple[int, gemmi.Atom]],
+    owner: Integers,
+    x: Floats,
+    near: Integers,
+) -> Integers:
+    """Pairs (n, 2) of nucleotides two of whose base atoms are at hydrogen bonds in the plane of a base."""
+    sugar = np.array([member.atom("C1'") is not None for member in members])
+    in_base = np.array([sugar[k] and "'" not in a.name and a.name not in _PHOSPHATE for k, a in ends])
+    polar = in_base & np.array([atom.element.name in ("N", "O") for _, atom in ends])
+    bonds: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for i, j in near[polar[near].all(axis=1)].tolist():
+        i, j = (i, j) if owner[i] < owner[j] else (j, i)
+        base = x[in_base & (owner == owner[i])]
+        normal = np.linalg.svd(base - base.mean(axis=0))[2][2]
+        if abs(normal @ (x[j] - x[i])) <= _ABOVE:
+            bonds.setdefault((int(owner[i]), int(owner[j])), []).append((i, j))
+    found = [pair for pair, its in bonds.items() if min(len({*end}) for end in zip(*its, strict=True)) > 1]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
 def _parts(

@@ -22,6 +22,8 @@ COVALENT_SLACK = 0.3
 radii (Cordero et al., Dalton Trans. 2832, 2008)."""
 STATED_SLACK = 0.7
 """The same further apart, if the file states the bond: models are off, and springs draw it in."""
+STATED = 3.3
+"""Angstrom: bonds that the file states are believed up to this length."""
 SHORTEST = 0.8
 """Angstrom: atoms nearer than this lie on one another, whatever the file states."""
 _ANGLES = np.deg2rad(75.0), np.deg2rad(150.0)

@@ -14,7 +14,8 @@ from openmm import app
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import (
-    acidity,
+    AUTO,
+    acidity_or_auto,
     checked,
     file_name,
     force_field_parts,
@@ -32,6 +33,7 @@ from protochain.structure.files import place_in_file
 from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.linkage import Link
 from protochain.structure.model import BoundLigand, Origin, Structure
+from protochain.structure.pka import by_propka, value_of
 from protochain.structure.protonate import protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.sidechains.relief import relieved
@@ -58,7 +60,7 @@ def load(
     altloc: str = "",
     keep: str | Sequence[str] = defaults.KEEP,
     disulfide: str | Sequence[str | tuple[str, str]] | None = None,
-    ph: float = defaults.PH,
+    ph: float | str = defaults.PH,
     strict: bool = False,
     forcefield: str | Path | None = None,
     chains: str | Sequence[str] = (),
@@ -94,8 +96,9 @@ def load(
     disulfide : str, or sequence of pairs of str, optional
         Disulfide bonds beside those between sulphurs that are close, as ``[("A:3", "A:40")]`` or
         ``"A:3-A:40"``; ``"none"`` among them drops those: ``"none"`` alone leaves no bond.
-    ph : float
-        Sets the protonation of residues whose hydrogens or names in the file do not show it.
+    ph : float or str
+        Sets the protonation of residues whose hydrogens or names in the file do not show it, by the pKa of
+        their kinds; ``"auto"`` is pH 7 with the pKa of each by PROPKA (``pip install "protochain[pka]"``).
     strict : bool
         Refuse chain breaks and incomplete backbones.
     forcefield : path-like, optional
@@ -126,9 +129,9 @@ def load(
     StructureError
         If the file cannot be used: one line naming the file, the place and the remedy.
     """
-    acidity(ph, "ph")
+    acidity_or_auto(ph, "ph")
     residues = user_files(forcefield)
-    chemistry = Chemistry.asked(ligands, ligand_charges, ph, parts_of(forcefield))
+    chemistry = Chemistry.asked(ligands, ligand_charges, value_of(ph), parts_of(forcefield))
     reading = Reading(
         model,
         altloc,
@@ -156,7 +159,7 @@ def parts_of(forcefield: str | Path | None) -> tuple[str, ...]:
 def prepare(
     draft: Draft,
     disulfide: str | Sequence[str | tuple[str, str]] | None = None,
-    ph: float = defaults.PH,
+    ph: float | str = defaults.PH,
     forcefield: Sequence[Path] = (),
 ) -> Structure:
     """Complete a draft: heavy atoms, disulfides, hydrogens.
@@ -173,7 +176,7 @@ def prepare(
     links = [*draft.links, *strand_links(draft)]
     beyond = [*sugars, *(link for made in draft.fragments for link in made.bonds)]
     note_unused(draft, [*links, *beyond, *beside])
-    take_up(draft, ph)
+    take_up(draft, value_of(ph))
     given = {
         id(atom): atom
         for member in draft.members
@@ -182,7 +185,8 @@ def prepare(
     }
     add_heavy_atoms(draft, known)
     bridges = disulfides(draft, wanted)
-    done = protonate(draft, known, {id(member) for pair in bridges for member in pair}, ph)
+    pka = by_propka(draft) if ph == AUTO else {}
+    done = protonate(draft, known, {id(m) for pair in bridges for m in pair}, value_of(ph), pka)
     put_hydrogens(draft)
     atoms = [atom for member, _ in done for atom in member.atoms]
     elements = [atom.element.name for atom in atoms]

@@ -17,11 +17,17 @@ _HYDROXYL = 1.3
 """Angstrom: a hydrogen nearer than this to an oxygen of a phosphate is bonded to it."""
 _BRIDGED = "CYX"
 """What Amber calls half a disulfide."""
+_USUAL: Mapping[int, float] = {}
+"""pKa of single residues: none but those of their kinds."""
 _UNPLACED = [float("nan")] * 3
 
 
 def protonate(
-    draft: Draft, known: Mapping[str, Template], bridged: set[int], ph: float
+    draft: Draft,
+    known: Mapping[str, Template],
+    bridged: set[int],
+    ph: float,
+    pka: Mapping[int, float] = _USUAL,
 ) -> list[tuple[Member, Template]]:
     """Choose protonation states and add missing hydrogens, whose positions stay NaN.
 
@@ -34,6 +40,8 @@ def protonate(
     bridged : set of int
         ``id`` of the cysteines in disulfide bonds.
     ph : float
+    pka : mapping of int to float
+        pKa of single residues by ``id``; that of their kind by default.
 
     Returns
     -------
@@ -41,7 +49,7 @@ def protonate(
         In order of the draft; each heavy atom of a member is followed by its hydrogens.
     """
     shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _shown(m) for m in draft.members}
-    states = {id(m): shown[id(m)] or _at_ph(m, ph) for m in draft.members}
+    states = {id(m): shown[id(m)] or _at_ph(m, ph, pka) for m in draft.members}
     chosen, turned = settled(
         (
             member,
@@ -60,7 +68,9 @@ def protonate(
             before = sum(a.is_hydrogen() for a in member.atoms)
             if id(member) in turned:
                 draft.note(Kind.RING_TURNED, residue=member.residue)
-            template = _template(draft, known, part, i, shown[id(member)], states[id(member)])
+            state = states[id(member)]
+            own = pka.get(id(member)) if state == _at_ph(member, ph, pka) else None
+            template = _template(draft, known, part, i, shown[id(member)], state, own)
             renamed += _match(draft, member, template)
             now = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
             present += min(before, now)
@@ -74,7 +84,13 @@ def protonate(
 
 
 def _template(
-    draft: Draft, known: Mapping[str, Template], part: Part, i: int, shown: str, state: str
+    draft: Draft,
+    known: Mapping[str, Template],
+    part: Part,
+    i: int,
+    shown: str,
+    state: str,
+    pka: float | None,
 ) -> Template:
     """Template of a residue in a state that the file shows, or that was chosen; the repairs tell which."""
     member = part.members[i]
@@ -87,6 +103,8 @@ def _template(
         draft.note(Kind.NO_PARTNER, residue=member.residue, name=member.given)
     if template is None:
         draft.note(Kind.USUAL_STATE, residue=member.residue, state=state)
+    elif state and not shown and pka is not None:
+        draft.note(Kind.STATE_BY_PKA, residue=member.residue, state=state, pka=pka)
     elif state and not shown:
         draft.note(Kind.STATE_CHOSEN, residue=member.residue, state=state)
     template = template or usual
@@ -139,12 +157,12 @@ def _acid_oxygens(member: Member) -> list[str]:
     return [a.name for a in oxygens if any(a.pos.dist(h.pos) <= _HYDROXYL for h in hydrogens)]
 
 
-def _at_ph(member: Member, ph: float) -> str:
+def _at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
     """Protonation state at a pH; empty for the usual one."""
     acid, base = residues.PKA.get(member.name), residues.PKA_BASE.get(member.name)
-    if acid and ph <= acid[0]:
+    if acid and not member.metals and ph <= pka.get(id(member), acid[0]):
         return acid[1]
-    return base[1] if base and ph > base[0] else ""
+    return base[1] if base and ph > pka.get(id(member), base[0]) else ""
 
 
 def _match(draft: Draft, member: Member, template: Template) -> int:

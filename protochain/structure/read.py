@@ -37,7 +37,7 @@ from protochain.structure.conformation import (
 from protochain.structure.draft import Address, Draft, Member, Part, losses
 from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, place_in_file, split_name
 from protochain.structure.header import take_header
-from protochain.structure.kept import Candidate, choose, report, water_named
+from protochain.structure.kept import Candidate, choose, note_unresolved, report, water_named
 from protochain.structure.repairs import Kind, Repair, Why
 from protochain.structure.sites import find_links
 from protochain.structure.springs import springs
@@ -281,7 +281,7 @@ class _Reader:
             if member is not None:
                 run.append(member)
         built = [
-            complete_backbone(run, i) if member.name in residues.STANDARD else ""
+            complete_backbone(run, i) if member.name in residues.STANDARD else ()
             for i, member in enumerate(run)
         ]
         run = [member for member, name in zip(run, built, strict=True) if self._has_backbone(member, name)]
@@ -291,7 +291,7 @@ class _Reader:
                 f"{self.draft.source}: chain {self._chain} holds only C-alpha atoms; "
                 "rebuild the others first, by PULCHRA or cg2all"
             )
-        self._report_zero_occupancy(run)
+        note_unresolved(self.draft, run)
         self.runs += self._unbroken(run)
 
     @property
@@ -314,13 +314,6 @@ class _Reader:
         if found.repeated:
             return [Repair(Kind.REPEATED, facts | {"atoms": tuple(found.repeated)})]
         return []
-
-    def _report_zero_occupancy(self, run: list[Member]) -> None:
-        """Report heavy atoms that the experiment did not resolve."""
-        unseen = [sum(atom.occ == 0.0 for atom in member.atoms if not atom.is_hydrogen()) for member in run]
-        places = tuple(member.residue for member, n in zip(run, unseen, strict=True) if n)
-        if places:
-            self.draft.note(Kind.UNRESOLVED, count=sum(unseen), residues=places)
 
     def _is_protein(self, residue: gemmi.Residue) -> bool:
         name, _ = named(residue.name.strip().upper(), [*residue], self.known)
@@ -392,9 +385,9 @@ class _Reader:
         }
         return None if there - {"OXT"} == {*template.heavy} else Why.INCOMPLETE
 
-    def _has_backbone(self, member: Member, built: str) -> bool:
-        """Whether a residue has N, CA and C, one of which may have been built."""
-        missing = [name for name in residues.BACKBONE if name == built or not member.atom(name)]
+    def _has_backbone(self, member: Member, built: tuple[str, ...]) -> bool:
+        """Whether a residue has N, CA and C, some of which may have been built."""
+        missing = [name for name in residues.BACKBONE if name in built or not member.atom(name)]
         if member.is_cap or not missing or [atom.name for atom in member.atoms] == ["CA"]:
             return True
         if self.reading.strict:
@@ -403,7 +396,7 @@ class _Reader:
                 "rebuild the backbone or remove the residue"
             )
         if built:
-            self.draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=(built,))
+            self.draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=built)
             return True
         lost = losses(member, member.atoms, Why.BACKBONE)
         self.draft.note(Kind.NO_BACKBONE, lost, residue=member.residue, atom=missing[0])

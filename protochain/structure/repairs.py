@@ -86,6 +86,10 @@ class Kind(Enum):
         "{residue}: left out (occupancy {occupancy:.2f}): an alternate of {other}, which lies upon it",
         rank=Rank.LOSS,
     )
+    COINCIDENT = Words(
+        "{residue} lies upon {other}: both kept; leave one out of the file, or give each its occupancy",
+        rank=Rank.LOSS,
+    )
     REPEATED = Words(
         "{residue}: {atoms} given more than once; the first of each kept",
         "atoms given more than once, the first of each kept",
@@ -219,6 +223,7 @@ class Kind(Enum):
         "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
     )
     STATE_CHOSEN = Words("{residue} taken as {state}")
+    STATE_BY_PKA = Words("{residue} taken as {state}: its pKa is {pka:.1f} by PROPKA")
     STRANGE_HYDROGENS = Words(
         "{residue}: {count} hydrogens left out: they do not belong to its state",
         "hydrogens left out that do not belong to the state",

@@ -16,13 +16,18 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import neighbours
 from protochain.structure.draft import Address, Draft, Member, Part
 from protochain.structure.kept import JOINED
-from protochain.structure.linkage import COVALENT_SLACK, Link, is_metal, told_apart, usual_length
+from protochain.structure.linkage import (
+    COVALENT_SLACK,
+    STATED,
+    Link,
+    is_metal,
+    told_apart,
+    usual_length,
+)
 from protochain.structure.model import Tie
 from protochain.structure.repairs import Apart, Count, Kind
 from protochain.structure.springs import DIGITS
 
-STATED = 3.3
-"""Angstrom: bonds that the file states are believed up to this length."""
 _BEYOND = 0.25
 """Angstrom: a covalent bond that is off by more is drawn to its usual length."""
 _LEAST, _MOST = np.deg2rad(90.0), np.deg2rad(140.0)

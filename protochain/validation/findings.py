@@ -9,14 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.markup import counted
+from protochain.core.markup import counted, listed
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.chirality import wrong_atoms
+from protochain.structure.chirality import atoms_named, wrong_atoms
 from protochain.structure.model import Structure
 from protochain.validation.cbeta import cbeta_deviations
 from protochain.validation.clashes import clashes
-from protochain.validation.fixed import fixed_faults
-from protochain.validation.ligands import LigandFound, ligand_findings
+from protochain.validation.fixed import fixed_faults, fixed_residues
+from protochain.validation.hands import expected_hands, inverted_stereocentres
+from protochain.validation.ligands import (
+    LigandFound,
+    double_bonds_named,
+    inverted_double_bonds,
+    ligand_findings,
+)
 from protochain.validation.nucleic import nucleotides
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran
@@ -61,6 +67,7 @@ class Found(Value):
     fixed = _measured(fixed_faults)
     strain = _measured(strain)
     nucleotides = _measured(nucleotides)
+    double_bonds = _measured(inverted_double_bonds)
 
     @cached_property
     def ligands(self) -> tuple[LigandFound, ...]:
@@ -71,6 +78,10 @@ class Found(Value):
         """Values of all ``MEASURES``; None where nothing can be measured."""
         values = {key: measure.value(self) for key, measure in MEASURES.items()}
         return {key: value if np.isfinite(value) else None for key, value in values.items()}
+
+    def remains(self) -> dict[str, list[str]]:
+        """Places of all ``REMAINS``, the first in the file first."""
+        return {key: remaining.places(self) for key, remaining in REMAINS.items()}
 
     def table(self) -> "pd.DataFrame":
         """Return a row for each residue of the protein; see :attr:`Validation.residues`."""
@@ -124,6 +135,8 @@ class Found(Value):
                 yield int(r), f"{'cis' if cis else 'twisted'} peptide bond before it (omega {omega:.0f})"
         for atom in self.wrong_hands.tolist():
             yield int(of[atom]), f"{s.atom_name[atom]} of the wrong hand"
+        for pair in self.double_bonds:
+            yield int(of[pair[0]]), f"{'='.join(s.atom_name[pair])} has the other E/Z than its chemistry"
         for what, atoms in (("bond", self.strain.bonds), ("angle", self.strain.angles)):
             first, counts = np.unique(of[atoms].min(axis=1), return_counts=True)
             for r, count in zip(first.tolist(), counts.tolist(), strict=True):
@@ -218,6 +231,9 @@ MEASURES = {
         "twisted peptide bonds", "twist", lambda f: int(f.peptides.twisted.sum())
     ),
     "wrong_hands": Measure("chiral atoms of the wrong hand", "hand", lambda f: len(f.wrong_hands)),
+    "other_double_bonds": Measure(
+        "double bonds of ligands with the other E/Z", "", lambda f: len(f.double_bonds)
+    ),
     "bond_outliers": Measure(
         "bonds beyond 4 sigma of the force field's", "bond", lambda f: len(f.strain.bonds)
     ),
@@ -242,3 +258,63 @@ MEASURES = {
     ),
 }  # fmt: skip
 """All that :func:`measures` returns, by key."""
+
+
+class Remaining(NamedTuple):
+    """Something in a result that a biologist may reject.
+
+    Parameters
+    ----------
+    what : str
+        What it is, in words.
+    places : callable
+        Where a :class:`Found` has it.
+    """
+
+    what: str
+    places: Callable[[Found], list[str]]
+
+
+def _residues(found: Found, residues: Any) -> list[str]:
+    return [str(found.structure.residue(int(r))) for r in np.unique(residues)]
+
+
+def _at_interfaces(found: Found) -> list[str]:
+    """Pairs of residues of two chains that clash, the worst first."""
+    of, s = found.structure.atom_residue[found.clashes.pairs], found.structure
+    between = s.residue_chain[of[:, 0]] != s.residue_chain[of[:, 1]]
+    pairs = dict.fromkeys(map(tuple, np.sort(of[between], axis=1).tolist()))
+    return [f"{s.residue(i)} with {s.residue(j)}" for i, j in pairs]
+
+
+REMAINS = {
+    "inverted_stereocentres": Remaining(
+        "inverted stereocentres", lambda f: atoms_named(f.structure, inverted_stereocentres(f.structure, f.x))
+    ),
+    "d_amino_acids_unnamed": Remaining(
+        "D-amino acids by their coordinates, under names of L",
+        lambda f: _residues(f, expected_hands(f.structure).unnamed),
+    ),
+    "inverted_double_bonds": Remaining(
+        "double bonds of ligands with the other E/Z than their chemistry",
+        lambda f: double_bonds_named(f.structure, f.double_bonds),
+    ),
+    "clashes_between_chains": Remaining("clashes between chains", _at_interfaces),
+    "rotamer_outlier_residues": Remaining(
+        "rotamer outliers", lambda f: _residues(f, f.side_chains.outliers)
+    ),
+    "cbeta_outlier_residues": Remaining("C-beta outliers", lambda f: _residues(f, f.cbeta.outliers)),
+    "fixed_residues": Remaining("held fixed", lambda f: _residues(f, fixed_residues(f.structure))),
+}  # fmt: skip
+"""What results name by place, by key of their records."""
+
+
+def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
+    """Name the places of what a biologist may reject at positions x (na, 3): the keys of ``REMAINS``."""
+    return Found(structure, x).remains() if np.isfinite(x).all() else {key: [] for key in REMAINS}
+
+
+def remains_in_words(record: Mapping[str, Any]) -> list[str]:
+    """Describe what remains in a record: a line for each of ``REMAINS`` that has places."""
+    there = {key: record.get(key) for key in REMAINS}
+    return [f"{REMAINS[key].what}: {listed(its)} ({len(its)})" for key, its in there.items() if its]

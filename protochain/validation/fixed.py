@@ -66,8 +66,25 @@ class FixedFaults(NamedTuple):
 
 def fixed_counts(structure: Structure) -> dict[str, int]:
     """Count the residues that stand still beside the protein, by name, the most frequent first."""
-    residues = np.unique(structure.atom_residue[structure.obstacle])
-    return dict(Counter(structure.residue_name[residues].tolist()).most_common())
+    return dict(Counter(structure.residue_name[_still(structure)].tolist()).most_common())
+
+
+def fixed_residues(structure: Structure) -> Integers:
+    """(n,) int: residues that stand still beside the protein, but waters."""
+    residues = _still(structure)
+    return np.asarray(residues[structure.residue_name[residues] != "HOH"])
+
+
+def chains_still(structure: Structure) -> tuple[int, int]:
+    """Count the amino acids of chains that stand still, and all of them."""
+    backbone = np.isin(structure.atom_name, ["N", "CA", "C"]) & np.isin(structure.atom_element, ["N", "C"])
+    whole = np.bincount(structure.atom_residue[backbone], minlength=structure.n_residues) == 3
+    still = _still(structure)
+    return int(whole[still].sum()), int(whole.sum())
+
+
+def _still(structure: Structure) -> Integers:
+    return np.unique(structure.atom_residue[structure.obstacle])
 
 
 def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:

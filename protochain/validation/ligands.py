@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Value
+from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.matching import inverted_atoms
@@ -147,6 +147,23 @@ def _inverted(bound: BoundLigand, x: Floats) -> tuple[str, ...]:
     molecule = bound.ligand.molecule
     found = inverted_atoms(molecule, x[bound.atoms[molecule.heavy]])
     return tuple("=".join(molecule.names[i] for i in atoms) for atoms in found)
+
+
+def inverted_double_bonds(structure: Structure, x: Floats) -> Integers:
+    """(n, 2) int: double bonds of ligands that at x (na, 3), nm, are E for their source's Z, or Z for E."""
+    found = [
+        each.atoms[list(atoms)].tolist()
+        for each in structure.ligands
+        for atoms in inverted_atoms(each.ligand.molecule, x[each.atoms[each.ligand.molecule.heavy]])
+        if len(atoms) == 2
+    ]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+def double_bonds_named(structure: Structure, pairs: Integers) -> list[str]:
+    """Name double bonds (n, 2), as ``C1=C2 of residue 1 LIG of chain A``."""
+    of = structure.atom_residue
+    return [f"{'='.join(structure.atom_name[p])} of {structure.residue(int(of[p[0]]))}" for p in pairs]
 
 
 def _posebusters(structure: Structure, bound: BoundLigand, x: Floats) -> dict[str, bool]:

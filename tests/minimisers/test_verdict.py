@@ -1,17 +1,19 @@
 """Verdicts word for word; judgements by hand."""
 
+from dataclasses import replace
 from threading import current_thread, main_thread
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fixtures.samples import chain, load
+from fixtures.samples import STRUCTURES, chain, load, shared
 
 import protochain as pc
 from protochain.chain import pose, pull_back
 from protochain.contacts import overlaps
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.verdict import ALL_PAIRS, Status, judge, judge_of, rebuilt, verdict
+from protochain.minimisers.verdict import ALL_PAIRS, Status, judge, judge_of, rebuilt, rejected, verdict
+from protochain.validation.findings import remains
 
 MESSAGES = {
     Stop.TOLERANCE: ("stalled", "stalled: the tolerance was met only above the lowest energy: so far"),
@@ -94,3 +96,74 @@ def test_a_chain_rebuilt_elsewhere_has_the_same_hinges_root_and_selection():
     assert (moved.opened, moved.root, moved.move, moved.n_v) == (c.opened, c.root, c.move, c.n_v)
     part = pc.build_chain(load("ala10.pdb"), move="resid 3:6")
     assert (rebuilt(part, x).move, rebuilt(part, x).n_v) == ("resid 3:6", part.n_v)
+
+
+# --- What no result may have, though forces vanish
+
+
+def judged(structure, x=None):
+    return verdict(Stop.TOLERANCE, True, "so far", structure, structure.positions if x is None else x, 7)
+
+
+def test_a_stereocentre_that_was_inverted_at_the_start_is_no_converged_result():
+    """By reflection: the plane of N, C-alpha and C mirrors C-beta and H-alpha, and phi stays that of L."""
+    s = load("ala10.pdb")
+    x, of = s.positions.copy(), s.atom_residue == 4
+    at = {str(s.atom_name[i]): i for i in np.flatnonzero(of)}
+    n, alpha, c = (x[at[name]] for name in ("N", "CA", "C"))
+    normal = np.cross(n - alpha, c - alpha)
+    normal /= np.linalg.norm(normal)
+    side = [i for name, i in at.items() if name not in ("N", "H", "C", "O", "CA")]
+    x[side] -= 2.0 * np.outer((x[side] - alpha) @ normal, normal)
+    changed = s.with_positions(x)
+    named = "inverted stereocentres: CA of residue 5 ALA of chain A"
+    assert judged(changed) == (Status.VIOLATIONS, f"violations: {named}; so far")
+    assert rejected(changed, x) == [named] and rejected(s, s.positions) == []
+    # What a run itself inverts is another matter.
+    assert judged(s, x)[0] is Status.INVERTED
+
+
+def test_gramicidin_is_named_as_the_d_amino_acids_that_it_has():
+    """The even residues, as its sequence says: Sarges, Witkop, J. Am. Chem. Soc. 87:2011 (1965)."""
+    s = pc.load(shared("1grm_gramicidin.pdb"))
+    named = [f"residue {n} {name} of chain {chain}" for chain in "AB" for n, name in GRAMICIDIN_D]
+    assert remains(s, s.positions)["d_amino_acids_unnamed"] == named
+    assert remains(s, s.positions)["inverted_stereocentres"] == []
+    found = pc.minimise(s, pc.energy(s), max_evaluations=5)
+    assert found.record()["d_amino_acids_unnamed"] == named
+
+
+GRAMICIDIN_D = ((4, "LEU"), (6, "VAL"), (8, "VAL"), (10, "LEU"), (12, "LEU"), (14, "LEU"))
+
+
+def test_a_protein_of_which_most_stands_still_is_not_converged():
+    s = load("1l2y.pdb")
+    for n, expected in ((10, Status.CONVERGED), (11, Status.VIOLATIONS)):
+        fixed = replace(s, obstacle=s.atom_residue >= s.n_residues - n)
+        status, message = judged(fixed)
+        assert status is expected and (f"{n} of 20 residues" in message) == (n == 11)
+        held = remains(fixed, fixed.positions)["fixed_residues"]
+        assert held == [fixed.describe_residue(r) for r in range(20 - n, 20)]
+
+
+def test_a_double_bond_of_the_other_kind_is_no_converged_result(tmp_path):
+    """Of 2-butenoic acid in its E form under the Z form's SMILES; RDKit, which made it, is the oracle."""
+    chem = pytest.importorskip("rdkit.Chem.AllChem")
+    made = chem.AddHs(chem.MolFromSmiles("OC(=O)/C=C/C"))
+    assert chem.EmbedMolecule(made, randomSeed=7) == 0
+    x, protein = made.GetConformer().GetPositions(), 10.0 * load("1l2y.pdb").positions
+    x += [protein[:, 0].max() + 3.0 - x[:, 0].min(), *(protein.mean(0) - x.mean(0))[1:]]
+    lines = (STRUCTURES / "1l2y.pdb").read_text().splitlines()
+    lines = [line for line in lines if line.startswith("ATOM")][:304]
+    for atom in list(made.GetAtoms())[:6]:
+        place, name = x[atom.GetIdx()], f"{atom.GetSymbol()}{atom.GetIdx()}"
+        at = "".join(f"{each:8.3f}" for each in place)
+        lines.append(
+            f"HETATM{900 + atom.GetIdx():5d}  {name:<3} LIG A 101    {at}  1.00  0.00           {name[0]}"
+        )
+    (tmp_path / "lig.pdb").write_text("\n".join([*lines, "END"]))
+    for smiles, wrong in (("OC(=O)/C=C/C", []), ("OC(=O)/C=C\\C", ["C3=C4 of residue 101 LIG of chain A"])):
+        s = pc.load(tmp_path / "lig.pdb", ligands=[f"LIG={smiles}"])
+        assert remains(s, s.positions)["inverted_double_bonds"] == wrong
+        assert judged(s)[0] is (Status.VIOLATIONS if wrong else Status.CONVERGED)
+        assert pc.validate(s, posebusters=False).measures["other_double_bonds"] == len(wrong)

@@ -124,9 +124,9 @@ def test_what_is_left_or_lost_is_named_in_message_and_status(bent):
     r = pc.relax(bent, threads=1, protocol="alphafold", max_iterations=1)
     assert r.status == "budget" and "twisted peptide bonds: " + name in r.message
     s = load("1l2y.pdb")
-    assert left_in_words(s, bent.positions) == ""  # -75: it went to the other side, and is lost.
+    assert left_in_words(s, bent.positions) == []  # -75: it went to the other side, and is lost.
     half = with_omega(s, 12, 120.0).positions
-    assert left_in_words(s, half).startswith("twisted peptide bonds: " + name)
+    assert left_in_words(s, half)[0].startswith("twisted peptide bonds: " + name)
     assert _lost(s, half).tolist() == [] and _lost(s, bent.positions).tolist() == [bond_before(s, 12)[2]]
 
 

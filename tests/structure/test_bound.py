@@ -277,6 +277,26 @@ def test_a_donor_that_holds_a_metal_has_no_proton_to_lose(tmp_path, smiles, name
         assert sum(each.after - each.before for each in bound.ligand.charged) == charge
 
 
+@pytest.mark.parametrize(
+    ("smiles", "holds", "charge", "left"),
+    [
+        ("[nH]1cc(CC)nc1", "X0", 0, "X5"),  # An imidazole's other nitrogen has its proton.
+        ("[nH]1ccc2ccccc12", "X0", -1, None),  # Of indole there is none.
+        ("ONC(=O)c1ccccc1", "X0", -1, "X1"),  # hydroxamate
+        ("SCc1ccccc1", "X0", -1, None),
+    ],
+)
+def test_no_proton_is_left_between_a_ligand_and_zinc(tmp_path, smiles, holds, charge, left):
+    path = with_metal(beside(tmp_path, embedded(smiles, away=0.8)), holds, "Zn", 2.1)
+    s = pc.load(path, ligands={"XYZ": smiles}, keep="all")
+    (bound,) = s.ligands
+    molecule = bound.ligand.molecule
+    bearing = {molecule.names[i] for pair in molecule.bonds.tolist() for i in pair
+               if molecule.elements[[*pair]].min() == 1 and molecule.elements[i] != 1}  # fmt: skip
+    hetero = {name for name, z in zip(molecule.names, molecule.elements, strict=True) if z in (7, 8, 16)}
+    assert molecule.charge == charge and bearing & hetero == ({left} if left else set())
+
+
 @pytest.mark.parametrize("smiles", ["CC(=O)O", "NCCO", "CN1CCN(C)CC1"])
 def test_a_pose_is_charged_as_the_same_molecule_under_a_name(tmp_path, smiles):
     pose, made = posed(tmp_path, smiles), embedded(smiles)

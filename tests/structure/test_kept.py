@@ -19,6 +19,7 @@ from protochain.contacts import overlaps
 from protochain.energies.elements import lennard_jones
 from protochain.mechanics.multibody import HingeKind
 from protochain.structure.files import parse
+from protochain.structure.repairs import Kind
 from protochain.structure.superpose import superpose
 
 WITH_OTHERS = (
@@ -168,6 +169,97 @@ def test_what_is_far_is_left_out_and_what_joins_it_to_the_protein_stays(tmp_path
     s = pc.load(written(tmp_path, "".join(lines) + "END\n"))
     assert s.residue_number[-2:].tolist() == ["101", "102"]
     assert sentences(s)[0].startswith("1 PO3 (it is further than 5 angstrom from the protein) left out")
+
+
+@pytest.mark.parametrize(("distance", "stays"), [(2.1, True), (2.9, False)])
+def test_an_ion_stays_with_a_kept_molecule_that_holds_it(tmp_path, distance, stays):
+    """Magnesium and oxygen: 2.07 angstrom (Harding, Acta Cryst. D62:678, 2006)."""
+    lines = records(STRUCTURES / "1l2y.pdb")
+    x = np.array([place(line) for line in lines if line[22:26] == "  20"]).max(axis=0)
+    atoms = ((" P   PO3", " P", 3.5), (" O1  PO3", " O", 5.0), ("MG    MG", "MG", 5.0 + distance))
+    for k, (name, element, way) in enumerate(atoms):
+        line = f"HETATM{900 + k:5d} {name} A {101 + (k == 2)}    {'':24}  1.00  0.00          {element}\n"
+        lines.append(placed(line, x + np.array([way, 0.0, 0.0]), "A"))
+    s = pc.load(written(tmp_path, "".join(lines) + "END\n"))
+    assert s.residue_name[20:].tolist() == ["PO3", "MG"][: 1 + stays]
+
+
+@pytest.mark.parametrize(
+    ("occupancies", "kinds"),
+    [
+        ((1.0,), set()),
+        ((0.0,), {Kind.UNRESOLVED}),
+        ((1.0, 1.0), {Kind.COINCIDENT}),
+        ((0.0, 0.0), {Kind.UNRESOLVED, Kind.COINCIDENT}),
+    ],
+)
+def test_ligands_without_occupancy_or_in_one_place_are_kept_and_reported(tmp_path, occupancies, kinds):
+    lines = records(STRUCTURES / "1l2y.pdb")
+    x = np.array([place(line) for line in lines if line[22:26] == "  20"]).max(axis=0)
+    for k, occupancy in enumerate(occupancies):
+        for atom, way in (("P", 3.5), ("O", 5.0)):
+            line = (
+                f"HETATM  900  {atom:<3} PO3 A {101 + k}    {'':24}{occupancy:6.2f}  0.00           {atom}\n"
+            )
+            lines.append(placed(line, x + np.array([way, 0.0, 0.0]), "A"))
+    s = pc.load(written(tmp_path, "".join(lines) + "END\n"))
+    assert s.residue_name[20:].tolist() == ["PO3"] * len(occupancies)
+    assert {each.kind for each in s.repairs} & {Kind.UNRESOLVED, Kind.COINCIDENT} == kinds
+
+
+def with_a_duplex(tmp_path: Path, apart: float, *beside: str) -> pc.Structure:
+    """1bna with a peptide 3 angstrom from its strand A; strand B further from that by so many angstrom.
+
+    Of ``beside``, a name of an atom with its residue and number in B, each gets a zinc ion at 2.1 angstrom.
+    """
+    strands = {
+        c: records(STRUCTURES / "1bna.pdb", lambda line, c=c: line[:4] + line[21] == "ATOM" + c) for c in "AB"
+    }
+    places = {c: np.array([place(line) for line in lines]) for c, lines in strands.items()}
+    centre = np.vstack([*places.values()]).mean(axis=0)
+    peptide = records(STRUCTURES / "ala10.pdb")
+    x = np.array([place(line) for line in peptide])
+    start = places["A"][np.argmax(np.linalg.norm(places["A"] - centre, axis=1))]
+    out = (start - centre) / np.linalg.norm(start - centre)
+    x += start - x.mean(axis=0)
+    while KDTree(places["A"]).query(x)[0].min() < 3.0:
+        x += 0.5 * out
+    assert KDTree(places["B"]).query(x)[0].min() > 7.0
+    places["B"] = places["B"] - apart * out
+    lines = [placed(line, at, "P") for line, at in zip(peptide, x, strict=True)]
+    for chain, its in strands.items():
+        lines += [placed(line, at, chain) for line, at in zip(its, places[chain], strict=True)]
+    for number, name in enumerate(beside):
+        where = next(k for k, line in enumerate(strands["B"]) if line[12:26].split() == name.split())
+        ring = [k for k, line in enumerate(strands["B"]) if line[22:26] == strands["B"][where][22:26]]
+        middle = places["B"][[k for k in ring if "'" not in strands["B"][k][12:16]]].mean(axis=0)
+        way = places["B"][where] - middle
+        at = places["B"][where] + 2.1 * way / np.linalg.norm(way)
+        ion = (
+            f"HETATM{9000:5d} ZN    ZN Z{number + 1:4d}    {0:8.3f}{0:8.3f}{0:8.3f}  1.00  0.00          ZN\n"
+        )
+        lines.append(placed(ion, at, "Z"))
+    return pc.load(written(tmp_path, "".join(lines) + "END\n"))
+
+
+def place(line: str) -> list[float]:
+    return [float(line[k : k + 8]) for k in (30, 38, 46)]
+
+
+def placed(line: str, x, chain: str) -> str:
+    return line[:21] + chain + line[22:30] + "".join(f"{each:8.3f}" for each in x) + line[54:]
+
+
+def test_a_strand_stays_with_the_one_that_its_bases_are_paired_with(tmp_path):
+    s = with_a_duplex(tmp_path, 0.0)
+    assert [(s.residue_chain == chain).sum() for chain in "PAB"] == [10, 12, 12]
+    # biotite's pairs are those of DSSR's criteria.
+    pairs = pc.validate(s).measures["base_pairs"]
+    assert pairs is None or pairs == 12
+    with_zinc = with_a_duplex(tmp_path, 0.0, "N7 DG B 16")
+    assert [(with_zinc.residue_chain == chain).sum() for chain in "PABZ"] == [10, 12, 12, 1]
+    apart = with_a_duplex(tmp_path, 60.0, "N7 DG B 16")
+    assert [(apart.residue_chain == chain).sum() for chain in "PABZ"] == [10, 12, 0, 0]
 
 
 @pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])

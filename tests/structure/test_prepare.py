@@ -202,7 +202,7 @@ def test_every_kind_of_repair_is_told_by_its_facts(kind):
 
 FACTS = {
     "residue": Residue("A", "1", "LYS"), "last": Residue("A", "1", "LYS"), "first": Residue("B", "2", "GLY"),
-    "second": Residue("B", "3", "GLY"), "count": 3, "length": 2.5, "occupancy": 0.25, "ph": 4.5,
+    "second": Residue("B", "3", "GLY"), "count": 3, "length": 2.5, "occupancy": 0.25, "ph": 4.5, "pka": 8.5,
     **dict.fromkeys(("atoms", "others", "counts", "bare", "ends", "pairs", "changes"), ("<one>", "<two>")),
     "residues": ("<one>",),
 }  # fmt: skip

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.validation.cbeta import LIMIT, cbeta_deviations
-from protochain.validation.findings import Found
+from protochain.validation.findings import Found, remains
 from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran, score, tables
@@ -325,3 +325,32 @@ def test_atoms_that_a_file_lacks_are_known_as_added(chain_id, code, tmp_path):
     assert s.atom_name[s.built].tolist() == ["CB", "CG", "CD", "OE1", "OE2"]
     assert set(s.atom_residue[s.built].tolist()) == {8}
     assert not load("1ubq.pdb").built.any()
+
+
+def test_outliers_and_clashes_between_chains_are_named_by_residue():
+    """Of insulin with chain B pushed into A; the table of residues is another way to the same."""
+    s = load("3i40.pdb")
+    x = s.positions.copy()
+    is_b = (s.residue_chain == "B")[s.atom_residue]
+    x[is_b] += (
+        0.15 * (x[~is_b].mean(0) - x[is_b].mean(0)) / np.linalg.norm(x[~is_b].mean(0) - x[is_b].mean(0))
+    )
+    found, table = remains(s, x), pc.validate(s.with_positions(x)).residues
+    named = table.apply(lambda row: f"residue {row.residue} {row['name']} of chain {row.chain}", axis=1)
+    assert found["rotamer_outlier_residues"] == named[table.rotamer_outlier].tolist()
+    assert found["cbeta_outlier_residues"] == named[table.cbeta_deviation_angstrom >= 0.25].tolist()
+    # Heavy atoms that are 2.4 angstrom apart and not bonded clash, whatever else does.
+    heavy = np.flatnonzero(s.atom_element != "H")
+    bonded = {frozenset(pair) for pair in s.bonds.tolist()}
+    near = [
+        (i, j)
+        for i in heavy[~is_b[heavy]].tolist()
+        for j in heavy[is_b[heavy]].tolist()
+        if np.linalg.norm(x[i] - x[j]) < 0.2 and frozenset((i, j)) not in bonded
+    ]
+    pairs = {
+        f"{s.describe_residue(int(s.atom_residue[i]))} with {s.describe_residue(int(s.atom_residue[j]))}"
+        for i, j in near
+    }
+    assert pairs and pairs <= {*found["clashes_between_chains"]}
+    assert all("chain A" in each and "chain B" in each for each in found["clashes_between_chains"])

@@ -1,0 +1,55 @@
+"""Stereocentres that are not those of the residues' names, and D-amino acids under names of L.
+
+Older files name D-amino acids as L. Residues whose C-alpha is well-formed and whose phi is positive, as
+theirs is, are D-amino acids by their coordinates; in chains that are mirror images all are.
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers, read_only
+from protochain.structure.chirality import WELL_FORMED, chiral_atoms, mirror_images, volume
+from protochain.structure.model import Structure
+from protochain.validation.layout import peptides
+
+
+class Expected(NamedTuple):
+    """What stereocentres of a structure should be.
+
+    Parameters
+    ----------
+    atoms : (n, 4) int
+        Each, and three neighbours in an order in which they should span a positive volume.
+    unnamed : (m,) int
+        Residues that are D-amino acids by their coordinates, under names of L.
+    """
+
+    atoms: Integers
+    unnamed: Integers
+
+
+@lru_cache(maxsize=2)
+def expected_hands(structure: Structure) -> Expected:
+    """Find the stereocentres of protein, sugars and ligands, as names of residues or sources say.
+
+    D-amino acids under names of L keep what they have.
+    """
+    atoms, x = chiral_atoms(structure), structure.positions
+    of, size = structure.atom_residue[atoms[:, 0]], volume(x[atoms])
+    is_d = structure.mirrored[of]
+    phi = peptides(structure, x)[0][of]
+    alpha = np.isin(atoms[:, 0], structure.alpha_carbons)
+    # NaN, at the start of a chain, may be that of D as well.
+    meant = alpha & ~is_d & (size < -WELL_FORMED) & ~(phi < 0.0)
+    unnamed = np.unique(np.concatenate([of[meant], *mirror_images(structure).values()])).astype(np.int64)
+    is_positive = np.where(np.isin(of, unnamed), size >= 0.0, ~is_d)
+    swapped = atoms[:, [0, 2, 1, 3]]
+    return Expected(read_only(np.where(is_positive[:, None], atoms, swapped), np.int64), unnamed)
+
+
+def inverted_stereocentres(structure: Structure, x: Floats) -> Integers:
+    """(n,) int: stereocentres that at positions x (na, 3), nm, are not as expected of the structure."""
+    atoms = expected_hands(structure).atoms
+    return np.unique(atoms[volume(x[atoms]) < 0.0, 0])
