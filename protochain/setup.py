@@ -237,8 +237,8 @@ class Setup(Settings):
             raise ProtochainError(f"model {self.model}: one structure is prepared at a time; give its number")
         return as_structure(
             source, name, model=self.model, assembly=self.assembly, altloc=self.altloc, keep=self.keep,
-            disulfide=self.disulfide, ph=self.ph, strict=self.strict, forcefield=self.forcefield, chains=self.chains,
-            ligands=self.ligands, ligand_charges=self.ligand_charges,
+            disulfide=self.disulfide, ph=self.ph, strict=self.strict, forcefield=self.forcefield,
+            chains=self.chains, ligands=self.ligands, ligand_charges=self.ligand_charges,
             standard_residues=self.standard_residues,
         )  # fmt: skip
 

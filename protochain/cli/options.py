@@ -140,7 +140,8 @@ def exit_status(statuses: Iterable[str], *, usable: bool = True, interrupted: bo
 def batch_status(done: "Batch") -> int:
     """Exit status of a batch."""
     table = done.table
-    return exit_status(table["status"], usable=table["output"].notna().any(), interrupted=done.interrupted)
+    usable = bool(table["output"].notna().any())
+    return exit_status(table["status"], usable=usable, interrupted=done.interrupted)
 
 
 def fail(message: str, status: int = FAILED) -> int:

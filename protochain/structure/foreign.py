@@ -82,7 +82,7 @@ def text_of_binary(data: bytes, source: str) -> str:
                 )
     except Exception as error:  # Its decoders raise of all kinds.
         raise StructureError(f"{source}: not a whole BinaryCIF file ({error}); download it again") from None
-    return str(document.as_string(gemmi.cif.Style.Pdbx))
+    return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
 
 
 def _texts(column: Any) -> list[Any]:

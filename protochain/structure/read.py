@@ -4,6 +4,7 @@ gemmi parses the file. Whatever is left out or changed is reported in ``repairs`
 raises an error of one line.
 """
 
+import sys
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -210,8 +211,9 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
 
 
 def _place(part: Part) -> int:
-    """Where a part begins in the file."""
-    return min((place for m in part.members for a in m.atoms if (place := place_in_file(a)) >= 0), default=0)
+    """Where a part begins in the file; behind all of it, if it comes from elsewhere."""
+    places = (place for m in part.members for a in m.atoms if (place := place_in_file(a)) >= 0)
+    return min(places, default=sys.maxsize)
 
 
 def _counted(kind: str, count: int) -> str:

@@ -340,7 +340,7 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
     return (name, state) if fits else (given, "")
 
 
-def _of_atoms(given: str, heavy: Collection[str]) -> str:
+def _of_atoms(given: str, heavy: set[str]) -> str:
     """Standard residue with these heavy atoms, unless an archive's component so named has them, too.
 
     Programs call residues as they like: GLUP, ARN, RA, and A for the DNA of old files.

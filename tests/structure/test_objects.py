@@ -9,7 +9,7 @@ from fixtures.molecules import ring
 from openmm import app, unit
 
 import protochain as pc
-from protochain.structure import convert
+from protochain.structure import convert, foreign
 from protochain.structure.convert import to_mdanalysis, to_mdtraj
 
 S = ring()
@@ -20,7 +20,7 @@ def table(made):
     assert len(made) == 1 and made[0].num == 1
     return [
         (
-            chain.name, residue.name, str(residue.seqid).strip(), a.name, a.element.name, a.occ, a.b_iso,
+            chain.name, residue.name, str(residue.seqid).strip(), a.name, a.element.name, a.occ, None if np.isnan(a.b_iso) else a.b_iso,
             *np.round(a.pos.tolist(), 4).tolist(),
         )
         for chain in made[0]
@@ -44,23 +44,23 @@ def expected(b_factor=False):
 
 def test_a_topology_with_positions_of_any_unit_is_taken():
     for positions in (S.positions, S.positions.tolist(), 10.0 * S.positions * unit.angstrom):
-        assert table(convert._as_gemmi((S.topology, positions))) == expected()
-    assert table(convert._as_gemmi([S.topology, S.positions.ravel()])) == expected()
+        assert table(foreign.as_gemmi((S.topology, positions))) == expected()
+    assert table(foreign.as_gemmi([S.topology, S.positions.ravel()])) == expected()
     topology = app.Topology()
     residue = topology.addResidue("HOH", topology.addChain("W"), "7")
     topology.addAtom("M", None, residue)
-    assert table(convert._as_gemmi((topology, [[0.1, 0.2, 0.3]]))) == [
+    assert table(foreign.as_gemmi((topology, [[0.1, 0.2, 0.3]]))) == [
         ("W", "HOH", "7", "M", "X", 1.0, 0.0, 1.0, 2.0, 3.0)
     ]
     with pytest.raises(pc.ProtochainError) as refused:
-        convert._as_gemmi((S.topology, S.positions[:13]))
+        foreign.as_gemmi((S.topology, S.positions[:13]))
     assert str(refused.value) == "13 positions do not fit a topology of 14 atoms"
 
 
 def test_the_first_frame_of_a_trajectory_is_taken():
     held = to_mdtraj(S, np.array([S.positions, S.positions + 9.0]))
     # mdtraj knows neither insertion codes nor blank chains.
-    found = [row[1:2] + row[3:] for row in table(convert._as_gemmi(held))]
+    found = [row[1:2] + row[3:] for row in table(foreign.as_gemmi(held))]
     assert found == [row[1:2] + row[3:] for row in expected()]
     assert held.xyz.dtype == np.float32 and np.allclose(held.xyz[1], S.positions + 9.0, atol=1e-6)
     one = to_mdtraj(S)
@@ -85,9 +85,9 @@ def test_every_column_goes_to_mdanalysis():
 
 def test_every_column_comes_from_mdanalysis():
     universe = to_mdanalysis(S)
-    assert table(convert._as_gemmi(universe)) == expected(b_factor=True)
+    assert table(foreign.as_gemmi(universe)) == expected(b_factor=True)
     # A group in another order: residues in the order of the universe, of them only the atoms of the group.
-    part = convert._as_gemmi(universe.select_atoms("resid 3:4 and not name C SG H1"))
+    part = foreign.as_gemmi(universe.select_atoms("resid 3:4 and not name C SG H1"))
     assert table(part) == [
         row for row in expected(b_factor=True) if row[2] in ("3B", "4") and row[3] not in ("C", "SG", "H1")
     ]
@@ -117,8 +117,8 @@ def test_what_mdanalysis_does_not_know_is_read_from_names():
     ]
     atoms = [simple("CA", 0), simple("1HB", 0), simple("OXT", 1)]
     group = Group(atoms, residues)
-    at = (1.0, 0.0, 1.0, 2.0, 3.0)
-    assert table(convert._from_mdanalysis(group)) == [
+    at = (1.0, None, 1.0, 2.0, 3.0)
+    assert table(foreign._from_mdanalysis(group)) == [
         ("S", "ALA", "5", "CA", "C", *at), ("S", "ALA", "5", "1HB", "H", *at),
         ("S", "ALA", "6", "OXT", "O", *at),
     ]  # fmt: skip
@@ -126,14 +126,14 @@ def test_what_mdanalysis_does_not_know_is_read_from_names():
     atoms = [simple("CA", 0, **more), simple("CB", 1, **more | {"chainID": "", "element": ""})]
     group = Group(atoms, residues, chainIDs=1, elements=1, tempfactors=1, icodes=1)
     at = (1.0, 4.0, 1.0, 2.0, 3.0)
-    assert table(convert._from_mdanalysis(group)) == [
+    assert table(foreign._from_mdanalysis(group)) == [
         ("B", "ALA", "5C", "CA", "N", *at), ("S", "ALA", "6C", "CB", "C", *at),
     ]  # fmt: skip
 
 
 def test_what_is_handed_in_is_not_changed():
-    held = convert._as_gemmi((S.topology, S.positions))
-    again = convert._as_gemmi(held)
+    held = foreign.as_gemmi((S.topology, S.positions))
+    again = foreign.as_gemmi(held)
     assert again is not held and table(again) == table(held)
 
 
