@@ -41,7 +41,7 @@ class Facts(TypedDict):
     seconds_energy: float
 
 
-@with_settings(setup="engine move")
+@with_settings(setup="engine move rigid_protein")
 def info(source: Input, as_json: AsJson = False, *, setup: Setup) -> None:
     """Show the contents of a file, the repairs to its structure, and its rigid bodies and hinges."""
     began = perf_counter()
