@@ -27,7 +27,8 @@ from protochain.structure.residues import Residue
 from protochain.structure.write import as_text
 
 SETUP = {
-    "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
+    "hinges": "phi psi chi", "move": "all", "rigid_protein": False, "forcefield": "amber14",
+    "solvent": "obc2", "engine": "auto",
     "cutoff": "auto", "accuracy": "auto", "precision": "double", "threads": None, "trust_forcefield": False,
     "terms": "all", "model": None,
     "chains": None, "altloc": "",
@@ -43,9 +44,11 @@ MINIMISE = {
     **AS_JSON, "force": False, **SETUP,
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
+NOT_IN_SCORE = ("hinges", "move", "rigid_protein", "engine", "terms")
 NOT_IN_VALIDATE = (
     "hinges",
     "move",
+    "rigid_protein",
     "forcefield",
     "solvent",
     "engine",
@@ -62,7 +65,7 @@ COMMANDS = {
     "compare": {
         "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,cartesian,openmm", "repeats": 3, "reference": None,
         **RUN, "curvature": None, "seed": 0, **AS_JSON, "force": False,
-        **{k: v for k, v in SETUP.items() if k != "move"},
+        **{k: v for k, v in SETUP.items() if k not in ("move", "rigid_protein")},
     },
     "batch": {
         "inputs": None, "output": Path("batch"), "methods": "cartesian", "manifest": None, "workers": None,
@@ -110,11 +113,11 @@ COMMANDS = {
     "score": {
         "inputs": None, "interface": None, "rank": None, "csv": None, "residues": None, "report": None,
         "workers": None, **AS_JSON,
-        **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
+        **{k: v for k, v in SETUP.items() if k not in NOT_IN_SCORE},
     },
     "energy": {
         "source": None, "by": "term", "between": None, **OUTPUT, "report": None, **FRAMES, **AS_JSON,
-        **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
+        **{k: v for k, v in SETUP.items() if k not in NOT_IN_SCORE},
     },
     "rmsd": {
         "reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **FRAMES, **AS_JSON,
@@ -126,7 +129,7 @@ COMMANDS = {
     "scene": {"name": None, **OUTPUT, "quick": False, **AS_JSON},
     "info": {
         "source": None, **AS_JSON,
-        **{k: v for k, v in SETUP.items() if k not in ("engine", "move")},
+        **{k: v for k, v in SETUP.items() if k not in ("engine", "move", "rigid_protein")},
     },
     "build": {"sequence": None, **OUTPUT},
     "schema": {"command": None},
