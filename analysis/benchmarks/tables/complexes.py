@@ -16,20 +16,17 @@ _KINDS = {"crystal": "crystal poses", "moved": "moved", "rough": "rough"}
 @table("complexes-poses", "complexes_poses.csv")
 def poses(rows: pd.DataFrame) -> str:
     """Poses that pass, by way and charges."""
-    kinds = rows["pose"].str.split().str[0]
     lines = []
     for way, name in _WAYS.items():
         for charges, of_charges in rows.dropna(subset=f"valid_{way}").groupby("charges", sort=False):
-            if way == "before" and lines:
-                continue
-            of = [of_charges[kinds == kind] for kind in _KINDS]
+            of = [of_charges[of_charges["pose"].str.startswith(kind)] for kind in _KINDS]
             passed = [f"{each[f'valid_{way}'].sum()} of {len(each)}" for each in of]
             away = [f"{each[f'rmsd_{way}_angstrom'].median():.2f}" for each in of]
-            costs = [
-                "-" if way == "before" else f"{of_charges[f'{clock}_{way}'].median():.1f}"
-                for clock in ("seconds", "cpu_seconds")
-            ]
-            lines.append([name, "-" if way == "before" else charges, *passed, *away, *costs])
+            if way == "before":
+                lines = [[name, "-", *passed, *away, "-", "-"]]
+                continue
+            costs = [f"{of_charges[f'{clock}_{way}'].median():.1f}" for clock in ("seconds", "cpu_seconds")]
+            lines.append([name, charges, *passed, *away, *costs])
     headings = ("", "charges", *(f"{name} that pass" for name in _KINDS.values()))
     headings += tuple(f"{name}, RMSD to the crystal's" for name in _KINDS.values())
     return markdown((*headings, "seconds, median", "of a processor"), lines)
@@ -45,12 +42,11 @@ def words(rows: pd.DataFrame) -> str:
         for way in ("rigid", "relax")
     }
     which = [f"after {_WAYS[way]} {', '.join(tests) or 'no test'}" for way, tests in left.items()]
-    longest = rows["cpu_seconds_relax"].max()
     return paragraph(
-        f"Of {len(moved)} moved and rough poses {before} pass as they are, {frozen} after the ligand alone was",
-        f"moved by OpenMM, {rigid} after `relax --rigid-protein`, and {ours} after `relax`. What fails is",
-        f"{'; '.join(which)}. A pose takes at most {longest:.0f} seconds of a processor, {rows['residues'].max()}",
-        "residues at most.",
+        f"Of {len(moved)} moved and rough poses {before} pass as they are, {frozen} after the ligand alone",
+        f"was moved by OpenMM, {rigid} after `relax --rigid-protein`, and {ours} after `relax`. What fails is",
+        f"{'; '.join(which)}. `relax` takes at most {rows['cpu_seconds_relax'].max():.0f} seconds of a processor,",
+        f"with up to {rows['residues'].max()} residues.",
     )
 
 
