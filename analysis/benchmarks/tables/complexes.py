@@ -43,10 +43,10 @@ def words(rows: pd.DataFrame) -> str:
     }
     which = [f"after {_WAYS[way]} {', '.join(tests) or 'no test'}" for way, tests in left.items()]
     return paragraph(
-        f"Of {len(moved)} moved and rough poses {before} pass as they are, {frozen} after the ligand alone",
-        f"was moved by OpenMM, {rigid} after `relax --rigid-protein`, and {ours} after `relax`. What fails is",
-        f"{'; '.join(which)}. `relax` takes at most {rows['cpu_seconds_relax'].max():.0f} seconds of a processor,",
-        f"with up to {rows['residues'].max()} residues.",
+        f"Of {len(moved)} moved and rough poses {before} pass as they are, {frozen} after the ligand",
+        f"alone was moved by OpenMM, {rigid} after `relax --rigid-protein`, and {ours} after `relax`.",
+        f"What fails is {'; '.join(which)}. `relax` takes at most {rows['cpu_seconds_relax'].max():.0f}",
+        f"seconds of a processor, with up to {rows['residues'].max()} residues.",
     )
 
 
