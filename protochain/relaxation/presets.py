@@ -4,8 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from protochain.minimisers.restraints import SOFT_SHARE, SOFT_STIFFNESS
-
 KCAL_PER_ANGSTROM2 = 418.4
 """kJ/mol/nm^2 in 1 kcal/mol/angstrom^2."""
 
@@ -44,7 +42,7 @@ class Preset:
     planar: bool = True
 
 
-IN_RIGID_PROTEIN = (0.85, 1e3), (0.85, SOFT_STIFFNESS)
+IN_RIGID_PROTEIN = (0.85, 1e3), (0.85, 1e4)
 """Soft repulsions of ligands that move alone. The first bends no bonds: it moves a ligand as a whole, where
 a firmer one leaves it wrapped around atoms of the protein; at a range of 0.7 many stay so, too."""
 
@@ -67,7 +65,7 @@ _TABLE = (
         "design", (_BINDER, 0.4 * _BINDER, 0.0), (0.0, 0.0, 0.0), 10.0,
         "springs of the backbone as in the relaxation of FreeBindCraft: 3 kcal/mol/angstrom^2 times 1, 0.4 "
         "and 0, repulsion soft first; without its dynamics between the stages",
-        softened=((SOFT_SHARE, SOFT_STIFFNESS),),
+        softened=((0.7, 1e4),),
     ),
 )  # fmt: skip
 
