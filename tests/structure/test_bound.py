@@ -326,6 +326,22 @@ def test_a_rigid_protein_without_a_pose_is_one_around_its_ligands(tmp_path):
         pc.relax(PROTEIN, rigid_protein=True)
 
 
+@pytest.mark.parametrize(("smiles", "away"), [("c1ccccc1-c1ccccc1", -0.7), ("CCCCCCCC(=O)[O-]", -0.5)])
+def test_a_pose_within_a_rigid_protein_comes_out_whole(tmp_path, smiles, away):
+    """Its bonds, by RDKit from the file written, are not stretched around atoms of the protein."""
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, smiles, away=away))
+    r = pc.relax(s, rigid_protein=True)
+    pc.save_ligands(r, tmp_path / "out.sdf")
+    (end,) = Chem.SDMolSupplier(str(tmp_path / "out.sdf"))
+    x, protein = end.GetConformer().GetPositions(), 10.0 * s.positions[~s.kept & (s.atom_element != "H")]
+    longest = max(np.linalg.norm(x[b.GetBeginAtomIdx()] - x[b.GetEndAtomIdx()]) for b in end.GetBonds())
+    nearest, before = (
+        np.linalg.norm(at[:, None] - protein, axis=2).min()
+        for at in (x, 10.0 * s.positions[s.ligands[0].atoms])
+    )
+    assert longest < 1.62 and nearest > 2.4 > before
+
+
 def test_poses_of_a_file_are_joined_each_under_a_name_before_other_ligands(tmp_path):
     smiles, out = ["CC(=O)NCCS", "OCC(O)CO"], tmp_path / "joined.sdf"
     with Chem.SDWriter(str(tmp_path / "poses.sdf")) as poses:
