@@ -167,7 +167,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "methods": "kcm, lbfgs", "tolerance": "2", "max_rmsd": " 0.5 ", "max_evaluations": "7", "seed": "3",
         "restrain": "5 0", "curvature": "no",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
-        "engine": "native", "cutoff": "2.5", "accuracy": "1e-3", "precision": "mixed",
+        "engine": "native", "cutoff": "2.5", "accuracy": "1e-3", "precision": "mixed", "rigid_protein": "no",
         "model": "2", "altloc": "B", "keep": "ZN,CA",
         "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B", "energy": "nonbonded",
         "ligand": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes",
