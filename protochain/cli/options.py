@@ -48,7 +48,7 @@ Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plot
 LigandOut = Annotated[
     Path | None,
     typer.Option(
-        help="SDF of the pose that was added (--ligand POSE), or, without one or with --keep all, of all "
+        help="SDF of the poses that were added (--ligand POSE), or, without one or with --keep all, of all "
         "ligands whose chemistry is known, a record for each."
     ),
 ]
