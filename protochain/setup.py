@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from protochain.core import defaults
@@ -27,7 +28,7 @@ from protochain.core.checks import (
     words,
 )
 from protochain.core.checks import ligands as ligands_of
-from protochain.core.errors import ProtochainError, refused
+from protochain.core.errors import Argument, ProtochainError, refused
 from protochain.core.settings import Settings, setting
 
 if TYPE_CHECKING:
@@ -59,6 +60,9 @@ class Setup(Settings):
     ----------
     hinges, root, move : str
         As in :func:`protochain.build_chain`.
+    rigid_protein : bool
+        Whether poses that are added, or without one all ligands of known chemistry, move alone: ``move`` is
+        ``ligand``.
     forcefield, solvent, engine, terms : str
         As in :func:`protochain.energy`.
     cutoff : float, "auto" or None
@@ -112,8 +116,11 @@ class Setup(Settings):
     root: str = setting(defaults.ROOT, "", text)
     move: str = setting(
         defaults.MOVE,
-        "What may move, in MDAnalysis's selection language, with sidechain and interface: 'resid 5:20'.",
+        "What may move, in MDAnalysis's selection language, with sidechain, ligand, interface: 'resid 5:20'.",
         selection,
+    )
+    rigid_protein: bool = setting(
+        False, "Only poses (--ligand POSE) move, or without one ligands of known chemistry.", flag, bool
     )
     forcefield: str = setting(
         defaults.FORCEFIELD,
@@ -200,6 +207,26 @@ class Setup(Settings):
     standard_residues: bool = setting(
         False, "Convert modified residues to their standard parents: SEP to SER.", flag, bool
     )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rigid_protein and self.move not in (defaults.MOVE, defaults.LIGAND):
+            raise ProtochainError(
+                Argument("rigid_protein"), ": only ligands move; leave out ", Argument("move", self.move)
+            )
+        if self.rigid_protein:
+            object.__setattr__(self, "move", defaults.LIGAND)
+
+    @property
+    def poses(self) -> tuple[str, ...]:
+        """Files of poses that are added."""
+        return tuple(given for name, given in self.ligands if not name)
+
+    def save_ligands(self, result: Any, path: Path) -> None:
+        """Write the poses that were added, first; without one, or with ``keep="all"``, all ligands."""
+        from protochain.structure.ligand_files import save_ligands
+
+        save_ligands(result, path, self.poses, others="all" in self.keep)
 
     def prepare(
         self, source: Any, name: str = "structure", build_energy: "Callable[..., Energy] | None" = None

@@ -91,6 +91,11 @@ def absolute(path: Path) -> Path:
     return Path(os.path.abspath(path))  # noqa: PTH100 (resolve would follow links, absolute keeps ..)
 
 
+def poses_name(name: str, method: str = RELAX) -> str:
+    """Path of the poses of a result, in the folder of a batch, as SDF."""
+    return f"{output_stem(name, method)}.sdf"
+
+
 def output_stem(name: str, method: str) -> str:
     """Path of the result of a method in the folder of a batch, without its suffix."""
     if method != RELAX:

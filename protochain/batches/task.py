@@ -7,7 +7,7 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
-from protochain.batches.naming import output_stem
+from protochain.batches.naming import output_stem, poses_name
 from protochain.batches.page import write_page
 from protochain.batches.thinning import thinned
 from protochain.core.errors import ProtochainError, WriteError
@@ -106,6 +106,8 @@ def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structu
             suffix = common_suffix([result.structure]) if suffix == ".pdb" else suffix
             record["output"] = f"{output_stem(job.name, method)}{suffix}"
             result.save(folder / record["output"])
+            if s.setup.poses:
+                s.setup.save_ligands(result, folder / poses_name(job.name, method))
             copied = copy_confidences(job.path, folder / record["output"])
             record["confidences"] = flat([*(path.name for path in copied.written), *copied.left])
         if method == "openmm":

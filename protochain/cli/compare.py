@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from protochain.core.arrays import Watcher
 
 
-@with_settings(minimising="tolerance restraint max_rmsd", setup="move")
+@with_settings(minimising="tolerance restraint max_rmsd", setup="move rigid_protein")
 def compare(
     context: typer.Context,
     source: Input,

@@ -39,7 +39,7 @@ class Told(TypedDict):
     rows: list[Any]
 
 
-@with_settings(setup="hinges root move engine terms")
+@with_settings(setup="hinges root move rigid_protein engine terms")
 def energy(
     source: Input,
     by: Annotated[str, typer.Option(help="term, residue, or pair of residues.")] = "term",

@@ -27,7 +27,6 @@ from protochain.cli.options import (
     fail,
     inputs_of,
     named_after,
-    poses_alone,
     prepare,
     print_json,
     print_lost,
@@ -122,7 +121,7 @@ def minimise(
     most = minimising.max_evaluations
     lengths = starting.n_starts * typical_evaluations(chosen, most), starting.n_starts * most
     records: list[dict[str, Any]] = []
-    with _Writer(output, suffix, one_file, trace, report, ligand_out, poses_alone(setup)) as write:
+    with _Writer(output, suffix, one_file, trace, report, ligand_out, setup) as write:
         for own, path in runs:
             records.append(_solved(context, source, own, path, chosen, solve, lengths, write))
             if records[-1]["status"] == "interrupted":
@@ -181,10 +180,10 @@ class _Writer:
         trace: Path | None,
         report: Path | None,
         ligands: Path | None,
-        alone: tuple[str, ...],
+        setup: Setup,
     ) -> None:
         self.output, self.suffix, self.one_file = output, suffix, one_file
-        self.trace, self.report, self.ligands, self.alone = trace, report, ligands, alone
+        self.trace, self.report, self.ligands, self.setup = trace, report, ligands, setup
         self.done: list[Solution] = []
 
     def __call__(
@@ -195,7 +194,6 @@ class _Writer:
         A full disk loses only what does not fit; ``lost`` are the lines that say so.
         """
         from protochain.core.storage import write_atomically
-        from protochain.structure.ligand_files import save_ligands
 
         self.done.append(solution)
         if not self.one_file:
@@ -211,7 +209,7 @@ class _Writer:
                 written["report"] = str(self.report)
             written["confidences"] = with_confidences(Path(origin["input"]), path)
             if self.ligands:
-                save_ligands(solution, self.ligands, self.alone)
+                self.setup.save_ligands(solution, self.ligands)
                 written["ligands_written"] = str(self.ligands)
         except WriteError as error:
             lost = [*lost, str(error)]

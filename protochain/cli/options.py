@@ -50,7 +50,7 @@ Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plot
 LigandOut = Annotated[
     Path | None,
     typer.Option(
-        help="SDF of the pose that was added (--ligand POSE), or, without one or with --keep all, of all "
+        help="SDF of the poses that were added (--ligand POSE), or, without one or with --keep all, of all "
         "ligands whose chemistry is known, a record for each."
     ),
 ]
@@ -250,17 +250,11 @@ def inputs_of(setup: Setup, *given: str | Path | None) -> list[Path]:
 
 def has_poses(setup: Setup) -> bool:
     """Whether several poses of a ligand are given, each of which is added by itself."""
-    added = [given for name, given in setup.ligands if not name]
-    if not added:
+    if not setup.poses:
         return False
     from protochain.structure.ligand_files import are_several
 
-    return any(map(are_several, added))
-
-
-def poses_alone(setup: Setup) -> tuple[str, ...]:
-    """Poses that a file of ligands is to have alone; none where it has all."""
-    return () if "all" in setup.keep else tuple(given for name, given in setup.ligands if not name)
+    return any(map(are_several, setup.poses))
 
 
 def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup]]:

@@ -25,7 +25,6 @@ from protochain.cli.options import (
     fail,
     has_poses,
     inputs_of,
-    poses_alone,
     print_json,
     with_confidences,
     with_settings,
@@ -108,14 +107,15 @@ def relax(
         raise ProtochainError(
             f"report {report}: several structures have report.html in their folder; leave it out"
         )
-    if ligand_out:
-        raise ProtochainError(f"ligand-out {ligand_out}: is of one structure; relax them one by one")
+    if ligand_out and not setup.poses:
+        raise ProtochainError(f"ligand-out {ligand_out}: several structures need poses; give --ligand POSES")
     from protochain.batches.cluster import Processes
 
+    beside = [ligand_out] if ligand_out else []
     processes: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     processes |= {} if setup.threads is None else {"threads": setup.threads}
     with Processes(**processes).started_early():
-        done = _several(inputs or [], output, manifest, relaxing, setup, processes, as_json, resume)
+        done = _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume)
     raise typer.Exit(done)
 
 
@@ -203,7 +203,7 @@ def _one(
         record = result.record() | {
             "input": str(source), "output": str(output), "seconds_preparation": preparation,
         }  # fmt: skip
-        lost = _write_beside(result, record, source, report, ligand_out, poses_alone(setup))
+        lost = _write_beside(result, record, source, report, ligand_out, setup)
     if lost:
         record["not_written"] = [lost]
         fail(f"{lost}; saved: {output}")
@@ -221,16 +221,15 @@ def _write_beside(
     source: Path,
     report: Path | None,
     ligand_out: Path | None,
-    alone: tuple[str, ...],
+    setup: Setup,
 ) -> str:
     """Write confidences, page and ligands; return why one could not be written, which loses nothing else."""
     from protochain.core.errors import WriteError
-    from protochain.structure.ligand_files import save_ligands
 
     try:
         record["confidences"] = with_confidences(source, Path(record["output"]))
         if ligand_out:
-            save_ligands(result, ligand_out, alone)
+            setup.save_ligands(result, ligand_out)
             record["ligands_written"] = str(ligand_out)
         if report:
             from protochain.analysis.relaxed import write_relaxed
@@ -248,21 +247,27 @@ def _several(
     manifest: Path | None,
     relaxing: RelaxSettings,
     setup: Setup,
+    beside: list[Path],
     processes: dict[str, Any],
     as_json: bool,
     resume: bool,
 ) -> int:
-    """Relax many files into a folder; return the exit status."""
+    """Relax many files into a folder, and join their poses in a file beside; return the exit status."""
+    from protochain.batches.naming import poses_name
     from protochain.batches.relaxing import NAME, relax_files
     from protochain.batches.table import files_of
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
+    from protochain.core.storage import write_text
     from protochain.structure.files import format_of
+    from protochain.structure.ligand_files import check_ligand_file
 
     folder = Path("relaxed") if output is None else output
     if folder.is_file() or format_of(folder):
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
-    check_outputs(inputs_of(setup, manifest), files_of(folder, NAME))
+    for path in beside:
+        check_ligand_file(path)
+    check_outputs(inputs_of(setup, manifest), [*files_of(folder, NAME), *beside])
     with batch_progress() as watch:
         done = relax_files(
             inputs,
@@ -274,10 +279,15 @@ def _several(
             watch=watch,
             **processes,
         )
+    for path in beside:
+        written = done.table.dropna(subset="output")["structure"]
+        write_text(path, "".join((folder / poses_name(name)).read_text() for name in written))
     if as_json:
         print((folder / "summary.json").read_text())
     else:
         print_folder(done.table, folder)
+        for path in beside:
+            print(f"written: {path}")
     if done.interrupted:
         print("protochain: interrupted; --resume does the rest", file=sys.stderr)
     return batch_status(done)

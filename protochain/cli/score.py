@@ -44,7 +44,7 @@ class Told(TypedDict):
     results: list[Any]
 
 
-@with_settings(setup="hinges root move engine terms")
+@with_settings(setup="hinges root move rigid_protein engine terms")
 def score(
     inputs: Annotated[
         list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")

@@ -45,7 +45,8 @@ class Told(TypedDict):
 
 
 @with_settings(
-    setup="hinges move forcefield solvent engine cutoff accuracy precision threads trust_forcefield"
+    setup="hinges move rigid_protein forcefield solvent engine cutoff accuracy precision threads "
+    "trust_forcefield"
 )
 def validate(
     inputs: Annotated[

@@ -19,6 +19,7 @@ TREE_ACCURACY = 1e-3  # kJ/mol/nm, RMS error of the forces
 HINGES = "phi psi chi"
 ROOT = "auto"
 MOVE = "all"
+LIGAND = "ligand"  # what moves in a rigid protein
 PH = 7.0
 LIGAND_CHARGES = "nagl"  # what Sage 2.3.0, the force field of ligands, was fitted with
 KEEP = ("near",)

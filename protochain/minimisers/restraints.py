@@ -123,14 +123,19 @@ class SoftRepulsion:
     structure : Structure
     passing : (n, 2) int
         Pairs of residues whose atoms do not repel each other.
+    share : float
+        Range r0, as a share of the contact distance.
+    stiffness : float, kJ/mol/nm^2
     """
 
     structure: Structure
     passing: Integers = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
+    share: float = SOFT_SHARE
+    stiffness: float = SOFT_STIFFNESS
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces; none between atoms at one point, where the direction is undefined."""
-        pairs, touch = near_pairs(self.structure, x, SOFT_SHARE)
+        pairs, touch = near_pairs(self.structure, x, self.share)
         if len(self.passing):
             residue, n = self.structure.atom_residue, self.structure.n_residues
             both, passing = np.sort(residue[pairs], axis=1), np.sort(self.passing, axis=1)
@@ -138,12 +143,12 @@ class SoftRepulsion:
             pairs, touch = pairs[repel], touch[repel]
         across = x[pairs[:, 0]] - x[pairs[:, 1]]
         distance = np.linalg.norm(across, axis=1)
-        short = SOFT_SHARE * touch - distance
-        push = (SOFT_STIFFNESS * short / np.maximum(distance, 1e-9))[:, None] * across
+        short = self.share * touch - distance
+        push = (self.stiffness * short / np.maximum(distance, 1e-9))[:, None] * across
         forces = np.zeros_like(x)
         np.add.at(forces, pairs[:, 0], push)
         np.subtract.at(forces, pairs[:, 1], push)
-        return float(0.5 * SOFT_STIFFNESS * np.sum(short**2)), forces
+        return float(0.5 * self.stiffness * np.sum(short**2)), forces
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from time import perf_counter
 from typing import Any
@@ -24,6 +25,7 @@ from protochain.minimisers.stages import Stage
 from protochain.minimisers.verdict import Status, rejected, verdict
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
+from protochain.relaxation.presets import IN_RIGID_PROTEIN
 from protochain.relaxation.result import ITSELF, NATIVE, REFERENCE, Relaxation
 from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left, mendable
 from protochain.relaxation.settings import RelaxSettings, named, split
@@ -94,17 +96,22 @@ def relax_structure(
     """Relax a structure whose energy is built; the settings' force field is that of the energy."""
     if settings.mirror:
         structure = with_mirror_images(structure)
-    excluded = _excluded(structure, settings)
     if settings.interface:
         native(energy)
         sides_named(structure, settings.interface)
     mobile = read_only(moving(structure, move), np.bool_)
     held_by = _held_by(mobile, settings)
+    excluded, strength = _excluded(structure, settings), settings.strength
+    of_ligands = np.zeros(structure.n_atoms, dtype=bool)
+    of_ligands[[k for each in structure.ligands for k in each.atoms]] = True
+    if not mobile[~of_ligands].any():
+        # In a rigid protein nothing but the pose can give way: springs to it would hold its overlaps.
+        excluded, strength = np.ones_like(excluded), replace(strength, softened=IN_RIGID_PROTEIN)
     check_dihedrals(energy, "relax")
     first = _repacked(structure, energy, mobile, settings)
     trace = _Trace(watch)
     known: Any = LastKnown(energy)
-    relaxer = Relaxer(first, known, settings.strength, settings.max_iterations, trace, mobile)
+    relaxer = Relaxer(first, known, strength, settings.max_iterations, trace, mobile)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with _libraries().limit(limits=1, user_api="blas"):
         done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)

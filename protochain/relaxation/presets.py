@@ -22,8 +22,9 @@ class Preset:
         RMS force, springs included, at which each of them ends.
     source : str
         Where the numbers come from.
-    softened : bool
-        Whether overlapping atoms are parted by soft repulsion before they feel the force field.
+    softened : tuple of (float, float)
+        Soft repulsions that part overlapping atoms, one after the other, before they feel the force field:
+        range, as a share of the contact distance, and stiffness in kJ/mol/nm^2.
     forcefield, solvent : str
         Those of the protocol; empty for those of the settings.
     planar : bool
@@ -35,11 +36,15 @@ class Preset:
     side_chains: tuple[float, ...]
     tolerance: float
     source: str
-    softened: bool = False
+    softened: tuple[tuple[float, float], ...] = ()
     forcefield: str = ""
     solvent: str = ""
     planar: bool = True
 
+
+IN_RIGID_PROTEIN = (0.85, 1e3), (0.85, 1e4)
+"""Soft repulsions of ligands that move alone. The first bends no bonds: it moves a ligand as a whole, where
+a firmer one leaves it wrapped around atoms of the protein; at a range of 0.7 many stay so, too."""
 
 _ALPHAFOLD = 10.0 * KCAL_PER_ANGSTROM2
 _BINDER = 3.0 * KCAL_PER_ANGSTROM2
@@ -60,7 +65,7 @@ _TABLE = (
         "design", (_BINDER, 0.4 * _BINDER, 0.0), (0.0, 0.0, 0.0), 10.0,
         "springs of the backbone as in the relaxation of FreeBindCraft: 3 kcal/mol/angstrom^2 times 1, 0.4 "
         "and 0, repulsion soft first; without its dynamics between the stages",
-        softened=True,
+        softened=((0.7, 1e4),),
     ),
 )  # fmt: skip
 

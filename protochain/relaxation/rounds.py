@@ -256,9 +256,13 @@ class Relaxer:
     def _begin(self, springs: Tethers) -> list[Stage]:
         """Stages from whose end the force field takes over, each where it is needed."""
         stages, bonded = [], bonded_part(self.energy) if self.strength.softened else None
-        if bonded is not None:
-            soft = self._gentle(Sum([bonded, SoftRepulsion(self.structure)]), springs, is_soft=True)
-            stages.append(replace(soft, ready=lambda _, at: len(overlapping(self.structure, at.x)[0]) > 0))
+        for share, stiffness in self.strength.softened:
+            if bonded is not None:
+                parting = SoftRepulsion(self.structure, share=share, stiffness=stiffness)
+                soft = self._gentle(Sum([bonded, parting]), springs, is_soft=True)
+                stages.append(
+                    replace(soft, ready=lambda _, at: len(overlapping(self.structure, at.x)[0]) > 0)
+                )
         rough = getattr(self.energy, "coarse", None)
         if rough is not None:
             stages.append(replace(self._gentle(rough, springs), ready=self._is_high))

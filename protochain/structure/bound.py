@@ -174,7 +174,7 @@ class Chemist:
                 raise StructureError(f"{self.draft.source}: {member}: ", *error.parts) from None
             self.draft.note(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
             return
-        part.inverted, part.mobile = at.inverted, True
+        part.inverted, part.mobile, part.posed = at.inverted, True, name in self.chemistry.posed
 
     def _at_metals(self, molecule: Molecule, charged: tuple[Charged, ...], member: Member) -> Charging:
         """The molecule without the protons that metals displace; their places are left out of the residue."""

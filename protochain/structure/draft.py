@@ -106,6 +106,8 @@ class Part:
         Chemistry and parameters of such a ligand, under the names of its atoms.
     inverted : tuple of str
         Its stereocentres, and double bonds, that the file has the other way round.
+    posed : bool
+        Whether it is a pose that was added.
     cyclic : bool
         Whether the last residue is bonded to the first.
     glycan : str
@@ -120,6 +122,7 @@ class Part:
     mobile: bool = False
     ligand: Ligand | None = None
     inverted: tuple[str, ...] = ()
+    posed: bool = False
     cyclic: bool = False
     glycan: str = ""
     is_small: bool = False

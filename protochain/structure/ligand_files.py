@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record, several
+from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record, flag, several
 from protochain.core.checks import path as as_path
 from protochain.core.errors import Argument, StructureError
 from protochain.core.storage import write_text
@@ -14,11 +14,14 @@ from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 
 
-def save_ligands(structure: Any, path: str | Path, sources: Sequence[str | Path] = ()) -> None:
+def save_ligands(
+    structure: Any, path: str | Path, sources: Sequence[str | Path] = (), *, others: bool = False
+) -> None:
     """Write the ligands of a structure to an SDF file, a record for each.
 
     Atoms are in the order of the molecule that was given, then come its hydrogens. Titles are name, chain and
-    number of the residue; the field ``source`` tells where orders and charges are from.
+    number of the residue, and of a pose the file and record it is from, as ``LIG B 1 poses.sdf#2``; the field
+    ``source`` tells where orders and charges are from.
 
     Parameters
     ----------
@@ -28,6 +31,8 @@ def save_ligands(structure: Any, path: str | Path, sources: Sequence[str | Path]
         Ends in ``.sdf``.
     sources : path-like, or sequence of such
         Files of poses, of which alone records are written; by default of all.
+    others : bool
+        Whether records of the other ligands follow those of ``sources``.
 
     Raises
     ------
@@ -37,7 +42,7 @@ def save_ligands(structure: Any, path: str | Path, sources: Sequence[str | Path]
     path = as_path(path, "path")
     check_ligand_file(path)
     wanted = [as_path(each, "sources") for each in several(sources, "sources")]
-    text = ligand_text(as_structure(structure), wanted)
+    text = ligand_text(as_structure(structure), wanted, flag(others, "others"))
     write_text(path, text)
 
 
@@ -68,7 +73,7 @@ def check_ligands(structure: Structure) -> None:
         )  # fmt: skip
 
 
-def ligand_text(structure: Structure, sources: Sequence[str | Path] = ()) -> str:
+def ligand_text(structure: Structure, sources: Sequence[str | Path] = (), others: bool = False) -> str:
     """Return the text that :func:`save_ligands` writes.
 
     Raises
@@ -78,14 +83,16 @@ def ligand_text(structure: Structure, sources: Sequence[str | Path] = ()) -> str
     """
     check_ligands(structure)
     chem, found, wanted = library("rdkit.Chem"), [], {str(Path(each)) for each in sources}
-    for each in structure.ligands:
+    chosen = [each for each in structure.ligands if each.ligand.molecule.source in wanted]
+    if others or not wanted:
+        chosen += [each for each in structure.ligands if each not in chosen]
+    for each in chosen:
         molecule = each.ligand.molecule
-        if wanted and molecule.source not in wanted:
-            continue
         made = to_rdkit(molecule, structure.positions[each.atoms])
         its = structure.residue(int(structure.atom_residue[each.atoms[0]]))
-        made.SetProp("_Name", f"{its.name} {its.chain} {its.number}")
         source = " ".join(molecule.source.split())
+        pose = f" {Path(source).name}" if each.posed else ""
+        made.SetProp("_Name", f"{its.name} {its.chain} {its.number}{pose}")
         found.append(f"{chem.MolToMolBlock(made)}>  <source>\n{source}\n\n$$$$\n")
     return "".join(found)
 

@@ -53,12 +53,15 @@ class BoundLigand(Value):
         Stereocentres, and double bonds as ``C1=C2``, that the file has the other way round than the source.
     core : tuple of str
         Of residues what the force field calls each atom that keeps its parameters; empty for others.
+    posed : bool
+        Whether it is a pose that was added to the file's structure.
     """
 
     ligand: Ligand
     atoms: Integers
     inverted: tuple[str, ...] = ()
     core: tuple[str, ...] = ()
+    posed: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "atoms", read_only(self.atoms, np.int64))

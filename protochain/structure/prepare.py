@@ -244,7 +244,7 @@ def _bound(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
     assert part.ligand is not None
     index = at[id(part.members[0])]
     atoms = np.array([index[name] for name in part.ligand.molecule.names])
-    return BoundLigand(part.ligand, atoms, part.inverted)
+    return BoundLigand(part.ligand, atoms, part.inverted, posed=part.posed)
 
 
 def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:

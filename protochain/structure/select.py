@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core import defaults
 from protochain.core.arrays import Integers
-from protochain.core.errors import StructureError
+from protochain.core.errors import Argument, StructureError
 from protochain.core.markup import listed
 from protochain.structure.convert import as_structure, to_mdanalysis
 from protochain.structure.model import Structure
@@ -23,7 +23,8 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     structure : Structure
     selection : str
         In the language of MDAnalysis, distances in angstrom: ``resid 5:20 and not backbone``, ``chainID A``,
-        ``around 5 resid 12``. Two words more: ``sidechain``, atoms of the protein beyond the C-alpha, and
+        ``around 5 resid 12``. Three words more: ``sidechain``, atoms of the protein beyond the C-alpha;
+        ``ligand``, the poses that were added, or without one all ligands of known chemistry; and
         ``interface``, residues with a heavy atom within 5 angstrom of one of another chain, water aside; or
         of two sides, ``interface A:B``, ``interface A,B:C``, or of two chains, ``interface A B``.
 
@@ -35,7 +36,7 @@ def select(structure: Structure, selection: str) -> np.ndarray:
     Raises
     ------
     StructureError
-        If the selection cannot be read or is empty.
+        If the selection cannot be read or is empty, or there is no ligand that it names.
     """
     from MDAnalysis.exceptions import SelectionError
 
@@ -215,6 +216,19 @@ def _sidechain(structure: Structure, _: str) -> NDArray[np.bool_]:
     return ~structure.kept & ~np.isin(structure.atom_name, _BACKBONE)
 
 
+def _ligand(structure: Structure, _: str) -> NDArray[np.bool_]:
+    if not structure.ligands:
+        raise StructureError(
+            f"{structure.name}: has no ligand of known chemistry that could move; add one with ",
+            Argument("ligands"),
+        )
+    posed = [each for each in structure.ligands if each.posed]
+    mask = np.zeros(structure.n_atoms, dtype=bool)
+    for each in posed or structure.ligands:
+        mask[each.atoms] = True
+    return mask
+
+
 def _interface(structure: Structure, between: str) -> NDArray[np.bool_]:
     if between:
         residues = contacts(structure, *sides(structure, *re.split(r":|\s+", between)))
@@ -228,7 +242,7 @@ def _interface(structure: Structure, between: str) -> NDArray[np.bool_]:
 _BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
 _TOUCHING = 0.5
 """nm. Distance of heavy atoms of two chains from which on their residues touch, as CAPRI counts contacts."""
-_OWN = {"sidechain": _sidechain, "interface": _interface}
+_OWN = {"sidechain": _sidechain, "ligand": _ligand, "interface": _interface}
 """Words that MDAnalysis does not have."""
 
 
@@ -236,7 +250,7 @@ def _word(structure: Structure) -> re.Pattern[str]:
     """One of them, of an interface with its sides, if they are given; not as a part of another word."""
     chain = "|".join(re.escape(name) for name in {*structure.residue_chain.tolist()} if name) or "(?!)"
     of = rf"(?<=e)\s+([\w,]+:[\w,]+|(?:{chain})\s+(?:{chain}))"
-    return re.compile(rf"(?<![\w:'-])(sidechain|interface)(?:{of})?(?![\w:'-])")
+    return re.compile(rf"(?<![\w:'-])(sidechain|ligand|interface)(?:{of})?(?![\w:'-])")
 
 
 def atoms_at(structure: Structure, place: str) -> Integers:

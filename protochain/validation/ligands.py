@@ -15,7 +15,7 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.matching import inverted_atoms
 from protochain.ligands.molecule import library, quietly, to_rdkit
 from protochain.ligands.strain import strain
-from protochain.structure.model import BoundLigand, Structure
+from protochain.structure.model import BoundLigand, Structure, at_positions
 from protochain.structure.residues import Residue
 from protochain.validation.clashes import Clashes, clashes
 
@@ -123,12 +123,12 @@ def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple
         LigandFound(
             structure.residue(int(structure.atom_residue[each.atoms[0]])),
             each.ligand.molecule.source,
-            _strain(each, x),
+            strained,
             int(np.isfinite(_distances(tree, each, x)).sum()),
             int((np.isin(clashing.pairs, each.atoms) & ~structure.kept[clashing.pairs[:, ::-1]]).sum()),
             _inverted(each, x),
         )
-        for each in structure.ligands
+        for each, strained in zip(structure.ligands, _strains(structure, x), strict=True)
     )
 
 
@@ -137,10 +137,14 @@ def _distances(tree: cKDTree, bound: BoundLigand, x: Floats) -> Floats:
     return np.asarray(tree.query(ANGSTROM_PER_NM * x[heavy], distance_upper_bound=CONTACT)[0])
 
 
-def _strain(bound: BoundLigand, x: Floats) -> float | None:
-    its = bound.ligand
-    found = strain(its.parameters, x[bound.atoms], its.molecule.elements)
-    return found if np.isfinite(found) else None
+@at_positions
+def _strains(structure: Structure, x: Floats) -> tuple[float | None, ...]:
+    """Strain of each ligand in kJ/mol, which takes two minimisations; None where there is none."""
+    found = [
+        strain(each.ligand.parameters, x[each.atoms], each.ligand.molecule.elements)
+        for each in structure.ligands
+    ]
+    return tuple(value if np.isfinite(value) else None for value in found)
 
 
 def _inverted(bound: BoundLigand, x: Floats) -> tuple[str, ...]:

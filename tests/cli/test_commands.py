@@ -26,9 +26,12 @@ from protochain.structure.repairs import EVERYTHING, Kind, Repair
 from protochain.structure.residues import Residue
 from protochain.structure.write import as_text
 
-WITHOUT_ENERGY = ("engine", "move", "terms", "solvent", "cutoff", "accuracy", "precision", "threads")
+WITHOUT_ENERGY = (
+    "engine", "move", "rigid_protein", "terms", "solvent", "cutoff", "accuracy", "precision", "threads",
+)  # fmt: skip
 SETUP = {
-    "hinges": "phi psi chi", "move": "all", "forcefield": "amber14", "solvent": "obc2", "engine": "auto",
+    "hinges": "phi psi chi", "move": "all", "rigid_protein": False, "forcefield": "amber14",
+    "solvent": "obc2", "engine": "auto",
     "cutoff": "auto", "accuracy": "auto", "precision": "double", "threads": None, "trust_forcefield": False,
     "terms": "all", "model": None,
     "chains": None, "assembly": "", "altloc": "",
@@ -44,9 +47,11 @@ MINIMISE = {
     **AS_JSON, "force": False, **SETUP,
 }  # fmt: skip
 NOT_IN_BATCH = ("threads", "trust_forcefield")
+NOT_IN_SCORE = ("hinges", "move", "rigid_protein", "engine", "terms")
 NOT_IN_VALIDATE = (
     "hinges",
     "move",
+    "rigid_protein",
     "forcefield",
     "solvent",
     "engine",
@@ -63,7 +68,7 @@ COMMANDS = {
     "compare": {
         "source": None, **OUTPUT, "methods": "kcm,md,lbfgs,cartesian,openmm", "repeats": 3, "reference": None,
         **RUN, "curvature": None, "seed": 0, **AS_JSON, "force": False,
-        **{k: v for k, v in SETUP.items() if k != "move"},
+        **{k: v for k, v in SETUP.items() if k not in ("move", "rigid_protein")},
     },
     "batch": {
         "inputs": None, "output": Path("batch"), "methods": "cartesian", "manifest": None, "workers": None,
@@ -111,11 +116,11 @@ COMMANDS = {
     "score": {
         "inputs": None, "interface": None, "rank": None, "csv": None, "residues": None, "report": None,
         "workers": None, **AS_JSON,
-        **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
+        **{k: v for k, v in SETUP.items() if k not in NOT_IN_SCORE},
     },
     "energy": {
         "source": None, "by": "term", "between": None, **OUTPUT, "report": None, **FRAMES, **AS_JSON,
-        **{k: v for k, v in SETUP.items() if k not in ("hinges", "move", "engine", "terms")},
+        **{k: v for k, v in SETUP.items() if k not in NOT_IN_SCORE},
     },
     "rmsd": {
         "reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **FRAMES, **AS_JSON,

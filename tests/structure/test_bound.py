@@ -4,6 +4,7 @@ import gemmi
 import numpy as np
 import openmm
 import pytest
+from fixtures.command_line import run
 from fixtures.oracles import assert_equals_reference
 from fixtures.samples import STRUCTURES, shared
 
@@ -309,6 +310,77 @@ def test_a_pose_is_charged_as_the_same_molecule_under_a_name(tmp_path, smiles):
     pc.save_ligands(added, tmp_path / "out.sdf")
     (written,) = Chem.SDMolSupplier(str(tmp_path / "out.sdf"), removeHs=False)
     assert Chem.GetFormalCharge(written) == found[0].molecule.charge
+
+
+def placed_atoms(path):
+    """Text of the coordinates of the heavy atoms of the protein in a PDB file's first model, by name."""
+    lines = path.read_text().partition("ENDMDL")[0].splitlines()
+    atoms = [x for x in lines if x.startswith("ATOM") and x[12:16].strip()[0] != "H" and "D" not in x[76:78]]
+    return {x[12:27].replace(" ", ""): x[30:54] for x in atoms}
+
+
+@pytest.mark.parametrize(
+    "command", [["relax"], ["minimise", "--method", "cartesian", "--max-evaluations", "30"]]
+)
+def test_a_rigid_protein_stays_as_its_file_has_it_and_the_pose_moves(tmp_path, command):
+    pose, other = posed(tmp_path, "CC(=O)NCCS", away=0.08), embedded("OCCO", away=0.9)
+    path, out, sdf = beside(tmp_path, other, "EDO", label="A{}"), tmp_path / "out.pdb", tmp_path / "out.sdf"
+    run(*command, path, "--ligand", "EDO=OCCO", "--ligand", pose, "--keep", "all", "--rigid-protein",
+        "--ligand-out", sdf, "-o", out)  # fmt: skip
+    assert placed_atoms(out) == placed_atoms(path) and len(placed_atoms(out)) > 100
+    moved, stayed = (each.GetConformer().GetPositions() for each in Chem.SDMolSupplier(str(sdf)))
+    given = Chem.MolFromMolFile(str(pose)).GetConformer().GetPositions()
+    assert np.linalg.norm(moved - given, axis=1).min() > 0.01
+    x = other.GetConformer().GetPositions()[[each.GetAtomicNum() > 1 for each in other.GetAtoms()]]
+    assert np.abs(stayed - x).max() < 2e-3
+
+
+def test_a_rigid_protein_without_a_pose_is_one_around_its_ligands(tmp_path):
+    s = pc.load(beside(tmp_path, embedded("OCCO"), "EDO", label="A{}"), ligands="EDO=OCCO")
+    r = pc.relax(s, rigid_protein=True)
+    away = np.linalg.norm(r.x - s.positions, axis=1) > 0.0
+    assert np.array_equal(np.flatnonzero(away), np.sort(s.ligands[0].atoms))
+    with pytest.raises(pc.ProtochainError, match="rigid_protein"):
+        pc.Setup(rigid_protein=True, move="sidechain")
+    with pytest.raises(pc.ProtochainError, match="no ligand"):
+        pc.relax(PROTEIN, rigid_protein=True)
+
+
+@pytest.mark.parametrize(("smiles", "away"), [("c1ccccc1-c1ccccc1", -0.7), ("CCCCCCCC(=O)[O-]", -0.5)])
+def test_a_pose_within_a_rigid_protein_comes_out_whole(tmp_path, smiles, away):
+    """Its bonds, by RDKit from the file written, are not stretched around atoms of the protein."""
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, smiles, away=away))
+    r = pc.relax(s, rigid_protein=True)
+    pc.save_ligands(r, tmp_path / "out.sdf")
+    (end,) = Chem.SDMolSupplier(str(tmp_path / "out.sdf"))
+    x, protein = end.GetConformer().GetPositions(), 10.0 * s.positions[~s.kept & (s.atom_element != "H")]
+    longest = max(np.linalg.norm(x[b.GetBeginAtomIdx()] - x[b.GetEndAtomIdx()]) for b in end.GetBonds())
+    nearest, before = (
+        np.linalg.norm(at[:, None] - protein, axis=2).min()
+        for at in (x, 10.0 * s.positions[s.ligands[0].atoms])
+    )
+    assert longest < 1.62 and nearest > 2.4 > before
+
+
+def test_poses_of_a_file_are_joined_each_under_a_name_before_other_ligands(tmp_path):
+    smiles, out = ["CC(=O)NCCS", "OCC(O)CO"], tmp_path / "joined.sdf"
+    with Chem.SDWriter(str(tmp_path / "poses.sdf")) as poses:
+        for each in smiles:
+            poses.write(embedded(each))
+    path = beside(tmp_path, embedded("OCCO", away=0.9), "EDO", label="A{}")
+    run("relax", path, "--ligand", "EDO=OCCO", "--ligand", tmp_path / "poses.sdf", "--keep", "all",
+        "--rigid-protein", "--ligand-out", out, "-o", tmp_path / "relaxed", "--workers", 1)  # fmt: skip
+    made = [*Chem.SDMolSupplier(str(out))]
+    assert [Chem.MolToSmiles(each) for each in made] == [smiles[0], "OCCO", smiles[1], "OCCO"]
+    titles = [each.GetProp("_Name") for each in made]
+    assert titles[0] != titles[2] and all(title.startswith("LIG ") for title in titles[::2])
+    assert all(title.startswith("EDO ") for title in titles[1::2])
+    for name, record in zip(("poses_1", "poses_2"), made[::2], strict=True):
+        (saved,) = (tmp_path / "relaxed").glob(f"*{name}.relaxed.pdb")
+        end = pc.load(saved)
+        (bound,) = (b for b in end.ligands if end.residue_name[end.atom_residue[b.atoms[0]]] == "LIG")
+        x = 10.0 * end.positions[bound.atoms][bound.ligand.molecule.heavy]
+        assert np.abs(x - record.GetConformer().GetPositions()).max() < 2e-3
 
 
 def test_names_of_smiles_match_nothing(tmp_path):

@@ -20,7 +20,8 @@ def table(made):
     assert len(made) == 1 and made[0].num == 1
     return [
         (
-            chain.name, residue.name, str(residue.seqid).strip(), a.name, a.element.name, a.occ, None if np.isnan(a.b_iso) else a.b_iso,
+            chain.name, residue.name, str(residue.seqid).strip(), a.name, a.element.name, a.occ,
+            None if np.isnan(a.b_iso) else a.b_iso,
             *np.round(a.pos.tolist(), 4).tolist(),
         )
         for chain in made[0]
