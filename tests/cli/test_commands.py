@@ -35,7 +35,7 @@ SETUP = {
     "cutoff": "auto", "accuracy": "auto", "precision": "double", "threads": None, "trust_forcefield": False,
     "terms": "all", "model": None,
     "chains": None, "assembly": "", "altloc": "",
-    "keep": None, "disulfide": None, "no_disulfide": False, "ph": 7.0, "strict": False,
+    "keep": None, "disulfide": None, "no_disulfide": False, "ph": None, "strict": False,
     "ligands": None, "ligand_charges": "nagl", "standard_residues": False,
 }  # fmt: skip
 OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, "max_evaluations": 5000}
