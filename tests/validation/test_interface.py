@@ -334,7 +334,7 @@ def test_a_table_of_many_is_ranked_and_one_chain_is_told(three, capsys):
                  "buried_area_angstrom2", *out)  # fmt: skip
     said, errors = capsys.readouterr()
     told = json.loads(said)["results"]
-    assert status == 2 and "no two of its chains are in contact" in errors
+    assert status == 4 and "no two of its chains are in contact" in errors
     done = [row for row in told if not row["message"]]
     assert len(done) == 1 + len(touching_chains(load("1ysa.pdb"))) and told[-1]["message"]
     areas = [row["buried_area_angstrom2"] for row in done]
