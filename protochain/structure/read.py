@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from protochain.core.checks import check_fields, flag, integer, optional, text, words
 from protochain.core.errors import Argument, OnlyAlphaError, StructureError
 from protochain.core.markup import counted
-from protochain.structure import fragments, residues
+from protochain.structure import fragments, parents, residues
 from protochain.structure.apart import refuse_crowds
 from protochain.structure.backbone import complete_backbone
 from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry, with_pose
@@ -373,7 +373,7 @@ class _Reader:
                 return Why.ASKED
             there = {atom.name for atom in member.atoms if not atom.is_hydrogen()} - {"OXT"}
             member.is_d = member.is_d or hand(member, least=WELL_FORMED) < 0
-            is_mirrored = member.is_d and there == {*self.known[fragments.fullest(member.parent)].heavy}
+            is_mirrored = member.is_d and there == {*self.known[parents.fullest(member.parent)].heavy}
             return Why.PARENT if member.name == "MSE" or is_mirrored else None
         if member.name not in residues.PHOSPHORYLATED:
             return None
@@ -469,7 +469,7 @@ class _Reader:
             made.cyclic = len(part) >= SMALLEST_RING and _gap(part[-1], part[0]) < PEPTIDE_BREAK
             for i, member in enumerate(part):
                 if why := self._why_converted(made, i):
-                    fragments.to_parent(self.draft, self.known, member, why)
+                    parents.to_parent(self.draft, self.known, member, why)
             if made.cyclic and not self.draft.states(part[-1].address("C"), part[0].address("N")):
                 self.draft.note(Kind.CYCLIC, last=part[-1].residue, first=part[0].residue)
             self.draft.parts.append(made)

@@ -192,9 +192,9 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     def absent(name):
         raise ImportError(name)
 
-    from protochain.structure import fragments
+    from protochain.structure import capped
 
-    fragments._parametrised.cache_clear()
+    capped._parametrised.cache_clear()
     monkeypatch.setattr(molecule.importlib, "import_module", absent)
     s = made("M3L", tmp_path)
     assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]
