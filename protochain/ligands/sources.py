@@ -192,7 +192,9 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
             is_charged |= row.has(3)
             charge = row.str(3) if row.has(3) else ""
             atoms[row.str(1)] = (row.str(2), int(charge) if charge.lstrip("+-").isdigit() else 0)
-    atoms = atoms or dict(here)
+    drawn = {end for row in bonds for end in row[:2]}
+    # Hydrogens of which the table has no bond follow from the others.
+    atoms = atoms or {a: its for a, its in here.items() if a in drawn or its[0] not in ("H", "D")}
     # The table of bonds has leaving atoms and hydrogens, which a model may lack.
     bonds = [row for row in bonds if row[0] in atoms and row[1] in atoms]
     names = list(atoms)

@@ -355,8 +355,10 @@ def _of_atoms(given: str, heavy: set[str]) -> str:
     for name in sorted(NUCLEOTIDES) if is_nucleic else STANDARD:
         template = _amber()["HIP" if name == "HIS" else name]
         if {template.synonyms.get(each, each) for each in heavy} - _OF_ENDS == {*template.heavy} - _OF_ENDS:
-            same = given not in NUCLEOTIDES and {*heavy_atoms(given)} - _OF_ENDS == {*heavy} - _OF_ENDS
-            return "" if same else name
+            # A nucleotide of the archive may be incomplete here, or another arrangement of the same atoms.
+            own, its = heavy - _OF_ENDS, heavy_atoms(given) - _OF_ENDS
+            is_its = own <= its if is_nucleic and given not in NUCLEOTIDES else own == its
+            return "" if is_its and given not in NUCLEOTIDES else name
     return ""
 
 

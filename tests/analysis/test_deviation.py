@@ -129,8 +129,8 @@ def test_what_has_nothing_in_common_is_refused(capsys):
     with pytest.raises(pc.ProtochainError, match="selection 'name XX'"):
         deviation(glycines, glycines, "name XX")
     assert np.isnan(deviation(glycines, glycines).tm_score)
-    assert run("rmsd", STRUCTURES / "1ubq.pdb", STRUCTURES / "1l2y.pdb") == 1
-    said = capsys.readouterr().out
+    assert run("rmsd", STRUCTURES / "1ubq.pdb", STRUCTURES / "1l2y.pdb") == 2
+    said = capsys.readouterr().err
     assert "unrelated to that of" in said and "15 % identical" in said
     assert run("validate", STRUCTURES / "1l2y.pdb", "--reference", STRUCTURES / "1ubq.pdb") == 2
     assert "unrelated to that of" in capsys.readouterr().err
@@ -201,14 +201,14 @@ def test_a_batch_report_has_a_row_for_every_model_and_every_failure(tmp_path, mo
     table = rmsd_table(STRUCTURES / "ala10.pdb", [two, tmp_path / "bad.pdb", tmp_path / "none.pdb"])
     assert table["model"].tolist()[:2] == [1, 5] and len(table) == 4
     assert (table["message"] == "").tolist() == [True, True, False, False]
-    assert run("rmsd", STRUCTURES / "ala10.pdb", "two.pdb", "bad.pdb", "--json", "-o", "r.csv") == 3
+    assert run("rmsd", STRUCTURES / "ala10.pdb", "two.pdb", "bad.pdb", "--json", "-o", "r.csv") == 4
     rows = json.loads(capsys.readouterr().out)["results"]
     assert [row["file"] for row in rows] == ["two.pdb", "two.pdb", "bad.pdb"]
     assert rows[0]["rmsd_angstrom"] < 1e-9 and rows[2]["rmsd_angstrom"] is None
     assert (tmp_path / "r.csv").read_text().count("\n") == 4
     run("rmsd", STRUCTURES / "ala10.pdb", "two.pdb")
     assert "two.pdb" in capsys.readouterr().out
-    assert run("rmsd", STRUCTURES / "ala10.pdb", "bad.pdb") == 1
+    assert run("rmsd", STRUCTURES / "ala10.pdb", "bad.pdb") == 2
     assert "none.pdb" in refusal("rmsd", "none.pdb", "two.pdb")
 
 

@@ -169,7 +169,7 @@ def test_an_untouched_start_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupt_before_a_run_is_a_line_and_status_1(monkeypatch, capsys):
+def test_an_interrupt_before_a_run_is_a_line_and_status_130(monkeypatch, capsys):
     setup = importlib.import_module("protochain.setup")
 
     def load(*_):
@@ -183,7 +183,7 @@ def test_an_interrupt_before_a_run_is_a_line_and_status_1(monkeypatch, capsys):
             cli.main()
     finally:
         signal.signal(signal.SIGTERM, handler)
-    assert ended.value.code == 1
+    assert ended.value.code == 130
     assert capsys.readouterr().err == "protochain: interrupted before there was a result\n"
 
 

@@ -41,7 +41,7 @@ def test_the_recipe_renders():
 
 
 def test_extras_are_those_that_are_named():
-    assert {"ligands", "cluster", "notebook", "test", "dev"} == {*PROJECT["optional-dependencies"]}
+    assert {"ligands", "pka", "cluster", "notebook", "test", "dev"} == {*PROJECT["optional-dependencies"]}
 
 
 @pytest.mark.parametrize("name", ["Containerfile", "protochain.def"])

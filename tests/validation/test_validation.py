@@ -153,7 +153,7 @@ def test_the_command_measures_files_folders_and_patterns(tmp_path, monkeypatch, 
     (tmp_path / "bad.pdb").write_text("nothing\n")
     native = STRUCTURES / "1l2y.pdb"
     asked = ("validate", "models", "b*.cif", "bad.pdb", "--reference", native)
-    assert run(*asked, "--csv", "t.csv", "--residues", "r.csv") == 2
+    assert run(*asked, "--csv", "t.csv", "--residues", "r.csv") == 4
     told = capsys.readouterr()
     assert len(told.err.splitlines()) == 1 and "bad.pdb: " in told.err
     assert max(map(len, told.out.splitlines()[:6])) <= 80
