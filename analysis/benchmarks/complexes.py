@@ -2,12 +2,13 @@
 
     python analysis/benchmarks/complexes.py [poses] [models] [-o DIR] [--quick] [--more FOLDER]
 
-poses: each crystal pose of a ligand, and two that were turned and shifted, in its protein, judged by
-PoseBusters before and after. `relax` moves the whole complex; the rival is the way of PoseBusters' paper
-(Buttenschoen, Morris, Deane, Chem. Sci. 15:3130, 2024): the protein stands still, the ligand moves in Sage
-(with the same charges as here) and ff14SB in vacuum, by OpenMM's minimiser on the CPU platform until the RMS
-force is 10 kJ/mol/nm. Both begin from the same prepared structure, on two threads; seconds are from the file
-to the end.
+poses: each crystal pose of a ligand, two that were turned and shifted, and a rough one made here (bonds
+turned by 20 degrees RMS, the whole by up to 40, shifted by up to 1.5 angstrom), in its protein, judged by
+PoseBusters before and after, with charges of NAGL and of MMFF94. `relax` moves the whole complex, and with
+`--rigid-protein` the pose alone; the rival is the way of PoseBusters' paper (Buttenschoen, Morris, Deane,
+Chem. Sci. 15:3130, 2024): the protein stands still, the ligand moves in Sage (with NAGL's charges) and ff14SB
+in vacuum, by OpenMM's minimiser on the CPU platform until the RMS force is 10 kJ/mol/nm. All begin from the
+same prepared structure, on two threads; seconds are from the file to the end, of the wall and the processor.
 
 models: predictions and crystal structures with ligands, DNA, RNA and glycans, each by one `protochain relax`;
 clashes of 0.4 angstrom and more per 1000 atoms, base pairs (N1 to N3 within 3.3 angstrom, at the end 3.5),
@@ -18,15 +19,19 @@ FOLDER/../complexes has astex/NAME_protein.pdb, astex/NAME_moved*.sdf, ligands/N
 
 import argparse
 import tempfile
+from itertools import product
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 
 import made
 import numpy as np
 import openmm
 import pandas as pd
 from posebusters import PoseBusters
+from posebusters.modules.rmsd import check_rmsd
 from rdkit import Chem
+from rdkit.Chem import rdMolTransforms
+from scipy.spatial.transform import Rotation
 
 import protochain as pc
 
@@ -43,6 +48,7 @@ MODELS = {
 }  # fmt: skip
 """Models, and what the ligands of one are, whose names tell nothing."""
 THREADS = 2
+CHARGES = ("nagl", "mmff94")
 
 
 def complexes(options: argparse.Namespace) -> Path:
@@ -50,9 +56,27 @@ def complexes(options: argparse.Namespace) -> Path:
     return options.more.parent / "complexes"
 
 
+def rough(true: Chem.Mol, rng: np.random.Generator, path: Path) -> None:
+    """Write a pose with its bonds turned at random, then all of it turned and shifted."""
+    made, n = Chem.Mol(true), true.GetNumAtoms()
+    conformer = made.GetConformer()
+    for a, b in made.GetSubstructMatches(Chem.MolFromSmarts("[!D1]-&!@[!D1]")):
+        ends = [
+            next(k for k in range(n) if k != j and made.GetBondBetweenAtoms(i, k))
+            for i, j in ((a, b), (b, a))
+        ]
+        four = conformer, ends[0], a, b, ends[1]
+        rdMolTransforms.SetDihedralDeg(*four, rdMolTransforms.GetDihedralDeg(*four) + 20.0 * rng.normal())
+    x, axis, away = conformer.GetPositions(), *rng.normal(size=(2, 3))
+    turn = Rotation.from_rotvec(np.radians(40.0 * rng.random()) * axis / np.linalg.norm(axis))
+    shift = 1.5 * rng.random() * away / np.linalg.norm(away)
+    conformer.SetPositions(turn.apply(x - x.mean(axis=0)) + x.mean(axis=0) + shift)
+    Chem.MolToMolFile(made, str(path))
+
+
 def without(structure: pc.Structure, x: np.ndarray, atoms: np.ndarray, path: Path) -> None:
-    """Write a complex without a ligand, for PoseBusters."""
-    other = np.ones(structure.n_atoms, dtype=bool)
+    """Write a complex without a ligand and hydrogens, for PoseBusters, which does not look at these."""
+    other = structure.atom_element != "H"
     other[atoms] = False
     topology = openmm.app.Topology()
     for chain in structure.topology.chains():
@@ -92,40 +116,58 @@ def poses(options: argparse.Namespace) -> pd.DataFrame:
     names = sorted(
         path.name.removesuffix("_protein.pdb") for path in (folder / "astex").glob("*_protein.pdb")
     )
-    for name in names[: 1 if options.quick else None]:
+    for k, name in enumerate(names[: 1 if options.quick else None]):
         protein = folder / "astex" / f"{name}_protein.pdb"
         true = Chem.MolFromMolFile(str(folder / "ligands" / f"{name}.sdf"))
         kinds = {"crystal": folder / "ligands" / f"{name}.sdf"}
-        kinds |= {f"moved {k}": folder / "astex" / f"{name}_moved{k}.sdf" for k in (0, 1)}
-        for kind, path in kinds.items():
-            rows.append({"complex": name, "pose": kind, **one_pose(busters, protein, path, true)})
-            print(rows[-1], flush=True)
+        kinds |= {f"moved {i}": folder / "astex" / f"{name}_moved{i}.sdf" for i in (0, 1)}
+        with tempfile.TemporaryDirectory() as scratch:
+            kinds["rough"] = Path(scratch) / "rough.sdf"
+            rough(true, np.random.default_rng(k), kinds["rough"])
+            for (kind, path), charges in product(kinds.items(), CHARGES):
+                row = one_pose(busters, protein, path, true, charges, Path(scratch))
+                rows.append({"complex": name, "pose": kind, "charges": charges, **row})
+                print(rows[-1], flush=True)
     return pd.DataFrame(rows)
 
 
-def one_pose(busters: PoseBusters, protein: Path, path: Path, true) -> dict[str, object]:
-    with tempfile.TemporaryDirectory() as scratch:
-        beside = Path(scratch) / "protein.pdb"
-        began = perf_counter()
-        start = pc.load(protein, ligands=path)
-        bound, prepared = start.ligands[-1], perf_counter() - began
-        ends, seconds = {"before": start.positions}, {}
-        for way in ("relax", "frozen"):
-            began = perf_counter()
-            ends[way] = pc.relax(start, threads=THREADS).x if way == "relax" else frozen(start, bound.atoms)
-            seconds[way] = prepared + perf_counter() - began
-        heavy = bound.atoms[bound.ligand.molecule.heavy]
-        row: dict[str, object] = {"residues": start.n_protein_residues}
-        for way, x in ends.items():
-            without(start, x, bound.atoms, beside)
-            pc.save_ligands(start.with_positions(x), Path(scratch) / "ligands.sdf")
-            molecule = [*Chem.SDMolSupplier(str(Path(scratch) / "ligands.sdf"))][-1]
-            bad = failed(busters, molecule, true, beside)
-            row |= {f"valid_{way}": not bad, f"failed_{way}": ";".join(bad)}
-            if way in seconds:
-                moved = 10.0 * np.linalg.norm(x[heavy] - start.positions[heavy], axis=1)
-                row |= {f"seconds_{way}": round(seconds[way], 2), f"moved_{way}_angstrom": np.median(moved)}
-        return row
+def one_pose(
+    busters: PoseBusters, protein: Path, path: Path, true: Chem.Mol, charges: str, scratch: Path
+) -> dict[str, object]:
+    """Verdicts on one pose, before and after each way; the rival's with the default charges alone."""
+    began = clocks()
+    start = pc.load(protein, ligands=path, ligand_charges=charges)
+    bound, prepared = start.ligands[-1], clocks() - began
+    ways = {
+        "before": lambda: start.positions,
+        "relax": lambda: pc.relax(start, threads=THREADS).x,
+        "rigid": lambda: pc.relax(start, threads=THREADS, rigid_protein=True).x,
+        "frozen": lambda: frozen(start, bound.atoms),
+    }
+    heavy = bound.atoms[bound.ligand.molecule.heavy]
+    row: dict[str, object] = {"residues": start.n_protein_residues}
+    for way in [*ways][: None if charges == CHARGES[0] else -1]:
+        began = clocks()
+        x = ways[way]()
+        seconds = prepared + clocks() - began
+        without(start, x, bound.atoms, scratch / "protein.pdb")
+        pc.save_ligands(start.with_positions(x), scratch / "ligands.sdf", path)
+        (molecule,) = Chem.SDMolSupplier(str(scratch / "ligands.sdf"))
+        bad = failed(busters, molecule, true, scratch / "protein.pdb")
+        row |= {
+            f"valid_{way}": not bad, f"failed_{way}": ";".join(bad),
+            f"rmsd_{way}_angstrom": check_rmsd(molecule, true)["results"]["rmsd"],
+        }  # fmt: skip
+        if way != "before":
+            moved = 10.0 * np.linalg.norm(x[heavy] - start.positions[heavy], axis=1)
+            row |= {f"seconds_{way}": seconds[0].round(2), f"cpu_seconds_{way}": seconds[1].round(2)}
+            row[f"moved_{way}_angstrom"] = np.median(moved)
+    return row
+
+
+def clocks() -> np.ndarray:
+    """Seconds of the wall and of the processor."""
+    return np.array([perf_counter(), process_time()])
 
 
 def base_pairs(s: pc.Structure, x: np.ndarray, within: float) -> set[tuple[int, int]]:
