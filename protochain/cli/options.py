@@ -237,7 +237,7 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
         print(line)
 
 
-RENAMED = {"between": "pull"} | {
+RENAMED = {"between": "pull", "charges": "ligand_charges"} | {
     name: its.column(name)
     for kind in (
         *(Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings),

@@ -178,6 +178,8 @@ def _one(
     from protochain.structure.ligand_files import check_ligands
     from protochain.structure.write import check_fits
 
+    if str(source) != "-" and not source.exists():
+        raise ProtochainError(f"{source}: not found; check the name")
     output = Path(relaxed_name(source)) if output is None else output
     if output.is_dir():
         output = output / relaxed_name(source)

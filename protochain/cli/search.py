@@ -1,7 +1,7 @@
 """``protochain search``."""
 
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +21,7 @@ from protochain.cli.options import (
 )
 from protochain.cli.terminal import print_search, search_progress
 from protochain.core.processors import processors
+from protochain.core.settings import settings_of
 from protochain.searching.settings import SearchRunSettings, SearchSettings
 from protochain.setup import OF_ENERGY, Setup
 
@@ -56,8 +57,9 @@ def search(
     check_folder(output, running.resume, running.force)
     setup = replace(setup, threads=1)
     if is_sequence(source):
-        of_files = (each.name for each in fields(Setup) if each.name not in (*OF_ENERGY, "hinges", "move"))
-        refuse(context, " ".join(of_files), "is of files; this is a sequence")
+        for name, its in settings_of(Setup):
+            if name not in (*OF_ENERGY, "hinges", "move"):
+                refuse(context, f"{name} {its.word[0] if its.word else ''}", "is of files; this is a sequence")
         structure = from_sequence(str(source))
         chain, energy = setup.chain(structure), setup.energy(structure)
     else:
