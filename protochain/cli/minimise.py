@@ -150,7 +150,8 @@ def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tupl
     if not isinstance(setup.model, str):
         if one_file:
             raise ProtochainError(
-                Argument("one_file"), ": joins several models; give --model all, or a range such as --model 1-5"
+                Argument("one_file"),
+                ": joins several models; give --model all, or a range such as --model 1-5",
             )
         return [(setup, output)]
     if str(source) == "-":

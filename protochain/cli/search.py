@@ -59,7 +59,9 @@ def search(
     if is_sequence(source):
         for name, its in settings_of(Setup):
             if name not in (*OF_ENERGY, "hinges", "move"):
-                refuse(context, f"{name} {its.word[0] if its.word else ''}", "is of files; this is a sequence")
+                refuse(
+                    context, f"{name} {its.word[0] if its.word else ''}", "is of files; this is a sequence"
+                )
         structure = from_sequence(str(source))
         chain, energy = setup.chain(structure), setup.energy(structure)
     else:

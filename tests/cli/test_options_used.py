@@ -10,7 +10,6 @@ from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from fixtures.command_line import COMMANDS, run
 from typer.core import TyperOption
@@ -26,7 +25,7 @@ from protochain.core.settings import settings_of
 from protochain.setup import Setup
 from protochain.structure.trajectory import TrajectoryFile
 
-pytestmark = pytest.mark.usefixtures("interruptible")
+pytestmark = [pytest.mark.usefixtures("interruptible"), pytest.mark.slow]
 
 QUICK = "--solvent vacuum --max-evaluations 3"
 LIGAND = "--ligand LIG=CCO --ligand-charges gasteiger"
@@ -96,7 +95,9 @@ def given(path, option):
         return [option.opts[0], "ligand.dcd" if LIGAND in PATHS[path] else "x.dcd"]
     if option.is_flag:
         on = option.default in (False, None)
-        return [option.opts[0] if on else option.secondary_opts[0] if option.secondary_opts else option.opts[0]]
+        return [
+            option.opts[0] if on else option.secondary_opts[0] if option.secondary_opts else option.opts[0]
+        ]
     value = {**OF_SETUP, **VALUES}.get(option.name)
     if value is None:
         assert option.default is not None, f"give a value of {option.opts[0]} in VALUES"
@@ -133,7 +134,8 @@ def made(tmp_path_factory):
     (folder / "c.pdb").write_text(f"{model}END\n")
     (folder / "d.pdb").write_text("".join([*one, "TER\n", *far, "TER\n", *ligand, "END\n"]))
     (folder / "m.pdb").write_text("".join(f"MODEL        {n}\n{model}ENDMDL\n" for n in (1, 2)) + "END\n")
-    (folder / "list.csv").write_text("path\nc.pdb\n")
+    (folder / "e.pdb").write_text(f"REMARK\n{model}END\n")
+    (folder / "list.csv").write_text("path\ne.pdb\n")
     with Chem.SDWriter(str(folder / "poses.sdf")) as poses:
         for _ in range(2):
             at.SetAtomPosition(0, Point3D(*(at.GetPositions()[0] + 0.02)))
@@ -146,7 +148,16 @@ def made(tmp_path_factory):
             for _ in range(2):
                 frames.append(structure.positions)
             frames.finish()
-        run("minimise", "c.pdb", *QUICK.split(), *LIGAND.split(), "--checkpoint", "state.npz", "-o", folder / "end.pdb")
+        run(
+            "minimise",
+            "c.pdb",
+            *QUICK.split(),
+            *LIGAND.split(),
+            "--checkpoint",
+            "state.npz",
+            "-o",
+            folder / "end.pdb",
+        )
     (folder / "end.pdb").unlink()
     return folder
 
@@ -214,7 +225,9 @@ def outcome(here, capsys, words):
         each for each in sorted(here.folder.rglob("*"))
         if each.is_file() and not (here.made / each.name).exists() and not each.name.startswith(".")
     ]  # fmt: skip
-    files = {each.relative_to(here.folder).as_posix(): content(each) for each in made if each.name not in TIMED}
+    files = {
+        each.relative_to(here.folder).as_posix(): content(each) for each in made if each.name not in TIMED
+    }
     return status, said, files, [*here.arrived]
 
 
@@ -249,6 +262,6 @@ def test_no_option_is_ignored(path, here, read, capsys):
         if " ".join(its) in PATHS[path]:
             continue
         found = outcome(here, capsys, [*words, "--json", *its])
-        if found == usual or found[0] == BAD_INPUT and option.opts[0].lstrip("-") not in str(found[1]):
+        if found == usual or (found[0] == BAD_INPUT and option.opts[0].lstrip("-") not in str(found[1])):
             ignored.append((its, found[1] if found != usual else ""))
     assert not ignored
