@@ -77,12 +77,14 @@ VALUES = {
     "between": "A:1-A:5", "align": "name C", "measure": "name N", "temperatures": "310-500", "hours": "1",
     "thermostat": "none", "integrator": "midpoint", "loops": "closed", "hydrogen_mass": "2",
     "hinge_springs": "phi 40", "temperature": "310", "time_step": "0.5", "friction": "3",
-    "amplitude": "2", "evaluations": "400", "workers": "3", "time_limit": "77", "n_starts": "3", "speed": "0.01",
+    "amplitude": "2", "evaluations": "400", "workers": "3", "time_limit": "77",
+    "n_starts": "3", "speed": "0.01",
 }  # fmt: skip
 """What an option is given, by its name; flags and numbers not here get another than their default."""
 OF_SETUP = {
     "hinges": "chi", "move": "resid 2", "forcefield": "amber99sb", "solvent": "obc2", "engine": "openmm",
-    "terms": "nonbonded", "cutoff": "1", "accuracy": "exact", "precision": "mixed", "threads": "1", "model": "2",
+    "terms": "nonbonded", "cutoff": "1", "accuracy": "exact", "precision": "mixed", "threads": "1",
+    "model": "2",
     "assembly": "1", "altloc": "B", "keep": "none", "disulfide": "A:3-A:5", "ph": "3", "chains": "A",
     "ligands": "LIG=CO", "ligand_charges": "mmff94",
 }  # fmt: skip
@@ -116,7 +118,7 @@ def made(tmp_path_factory):
 
     def atoms(sequence, chain, up):
         peptide = pc.from_sequence(sequence)
-        pc.save(peptide.with_positions(peptide.positions + (0.0, 0.0, up)), folder / "p.pdb")
+        pc.save(peptide.with_positions(peptide.positions + np.array([0.0, 0.0, up])), folder / "p.pdb")
         lines = (folder / "p.pdb").read_text().splitlines()
         return [f"{line[:21]}{chain}{line[22:]}\n" for line in lines if line.startswith("ATOM")]
 
@@ -124,7 +126,7 @@ def made(tmp_path_factory):
     ethanol = Chem.AddHs(Chem.MolFromSmiles("CCO"))
     AllChem.EmbedMolecule(ethanol, randomSeed=1)
     at = ethanol.GetConformer()
-    at.SetPositions(at.GetPositions() + (3.0, 0.0, -8.0))
+    at.SetPositions(at.GetPositions() + np.array([3.0, 0.0, -8.0]))
     ligand = [
         f"HETATM  90{k}  {name:<3} LIG C   1    {''.join(f'{c:8.3f}' for c in at.GetPositions()[k])}"
         f"  1.00  0.00           {name[0]}\n"

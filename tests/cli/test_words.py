@@ -27,9 +27,9 @@ def test_the_command_line_has_an_option_of_each_argument_that_messages_name():
     named = {}
     for path in SOURCES:
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Argument":
-                if isinstance(node.args[0], ast.Constant):
-                    named[node.args[0].value] = path.name
+            is_one = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Argument"
+            if is_one and isinstance(node.args[0], ast.Constant):
+                named[node.args[0].value] = path.name
     assert len(named) > 20
     wrong = {name: path for name, path in named.items() if as_option(Argument(name)) not in OPTIONS}
     assert {*wrong} == OF_THE_LIBRARY, wrong
