@@ -10,6 +10,7 @@ from concurrent.futures import Future
 from contextlib import contextmanager, nullcontext
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from fixtures.command_line import COMMANDS, run
 from typer.core import TyperOption
