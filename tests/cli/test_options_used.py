@@ -95,7 +95,7 @@ LATER = {"as_json", "force", "resume", "curvature", "mirror", "hours"}
 
 def given(path, option):
     if "FRAMES" in (option.metavar or ""):
-        return [option.opts[0], "ligand.dcd" if LIGAND in PATHS[path] else "x.dcd"]
+        return [option.opts[0], "ligand.dcd" if "LIG=CCO" in PATHS[path] else "x.dcd"]
     if option.is_flag:
         on = option.default in (False, None)
         return [
@@ -123,7 +123,7 @@ def made(tmp_path_factory):
         lines = (folder / "p.pdb").read_text().splitlines()
         return [f"{line[:21]}{chain}{line[22:]}\n" for line in lines if line.startswith("ATOM")]
 
-    far, other, one = atoms("GAV", "B", 1.1), atoms("GAV", "B", 1.0), atoms("GAVSDK", "A", 0.0)
+    far, other, one = atoms("GAV", "B", 1.02), atoms("GAV", "B", 1.0), atoms("GAVSDK", "A", 0.0)
     ethanol = Chem.AddHs(Chem.MolFromSmiles("CCO"))
     AllChem.EmbedMolecule(ethanol, randomSeed=1)
     at = ethanol.GetConformer()
@@ -204,7 +204,9 @@ def content(path):
         return plain(json.loads(text))
     if path.suffix == ".csv":
         return plain([*csv.DictReader(io.StringIO(text.decode()))])
-    return text if path.suffix in (".pdb", ".dcd", ".sdf") else None
+    if path.suffix == ".dcd":
+        return text[300:]  # The head has a date.
+    return text if path.suffix in (".pdb", ".sdf") else None
 
 
 def outcome(here, capsys, words):
