@@ -89,7 +89,7 @@ OF_SETUP = {
     "assembly": "1", "altloc": "B", "keep": "none", "disulfide": "A:3-A:5", "ph": "3", "chains": "A",
     "ligands": "LIG=CO", "ligand_charges": "mmff94",
 }  # fmt: skip
-LATER = {"as_json", "force", "resume", "curvature", "mirror", "hours"}
+LATER = {"as_json", "force", "resume", "curvature", "mirror", "hours", "max_outer_iterations"}
 """Options that act on what there is not here: a folder, an end of a run, a chain that is a mirror image."""
 
 
