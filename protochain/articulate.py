@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from protochain.chain import Chain, dihedral
 from protochain.core import defaults
-from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.arrays import Floats, Integers, cross, read_only
 from protochain.core.checks import checked, kinds, quantity, selection, text
 from protochain.core.errors import Argument, ChainError
 from protochain.core.graph import components
@@ -313,7 +313,7 @@ def _axis(x: Floats, hinge: Hinge, inner: int, outer: int) -> tuple[Floats, int]
     if not hinge.is_angle:
         return x[outer] - x[inner], outer
     before, at, after = hinge.atoms if inner == hinge.atoms[1] else hinge.atoms[::-1]
-    return np.cross(x[before] - x[at], x[after] - x[at]), at
+    return cross(x[before] - x[at], x[after] - x[at]), at
 
 
 def _measure(x: Floats, hinge: Hinge) -> float:
@@ -321,15 +321,15 @@ def _measure(x: Floats, hinge: Hinge) -> float:
     if not hinge.is_angle:
         return dihedral(x[list(hinge.atoms)])
     u, v = (x[hinge.atoms[end]] - x[hinge.atoms[1]] for end in (0, 2))
-    return float(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v))
+    return float(np.arctan2(np.linalg.norm(cross(u, v)), u @ v))
 
 
 def _frame_along(bond: Floats) -> Floats:
     """Return a rotation whose third column lies along the bond."""
     z = bond / np.linalg.norm(bond)
-    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x = cross(np.eye(3)[np.argmin(np.abs(z))], z)
     x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(z, x), z])
+    return np.column_stack([x, cross(z, x), z])
 
 
 def _in_frames(frames: Frames, body: Integers, x: Floats) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.arrays import cross as vector_product
 from protochain.core.checks import instance
 from protochain.hinges import Hinge
 from protochain.mechanics import multibody
@@ -269,7 +270,7 @@ def dihedral(x: Floats) -> float:
         Angle of IUPAC sign: positive if the far bond is clockwise of the near one, along the middle bond.
     """
     b1, b2, b3 = np.diff(x, axis=0)
-    n1, n2 = np.cross(b1, b2), np.cross(b2, b3)
+    n1, n2 = vector_product(b1, b2), vector_product(b2, b3)
     return float(np.arctan2(np.linalg.norm(b2) * np.dot(b1, n2), np.dot(n1, n2)))
 
 

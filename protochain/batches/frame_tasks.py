@@ -15,9 +15,9 @@ from protochain.energies import Energy
 from protochain.energies.decomposed import TERMS, energy_terms
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.api import relax_structure
-from protochain.relaxation.record import OF_FRAMES
+from protochain.relaxation.record import INTERFACE_COLUMNS, OF_FRAMES
 from protochain.relaxation.settings import RelaxSettings
-from protochain.results.columns import flat, record
+from protochain.results.columns import Column, flat, record
 from protochain.setup import Setup
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
@@ -71,8 +71,16 @@ class RelaxFrames:
     setup: Setup
     energy: Energy | None = None
     name = "relax"
-    columns = tuple(column.key for column in OF_FRAMES)
     at_a_time = 1
+
+    @property
+    def _columns(self) -> tuple[Column, ...]:
+        return (*OF_FRAMES, *(INTERFACE_COLUMNS if self.relaxing.interface else ()))
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Those of a relaxation that may differ between frames, and scores of the interface."""
+        return tuple(column.key for column in self._columns)
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
         """Build the energy, if there is none."""
@@ -83,7 +91,7 @@ class RelaxFrames:
             done = relax_structure(frame, energy, self.relaxing, move=self.setup.move)
             if done.status is Status.INTERRUPTED:
                 raise KeyboardInterrupt
-            row = {key: flat(value) for key, value in record(OF_FRAMES, done).items()}
+            row = {key: flat(value) for key, value in record(self._columns, done).items()}
             return row, done.x if done.is_usable else None
 
         return act

@@ -15,6 +15,7 @@ from protochain.cli.options import (
     check_outputs,
     inputs_of,
     print_json,
+    refuse,
     with_settings,
 )
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
@@ -53,6 +54,7 @@ class Planned(TypedDict):
 
 @with_settings(setup="trust_forcefield")
 def batch(
+    context: typer.Context,
     inputs: Inputs = None,
     output: Output = Path("batch"),
     methods: Methods = defaults.METHOD,
@@ -81,6 +83,8 @@ def batch(
     settings = BatchSettings(
         words(methods), setup=setup, relaxing=relaxing, **vars(minimising), **vars(starting)
     )
+    if "-" not in (inputs or ()):
+        refuse(context, "null", "is of names on standard input, which is not asked for (-)")
     # Standard input can be read only once.
     given = [line for each in inputs or () for line in (listed(null) if each == "-" else [each])]
     if dry_run:

@@ -253,7 +253,7 @@ CONTRACTS: Mapping[str, Contract] = {
         (_RELAXED, Frames, _BATCH),
         {
             "relaxed.csv": (_of_batch(relaxed.COLUMNS, relaxed.OF_INTERFACE),), **_BATCH_TABLES,
-            "--trajectory": (_frames(of_relaxing.OF_FRAMES),),
+            "--trajectory": (_frames(of_relaxing.OF_FRAMES, of_relaxing.INTERFACE_COLUMNS),),
         },
         (*_names(table.files_of(Path(), "relaxed")), *_BATCH_FILES), _BATCH_MORE,
     ),

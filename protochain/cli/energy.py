@@ -15,6 +15,7 @@ from protochain.cli.options import (
     inputs_of,
     named_after,
     print_json,
+    refuse,
     with_settings,
 )
 from protochain.core.errors import ProtochainError
@@ -41,6 +42,7 @@ class Told(TypedDict):
 
 @with_settings(setup="hinges root move rigid_protein engine terms")
 def energy(
+    context: typer.Context,
     source: Input,
     by: Annotated[str, typer.Option(help="term, residue, or pair of residues.")] = "term",
     between: Annotated[
@@ -69,12 +71,12 @@ def energy(
 
     check_page(report)
     if of_frames.are_asked(trajectory, frames):
-        of_frames.refuse(by=by if by != "term" else "", report=report)
+        refuse(context, "by report", "is none of frames")
         whole = {"workers": workers, "resume": resume, "as_json": as_json}
         with of_frames.started_early(setup, workers):
             done = _frames(source, trajectory, frames, between, output, setup, whole)
         raise typer.Exit(done)
-    of_frames.refuse_without(workers=workers, resume=resume)
+    of_frames.refuse_without(context, "workers resume")
     check_outputs(inputs_of(setup, source), [path for path in (output, report) if path])
     structure = setup.load(source)
     energy = setup.energy(structure)

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, TypedDict
 
 import typer
 
@@ -15,6 +15,7 @@ from protochain.cli.options import (
     fail,
     inputs_of,
     print_json,
+    refuse,
 )
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
@@ -82,20 +83,9 @@ def only(given: Sequence[str | Path]) -> Path:
     return Path(given[0])
 
 
-def refuse(**options: Any) -> None:
-    """Refuse options that a run over frames has not."""
-    name = next((name for name, value in options.items() if value), None)
-    if name is not None:
-        raise ProtochainError(Argument(name), ": is none of frames; leave it out")
-
-
-def refuse_without(**options: Any) -> None:
+def refuse_without(context: typer.Context, names: str) -> None:
     """Refuse options that only a run over frames has."""
-    name = next((name for name, value in options.items() if value), None)
-    if name is not None:
-        raise ProtochainError(
-            Argument(name), ": is of frames; give ", Argument("trajectory"), " too, or leave it out"
-        )
+    refuse(context, names, "is of frames, of which there are none without ", Argument("trajectory"))
 
 
 def _processes(setup: "Setup", workers: int | None, time_limit: float = defaults.TIME_LIMIT) -> "Processes":

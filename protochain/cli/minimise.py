@@ -30,6 +30,7 @@ from protochain.cli.options import (
     prepare,
     print_json,
     print_lost,
+    refuse,
     with_confidences,
     with_settings,
     write_models,
@@ -45,7 +46,7 @@ from protochain.cli.terminal import (
     typical_evaluations,
 )
 from protochain.core import defaults
-from protochain.core.errors import ProtochainError, WriteError, WriteWarning
+from protochain.core.errors import Argument, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers.settings import CheckpointSettings, MinimiseSettings, StartSettings
 from protochain.setup import ALL_MODELS, Setup, models_asked
@@ -99,16 +100,18 @@ def minimise(
 
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
     Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
-    state = [path for path in vars(saving).values() if path]
-    if starting.n_starts > 1 and (state or trajectory):
-        raise ProtochainError("starts: a checkpoint or trajectory belongs to one run; give one start")
+    if starting.n_starts > 1:
+        refuse(context, "checkpoint resume trajectory", "belongs to one run, and there are several starts")
     beside = [Path(path) for path in (trace, trajectory, saving.checkpoint, report, ligand_out) if path]
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
     check_names(output, report, ligand_out, as_json)
     if trajectory:
         check_trajectory(trajectory)
-    runs = _runs(source, output, setup, bool(beside or saving.resume), one_file)
+    if isinstance(setup.model, str):
+        single = "trace trajectory checkpoint resume report ligand_out"
+        refuse(context, single, "belongs to one model, and there may be several")
+    runs = _runs(source, output, setup, one_file)
     written = [*dict.fromkeys(path for _, path in runs), *beside]
     check_outputs(inputs_of(setup, source, saving.resume), written, force)
 
@@ -138,10 +141,8 @@ def _status(records: list[dict[str, Any]], n_runs: int) -> int:
     return UNCONVERGED if done == CONVERGED and (lost or len(records) < n_runs) else done
 
 
-def _runs(
-    source: Path, output: Path, setup: Setup, is_single: bool, one_file: bool
-) -> list[tuple[Setup, Path]]:
-    """Pair each model with its output; ``is_single`` where other files belong to one model."""
+def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tuple[Setup, Path]]:
+    """Pair each model with its output."""
     from protochain.structure.choose import refuse_absent
     from protochain.structure.files import split_name
     from protochain.structure.read import model_numbers
@@ -149,14 +150,12 @@ def _runs(
     if not isinstance(setup.model, str):
         if one_file:
             raise ProtochainError(
-                "one-file: joins several models; give --model all, or a range such as --model 1-5"
+                Argument("one_file"),
+                ": joins several models; give --model all, or a range such as --model 1-5",
             )
         return [(setup, output)]
-    if is_single or str(source) == "-":
-        raise ProtochainError(
-            f"model {setup.model}: needs a file, and no trace, trajectory, checkpoint or report: "
-            "these belong to one model"
-        )
+    if str(source) == "-":
+        raise ProtochainError(Argument("model"), f" {setup.model}: needs a file; standard input is read once")
     if str(output) == STANDARD_OUTPUT and not one_file:
         raise ProtochainError("output -: several models are several files; give --one-file to join them")
     numbers = tuple(model_numbers(source))

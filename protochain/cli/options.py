@@ -119,8 +119,24 @@ def _made(kind: type[Made], options: Mapping[str, Any]) -> Made | None:
             value = [its.word[2], *(value or ())]
         if value not in (None, []):
             given[name] = its.read(value) if its.read else value
-    needed = {each.name for each in fields(kind) if each.default is MISSING}  # type: ignore[arg-type]  # a dataclass
-    return kind(**given) if needed <= given.keys() else None
+    usual = {each.name: each.default for each in fields(kind)}  # type: ignore[arg-type]  # a dataclass
+    known = dict(settings_of(kind))
+    needed = [name for name in known if usual[name] is MISSING and name not in given]
+    if not needed:
+        return kind(**given)
+    for name, value in given.items():
+        if value != usual[name]:
+            of, what = (known[each].names(each)[0] for each in (name, needed[0]))
+            raise ProtochainError(f"{of}: needs {what}; give it too, or leave this out")
+    return None
+
+
+def refuse(context: typer.Context, names: str, *why: object) -> None:
+    """Refuse the first of some options that was given on the command line: nothing would come of it."""
+    for name in names.split():
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            raise ProtochainError(Argument(name), ": ", *why, "; leave it out")
 
 
 def exit_status(statuses: Iterable[str], *, usable: bool = True, interrupted: bool = False) -> int:
@@ -221,7 +237,7 @@ def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
         print(line)
 
 
-RENAMED = {"between": "pull"} | {
+RENAMED = {"between": "pull", "charges": "ligand_charges"} | {
     name: its.column(name)
     for kind in (
         *(Setup, MinimiseSettings, StartSettings, RelaxSettings, SimulationSettings, RunSettings),

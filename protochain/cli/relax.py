@@ -26,12 +26,13 @@ from protochain.cli.options import (
     has_poses,
     inputs_of,
     print_json,
+    refuse,
     with_confidences,
     with_settings,
     write_models,
 )
 from protochain.core import defaults
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, ProtochainError
 from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
 
@@ -65,6 +66,7 @@ Resume = Annotated[
 
 @with_settings(setup="hinges terms")
 def relax(
+    context: typer.Context,
     inputs: Inputs = None,
     output: Output = None,
     manifest: Manifest = None,
@@ -90,7 +92,7 @@ def relax(
     """
     setup = relaxing.setup(setup)
     if of_frames.are_asked(trajectory, frames):
-        of_frames.refuse(manifest=manifest, scheduler=scheduler, ligand_out=ligand_out)
+        refuse(context, "manifest scheduler ligand_out posebusters", "is none of frames")
         each = {"workers": workers, "time_limit": time_limit}
         given = of_frames.only(inputs or [])
         with of_frames.started_early(setup, workers):
@@ -100,15 +102,12 @@ def relax(
         raise typer.Exit(done)
     several = manifest or scheduler or has_poses(setup) or isinstance(setup.model, str)
     if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not several:
-        if resume:
-            raise ProtochainError(f"resume: {inputs[0]} is one file, which is not resumed; leave it out")
+        refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, ligand_out, as_json, force))
-    if report:
-        raise ProtochainError(
-            f"report {report}: several structures have report.html in their folder; leave it out"
-        )
+    refuse(context, "report", "several structures have report.html in their folder")
+    refuse(context, "force", "several structures go to a folder, and replace no input")
     if ligand_out and not setup.poses:
-        raise ProtochainError(f"ligand-out {ligand_out}: several structures need poses; give --ligand POSES")
+        raise ProtochainError(Argument("ligand_out"), ": several structures need poses; give --ligand POSES")
     from protochain.batches.cluster import Processes
 
     beside = [ligand_out] if ligand_out else []
@@ -179,6 +178,8 @@ def _one(
     from protochain.structure.ligand_files import check_ligands
     from protochain.structure.write import check_fits
 
+    if str(source) != "-" and not source.exists():
+        raise ProtochainError(f"{source}: not found; check the name")
     output = Path(relaxed_name(source)) if output is None else output
     if output.is_dir():
         output = output / relaxed_name(source)

@@ -29,6 +29,7 @@ class Told(TypedDict):
 
 
 def rmsd(
+    context: typer.Context,
     reference: Annotated[
         Path, typer.Argument(metavar="REFERENCE", help="PDB or mmCIF file; - is standard input.")
     ],
@@ -59,7 +60,7 @@ def rmsd(
         whole = {"workers": workers, "resume": resume, "as_json": as_json}
         ends = align, measure or align
         raise typer.Exit(_frames(reference, models, trajectory, frames, *ends, output, whole))
-    of_frames.refuse_without(workers=workers, resume=resume)
+    of_frames.refuse_without(context, "workers resume")
     if output:
         check_outputs([reference, *models], [output])
     table = rmsd_table(reference, models, align, measure or align)

@@ -15,6 +15,7 @@ from protochain.cli.options import (
     files_of,
     inputs_of,
     print_json,
+    refuse,
     with_settings,
 )
 from protochain.cli.printable import printer
@@ -46,6 +47,7 @@ class Told(TypedDict):
 
 @with_settings(setup="hinges root move rigid_protein engine terms")
 def score(
+    context: typer.Context,
     inputs: Annotated[
         list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")
     ],
@@ -93,6 +95,8 @@ def score(
     found: list[Interface | None] = []
     # A process cannot read this one's standard input.
     alone = len(files) == 1 or any(str(path) == "-" for _, path, _ in files)
+    if alone:
+        refuse(context, "workers", "is of several files, none of them standard input")
     processes = None if alone else Processes(workers, threads=setup.threads or 1)
     with nullcontext() if processes is None else processes.started_early():
         from protochain.batches.scoring import ScoreJob, score_files

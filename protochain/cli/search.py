@@ -16,12 +16,14 @@ from protochain.cli.options import (
     inputs_of,
     named_after,
     prepare,
+    refuse,
     with_settings,
 )
 from protochain.cli.terminal import print_search, search_progress
 from protochain.core.processors import processors
+from protochain.core.settings import settings_of
 from protochain.searching.settings import SearchRunSettings, SearchSettings
-from protochain.setup import Setup
+from protochain.setup import OF_ENERGY, Setup
 
 Source = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, or a sequence of one-letter codes.")
@@ -34,6 +36,7 @@ Workers = Annotated[int | None, typer.Option(help="Processes of one thread [defa
 
 @with_settings(setup="threads root")
 def search(
+    context: typer.Context,
     source: Source,
     output: Output = None,
     workers: Workers = None,
@@ -54,6 +57,11 @@ def search(
     check_folder(output, running.resume, running.force)
     setup = replace(setup, threads=1)
     if is_sequence(source):
+        for name, its in settings_of(Setup):
+            if name not in (*OF_ENERGY, "hinges", "move"):
+                refuse(
+                    context, f"{name} {its.word[0] if its.word else ''}", "is of files; this is a sequence"
+                )
         structure = from_sequence(str(source))
         chain, energy = setup.chain(structure), setup.energy(structure)
     else:

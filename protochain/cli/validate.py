@@ -17,6 +17,7 @@ from protochain.cli.options import (
     inputs_of,
     named_after,
     print_json,
+    refuse,
     with_settings,
 )
 from protochain.cli.printable import printer
@@ -46,9 +47,10 @@ class Told(TypedDict):
 
 @with_settings(
     setup="hinges move rigid_protein forcefield solvent engine cutoff accuracy precision threads "
-    "trust_forcefield"
+    "trust_forcefield terms ligand_charges"
 )
 def validate(
+    context: typer.Context,
     inputs: Annotated[
         list[str], typer.Argument(metavar="IN...", help="Files, folders or patterns; - is standard input.")
     ],
@@ -84,7 +86,7 @@ def validate(
     from protochain.structure.matching import measurable
 
     if of_frames.are_asked(trajectory, frames):
-        of_frames.refuse(residues=residues, changes=changes)
+        refuse(context, "residues changes posebusters", "is none of frames")
         ways: dict[str, Any] = {
             "csv": csv,
             "report": report,
@@ -95,7 +97,7 @@ def validate(
         with of_frames.started_early(setup, workers):
             status = _frames(inputs, trajectory, frames, reference, setup, **ways)
         raise typer.Exit(status)
-    of_frames.refuse_without(workers=workers, resume=resume, report=report)
+    of_frames.refuse_without(context, "workers resume report")
 
     outputs = [path for path in (csv, residues, changes) if path]
     files = files_of(inputs, setup)

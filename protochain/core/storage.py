@@ -194,7 +194,9 @@ def read_arrays(
     for name, value in settings.items():
         if written.get(name) != value:
             raise ProtochainError(
-                f"{path}: is of a run with {name} {written.get(name)!r}, not {value!r}; repeat its settings"
+                f"{path}: is of a run with ",
+                Argument(name),
+                f" {written.get(name)!r}, not {value!r}; repeat its settings",
             )
     return arrays, values
 

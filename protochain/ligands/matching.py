@@ -176,7 +176,10 @@ def _matched(
     here, whole = _formula(elements[kept]), _formula(its)
     if here != whole:
         if Counter(elements[kept].tolist()) < Counter(its.tolist()):
-            raise StructureError(f"{molecule.source}: the model has {here} of {whole}; complete it")
+            raise StructureError(
+                f"{molecule.source}: the model has {here} of {whole}; add what is missing to the file, or "
+                "give the chemistry of what is there"
+            )
         raise StructureError(
             f"{molecule.source}: is another molecule than the model has: {here}, not {whole}; "
             "give the one that it has"

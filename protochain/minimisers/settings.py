@@ -99,10 +99,7 @@ class StartSettings(Settings):
         super().__post_init__()
         if not 0 < self.spread < math.inf:
             raise ProtochainError(Argument("spread"), " ", Angle(self.spread), ": give an angle above 0")
-        if self.hop_temperature is not None and self.n_starts == 1:
-            raise ProtochainError(
-                Argument("hop_temperature"),
-                ": needs several minima; give ",
-                Argument("n_starts"),
-                " 2 or more",
-            )
+        for name, usual in (("spread", defaults.SPREAD), ("hop_temperature", None)):
+            if self.n_starts == 1 and getattr(self, name) != usual:
+                remedy = "; give ", Argument("n_starts"), " 2 or more, or leave it out"
+                raise ProtochainError(Argument(name), ": is of several starts", *remedy)

@@ -9,7 +9,7 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.errors import StructureError
+from protochain.core.errors import Argument, StructureError
 from protochain.structure.repairs import Kind, Repair
 from protochain.structure.residues import BLANK, Residue
 
@@ -127,10 +127,9 @@ def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
     for (first, second), near in both.items():
         if near >= _SHARE * min(size[first], size[second]):
             name, other = (chains[k].name or BLANK for k in (second, first))
-            one = f", or take one by --chain {other}" if other != BLANK else ""
-            raise StructureError(
-                f"{source}: chain {name} lies upon chain {other}; give them as models (MODEL, ENDMDL){one}"
-            )
+            one = (", or take one by ", Argument("chains", other)) if other != BLANK else ()
+            remedy = "; give them as models (MODEL, ENDMDL)"
+            raise StructureError(f"{source}: chain {name} lies upon chain {other}{remedy}", *one)
 
 
 def refuse_crowds(atoms: Sequence[gemmi.Atom], source: str) -> None:

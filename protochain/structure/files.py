@@ -357,6 +357,9 @@ def _corrected(
         if record.startswith(("ANISOU", "SIGATM", "SIGUIJ")):
             # Unused records: their order is no reason to refuse a file.
             lines[i] = ""
+        if record.startswith("ATOM") and record[4:].strip(" 0123456789"):
+            lines[i] = ""  # A row of Rosetta's table of scores, as atom_pair_constraint.
+            continue
         if not record.startswith(("ATOM", "HETATM")):
             continue
         if any(line[start:end].upper() != line[start:end] for start, end in _UPPER):

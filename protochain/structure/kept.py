@@ -14,6 +14,7 @@ from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import StructureError
 from protochain.core.graph import components
+from protochain.core.markup import counted
 from protochain.structure import glycans, residues
 from protochain.structure.bound import AS_KNOWN, Chemistry
 from protochain.structure.draft import Draft, Member, Part, losses
@@ -185,12 +186,12 @@ def _refuse_unknown_names(
     names = {name for candidate in candidates for name in (candidate.given, candidate.member.name)}
     unknown = next((word for word in asked if word not in KINDS and word not in names), None)
     if unknown is not None:
-        count = Counter("waters" if each.kind == "water" else each.given for each in candidates)
-        there = ", ".join(f"{number} {name}" for name, number in count.most_common(_NAMED)) or "nothing"
-        more = f" and {len(count) - _NAMED} more kinds" if len(count) > _NAMED else ""
+        count = Counter("" if each.kind == "water" else each.given for each in candidates)
+        there = [f"{n} {name}" if name else counted(n, "water") for name, n in count.most_common(_NAMED)]
+        more = f" and {counted(len(count) - _NAMED, 'more kind')}" if len(count) > _NAMED else ""
         raise StructureError(
-            f"{draft.source}: {why}{unknown}: no molecule beside the protein has this name; there are "
-            f"{there}{more}"
+            f"{draft.source}: {why}{unknown}: no molecule beside the protein has this name; those there: "
+            f"{', '.join(there) or 'none'}{more}"
         )
 
 

@@ -64,13 +64,13 @@ class Kind(Enum):
     NO_ENDMDL = Words("{count:n model} without an ENDMDL record, taken to end where the next begins")
     CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
     MOLECULES_TOLD_APART = Words("molecules that share number and name told apart: {count} more")
-    ATOMS_NUMBERED = Words("atoms that share a name numbered in {count} molecules")
+    ATOMS_NUMBERED = Words("atoms that share a name numbered in {count:n molecule}")
     ASSEMBLY = Words("assembly {name} built of {before:n chain}: chains {chains:8}")
     BLOCKS_LEFT_OUT = Words(
         "data block {taken} used, others with atoms left out: {others:4}; give each its own file",
         rank=Rank.LOSS,
     )
-    MODELS_LEFT_OUT = Words("model {taken} used, {count} other models left out", rank=Rank.LOSS)
+    MODELS_LEFT_OUT = Words("model {taken} used, {count:n other model} left out", rank=Rank.LOSS)
     NO_END = Words(
         "the file ends at {residue} without an END record or a terminal oxygen: check that it is complete",
         rank=Rank.LOSS,
@@ -94,7 +94,7 @@ class Kind(Enum):
         "{residue}: {atoms} given more than once; the first of each kept",
         "atoms given more than once, the first of each kept",
     )
-    UNRESOLVED = Words("{count} atoms of zero occupancy kept, in {residues:1}")
+    UNRESOLVED = Words("{count:n atom} of zero occupancy kept, in {residues:1}")
     RENAMED = Words("{residue}: taken as {name}")
     STATE_NAMED = Words("{residue}: taken as {name} in protonation state {state}")
     NO_PLACE = Words("{residue}: {atoms} at the origin or upon CA: taken as missing")
@@ -131,7 +131,7 @@ class Kind(Enum):
     CYCLIC = Words("chain {last.chain_name} is cyclic: {last} is bonded to {first}")
     # Beside the protein.
     WATERS_LEFT_OUT = Words(
-        "{count} waters left out: the solvent is implicit; {remedy} keeps everything", rank=Rank.LEFT_OUT
+        "{count:n water} left out: the solvent is implicit; {remedy} keeps everything", rank=Rank.LEFT_OUT
     )
     LEFT_OUT = Words("{counts} left out; {remedy} keeps everything", rank=Rank.LEFT_OUT)
     KEPT = Words("{counts:8} kept beside the protein")
@@ -225,13 +225,13 @@ class Kind(Enum):
     STATE_CHOSEN = Words("{residue} taken as {state}")
     STATE_BY_PKA = Words("{residue} taken as {state}: its pKa is {pka:.1f} by PROPKA")
     STRANGE_HYDROGENS = Words(
-        "{residue}: {count} hydrogens left out: they do not belong to its state",
+        "{residue}: {count:n hydrogen} left out, not of its state",
         "hydrogens left out that do not belong to the state",
         Rank.LOSS,
     )
-    HYDROGENS_RENAMED = Words("{count} hydrogens with unknown names renamed after their parent atoms")
+    HYDROGENS_RENAMED = Words("{count:n hydrogen} with an unknown name renamed after the parent atom")
     HYDROGENS_ADDED = Words(
-        "{count} hydrogens added at pH {ph:g} ({present} were in the file)", rank=Rank.HYDROGENS
+        "{count:n hydrogen} added at pH {ph:g} ({present} were in the file)", rank=Rank.HYDROGENS
     )
     # By relax and repack.
     SIDE_CHAIN_TURNED = Words("{residue}: side chain turned from {before} to {after}", "side chains turned")

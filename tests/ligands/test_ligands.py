@@ -247,7 +247,7 @@ def test_double_bonds_of_a_model_are_where_they_are_short():
         ("CC(=O)Oc1ccc(N)cc1", r"both are C8NO2, but bonded otherwise \(it lacks bonds: 1 of CO\)"),
         ("CC(=O)NC1CCC(O)CC1", "fits the model badly: bonds of the ring"),
         ("CC(=O)Nc1ccccc1", "C8NO2, not C8NO"),
-        ("CC(=O)Nc1ccc(OC)cc1", "the model has C8NO2 of C9NO2; complete it"),
+        ("CC(=O)Nc1ccc(OC)cc1", "the model has C8NO2 of C9NO2; add what is missing"),
     ],
 )
 def test_what_differs_between_model_and_molecule_is_named(given, said):

@@ -167,7 +167,9 @@ def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
     every = ("none", "near", "all", "water", "ions", "nucleic", "ligands", residue.name, "OLD")
     near = {"near"} if kind != "water" else set()
     assert {word for word in every if kept(word)} == {"all", kind, residue.name, "OLD", *near}
-    told = re.escape(f"x: keep QWK: no molecule beside the protein has this name; there are 1 {_told(kind)}")
+    told = re.escape(
+        f"x: keep QWK: no molecule beside the protein has this name; those there: 1 {_told(kind).rstrip('s')}"
+    )
     for words in (("QWK",), ("OLD", "QWK"), ("near", "QWK")):
         with pytest.raises(pc.ProtochainError, match=f"^{told}$"):
             choose(drafted(glycine()), [Candidate(residue, "OLD")], words, {})

@@ -1,0 +1,63 @@
+"""Messages in the words of the command line, and numbers with the right form of what they count."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+from fixtures.command_line import COMMANDS, refusal_as_said
+from fixtures.samples import STRUCTURES
+from typer.core import TyperOption
+
+import protochain as pc
+from protochain.cli.options import as_option
+from protochain.core.errors import Argument
+from protochain.structure.repairs import Kind
+
+SOURCES = [*Path(pc.__file__).parent.rglob("*.py")]
+OF_THE_LIBRARY = {"x"}
+"""Arguments of functions that no command calls with them."""
+OPTIONS = {
+    name for each in COMMANDS.values() for param in each.params if isinstance(param, TyperOption)
+    for name in (*param.opts, *param.secondary_opts)
+}  # fmt: skip
+
+
+def test_the_command_line_has_an_option_of_each_argument_that_messages_name():
+    named = {}
+    for path in SOURCES:
+        for node in ast.walk(ast.parse(path.read_text())):
+            is_one = isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Argument"
+            if is_one and isinstance(node.args[0], ast.Constant):
+                named[node.args[0].value] = path.name
+    assert len(named) > 20
+    wrong = {name: path for name, path in named.items() if as_option(Argument(name)) not in OPTIONS}
+    assert {*wrong} == OF_THE_LIBRARY, wrong
+
+
+def test_the_library_names_no_options_of_the_command_line():
+    """But in help texts, and where a message names both."""
+    shown = re.compile(r"(?:by|give|use|with|or) (--[a-z][a-z-]+)")
+    for path in SOURCES:
+        if not {"cli", "studies"} & {*path.parts}:
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.Raise):
+                    assert not shown.search(ast.unparse(node)), (path, ast.unparse(node))
+
+
+@pytest.mark.parametrize("kind", Kind)
+def test_what_repairs_count_has_the_form_for_one(kind):
+    for words in (kind.value.one, kind.value.many):
+        assert not re.search(r"\{count\} (\w+ )?\w+s\b", words)
+
+
+def test_a_row_of_scores_is_no_atom(tmp_path):
+    text = (STRUCTURES / "ala10.pdb").read_text()
+    (tmp_path / "scored.pdb").write_text(f"{text}label fa_atr\natom_pair_constraint 0 0\npose 1\n")
+    scored = pc.load(tmp_path / "scored.pdb")
+    assert scored.n_atoms == pc.load(STRUCTURES / "ala10.pdb").n_atoms
+    assert [*map(str, scored.repairs)] == [*map(str, pc.load(STRUCTURES / "ala10.pdb").repairs)]
+
+
+def test_an_input_that_is_not_there_is_named_before_its_output():
+    assert refusal_as_said("relax", "missing/", "-o", "x") == "missing: not found; check the name"
