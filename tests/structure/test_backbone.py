@@ -93,7 +93,8 @@ def test_an_atom_that_happens_to_be_at_the_origin_stays(tmp_path):
 def test_caps_of_charmm_within_residues_are_residues_of_their_own():
     names = ("CAY", "CY", "OY", "HY1", "N", "HN", "CA", "C", "O", "NT", "HNT", "CAT", "HT1")
     lines = (
-        f"ATOM  {k:5d}  {name:<3s} ALA A   5    {0.4 * k:8.3f}   0.000   0.000" for k, name in enumerate(names)
+        f"ATOM  {k:5d}  {name:<3s} ALA A   5    {0.4 * k:8.3f}   0.000   0.000"
+        for k, name in enumerate(names)
     )
     structure = gemmi.read_pdb_string("\n".join([*lines, "END\n"]))
     caps_told_apart(structure)
