@@ -111,7 +111,7 @@ _RELAXED = {
 }  # fmt: skip
 
 
-def _frames(columns: Iterable[str | Column], optional: Iterable[str] = ()) -> Kinds:
+def _frames(columns: Iterable[str | Column], optional: Iterable[str | Column] = ()) -> Kinds:
     """Columns of a table of frames, which only those have that could be used."""
     its = {**_row(columns), **_optional(_row(optional))}
     first = {**_row(FIRST, frame=int), **_optional(_row(FIRST[-1:]))}
