@@ -214,9 +214,9 @@ def test_records_of_ligands_stay_with_them(tmp_path):
         == (text.split("SEQRES")[-1].split("HET ")[-1])
     )
     assert_no_row_twice(cif)
-    # Files say that a ligand has no place in the sequence, or that it is not known.
+    # Files say that a ligand has no place in the sequence, that it is not known, or number it.
     asym = dict(rows(cif, "atom_site", "label_comp_id", "label_asym_id"))["NAG"]
-    for unknown in (".", "?"):
+    for unknown in (".", "?", "1"):
         block = block_of(cif)
         said = {"label_asym_id": asym, "label_seq_id": unknown, "label_comp_id": "NAG", "metric_value": "5"}
         block.set_mmcif_category("_ma_qa_metric_local.", {k: [v] for k, v in said.items()}, raw=True)
