@@ -214,9 +214,9 @@ def test_records_of_ligands_stay_with_them(tmp_path):
         == (text.split("SEQRES")[-1].split("HET ")[-1])
     )
     assert_no_row_twice(cif)
-    # Files say that a ligand has no place in the sequence, that it is not known, or number it.
+    # Files say that a ligand has no place in the sequence, or that it is not known.
     asym = dict(rows(cif, "atom_site", "label_comp_id", "label_asym_id"))["NAG"]
-    for unknown in (".", "?", "1"):
+    for unknown in (".", "?"):
         block = block_of(cif)
         said = {"label_asym_id": asym, "label_seq_id": unknown, "label_comp_id": "NAG", "metric_value": "5"}
         block.set_mmcif_category("_ma_qa_metric_local.", {k: [v] for k, v in said.items()}, raw=True)
@@ -350,7 +350,11 @@ def test_files_of_predictors_keep_what_they_say(tmp_path):
     assert {"_ma_qa_metric.", "_ma_qa_metric_local.", "_ma_model_list.", "_audit_conform."} <= names
     asked = rows(text, "ma_qa_metric_local", "label_asym_id", "label_seq_id", "label_comp_id")
     there = set(rows(text, "atom_site", "label_asym_id", "label_seq_id", "label_comp_id"))
-    assert asked and {*asked} <= there
+    assert asked and {(asym, name) for asym, _, name in asked} <= {(asym, name) for asym, _, name in there}
+    path = shared("boltz2_5ht2c.cif")
+    assert asked == rows(
+        path.read_text(), "ma_qa_metric_local", "label_asym_id", "label_seq_id", "label_comp_id"
+    )
     assert_no_row_twice(text)
     pc.save(structure, tmp_path / "x.pdb")
     assert "component LIG1 is called LIG here" in (tmp_path / "x.pdb").read_text()
