@@ -1,4 +1,4 @@
-"""Folders as programs that predict or design write them, small: each goes through ``relax FOLDER`` as it is."""
+"""Folders as programs that predict or design write them, small, go through ``relax FOLDER`` as they are."""
 
 import gzip
 import json
@@ -8,7 +8,7 @@ import mdtraj
 import numpy as np
 import pandas as pd
 import pytest
-from fixtures.command_line import run
+from fixtures.command_line import refusal, run
 from fixtures.samples import STRUCTURES
 
 RING = 1.39 * np.exp(1j * np.arange(6) * np.pi / 3)
@@ -104,7 +104,7 @@ FOLDERS = {
     },
     "Protenix": {
         "job/seed_101/predictions/job_sample_0.cif": model,
-        "job/seed_101/predictions/job_summary_confidence_sample_0.json": {"iptm": 0.0, "chain_pair_iptm": [[1]]},
+        "job/seed_101/predictions/job_summary_confidence_sample_0.json": {"iptm": 0.0},
         "ERR/.keep": "",
     },
     "OpenFold 3": {
@@ -126,20 +126,16 @@ FOLDERS = {
         "final_ranked_designs/final_1_designs/rank1_design_0.cif": model, "steps.yaml": "a: 1\n",
     },
     "BindCraft": {
-        "Accepted/x_l20_s1_mpnn1_model1.pdb": lambda: model(0.87), "Accepted/Animation/x.html": "<html>",
-        "Accepted/Ranked/1_x_l20_s1_mpnn1_model1.pdb": lambda: model(0.87), "final_design_stats.csv": "Rank\n",
+        "Accepted/x_l20_s1_mpnn1_model1.pdb": lambda: model(0.87), "Accepted/Animation/x.html": "",
+        "Accepted/Ranked/1_x_l20_s1_mpnn1_model1.pdb": lambda: model(0.87), "designs.csv": "Rank\n",
     },
     "ESMFold2": {"x.cif": lambda: model(0.87), "x.pdb": lambda: model(0.87)},
 }  # fmt: skip
-SAID = {
+REPORTED = {
+    "Chai-1": ("LIG1 of chain B stays in place",),
     "RFdiffusion3": ("virtual atoms V0", "residue 20 UNK of chain A: taken as ALA"),
     "BoltzGen": ("CB, CG, OD1, ND2 at the origin or upon CA: taken as missing",),
 }
-
-
-def relaxed(folder, tmp_path, *more):
-    status = run("relax", folder, "-o", tmp_path / "out", "--workers", "1", *more)
-    return status, pd.read_csv(tmp_path / "out" / "relaxed.csv")
 
 
 def make(folder, files):
@@ -147,35 +143,40 @@ def make(folder, files):
         written(folder / name, content() if callable(content) else content)
 
 
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """All folders, relaxed by one command."""
+    raw, out = tmp_path_factory.mktemp("raw"), tmp_path_factory.mktemp("made") / "out"
+    for program, files in FOLDERS.items():
+        make(raw / program, files)
+    assert run("relax", raw, "-o", out, "--workers", "1") == 0
+    return out, pd.read_csv(out / "relaxed.csv")
+
+
 @pytest.mark.parametrize("program", FOLDERS)
-def test_a_folder_of_a_program_goes_through_in_one_command(tmp_path, program):
-    folder, files = tmp_path / "raw", FOLDERS[program]
-    make(folder, files)
-    status, table = relaxed(folder, tmp_path)
-    assert status == 0 and {*table["status"]} == {"converged"}
+def test_a_folder_of_a_program_goes_through(done, program):
+    (out, table), files = done, FOLDERS[program]
+    table = table[table["structure"].str.startswith(f"{program}/")]
+    assert {*table["status"]} == {"converged"}
     assert len(table) == sum(callable(content) for content in files.values())
-    repairs = "; ".join(table["repairs"].fillna(""))
-    assert all(each in repairs for each in SAID.get(program, ()))
+    repairs = "; ".join(table["repairs"])
+    assert all(each in repairs for each in REPORTED.get(program, ()))
     for name, content in files.items():
-        if callable(content):
-            continue
-        beside = name.endswith("json") and "confidence" in name
-        assert (tmp_path / "out" / name).exists() is (beside or name.startswith("scores."))
+        if not callable(content):
+            goes_along = name.rpartition("/")[2].startswith(("scores.", "affinity_", "plddt_"))
+            goes_along |= "confidence" in name and name.endswith(".json")
+            assert (out / program / name).exists() is goes_along
 
 
 def test_a_ligand_without_a_name_of_its_own_gets_its_chemistry(tmp_path):
-    make(tmp_path / "raw", FOLDERS["Chai-1"])
-    _, (_, plain) = (
-        relaxed(tmp_path / "raw", tmp_path)[0],
-        next(relaxed(tmp_path / "raw", tmp_path)[1].iterrows()),
-    )
-    assert "LIG1" in plain["repairs"] and "stays in place" in plain["repairs"]
-    status, table = relaxed(tmp_path / "raw", tmp_path / "again", "--ligand", "LIG1=Oc1ccccc1")
-    assert status == 0 and "LIG1 of chain B moves" in table["repairs"][0]
+    make(tmp_path, FOLDERS["Chai-1"])
+    out = tmp_path / "out"
+    assert run("relax", tmp_path, "-o", out, "--workers", "1", "--ligand", "LIG1=Oc1ccccc1") == 0
+    assert "LIG1 of chain B moves" in pd.read_csv(out / "relaxed.csv")["repairs"][0]
 
 
 @pytest.mark.parametrize("sequence", [{}, {"sequence": "NLYIQWLKDGGPSSGRPPPS"}, {"sequence": "A" * 20}])
-def test_samples_of_bioemu_have_a_sequence_or_not(tmp_path, sequence, capsys):
+def test_samples_of_bioemu_have_a_sequence_or_not(tmp_path, sequence):
     s = model()
     at = {name: np.array([r[name][0].pos.tolist() for r in s[0]["A"]]) / 10 for name in ("N", "CA", "C")}
     along = at["C"] - at["CA"]
@@ -187,11 +188,12 @@ def test_samples_of_bioemu_have_a_sequence_or_not(tmp_path, sequence, capsys):
     batch, topology = tmp_path / "batch_0000000_0000002.npz", tmp_path / "topology.pdb"
     np.savez(batch, pos=[at["CA"]] * 2, node_orientations=[turn] * 2, **sequence)
     written(topology, bare(s))
-    status = run("relax", topology, "--trajectory", batch, "-o", tmp_path / "r.xtc", "--workers", "1")
+    command = ("relax", topology, "--trajectory", batch, "-o", tmp_path / "r.xtc", "--workers", "1")
     if sequence == {"sequence": "A" * 20}:
-        assert status == 2 and "give the topology of the frames" in capsys.readouterr().err
-    else:
-        made = mdtraj.load(tmp_path / "r.xtc", top=tmp_path / "r.pdb")
-        alpha = made.xyz[:, made.topology.select("name CA")]
-        assert status == 0 and len(made) == 2
-        assert np.abs(alpha - alpha.mean(1)[:, None] - (at["CA"] - at["CA"].mean(0))).max() < 0.05
+        assert "give the topology of the frames" in refusal(*command)
+        return
+    assert run(*command) == 0
+    made = mdtraj.load(tmp_path / "r.xtc", top=tmp_path / "r.pdb")
+    alpha = made.xyz[:, made.topology.select("name CA")]
+    assert len(made) == 2
+    assert np.abs(alpha - alpha.mean(1)[:, None] - (at["CA"] - at["CA"].mean(0))).max() < 0.05
