@@ -10,7 +10,7 @@ from protochain.batches.cluster import Processes, at_work
 from protochain.batches.supervise import supervise
 from protochain.core.errors import ProtochainError
 from protochain.setup import Setup
-from protochain.structure.confidences import confidence_files
+from protochain.structure.confidences import confidence_files, confidence_in
 from protochain.structure.select import sides, sides_named, touching_chains
 from protochain.validation.interface import Interface, native, scored
 
@@ -50,9 +50,9 @@ class ScoreJob:
             pairs = [sides_named(structure, each) for each in self.interfaces] or touching_chains(structure)
             if not pairs:
                 raise ProtochainError(f"{self.named}: no two of its chains are in contact; give a complex")
-            energy, beside = native(setup.energy(structure)), confidence_files(self.path)
+            energy, given = native(setup.energy(structure)), confidence_in(confidence_files(self.path))
             for pair in pairs:
-                yield self.named, scored(structure, energy, *pair, sides(structure, *pair), beside)
+                yield self.named, scored(structure, energy, *pair, sides(structure, *pair), given)
         except ProtochainError as error:
             yield self.named, str(error)
 

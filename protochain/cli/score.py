@@ -30,7 +30,8 @@ _SHOWN = {
     "energy_kj_mol": "energy", "buried_area_angstrom2": "area", "shape_complementarity": "Sc",
     "hydrogen_bonds": "H bonds", "salt_bridges": "salt", "unsatisfied_polar_atoms": "unsat.",
     "clashes": "clashes", "contacts": "contacts",
-    "interface_plddt": "pLDDT", "iptm": "ipTM", "pdockq": "pDockQ",
+    "interface_plddt": "pLDDT", "iptm": "ipTM", "pae_angstrom": "PAE",
+    "ipsae": "ipSAE", "pdockq": "pDockQ", "pdockq2": "pDockQ2",
 }  # fmt: skip
 """Columns of the terminal; kJ/mol and square angstrom."""
 

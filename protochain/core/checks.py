@@ -347,6 +347,12 @@ def ligands(given: Any, name: str) -> tuple[LigandSource, ...]:
 
 
 def _ligand(given: Any, name: str) -> LigandSource:
+    last = str(given[-1] if isinstance(given, tuple | list) and given else given).rpartition("=")[2]
+    if last.lower().endswith(".pdbqt"):
+        to = last[: -len("pdbqt")] + "sdf"
+        raise refused(
+            name, shown(given), f"convert it: mk_export.py {last} -s {to}, or obabel {last} -O {to}"
+        )
     if isinstance(given, tuple | list) and len(given) == 2:
         its, source = given
     else:

@@ -241,6 +241,10 @@ def _verdict(
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
     fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]
     measured += f"; fixed, not relaxed: {listed(fixed)}" if fixed else ""
+    found = violations(structure, end.x)
+    broken = int((found.per_residue & ~mendable(structure, found)).sum())
+    where = f"; {counted(broken, 'residue')} with violations at breaks of the chain: model what is missing"
+    measured += where if broken else ""
     return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
         inverted=_spoiled(structure, end.x),
@@ -271,13 +275,11 @@ def left_in_words(structure: Structure, x: Floats) -> list[str]:
     peptides = PeptideBonds.of(structure).wrong(x)
     twisted = _bonds_before(structure, x, np.setdiff1d(peptides, _lost(structure, x)))
     others += [f"twisted peptide bonds: {listed(twisted)}"] if twisted else []
-    found = violations(structure, x)
-    residues = found.residues.tolist()
+    # A break of the chain is no fault of the model: it is cropped, and its numbers may run on.
+    residues = np.flatnonzero(mendable(structure, violations(structure, x))).tolist()
     if not residues:
         return others
     named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
     more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
     left = f"{counted(len(residues), 'residue is', 'residues are')} left with violations"
-    broken = int((found.per_residue & ~mendable(structure, found)).sum())
-    why = f"; {broken} of them at breaks of the chain, which stay: model what is missing" if broken else ""
-    return [*others, f"{left}: {', '.join(named)}{more}{why}"]
+    return [*others, f"{left}: {', '.join(named)}{more}"]

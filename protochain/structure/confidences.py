@@ -1,4 +1,4 @@
-"""Confidence files that predictors write beside a model: copies of them beside a result, and their ipTM.
+"""Confidence files that predictors write beside a model: copies of them beside a result, and what they say.
 
 They are found by the names that each program gives, never by looking into files or folders.
 """
@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
+import gemmi
 import numpy as np
 
+from protochain.core.arrays import Floats
 from protochain.core.storage import write_atomically
 from protochain.structure.files import split_name
 
@@ -23,8 +25,8 @@ _LARGEST = 1_000_000_000
 _PATTERNS = (
     # AlphaFold 3, RoseTTAFold 3; OpenFold 3.
     (
-        r"(.+)_model",
-        (r"\1_summary_confidences.json", r"\1_confidences.json", r"\1_confidences_aggregated.json"),
+        r"(.+_)?model",
+        (r"\1summary_confidences.json", r"\1confidences.json", r"\1confidences_aggregated.json"),
     ),
     # AlphaFold Server.
     (r"(.+)_model_(\d+)", (r"\1_summary_confidences_\2.json", r"\1_full_data_\2.json")),
@@ -35,7 +37,8 @@ _PATTERNS = (
     (r"pred\.(model_idx_\d+)", (r"scores.\1.npz",)),
     # Protenix.
     (r"(.+)_(sample_\d+)", (r"\1_summary_confidence_\2.json", r"\1_full_data_\2.json")),
-    # ColabFold.
+    # AlphaFold 2, ColabFold.
+    (r"(?:un)?relaxed_(model_.+)", (r"confidence_\1.json", r"pae_\1.json")),
     (r"(.+)_(?:un)?relaxed_(rank_.+)", (r"\1_scores_\2.json",)),
     # AlphaFold's database.
     (r"(AF-.+)-model_(v\d+)", (r"\1-confidence_\2.json", r"\1-predicted_aligned_error_\2.json")),
@@ -93,10 +96,24 @@ def copy_confidences(model: Path, result: Path) -> Copied:
 
 
 class Confidence(NamedTuple):
-    """What confidence files say of a complex: ipTM, and that of each pair of chains, or nothing."""
+    """What confidence files say of a complex.
+
+    Parameters
+    ----------
+    iptm : float or None
+        Of the whole model.
+    pairs : list or dict
+        IpTM of pairs of chains: rows by the place of the chains, or by their names.
+    pae : (nt, nt) float, angstrom, optional
+        Predicted error of every token, its column, aligned on another, its row.
+    order : tuple of str
+        Chains in the order of the tokens; that of the model file if empty.
+    """
 
     iptm: float | None
-    pairs: tuple[tuple[float, ...], ...] = ()
+    pairs: Any = ()
+    pae: Floats | None = None
+    order: tuple[str, ...] = ()
 
     def between(self, chains: Sequence[str], one: Set[str], other: Set[str]) -> float | None:
         """IpTM of two sides.
@@ -104,7 +121,7 @@ class Confidence(NamedTuple):
         Parameters
         ----------
         chains : sequence of str
-            All of the model, in its order.
+            All of the model file, in its order.
         one, other : set of str
             Those of either side.
 
@@ -114,42 +131,92 @@ class Confidence(NamedTuple):
             Mean over the pairs of their chains, either taken as the frame; the whole model's if it has two
             chains and the files do not tell of pairs.
         """
-        if len(self.pairs) == len(chains):
-            place = {name: k for k, name in enumerate(chains)}
-            both = [(place[a], place[b]) for a in one for b in other if a != b]
-            values = [self.pairs[i][j] for a, b in both for i, j in ((a, b), (b, a))]
-            return sum(values) / len(values) if values else None
-        return self.iptm if len(chains) == 2 and not self.pairs else None
+        if not self.pairs:
+            return self.iptm if len(chains) == 2 else None
+        chains = self.order or chains
+        if isinstance(self.pairs, dict):
+            told = {tuple(re.findall(r"[^(),\s-]+", key)): value for key, value in self.pairs.items()}
+        else:
+            told = {
+                (a, b): value
+                for a, row in zip(chains, self.pairs, strict=False)
+                for b, value in zip(chains, row, strict=False)
+            } if len(self.pairs) == len(chains) else {}  # fmt: skip
+        both = [pair for a in one for b in other if a != b for pair in ((a, b), (b, a))]
+        values = [float(told[pair]) for pair in both if told.get(pair) is not None]
+        return sum(values) / len(values) if values else None
+
+    def tokens(self, atoms: Sequence[str]) -> dict[tuple[str, str], int]:
+        """Token of each residue, by chain and number: its only one, or that of its CA or C1'.
+
+        Parameters
+        ----------
+        atoms : sequence of str
+            All of the model file, in its order, as ``A/17/GLU/CG``.
+
+        Returns
+        -------
+        dict
+            Empty if the atoms do not have as many tokens as the files: one of a standard residue, one of each
+            heavy atom of all others.
+        """
+        if self.pae is None:
+            return {}
+        residues: dict[str, dict[tuple[str, str], list[str]]] = {name: {} for name in self.order}
+        for atom in atoms:
+            chain, number, residue, name = atom.split("/")[:4]
+            its = residues.setdefault(chain, {}).setdefault((number, residue), [])
+            if name == residue or not name.lstrip("0123456789").startswith("H"):
+                its.append(name)
+        found, n = {}, 0
+        for chain, each in residues.items():
+            for (number, residue), names in each.items():
+                single = gemmi.find_tabulated_residue(residue).is_standard()
+                place = next((names.index(name) for name in ("CA", "C1'") if name in names), 0)
+                found[chain, number] = n + (0 if single else place)
+                n += 1 if single else len(names)
+        return found if n == len(self.pae) else {}
 
 
 def confidence_in(files: Sequence[Path]) -> Confidence | None:
-    """Read ipTM from the confidence files of a model; None without files. What cannot be read is left out."""
-    found = [each for path in files if (each := _read(path))]
-    return max(found, key=lambda each: len(each.pairs)) if found else Confidence(None) if files else None
+    """Read the confidence files of a model; None without files. What cannot be read is left out."""
+    if not files:
+        return None
+    told: dict[str, Any] = {}
+    for path in files:
+        told = _read(path) | told
+    try:
+        iptm, pairs = told.get("iptm"), next((told[name] for name in _OF_PAIRS if name in told), ())
+        if isinstance(pairs, dict) and all(isinstance(row, dict) for row in pairs.values()):
+            # Boltz tells places, not names.
+            pairs = [[pairs[a][b] for b in sorted(pairs, key=int)] for a in sorted(pairs, key=int)]
+        errors = next((told[name] for name in _OF_ERRORS if name in told), None)
+        pae = None if errors is None else np.array(errors, dtype=float)
+        if pae is not None and pae.shape != (len(pae), len(pae)):
+            return Confidence(None)
+        order = tuple(dict.fromkeys(map(str, told.get("token_chain_ids", ()))))
+        return Confidence(None if iptm is None else float(iptm), pairs, pae, order)
+    except (ValueError, TypeError, KeyError):
+        return Confidence(None)
 
 
-def _read(path: Path) -> Confidence | None:
+def _read(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > _LARGEST_READ:
-            return None
+            return {}
         if path.suffix == ".npz":
             with np.load(path) as file:
-                told = {name: file[name].squeeze().tolist() for name in file if "iptm" in name}
-        else:
-            told = json.loads(path.read_text(encoding="utf-8"))
-        pairs: Any = next((told[name] for name in _OF_PAIRS if name in told), [])
-        if isinstance(pairs, dict):
-            names = sorted(pairs, key=int)
-            pairs = [[pairs[a][b] for b in names] for a in names]
-        matrix = tuple(tuple(map(float, row)) for row in pairs)
-        if "iptm" not in told or any(len(row) != len(matrix) for row in matrix):
-            return None
-        return Confidence(None if told["iptm"] is None else float(told["iptm"]), matrix)
-    except (OSError, ValueError, TypeError, KeyError, BadZipFile):
-        return None
+                return {name: file[name].squeeze().tolist() for name in {*file} & {"iptm", *_OF_PAIRS, "pae"}}
+        told = json.loads(path.read_text(encoding="utf-8"))
+        told = told[0] if isinstance(told, list) and told else told
+        return told if isinstance(told, dict) else {}
+    except (OSError, ValueError, TypeError, BadZipFile):
+        return {}
 
 
-_OF_PAIRS = ("chain_pair_iptm", "pair_chains_iptm", "per_chain_pair_iptm")
-"""Names of what AlphaFold 3 and Protenix, Boltz, and Chai say of pairs of chains."""
-_LARGEST_READ = 20_000_000
-"""Bytes. Larger ones hold the errors of all pairs of residues."""
+_OF_PAIRS = ("chain_pair_iptm", "pair_chains_iptm", "per_chain_pair_iptm", "pairwise_iptm")
+"""Names of what AlphaFold 3, OpenFold 3 and Protenix, Boltz, Chai, and ColabFold say of pairs of chains."""
+_OF_ERRORS = ("pae", "token_pair_pae", "predicted_aligned_error")
+"""Names of the errors of pairs of tokens: of most, of Protenix, and of AlphaFold 2."""
+_LARGEST_READ = 200_000_000
+"""Bytes: some 4000 tokens."""

@@ -267,7 +267,10 @@ def _by_name(s: Structure, frames: Frames) -> Integers:
 def _of_backbones(s: Structure, frames: Frames) -> Integers:
     amino = [r for r in range(s.n_residues) if {*BACKBONE} <= {*s.atom_name[s.atom_residue == r].tolist()}]
     own = gemmi.one_letter_code([str(s.residue_name[r]) for r in amino]).upper()
-    if own != frames.sequence or s.kept.any() or len(amino) < s.n_residues:
+    fits = len(own) == len(frames.sequence) and all(
+        a in (b, "X") for a, b in zip(frames.sequence, own, strict=True)
+    )
+    if not fits or s.kept.any() or len(amino) < s.n_residues:
         raise StructureError(
             f"{frames.source}: holds backbones of {frames.sequence}, but {s.name} is {own}"
             f"{' and other molecules' * bool(s.kept.any())}; give the topology of the frames"

@@ -76,7 +76,8 @@ class Frames:
     path : Path, optional
         File from which other processes can read them.
     sequence : str
-        Of a protein of which a frame has N, CA, C and O of each residue, in that order, and no others.
+        Of a protein of which a frame has N, CA, C and O of each residue, in that order, and no others; X if
+        the file does not tell it.
     """
 
     source: str
@@ -463,10 +464,10 @@ def _npz(path: Path) -> Frames:
     try:
         with np.load(path, allow_pickle=False) as file:
             shapes = {name: _header(path, name)[0] for name in file.files}
-            of_backbones = {"pos", "node_orientations", "sequence"} <= shapes.keys()
+            of_backbones = {"pos", "node_orientations"} <= shapes.keys()
             name = next((name for name in ("positions", "pos") if name in shapes), None)
             unit = "nm" if of_backbones else str(file["unit"]) if "unit" in shapes else ""
-            sequence = str(file["sequence"]) if of_backbones else ""
+            sequence = str(file["sequence"]) if of_backbones and "sequence" in shapes else ""
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise StructureError(
             f"{path}: cannot be read as NPZ: {error}; write it again by numpy.savez"
@@ -480,6 +481,7 @@ def _npz(path: Path) -> Frames:
             "add unit='nm' or unit='angstrom' to its arrays"
         )
     count, n_atoms = shapes[name][:2]
+    sequence = sequence or "X" * n_atoms * of_backbones
     if of_backbones and not (
         shapes["node_orientations"] == (count, n_atoms, 3, 3) and len(sequence) == n_atoms
     ):

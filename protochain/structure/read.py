@@ -4,6 +4,7 @@ gemmi parses the file. Whatever is left out or changed is reported in ``repairs`
 raises an error of one line.
 """
 
+import re
 import sys
 from collections import Counter
 from collections.abc import Iterable
@@ -274,6 +275,7 @@ class _Reader:
         run: list[Member] = []
         for group, letter in places:
             found = likeliest(group, letter)
+            self._leave_virtual(found.residue)
             self.notes: list[Repair] = []
             if self._is_protein(found.residue):
                 self._report_alternates(found)
@@ -295,6 +297,16 @@ class _Reader:
             )
         note_unresolved(self.draft, run)
         self.runs += self._unbroken(run)
+
+    def _leave_virtual(self, residue: gemmi.Residue) -> None:
+        """Leave out what RFdiffusion3 pads amino acids with, V0 to V8."""
+        virtual = [a.name for a in residue if re.fullmatch(r"V[0-8]", a.name)] if "CA" in residue else []
+        if virtual:
+            for name in virtual:
+                residue.remove_atom(name, "*")
+            self.draft.note(
+                Kind.VIRTUAL, residue=_in_file(self.chain_id, residue), atoms=tuple(dict.fromkeys(virtual))
+            )
 
     @property
     def _chain(self) -> str:

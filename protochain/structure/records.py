@@ -214,10 +214,16 @@ class _There:
         for end in ("", "_1", "_2"):
             if f"label_asym_id{end}" in row:
                 seq = row.get(f"label_seq_id{end}", ".")
-                key = (_plain(row[f"label_asym_id{end}"]), "." if seq in _NO_VALUE else seq)
-                if key not in self.residue:
+                asym = _plain(row[f"label_asym_id{end}"])
+                key = (asym, "." if seq in _NO_VALUE else seq)
+                # Predictors number ligands and ions, which have no place in a sequence.
+                now = self.residue.get(key) or self.residue.get((asym, "."))
+                if now is None:
                     return None
-                for item, value in zip(("asym_id", "seq_id", "comp_id"), self.residue[key], strict=True):
+                values = dict(zip(("asym_id", "seq_id", "comp_id"), now, strict=True))
+                if key not in self.residue:
+                    del values["seq_id"]
+                for item, value in values.items():
                     if f"label_{item}{end}" in row:
                         row[f"label_{item}{end}"] = value if value == "." else _quoted(value)
         for item, value in row.items():

@@ -98,6 +98,7 @@ class Kind(Enum):
     RENAMED = Words("{residue}: taken as {name}")
     STATE_NAMED = Words("{residue}: taken as {name} in protonation state {state}")
     NO_PLACE = Words("{residue}: {atoms} at the origin or upon CA: taken as missing")
+    VIRTUAL = Words("{residue}: virtual atoms {atoms} left out", "virtual atoms left out")
     SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
     CONVERTED = Words(
         "{residue}: converted to its standard parent {name}",

@@ -345,6 +345,8 @@ def _of_atoms(given: str, heavy: set[str]) -> str:
 
     Programs call residues as they like: GLUP, ARN, RA, and A for the DNA of old files.
     """
+    if given == "UNK" and {"N", "CA", "C"} <= heavy <= {"N", "CA", "C", "O", "CB", *_OF_ENDS}:
+        return "ALA" if "CB" in heavy else "GLY"
     is_nucleic, is_amino = bool(heavy & {"C1'", "C1*"}), {"N", "CA", "C", "O", "CB"} < heavy
     if (
         not (is_nucleic or is_amino)

@@ -24,6 +24,7 @@ from protochain.energies.protocol import Energy, an_energy
 from protochain.structure.confidences import Confidence, confidence_files, confidence_in
 from protochain.structure.convert import as_structure, to_mdtraj
 from protochain.structure.model import Structure
+from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.select import contacts, sides
 from protochain.validation.bonding import hydrogen_bonds, salt_bridges
 from protochain.validation.clashes import clashes
@@ -74,7 +75,10 @@ CONFIDENCES: Mapping[str, Score] = MappingProxyType(
     {
         "interface_plddt": Score("pLDDT of the residues in contact", 1),
         "iptm": Score("ipTM of the two sides", 1),
+        "pae_angstrom": Score("mean predicted aligned error between the sides", -1),
+        "ipsae": Score("ipSAE, the larger of both directions", 1),
         "pdockq": Score("pDockQ", 1),
+        "pdockq2": Score("pDockQ2, the larger of both directions", 1),
     }
 )
 """Columns of predicted models."""
@@ -93,6 +97,10 @@ _NONBONDED = ("lennard_jones", "coulomb", *_SOLVATED)
 _DOCKQ, _DOCKQ_REACH = (0.724, 152.611, 0.052, 0.018), 0.8
 """Of pDockQ: L, x0, k, b; nm between C-betas in contact. Bryant, Pozzati, Elofsson, Nat. Commun. 13:1265
 (2022)."""
+_DOCKQ2, _DOCKQ2_ERROR = (1.31, 84.733, 0.075, 0.005), 10.0
+"""Of pDockQ2: L, x0, k, b; angstrom. Zhu, Shenoy, Kundrotas, Elofsson, Bioinformatics 39:btad424 (2023)."""
+_SAE_ERROR = 10.0
+"""Angstrom of predicted error below which ipSAE counts a pair: the default of Dunbrack's program."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,7 +217,7 @@ def score_interface(
     parts = sides(structure, first, second)
     made = as_energy(energy, structure, source, **given(forcefield=forcefield, solvent=solvent))
     beside = confidence_files(Path(source)) if isinstance(source, str | Path) else ()
-    return scored(structure, native(made), first, second, parts, beside)
+    return scored(structure, native(made), first, second, parts, confidence_in(beside))
 
 
 def native(energy: Energy) -> NativeEnergy:
@@ -232,9 +240,9 @@ def scored(
     first: str,
     second: str,
     parts: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-    beside: Sequence[Path] = (),
+    given: Confidence | None = None,
 ) -> Interface:
-    """Score an interface whose sides (nr,) and energy are known, with the confidence files of a model."""
+    """Score an interface whose sides (nr,) and energy are known, with the confidence of a model."""
     import pandas as pd
 
     n, of = structure.n_residues, structure.atom_residue
@@ -278,7 +286,7 @@ def scored(
         "residues_1": len(touched[0]),
         "residues_2": len(touched[1]),
         "contacts_per_residue": 2.0 * len(touching) / counts if counts else None,
-        **_confidences(structure, parts, touching, confidence_in(beside)),
+        **_confidences(structure, parts, touching, given),
     }  # fmt: skip
     scores = {key: value if value is None or np.isfinite(value) else None for key, value in scores.items()}
 
@@ -394,29 +402,93 @@ def _confidences(
         np.bincount(of, minlength=structure.n_residues), 1
     )
     # Some programs write shares.
-    plddt = per_residue * (100.0 if np.nanmax(per_residue, initial=0.0) <= 1.0 else 1.0)
-    chains = [*dict.fromkeys(structure.residue_chain.tolist())]
-    names = [{*structure.residue_chain[part].tolist()} for part in parts]
-    return {
-        "interface_plddt": float(plddt[np.unique(touching)].mean()) if len(touching) else None,
-        "iptm": None if given is None else given.between(chains, *names),
-        "pdockq": _pdockq(structure, parts, plddt),
+    scale = 100.0 if np.nanmax(per_residue, initial=0.0) <= 1.0 else 1.0
+    near, plddt = _near_betas(structure, parts), scale * structure.b_factor
+    found: dict[str, float | None] = {
+        **dict.fromkeys(CONFIDENCES),
+        "interface_plddt": scale * float(per_residue[np.unique(touching)].mean()) if len(touching) else None,
+        "pdockq": _docking(_DOCKQ, plddt, near, np.log10(max(len(near), 1))),
     }
+    if given is None or structure.origin is None:
+        return found
+    atoms = structure.origin.atoms
+    chains = [*dict.fromkeys(atom.split("/", 1)[0] for atom in atoms)]
+    found["iptm"] = given.between(
+        chains, *({*structure.residue_chain[part].tolist()} for part in parts)
+    )  # fmt: skip
+    return found | _of_errors(structure, parts, near, plddt, given.pae, given.tokens(atoms))
 
 
-def _pdockq(structure: Structure, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]], plddt: Floats) -> float:
-    """PDockQ of two sides; 0 without contacts, as its program says."""
+def _of_errors(
+    structure: Structure,
+    parts: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    near: Integers,
+    plddt: Floats,
+    pae: Floats | None,
+    tokens: Mapping[tuple[str, str], int],
+) -> dict[str, float | None]:
+    """Columns from the predicted errors; those of amino acids and nucleotides, as others have no frame."""
+    numbers = np.char.add(structure.residue_number, structure.residue_insertion_code).tolist()
+    keys = zip(structure.residue_chain.tolist(), numbers, strict=True)
+    token = np.array([tokens.get(key, -1) for key in keys], dtype=np.int64)
+    nucleic = np.isin(structure.residue_name, [*NUCLEOTIDES])
+    framed = nucleic.copy()
+    framed[structure.atom_residue[(structure.atom_name == "CA") & ~structure.kept]] = True
+    one, other = (token[part & framed & (token >= 0)] for part in parts)
+    if pae is None or not (len(one) and len(other)):
+        return {}
+    least = 2.0 if any(nucleic[part].any() for part in parts) else 1.0
+    errors = pae[np.ix_(one, other)], pae[np.ix_(other, one)]
+    ends = token[structure.atom_residue[near]]
+    near_errors = [pae[ends[:, a], ends[:, 1 - a]] for a in (0, 1)]
+    return {
+        "pae_angstrom": float(np.mean([each.mean() for each in errors])),
+        "ipsae": max(ipsae(each, least) for each in errors),
+        "pdockq2": max(
+            _docking(_DOCKQ2, plddt, near, (1.0 / (1.0 + (each / _DOCKQ2_ERROR) ** 2)).mean())
+            for each in near_errors
+        ) if len(near) else 0.0,
+    }  # fmt: skip
+
+
+def ipsae(errors: Floats, least: float = 1.0) -> float:
+    """IpSAE of one side aligned, the other scored.
+
+    Parameters
+    ----------
+    errors : (n, m) float, angstrom
+        Predicted errors of m residues of one side, aligned on each of n of the other.
+    least : float, angstrom
+        Least distance scale; 2 if one side is of nucleotides.
+
+    Notes
+    -----
+    Dunbrack, bioRxiv 2025.02.10.637595, with the scale by the number of residues that each one aligns well.
+    """
+    well = errors < _SAE_ERROR
+    n = well.sum(axis=1)
+    scale = np.maximum(least, 1.24 * np.cbrt(np.maximum(n, 26) - 15) - 1.8)
+    scores = np.where(well, 1.0 / (1.0 + (errors / scale[:, None]) ** 2), 0.0).sum(axis=1)
+    return float((scores / np.maximum(n, 1)).max())
+
+
+def _near_betas(structure: Structure, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> Integers:
+    """(n, 2) int: C-betas of either side in contact, C-alphas of glycines."""
     names, of = structure.atom_name, structure.atom_residue
     glycine = structure.residue_name[of] == "GLY"
     beta = ~structure.kept & np.where(glycine, names == "CA", names == "CB")
     atoms = [np.flatnonzero(beta & part[of]) for part in parts]
     if not all(map(len, atoms)):
-        return 0.0
+        return np.empty((0, 2), dtype=np.int64)
     one, other = (cKDTree(structure.positions[its]) for its in atoms)
     pairs = one.sparse_distance_matrix(other, _DOCKQ_REACH, output_type="ndarray")
-    if not len(pairs):
+    return np.column_stack([atoms[0][pairs["i"]], atoms[1][pairs["j"]]])
+
+
+def _docking(curve: tuple[float, float, float, float], plddt: Floats, near: Integers, factor: float) -> float:
+    """PDockQ or pDockQ2 by its curve; 0 without contacts, as the programs say."""
+    if not len(near):
         return 0.0
-    residues = of[np.concatenate([np.unique(atoms[0][pairs["i"]]), np.unique(atoms[1][pairs["j"]])])]
-    top, middle, slope, base = _DOCKQ
-    x = float(plddt[residues].mean()) * np.log10(len(pairs))
+    top, middle, slope, base = curve
+    x = float(plddt[np.unique(near)].mean()) * factor
     return float(top / (1.0 + np.exp(-slope * (x - middle))) + base)

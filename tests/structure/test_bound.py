@@ -1,5 +1,7 @@
 """Ligands beside the protein: where their chemistry comes from, their parameters, hydrogens and hands."""
 
+from pathlib import Path
+
 import gemmi
 import numpy as np
 import openmm
@@ -10,7 +12,9 @@ from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
 from protochain.energies.factory import build_system
+from protochain.ligands.sources import of_residue
 from protochain.structure.chirality import chiral_atoms, volume
+from protochain.structure.ligand_files import poses
 from protochain.structure.repairs import Kind
 
 Chem, AllChem = (pytest.importorskip(f"rdkit.Chem{name}") for name in ("", ".AllChem"))
@@ -213,6 +217,8 @@ def test_what_the_force_field_cannot_type_stays_in_place(tmp_path):
         ({"ABC": "CCO"}, "ABC"),
         (["XYZ=CCO", "XYZ=CCC"], "twice"),
         ("CCO", "NAME=SMILES"),
+        ("poses/x.pdbqt", "obabel poses/x.pdbqt -O poses/x.sdf"),
+        ("LIG=x.pdbqt", "mk_export.py x.pdbqt -s x.sdf"),
         (3, "give names and molecules"),
         ({"XYZ": "CC[BH2]"}, "another molecule"),
     ],
@@ -381,6 +387,23 @@ def test_poses_of_a_file_are_joined_each_under_a_name_before_other_ligands(tmp_p
         (bound,) = (b for b in end.ligands if end.residue_name[end.atom_residue[b.atoms[0]]] == "LIG")
         x = 10.0 * end.positions[bound.atoms][bound.ligand.molecule.heavy]
         assert np.abs(x - record.GetConformer().GetPositions()).max() < 2e-3
+
+
+@pytest.mark.parametrize("name", ["", "pose"])
+def test_a_hundred_records_are_as_many_poses(tmp_path, name):
+    """Of two molecules, all of one name or of none, as docking programs write them."""
+    smiles, path = ["CC(=O)NCCS", "OCC(O)CO"], tmp_path / "x.sdf"
+    made = [embedded(each) for each in smiles]
+    with Chem.SDWriter(str(path)) as file:
+        for k in range(100):
+            made[k % 2].SetProp("_Name", name)
+            made[k % 2].SetProp("minimizedAffinity", f"{-k}")
+            file.write(made[k % 2])
+    found = poses(path)
+    assert found == [f"{path}#{k}" for k in range(1, 101)]
+    for k in (0, 1, 49, 98, 99):
+        molecule = of_residue("", given=Path(found[k]))
+        assert molecule.n_atoms == made[k % 2].GetNumAtoms()
 
 
 def test_names_of_smiles_match_nothing(tmp_path):

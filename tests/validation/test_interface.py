@@ -7,6 +7,7 @@ import shutil
 from dataclasses import replace
 
 import biotite.structure
+import gemmi
 import mdtraj
 import numpy as np
 import openmm
@@ -275,20 +276,97 @@ def test_iptm_of_sides_is_the_mean_of_their_chains_both_ways():
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("x.json", '{"iptm": 0.5, "chain_pair_iptm": [[0.9, 0.4], [0.6, 0.8]]}'),
+        ("x.json", '{"iptm": 0.5, "chain_pair_iptm": [[null, 0.4], [0.6, 0.8]]}'),
         ("x.json", '{"iptm": 0.5, "pair_chains_iptm": {"0": {"0": 1, "1": 0.4}, "1": {"0": 0.6, "1": 1}}}'),
+        ("x.json", '{"iptm": 0.5, "chain_pair_iptm": {"(A, B)": 0.5}}'),
+        ("x.json", '{"iptm": 0.9, "pairwise_iptm": {"A-B": 0.5}}'),
         ("x.npz", None),
     ],
 )
 def test_confidences_of_each_program_are_read(tmp_path, name, text):
+    """Of AlphaFold 3 with a single atom, Boltz, OpenFold 3, ColabFold, Chai."""
     path = tmp_path / name
     if text is None:
         np.savez(path, iptm=np.array([0.5]), per_chain_pair_iptm=np.array([[[0.9, 0.4], [0.6, 0.8]]]))
     else:
         path.write_text(text)
-    found = confidence_in([path])
-    assert found.iptm == 0.5 and found.between("AB", {"A"}, {"B"}) == pytest.approx(0.5)
-    assert found.pairs[0][1] == 0.4
+    assert confidence_in([path]).between("AB", {"A"}, {"B"}) == pytest.approx(0.5)
+
+
+def test_iptm_of_chains_is_by_the_order_of_the_tokens(tmp_path):
+    """A job that lists its ligand first, whose model has it last."""
+    summary, full = tmp_path / "x_summary_confidences.json", tmp_path / "x_confidences.json"
+    summary.write_text('{"iptm": 0.5, "chain_pair_iptm": [[1, 0.1, 0.2], [0.1, 1, 0.7], [0.2, 0.7, 1]]}')
+    assert confidence_in([summary]).between("ABL", {"A"}, {"B"}) == 0.1
+    full.write_text('{"token_chain_ids": ["L", "L", "A", "B", "B"]}')
+    assert confidence_in([summary, full]).between("ABL", {"A"}, {"B"}) == 0.7
+
+
+def _slowly(path, pae, sides):
+    """(ipSAE, pDockQ2, mean error) of two chains, by the definitions, with a loop for each sum."""
+    tokens, n = [], 0
+    for chain in gemmi.read_structure(str(path))[0]:
+        for residue in chain:
+            single = gemmi.find_tabulated_residue(residue.name).is_standard()
+            frame = next((k for k, atom in enumerate(residue) if atom.name in ("CA", "C1'")), None)
+            if frame is not None and len(residue) > 1:
+                beta = residue.find_atom("CA" if residue.name == "GLY" else "CB", "*")
+                tokens.append((chain.name, n + (0 if single else frame), beta, residue.name))
+            n += 1 if single else len(residue)
+    assert n == len(pae)
+    sae, docking, everything = [], [], []
+    for a, b in (sides, sides[::-1]):
+        one, other = ([each for each in tokens if each[0] == name] for name in (a, b))
+        least = 2.0 if any(len(each[3]) < 3 for each in one + other) else 1.0
+        for _, i, *_ in one:
+            errors = [pae[i, j] for _, j, *_ in other]
+            everything += errors
+            errors = [error for error in errors if error < 10.0]
+            d0 = 1.24 * (len(errors) - 15) ** (1 / 3) - 1.8 if len(errors) > 26 else 1.0
+            d0 = max(d0, least)
+            sae.append(sum(1 / (1 + (error / d0) ** 2) for error in errors) / max(len(errors), 1))
+        total, count, seen = 0.0, 0, {}
+        for _, i, first, _ in one:
+            for _, j, second, _ in other:
+                if first and second and first.pos.dist(second.pos) <= 8.0:
+                    total, count = total + 1 / (1 + (pae[i, j] / 10.0) ** 2), count + 1
+                    seen |= {i: first.b_iso, j: second.b_iso}
+        if count:
+            x = sum(seen.values()) / len(seen) * total / count
+            docking.append(1.31 / (1 + np.exp(-0.075 * (x - 84.733))) + 0.005)
+    return max(sae), max(docking, default=0.0), sum(everything) / len(everything)
+
+
+@pytest.mark.parametrize("name", ["3i40.pdb", "1ysa.pdb"])
+def test_scores_from_errors_are_those_of_their_definitions(tmp_path, name):
+    """Two chains of protein, and one at DNA, of a job that lists a ligand first."""
+    structure, rng = gemmi.read_structure(str(STRUCTURES / name)), np.random.default_rng(7)
+    structure.remove_alternative_conformations()
+    structure.remove_waters()
+    model, sides_named = structure[0], {"3i40.pdb": ("A", "B"), "1ysa.pdb": ("A", "C")}[name]
+    for atom in [place.atom for place in model.all()]:
+        atom.b_iso = rng.uniform(60.0, 99.0)
+    if name == "3i40.pdb":
+        model["A"][3].name = "XYZ"  # Modified: a token for each atom.
+    ligand = gemmi.Chain("Z")
+    ligand.add_residue(gemmi.read_structure(str(STRUCTURES / "1l2y.pdb"))[0]["A"][0])
+    ligand[0].name, ligand[0].het_flag = "QQQ", "H"
+    model.add_chain(ligand, 0)
+    structure.remove_hydrogens()
+    path = tmp_path / "x_model_0.cif"
+    structure.setup_entities()
+    structure.make_mmcif_document().write_file(str(path))
+    n = sum(
+        1 if gemmi.find_tabulated_residue(residue.name).is_standard() else len(residue)
+        for chain in gemmi.read_structure(str(path))[0] for residue in chain
+    )  # fmt: skip
+    pae = rng.uniform(0.3, 14.0, (n, n))
+    np.savez(tmp_path / "pae_x_model_0.npz", pae=pae)
+    found = pc.score_interface(path, *sides_named, solvent="vacuum").scores
+    sae, docking, mean = _slowly(path, pae, sides_named)
+    assert found["ipsae"] == pytest.approx(sae, rel=1e-12)
+    assert found["pdockq2"] == pytest.approx(docking, rel=1e-6)
+    assert found["pae_angstrom"] == pytest.approx(mean, rel=1e-12)
 
 
 @pytest.mark.parametrize(
