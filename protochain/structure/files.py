@@ -55,6 +55,8 @@ _HEAVIEST = 111
 """Atomic number of the last element that OpenMM knows."""
 _UNKNOWN = "UNL"
 """Name of the PDB for ligands of unknown kind; mmCIF has no empty names."""
+_NAMELESS = "X"
+"""Name of atoms without one, as of an unknown element."""
 _FARTHEST = 1e5
 """Angstrom. Larger coordinates are refused."""
 
@@ -497,6 +499,7 @@ def _without_oddities(structure: gemmi.Structure) -> None:
         for place in model.all():
             if not place.residue.name.strip():
                 place.residue.name = _UNKNOWN
+            place.atom.name = place.atom.name.strip() or _NAMELESS
             if place.residue.seqid.icode == "\0":
                 place.residue.seqid.icode = " "
             if place.atom.element.atomic_number > _HEAVIEST:
