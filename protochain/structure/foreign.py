@@ -51,9 +51,7 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
         files = [path, _beside(path, _POSITIONS[suffix], "coordinate")]
     else:
         # A .crd file beside a topology of Amber is Amber's; that of CHARMM tells atoms from Drude particles.
-        beside = [
-            its for end in _POSITIONS if (its := path.with_suffix(end)).exists() and path.suffix == ".crd"
-        ]
+        beside = [its for end in _POSITIONS if suffix == ".crd" and (its := path.with_suffix(end)).exists()]
         files = [*beside[:1], path]
     formats = {"topology_format": _ALONE[suffix]} if len(files) == 1 else {}
     if len(files) == 2 and files[0].suffix != ".psf":
