@@ -30,7 +30,7 @@ SUFFIXES = (*_POSITIONS, *_ALONE, *_TOPOLOGY)
 """Suffixes of what :func:`by_mdanalysis` reads."""
 
 _LIGHTEST = 0.9
-"""amu: what a topology has lighter than this is no atom, but a lone pair, a Drude particle, a water's site."""
+"""amu: what a topology has lighter than this is no atom but a lone pair, a Drude particle or a site."""
 
 
 def by_mdanalysis(path: Path) -> gemmi.Structure:
