@@ -194,7 +194,9 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     refuse_crowds([atom for member in there for atom in member.atoms], draft.source)
     known = templates(reading.forcefield)
     draft.parts += choose(draft, beside, reading.keep, known, chemistry)
-    if not any(not part.obstacle or part.is_strand for part in draft.parts):
+    # A trace of single atoms is no strand.
+    usable = [p for p in draft.parts if not p.obstacle or (p.is_strand and len(p.members[0].atoms) > 1)]
+    if not usable:
         raise StructureError(f"{draft.source}: ", *_nothing_told(beside))
     chemist = Chemist(draft, chemistry, known)
     draft.links = find_links(draft, partial(fragments.settle, draft, chemist))
