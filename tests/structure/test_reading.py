@@ -510,7 +510,7 @@ def test_atoms_without_names_and_molecules_without_numbers_get_them_and_amino_ac
     document.write_file(str(tmp_path / "x.cif"))
     with pytest.raises(pc.ProtochainError, match="atom X does not belong"):
         pc.load(tmp_path / "x.cif")
-    table[4][3] = table[4][4] = "?"
+    table[1][3] = table[1][4] = "?"
     document.write_file(str(tmp_path / "x.cif"))
     with pytest.raises(pc.ProtochainError, match="auth_seq_id"):
         pc.load(tmp_path / "x.cif")
