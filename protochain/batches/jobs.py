@@ -398,7 +398,8 @@ def _is_inside(path: Path, folder: Path | None) -> bool:
 
 
 def _is_structure(path: Path) -> bool:
-    return bool(format_of(path)) and path.is_file()
+    # What is not there, though a folder lists it, is a link to nothing.
+    return bool(format_of(path)) and (path.is_file() or not path.exists())
 
 
 def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:

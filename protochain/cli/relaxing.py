@@ -82,9 +82,9 @@ def _twisted(structure: "Structure") -> list[str]:
 
 def _breaks(structure: "Structure") -> list[str]:
     """Breaks in chains, in words."""
-    mine = sorted({*structure.atom_residue[~structure.kept].tolist()})
+    mine = np.unique(structure.atom_residue[~structure.kept])
     _, first = np.unique(structure.residue_chain_index[mine], return_index=True)
-    n = len(first) - len({*structure.residue_chain[np.array(mine)[first]].tolist()})
+    n = len(first) - len({*structure.residue_chain[mine[first]].tolist()})
     return (
         [f"{n} chain break{'s' * (n > 1)}, which stay{'s' * (n == 1)} as {'they are' if n > 1 else 'it is'}"]
         if n > 0

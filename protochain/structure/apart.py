@@ -140,7 +140,8 @@ def refuse_crowds(atoms: Sequence[gemmi.Atom], source: str) -> None:
     StructureError
         Telling how many pairs there are.
     """
-    tree = KDTree([atom.pos.tolist() for atom in atoms if not atom.is_hydrogen()])
+    heavy = [atom.pos.tolist() for atom in atoms if not atom.is_hydrogen()]
+    tree = KDTree(np.reshape(heavy, (-1, 3)))
     pairs = (int(tree.count_neighbors(tree, _CROWD)) - tree.n) // 2
     least, more = _CROWDED
     if pairs > least + more * tree.n:

@@ -55,6 +55,8 @@ _HEAVIEST = 111
 """Atomic number of the last element that OpenMM knows."""
 _UNKNOWN = "UNL"
 """Name of the PDB for ligands of unknown kind; mmCIF has no empty names."""
+_NAMELESS = "X"
+"""Name of atoms without one, as of an unknown element."""
 _FARTHEST = 1e5
 """Angstrom. Larger coordinates are refused."""
 
@@ -495,11 +497,17 @@ def _with_altloc(atom: gemmi.Atom) -> str:
 
 
 def _without_oddities(structure: gemmi.Structure) -> None:
-    """Correct what others would fail at: empty names and insertion codes (NUL to gemmi), odd elements."""
+    """Correct what others would fail at: no names, numbers or insertion codes (NUL), odd elements."""
     for model in structure:
+        for chain in model:
+            last = max((r.seqid.num or 0 for r in chain), default=0)
+            unnumbered = [r for r in chain if r.seqid.num is None and r.get_ca() is None]
+            for k, each in enumerate(unnumbered, last + 1):
+                each.seqid = gemmi.SeqId(k, " ")
         for place in model.all():
             if not place.residue.name.strip():
                 place.residue.name = _UNKNOWN
+            place.atom.name = place.atom.name.strip() or _NAMELESS
             if place.residue.seqid.icode == "\0":
                 place.residue.seqid.icode = " "
             if place.atom.element.atomic_number > _HEAVIEST:
@@ -522,6 +530,9 @@ def check(structure: gemmi.Structure, source: str) -> None:
                 f"{source}: {model.count_atom_sites()} atoms are more than {MAX_ATOMS}; give fewer chains"
             )
         for place in model.all():
+            if place.residue.seqid.num is None:
+                where = f"{place.residue.name} of chain {place.chain.name or '(blank)'}"
+                raise StructureError(f"{source}: a residue {where} has no number; give auth_seq_id")
             for name in (place.chain.name, place.residue.name, place.atom.name):
                 if len(name) > _LONGEST_NAME:
                     raise StructureError(

@@ -29,6 +29,9 @@ _TOPOLOGY = {its: topology for topology in (".parm7", ".prmtop") for its in (".i
 SUFFIXES = (*_POSITIONS, *_ALONE, *_TOPOLOGY)
 """Suffixes of what :func:`by_mdanalysis` reads."""
 
+_LIGHTEST = 0.9
+"""amu: what a topology has lighter than this is no atom but a lone pair, a Drude particle or a site."""
+
 
 def by_mdanalysis(path: Path) -> gemmi.Structure:
     """Read a file of GROMACS (GRO), PQR, or of Amber or CHARMM with that of the same name beside it.
@@ -47,17 +50,17 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
     elif suffix in _POSITIONS:
         files = [path, _beside(path, _POSITIONS[suffix], "coordinate")]
     else:
-        # A .crd file beside a topology of Amber is Amber's.
-        amber = [each for each in (path.with_suffix(".prmtop"), path.with_suffix(".parm7")) if each.exists()]
-        files = [*amber[:1], path]
+        # A .crd file beside a topology of Amber is Amber's; that of CHARMM tells atoms from Drude particles.
+        beside = [its for end in _POSITIONS if suffix == ".crd" and (its := path.with_suffix(end)).exists()]
+        files = [*beside[:1], path]
     formats = {"topology_format": _ALONE[suffix]} if len(files) == 1 else {}
-    if len(files) == 2 and suffix != ".psf":
+    if len(files) == 2 and files[0].suffix != ".psf":
         formats = {"format": "INPCRD"}
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            universe = MDAnalysis.Universe(*map(str, files), **formats)
-            return _from_mdanalysis(universe.atoms)
+            atoms = MDAnalysis.Universe(*map(str, files), **formats).atoms
+            return _from_mdanalysis(atoms if len(files) == 1 else atoms[atoms.masses > _LIGHTEST])
     except Exception as error:  # Its readers raise of all kinds.
         reason = excerpt(" ".join(str(error).split()) or type(error).__name__)
         raise StructureError(f"{path}: cannot be read ({reason}); convert it to PDB or mmCIF") from None
@@ -145,6 +148,7 @@ def _from_openmm(topology: app.Topology, positions: Any) -> gemmi.Structure:
 
 
 def _from_mdanalysis(group: Any) -> gemmi.Structure:
+    guess = library("MDAnalysis.guesser.default_guesser").DefaultGuesser(None).guess_atom_element
     model = gemmi.Model(1)
     has = {name: hasattr(group, name) for name in ("chainIDs", "icodes", "elements", "tempfactors")}
     chains: dict[str, gemmi.Chain] = {}
@@ -155,9 +159,7 @@ def _from_mdanalysis(group: Any) -> gemmi.Structure:
         atoms = [
             atom(
                 str(each.name),
-                str(each.element)
-                if has["elements"] and each.element
-                else str(each.name).lstrip("0123456789")[:1],
+                str((has["elements"] and each.element) or guess(str(each.name))),
                 [float(value) for value in each.position],
                 float(each.tempfactor) if has["tempfactors"] else nan,
             )

@@ -68,9 +68,9 @@ class Candidate:
         """Kind, as a word of ``KINDS``."""
         if self.member.name == "HOH":
             return "water"
-        if self.member.name in residues.NUCLEOTIDES:
-            return "nucleic"
-        return "ions" if len(self.member.atoms) == 1 else "ligands"
+        if len(self.member.atoms) == 1:
+            return "ions"
+        return "nucleic" if self.member.name in residues.NUCLEOTIDES else "ligands"
 
 
 def check_words(words: Iterable[str]) -> None:

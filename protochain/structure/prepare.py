@@ -298,7 +298,7 @@ def _bonds(
             pairs.append((at[id(member)][end], at[id(following_member)][start]))
     pairs += _linked(links, at)
     pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
-    return np.sort(np.array(pairs, dtype=np.int64), axis=1)
+    return np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1)
 
 
 def _remoteness(bond: tuple[str, str]) -> int:

@@ -40,7 +40,7 @@ from protochain.structure.draft import Address, Draft, Member, Part, losses
 from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, place_in_file, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, note_unresolved, report, water_named
-from protochain.structure.repairs import Kind, Repair, Why
+from protochain.structure.repairs import EVERYTHING, Kind, Repair, Why
 from protochain.structure.sites import find_links
 from protochain.structure.springs import springs
 from protochain.structure.templates import (
@@ -180,12 +180,6 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     for name, mine in of_chain.items():
         reader.take(name, mine)
     reader.join()
-    if not draft.parts and not any(each.kind == "nucleic" for each in beside):
-        kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
-        found = ", ".join(_counted(kind, count) for kind, count in kinds.items())
-        single = any(each.given in residues.STANDARD for each in beside)
-        remedy = "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
-        raise StructureError(f"{draft.source}: no protein found{found and f', only {found}'}; {remedy}")
     draft.left_out = Counter({kind: count for kind, count in draft.left_out.items() if count})
     # As in a file written of it, where chains are whole: protein chains come first.
     order = list(dict.fromkeys(part.chain_id for part in draft.parts))
@@ -201,6 +195,10 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     refuse_crowds([atom for member in there for atom in member.atoms], draft.source)
     known = templates(reading.forcefield)
     draft.parts += choose(draft, beside, reading.keep, known, chemistry)
+    # A trace of single atoms is no strand.
+    usable = [p for p in draft.parts if not p.obstacle or (p.is_strand and len(p.members[0].atoms) > 1)]
+    if not usable:
+        raise StructureError(f"{draft.source}: ", *_nothing_told(beside))
     chemist = Chemist(draft, chemistry, known)
     draft.links = find_links(draft, partial(fragments.settle, draft, chemist))
     for part in draft.parts:
@@ -215,6 +213,17 @@ def _place(part: Part) -> int:
     """Where a part begins in the file; behind all of it, if it comes from elsewhere."""
     places = (place for m in part.members for a in m.atoms if (place := place_in_file(a)) >= 0)
     return min(places, default=sys.maxsize)
+
+
+def _nothing_told(beside: Iterable[Candidate]) -> tuple[object, ...]:
+    """What there is where there is no chain to work with, and what to do."""
+    kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
+    found = ", ".join(_counted(kind, count) for kind, count in kinds.items())
+    what = f"no protein found{found and f', only {found}'}; "
+    if any(each.kind == "nucleic" for each in beside):
+        return what, "keep them by ", EVERYTHING
+    single = any(each.given in residues.STANDARD for each in beside)
+    return what, "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
 
 
 def _counted(kind: str, count: int) -> str:

@@ -350,7 +350,7 @@ def _of_atoms(given: str, heavy: set[str]) -> str:
     is_nucleic, is_amino = bool(heavy & {"C1'", "C1*"}), {"N", "CA", "C", "O", "CB"} < heavy
     if (
         not (is_nucleic or is_amino)
-        or (given in _amber() and given not in NUCLEOTIDES)
+        or (given in _amber() and standard_name(given)[0] not in NUCLEOTIDES)
         or archive_parent(given)
     ):
         return ""
@@ -374,9 +374,14 @@ def archive_parent(name: str) -> str:
         return str(substitutions[name])
     info = gemmi.find_tabulated_residue(name)
     if info is not None and info.is_amino_acid():
-        letters = {letter: parent for parent, letter in STANDARD.items()}
-        return letters.get(info.one_letter_code.upper(), "")
+        return _OF_LETTER.get(info.one_letter_code.upper(), "")
     return ""
+
+
+_OF_LETTER = {letter: name for name, letter in STANDARD.items()} | {
+    "U": "CYS", "O": "LYS", "B": "ASN", "Z": "GLN"
+}  # fmt: skip
+"""Selenocysteine, pyrrolysine, and what is an acid or its amide, become the standard ones like them."""
 
 
 def template_name(residue: str) -> str:

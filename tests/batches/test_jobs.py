@@ -407,3 +407,10 @@ def test_a_worker_in_another_folder_finds_poses_and_charges(tmp_path, monkeypatc
     )
     assert job.anywhere.settings.setup.ligands == (("", str(tmp_path / "pose.sdf")),)
     assert job.anywhere.settings.setup.ligand_charges == str(tmp_path / "q.csv")
+
+
+def test_a_link_to_nothing_in_a_folder_is_a_row(here):
+    Path("in").mkdir(exist_ok=True)
+    shutil.copy(STRUCTURES / "ala10.pdb", "in/a.pdb")
+    Path("in/z.pdb").symlink_to("nowhere.pdb")
+    assert [job.path.name for job in find_jobs(["in"], BatchSettings())][-1] == "z.pdb"

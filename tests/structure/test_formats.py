@@ -3,6 +3,7 @@
 import gemmi
 import numpy as np
 import pytest
+from fixtures.recipes import binary_cif
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
@@ -10,26 +11,9 @@ import protochain as pc
 NAME = "3i40.pdb"
 
 
-def binary_cif(structure, path):
-    """What biotite writes of the mmCIF file."""
-    pdbx = pytest.importorskip("biotite.structure.io.pdbx")
+def bcif(structure, path):
     pc.save(structure, path.with_suffix(".cif"))
-    given = pdbx.CIFFile.read(str(path.with_suffix(".cif")))
-    made = pdbx.BinaryCIFFile()
-    made["x"] = pdbx.BinaryCIFBlock(
-        {
-            name: pdbx.BinaryCIFCategory(
-                {
-                    item: pdbx.BinaryCIFColumn(
-                        each.as_array(str), None if each.mask is None else each.mask.array
-                    )
-                    for item, each in category.items()
-                }
-            )
-            for name, category in given.block.items()
-        }
-    )
-    made.write(str(path))
+    path.write_bytes(binary_cif(path.with_suffix(".cif").read_text()))
 
 
 def by_mdanalysis(structure, path):
@@ -85,7 +69,7 @@ def amber(structure, path):
 @pytest.mark.parametrize(
     ("name", "write", "rounding"),
     [
-        ("x.cif.zst", pc.save, 1e-6), ("x.bcif", binary_cif, 1e-6), ("x.gro", by_mdanalysis, 6e-4),
+        ("x.cif.zst", pc.save, 1e-6), ("x.bcif", bcif, 1e-6), ("x.gro", by_mdanalysis, 6e-4),
         ("x.pqr", by_mdanalysis, 6e-5), ("x.crd", by_mdanalysis, 1e-5), ("x.prmtop", amber, 1e-6),
     ],
 )  # fmt: skip
@@ -116,7 +100,7 @@ def test_the_other_file_of_a_pair_is_named_where_it_is_not(tmp_path):
 
 @pytest.mark.parametrize("name", ["x.bcif", "x.gro", "x.prmtop", "x.cif.zst"])
 def test_a_cut_file_is_refused_in_one_line(name, tmp_path):
-    write = {"x.bcif": binary_cif, "x.gro": by_mdanalysis, "x.prmtop": amber, "x.cif.zst": pc.save}[name]
+    write = {"x.bcif": bcif, "x.gro": by_mdanalysis, "x.prmtop": amber, "x.cif.zst": pc.save}[name]
     write(load(NAME), tmp_path / name)
     data = (tmp_path / name).read_bytes()
     (tmp_path / name).write_bytes(data[: len(data) // 2])

@@ -10,6 +10,7 @@ from fixtures.oracles import assert_equals_reference
 from fixtures.samples import ROOT, STRUCTURES
 
 import protochain as pc
+from protochain.cli.relaxing import _breaks
 from protochain.contacts import overlaps
 from protochain.energies.factory import build_system
 from protochain.structure.chirality import chiral_atoms, volume
@@ -257,3 +258,24 @@ def test_a_batch_takes_dna_alone_which_has_neither_alpha_carbons_nor_amino_acids
     assert row["energy_end_reference_kj_mol"] < row["energy_start_kj_mol"]
     told = pd.read_csv(tmp_path / "out" / "statistics.csv")
     assert "evaluations" in set(told["quantity"]) and not told.isna().any(axis=None)
+
+
+def test_of_dna_alone_that_is_not_kept_nothing_is_left_and_a_trace_is_no_strand(tmp_path):
+    with pytest.raises(pc.ProtochainError, match="8 residues DC") as refused:
+        pc.load(STRUCTURES / "1bna.pdb", keep="none")
+    assert refused.value.parts[-1].name == "keep"
+    text = (STRUCTURES / "1bna.pdb").read_text().splitlines(True)
+    (tmp_path / "x.pdb").write_text("".join(line for line in text if line[12:16].strip() == "P"))
+    with pytest.raises(pc.ProtochainError, match="no protein found"):
+        pc.load(tmp_path / "x.pdb")
+
+
+def test_a_chain_without_protein_has_no_breaks_to_tell_of(duplex):
+    assert _breaks(duplex) == []
+
+
+def test_a_strand_of_dna_may_have_ambers_names_of_rna(tmp_path):
+    """G5 is the first guanosine of RNA, and of DNA in older files: the sugar decides."""
+    text = (STRUCTURES / "1bna.pdb").read_text()
+    (tmp_path / "x.pdb").write_text(text.replace(" DC A   1", " C5 A   1"))
+    assert pc.load(tmp_path / "x.pdb").residue_name[0] == "DC"

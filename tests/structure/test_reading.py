@@ -493,3 +493,24 @@ def test_a_molecule_of_thousands_of_atoms_is_refused(tmp_path):
     (tmp_path / "x.pdb").write_text("\n".join([*(x for x in text if x[:4] == "ATOM"), *more, "END", ""]))
     with pytest.raises(pc.ProtochainError, match="residue 1 LIG of chain B has 2001 atoms"):
         pc.load(tmp_path / "x.pdb", keep="all")
+
+
+def test_atoms_without_names_and_molecules_without_numbers_get_them_and_amino_acids_are_refused(tmp_path):
+    document = gemmi.cif.read(str(STRUCTURES / "1ubq.cif"))
+    table = document.sole_block().find(
+        "_atom_site.", ["group_PDB", "label_atom_id", "auth_atom_id", "auth_seq_id", "label_seq_id"]
+    )
+    for row in table:
+        if row[0] == "HETATM":
+            row[3] = "?"
+    document.write_file(str(tmp_path / "x.cif"))
+    numbers = pc.load(tmp_path / "x.cif", keep="all").residue_number
+    assert "None" not in numbers and (np.unique(numbers, return_counts=True)[1][:3] == 1).all()
+    table[4][1] = table[4][2] = "''"
+    document.write_file(str(tmp_path / "x.cif"))
+    with pytest.raises(pc.ProtochainError, match="atom X does not belong"):
+        pc.load(tmp_path / "x.cif")
+    table[1][3] = table[1][4] = "?"
+    document.write_file(str(tmp_path / "x.cif"))
+    with pytest.raises(pc.ProtochainError, match="auth_seq_id"):
+        pc.load(tmp_path / "x.cif")
