@@ -642,7 +642,7 @@ def test_a_name_to_keep_that_no_molecule_has_is_refused():
     path = complexes("models/1a0i.cif")
     for keep in ("QWK", ["ATP", "QWK"]):
         with pytest.raises(
-            pc.ProtochainError, match=r"1a0i\.cif: keep QWK: no molecule .* there are .*1 ATP"
+            pc.ProtochainError, match=r"1a0i\.cif: keep QWK: no molecule .* there: .*1 ATP"
         ) as told:
             pc.load(path, keep=keep)
         assert "\n" not in str(told.value)
