@@ -49,6 +49,8 @@ MINIMISE = {
 NOT_IN_BATCH = ("threads", "trust_forcefield")
 NOT_IN_SCORE = ("hinges", "move", "rigid_protein", "engine", "terms")
 NOT_IN_VALIDATE = (
+    "terms",
+    "ligand_charges",
     "hinges",
     "move",
     "rigid_protein",
