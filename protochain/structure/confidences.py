@@ -190,13 +190,18 @@ def confidence_in(files: Sequence[Path]) -> Confidence | None:
         if isinstance(pairs, dict) and all(isinstance(row, dict) for row in pairs.values()):
             # Boltz tells places, not names.
             pairs = [[pairs[a][b] for b in sorted(pairs, key=int)] for a in sorted(pairs, key=int)]
+        rows = [pairs.values()] if isinstance(pairs, dict) else pairs
+        if any(value is not None and not isinstance(value, int | float) for row in rows for value in row):
+            return Confidence(None)
+        if not isinstance(pairs, dict) and any(len(row) != len(pairs) for row in pairs):
+            return Confidence(None)
         errors = next((told[name] for name in _OF_ERRORS if name in told), None)
         pae = None if errors is None else np.array(errors, dtype=float)
         if pae is not None and pae.shape != (len(pae), len(pae)):
             return Confidence(None)
         order = tuple(dict.fromkeys(map(str, told.get("token_chain_ids", ()))))
         return Confidence(None if iptm is None else float(iptm), pairs, pae, order)
-    except (ValueError, TypeError, KeyError):
+    except (ValueError, TypeError, KeyError, OverflowError):
         return Confidence(None)
 
 
@@ -210,7 +215,7 @@ def _read(path: Path) -> dict[str, Any]:
         told = json.loads(path.read_text(encoding="utf-8"))
         told = told[0] if isinstance(told, list) and told else told
         return told if isinstance(told, dict) else {}
-    except (OSError, ValueError, TypeError, BadZipFile):
+    except (OSError, ValueError, TypeError, BadZipFile, RecursionError, MemoryError):
         return {}
 
 

@@ -142,7 +142,8 @@ def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
         ({"n_starts": 0}, "n_starts 0: give at least 1"),
         ({"n_starts": 2.5}, "n_starts 2.5: give a whole number"),
         ({"spread": 0.0}, "spread 0 rad: give an angle above 0"),
-        ({"hop_temperature": 300.0}, "hop_temperature: needs several minima; give n_starts 2 or more"),
+        ({"hop_temperature": 300.0},
+         "hop_temperature: is of several starts; give n_starts 2 or more, or leave it out"),
         ({"n_starts": 2, "hop_temperature": -1}, "hop_temperature -1: give a temperature in K, not below 0"),
         *(({"n_starts": 2, name: value}, "restraint and max_rmsd refer to each start's own structure; "
            "use one start") for name, value in (("restraint", "5"), ("max_rmsd", 1.0))),

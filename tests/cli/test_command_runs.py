@@ -193,18 +193,18 @@ def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeyp
     [
         (
             ("--starts", 2, "--checkpoint", "c"),
-            "starts: a checkpoint or trajectory belongs to one run; give one start",
+            "checkpoint: belongs to one run, and there are several starts; leave it out",
         ),
         (
             ("--starts", 2, "--resume", "c"),
-            "starts: a checkpoint or trajectory belongs to one run; give one start",
+            "resume: belongs to one run, and there are several starts; leave it out",
         ),
         (
             ("--starts", 2, "--trajectory", "t.dcd"),
-            "starts: a checkpoint or trajectory belongs to one run; give one start",
+            "trajectory: belongs to one run, and there are several starts; leave it out",
         ),
-        (("--hop", 300), "hop_temperature: needs several minima; give n_starts 2 or more"),
-        (("--hop", 0), "hop_temperature: needs several minima; give n_starts 2 or more"),
+        (("--hop", 300), "hop_temperature: is of several starts; give n_starts 2 or more, or leave it out"),
+        (("--hop", 0), "hop_temperature: is of several starts; give n_starts 2 or more, or leave it out"),
         (("--trajectory", "t.avi"), "t.avi: unknown trajectory suffix '.avi'; use .dcd or .xtc"),
         (("-o", "a.xyz"), "a.xyz: unknown suffix '.xyz'; use .pdb or .ent or .cif or .mmcif or .pdbx"),
         (("-o", "t.pdb", "--trace", "t.pdb"), "{}/t.pdb: is given for two outputs; give each its own"),
@@ -215,8 +215,8 @@ def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeyp
         (("--max-rmsd", -1), "max_rmsd -1: give a number of angstrom above 0"),
         (("--restrain", "odd"), "restraint 'odd': give strengths in kJ/mol/nm^2, as '1000 100 0'"),
         *(
-            (("--model", model, *beside), f"model {model}: needs a file, and no trace, "
-             "trajectory, checkpoint or report: these belong to one model")
+            (("--model", model, *beside),
+             f"{beside[0][2:]}: belongs to one model, and there may be several; leave it out")
             for model, beside in (
                 ("all", ("--trace", "t.csv")), ("1-3", ("--trajectory", "t.dcd")),
                 ("1,3", ("--checkpoint", "c.npz")), ("all", ("--report", "r.html")),
@@ -276,7 +276,7 @@ def test_all_models_have_outputs_of_their_own(ends, status, asked, tmp_path, mon
         == [*map(int, done)]
     )
     said = refusal("minimise", "-", "--model", "all")
-    assert said.startswith("model all: needs a file") and "model all" in refusal(
+    assert said.startswith("model all: needs a file") and "one model" in refusal(
         "minimise", "a", "--model", "all", "--resume", "c"
     )
 

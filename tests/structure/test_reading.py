@@ -84,7 +84,7 @@ def test_models_go_by_their_numbers(numbers, said):
     many[1].add_chain(structure(("B", alanines(2)))[0][0])
     draft = read_structure(many, Draft("x", "x"), Reading())
     n = len(numbers) - 1
-    assert sentences(draft) == [f"model {numbers[0]} used, {n} other models left out"]
+    assert sentences(draft) == [f"model {numbers[0]} used, {n} other model{'s' * (n > 1)} left out"]
     assert dict(draft.left_out) == {"models": n} and draft.parts[0].chain_id == "A"
     second = read_structure(many, Draft("x", "x"), Reading(model=numbers[1]))
     assert second.parts[0].chain_id == "B" and second.repairs == [] and dict(second.left_out) == {"models": n}

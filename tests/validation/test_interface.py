@@ -370,7 +370,18 @@ def test_scores_from_errors_are_those_of_their_definitions(tmp_path, name):
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", '{"iptm": "x"}', '{"iptm": 1, "chain_pair_iptm": [[1, 2]]}']
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"iptm": "x"}',
+        '{"iptm": 1, "chain_pair_iptm": [[1, 2]]}',
+        '{"iptm": 1, "chain_pair_iptm": [["x"]]}',
+        '{"chain_pair_iptm": {"(A, B)": "x"}}',
+        "[" * 100_000,
+    ],
+    ids=range(8),
 )
 def test_confidences_that_cannot_be_read_are_none(tmp_path, text):
     (tmp_path / "x.json").write_text(text)
