@@ -226,3 +226,11 @@ def test_cells_too_thin_for_any_molecule_are_none(side, is_box):
     t.unitcell_vectors = side * np.eye(3)[None]
     (frame,) = open_frames(t)
     assert (frame.box is not None) == is_box
+
+
+def test_the_gap_is_the_largest_of_several_molecules():
+    s = load("1ysa.pdb")
+    ensemble = Ensemble(s, np.arange(s.n_atoms), {})
+    first = s.residue_chain[s.atom_residue] == "A"
+    near, far = (ensemble.gap(s.positions + np.outer(first, [0.0, 0.0, z])) for z in (0.0, 20.0))
+    assert near < 0.6 < 5.0 < far

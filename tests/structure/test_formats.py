@@ -7,6 +7,7 @@ from fixtures.recipes import binary_cif
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
+from protochain.structure import foreign
 
 NAME = "3i40.pdb"
 
@@ -139,3 +140,12 @@ def test_an_assembly_is_its_operators_applied(tmp_path):
             pc.load(path, assembly="2")
     with pytest.raises(pc.ProtochainError, match="has no assembly 1; it states none"):
         pc.load(STRUCTURES / "ala10.pdb", assembly="1")
+
+
+def test_marks_of_a_binary_column_are_those_of_text():
+    pdbx = pytest.importorskip("biotite.structure.io.pdbx")
+    column = pdbx.BinaryCIFColumn(np.array(["a", "", ""]), np.array([0, 1, 2], dtype=np.uint8))
+    assert foreign._texts(column) == ["a", False, None]
+    block = gemmi.cif.Document().add_new_block("x")
+    block.set_mmcif_category("_y.", {"z": foreign._texts(column)})
+    assert [*block.find_values("_y.z")] == ["a", ".", "?"]

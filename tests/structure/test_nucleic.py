@@ -279,3 +279,9 @@ def test_a_strand_of_dna_may_have_ambers_names_of_rna(tmp_path):
     text = (STRUCTURES / "1bna.pdb").read_text()
     (tmp_path / "x.pdb").write_text(text.replace(" DC A   1", " C5 A   1"))
     assert pc.load(tmp_path / "x.pdb").residue_name[0] == "DC"
+
+
+def test_chains_stand_in_the_order_of_the_file_dna_before_protein():
+    filed = gemmi.read_structure(str(STRUCTURES / "1ysa.pdb"))[0]
+    s = pc.load(STRUCTURES / "1ysa.pdb")
+    assert [*dict.fromkeys(s.residue_chain.tolist())] == [chain.name for chain in filed]
