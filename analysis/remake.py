@@ -24,7 +24,7 @@ FOLDER = Path(__file__).resolve().parent
 PATHS = {
     path.stem: path for kind in ("notebooks", "scenes") for path in sorted((FOLDER / kind).glob("*.ipynb"))
 }
-SCENES = FOLDER.parent / "protochain" / "scenes"
+SCENES = FOLDER / "bench" / "scenes"
 SECONDS = 600
 """For a cell."""
 COLOURS = 64

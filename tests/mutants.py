@@ -41,7 +41,7 @@ FOLDERS = {
     ),
     "cli": (["cli"], ["cli", "commands", "command_runs", "command_jobs"]),
     "validation": (["validation"], []),
-    "analysis": (["analysis/deviation.py", "analysis/quality.py"], []),
+    "comparison": (["comparison/deviation.py", "comparison/quality.py"], []),
     "write": ([f"structure/{name}.py" for name in ("write", "header", "records", "springs")], []),
     "relaxation": (["relaxation"], ["repack"]),
     "mechanics": (

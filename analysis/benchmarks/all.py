@@ -175,12 +175,13 @@ JOBS = (
         f"{HERE}/near.py --basins structures/ala10.pdb --quick -o DIR", threads=1, writes="near_basins",
     ),
     Job(
-        "precision", f"protochain bench precision --only minimisers {SAMPLES} {SMALL} {LARGER} -o DIR", 25,
-        "protochain bench precision --only minimisers structures/ala10.pdb -o DIR",
+        "precision", f"python analysis/bench precision --only minimisers {SAMPLES} {SMALL} {LARGER} -o DIR",
+        25,
+        "python analysis/bench precision --only minimisers structures/ala10.pdb -o DIR",
         {"precision.csv": ("precision.csv", ()), "ends.csv": ("precision_ends.csv", ())},
     ),
     Job(
-        "curves", f"protochain bench precision --only {CURVES} -o DIR", 5,
+        "curves", f"python analysis/bench precision --only {CURVES} -o DIR", 5,
         collects={
             "curves.csv": ("precision_curves.csv", ()), "integrators.png": ("integrators.png", ()),
         },
@@ -201,13 +202,13 @@ JOBS = (
         writes="compliance_angles compliance_evaluations compliance_starts",
     ),
     Job(
-        "runs-kcm", f"protochain bench kcm {STARTED} -o DIR --jobs 2 --minutes 120", 120,
-        "protochain bench kcm --quick -o DIR",
+        "runs-kcm", f"python analysis/bench kcm {STARTED} -o DIR --jobs 2 --minutes 120", 120,
+        "python analysis/bench kcm --quick -o DIR",
         {"runs.csv": ("kcm_runs.csv", ()), "traces.csv": ("kcm_traces.csv", ())}, continues=True,
     ),
     Job(
-        "kcm", f"protochain bench kcm {KCM_RUNS} -o DIR --minutes 0", 1,
-        f"protochain bench kcm {KCM_RUNS} -o DIR --minutes 0",
+        "kcm", f"python analysis/bench kcm {KCM_RUNS} -o DIR --minutes 0", 1,
+        f"python analysis/bench kcm {KCM_RUNS} -o DIR --minutes 0",
         {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "proteins", "cost", "deposited")}
         | {"kcm.png": ("kcm.png", ())},
         after="runs-kcm",
@@ -241,12 +242,13 @@ JOBS = (
     Job("dipeptide", f"{HERE}/dipeptide.py --kept KEPT -o DIR", 45, continues=True),
     Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4, writes="batch batch_costs"),
     Job(
-        "omissions", "protochain bench omissions structures/1hel.pdb -o DIR", 5,
-        "protochain bench omissions structures/1l2y.pdb --quick -o DIR",
+        "omissions", "python analysis/bench omissions structures/1hel.pdb -o DIR", 5,
+        "python analysis/bench omissions structures/1l2y.pdb --quick -o DIR",
         {"omissions.csv": ("scenes.csv", ()), "omissions.png": ("scenes.png", ())},
     ),
     Job(
-        "stability", "protochain bench stability -o DIR", 25, "protochain bench stability --quick -o DIR",
+        "stability", "python analysis/bench stability -o DIR", 25,
+        "python analysis/bench stability --quick -o DIR",
         {
             "error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ()),
             "grid.png": ("stability.png", ()),

@@ -23,6 +23,7 @@ from openmm import unit
 from scipy import constants
 
 import protochain as pc
+from bench import in_turn
 from protochain.dynamics import (
     Isolated,
     Langevin,
@@ -35,7 +36,6 @@ from protochain.dynamics import (
     chain_potential,
 )  # fmt: skip
 from protochain.energies import build_system, constrain_hydrogens
-from protochain.lab import in_turn
 from protochain.mechanics.multibody import sample_velocities
 from protochain.results import draw_lines
 

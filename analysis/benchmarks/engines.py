@@ -26,8 +26,8 @@ from race_openmm import system, with_gbsa_obc
 from tables import SOLVENTS
 
 import protochain as pc
+from bench import in_turn
 from protochain.energies import Energy, NativeEnergy, Opening, OpenMMEnergy
-from protochain.lab import in_turn
 
 DEFAULT = ("1l2y", "4pti", "1ubq", "1hel")
 COPIES = 4

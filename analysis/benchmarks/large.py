@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 
 import protochain as pc
-from protochain.lab import exponent
+from bench import exponent
 
 GAP = 3.0
 """angstrom between the boxes around two copies."""

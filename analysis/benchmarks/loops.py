@@ -16,10 +16,10 @@ import mujoco
 import numpy as np
 import pandas as pd
 
-from protochain.lab import in_turn
+from bench import in_turn
+from bench.scenes import run
 from protochain.mechanics.motion import DormandPrince
 from protochain.mechanisms import Mechanism, Model
-from protochain.scenes import run
 
 OURS = "joint, Dormand-Prince"
 UNTIL, G = 1.0, 9.81

@@ -16,6 +16,7 @@ from protochain.results import commit as commit_of
 from protochain.results import processor
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(1, str(ROOT / "analysis"))  # Where benchmarks find bench.
 SAMPLES = ROOT / "structures"
 MORE = ROOT.parent / "shared" / "structures"
 """Default of --more: the larger collection, which is not in the repository."""

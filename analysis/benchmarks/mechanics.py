@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 
-from protochain.lab import in_turn
+from bench import in_turn
 from protochain.mechanics.multibody import HingeKind, Tree, forward_dynamics, pose, random_tree, solve_mass
 
 try:

@@ -16,7 +16,7 @@ from typing import Any
 import made
 import pandas as pd
 
-from protochain.scenes import SCENES, Scene, run
+from bench.scenes import SCENES, Scene, run
 
 TABLES = ("checks", "work", "left_out")
 

@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 import protochain as pc
 import protochain.energies
-from protochain.lab import exponent, in_turn
+from bench import exponent, in_turn
 from protochain.mechanisms import box_tree, overlapping, touching
 
 native = protochain.energies.native.neighbours

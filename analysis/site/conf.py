@@ -40,8 +40,8 @@ html_extra_path = ["root"]
 html_copy_source = False
 
 PACKAGES = (
-    "analysis", "batches", "mechanics.motion", "mechanics.multibody", "dynamics", "energies", "lab",
-    "ligands", "mechanisms", "minimisers", "relaxation", "results", "scenes", "searching",
+    "batches", "comparison", "mechanics.motion", "mechanics.multibody", "dynamics", "energies",
+    "ligands", "mechanisms", "minimisers", "relaxation", "results", "searching",
     "structure", "validation",
 )  # fmt: skip
 """Of the reference, beside what ``import protochain`` has: a page each. A name is on its first page."""

@@ -68,7 +68,7 @@ def write_page(
 
 def _changes(ends: Mapping[str, tuple[Structure, Structure | None]]) -> "pd.DataFrame":
     """Totals of what each method changed, a column each."""
-    from protochain.analysis.differences import of_ends, totals_of
+    from protochain.comparison.differences import of_ends, totals_of
 
     found = {
         method: of_ends({"start": start, method: end})

@@ -59,8 +59,8 @@ def compare(
     setup: Setup,
 ) -> None:
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
-    from protochain.analysis import compare as run
-    from protochain.analysis.folder import check_folder, files_of
+    from protochain.comparison import compare as run
+    from protochain.comparison.folder import check_folder, files_of
     from protochain.core.storage import claimed
     from protochain.structure import load
 

@@ -4,11 +4,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NotRequired, get_type_hints
 
-from protochain.analysis import folder as of_comparison
-from protochain.analysis import modes_folder as of_modes
-from protochain.analysis.deviation import RmsdFrames
-from protochain.analysis.differences import TORSIONS
-from protochain.analysis.work import WITHIN
 from protochain.batches import relaxed, table
 from protochain.batches.frame_files import FIRST
 from protochain.batches.frame_tasks import EnergyFrames
@@ -19,11 +14,15 @@ from protochain.cli.inspect import Built, Facts
 from protochain.cli.rmsd import Told as Deviations
 from protochain.cli.score import Told as Scores
 from protochain.cli.validate import Told as Findings
+from protochain.comparison import folder as of_comparison
+from protochain.comparison import modes_folder as of_modes
+from protochain.comparison.deviation import RmsdFrames
+from protochain.comparison.differences import TORSIONS
+from protochain.comparison.work import WITHIN
 from protochain.dynamics import simulation
 from protochain.dynamics.loop import Ending
 from protochain.dynamics.settings import SimulationSettings
 from protochain.energies.decomposed import TERMS
-from protochain.lab.cases import Check, Extreme, LeftOut
 from protochain.minimisers import record as of_minimising
 from protochain.minimisers.solution import TRACE_COLUMNS
 from protochain.minimisers.verdict import Status
@@ -234,13 +233,6 @@ _BY = ({"of": str, **_ENERGIES}, {**_RESIDUE, **_ENERGIES}, {**_SIDES, **_ENERGI
 _DEVIATION = _row(["reference", "file", "model", *RmsdFrames.columns, "message"])
 _WHOLE = EnergyFrames(Setup()).columns
 _PARTS = EnergyFrames(Setup(), "A,B").columns
-_VERDICT = {"verdict": str}
-_CHECKED, _LEFT_OUT = (_cells(get_type_hints(kind), _VERDICT) for kind in (Check, LeftOut))
-_EXTREME, _POINT = _cells(get_type_hints(Extreme)), _cells(_row("method setting seconds error"))
-_SCENE = {
-    **_row("scene title"), "wrong": list[str], "checks": [_CHECKED], "work": [_POINT], "extremes": [_EXTREME],
-    "left_out": [_LEFT_OUT], "error_of": str, "made": dict[str, str], "output": str,
-}  # fmt: skip
 
 
 def _names(paths: Iterable[Path]) -> tuple[str, ...]:
@@ -324,13 +316,5 @@ CONTRACTS: Mapping[str, Contract] = {
     ),
     "info": Contract((Facts,)),
     "build": Contract((Built,)),
-    "scene": Contract(
-        (_SCENE, {"scenes": dict[str, str]}),
-        {
-            "checks.csv": (_CHECKED,), "work.csv": (_POINT,), "extremes.csv": (_EXTREME,),
-            "left_out.csv": (_LEFT_OUT,),
-        },
-        ("checks.csv", "work.csv", "extremes.csv", "left_out.csv", "work.png", "made.json"), (r"\.csv$",),
-    ),
 }  # fmt: skip
-"""By command. The tables of ``bench`` are those of each study, and have no contract."""
+"""By command."""

@@ -89,7 +89,7 @@ def energy(
     if output:
         write_atomically(output, lambda to: table.to_csv(to, index=False))
     if report:
-        from protochain.analysis.energy_page import write_energies
+        from protochain.comparison.energy_page import write_energies
 
         write_energies(structure, energy, report, between)
     if as_json:

@@ -202,7 +202,7 @@ class _Writer:
             if self.trace:
                 write_atomically(self.trace, lambda to: solution.trace.to_csv(to, index=False))
             if self.report:
-                from protochain.analysis import Comparison
+                from protochain.comparison import Comparison
 
                 Comparison(solution.chain.structure, (solution,), origin).write_page(self.report)
                 written["report"] = str(self.report)

@@ -26,8 +26,8 @@ from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
-    from protochain.analysis.modes import NormalModes
     from protochain.chain import Chain
+    from protochain.comparison.modes import NormalModes
     from protochain.core.arrays import Floats
     from protochain.energies import Energy
 
@@ -66,10 +66,10 @@ def modes(
 
     It is minimised first, by turning hinges, if torques are left; --no-relax omits this.
     """
-    from protochain.analysis.modes import checked_amplitude, checked_temperature
-    from protochain.analysis.modes_folder import files_of, write_modes
-    from protochain.analysis.normal_modes import DENSE, check_modes, normal_modes
-    from protochain.analysis.pair_hessian import applies
+    from protochain.comparison.modes import checked_amplitude, checked_temperature
+    from protochain.comparison.modes_folder import files_of, write_modes
+    from protochain.comparison.normal_modes import DENSE, check_modes, normal_modes
+    from protochain.comparison.pair_hessian import applies
     from protochain.structure.matching import measurable
     from protochain.structure.trajectory import check_trajectory
 
@@ -112,8 +112,8 @@ def _foretell(source: Path, chain: "Chain", energy: "Energy", evaluations: int, 
 
 def _relaxed(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", str]:
     """Coordinates of a minimum, by turning hinges where torques are left, and what was done."""
-    from protochain.analysis.hessian import torques_at
-    from protochain.analysis.modes import FLAT
+    from protochain.comparison.hessian import torques_at
+    from protochain.comparison.modes import FLAT
     from protochain.minimisers import minimise
 
     if torques_at(chain, energy, None).largest <= FLAT:

@@ -233,7 +233,7 @@ def _write_beside(
             setup.save_ligands(result, ligand_out)
             record["ligands_written"] = str(ligand_out)
         if report:
-            from protochain.analysis.relaxed import write_relaxed
+            from protochain.comparison.relaxed import write_relaxed
 
             write_relaxed(result, record, report)
             record["report"] = str(report)

@@ -53,7 +53,7 @@ def rmsd(
 
     Files of C-alpha atoms only are measured too. Of frames of one file, a row for each goes to a CSV.
     """
-    from protochain.analysis.deviation import rmsd_table
+    from protochain.comparison.deviation import rmsd_table
     from protochain.core.storage import write_atomically
 
     if of_frames.are_asked(trajectory, frames):
@@ -91,7 +91,7 @@ def _frames(
     whole: dict[str, Any],
 ) -> int:
     """Measure every frame; return the exit status."""
-    from protochain.analysis.deviation import RmsdFrames
+    from protochain.comparison.deviation import RmsdFrames
     from protochain.setup import Setup
     from protochain.structure.matching import measurable
 

@@ -128,7 +128,7 @@ def score(
         every = pd.concat(tables) if tables else pd.DataFrame()
         write_atomically(residues, lambda to: every.to_csv(to, index=False))
     if report:
-        from protochain.analysis.scored import write_scored
+        from protochain.comparison.scored import write_scored
 
         write_scored([each for each in found if each], done, report, setup, rank or "")
     if as_json:

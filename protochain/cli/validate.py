@@ -122,7 +122,7 @@ def validate(
         }  # fmt: skip
         notes[name] = [*map(str, result.ligands), *filter(None, [result.posebusters_missing])]
         if changes:
-            from protochain.analysis.differences import differences
+            from protochain.comparison.differences import differences
 
             between = differences(reference, result.structure)
             told |= {"changes": dict(between.totals), "bonds_changed": between.bonds.to_dict("records")}

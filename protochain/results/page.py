@@ -4,7 +4,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader
+from jinja2 import ChoiceLoader, Environment, PackageLoader
 
 from protochain.core.storage import write_text
 from protochain.results.columns import heading
@@ -12,7 +12,7 @@ from protochain.results.columns import heading
 
 def render(template: str, /, **variables: Any) -> str:
     """Fill a template of the package; what comes from files is escaped."""
-    return _templates().get_template(template).render(**variables)
+    return templates().get_template(template).render(**variables)
 
 
 def write_page(path: Path, template: str, /, **variables: Any) -> None:
@@ -21,7 +21,9 @@ def write_page(path: Path, template: str, /, **variables: Any) -> None:
 
 
 @cache
-def _templates() -> Environment:
-    pages = Environment(loader=PackageLoader("protochain.results"), autoescape=True)
+def templates(*packages: str) -> Environment:
+    """Templates of this package, and before them those of others."""
+    loaders = [PackageLoader(name) for name in (*packages, "protochain.results")]
+    pages = Environment(loader=ChoiceLoader(loaders), autoescape=True)
     pages.filters["heading"] = heading
     return pages

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.analysis.hessian import hessian
 from protochain.articulate import build_chain, transferred
 from protochain.chain import log_det_mass, pose
+from protochain.comparison.hessian import hessian
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import integer
 from protochain.core.errors import refused

@@ -120,7 +120,6 @@ def test_build_makes_a_file_that_loads(protochain, tmp_path):
         (["batch", "in.pdb", "-o", "in.pdb"], ["in.pdb", "not a folder"]),
         (["batch", "in.pdb", "--methods", "kcm,nope"], ["'nope'"]),
         (["batch", "in.pdb", "--time-limit", "0"], ["time-limit"]),
-        (["bench", "speed"], ["'speed'", "precision, stability"]),
         (["info", "empty.pdb"], ["empty.pdb", "no atoms"]),
         (["info", "in.pdb", "--model", "all"], ["model all", "give its number"]),
         (["build", "AAZ", "-o", "a.pdb"], ["letter 3"]),

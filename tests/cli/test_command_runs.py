@@ -313,7 +313,7 @@ def compared(asked, monkeypatch, tmp_path):
             watch(method)({}, None)
         return Comparison(seen.ends)
 
-    monkeypatch.setattr("protochain.analysis.compare", compare)
+    monkeypatch.setattr("protochain.comparison.compare", compare)
     monkeypatch.setattr("protochain.structure.load", lambda path: f"loaded {path}")
     monkeypatch.setattr(COMPARE, "print_table", lambda rows: print("table", rows))
     return seen

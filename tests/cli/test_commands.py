@@ -19,8 +19,6 @@ from fixtures.samples import chain, load
 import protochain as pc
 from protochain.cli import app, main, options
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.lab.cases import Extreme, Outcome, Scene
-from protochain.lab.cost import work_table
 from protochain.setup import Setup
 from protochain.structure.repairs import EVERYTHING, Kind, Repair
 from protochain.structure.residues import Residue
@@ -127,11 +125,6 @@ COMMANDS = {
     "rmsd": {
         "reference": None, "models": None, "align": "name CA", "measure": None, **OUTPUT, **FRAMES, **AS_JSON,
     },
-    "bench": {
-        "name": None, "inputs": None, "output": Path("bench"), "quick": False, "rows": None, "only": None,
-        "threads": None, "minutes": None, "jobs": None, "starts": None, "evaluations": None,
-    },
-    "scene": {"name": None, **OUTPUT, "quick": False, **AS_JSON},
     "info": {
         "source": None, "energy": False, **AS_JSON,
         **{k: v for k, v in SETUP.items() if k not in WITHOUT_ENERGY},
@@ -143,13 +136,11 @@ METAVARS = {
     ("source", None): "IN", ("inputs", "batch"): "IN...", ("inputs", "validate"): "IN...",
     ("inputs", "relax"): "IN...", ("inputs", "score"): "IN...", ("interface", None): "A,B:C",
     ("rank", None): "COLUMN", ("output", "batch"): "DIR",
-    ("output", "compare"): "DIR", ("output", "simulate"): "DIR", ("output", "bench"): "DIR",
+    ("output", "compare"): "DIR", ("output", "simulate"): "DIR",
     ("output", "search"): "DIR", ("temperatures", None): "LOW-HIGH", ("output", "modes"): "DIR",
-    ("output", "scene"): "DIR", ("name", "scene"): "[NAME]",
     ("between", None): "A:1:N-A:20:C", ("between", "energy"): "A:1-50,B",
     ("stiffness", "simulate"): "K", ("speed", None): "NM/PS", ("hinge_springs", None): "'KIND K C'",
-    ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...", ("name", "bench"): "[NAME]", ("inputs",
-    "bench"): "[IN...]",
+    ("reference", "rmsd"): "REFERENCE", ("models", "rmsd"): "IN...",
     ("command", "schema"): "[COMMAND]",
     ("sequence", "build"): "SEQUENCE", ("disulfide", None): "A:3-A:40", ("chains", None): "A,B",
     ("ligands", None): "NAME=SDF|MOL2|SMILES",
@@ -432,7 +423,7 @@ def test_rmsd_ends_by_how_many_were_measured(chosen, status, monkeypatch, tmp_pa
     asked, printed = [], []
     table = pd.DataFrame([ROWS[k] for k in chosen])
     monkeypatch.setattr(
-        "protochain.analysis.deviation.rmsd_table", lambda *given: asked.append(given) or table
+        "protochain.comparison.deviation.rmsd_table", lambda *given: asked.append(given) or table
     )
     command = importlib.import_module("protochain.cli.rmsd")
     monkeypatch.setattr(command, "print_deviations", printed.append)
@@ -457,43 +448,6 @@ def test_rmsd_ends_by_how_many_were_measured(chosen, status, monkeypatch, tmp_pa
     assert len(asked) == 2
 
 
-def test_bench_runs_the_studies_and_scenes_it_is_asked_for(monkeypatch, tmp_path, capsys):
-    ran = []
-
-    def module(name, found):
-        own = SimpleNamespace(run=lambda *given: ran.append((name, *given)) or found)
-        monkeypatch.setitem(sys.modules, f"protochain.{name}", own)
-
-    for name in ("one", "two"):
-        module(f"analysis.studies.{name}", [pd.DataFrame({"a": [1], "b": ["x"]})])
-    bad = Extreme("odd", Outcome.WRONG, "so")
-    module("scenes.three", Scene("three", "a scene", (), work_table([]), (bad,)))
-    monkeypatch.setattr("protochain.analysis.studies.STUDIES", {"one": "first", "two": "second"})
-    monkeypatch.setattr("protochain.scenes.SCENES", {"three": "third"})
-    assert run("bench") == 0 and capsys.readouterr().out == "one    first\ntwo    second\nthree  third\n"
-    out = tmp_path / "out"
-    studied = "analysis.studies"
-    assert run("bench", "all", "-o", out) == 1
-    assert ran == [(f"{studied}.{name}", out / name, []) for name in ("one", "two")] + [
-        ("scenes.three", False)
-    ]
-    said = capsys.readouterr()
-    assert said.out.startswith(2 * " a b\n 1 x\n\n" + f"written: tables and plots in {out}\nthree: a scene")
-    assert said.err.endswith(f"scene three: wrong: odd; the tables in {out / 'three'} say how\n")
-    assert run("bench", "two", "a.pdb", "-o", out) == 0 and ran[3:] == [
-        (f"{studied}.two", out, [Path("a.pdb")])
-    ]
-    assert run("bench", "three", "--quick", "-o", out) == 1 and ran[4:] == [("scenes.three", True)]
-    assert (out / "checks.csv").exists()
-    assert refusal("bench", "odd") == "there is no study or scene 'odd'; choose from one, two, three"
-    for words in (("a.pdb",), ("--jobs", "2")):
-        assert refusal("bench", "three", *words).startswith(
-            "three: a scene takes no files, and of the options"
-        )
-    (tmp_path / "file").write_text("")
-    assert "is not a folder" in refusal("bench", "two", "-o", tmp_path / "file") and len(ran) == 5
-
-
 READ = {
     "minimise": {"source": "{0}", "resume": "--resume {0}", "forcefield": "--forcefield amber14,{0}"},
     "relax": {"inputs": "{0}", "manifest": "--manifest {0}", "forcefield": "--forcefield amber14,{0}"},
@@ -506,7 +460,6 @@ READ = {
     "score": {"inputs": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "energy": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "rmsd": {"reference": "{0} b.pdb", "models": "b.pdb {0}"},
-    "bench": {"inputs": "kcm {0}"},
     "info": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
 }
 """Options and arguments that name what a command reads, and how they are given."""
@@ -534,8 +487,6 @@ WRITTEN = {
     "energy": {"output": ("-o {0}", "a.csv"), "report": ("--report {0}", "a.html")},
     "rmsd": {"output": ("-o {0}", "a.csv")},
     "build": {"output": ("-o {0}", "a.pdb")},
-    "bench": {"output": ("-o d", "d/a.pdb")},
-    "scene": {"output": ("-o d", "d/checks.csv")},
 }  # fmt: skip
 """Options that name what a command writes, how they are given, and files that come of it."""
 

@@ -19,7 +19,6 @@ from fixtures.samples import STRUCTURES, load, shared
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.analysis.relaxed import coloured, write_relaxed
 from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.jobs import Job
 from protochain.batches.relaxed import COLUMNS as OF_RELAXED
@@ -27,6 +26,7 @@ from protochain.batches.relaxed import SHOWN_RELAXED
 from protochain.batches.table import COLUMNS as OF_MINIMISED
 from protochain.batches.task import run as run_job
 from protochain.cli.relaxing import print_relaxed, tell_plan
+from protochain.comparison.relaxed import coloured, write_relaxed
 from protochain.relaxation.record import before_and_after
 from protochain.structure.write import as_text
 
@@ -285,7 +285,7 @@ def test_measures_that_are_nothing_before_and_after_are_left_out():
 def test_the_page_tells_what_changed_in_a_table_and_a_figure(monkeypatch, tmp_path):
     figures = []
     monkeypatch.setattr(
-        "protochain.analysis.relaxed.data_url", lambda figure: figures.append(figure) or "data:,"
+        "protochain.comparison.relaxed.data_url", lambda figure: figures.append(figure) or "data:,"
     )
     r = pc.relax(load("ala10.pdb"), threads=1, solvent="vacuum")
     write_relaxed(r, r.record(), tmp_path / "page.html")

@@ -262,9 +262,3 @@ def test_rmsd(told, tmp_path):
 
 def test_info(told):
     assert told("info", "peptide.pdb")["n_residues"] == 6
-
-
-def test_scene(told, tmp_path):
-    assert "serial" in told("scene")["scenes"]
-    assert not told("scene", "impact", "--quick", "-o", "folder")["wrong"]
-    tables("scene", tmp_path / "folder")

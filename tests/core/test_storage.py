@@ -15,10 +15,10 @@ import pytest
 from fixtures.samples import STRUCTURES, chain, energy
 
 import protochain as pc
-from protochain.analysis.folder import clear
 from protochain.batches import table as tables
 from protochain.cli import main
 from protochain.cli.minimise import _Frames
+from protochain.comparison.folder import clear
 from protochain.core.errors import WriteError
 from protochain.core.storage import claimed, read_arrays, write_arrays, write_atomically
 from protochain.structure.trajectory import TrajectoryFile

@@ -7,6 +7,7 @@ import pytest
 from fixtures.bending_trees import SPUN, on_a_hub, some, two_links
 from scipy.integrate import solve_ivp
 
+from bench.scenes.canonical import by_hand
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import (
     Applied,
@@ -23,7 +24,6 @@ from protochain.mechanics.motion.bending import BendingSystem
 from protochain.mechanics.multibody import random_tree
 from protochain.mechanics.multibody.flexible import bend
 from protochain.mechanics.multibody.flexible_dynamics import momenta
-from protochain.scenes.canonical import by_hand
 
 START = np.array([0.3, 0.9, 0.05, -0.04]), np.array([2.0, -3.0, 0.5, 0.4])
 

@@ -7,13 +7,13 @@ import pytest
 from fixtures.bending_trees import some, two_links
 from scipy.integrate import solve_ivp
 
+from bench.scenes import run
+from bench.scenes.canonical import by_hand
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanics.multibody.canonical import canonical_rates, rates_of
 from protochain.mechanics.multibody.flexible import bend, elastic
 from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics, mass_matrix, momenta
-from protochain.scenes import run
-from protochain.scenes.canonical import by_hand
 
 EPS = np.finfo(float).eps
 

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.scenes.canonical import chain, started
+from bench.scenes.impact.study import random_points, random_pose
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody import (
     Bending,
@@ -20,8 +22,6 @@ from protochain.mechanics.multibody.articulated import articulate
 from protochain.mechanics.multibody.flexible_dynamics import jacobian, mass_matrix
 from protochain.mechanics.multibody.random_tree import random_tree
 from protochain.mechanisms import Mechanism
-from protochain.scenes.canonical import chain, started
-from protochain.scenes.impact.study import random_points, random_pose
 
 
 def bent_chain(links=3):

@@ -526,7 +526,7 @@ def test_integrators_agree(integrator):
 def test_proteins_import_none_of_it():
     code = (
         "import sys, protochain, protochain.cli, protochain.dynamics; protochain.minimise, protochain.batch; "
-        "print([m for m in sys.modules if m.startswith(('protochain.mechanisms', 'protochain.scenes'))])"
+        "print([m for m in sys.modules if m.startswith(('protochain.mechanisms', 'bench.scenes'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -267,7 +267,7 @@ def test_comparisons_and_batches_leave_it_out_too(given, tmp_path, monkeypatch, 
         asked.append(settings["curvature"])
         raise pc.ProtochainError("seen")
 
-    monkeypatch.setattr("protochain.analysis.compare", seen)
+    monkeypatch.setattr("protochain.comparison.compare", seen)
     monkeypatch.setattr("protochain.batches.batch", seen)
     monkeypatch.chdir(tmp_path)
     pc.save(pc.from_sequence("GG"), "a.pdb")

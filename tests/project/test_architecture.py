@@ -20,7 +20,6 @@ MAY_IMPORT = {
     "mechanics": {"core"},
     # The wing of mechanisms, and what judges both.
     "mechanisms": {"core", "mechanics"},
-    "lab": {"core", "results"},
     # The wing of proteins.
     "structure": {"core", "ligands"},
     "results": {"core", "structure"},
@@ -32,19 +31,18 @@ MAY_IMPORT = {
     "minimisers": {"core", *CHAIN, "dynamics", "validation", "results"},
     "relaxation": {"core", *CHAIN, "validation", "minimisers", "results"},
     # What sees both.
-    "analysis": {"core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "results", "lab"},
-    "scenes": {"core", "mechanics", "mechanisms", "lab", "results", "analysis"},
-    "batches": {"core", *CHAIN, "validation", "minimisers", "relaxation", "results", "analysis"},
+    "comparison": {"core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "results"},
+    "batches": {"core", *CHAIN, "validation", "minimisers", "relaxation", "results", "comparison"},
     "searching": {
-        "core", *CHAIN, "dynamics", "validation", "minimisers", "results", "analysis", "batches",
+        "core", *CHAIN, "dynamics", "validation", "minimisers", "results", "comparison", "batches",
     },
     "cli": {
-        "core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "results", "lab", "analysis",
-        "batches", "searching", "scenes",
+        "core", *CHAIN, "dynamics", "validation", "minimisers", "relaxation", "results", "comparison",
+        "batches", "searching",
     },
 }  # fmt: skip
 """What each part may import: the wings of proteins and of mechanisms stand on one core, and know nothing of
-each other. (Scenes take the oracles of studies, which are of trees, from ``analysis``.)"""
+each other."""
 MOST_ARROWS = 126
 """Between parts; with more, nobody keeps the plan in mind."""
 OPENMM_BELONGS_IN = {"structure", "energies", "minimisers/openmm_reference.py"}
@@ -270,7 +268,8 @@ def test_no_modules_import_one_another_in_a_circle():
 
 def test_tests_lie_in_folders_as_in_the_package_and_share_only_fixtures():
     tests = ROOT / "tests"
-    parts = {path.name for path in PACKAGE.iterdir() if path.is_dir()} | {"project"}
+    parts = {path.name for path in PACKAGE.iterdir() if path.is_dir()}
+    parts |= {"project", "records", "scenes", "studies"}
     for path in tests.rglob("*.py"):
         assert not any(name.startswith(("test_", "conftest")) for name in imports(path)), path
         if path.name.startswith("test_"):
@@ -285,7 +284,7 @@ def test_every_public_name_is_there_and_is_what_it_says():
     for name in ("minimise", "minimize", "energy", "pose", "compare"):
         assert callable(getattr(protochain, name))
     # A subpackage of the same name would shadow the function once it is imported.
-    for sub in ("energies", "minimisers", "analysis", "structure"):
+    for sub in ("energies", "minimisers", "comparison", "structure"):
         importlib.import_module(f"protochain.{sub}")
     assert callable(protochain.energy) and callable(protochain.minimise)
     with pytest.raises(AttributeError, match="nonsense"):

@@ -44,6 +44,7 @@ def inputs(tmp_path_factory):
     """The files that the commands of pages name, small ones."""
     folder = tmp_path_factory.mktemp("inputs")
     (folder / "structures").symlink_to(STRUCTURES)
+    (folder / "analysis").symlink_to(ROOT / "analysis")
     mini, short, insulin = load("1l2y.pdb"), load("ala10.pdb"), load("3i40.pdb")
     for name in ("model", "model1", "relaxed", "native", "top", "protein"):
         pc.save(mini, folder / f"{name}.pdb")

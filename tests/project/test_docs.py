@@ -96,7 +96,7 @@ def test_the_synopsis_has_every_command_and_its_options_exist():
 
 
 def test_names_in_the_theory_exist():
-    parts = "articulate|chain|mechanics|multibody|dynamics|minimisers|energies|structure|analysis"
+    parts = "articulate|chain|mechanics|multibody|dynamics|minimisers|energies|structure|comparison"
     names = set(re.findall(rf"`((?:{parts})\.[\w.]+)`", THEORY.read_text()))
     assert len(names) > 40
     assert sorted(name for name in names if not resolves(f"protochain.{name}")) == []

@@ -17,7 +17,7 @@ from fixtures.tolerances import RMSD_ANGSTROM
 from openmm import app, unit
 
 import protochain as pc
-from protochain.analysis.deviation import deviation
+from protochain.comparison.deviation import deviation
 from protochain.energies import NativeEnergy
 from protochain.frame import Frame
 from protochain.minimisers import KCM, Descent, Fixed

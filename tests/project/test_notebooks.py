@@ -6,20 +6,21 @@ import json
 import re
 
 import pytest
-from fixtures.public_names import PACKAGES
+from fixtures.public_names import BENCH, PACKAGES
 from fixtures.samples import ROOT
 from fixtures.texts import cells, program
 from fixtures.waiting import HANG
 
-from protochain.scenes import SCENES, run
+from bench.scenes import SCENES, run
 
 LONG = sorted((ROOT / "analysis" / "notebooks").glob("*.ipynb"))
 OF_SCENES = sorted((ROOT / "analysis" / "scenes").glob("*.ipynb"))
 ALONE = {"helix"}
-"""Notebooks beside those of scenes that are no scene of ``protochain scene``: they are about proteins."""
+"""Notebooks among those of scenes that are about proteins."""
 NOTEBOOKS = [*LONG, *OF_SCENES]
 BENCHMARKS = sorted((ROOT / "analysis" / "benchmarks").glob("*.py"))
-PUBLIC = {package.__name__: set(package.__all__) for package in PACKAGES}
+PUBLIC = {package.__name__: set(package.__all__) for package in (*PACKAGES, *BENCH)}
+OURS = {"protochain", "bench"}
 FULL, QUICK = "QUICK = False", "QUICK = True"
 """Line of the notebooks of scenes, and the one that the tests put in its place."""
 
@@ -121,9 +122,9 @@ def test_it_asks_first_and_says_last_what_was_found(path):
 def test_it_uses_public_names_only(path):
     for node in ast.walk(program(path)):
         if isinstance(node, ast.Import):
-            ours = {alias.name for alias in node.names if alias.name.split(".")[0] == "protochain"}
+            ours = {alias.name for alias in node.names if alias.name.split(".")[0] in OURS}
             assert ours <= PUBLIC.keys()
-        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "protochain":
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] in OURS:
             assert node.module in PUBLIC
             assert {alias.name for alias in node.names} <= PUBLIC[node.module]
         if isinstance(node, ast.Attribute) and ast.unparse(node) != "os._exit":

@@ -16,10 +16,10 @@ import pytest
 from fixtures.command_line import COMMANDS
 from fixtures.samples import MORE_STRUCTURES, ROOT
 from fixtures.texts import blocks
-from typer.exceptions import TyperException
 
-from protochain.analysis.studies import STUDIES
-from protochain.scenes import SCENES
+from bench.__main__ import parser as bench_parser
+from bench.scenes import SCENES
+from bench.studies import STUDIES
 
 FOLDER = ROOT / "analysis" / "benchmarks"
 sys.path.insert(0, str(FOLDER))
@@ -53,10 +53,13 @@ PROGRAM = sorted(
             *re.findall(r"^```(?:sh)?\n(.*?)^```$", text, flags=re.M | re.S),
             *(" ".join(span.split()) for span in re.findall(r"`([^`]+)`", pages.FENCED.sub("", text))),
         )
-        for found in re.findall(r"^(?:.*(?:&&|\|) )?(protochain [a-z]+[^\n#]*)", code, flags=re.M)
+        for found in re.findall(
+            r"^(?:.*(?:&&|\|) )?((?:protochain [a-z]+|python analysis/bench(?= |$))[^\n#]*)", code, flags=re.M
+        )
     }
 )
 """Commands of the program, in blocks and in the text."""
+BENCH = {None, "all", *STUDIES, *SCENES}
 every_job = pytest.mark.parametrize("job", benchmarks.JOBS, ids=lambda job: job.name)
 every_page = pytest.mark.parametrize("page", pages.PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
@@ -178,12 +181,13 @@ def test_commands_that_are_quoted_exist(quoted):
 
 @pytest.mark.parametrize("quoted", PROGRAM)
 def test_commands_of_the_program_that_are_quoted_are_parsed(quoted):
-    _, command, *words = shlex.split(re.split(r" [<>|] ", quoted)[0])
+    _program, command, *words = shlex.split(re.split(r" [<>|] ", quoted)[0])
+    if command == "analysis/bench":
+        assert bench_parser().parse_intermixed_args([word for word in words if word != "..."]).name in BENCH
+        return
     assert command in COMMANDS
     if words:
         COMMANDS[command].make_context(command, [word for word in words if word != "..."])
-    if command == "bench" and words:
-        assert words[0] in {*STUDIES, *SCENES}
 
 
 def test_pages_quote_commands_that_make_their_tables():
@@ -192,7 +196,7 @@ def test_pages_quote_commands_that_make_their_tables():
     for page in pages.PAGES:
         text = pages.MARKED.sub("", page.read_text())
         for quoted in re.findall(
-            r"`(python analysis/benchmarks/[^`]+|protochain bench [^`]+-o DIR[^`]*)`", text
+            r"`(python analysis/benchmarks/[^`]+|python analysis/bench [^`]+-o DIR[^`]*)`", text
         ):
             quoted = " ".join(quoted.split())
             if quoted.split()[1] in ("analysis/benchmarks/all.py", "analysis/benchmarks/pages.py"):
@@ -220,6 +224,9 @@ def test_every_job_is_a_command_that_exists(job, quick, tmp_path):
     program, *words = benchmarks.words_of(job, tmp_path, MORE_STRUCTURES, quick)
     if program == sys.executable:
         script, *words = words
+        if script == "analysis/bench":
+            assert bench_parser().parse_intermixed_args(words).name in STUDIES
+            return
         assert (ROOT / script).parent == FOLDER
         assert accepted((ROOT / script).name, words)
     else:
@@ -234,8 +241,8 @@ def test_every_job_is_a_command_that_exists(job, quick, tmp_path):
 def test_a_job_with_an_unknown_option_would_be_noticed():
     assert not accepted("race.py", ["--force", "gbsa", "--nothing"])
     assert not accepted("dynamics.py", ["energies"])
-    with pytest.raises(TyperException, match="nothing"):
-        COMMANDS["bench"].make_context("bench", ["precision", "--nothing"])
+    with pytest.raises(SystemExit):
+        bench_parser().parse_intermixed_args(["precision", "--nothing"])
 
 
 def all_py(*words):

@@ -4,16 +4,13 @@ import numpy as np
 import pytest
 from fixtures.tolerances import DIFFERENCE
 
-from protochain.core.errors import MechanicsError
-from protochain.mechanics import multibody
-from protochain.mechanisms import Mechanism, Plane
-from protochain.scenes import run
-from protochain.scenes.backhoe import oracle
-from protochain.scenes.backhoe.checks import OUT, Turning, flat
-from protochain.scenes.backhoe.cycle import working
-from protochain.scenes.backhoe.machine import ARM, CYLINDERS, DESIGNS, hold, mesh, posture, vehicle
-from protochain.scenes.backhoe.stability import centre, force_angle, inside_by, loads
-from protochain.scenes.backhoe.track import (
+from bench.scenes import run
+from bench.scenes.backhoe import oracle
+from bench.scenes.backhoe.checks import OUT, Turning, flat
+from bench.scenes.backhoe.cycle import working
+from bench.scenes.backhoe.machine import ARM, CYLINDERS, DESIGNS, hold, mesh, posture, vehicle
+from bench.scenes.backhoe.stability import centre, force_angle, inside_by, loads
+from bench.scenes.backhoe.track import (
     APART,
     PITCH,
     SEATS,
@@ -25,7 +22,10 @@ from protochain.scenes.backhoe.track import (
     crawler,
     loop,
 )  # fmt: skip
-from protochain.scenes.bucket.backhoe import EDGE
+from bench.scenes.bucket.backhoe import EDGE
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanisms import Mechanism, Plane
 
 SQUARE = np.array([(1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0)])
 DOWN = np.array([0.0, 0.0, -10.0])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from protochain.scenes import run
-from protochain.scenes.bucket.backhoe import EDGE, backhoe, bucket_plates, digging, motion_of, reach
-from protochain.scenes.bucket.joints import ANGLES, on_bushings
+from bench.scenes import run
+from bench.scenes.bucket.backhoe import EDGE, backhoe, bucket_plates, digging, motion_of, reach
+from bench.scenes.bucket.joints import ANGLES, on_bushings
 
 
 @pytest.mark.slow

@@ -5,15 +5,15 @@ import pytest
 from scipy.optimize import approx_fprime
 from scipy.spatial import cKDTree
 
+from bench.scenes import run
+from bench.scenes.gear import started
+from bench.scenes.gear.geometry import GearPair, outer, overlap
+from bench.scenes.gear.mesh import Gear, gears, meshing_of
+from bench.scenes.gear.oracle import corner_place
+from bench.scenes.gear.quasi import at_rest, lag_of
 from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.mechanics.motion import System
 from protochain.mechanics.multibody import kinetic_energy, pose
-from protochain.scenes import run
-from protochain.scenes.gear import started
-from protochain.scenes.gear.geometry import GearPair, outer, overlap
-from protochain.scenes.gear.mesh import Gear, gears, meshing_of
-from protochain.scenes.gear.oracle import corner_place
-from protochain.scenes.gear.quasi import at_rest, lag_of
 
 DRAWN = 3e-8
 """m. Of gaps of 50 um between curves of points 2 um apart."""

@@ -5,8 +5,8 @@ import pytest
 import skfem
 from skfem.helpers import eye, sym_grad, trace
 
-from protochain.scenes.gear import ELEMENTS
-from protochain.scenes.gear.geometry import GearPair
+from bench.scenes.gear import ELEMENTS
+from bench.scenes.gear.geometry import GearPair
 
 E, NU = 206e9, 0.3
 """Steel."""

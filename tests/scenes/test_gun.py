@@ -7,14 +7,14 @@ import pandas as pd
 import pytest
 from scipy.integrate import quad
 
+from bench.scenes import run
+from bench.scenes.gun import parts, search, study
+from bench.scenes.gun.extremes import REFUSED
+from bench.scenes.gun.oracle import CRADLE, ROLL, SLIDE, Planar
+from bench.scenes.gun.parts import Gun, built
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import DormandPrince
 from protochain.mechanics.multibody import mass_matrix, pose
-from protochain.scenes import run
-from protochain.scenes.gun import parts, search, study
-from protochain.scenes.gun.extremes import REFUSED
-from protochain.scenes.gun.oracle import CRADLE, ROLL, SLIDE, Planar
-from protochain.scenes.gun.parts import Gun, built
 
 
 @pytest.fixture(scope="module")

@@ -6,18 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from protochain.core.errors import MechanicsError
-from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, Rosenbrock, RungeKutta4
-from protochain.mechanics.multibody import integrate, mass_matrix, pose
-from protochain.mechanisms import Mechanism, state_matrix
-from protochain.mechanisms.linear import frequencies
-from protochain.mechanisms.modes import in_modes
-from protochain.mechanisms.segments import Beam, add_beam
-from protochain.scenes import run
-from protochain.scenes.helicopter import landing, resonance, safety
-from protochain.scenes.helicopter.legs import Legs
-from protochain.scenes.helicopter.lift import Lift, Strip
-from protochain.scenes.helicopter.parts import (
+from bench.scenes import run
+from bench.scenes.helicopter import landing, resonance, safety
+from bench.scenes.helicopter.legs import Legs
+from bench.scenes.helicopter.lift import Lift, Strip
+from bench.scenes.helicopter.parts import (
     BLADE,
     BLADES,
     LEGS,
@@ -30,6 +23,13 @@ from protochain.scenes.helicopter.parts import (
     settled,
     trimmed,
 )  # fmt: skip
+from protochain.core.errors import MechanicsError
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, Rosenbrock, RungeKutta4
+from protochain.mechanics.multibody import integrate, mass_matrix, pose
+from protochain.mechanisms import Mechanism, state_matrix
+from protochain.mechanisms.linear import frequencies
+from protochain.mechanisms.modes import in_modes
+from protochain.mechanisms.segments import Beam, add_beam
 
 FEET = [(1.0, 0.5, 0.0), (-1.0, 0.5, 0.0), (0.0, -1.0, 0.0)]
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from bench.scenes import run
+from bench.scenes.impact import bounces, checks, paths, systems
+from bench.scenes.impact.study import KINDS, each_alone, random_impacts, random_points, random_pose
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import impact, kinetic_energy
-from protochain.scenes import run
-from protochain.scenes.impact import bounces, checks, paths, systems
-from protochain.scenes.impact.study import KINDS, each_alone, random_impacts, random_points, random_pose
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from protochain.scenes import run
-from protochain.scenes.loops import by_lagrange, period
+from bench.scenes import run
+from bench.scenes.loops import by_lagrange, period
 
 
 def test_loops_are_right():

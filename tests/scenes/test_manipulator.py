@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from protochain.scenes.manipulator import BENDING, EXUDYN, LENGTHS, MASS, START, TORQUES
+from bench.scenes.manipulator import BENDING, EXUDYN, LENGTHS, MASS, START, TORQUES
 
 exudyn = pytest.importorskip("exudyn")
 AXIAL = 2.1e11 * 0.04 * 0.01

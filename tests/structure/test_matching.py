@@ -12,7 +12,7 @@ from openmm import app
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.analysis.deviation import deviation, rmsd_table
+from protochain.comparison.deviation import deviation, rmsd_table
 from protochain.core.errors import OnlyAlphaError, StructureError
 from protochain.structure import matching as module
 from protochain.structure.matching import match, tm_score

@@ -10,7 +10,7 @@ from fixtures.tolerances import RMSD_ANGSTROM
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.analysis.deviation import deviation
+from protochain.comparison.deviation import deviation
 from protochain.validation import LIKENESS, likeness
 from protochain.validation.likeness import _TWINS, _by_residue
 

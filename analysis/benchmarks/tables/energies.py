@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from protochain.lab import exponent
+from bench import exponent
 from tables import SOLVENTS, Cell, paragraph, ratio_of, table, table_of_rows
 
 ALL, TREE = "all pairs", "tree, 0.001 asked"

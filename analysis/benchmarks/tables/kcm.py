@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pandas as pd
 
-from protochain.analysis.studies import kcm_summary
+from bench.studies import kcm_summary
 from tables import Cell, digits, markdown, paragraph, percent, table, table_of_rows
 
 

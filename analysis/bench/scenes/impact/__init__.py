@@ -1,0 +1,71 @@
+"""Impacts with friction by Newton, Poisson and Stronge; one point, several, loops.
+
+After Lidstrom (2015), of which the outline is known. What it treats, and where it is:
+
+=======================================  ==============================================================
+impulses on trees of rigid bodies        ``multibody.impact``: any tree, with and without loops
+laws of restitution, Coulomb's friction  one point, or several, together or in turn
+two rods whose tip strikes a floor       ``systems.rods``: of Kane and Levinson, *Dynamics* (1985)
+uniqueness                               starts that must agree; a priori: ``multibody.friction_bound``
+impulses that are given                  ``impact(external=)``
+impulse stress                           ``multibody.impulse_stress``: its mean in each rigid body
+bodies that bend                         ``impact`` of a ``multibody.Bending``
+=======================================  ==============================================================
+
+Left out: waves in bodies, since instantaneous impulses move all of a body at once; stress where loops bear.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from bench.cases import LeftOut, Scene, left_out
+from bench.cost import work_table
+from bench.scenes.impact import bounces, checks
+from bench.scenes.impact.extremes import extremes
+from bench.scenes.impact.paths import path_checks, traces, work
+from bench.scenes.impact.study import random_impacts
+from bench.scenes.impact.systems import chain
+from protochain.core.arrays import Floats
+from protochain.mechanics.multibody import impact, mass_matrix, point_rows, row_matrix
+from protochain.mechanics.multibody.articulated import articulate
+
+IMPACTS, FEW = 100_000, 2000
+"""Random impacts; of the quick scene."""
+
+
+def run(quick: bool = False) -> Scene:
+    """Run the scene; quick: fewer random impacts, short chains: some seconds."""
+    gains = random_impacts(FEW if quick else IMPACTS, 0)
+    bounced, end = bounces.bounce(bounces.ball(), ends=True)
+    found = (
+        *checks.known(), *bounces.bounce_checks(bounced, end), *path_checks(),
+        *checks.random_checks(20 if quick else 200), *checks.gain_checks(gains),
+    )  # fmt: skip
+    return Scene(
+        "impact", "impacts with friction: impulses on trees, with and without loops", found,
+        work_table(work(quick)), tuple(extremes(quick)), tuple(_left_out(100 if quick else 1000)),
+        {"gains": gains, "bounces": bounced, "paths": traces(), "cradles": checks.cradle_table()},
+        "error of the velocities after",
+    )  # fmt: skip
+
+
+def _left_out(n: int) -> Iterator[LeftOut]:
+    """What an impact of a chain does without."""
+    factors, qd, wall = chain(n)
+    tree, frames = factors.tree, factors.frames
+
+    def known() -> Floats:
+        return impact(factors, qd, [wall]).qd
+
+    def anew() -> Floats:
+        return impact(articulate(tree, frames), qd, [wall]).qd
+
+    def dense() -> Floats:
+        rows = point_rows(frames, wall.bodies, np.stack([wall.point, wall.point]))
+        g = row_matrix(tree, frames, rows)
+        change = np.linalg.solve(mass_matrix(tree, frames), g.T @ impact(factors, qd, [wall]).impulse[0])
+        return np.asarray(qd + change)
+
+    yield left_out(f"factors of {n} bodies, which the motion has already", anew, known, 0.0, 20)
+    yield left_out(f"the mass matrix of {n} bodies, as a matrix", dense, known, 1e-9)

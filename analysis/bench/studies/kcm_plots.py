@@ -1,0 +1,87 @@
+"""The figure of the study of KCM against dynamics."""
+
+from collections.abc import Mapping
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from bench.studies.kcm_cases import AT
+from protochain.results.figures import COLOURS, DASHES, Figure, plain
+
+SHOWN = ("kcm-0.005", "kcm-metric", "md-1", "md-10", "lbfgs")
+"""Methods of the panels of energies."""
+_LEAST = 1e-2
+"""kJ/mol, where curves end on the logarithmic axis."""
+
+
+def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Figure:
+    """Three panels: energy along runs of one start, how often pairs of methods agree, energy for equal cost.
+
+    Parameters
+    ----------
+    tables : mapping of str to pandas.DataFrame
+        ``contrasts`` and ``cost``.
+    traces : pandas.DataFrame, optional
+        Runs of one start, point by point.
+    """
+    figure = Figure(figsize=(11, 8), layout="constrained")
+    axes = figure.subplot_mosaic([["shares", "shares"], ["energy", "cost"]])
+    shares, energy, cost = axes["shares"], axes["energy"], axes["cost"]
+    style: dict[str, dict[str, Any]] = {
+        name: {"color": colour, "linestyle": dash, "label": name}
+        for name, colour, dash in zip(SHOWN, cycle(COLOURS), cycle(DASHES), strict=False)
+    }
+    if traces is not None and len(traces):
+        for name, own in traces.groupby("method", sort=False):
+            energy.plot(own["evaluations"], own["energy_kj_mol"], **style[str(name)])
+        first = traces.iloc[0]
+        energy.set_title(f"One start: {first['protein']}, {first['start']}")
+    energy.set(xscale="log", xlabel="evaluations", ylabel="potential energy, kJ/mol")
+    if len(tables["contrasts"]):
+        _contrasts(shares, tables["contrasts"])
+    for row in tables["cost"].to_dict("records"):
+        if row["method"] in style:
+            above = [max(row[f"at_{k}"], _LEAST) for k in AT]
+            cost.plot(AT, above, **style[row["method"]])
+    cost.set(
+        xscale="log", yscale="log", xlabel="evaluations", title="All starts of which every method has run",
+        ylabel="median above the lowest\nminimum of the start, kJ/mol",
+    )  # fmt: skip
+    for axis in (energy, shares, cost):
+        plain(axis)
+        if axis.get_legend_handles_labels()[0]:
+            axis.legend(frameon=False, fontsize=8, loc="lower left" if axis is shares else "best")
+    return figure
+
+
+_NAMED = {
+    "KCM and dynamics, friction 10": "KCM by torques and dynamics, friction 10 / ps",
+    "metric of masses": "add masses (KCM along $M^{-1}$torque)",
+    "inertia, friction 10": "then add inertia, friction 10 / ps",
+    "inertia, friction 1": "then add inertia, friction 1 / ps",
+    "root, without inertia": "fix one residue (KCM along $M^{-1}$torque)",
+    "root, friction 10": "fix one residue (dynamics)",
+    "rule: adaptive angle": "another rule for the length of steps",
+}
+"""Contrasts of the figure, in words."""
+
+
+def _contrasts(axis: Any, table: pd.DataFrame) -> None:
+    """Shares of one minimum, and of the worst controls, in solvent with all hinges."""
+    rows = table[table["scope"] == table["scope"].iloc[0]].set_index("what")
+    own = rows.loc[[name for name in reversed(_NAMED) if name in rows.index]]
+    own = own[own["baseline"].notna()]
+    for name, colour, shift in (("same", COLOURS[0], 0.12), ("baseline", "0.6", -0.12)):
+        value = 100.0 * own[name]
+        off = [value - 100.0 * own[f"{name}_low"], 100.0 * own[f"{name}_high"] - value]
+        label = (
+            "with the change" if name == "same" else "with a change that should not matter (half the step)"
+        )
+        axis.errorbar(value, np.arange(len(own)) + shift, xerr=off, fmt="o", color=colour, label=label, ms=4)
+    axis.set_yticks(range(len(own)), [_NAMED[what] for what in own.index], fontsize=9)
+    axis.set(xlim=(0, 100), xlabel="runs from one start that end in the same minimum, per cent")
+    axis.set_title(
+        f"How often does a change of the method leave the minimum as it is? {table['scope'].iloc[0]}"
+    )

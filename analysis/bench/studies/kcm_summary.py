@@ -1,0 +1,377 @@
+"""Answers of the study of KCM against dynamics: contrasts, tables and words, from its table of runs alone.
+
+A contrast is a pair of methods that differ in one thing. It counts starts from which both are finished, and
+no others. Its controls are both methods against themselves, with half the step and from starts moved by
+rounding; of these the worst counts, the one that comes back to its minimum least often. Only what exceeds it
+is an effect. Energies and sizes are not pooled. Intervals are 95 %, by resampling the proteins, each with all
+of its starts: they speak of proteins like these.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest, bootstrap
+
+from bench.studies import kcm_plots
+from bench.studies.kcm_cases import (
+    AT,
+    CONTROLS,
+    KEY,
+    LEFT,
+    METHODS,
+    MODELS,
+    SMALL,
+    TIME_STEPS,
+    TRIALS,
+    same_minimum,
+)
+from protochain.results.tables import save
+
+START = ["protein", "model", "energy", "start", "seed"]
+FEW = 3
+"""Proteins below which nothing is concluded."""
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """Two methods, and what they differ in.
+
+    Parameters
+    ----------
+    what, a, b : str
+    is_control : bool
+        Whether nothing should depend on the difference.
+    """
+
+    what: str
+    a: str
+    b: str
+    is_control: bool = False
+
+
+CONTRASTS = (
+    *(Contrast(f"KCM and dynamics, friction {f:g}", "kcm-0.005", f"md-{f:g}") for f in TIME_STEPS),
+    Contrast("metric of masses", "kcm-adaptive", "kcm-metric"),
+    Contrast("metric of stiffness", "kcm-adaptive", "kcm-stiffness"),
+    *(Contrast(f"inertia, friction {f:g}", "kcm-metric", f"md-{f:g}") for f in TIME_STEPS),
+    Contrast("root, without inertia", "kcm-metric", "kcm-metric-fixed"),
+    Contrast("root, friction 10", "md-10", "md-10-fixed"),
+    Contrast("stiffness and masses", "kcm-stiffness", "kcm-metric"),
+    Contrast("stiffness and dynamics, friction 10", "kcm-stiffness", "md-10"),
+    Contrast("rule: adaptive angle", "kcm-0.005", "kcm-adaptive"),
+    Contrast("rule: constant compliance", "kcm-0.005", "kcm-proportional"),
+    Contrast("rule: by signs", "kcm-0.005", "kcm-sign"),
+    *(
+        Contrast(f"{kind} of {name}", name, f"{name}-{end}", True)
+        for name in TRIALS
+        for kind, end in CONTROLS.items()
+        if f"{name}-{end}" in TRIALS
+    ),
+)
+"""KCM in the metric of masses is overdamped motion of the chain: it differs from KCM with the same rule by
+the metric alone, and from dynamics by the inertia that friction, per ps, leaves. The rules of KCM turn along
+the same torques: a fixed largest angle, one that adapts, one compliance for all, or, by signs, all hinges by
+one angle."""
+SCOPES: Mapping[str, Mapping[str, Any]] = {
+    "OBC2": {"energy": "obc2", "model": MODELS[0], "is_small": True},
+    f"OBC2, more than {SMALL} residues": {"energy": "obc2", "model": MODELS[0], "is_small": False},
+    "OBC2, rigid side chains": {"energy": "obc2", "model": MODELS[1], "is_small": True},
+    "vacuum": {"energy": "vacuum", "model": MODELS[0], "is_small": True},
+    "no dihedral terms": {"energy": "nonbonded", "model": MODELS[0], "is_small": True},
+}
+"""Runs that are counted together."""
+SECONDS = (0.1, 1.0, 10.0)
+_RESAMPLES = 4000
+
+
+def write(output: Path, runs: pd.DataFrame, planned: set[tuple[Any, ...]]) -> Iterator[pd.DataFrame]:
+    """Write and yield what follows from the runs: tables, the figure, and ``summary.md``."""
+    made = tables(runs)
+    if not made:
+        return
+    save(output, {f"{name}.csv": table for name, table in made.items()})
+    traces = output / "traces.csv"
+    figure = kcm_plots.plot(made, pd.read_csv(traces) if traces.exists() else None)
+    lines = [counts(runs, planned), *words(runs, made["contrasts"])]
+    save(output, {"kcm.png": figure, "summary.md": "\n\n".join(["# KCM against dynamics", *lines]) + "\n"})
+    yield made["contrasts"]
+    yield pd.DataFrame({"summary": lines})
+
+
+def tables(runs: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    """Tables by name: ``contrasts``, ``proteins``, ``cost`` and ``deposited``; none without runs."""
+    done = runs[runs["energy_kj_mol"].notna()] if len(runs) else runs
+    if done.empty:
+        return {}
+    pairs = compared(done)
+    return {
+        "contrasts": contrasts(pairs), "proteins": by_protein(pairs), "cost": cost(done),
+        "deposited": deposited(done),
+    }  # fmt: skip
+
+
+def counts(runs: pd.DataFrame, planned: set[tuple[Any, ...]]) -> str:
+    """How many of the runs planned there are."""
+    keys = set(runs[list(KEY)].itertuples(index=False, name=None))
+    others = f", and {len(keys - planned)} others" if keys - planned else ""
+    return f"{len(keys & planned)} of {len(planned)} runs planned{others}."
+
+
+def compared(runs: pd.DataFrame) -> pd.DataFrame:
+    """Contrasts of every start: whether both are finished, one minimum, and how far b ends above a."""
+    rows = []
+    for key, own in runs.groupby(START, sort=False):
+        ends = {row["method"]: row for row in own.to_dict("records")}
+        for each in CONTRASTS:
+            if each.a not in ends or each.b not in ends:
+                continue
+            a, b = ends[each.a], ends[each.b]
+            rise = b["energy_kj_mol"] - a["energy_kj_mol"]
+            rows.append(
+                dict(zip(START, key, strict=True))
+                | {
+                    "residues": a["residues"], "what": each.what,
+                    "finished": bool(a["finished"] and b["finished"]),
+                    "same": float(same_minimum(_torsions(a), _torsions(b), rise)), "rise_kj_mol": rise,
+                }
+            )  # fmt: skip
+    return pd.DataFrame(rows, columns=[*START, "residues", "what", "finished", "same", "rise_kj_mol"])
+
+
+def contrasts(pairs: pd.DataFrame) -> pd.DataFrame:
+    """Shares of pairs that end in one minimum, their controls and effects, from what ``compared`` returns.
+
+    One row a scope and contrast. ``pairs`` counts the finished pairs, ``left_out`` the others, ``same_pairs``
+    those that end in one minimum. ``same`` is the mean over proteins of their shares; ``baseline`` that of
+    the worst control, named in ``control``, from the same starts; ``effect`` their difference, of the starts
+    that have that control; ``rise_kj_mol`` how far the second's minima lie above the first's; each has its
+    limits, ``_low`` and ``_high``. ``proteins_needed``: how many like these would tell the effect from 0.
+    """
+    rows = []
+    for scope, own in _scopes(pairs):
+        finished = own[own["finished"].astype(bool)].set_index([*START, "what"])
+        wide = finished["same"].unstack("what") if len(finished) else finished
+        by_what = dict(iter(own.groupby("what", sort=False)))
+        effects: dict[str, pd.Series] = {}
+        for each in CONTRASTS:
+            if each.what not in by_what:
+                continue
+            every = by_what[each.what]
+            row: dict[str, Any] = {"scope": scope, "what": each.what, "starts": len(every)}
+            row["pairs"] = int(every["finished"].sum())
+            row["left_out"] = row["starts"] - row["pairs"]
+            if row["pairs"]:
+                same = wide[each.what].dropna()
+                row["same_pairs"] = int(same.sum())
+                row["proteins"] = same.index.get_level_values("protein").nunique()
+                row |= _interval("same", same, 0.0)
+                if not each.is_control:
+                    row["control"], baseline = _worst_control(wide, each, same.index)
+                    if len(baseline):
+                        effects[each.what] = baseline - same.reindex(baseline.index)
+                        row |= _interval("baseline", baseline, 0.0)
+                        row |= _interval("effect", effects[each.what], -1.0)
+                        row["proteins_needed"] = _needed(effects[each.what])
+                    row |= _interval("rise_kj_mol", finished["rise_kj_mol"].xs(each.what, level="what"))
+            rows.append(row)
+        rows += [
+            {"scope": scope, "what": f"metric less {what}", "starts": len(both), "pairs": len(both),
+             "left_out": 0, "proteins": both.index.get_level_values("protein").nunique(),
+             **_interval("effect", both, -1.0), "proteins_needed": _needed(both)}
+            for what, both in _differences(effects)
+        ]  # fmt: skip
+    names = [f"{name}{end}" for name in ("same", "baseline", "effect", "rise_kj_mol") for end in ("", *_ENDS)]
+    columns = ["scope", "what", "starts", "pairs", "left_out", "same_pairs", "proteins", "control"]
+    return pd.DataFrame(rows, columns=[*columns, *names, "proteins_needed"])
+
+
+def by_protein(pairs: pd.DataFrame) -> pd.DataFrame:
+    """Finished pairs of each protein, and those that end in one minimum, by scope and contrast."""
+    rows = []
+    for scope, own in _scopes(pairs):
+        finished = own[own["finished"].astype(bool)]
+        for (protein, what), each in finished.groupby(["protein", "what"], sort=False):
+            rows.append((scope, protein, each["residues"].iloc[0], what, len(each), int(each["same"].sum())))
+    return pd.DataFrame(rows, columns=["scope", "protein", "residues", "what", "pairs", "same_pairs"])
+
+
+def _differences(effects: Mapping[str, pd.Series]) -> Iterator[tuple[str, pd.Series]]:
+    """How much more the metric of masses changes than inertia, from starts that have both."""
+    for what, inertia in effects.items():
+        if what.startswith("inertia") and "metric of masses" in effects:
+            both = (effects["metric of masses"] - inertia).dropna()
+            if len(both):
+                yield what, both
+
+
+def _worst_control(wide: pd.DataFrame, contrast: Contrast, starts: pd.Index) -> tuple[str, pd.Series]:
+    """Control of either method with the least share of one minimum from these starts, and its outcomes."""
+    of = {
+        each.what: wide[each.what].reindex(starts).dropna()
+        for each in CONTRASTS
+        if each.is_control and each.a in (contrast.a, contrast.b) and each.what in wide
+    }
+    known = {what: values for what, values in of.items() if len(values)}
+    if not known:
+        return "", pd.Series(dtype=float)
+    return min(known.items(), key=lambda item: float(_by_protein(item[1]).mean()))
+
+
+def words(runs: pd.DataFrame, table: pd.DataFrame) -> Iterator[str]:
+    """Sentences that the contrasts carry; where an interval leaves it open, they say so."""
+    done = runs[runs["energy_kj_mol"].notna()]
+    n_starts = len(done[START].drop_duplicates())
+    named = ", ".join(done["protein"].unique())
+    yield (
+        f"{len(runs)} runs from {n_starts} starts (each of a model with an energy) of these "
+        f"{done['protein'].nunique()} proteins: {named}. Only finished pairs count: both runs within "
+        f"{LEFT:g} kJ/mol of the minimum that their own continuation leads to."
+    )
+    for row in table[table["scope"].isin(list(SCOPES)[:2])].to_dict("records"):
+        if sentence := sentence_of(row):
+            yield sentence
+
+
+_WORDED = {each.what: each for each in CONTRASTS if not each.is_control}
+
+
+def sentence_of(row: Mapping[Any, Any]) -> str:
+    """Say what a row of the contrasts shows, in numbers; empty for a control."""
+    what = str(row["what"])
+    if what.startswith("metric less"):
+        verdict = _verdict(row, "inertia does more", "the metric does more")
+        friction = what.rsplit(" ", 1)[1]
+        compared = f"metric against inertia at a friction of {friction} per ps"
+        return f"{row['scope']}: {compared}: {verdict}{_more(row)}."
+    if what not in _WORDED:
+        return ""
+    pair = f"{row['scope']}: `{_WORDED[what].a}` and `{_WORDED[what].b}` ({what})"
+    left = f"{row['left_out']} of {row['starts']} starts left out"
+    if not row["pairs"]:
+        return f"{pair}: no finished pair; {left}."
+    raw = f"{row['same_pairs']:.0f} of {row['pairs']} finished pairs"
+    shares = f"one minimum from {raw}, {100 * row['same_pairs'] / row['pairs']:.0f} %; by protein "
+    shares += _percent(row, "same")
+    if row["proteins"] < FEW:
+        return f"{pair}: {shares}, of too few proteins for an answer; {left}."
+    if not np.isfinite(row["effect"]):
+        return f"{pair}: {shares}, without a control; {left}."
+    verdict = _verdict(row, "more alike than the control", "an effect")
+    return (
+        f"{pair}: {shares}; the worst control, {row['control']}, {_percent(row, 'baseline')}: "
+        f"a difference of {_percent(row, 'effect')}, {verdict}{_more(row)}; {left}."
+    )
+
+
+def _verdict(row: Mapping[Any, Any], below: str, above: str) -> str:
+    if row["proteins"] < FEW:
+        return "too few proteins"
+    if row["effect_high"] < 0.0:
+        return below
+    return above if row["effect_low"] > 0.0 else "open"
+
+
+def _more(row: Mapping[Any, Any]) -> str:
+    """How many proteins would settle what is open."""
+    is_open = row["proteins"] >= FEW and row["effect_low"] <= 0.0 <= row["effect_high"]
+    if not is_open:
+        return ""
+    needed = row["proteins_needed"]
+    return f" ({needed:.0f} proteins like these would settle it)" if np.isfinite(needed) else ""
+
+
+def _percent(row: Mapping[Any, Any], name: str) -> str:
+    low, high = (100.0 * row[f"{name}{end}"] for end in _ENDS)
+    return f"{100.0 * row[name]:.0f} % ({low:.0f} to {high:.0f})"
+
+
+def cost(runs: pd.DataFrame) -> pd.DataFrame:
+    """Lowest energy for equal cost, by method: medians over starts from which all in torsions have run.
+
+    Energies, in kJ/mol, are above the lowest minimum of all methods in torsions from the same start, after so
+    many evaluations and so many seconds; ``minimum`` is where the run leads.
+    """
+    torsional = runs[runs["method"] != "openmm"]
+    n = torsional["method"].nunique()
+    found = torsional[torsional.groupby(START)["method"].transform("nunique") == n]
+    lowest = found.groupby(START)["energy_kj_mol"].transform("min")
+    names = [f"energy_at_{k}" for k in AT]
+    above = found[names].sub(lowest, axis=0).set_axis([f"at_{k}" for k in AT], axis=1)
+    energies = found[names].to_numpy()
+    for seconds in SECONDS:
+        # Seconds a run takes are in proportion to its evaluations.
+        reached = found["evaluations"] * np.minimum(1.0, seconds / found["seconds"])
+        place = np.maximum(np.searchsorted(AT, reached, side="right") - 1, 0)
+        above[f"at_{1000.0 * seconds:g}_ms"] = energies[np.arange(len(found)), place] - lowest
+    above = above.assign(
+        method=found["method"], finished=found["finished"].astype(float), evaluations=found["evaluations"],
+        left_kj_mol=found["left_kj_mol"], minimum_kj_mol=found["energy_kj_mol"] - lowest,
+    )  # fmt: skip
+    groups = above.groupby("method", sort=False)
+    table = groups.median()
+    table["finished"] = groups["finished"].mean()
+    table.insert(0, "starts", groups.size())
+    return table.reindex([name for name in METHODS if name in table.index]).reset_index()
+
+
+def deposited(runs: pd.DataFrame) -> pd.DataFrame:
+    """C-alpha RMSD from deposited structures to the minima, of starts that every method has run from."""
+    own = runs[(runs["start"] == "deposited") & (runs["energy"] != "nonbonded")]
+    n = own["method"].nunique()
+    own = own[own.groupby(START)["method"].transform("nunique") == n]
+    of = own["rmsd_start_angstrom"].groupby(own["method"], sort=False)
+    found = {"starts": of.size(), "median_angstrom": of.median(), "largest_angstrom": of.max()}
+    return pd.DataFrame(found).reset_index(names="method")
+
+
+def _torsions(row: Mapping[Any, Any]) -> np.ndarray:
+    """(n_hinges,) float, degrees: torsions of a row."""
+    return np.array(str(row["torsions_deg"]).split(), dtype=float)
+
+
+def _scopes(pairs: pd.DataFrame) -> Iterator[tuple[str, pd.DataFrame]]:
+    """Runs that are counted together, where there are any."""
+    small = pairs["residues"] <= SMALL
+    for name, of in SCOPES.items():
+        own = pairs[
+            (pairs["energy"] == of["energy"]) & (pairs["model"] == of["model"]) & (small == of["is_small"])
+        ]
+        if len(own):
+            yield name, own
+
+
+_ENDS = ("_low", "_high")
+
+
+def _by_protein(values: pd.Series) -> np.ndarray:
+    return np.asarray(values.groupby(level="protein", sort=False).mean(), dtype=float)
+
+
+def _interval(name: str, values: pd.Series, least: float = -np.inf) -> dict[str, float]:
+    """Mean over proteins of values by start, with its 95 % interval by resampling proteins (percentiles).
+
+    ``least`` is that of a share (0) or of a difference of shares (-1): where all proteins agree nothing
+    varies, and the interval is as wide as the exact binomial one of none in so many.
+    """
+    means = _by_protein(values)
+    mean = low = high = float(means.mean())
+    if np.ptp(means) > 0.0:
+        random = np.random.default_rng(0)
+        found = bootstrap((means,), np.mean, n_resamples=_RESAMPLES, method="percentile", rng=random)
+        low, high = found.confidence_interval
+    elif np.isfinite(least):
+        width = binomtest(0, len(means)).proportion_ci(0.95, "exact").high
+        low, high = max(least, mean - width), min(1.0, mean + width)
+    return {name: mean, f"{name}_low": float(low), f"{name}_high": float(high)}
+
+
+def _needed(values: pd.Series) -> float:
+    """Number of proteins whose interval would not hold 0, if mean and spread stayed as they are."""
+    means = _by_protein(values)
+    if len(means) < FEW or not means.mean():
+        return np.nan
+    return float(np.ceil((1.96 * means.std(ddof=1) / means.mean()) ** 2))

@@ -1,0 +1,139 @@
+"""Error against run time of everything that approximates or iterates: one curve each.
+
+Each kind is a file with ``measure``, which yields the points of its curve, and a row of ``KINDS``; runner,
+tables, pictures and page are common. Minimisers have tables and a picture of their own besides.
+"""
+
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from bench.page import render
+from bench.studies.precision import (
+    closures,
+    energies,
+    fixman,
+    hessians,
+    integrators,
+    minimisers,
+    sampling,
+    solvers,
+)  # fmt: skip
+from bench.studies.precision.curves import Kind, plot, points_of, said
+from protochain.core.errors import ProtochainError
+from protochain.core.processors import processors
+from protochain.results.provenance import made
+from protochain.results.tables import save
+
+KINDS = {
+    "solvers": Kind(
+        "Solving with the mass matrix",
+        "M x = tau of random serial chains with a free root, in random poses.",
+        solvers.measure,
+    ),
+    "energies": Kind(
+        "Energy kernels",
+        "Forces of extended peptides in ff14SB: of pairs in decimal digits, by engine, cutoff and list.",
+        energies.measure,
+    ),
+    "minimisers": Kind(
+        "Minimisers",
+        "Median cost over the structures until the energy is first so near to the lowest end known.",
+        lambda quick: (),
+    ),
+    "integrators": Kind(
+        "Integrators",
+        "A small peptide at constant energy, from its minimum: the angles at the end, and the total energy.",
+        integrators.measure,
+    ),
+    "sampling": Kind(
+        "Sampling",
+        "Two hinges at 300 K, against exact values: root mean square errors over several seeds.",
+        sampling.measure,
+    ),
+    "closures": Kind(
+        "Constraints and closed loops",
+        "A loop of polyglycine kept by three distances: in a step, in a run, and in accelerations.",
+        closures.measure,
+    ),
+    "fixman": Kind(
+        "Fixman's potential",
+        "The logarithm of det M of random serial chains with a free root, and its gradient.",
+        fixman.measure,
+    ),
+    "hessians": Kind(
+        "Products with the torsional Hessian",
+        "Differences of torques at a minimum of a small peptide, along a random direction.",
+        hessians.measure,
+    ),
+}
+"""The one table of kinds."""
+
+
+def run(
+    output: Path, inputs: Sequence[Path] = (), quick: bool = False, only: Sequence[str] = tuple(KINDS)
+) -> Iterator[pd.DataFrame]:
+    """Measure; write ``curves.csv``, a CSV and a picture for each kind, and ``report.html``.
+
+    Parameters
+    ----------
+    output : Path
+        Folder.
+    inputs : sequence of Path
+        Structures for the minimisers; three peptides by default. The other kinds make their own.
+    quick : bool
+        Few and small cases: within a minute.
+    only : sequence of str
+        Kinds to measure.
+
+    Yields
+    ------
+    pandas.DataFrame
+        Of the minimisers their ends and their table; of the others the points.
+
+    Raises
+    ------
+    ProtochainError
+        If a kind is not known, or files are given and none of the kinds reads them.
+    """
+    for name in only:
+        if name not in KINDS:
+            raise ProtochainError(f"precision: there is no kind {name!r}; choose from {', '.join(KINDS)}")
+    if inputs and "minimisers" not in only:
+        raise ProtochainError("precision: only minimisers read files; give none, or add minimisers to --only")
+    tables: dict[str, pd.DataFrame] = {}
+    for name in only:
+        kind = KINDS[name]
+        if name == "minimisers":
+            needed = pd.DataFrame()
+            for needed in minimisers.run(output, inputs, quick):
+                yield needed
+            structures = len(inputs) or (1 if quick else len(minimisers.PEPTIDES))
+            tables[name] = points_of(name, minimisers.points(needed, structures))
+        else:
+            # BLAS on one thread, as in runs.
+            with threadpool_limits(1, "blas"):
+                tables[name] = points_of(name, kind.measure(quick))
+            yield tables[name].drop(columns=["kind", "held_against", "n"])
+            save(output, {f"{name}.png": plot(tables[name], kind.title)})
+        every = pd.concat(tables.values(), ignore_index=True)
+        save(output, {f"{name}.csv": tables[name], "curves.csv": every, "report.html": _page(output, tables)})
+
+
+def _page(folder: Path, tables: Mapping[str, pd.DataFrame]) -> str:
+    """Page of the curves: each with its picture, with what it says, and with its points."""
+    parts = [
+        {
+            "name": name, "kind": KINDS[name], "said": said(points), "points": points.to_dict("records"),
+            "picture": _data_url(folder / f"{'precision' if name == 'minimisers' else name}.png"),
+        }
+        for name, points in tables.items()
+    ]  # fmt: skip
+    return render("curves.html", parts=parts, made=made(f"1, of minimisers {processors()}"))
+
+
+def _data_url(path: Path) -> str:
+    return f"data:image/png;base64,{b64encode(path.read_bytes()).decode()}" if path.exists() else ""

@@ -1,0 +1,110 @@
+"""``compare``: several methods from one prepared start, judged by the same rules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from protochain.articulate import with_energy
+from protochain.comparison.comparison import Comparison
+from protochain.core import defaults
+from protochain.core.arrays import Watcher
+from protochain.core.checks import checked, function, integer, several
+from protochain.core.errors import ProtochainError
+from protochain.core.interrupts import held_interrupts
+from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
+from protochain.minimisers.api import Minimisation, minimise_from
+from protochain.minimisers.start import Start
+from protochain.structure import as_structure
+from protochain.structure.matching import match
+
+
+@checked(methods=several, repeats=integer, watch=function("method"))
+@held_interrupts()
+def compare(
+    structure: Any,
+    methods: str | Sequence[Any] = defaults.COMPARED,
+    energy: Any = None,
+    tolerance: float = defaults.TOLERANCE,
+    max_evaluations: int = defaults.MAX_EVALUATIONS,
+    seed: int = defaults.SEED,
+    *,
+    repeats: int = defaults.REPEATS,
+    reference: Any = None,
+    curvature: bool | None = None,
+    watch: Callable[[str], Watcher] | None = None,
+) -> Comparison:
+    """Minimise one structure by several methods from the same prepared start.
+
+    Parameters
+    ----------
+    structure : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+        The common start.
+    methods : str, or sequence of str, Recipe, or object with ``init`` and ``step``
+        As in :func:`protochain.minimise`.
+    energy : Energy or callable, optional
+        As in :func:`protochain.minimise`; one energy function serves all methods.
+    tolerance, max_evaluations, seed : float, int, int
+        As in :func:`protochain.minimise`.
+    repeats : int
+        Runs of each method that does not repeat exactly (it draws random numbers, or OpenMM sums on several
+        threads), with consecutive seeds. The first is shown; ``Comparison.spread`` covers all.
+    reference : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
+        Structure to measure the ends against, for example an experimental one.
+    curvature : bool, optional
+        As in :func:`protochain.minimise`.
+    watch : callable, optional
+        Given a method's name, returns the ``watch`` of its run.
+
+    Returns
+    -------
+    Comparison
+        Every end judged by the OpenMM Reference platform in double precision. An interrupt ends the current
+        run and leaves out the rest.
+
+    Raises
+    ------
+    ProtochainError
+        If a method is unknown or the input cannot be used.
+    """
+    recipes: dict[str, Recipe] = {}
+    for recipe in map(recipe_of, methods):
+        if recipes.setdefault(recipe.name, recipe) != recipe:
+            raise ProtochainError(
+                f"two methods are called {recipe.name!r}; give each its name: Recipe(name, (Run(method),))"
+            )
+    if not recipes:
+        raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
+    if repeats < 1:
+        raise ProtochainError(f"repeats {repeats}: give at least 1")
+    runs = [
+        Minimisation(
+            recipe, tolerance=tolerance, max_evaluations=max_evaluations, seed=seed, curvature=curvature
+        )
+        for recipe in recipes.values()
+    ]
+    chain, energy = with_energy(structure, energy)
+    known = None if reference is None else as_structure(reference)
+    if known is not None:
+        match(known, chain.structure)  # What cannot be measured is said before the work.
+    for run in runs:
+        run.recipe.check(energy)
+    start = Start(chain, energy)
+    plan = [(run, k) for run in runs for k in range(1 if run.recipe.repeats_exactly(energy) else repeats)]
+    solutions: list[Solution] = []
+    further: list[Solution] = []
+    for run, k in plan:
+        watcher = watch(run.recipe.name) if watch else None
+        try:
+            solution = minimise_from(start, replace(run, seed=seed + k), watcher)
+        except KeyboardInterrupt:
+            if not solutions:
+                raise
+            break
+        interrupted = solution.status is Status.INTERRUPTED
+        if not (interrupted and k):
+            (further if k else solutions).append(solution)
+        if interrupted:
+            break
+    return Comparison(chain.structure, tuple(solutions), reference=known, repeats=tuple(further))

@@ -1,0 +1,402 @@
+"""Comparison of methods: solutions from one start, as tables, figures, files and one self-contained page."""
+
+import json
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from protochain.comparison.colourings import colourings
+from protochain.comparison.deviation import deviation
+from protochain.comparison.differences import Differences, joined, of_ends, totals_of
+from protochain.comparison.folder import clear
+from protochain.comparison.quality import quality
+from protochain.comparison.spread import spreads
+from protochain.comparison.work import at_equal_cost, work_to_reach
+from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.core.storage import json_text, write_atomically, write_text
+from protochain.minimisers import Solution
+from protochain.minimisers.record import SHOWN
+from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
+from protochain.minimisers.verdict import judge_of
+from protochain.results.columns import flat
+from protochain.results.figures import data_url
+from protochain.results.page import render
+from protochain.results.provenance import of_run
+from protochain.results.terms import energies_by_term
+from protochain.results.viewer import View, scene
+from protochain.structure import Structure, ca_rmsd, save
+from protochain.structure.losses import told
+from protochain.structure.superpose import displacements
+from protochain.structure.write import common_suffix
+from protochain.validation.ramachandran import ramachandran
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PACKAGES = (
+    "openmm",
+    "pdbfixer",
+    "gemmi",
+    "numpy",
+    "scipy",
+    "numba",
+    "mdtraj",
+    "MDAnalysis",
+    "tmtools",
+    "pandas",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Minimisations of one structure by several methods.
+
+    Parameters
+    ----------
+    structure : Structure
+        The common start.
+    solutions : tuple of Solution
+        One per method, all of one energy function: shown in tables, plots and files.
+    origin : mapping
+        Facts about the input (path, seconds of preparation), added to every record.
+    reference : Structure, optional
+        Structure to measure the ends against, for example an experimental one; its sequence may differ.
+    repeats : tuple of Solution
+        Further runs of the methods that do not repeat exactly.
+
+    Raises
+    ------
+    ProtochainError
+        If the solutions are not of one energy function or one start.
+    """
+
+    structure: Structure
+    solutions: tuple[Solution, ...]
+    origin: Mapping[str, Any] = field(default_factory=dict)
+    reference: Structure | None = None
+    repeats: tuple[Solution, ...] = ()
+
+    def __post_init__(self) -> None:
+        runs = self.solutions + self.repeats
+        if len({s.energy_function.fingerprint for s in runs}) > 1:
+            raise ProtochainError(
+                "solutions of different energy functions cannot be compared; use one for all"
+            )
+        if any(s.chain.structure is not self.structure for s in runs):
+            raise ProtochainError("solutions of different starts cannot be compared; use one for all")
+
+    @cached_property
+    def table(self) -> pd.DataFrame:
+        """One row per method: the columns of the JSON record, lists and counts as text."""
+        return pd.DataFrame([{key: flat(value) for key, value in row.items()} for row in self.records()])
+
+    def records(self) -> list[dict[str, Any]]:
+        """JSON record of each solution, with its origin and the name of its file; none where it has none."""
+        return [
+            {**s.record(), **self.origin, "message": self.message(s), "output": self.file_of(s)}
+            for s in self.solutions
+        ]
+
+    def file_of(self, solution: Solution) -> str | None:
+        """Name of a solution's file; None if nothing is better than the start, which has its own."""
+        return f"{self.structure.name}.{solution.method}{self.suffix}" if solution.is_usable else None
+
+    def message(self, solution: Solution) -> str:
+        """Message of a solution, and whether it has no file."""
+        none = "; nothing is better than the start: no structure is written"
+        return solution.message + ("" if solution.is_usable else none)
+
+    @cached_property
+    def traces(self) -> pd.DataFrame:
+        """All trace rows, with columns ``structure`` and ``method`` before ``TRACE_COLUMNS``."""
+        parts = [s.trace.assign(structure=self.structure.name, method=s.method) for s in self.solutions]
+        return pd.concat(parts, ignore_index=True)[["structure", "method", *TRACE_COLUMNS]]
+
+    @cached_property
+    def rmsd(self) -> pd.DataFrame:
+        """Pairwise C-alpha RMSD in angstrom between the start and every end, superposed."""
+        ends = {"start": self.structure.positions} | {s.method: s.x for s in self.solutions}
+        return pd.DataFrame(
+            [[ca_rmsd(self.structure, a, b) for b in ends.values()] for a in ends.values()],
+            index=list(ends),
+            columns=list(ends),
+        )
+
+    @cached_property
+    def quality(self) -> pd.DataFrame:
+        """Measures of :func:`protochain.comparison.quality.quality`: one row for the start and for each end.
+
+        With a reference also ``reference_rmsd_angstrom``, ``reference_tm_score``, ``reference_coverage``.
+        """
+        rows = {}
+        for name, end in self.ends().items():
+            rows[name] = quality(end, self.structure, self.solutions[0].chain)
+            if self.reference is not None:
+                off = deviation(self.reference, end)
+                rows[name] |= {
+                    "reference_rmsd_angstrom": off.rmsd,
+                    "reference_tm_score": off.tm_score,
+                    "reference_coverage": off.match.coverage,
+                }
+        return pd.DataFrame.from_dict(rows, orient="index").rename_axis("structure")
+
+    @cached_property
+    def displacements(self) -> pd.DataFrame:
+        """Displacement of each C-alpha in angstrom, superposed: rows are residues, columns methods."""
+        table = alpha_residues(self.structure)
+        for solution in self.solutions:
+            table[solution.method] = displacements(self.structure, solution.x, self.structure.positions)
+        return table
+
+    @cached_property
+    def differences(self) -> dict[str, Differences]:
+        """What each method changed: :func:`protochain.differences` of the start and each end."""
+        return of_ends(self.ends())
+
+    @cached_property
+    def equal_cost(self) -> pd.DataFrame:
+        """Lowest energy so far at equal evaluations and at equal seconds."""
+        return at_equal_cost(self.traces)
+
+    @cached_property
+    def work(self) -> pd.DataFrame:
+        """Cost to come within 100, 10 and 1 kJ/mol of the lowest end with the same degrees of freedom."""
+        lowest = {
+            s.method: min(
+                other.end.energy
+                for other in self.solutions + self.repeats
+                if other.keeps_geometry == s.keeps_geometry
+            )
+            for s in self.solutions
+        }
+        return work_to_reach(self.traces, lowest)
+
+    @cached_property
+    def spread(self) -> pd.DataFrame:
+        """Spread of the runs of each method; a method that repeats exactly has one run."""
+        return spreads(self.solutions, self.repeats)
+
+    def view(self) -> View:
+        """Interactive view of start and ends, superposed, for notebooks; no server is contacted."""
+        return View(self.ends())
+
+    def ends(self) -> dict[str, Structure]:
+        """Start and end structures, by ``start`` and method."""
+        return {"start": self.structure} | {s.method: s.structure for s in self.solutions}
+
+    def plot_energy(self, ax: Any = None) -> "Figure":
+        """Energy against evaluations and seconds, logarithmic where clashes make it large.
+
+        In all plots, ``ax`` is where to draw: Axes of matplotlib, as many as panels, or one for the first.
+        """
+        from protochain.comparison.plots import plot_energy
+
+        return plot_energy(self.traces, self.structure.name, ax)
+
+    def plot_work_precision(self, ax: Any = None) -> "Figure":
+        """Energy above the lowest end with the same degrees of freedom, against evaluations and seconds."""
+        from protochain.comparison.plots import plot_work_precision
+
+        groups = {
+            "torsions only": [s.method for s in self.solutions if s.keeps_geometry],
+            "all atoms free": [s.method for s in self.solutions if not s.keeps_geometry],
+        }
+        return plot_work_precision(self.traces, self.work, groups, self.structure.name, ax)
+
+    def plot_torque(self, ax: Any = None) -> "Figure":
+        """Largest torque against evaluations and seconds, of runs in torsions."""
+        from protochain.comparison.plots import plot_torque
+
+        return plot_torque(self.traces, self.structure.name, ax)
+
+    def plot_rmsd(self, ax: Any = None) -> "Figure":
+        """C-alpha RMSD to the start along each run, and between all ends."""
+        from protochain.comparison.plots import plot_rmsd
+
+        return plot_rmsd(self.traces, self.rmsd, self.structure.name, ax)
+
+    def plot_displacement(self, ax: Any = None) -> "Figure":
+        """Displacement of each C-alpha, one line per method."""
+        from protochain.comparison.plots import plot_displacement
+
+        return plot_displacement(self.displacements, self.structure.name, ax)
+
+    def plot_differences(self, ax: Any = None) -> "Figure":
+        """Change of each residue's torsions, and how far its C-alpha moved, one line per method."""
+        from protochain.comparison.plots import plot_differences
+
+        changes = {name: each.residues for name, each in self.differences.items()}
+        return plot_differences(changes, self.structure.name, ax)
+
+    def plot_ramachandran(self, ax: Any = None) -> "Figure":
+        """Ramachandran plots of the start and of every end."""
+        from protochain.comparison.plots import plot_ramachandran
+
+        found = {name: ramachandran(end) for name, end in self.ends().items()}
+        angles = {name: np.column_stack([its.phi, its.psi]) for name, its in found.items()}
+        return plot_ramachandran(angles, self.structure.name, ax)
+
+    def summary(self) -> dict[str, Any]:
+        """Records, RMSDs, versions and command line, to check or repeat the comparison."""
+        first = self.solutions[0]
+        e = first.energy_function
+        return {
+            "structure": self.structure.name,
+            **self.origin,
+            "engine_reason": e.reason,
+            "system_sha256": e.fingerprint,
+            "judge": judge_of(e),
+            "seed": first.seed,
+            "threads": e.threads,
+            **of_run(*_PACKAGES),
+            "results": self.records(),
+            "ca_rmsd_angstrom": self.rmsd.to_dict(),
+            "quality": _as_json(self.quality, "index"),
+            "work": _as_json(self.work, "records"),
+            "spread": _as_json(self.spread, "records"),
+            "repeats": [s.record() for s in self.repeats],
+        }
+
+    def report(self, directory: str | Path) -> Path:
+        """Write tables, plots, final structures and ``report.html``.
+
+        Parameters
+        ----------
+        directory : path-like
+            Created if needed; the files of an earlier comparison there are deleted first.
+
+        Returns
+        -------
+        Path
+            Path of the page.
+        """
+        folder = Path(directory)
+        try:
+            clear(folder)
+            return _write_files(self, folder)
+        except WriteError as error:
+            there = ", ".join(sorted(path.name for path in folder.glob("*") if not path.name.startswith(".")))
+            raise error.with_saved(
+                f"{folder}: {there}" if there else "nothing",
+                "free space there, and run again with ",
+                Argument("force", True),
+            ) from error
+
+    def write_page(self, path: Path) -> None:
+        """Write the page alone, one HTML file, as for a run by itself."""
+        write_text(path, _page(self, self.summary(), _figures(self)))
+
+    @cached_property
+    def suffix(self) -> str:
+        """File suffix: PDB if it can hold all structures, otherwise mmCIF."""
+        return common_suffix(self.ends().values())
+
+    def __repr__(self) -> str:
+        return f"<Comparison of {', '.join(s.method for s in self.solutions)} on {self.structure.name}>"
+
+    def _repr_html_(self) -> str:
+        return self.table[[column.key for column in SHOWN]].to_html(index=False)
+
+
+def _as_json(table: pd.DataFrame, orient: Any) -> Any:
+    """Table as JSON values, with None for NaN."""
+    return json.loads(table.to_json(orient=orient, double_precision=15))
+
+
+def _write_files(comparison: Comparison, directory: Path) -> Path:
+    name, suffix, summary = comparison.structure.name, comparison.suffix, comparison.summary()
+    tables = {
+        "summary": comparison.table,
+        "equal_cost": _with_unit(comparison.equal_cost, 2, "kj_mol"),
+        "work": comparison.work,
+        "spread": comparison.spread,
+        "displacement": _with_unit(comparison.displacements, 3, "angstrom"),
+        "traces": comparison.traces,
+        "differences": pd.DataFrame(
+            [{"method": name, **each.totals} for name, each in comparison.differences.items()]
+        ),
+        "residue_differences": joined(comparison.differences, "residues"),
+        "bonds_changed": joined(comparison.differences, "bonds"),
+    }
+    # First, since it names the structures: what an incomplete comparison left can be replaced, too.
+    write_text(directory / "summary.json", json_text(summary))
+    for stem, table in tables.items():
+        write_text(directory / f"{stem}.csv", table.to_csv(index=False))
+    write_text(directory / "quality.csv", comparison.quality.to_csv())
+    save(comparison.structure, directory / f"{name}.start{suffix}")
+    for solution in comparison.solutions:
+        file = comparison.file_of(solution)
+        if file:
+            solution.save(directory / file)
+    figures = _figures(comparison)
+    for stem, figure in figures.items():
+        write_atomically(directory / f"{stem}.png", partial(figure.savefig, dpi=150))
+    write_text(directory / "report.html", _page(comparison, summary, figures))
+    return directory / "report.html"
+
+
+def _figures(comparison: Comparison) -> "dict[str, Figure]":
+    return {
+        "energy": comparison.plot_energy(),
+        "work_precision": comparison.plot_work_precision(),
+        "torque": comparison.plot_torque(),
+        "rmsd": comparison.plot_rmsd(),
+        "displacement": comparison.plot_displacement(),
+        "differences": comparison.plot_differences(),
+        "ramachandran": comparison.plot_ramachandran(),
+    }
+
+
+def _page(comparison: Comparison, summary: dict[str, Any], figures: "dict[str, Figure]") -> str:
+    """Render ``report.html``: verdicts, tables, plots, repairs and provenance in one offline file.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    summary : dict
+        ``Comparison.summary()``; every number on the page is also in it or in the CSV files.
+    figures : dict of str to matplotlib.figure.Figure
+
+    Returns
+    -------
+    str
+        HTML. Names from files are escaped.
+    """
+    of_one = len(comparison.solutions) == 1
+    method = comparison.solutions[0].method if of_one else ""
+    return render(
+        "report.html",
+        title=f"{comparison.structure.name}{f' by {method}' if of_one else ': comparison of minimisers'}",
+        structure=comparison.structure,
+        solutions=comparison.solutions,
+        message=comparison.message,
+        shown=SHOWN,
+        rows=comparison.table.to_dict("records"),
+        lost=told(summary["results"]),
+        rmsd=comparison.rmsd,
+        quality=comparison.quality,
+        changes=totals_of(comparison.differences),
+        bonds_changed=joined(comparison.differences, "bonds"),
+        terms=energies_by_term({row["method"]: row for row in summary["results"]}),
+        equal_cost=comparison.equal_cost,
+        work=comparison.work,
+        spread=comparison.spread,
+        figures={name: data_url(figure) for name, figure in figures.items()},
+        summary=summary,
+        **scene(
+            comparison.ends(),
+            colourings(comparison.ends(), comparison.solutions[0].energy_function, comparison.differences),
+        ),
+        command=shlex.join(summary["command"]),
+    )
+
+
+def _with_unit(table: pd.DataFrame, first: int, unit: str) -> pd.DataFrame:
+    """Table whose columns of methods, from this one on, have the unit in their names."""
+    return table.rename(columns={name: f"{name}_{unit}" for name in table.columns[first:]})

@@ -1,0 +1,279 @@
+"""What changed between two structures: torsions, rotamers, hydrogen bonds, salt bridges, contacts, RMSDs."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from scipy.spatial import cKDTree
+
+from protochain.comparison.domains import rigid_domains
+from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.results.columns import heading
+from protochain.structure import as_structure
+from protochain.structure.convert import to_mdtraj
+from protochain.structure.matching import Match, match
+from protochain.structure.model import Structure
+from protochain.structure.residues import CHI
+from protochain.structure.superpose import motion, rmsd_angstrom
+from protochain.validation.bonding import hydrogen_bonds, salt_bridges
+from protochain.validation.layout import NONE, dihedrals, layout, peptides
+from protochain.validation.rotamers import side_chains
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CHIS = ("chi1", "chi2", "chi3", "chi4")
+TORSIONS = ("phi", "psi", "omega", *CHIS)
+_FLIPS = {("ASP", 1), ("GLU", 2), ("PHE", 1), ("TYR", 1)}
+"""Residues and last dihedrals (from 0) whose half turns only exchange names."""
+_CONTACT, _APART = 4.5, 4
+"""Angstrom between heavy atoms of residues in contact, and least distance along the chain."""
+_RMSD, _TURN, _DOMAIN = "ca_rmsd_angstrom", "turn_degrees", "domain"
+_STRUCTURE = {"H": "helix", "E": "strand", "C": "loop"}
+
+
+@dataclass(frozen=True, eq=False)
+class Differences(Value):
+    """What changed from one structure to another.
+
+    Parameters
+    ----------
+    residues : pandas.DataFrame
+        A row for each matched residue: ``chain``, ``residue``, ``name`` (of the first structure),
+        ``secondary_structure``, ``domain`` (from 1, the largest, or 0 for none), changes of ``phi`` ...
+        ``chi4`` in degrees from -180 to 180,
+        ``torsions_degrees`` (root mean square over these), ``rotamer_before``, ``rotamer_after``,
+        ``ca_moved_angstrom`` after superposition of all C-alphas.
+    bonds : pandas.DataFrame
+        Hydrogen bonds and salt bridges that only one has: ``kind``, ``change`` (gained or lost), and the
+        residues ``first`` and ``second``, donor or cation first.
+    totals : mapping of str to int or float
+        ``rotamers_changed``, ``hydrogen_bonds_kept``, ``_gained`` and ``_lost``, the same of
+        ``salt_bridges``, ``contacts_kept`` (Q: of the contacts of the first, the share that the second has),
+        ``ca_rmsd_angstrom``; of each chain, of helices, strands and loops, and of each rigid domain, each
+        superposed by itself, ``ca_rmsd_angstrom_A``, ``_helix``, ``_domain_1`` and so on; ``rigid_domains``,
+        and of the second on ``turn_degrees_domain_2``, the angle of its motion against that of the first.
+    """
+
+    residues: pd.DataFrame
+    bonds: pd.DataFrame
+    totals: Mapping[str, Any]
+
+    def __repr__(self) -> str:
+        of = self.totals
+        return (
+            f"<Differences: C-alpha RMSD {of['ca_rmsd_angstrom']:.2f} angstrom, "
+            f"{of['rotamers_changed']} rotamers changed, "
+            f"hydrogen bonds +{of['hydrogen_bonds_gained']} -{of['hydrogen_bonds_lost']}, "
+            f"Q {of['contacts_kept']:.2f}>"
+        )
+
+    def plot(self) -> "Figure":
+        """Changes of backbone and side chains along the sequence, over how far the C-alphas moved."""
+        from protochain.comparison.plots import plot_differences
+
+        return plot_differences({"": self.residues})
+
+
+def of_ends(ends: Mapping[str, Structure]) -> dict[str, Differences]:
+    """Differences of ends from a start, the first of them; none where no residue is an amino acid."""
+    (_, start), *others = ends.items()
+    if not layout(start).amino.any():
+        return {}
+    return {name: differences(start, end) for name, end in others}
+
+
+def totals_of(found: Mapping[str, Differences]) -> pd.DataFrame:
+    """Totals of several differences: a column each behind ``quantity``, which says them in words."""
+    keys = dict.fromkeys(key for each in found.values() for key in each.totals)
+    rows = [
+        {"quantity": _in_words(key), **{name: each.totals.get(key) for name, each in found.items()}}
+        for key in keys
+    ]
+    return pd.DataFrame(rows, columns=["quantity", *found])
+
+
+def _in_words(key: str) -> str:
+    """``ca_rmsd_angstrom_helix`` is ``C-alpha RMSD of helix, angstrom``."""
+    for quantity in (_RMSD, _TURN):
+        part = key.removeprefix(f"{quantity}_")
+        if part != key:
+            what, _, unit = heading(quantity).partition(", ")
+            if not part.startswith(_DOMAIN) and part not in _STRUCTURE.values():
+                part = f"chain {part}"
+            return f"{what} of {part.replace('_', ' ')}, {unit}"
+    return heading(key)
+
+
+def joined(found: Mapping[str, Differences], table: str) -> pd.DataFrame:
+    """One table, ``residues`` or ``bonds``, of several differences, the name of each in ``method``."""
+    parts = [getattr(each, table) for each in found.values()]
+    if not parts:
+        return pd.DataFrame(columns=["method"])
+    return pd.concat(parts, keys=found, names=["method"]).reset_index(level=0).reset_index(drop=True)
+
+
+def differences(before: Any, after: Any) -> Differences:
+    """Tell what changed between two structures.
+
+    Parameters
+    ----------
+    before, after : Structure, Solution, path, or anything that :func:`protochain.as_structure` takes
+        Residues are matched as by :func:`protochain.rmsd`; sequences may differ.
+
+    Returns
+    -------
+    Differences
+        A row for each residue, the bonds gained and lost, and totals.
+
+    Raises
+    ------
+    ProtochainError
+        If no residue matches, or the sequences are unrelated.
+
+    Notes
+    -----
+    Hydrogen bonds by Baker and Hubbard's criterion, secondary structure by DSSP, both by mdtraj. A half turn
+    of the last dihedral of Asp, Glu, Phe and Tyr is none. A rigid domain has 20 C-alphas or more, each within
+    2 angstrom of where one motion takes it: adaptive selection of Wriggers, Schulten, Proteins 29:1 (1997),
+    :mod:`protochain.comparison.domains`.
+    """
+    first, second = as_structure(before), as_structure(after)
+    found = match(first, second)
+    turned = _turned(first, second, found)
+    alphas = [layout(s).atoms("CA")[its, 0] for s, its in ((first, found.reference), (second, found.model))]
+    there = (np.array(alphas) != NONE).all(axis=0)
+    x, y = first.positions[alphas[0]], second.positions[alphas[1]]
+    turn, shift = motion(y[there], x[there])
+    moved = np.where(there, np.linalg.norm(y @ turn.T + shift - x, axis=1) * ANGSTROM_PER_NM, np.nan)
+    domains, parts = np.zeros(len(there), dtype=int), rigid_domains(x[there], y[there])
+    for k, part in enumerate(parts, 1):
+        domains[np.flatnonzero(there)[part.members]] = k
+    names = [_rotamers(s, its) for s, its in ((first, found.reference), (second, found.model))]
+    number = np.char.add(first.residue_number, first.residue_insertion_code)
+    table = pd.DataFrame(
+        {
+            "chain": first.residue_chain[found.reference], "residue": number[found.reference],
+            "name": first.residue_name[found.reference],
+            "secondary_structure": _secondary(first)[found.reference], "domain": domains,
+            **dict(zip(TORSIONS, turned.T, strict=True)),
+            "torsions_degrees": _root_mean_square(turned),
+            "rotamer_before": names[0], "rotamer_after": names[1], "ca_moved_angstrom": moved,
+        }
+    )  # fmt: skip
+    bonds, counts = _bonds(first, second, found)
+    same = first.residue_name[found.reference] == second.residue_name[found.model]
+    changed = (names[0] != names[1]) & same & (names[0] != "") & (names[1] != "")
+    totals: dict[str, Any] = {"rotamers_changed": int(changed.sum()), **counts}
+    totals["contacts_kept"] = _contacts_kept(first, second, found)
+    totals["ca_rmsd_angstrom"] = rmsd_angstrom(y[there], x[there])
+    for column in ("chain", "secondary_structure"):
+        for value in dict.fromkeys(table[column]):
+            mine = there & (table[column] == value).to_numpy()
+            if mine.sum() > 2:
+                totals[f"{_RMSD}_{value or '_'}"] = rmsd_angstrom(y[mine], x[mine])
+    totals["rigid_domains"] = len(parts)
+    for k, part in enumerate(parts, 1):
+        totals[f"{_RMSD}_{_DOMAIN}_{k}"] = part.rmsd * ANGSTROM_PER_NM
+        if k > 1:
+            totals[f"{_TURN}_{_DOMAIN}_{k}"] = part.turn
+    return Differences(table, bonds, totals)
+
+
+def _turned(first: Structure, second: Structure, found: Match) -> Floats:
+    """(n, 7) float, degrees from -180 to 180: changes of ``TORSIONS``; NaN where either has none."""
+    angles = []
+    for s, its in ((first, found.reference), (second, found.model)):
+        backbone = np.column_stack(peptides(s, s.positions))
+        angles.append(np.column_stack([backbone, _chis(s)])[its])
+    off = (angles[1] - angles[0] + 180.0) % 360.0 - 180.0
+    names = first.residue_name[found.reference]
+    off[names != second.residue_name[found.model], 3:] = np.nan
+    for name, chi in _FLIPS:
+        flipped = off[names == name, 3 + chi]
+        off[names == name, 3 + chi] = (flipped + 90.0) % 180.0 - 90.0
+    return np.asarray(off)
+
+
+def _chis(s: Structure) -> Floats:
+    """(nr, 4) float, degrees."""
+    atoms, found = layout(s), np.full((s.n_residues, len(CHIS)), np.nan)
+    for name, quadruples in CHI.items():
+        its = np.flatnonzero((s.residue_name == name) & atoms.amino)
+        for k, four in enumerate(quadruples[: len(CHIS)]):
+            found[its, k] = dihedrals(s.positions, atoms.atoms(*four)[its])
+    return found
+
+
+def _root_mean_square(off: Floats) -> Floats:
+    counts = np.isfinite(off).sum(axis=1)
+    return np.asarray(np.sqrt(np.nansum(off**2, axis=1) / np.maximum(counts, 1)))
+
+
+def _rotamers(s: Structure, residues: Integers) -> np.ndarray:
+    """Rotamer of each residue, empty where there is none or it is far from all."""
+    sides = side_chains(s)
+    names = np.zeros(s.n_residues, dtype="U8")
+    near = ~np.isin(sides.residue, sides.outliers)
+    names[sides.residue[near]] = sides.rotamer[near]
+    return np.asarray(names[residues])
+
+
+def _secondary(s: Structure) -> np.ndarray:
+    """helix, strand or loop of each residue, by DSSP; empty for what is no amino acid."""
+    import mdtraj
+
+    codes = mdtraj.compute_dssp(to_mdtraj(s))[0]
+    return np.array([_STRUCTURE.get(str(code), "") for code in codes])
+
+
+def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFrame, dict[str, int]]:
+    """Hydrogen bonds and salt bridges that one of the two has alone, and how many."""
+    of_second = np.full(second.n_residues, NONE)
+    of_second[found.model] = found.reference
+    identity = np.full(first.n_residues, NONE)
+    identity[found.reference] = found.reference
+    rows, counts = list[dict[str, str]](), dict[str, int]()
+    for kind, pairs in (("hydrogen bond", _hydrogen_bonds), ("salt bridge", salt_bridges)):
+        mine, theirs = (
+            {(int(of[i]), int(of[j])) for i, j in pairs(s) if of[i] != NONE and of[j] != NONE}
+            for s, of in ((first, identity), (second, of_second))
+        )
+        plural = f"{kind.replace(' ', '_')}s"
+        counts[f"{plural}_kept"] = len(mine & theirs)
+        for change, which in (("gained", theirs - mine), ("lost", mine - theirs)):
+            counts[f"{plural}_{change}"] = len(which)
+            rows += [
+                {"kind": kind, "change": change, "first": str(first.describe_residue(i)),
+                 "second": str(first.describe_residue(j))}
+                for i, j in sorted(which)
+            ]  # fmt: skip
+    return pd.DataFrame(rows, columns=["kind", "change", "first", "second"]), counts
+
+
+def _hydrogen_bonds(s: Structure) -> set[tuple[int, int]]:
+    """Residues of donor and acceptor, of different residues."""
+    of = s.atom_residue[hydrogen_bonds(s)[:, [0, 2]]]
+    return {(d, a) for d, a in of.tolist() if d != a}
+
+
+def _contacts_kept(first: Structure, second: Structure, found: Match) -> float:
+    """Share of the contacts between residues of the first that the second has; NaN if it has none."""
+    place = np.full(second.n_residues, NONE)
+    place[found.model] = found.reference
+    matched = {*found.reference.tolist()}
+    mine = {pair for pair in _contacts(first) if {*pair} <= matched}
+    theirs = {tuple(sorted((int(place[i]), int(place[j])))) for i, j in _contacts(second)}
+    return len(mine & theirs) / len(mine) if mine else float("nan")
+
+
+def _contacts(s: Structure) -> set[tuple[int, int]]:
+    atoms = np.flatnonzero((s.atom_element != "H") & layout(s).amino[s.atom_residue])
+    pairs = cKDTree(s.positions[atoms] * ANGSTROM_PER_NM).query_pairs(_CONTACT, output_type="ndarray")
+    residues = np.unique(np.sort(s.atom_residue[atoms][pairs], axis=1), axis=0)
+    chain = s.residue_chain_index[residues]
+    far = (residues[:, 1] - residues[:, 0] >= _APART) | (chain[:, 0] != chain[:, 1])
+    return {(int(i), int(j)) for i, j in residues[far]}

@@ -1,0 +1,57 @@
+"""Page of the energy of one structure: by term, by residue, and its residues coloured by any of these."""
+
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from protochain.comparison.colourings import of_energies
+from protochain.energies.decomposed import TERMS, energy_terms
+from protochain.energies.protocol import Energy
+from protochain.results.columns import heading
+from protochain.results.page import write_page
+from protochain.results.viewer import scene
+from protochain.structure import Structure
+
+_SHOWN = 25
+"""Residues listed: those of the largest totals."""
+
+
+def write_energies(
+    structure: Structure, energy: Energy, path: Path, between: Sequence[str] | str | None = None
+) -> None:
+    """Write the page of an energy, one file that works offline.
+
+    Parameters
+    ----------
+    structure : Structure
+    energy : Energy
+        Its energy, by the native engine.
+    path : Path
+        HTML file.
+    between : two str, or one text, optional
+        Two parts of the structure, as of :func:`protochain.energy_terms`: then of their interaction.
+    """
+    terms = energy_terms(structure, "term", between=between, energy=energy).T
+    residues = energy_terms(structure, "residue", between=between, energy=energy)
+    (first, *_) = colourings = list(of_energies({structure.name: residues[list(TERMS)].to_numpy().T}))
+    write_page(
+        path,
+        "energies.html",
+        structure=structure,
+        between=between,
+        energy=energy,
+        terms=_with_units(terms[terms.any(axis=1)]).rename_axis("term").rename(heading).reset_index(),
+        largest=_with_units(residues.loc[residues["total"].abs().nlargest(_SHOWN).index]),
+        command=shlex.join(sys.argv),
+        **scene({structure.name: structure}, colourings, first.name),
+    )
+
+
+def _with_units(table: pd.DataFrame) -> pd.DataFrame:
+    """Columns of energies that are not all 0, with their unit in the name."""
+    energies = table.select_dtypes("number")
+    kept = table[[name for name in table if name not in energies or energies[name].any()]]
+    return kept.rename(columns={name: f"{name}_kj_mol" for name in energies})

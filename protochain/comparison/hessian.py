@@ -1,0 +1,203 @@
+"""Second derivatives of an energy in the freedoms of a chain: analytic, or differences of its torques."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from protochain.articulate import with_energy
+from protochain.chain import Chain, pose, pull_back
+from protochain.comparison.pair_hessian import applies, colours, pair_hessian
+from protochain.core.arrays import Floats, floats
+from protochain.core.checks import checked
+from protochain.core.errors import Fault, ProtochainError
+from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
+from protochain.mechanics import multibody
+from protochain.minimisers.spaces import Torsions
+
+STEP = 3e-6
+"""Change of the largest freedom, rad (a tenth of it, in nm, of a root's position).
+
+The error of a central difference is h^2/6 times the third derivative, and about eps/h times the terms that
+add up to a torque. Their sum is least near eps^(1/3) = 6e-6 where both are of order one; third derivatives
+are larger here, where long arms press atoms together. In ubiquitin the largest error of a column is 1e-8 of
+its length at this step, 6e-8 at 1e-5 and as much again at 1e-6.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Torques:
+    """Torques of an energy near one point of a chain.
+
+    Parameters
+    ----------
+    chain : Chain
+    energy : Energy
+        Of all terms.
+    q : (n_q,) float
+        The point.
+    """
+
+    chain: Chain
+    energy: Energy
+    q: Floats
+
+    @cached_property
+    def _varying(self) -> Energy:
+        """The energy without terms that rigid bodies keep: their rounding would be left of them.
+
+        OpenMM's is that of its Reference platform: others round forces to single precision.
+        """
+        energy = self.energy
+        energy = energy.reference if isinstance(energy, OpenMMEnergy) else energy
+        return energy.without_constants(self.chain.rigid_groups, self.chain.structure.positions)
+
+    @cached_property
+    def scale(self) -> Floats:
+        """(n_v,) float: unit of each freedom, 1 rad, or what counts as one of a root's position, nm."""
+        return Torsions(self.chain).scale
+
+    @property
+    def largest(self) -> float:
+        """Largest torque at the point, kJ/mol/rad, of free roots in their own unit."""
+        return float(np.max(np.abs(self.scale * self.beside(np.zeros(self.chain.n_v))), initial=0.0))
+
+    def beside(self, change: Floats) -> Floats:
+        """Torques (n_v,) after a change (n_v,) of the freedoms."""
+        at = pose(self.chain, multibody.integrate(self.chain.tree, self.q, change))
+        return pull_back(self.chain, at, self._varying(at.x)[1])
+
+    def product(self, direction: Floats) -> Floats:
+        """Hessian times a direction (n_v,), by two evaluations."""
+        size = np.max(np.abs(direction / self.scale), initial=0.0)
+        if size == 0.0:
+            return np.zeros_like(direction)
+        change = STEP / size * direction
+        return np.asarray((self.beside(-change) - self.beside(change)) / (2.0 * STEP / size))
+
+    def matrix(self, freedoms: Any) -> Floats:
+        """Hessian (n, n) of some freedoms: analytic where it can be, else by two evaluations a row."""
+        if not applies(self.energy):
+            return self._by_rows(freedoms)
+        found = self._analytic()
+        # Within the same memory: rows move towards its beginning.
+        less = found.reshape(-1)[: len(freedoms) ** 2].reshape(len(freedoms), -1)
+        for row, freedom in zip(less, freedoms, strict=True):
+            row[:] = found[freedom, freedoms]
+        return less
+
+    def _analytic(self) -> Floats:
+        """Pairs and Born radii analytically; bonded terms by differences, hinges of one colour at a time."""
+        assert isinstance(self.energy, NativeEnergy)
+        found = pair_hessian(self.chain, self.energy, pose(self.chain, self.q))
+        bonded = replace(self, energy=self.energy.bonded)
+        coupled, colour = colours(self.chain, self.energy)
+        for each in range(int(colour.max(initial=-1)) + 1):
+            column = np.flatnonzero(colour == each)
+            direction = np.zeros(self.chain.n_v)
+            direction[column] = self.scale[column]
+            fall = bonded.product(direction)
+            for v in column:
+                rows = coupled.indices[coupled.indptr[v] : coupled.indptr[v + 1]]
+                half = 0.5 * fall[rows] / self.scale[v]
+                found[rows, v] += half
+                found[v, rows] += half
+        return found
+
+    def _by_rows(self, freedoms: Any) -> Floats:
+        """Hessian (n, n) by differences, made symmetric."""
+        found = np.empty((len(freedoms), len(freedoms)))
+        for row, freedom in zip(found, freedoms, strict=True):
+            direction = np.zeros(self.chain.n_v)
+            direction[freedom] = 1.0
+            row[:] = self.product(direction)[freedoms]
+        return 0.5 * (found + found.T)
+
+
+def torques_at(chain: Chain, energy: Energy, q: Any) -> Torques:
+    """Torques near q, or near the chain's own start.
+
+    Raises
+    ------
+    ProtochainError
+        If q has another shape, or is not finite, or the torques are not.
+    """
+    q = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
+    if not np.isfinite(q).all():
+        at = int(np.argmin(np.isfinite(q)))
+        raise ProtochainError(f"q: coordinate {at} is {q[at]}, not a finite number", fault=Fault.NOT_FINITE)
+    made = Torques(chain, energy, q)
+    if not np.isfinite(made.beside(np.zeros(chain.n_v))).all():
+        raise ProtochainError(
+            f"{chain.structure.name}: the torques are not finite; minimise it first, as by pc.minimise",
+            fault=Fault.NOT_FINITE,
+        )
+    return made
+
+
+@checked()
+def hessian(chain: Any, energy: Any = None, q: Any = None) -> Floats:
+    """Second derivatives of the potential energy in the freedoms of a chain.
+
+    Parameters
+    ----------
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+        A file is loaded, a structure cut into a chain with the default hinges, a result with its own.
+    energy : Energy or callable, optional
+        As in :func:`protochain.minimise`.
+    q : (n_q,) float, optional
+        Coordinates; by default those of the chain's structure.
+
+    Returns
+    -------
+    (n_v, n_v) float, kJ/mol/rad^2
+        Symmetric. A free root has (turn, shift) about its frame's origin, world axes, where shifts are in nm:
+        as it moves by the exponential map, these are derivatives at zero torque, and else their symmetric
+        part.
+
+    Raises
+    ------
+    ProtochainError
+        If the input cannot be used.
+
+    Notes
+    -----
+    Of the native engine without a cutoff, in vacuum and in OBC2, pairs of atoms and Born radii are analytic,
+    and bonded terms central differences of some ten evaluations of these alone; the whole costs O(na^2 n),
+    in ubiquitin as much as 200 evaluations. Of other energies all is by central differences of torques, two
+    evaluations a row, to about 1e-8 of the largest entry.
+    """
+    chain, energy = with_energy(chain, energy)
+    return torques_at(chain, energy, q).matrix(np.arange(chain.n_v))
+
+
+@checked()
+def hessian_product(chain: Any, energy: Any, q: Any, direction: Any) -> Floats:
+    """Hessian of the potential energy times a direction, by two evaluations and without the matrix.
+
+    Parameters
+    ----------
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+        As in :func:`hessian`.
+    energy : Energy, callable or None
+        As in :func:`hessian`.
+    q : (n_q,) float or None
+        As in :func:`hessian`.
+    direction : (n_v,) float
+        Of the freedoms, of any length.
+
+    Returns
+    -------
+    (n_v,) float, kJ/mol/rad times the unit of the direction
+        By a central difference of torques.
+
+    Raises
+    ------
+    ProtochainError
+        If the input cannot be used.
+    """
+    chain, energy = with_energy(chain, energy)
+    return torques_at(chain, energy, q).product(floats(direction, (chain.n_v,), "direction"))

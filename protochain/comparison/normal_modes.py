@@ -1,0 +1,414 @@
+"""Normal modes in torsions, K a = w^2 M a: Go, Noguti, Nishikawa, PNAS 80:3696 (1983), for any tree.
+
+What nothing holds has an energy that does not depend on where the whole is: with T its rigid motions, the
+rates are T w + P s, where P s leaves the first root at rest, and K s = P^T K P s. The kinetic energy is least
+without momentum, with Schur's complement in place of M. Its inverse is S M^-1 S^T in O(n), where S takes the
+motion of the first root off all that moves: s = S (T w + P s). The zero modes of the whole are thus not there
+to be found, and all others come out exactly.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
+from scipy.linalg.blas import dsymv
+from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, lobpcg
+
+from protochain.articulate import transferred, with_energy, with_free_root
+from protochain.chain import Chain, Pose, mass_matrix, pose
+from protochain.comparison.hessian import Torques, torques_at
+from protochain.comparison.modes import NormalModes
+from protochain.comparison.pair_hessian import applies
+from protochain.core.arrays import Floats, floats, read_only
+from protochain.core.checks import at_least, checked, text
+from protochain.core.errors import Fault, ProtochainError, refused
+from protochain.frame import frame_of
+from protochain.mechanics import multibody
+from protochain.minimisers import curvature, springs
+from protochain.minimisers.spaces import motions_of_whole
+
+METHODS = ("auto", "dense", "products")
+
+DENSE = 1000
+"""Freedoms up to which ``auto`` makes the whole Hessian by differences. The lowest modes take some 700
+products, whatever the number of freedoms."""
+
+MOST, ANALYTIC = 6000, 16000
+"""Freedoms that are taken at all: with differences, and where the Hessian is analytic. Five matrices of 6000
+take 1.4 GB, the one of 16000 with what is beside it 3 GB and an hour."""
+
+ALL = 2000
+"""Freedoms up to which all eigenvalues of the whole Hessian are found, half a minute for as many."""
+
+RESIDUAL = 1e-8
+"""Largest |K a - w^2 M a| of a mode, of |K| |a|: about the error of differences."""
+
+_FLOOR = 1.0
+"""kJ/mol/rad^2, added to the stiffness of near terms, as that of the softest turns."""
+
+_SHIFT = 0.01
+"""1/ps^2, the least s of K + s M, of half a wavenumber; ten times as much while negative modes need it."""
+
+_GUARDS = 4
+"""Modes sought beside those asked for, so that the last of these converges too."""
+
+_SWEEPS = 200
+"""Iterations of LOBPCG at most: 60 are usual."""
+
+
+@dataclass(frozen=True, eq=False)
+class Inertia:
+    """Mass matrix of the freedoms of a chain without its motion as a whole.
+
+    Parameters
+    ----------
+    chain, pose : Chain, Pose
+    whole : (n_v, 0 or 6) float
+        Rigid motions of what nothing holds.
+    """
+
+    chain: Chain
+    pose: Pose
+    whole: Floats
+
+    @cached_property
+    def freedoms(self) -> NDArray[np.int64]:
+        """(n,) int: those that are counted, all but the first root's if the whole moves freely."""
+        return np.setdiff1d(np.arange(self.chain.n_v), self._root)
+
+    @property
+    def _root(self) -> NDArray[np.int64]:
+        return self.chain.tree.v_start[0] + np.arange(self.whole.shape[1])
+
+    @cached_property
+    def _along(self) -> Floats:
+        """(n, 6) float: rates of the counted freedoms as the whole moves, by those of the first root."""
+        root = self.whole[self._root]
+        return np.asarray(np.linalg.solve(root.T, self.whole[self.freedoms].T).T)
+
+    @cached_property
+    def _of_whole(self) -> tuple[Floats, Floats]:
+        """Momenta (n_v, 6) of the rigid motions, and their own mass matrix (6, 6)."""
+        momenta = np.array([self._multiply(each) for each in self.whole.T]).reshape(-1, self.chain.n_v).T
+        return momenta, self.whole.T @ momenta
+
+    def _multiply(self, x: Floats) -> Floats:
+        return multibody.multiply_mass(self.chain.tree, self.pose.frames, x)
+
+    def full(self, x: Floats) -> Floats:
+        """Rates (n_v, ...) of all freedoms, without momentum, of those of the counted ones (n, ...)."""
+        out = np.zeros((self.chain.n_v, *x.shape[1:]))
+        out[self.freedoms] = x
+        momenta, block = self._of_whole
+        return out - self.whole @ np.linalg.solve(block, momenta.T @ out)
+
+    def times(self, x: Floats) -> Floats:
+        """Mass matrix times (n,)."""
+        return self._multiply(self.full(x))[self.freedoms]
+
+    def column(self, scale: float, j: int) -> Floats:
+        """A column (n,) of the mass matrix times a number."""
+        return scale * self.times(np.eye(1, len(self.freedoms), j)[0])
+
+    def solve(self, tau: Floats) -> Floats:
+        """Inverse of the mass matrix times (n,)."""
+        wide = np.zeros(self.chain.n_v)
+        wide[self.freedoms], wide[self._root] = tau, -self._along.T @ tau
+        rates = multibody.solve_mass(self.chain.tree, self.pose.frames, wide)
+        return rates[self.freedoms] - self._along @ rates[self._root]
+
+    def matrix(self) -> Floats:
+        """Mass matrix (n, n)."""
+        momenta, block = self._of_whole
+        own = mass_matrix(self.chain, self.pose)[np.ix_(self.freedoms, self.freedoms)]
+        mine = momenta[self.freedoms]
+        own = own - mine @ np.linalg.solve(block, mine.T)
+        return 0.5 * (own + own.T)
+
+    def log_det(self) -> float:
+        """Logarithm of its determinant, in O(n): det M = det M_s det T^T M T / det T_root^2."""
+        every = multibody.log_det_mass(self.chain.tree, self.pose.frames)
+        if not len(self._root):
+            return every
+        of_whole, of_root = self._of_whole[1], self.whole[self._root]
+        return every - float(np.linalg.slogdet(of_whole)[1]) + 2.0 * float(np.linalg.slogdet(of_root)[1])
+
+
+@checked(k=at_least(1), method=text)
+def normal_modes(
+    chain: Any, energy: Any = None, q: Any = None, k: int = 20, *, method: str = "auto"
+) -> NormalModes:
+    """Normal modes of a chain of rigid bodies: small motions of its hinges about a minimum.
+
+    Parameters
+    ----------
+    chain : Chain, Structure, path, or anything that :func:`protochain.as_structure` takes
+        A file is loaded, a structure cut into a chain with the default hinges, a result with its own. A root
+        that ``auto`` has fixed is freed, unless obstacles or the energy hold the chain in place; one that
+        ``fixed`` holds stays.
+    energy : Energy or callable, optional
+        As in :func:`protochain.minimise`.
+    q : (n_q,) float, optional
+        Coordinates of a minimum; by default those of the chain's structure. Nothing is minimised here:
+        ``is_minimum`` of the result says whether it is one.
+    k : int
+        Number of modes, the lowest first; all, if there are fewer.
+    method : str
+        ``dense`` makes the whole Hessian, as :func:`protochain.hessian` does, and up to 2000 freedoms finds
+        all frequencies; ``products`` finds the lowest by LOBPCG (Knyazev, SIAM J. Sci. Comput. 23:517, 2001)
+        on differences of torques, guided by a model of the Hessian; ``auto`` is dense where the Hessian is
+        analytic, and else up to 1000 freedoms.
+
+    Returns
+    -------
+    NormalModes
+        Frequencies, modes, and what follows from them. The six zero modes of a molecule that nothing holds
+        are left out exactly.
+
+    Raises
+    ------
+    ProtochainError
+        If the input cannot be used, the method is unknown, the modes do not converge, or there are more than
+        16000 freedoms, or 6000 where the Hessian is not analytic.
+    """
+    check_modes(k, method)
+    began = perf_counter()
+    given, known = with_energy(chain, energy)
+    start = given.q0 if q is None else floats(q, (given.n_q,), "q")
+    held = frame_of(given, known).held_by
+    chain, start = (given, start) if held else _freed(given, start)
+    torques = torques_at(chain, known, start)
+    at = pose(chain, torques.q)
+    whole = np.empty((0, chain.n_v)) if held else motions_of_whole(chain, at)
+    inertia = Inertia(chain, at, whole.T)
+    n = len(inertia.freedoms)
+    if n == 0:
+        raise ProtochainError(f"{chain.structure.name}: nothing moves in it but the whole; open more hinges")
+    analytic = applies(torques.energy)
+    _refuse_many(chain, n, analytic and method != "products")
+    dense = method == "dense" or (method == "auto" and (analytic or n <= DENSE))
+    solve = _dense if dense else _by_products
+    found = solve(torques, inertia, min(k, n))
+    order = np.argsort(found.values)
+    return NormalModes(
+        chain=chain,
+        energy_function=torques.energy,
+        q=read_only(torques.q),
+        eigenvalues=read_only(found.values[order]),
+        modes=read_only(inertia.full(found.vectors[:, order])),
+        residuals=read_only(found.residuals[order]),
+        errors=read_only(found.errors[order]),
+        largest_eigenvalue=found.largest,
+        spectrum=None if found.every is None else read_only(found.every),
+        log_det_mass=inertia.log_det(),
+        log_det_hessian=found.log_det,
+        max_torque=torques.largest,
+        held_by=held,
+        n_products=found.products,
+        seconds=perf_counter() - began,
+    )
+
+
+def check_modes(k: int, method: str) -> None:
+    """Refuse a number of modes below 1, and an unknown method."""
+    at_least(1)(k, "modes")
+    if method not in METHODS:
+        raise refused("method", repr(method), f"choose from {', '.join(METHODS)}")
+
+
+def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:
+    """Refuse more freedoms than memory and an hour are enough for."""
+    most = ANALYTIC if analytic else MOST
+    if n > most:
+        other = "" if analytic else ", or take OBC2 without a cutoff, whose Hessian is analytic"
+        raise ProtochainError(
+            f"{chain.structure.name}: modes of {n} freedoms, of at most {most}; open fewer hinges{other}"
+        )
+
+
+def _freed(chain: Chain, q: Floats) -> tuple[Chain, Floats]:
+    """Chain with free roots, and its coordinates, where ``auto`` has fixed one."""
+    made = with_free_root(chain)
+    return made, transferred(chain, made, q)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Eigenpairs: values (k,), vectors (n, k) with a^T M a = 1, residuals and errors (k,), and all values."""
+
+    values: Floats
+    vectors: Floats
+    residuals: Floats
+    errors: Floats
+    largest: float
+    products: int
+    every: Floats | None = None
+    log_det: float | None = None
+
+
+def _largest(stiffness: Floats) -> float:
+    """Largest eigenvalue of K, by Lanczos."""
+    n = len(stiffness)
+    if n < 20:
+        return float(np.linalg.eigvalsh(stiffness)[-1])
+    found: Any = eigsh(stiffness, k=1, which="LA", return_eigenvectors=False, v0=np.ones(n))
+    return float(found[0])
+
+
+def _found(values: Floats, vectors: Floats, left: Floats, norm: float, **more: Any) -> _Found:
+    """Eigenpairs with their backward errors, and what an error of 1e-8 of K may be of a value."""
+    sizes = np.linalg.norm(vectors, axis=0)
+    residuals = np.linalg.norm(left, axis=0) / (norm * sizes)
+    return _Found(values, vectors, residuals, RESIDUAL * norm * sizes**2, **more)
+
+
+def _dense(torques: Torques, inertia: Inertia, k: int) -> _Found:
+    """All eigenvalues by LAPACK, or of many freedoms the lowest and the largest by Lanczos."""
+    stiffness = torques.matrix(inertia.freedoms)
+    n = len(stiffness)
+    if not np.isfinite(np.vdot(stiffness, stiffness)):
+        raise ProtochainError(
+            f"{inertia.chain.structure.name}: the Hessian is not finite; minimise it first",
+            fault=Fault.NOT_FINITE,
+        )
+    if n > max(ALL, 2 * k):
+        return _by_factor(_Factored(stiffness), inertia, k)
+    mass, norm = inertia.matrix(), _largest(stiffness)
+    values, vectors = eigh(stiffness, mass)
+    few = vectors[:, :k]
+    left = stiffness @ few - mass @ few * values[:k]
+    most, log_det = float(values[-1]), _log_det(stiffness)
+    return _found(values[:k], few, left, norm, largest=most, products=0, every=values, log_det=log_det)
+
+
+def _log_det(stiffness: Floats) -> float | None:
+    """Logarithm of the determinant; None if the matrix is not positive definite."""
+    try:
+        return 2.0 * float(np.sum(np.log(np.diagonal(cholesky(stiffness, lower=True, check_finite=False)))))
+    except LinAlgError:
+        return None
+
+
+class _Factored:
+    """A symmetric matrix (n, n), and in the same memory the factor of it and of what is added to it.
+
+    The factor takes one triangle and the diagonal, of which there is a copy; the matrix keeps the other.
+    """
+
+    def __init__(self, matrix: Floats) -> None:
+        # The transpose is what LAPACK calls the matrix, without a copy.
+        self.matrix, self.diagonal = matrix.T, np.diagonal(matrix).copy()
+
+    def __matmul__(self, x: Floats) -> Floats:
+        kept = self.diagonal - np.diagonal(self.matrix)
+        return np.asarray(dsymv(1.0, self.matrix, x, lower=0) + kept * x)
+
+    def factorise(self, add: Callable[[int], Floats] | None = None) -> bool:
+        """Make the factor of the matrix, with columns added to it; False if that is not positive."""
+        for j, below in enumerate(self.matrix.T):
+            below[j], below[j + 1 :] = self.diagonal[j], self.matrix[j, j + 1 :]
+            if add is not None:
+                below[j:] += add(j)[j:]
+        return not dpotrf(self.matrix, lower=1, clean=0, overwrite_a=1)[1]
+
+    def solve(self, b: Floats) -> Floats:
+        """Solution of the factorised equations."""
+        return np.asarray(dpotrs(self.matrix, b, lower=1)[0])
+
+    def log_det(self) -> float:
+        """Logarithm of the determinant of what is factorised."""
+        return 2.0 * float(np.sum(np.log(np.diagonal(self.matrix))))
+
+
+def _by_factor(stiffness: _Factored, inertia: Inertia, k: int) -> _Found:
+    """The lowest eigenpairs by Lanczos with a factor of K + s M, which is positive with zero modes, too."""
+    n = len(stiffness.diagonal)
+    k_of, m_of, rates_of, inverse = (
+        LinearOperator((n, n), matvec=f, dtype=np.float64)
+        for f in (stiffness.__matmul__, inertia.times, inertia.solve, stiffness.solve)
+    )
+    start = np.ones(n)
+    one: dict[str, Any] = {"k": 1, "which": "LA", "return_eigenvectors": False, "v0": start}
+    norm = float(eigsh(k_of, **one)[0])
+    largest = float(eigsh(k_of, M=m_of, Minv=rates_of, **one)[0])
+    log_det = stiffness.log_det() if stiffness.factorise() else None
+    shift = _SHIFT
+    # Below the lowest eigenvalue, so that those next to it are the lowest.
+    while not stiffness.factorise(partial(inertia.column, shift)):
+        shift *= 10.0
+    values, few = eigsh(k_of, k=k, M=m_of, sigma=-shift, OPinv=inverse, v0=start)
+    left = np.stack([stiffness @ a - inertia.times(a) * each for a, each in zip(few.T, values, strict=True)])
+    return _found(values, few, left.T, norm, largest=largest, products=0, log_det=log_det)
+
+
+def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Found:
+    """Lowest eigenpairs, by LOBPCG with a model of the Hessian as preconditioner, and the largest value."""
+    n, done = len(inertia.freedoms), 0
+
+    def stiffness(x: Floats) -> Floats:
+        nonlocal done
+        done += 1
+        wide = np.zeros(inertia.chain.n_v)
+        wide[inertia.freedoms] = x
+        return torques.product(wide)[inertia.freedoms]
+
+    def operator(times: Callable[[Floats], Floats]) -> LinearOperator:
+        def columns(x: Floats) -> Floats:
+            return np.stack([times(column) for column in x.T], axis=1)
+
+        return LinearOperator((n, n), matvec=lambda x: times(x.ravel()), matmat=columns, dtype=np.float64)
+
+    k_of, m_of = operator(stiffness), operator(inertia.times)
+    norm = float(eigsh(k_of, k=1, tol=0.05, return_eigenvectors=False, v0=np.ones(n))[0])
+    try:
+        largest = float(
+            eigsh(
+                k_of, k=1, M=m_of, Minv=operator(inertia.solve), tol=1e-3, return_eigenvectors=False,
+                v0=np.ones(n),
+            )[0]
+        )  # fmt: skip
+    except ArpackNoConvergence:
+        largest = np.nan
+    model = _model(torques, inertia)
+    factor = cho_factor(model, lower=True)
+    guides = eigh(model, inertia.matrix(), subset_by_index=[0, min(n, k + _GUARDS) - 1])[1]
+    tolerance = 0.5 * RESIDUAL * norm * float(np.min(np.linalg.norm(guides, axis=0)))
+    with warnings.catch_warnings():
+        # What is left is measured below.
+        warnings.simplefilter("ignore")
+        solved: Any = lobpcg(
+            k_of, guides, B=m_of, M=operator(lambda x: cho_solve(factor, x)), tol=tolerance, maxiter=_SWEEPS,
+            largest=False,
+        )  # fmt: skip
+    order = np.argsort(solved[0])[:k]
+    values, vectors = solved[0][order], solved[1][:, order]
+    left = k_of.matmat(vectors) - m_of.matmat(vectors) * values
+    found = _found(values, vectors, left, norm, largest=largest, products=done)
+    if np.max(found.residuals) > RESIDUAL:
+        raise ProtochainError(
+            f"{inertia.chain.structure.name}: the modes did not converge: a residual is "
+            f"{np.max(found.residuals):.1g} for {RESIDUAL:g}; ask for more of them, or for the dense method"
+        )
+    return found
+
+
+def _model(torques: Torques, inertia: Inertia) -> Floats:
+    """Stiffness (n, n) of near terms, or of contacts where they are not known, as in minimisers."""
+    chain, at = inertia.chain, inertia.pose
+    terms = curvature.near_terms(torques.energy)
+    if terms is None:
+        matrix = springs.torsion_stiffness(chain, at)
+    else:
+        found = curvature.springs_of(terms, at.x, ~chain.structure.obstacle)
+        angles = curvature.bonded_gradients(terms, at.x)
+        matrix = springs.torsion_stiffness(chain, at, lambda *_: found, None, angles)
+    matrix = matrix[np.ix_(inertia.freedoms, inertia.freedoms)]
+    matrix[np.diag_indices_from(matrix)] += _FLOOR * torques.scale[inertia.freedoms] ** -2
+    return matrix

@@ -1,0 +1,323 @@
+"""Hessian of the native energy: pairs and Born radii analytically, bonded terms by a few differences.
+
+A pair of atoms adds its second derivative, K = J^T H J, and what its forces do as the atoms' paths curve:
+-f . d2x/dq dq, by sums of x f^T over what each hinge carries. The generalised Born energy E(x, B(x)) adds
+P^T E_BB P + P^T E_Bx J + J^T E_xB P + sum E_B B'' dI dI^T with P = dB/dq, by dense products, O(na^2 n).
+Bonded terms change with the hinges between their atoms only, so that many hinges may turn at once.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.blas import dgemm
+from scipy.sparse import csr_array
+
+from protochain.chain import Chain, Pose
+from protochain.comparison import pair_kernels
+from protochain.core.arrays import Floats, Integers
+from protochain.energies import Energy, NativeEnergy
+from protochain.energies.native.terms import Terms
+from protochain.minimisers.torsion_kernels import _inward_order, _motions
+
+kernels: Any = pair_kernels
+
+_ROWS = 256
+"""Atoms whose second derivatives in Born radii are made at a time."""
+_PART = 32
+"""Atoms that a thread takes at a time."""
+_KEPT = 64e6
+"""Bytes of derivatives of Born radii that are kept; of large molecules, half as much as the result takes."""
+_BODIES = 64
+"""Bodies whose rows are made at a time."""
+_COLUMNS = 16
+"""Parts of the other bodies, which threads take: sums keep their order for any number of threads."""
+
+
+def applies(energy: Energy) -> bool:
+    """Whether an energy is the sum of these terms: native, without cutoff, and of a solvent without necks."""
+    if not isinstance(energy, NativeEnergy):
+        return False
+    terms = energy.terms
+    solvent = terms.solvent
+    if np.isfinite(terms.nonbonded.cutoff):
+        return False
+    return solvent is None or (solvent.necks is None and bool((solvent.scaled_radius >= 0.0).all()))
+
+
+def pair_hessian(chain: Chain, energy: NativeEnergy, at: Pose) -> Floats:
+    """Second derivatives (n_v, n_v) of all pairs of atoms, exceptions and Born radii included."""
+    terms, middle = energy.terms, at.x.mean(axis=0)
+    by_body = np.argsort(chain.atom_body, kind="stable")
+    x, body = at.x[by_body] - middle, chain.atom_body[by_body]
+    first = np.searchsorted(body, np.arange(chain.tree.n_bodies + 1)).astype(np.int64)
+    tree = np.array(chain.tree.parent), np.array(chain.tree.v_start), _motions(chain, at, middle)
+    matrix, none = np.zeros((chain.n_v, chain.n_v)), np.zeros(len(x))
+    solvated: tuple[Any, ...] = (False, none, none, none, none, False, none)
+    with ThreadPoolExecutor(energy.threads) as pool:
+        share = _shares(pool)
+        if terms.solvent is not None:
+            born = energy.born_radii(at.x)[by_body]
+            solvated = _add_radii(matrix, terms, by_body, born, (x, body, first), tree, share)
+        pairs = _parameters(terms, by_body), solvated
+        own = _add_pairs(matrix, (x, first), tree, pairs, share)
+    _add_own(matrix, chain, at, tree[2], body, x, own, middle)
+    symmetrise(matrix)
+    return matrix
+
+
+Share = Callable[[Callable[[Any], None], Any], None]
+"""Does something for each part, in threads."""
+
+
+def _shares(pool: ThreadPoolExecutor) -> Share:
+    def share(do: Callable[[Any], None], parts: Any) -> None:
+        for _ in pool.map(do, parts):
+            pass
+
+    return share
+
+
+def symmetrise(matrix: Floats) -> None:
+    """Put the mean of a matrix (n, n) and its transpose in its place, without another one."""
+    n = len(matrix)
+    for a in range(0, n, _ROWS):
+        for b in range(a, n, _ROWS):
+            above, below = matrix[a : a + _ROWS, b : b + _ROWS], matrix[b : b + _ROWS, a : a + _ROWS]
+            above[:] = 0.5 * (above + below.T)
+            below[:] = above.T
+
+
+def _add_product(matrix: Floats, a: Floats, b: Floats) -> None:
+    """Add 2 (a^T b)^T to a matrix in place: of its symmetric part, a^T b + b^T a."""
+    dgemm(2.0, a.T, b.T, beta=1.0, c=matrix.T, trans_b=True, overwrite_c=True)
+
+
+def _parameters(terms: Terms, by_body: Integers) -> tuple[Any, ...]:
+    """Parameters of the pairs, of atoms in the order of their bodies."""
+    nonbonded = terms.nonbonded
+    return (
+        nonbonded.charge[by_body], nonbonded.lj_type[by_body].astype(np.int64), np.array(nonbonded.a12),
+        np.array(nonbonded.b6), *_exceptions(terms, by_body),
+    )  # fmt: skip
+
+
+def _add_pairs(
+    matrix: Floats, atoms: tuple[Floats, Integers], tree: tuple[Any, ...], pairs: tuple[Any, Any],
+    share: Share,
+) -> Floats:  # fmt: skip
+    """Add the pairs between bodies, once each; return each atom's stiffness by itself, and force, (na, 9)."""
+    (x, first), (parent, v_start, motions) = atoms, tree
+    order, depth = _inward_order(parent)
+    ends = np.searchsorted(first, np.arange(_COLUMNS + 1) * len(x) // _COLUMNS).astype(np.int64)
+    rows = np.zeros((int(depth.max()) + 1, 6, 6 * len(parent)))
+    own = np.zeros((len(x), 9))
+    for begin in range(0, len(order), _BODIES):
+        bodies = order[begin : begin + _BODIES]
+        here, freedoms = _ranges(first, bodies), _ranges(v_start, bodies)
+        along, sums = np.empty((len(freedoms), 6 * len(parent))), np.empty((_COLUMNS, len(here), 9))
+
+        def sweep(part: int, bodies: Integers = bodies, along: Floats = along, sums: Floats = sums) -> None:
+            kernels.pair_sweep(
+                bodies, ends[part], ends[part + 1], parent, depth, v_start, motions, x, first, *pairs[0],
+                *pairs[1], rows, along, sums[part], own,
+            )  # fmt: skip
+
+        share(sweep, range(_COLUMNS))
+        own[here] += sums.sum(axis=0)
+        to = freedoms, parent, v_start, motions, along, matrix
+        share(partial(_each, kernels.add_rows, to), _parts(0, len(freedoms)))
+    return own
+
+
+def _ranges(start: Integers, which: Integers) -> Integers:
+    """Numbers from the start of each of some to its end, one after the other."""
+    return np.concatenate([np.arange(start[b], start[b + 1]) for b in which]).astype(np.int64)
+
+
+def _exceptions(terms: Terms, by_body: Integers) -> tuple[Integers, Integers, Floats]:
+    """Start of each atom's partners, the partners, and the parameters of the pairs, both ways."""
+    place = np.empty(terms.n_atoms, np.int64)
+    place[by_body] = np.arange(terms.n_atoms)
+    i, j = place[terms.nonbonded.exceptions.atoms].T
+    parameters = terms.nonbonded.exceptions.parameters
+    one, other = np.concatenate([i, j]), np.concatenate([j, i])
+    order = np.argsort(one, kind="stable")
+    start = np.searchsorted(one[order], np.arange(terms.n_atoms + 1)).astype(np.int64)
+    return start, other[order], np.concatenate([parameters, parameters])[order]
+
+
+def _add_radii(
+    matrix: Floats, terms: Terms, by_body: Integers, born: Floats, atoms: tuple[Floats, Integers, Integers],
+    tree: tuple[Any, ...], share: Share,
+) -> tuple[Any, ...]:  # fmt: skip
+    """Add second derivatives by way of the Born radii; return what pairs need to know of these.
+
+    Derivatives of radii (na, n_v) may be too many to keep: then those of some are kept, and of the others
+    made again beside them.
+    """
+    s = terms.solvent
+    assert s is not None
+    n, n_v = len(by_body), len(matrix)
+    offset, radius, scaled = s.offset_radius[by_body], s.radius[by_body], s.scaled_radius[by_body]
+    charge, surface, shape = s.charge[by_body], s.surface[by_body], s.bend[by_body]
+    integral, slope, bend, of_born, own = np.empty((5, n))
+    rest = *atoms, offset, scaled, bool(s.engulfs), *tree
+
+    def derivatives(begin: int, end: int, to: Floats) -> Floats:
+        share(partial(_each, kernels.integrals, (*rest, integral, to), begin), _parts(begin, end))
+        some = slice(begin, end)
+        slope[some], bend[some] = born_radii(integral[some], offset[some], radius[some], shape[some])[1:]
+        to = to[: end - begin]
+        to *= slope[some, None]
+        return to
+
+    def coupled(begin: int, end: int, left: int, right: int) -> Floats:
+        found = np.empty((end - begin, right - left))
+
+        def rows(part: tuple[int, int]) -> None:
+            to = found[part[0] - begin : part[1] - begin]
+            kernels.couplings(*part, left, right, atoms[0], charge, born, to)
+
+        share(rows, _parts(begin, end))
+        return found
+
+    kept = np.empty((min(n, max(_ROWS, n_v // 2, int(_KEPT) // (8 * n_v))), n_v))
+    others, mixed = np.empty((2, min(n, _ROWS), n_v))
+    known = *atoms, charge, surface, born, *tree, of_born, own, mixed
+    for left in range(0, n, len(kept)):
+        right = min(n, left + len(kept))
+        along = derivatives(left, right, kept)
+        for begin, end in _parts(left, right, _ROWS):
+            share(partial(_each, kernels.born_rows, known, begin), _parts(begin, end))
+            couplings = coupled(begin, end, begin, right)
+            # Half of a symmetric product: the other is its transpose.
+            mine = couplings[:, : end - begin]
+            mine *= 0.5
+            # Where a radius is as large as it can be, nothing changes it.
+            rows, turn = slice(begin, end), np.zeros(end - begin)
+            np.divide(bend[rows], slope[rows] ** 2, out=turn, where=slope[rows] != 0.0)
+            mine[np.diag_indices(end - begin)] = 0.5 * (own[rows] + of_born[rows] * turn)
+            product = mixed[: end - begin]
+            product += couplings @ along[begin - left :]
+            _add_product(matrix, along[begin - left : end - left], product)
+        for begin, end in _parts(right, n, _ROWS):
+            across = coupled(begin, end, left, right) @ along
+            _add_product(matrix, derivatives(begin, end, others), across)
+    return True, charge, born, offset, scaled, bool(s.engulfs), of_born * slope
+
+
+def _parts(begin: int, end: int, size: int = _PART) -> list[tuple[int, int]]:
+    """Ranges of some, of a size at most; as small as a thread takes at a time."""
+    return [(k, min(end, k + size)) for k in range(begin, end, size)]
+
+
+def _each(kernel: Any, rest: tuple[Any, ...], *parts: Any) -> None:
+    """Call a kernel for a part, the last, after what comes before it."""
+    kernel(*parts[:-1], *parts[-1], *rest)
+
+
+def born_radii(
+    integral: Floats, offset: Floats, radius: Floats, bend: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Born radii of integrals, with their first and second derivatives.
+
+    1/B = 1/offset - tanh(u)/radius with u = alpha psi - beta psi^2 + gamma psi^3, psi = integral offset; of
+    HCT, whose three are zero, 1/B = 1/offset - integral.
+    """
+    alpha, beta, gamma = bend.T
+    psi = integral * offset
+    t = np.tanh(psi * (alpha - psi * (beta - psi * gamma)))
+    first = (alpha - psi * (2.0 * beta - 3.0 * psi * gamma)) * offset
+    second = (-2.0 * beta + 6.0 * psi * gamma) * offset**2
+    once, twice = (1.0 - t * t) * first, (1.0 - t * t) * (second - 2.0 * t * first**2)
+    bent = alpha != 0.0
+    value = np.where(bent, t / radius, integral)
+    once, twice = np.where(bent, once / radius, 1.0), np.where(bent, twice / radius, 0.0)
+    born = 1.0 / (1.0 / offset - value)
+    return born, born**2 * once, 2.0 * born**3 * once**2 + born**2 * twice
+
+
+def _add_own(
+    matrix: Floats, chain: Chain, at: Pose, motions: Floats, body: Integers, x: Floats, own: Floats,
+    middle: Floats,
+) -> None:  # fmt: skip
+    """Add J^T D J of each atom by itself, and -f . d2x/dq dq.
+
+    A turn about axis a after one about b moves by a cross (b cross r).
+    """
+    tree, forces = chain.tree, own[:, 6:]
+    moments, sums = np.zeros((tree.n_bodies, 3, 3)), np.zeros((tree.n_bodies, 3))
+    stiffness = np.zeros((tree.n_bodies, 6, 6))
+    np.add.at(moments, body, x[:, :, None] * forces[:, None, :])
+    np.add.at(sums, body, forces)
+    # Rows u - r cross omega of a point, for the twist (omega, u).
+    arms = np.zeros((len(x), 3, 6))
+    arms[:, [0, 1, 2], [3, 4, 5]] = 1.0
+    arms[:, [0, 1, 2], [1, 2, 0]], arms[:, [0, 1, 2], [2, 0, 1]] = x[:, [2, 0, 1]], -x[:, [1, 2, 0]]
+    blocks = own[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    np.add.at(stiffness, body, arms.transpose(0, 2, 1) @ blocks @ arms)
+    for b in range(tree.n_bodies - 1, -1, -1):
+        if tree.parent[b] >= 0:
+            moments[tree.parent[b]] += moments[b]
+            sums[tree.parent[b]] += sums[b]
+            stiffness[tree.parent[b]] += stiffness[b]
+    origin, axes = at.frames.origin - middle, motions[:, :3]
+    inward: list[NDArray[np.int64]] = []
+    for b in range(tree.n_bodies):
+        mine = np.arange(tree.v_start[b], tree.v_start[b + 1])
+        above = inward[tree.parent[b]] if tree.parent[b] >= 0 else np.empty(0, np.int64)
+        inward.append(np.concatenate([above, mine]))
+        about = moments[b] - np.outer(origin[b], sums[b])
+        turned = axes[mine] @ about.T - axes[mine] * np.trace(about)
+        held = motions[mine] @ stiffness[b]
+        of_above = motions[above] @ held.T - axes[above] @ turned.T
+        matrix[np.ix_(above, mine)] += of_above
+        matrix[np.ix_(mine, above)] += of_above.T
+        matrix[np.ix_(mine, mine)] += motions[mine] @ held.T - axes[mine] @ turned.T
+
+
+def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
+    """Freedoms that bonded terms couple (n_v, n_v), and a colour of each; none shares a row with its like."""
+    tree = chain.tree
+    depth, root = np.zeros(tree.n_bodies, np.int64), np.arange(tree.n_bodies)
+    for b in range(tree.n_bodies):
+        if tree.parent[b] >= 0:
+            depth[b], root[b] = depth[tree.parent[b]] + 1, root[tree.parent[b]]
+    crossed: set[tuple[int, ...]] = set()
+    for some in energy.terms.bonded.values():
+        bodies = np.unique(np.sort(chain.atom_body[some.atoms], axis=1), axis=0)
+        for row in bodies.tolist():
+            found = {*_between({*row}, tree.parent, depth, root)}
+            if found:
+                crossed.add(tuple(sorted(found)))
+    freedoms = [[v for b in path for v in range(tree.v_start[b], tree.v_start[b + 1])] for path in crossed]
+    row = np.repeat(np.arange(len(freedoms)), [len(each) for each in freedoms])
+    column = np.array([v for each in freedoms for v in each], dtype=np.int64)
+    incidence = csr_array((np.ones(len(row)), (row, column)), shape=(len(freedoms), chain.n_v))
+    coupled = (incidence.T @ incidence).tocsr()
+    seen = (coupled @ coupled).tocsr()
+    colour = np.full(chain.n_v, -1)
+    for v in range(chain.n_v):
+        taken = {*colour[seen.indices[seen.indptr[v] : seen.indptr[v + 1]]].tolist()}
+        colour[v] = next(k for k in range(chain.n_v + 1) if k not in taken)
+    return coupled, colour
+
+
+def _between(bodies: set[int], parent: Any, depth: Integers, root: Integers) -> Iterator[int]:
+    """Bodies whose hinges lie between some bodies; of several trees, all to the roots and these too."""
+    left = set(bodies)
+    while len(left) > 1:
+        deepest = max(left, key=lambda b: int(depth[b]))
+        yield deepest
+        left.remove(deepest)
+        if parent[deepest] >= 0:
+            left.add(int(parent[deepest]))
+        elif not left:
+            return
+    # Of several trees the last root moves against the others, too.
+    if len({int(root[b]) for b in bodies}) > 1:
+        yield from left
