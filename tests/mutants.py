@@ -46,11 +46,14 @@ FOLDERS = {
     "relaxation": (["relaxation"], ["repack"]),
     "mechanics": (
         ["mechanics/multibody", "chain.py"],
-        ["multibody", "mass", "chain", "massless", "flexible"],
+        ["multibody", "mass", "chain", "massless"],
     ),
-    "motion": (["mechanics/motion"], ["motion", "driven", "bending"]),
+    "motion": (["mechanics/motion"], ["motion", "driven"]),
     "dynamics": (["dynamics"], ["dynamics"]),
-    "mechanisms": (["mechanisms"], ["mechanisms", "contact", "boxes", "pile", "search", "segments"]),
+    "mechanisms": (
+        ["mechanisms"],
+        ["mechanisms", "contact", "boxes", "pile", "search", "segments", "flexible", "bending", "impulse"],
+    ),
     "kernels": (["energies/native"], ["native", "energy"]),
 }
 """Name: (what is changed, under protochain; test files for what coverage does not see: kernels, processes)"""

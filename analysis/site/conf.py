@@ -41,8 +41,8 @@ html_copy_source = False
 
 PACKAGES = (
     "batches", "comparison", "mechanics.motion", "mechanics.multibody", "dynamics", "energies",
-    "ligands", "mechanisms", "minimisers", "relaxation", "results", "searching",
-    "structure", "validation",
+    "ligands", "mechanisms", "mechanisms.flexible", "mechanisms.impacts", "minimisers", "relaxation",
+    "results", "searching", "structure", "validation",
 )  # fmt: skip
 """Of the reference, beside what ``import protochain`` has: a page each. A name is on its first page."""
 

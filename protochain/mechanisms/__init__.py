@@ -9,6 +9,7 @@ from protochain.mechanisms.assumed import assumed_modes
 from protochain.mechanisms.bending import bending
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.bushing import Bushing
+from protochain.mechanisms.closed_equations import ClosedEquations
 from protochain.mechanisms.closing import Closing
 from protochain.mechanisms.contact import (
     Contact,
@@ -27,6 +28,7 @@ from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Audit, Model, Run
 from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.pictures import Movie
+from protochain.mechanisms.rosenbrock import Rosenbrock
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface
@@ -34,10 +36,10 @@ from protochain.mechanisms.springs import Spring
 from protochain.mechanisms.torsion import Torsion
 
 __all__ = [
-    "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Block", "Bodies", "BoxTree", "Bushing", "Closing",
-    "Conservative", "Contact", "CustomForce", "Element", "Event", "Friction", "Happened", "HingeTorque",
-    "Law", "Mechanism", "Memory", "Model", "Movie", "Named", "Plane", "Rod", "Run", "Segments", "Spring",
-    "State", "Surface", "Torsion", "add_beam", "assumed_modes", "bending", "box_tree", "flores",
-    "frequencies", "in_modes", "lankarani_nikravesh", "overlapping", "real_restitution", "state_matrix",
-    "touching",
+    "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Block", "Bodies", "BoxTree", "Bushing",
+    "ClosedEquations", "Closing", "Conservative", "Contact", "CustomForce", "Element", "Event",
+    "Friction", "Happened", "HingeTorque", "Law", "Mechanism", "Memory", "Model", "Movie", "Named",
+    "Plane", "Rod", "Rosenbrock", "Run", "Segments", "Spring", "State", "Surface", "Torsion", "add_beam",
+    "assumed_modes", "bending", "box_tree", "flores", "frequencies", "in_modes", "lankarani_nikravesh",
+    "overlapping", "real_restitution", "state_matrix", "touching",
 ]  # fmt: skip

@@ -5,7 +5,7 @@ from scipy.optimize import brentq
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
-from protochain.mechanics.multibody.flexible import Shapes
+from protochain.mechanisms.flexible.flexible import Shapes
 from protochain.mechanisms.segments import Beam
 
 

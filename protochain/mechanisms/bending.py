@@ -10,10 +10,11 @@ from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Phase
-from protochain.mechanics.motion.bending import BendingSystem
-from protochain.mechanics.multibody import Flexible, Frames, Shapes
-from protochain.mechanics.multibody.flexible_dynamics import pull_back
+from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.elements import Conservative, Gravity
+from protochain.mechanisms.flexible import Flexible, Shapes
+from protochain.mechanisms.flexible.dynamics import pull_back
+from protochain.mechanisms.flexible.equations import BendingSystem
 from protochain.mechanisms.model import Model
 
 
@@ -33,7 +34,7 @@ def bending(model: Model, shapes: Mapping[str, Shapes]) -> tuple[BendingSystem, 
     BendingSystem, Phase
         Equations of motion, for ``step`` of Runge-Kutta, Dormand-Prince and Rosenbrock; and the start, with
         all bodies straight. Loads may be added by ``dataclasses.replace(system, loads=...)``. For Hamilton's
-        equations, ``multibody.canonical_rates(system.flexible, at.q, at.p, at.torque)``.
+        equations, ``flexible.canonical_rates(system.flexible, at.q, at.p, at.torque)``.
 
     Raises
     ------

@@ -14,8 +14,8 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate
-from protochain.mechanics.multibody.loop_joints import LoopJoints
 from protochain.mechanics.multibody.operational import Rows
+from protochain.mechanisms.loop_joints import LoopJoints
 
 WORLD = "world"
 _DEPENDENT = 1e-9

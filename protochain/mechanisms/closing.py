@@ -11,12 +11,12 @@ from protochain.core.arrays import Floats, read_only
 from protochain.core.checks import shown
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion.closed import CLOSED
-from protochain.mechanics.multibody.loop_joints import LoopJoints
 from protochain.mechanisms.assemble import with_z_along
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.checks import direction
+from protochain.mechanisms.closed_equations import CLOSED
 from protochain.mechanisms.elements import Between
+from protochain.mechanisms.loop_joints import LoopJoints
 
 X, Y, Z = np.eye(3)
 _SLIDES = {

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats
-from protochain.mechanics.motion import Equations, Integrator, Phase, Rosenbrock, StepTooLargeError
+from protochain.mechanics.motion import Equations, Integrator, Phase, StepTooLargeError
+from protochain.mechanisms.rosenbrock import Rosenbrock
 
 _TRUSTED = 0.01
 """Error of a step's balance, of the energy that flows in it, up to which the power at its ends is trusted."""

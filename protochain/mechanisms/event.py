@@ -7,10 +7,10 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from protochain.core.errors import MechanicsError
-from protochain.mechanics import motion
 from protochain.mechanics.motion import Equations, Phase
 from protochain.mechanisms.bodies import State
 from protochain.mechanisms.elements import Named
+from protochain.mechanisms.march import Event as Watched
 
 
 class Happened(NamedTuple):
@@ -63,8 +63,8 @@ class Event(Named):
             if not callable(getattr(self, what)):
                 raise MechanicsError(f"{self.said}: its {what} must be a function of the state")
 
-    def watched(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> motion.Event:
-        """Return it for ``motion.march``; when it happens, it is added to the list."""
+    def watched(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> Watched:
+        """Return it for ``march``; when it happens, it is added to the list."""
 
         def value(at: Phase) -> float:
             found = float(self.value(state_of(at)))
@@ -85,4 +85,4 @@ class Event(Named):
             happened.append(Happened(at.time, self.name, after.kinetic - at.kinetic))
             return after
 
-        return motion.Event(self.name, value, jump, self.passes)
+        return Watched(self.name, value, jump, self.passes)

@@ -12,8 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, floats, frozen, read_only
-from protochain.mechanics.motion import ClosedEquations, Equations, Phase, System
-from protochain.mechanics.motion.closed import CLOSED, ITERATIONS
+from protochain.mechanics.motion import Equations, Phase, System
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import kernel
 from protochain.mechanics.multibody.articulated import (
@@ -30,12 +29,13 @@ from protochain.mechanics.multibody.kinematics import (
     outward_frames,
     outward_twists,
 )
-from protochain.mechanics.multibody.loop_joints import LoopJoints, bends, gather, held_at, proximal, put_rows
 from protochain.mechanics.multibody.newton_euler import outward_loads
 from protochain.mechanics.multibody.rotations import put_rates
 from protochain.mechanics.multibody.tree import Q, V
 from protochain.mechanics.tableaux import Tableau
+from protochain.mechanisms.closed_equations import CLOSED, ITERATIONS, ClosedEquations
 from protochain.mechanisms.elements import Conservative, Gravity, weigh
+from protochain.mechanisms.loop_joints import LoopJoints, bends, gather, held_at, proximal, put_rows
 from protochain.mechanisms.springs import Springs, pull
 from protochain.mechanisms.torsion import Torsions, wind
 

@@ -16,29 +16,29 @@ from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import (
-    ClosedEquations,
     Drive,
     Equations,
     Integrator,
     Load,
     Phase,
-    Rosenbrock,
     RungeKutta4,
     StepTooLargeError,
     System,
-    march,
-)  # fmt: skip
+)
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
 from protochain.mechanisms.bodies import Bodies, State
+from protochain.mechanisms.closed_equations import ClosedEquations
 from protochain.mechanisms.dissipated import WithDampers
 from protochain.mechanisms.drawing import Shape
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Conservative, Gravity, Memory, Sum, damping, joined
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
+from protochain.mechanisms.march import march
 from protochain.mechanisms.pictures import Movie, movie, strip
 from protochain.mechanisms.reactions import motion, reactions
+from protochain.mechanisms.rosenbrock import Rosenbrock
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -632,7 +632,7 @@ class _Simulation:
         return kinetic, kinetic + potential - float(np.sum(work)) - jumps
 
     def without_events(self, until: float) -> Phase:
-        """Take steps as ``motion.march`` does, in a loop that costs a hundredth of a step."""
+        """Take steps as ``mechanisms.march`` does, in a loop that costs a hundredth of a step."""
         system, step, h, every = self.model.system, self.integrator.step, self.time_step, self.every
         append, at, count, look = self.rows.append, self.start, 0, every * _LOOK
         # Rounding of times adds up to less than a step: until near the end nothing need be compared.

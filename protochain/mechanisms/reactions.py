@@ -7,8 +7,8 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.mechanics.motion import Phase
-from protochain.mechanics.multibody.loop_joints import hold
 from protochain.mechanics.multibody.newton_euler import inertial_loads
+from protochain.mechanisms.loop_joints import hold
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,15 +14,12 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import (
     Applied,
     DormandPrince,
-    Event,
     ImplicitMidpoint,
     Leapfrog,
     Load,
-    Rosenbrock,
     RungeKutta4,
     System,
-    march,
-)  # fmt: skip
+)
 from protochain.mechanics.multibody import (
     HingeKind,
     Tree,
@@ -42,6 +39,8 @@ from protochain.mechanics.multibody import (
     solve_mass,
 )  # fmt: skip
 from protochain.mechanics.multibody.articulated import articulate, solve
+from protochain.mechanisms import Rosenbrock
+from protochain.mechanisms.march import Event, march
 
 G = 9.81
 LENGTH, MASS, INERTIA = 0.7, 2.0, 0.05

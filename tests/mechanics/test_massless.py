@@ -8,14 +8,7 @@ from fixtures.slow_mechanics import slow_mass_matrix
 from scipy.integrate import solve_ivp
 
 from protochain.core.errors import MechanicsError
-from protochain.mechanics.motion import (
-    DormandPrince,
-    ImplicitMidpoint,
-    Leapfrog,
-    Rosenbrock,
-    RungeKutta4,
-    System,
-)
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4, System
 from protochain.mechanics.multibody import (
     HingeKind,
     Tree,
@@ -30,6 +23,7 @@ from protochain.mechanics.multibody import (
     sample_velocities,
     solve_mass,
 )  # fmt: skip
+from protochain.mechanisms import Rosenbrock
 
 G, LENGTH, MASS = 9.81, 0.7, 2.0
 ABOUT_X = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])

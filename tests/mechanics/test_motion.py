@@ -14,17 +14,16 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import (
     Applied,
     DormandPrince,
-    Event,
     ImplicitMidpoint,
     Leapfrog,
     Load,
-    Rosenbrock,
     RungeKutta4,
     StepTooLargeError,
     System,
-    march,
-)  # fmt: skip
+)
 from protochain.mechanics.multibody import HingeKind, Tree, random_tree
+from protochain.mechanisms import Rosenbrock
+from protochain.mechanisms.march import Event, march
 
 G = 9.81
 LENGTH, MASS = 0.7, 2.0

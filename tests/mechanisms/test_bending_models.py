@@ -6,9 +6,9 @@ import pytest
 from bench.scenes.canonical import chain, started
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import DormandPrince, Leapfrog
-from protochain.mechanics.multibody import canonical_rates
-from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics
 from protochain.mechanisms import Beam, Mechanism, add_beam, assumed_modes, bending
+from protochain.mechanisms.flexible import canonical_rates
+from protochain.mechanisms.flexible.dynamics import forward_dynamics
 
 
 def links(axis=(0, 0, 1), gravity=(0, 0, 0), n=3):

@@ -7,15 +7,9 @@ from scipy.integrate import solve_ivp
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import (
-    DormandPrince,
-    ImplicitMidpoint,
-    Leapfrog,
-    Rosenbrock,
-    RungeKutta4,
-)  # fmt: skip
-from protochain.mechanics.multibody import ContactPoint, impact
-from protochain.mechanisms import Mechanism, frequencies, in_modes
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4
+from protochain.mechanisms import Mechanism, Rosenbrock, frequencies, in_modes
+from protochain.mechanisms.impacts import ContactPoint, impact
 
 G = 9.81
 PRECISE = DormandPrince(1e-10)

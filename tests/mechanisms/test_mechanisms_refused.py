@@ -16,11 +16,10 @@ from protochain.mechanics.motion import (
     ImplicitMidpoint,
     Leapfrog,
     Load,
-    Rosenbrock,
     RungeKutta4,
     StepTooLargeError,
-)  # fmt: skip
-from protochain.mechanisms import Ball, Law, Mechanism, Plane, frequencies
+)
+from protochain.mechanisms import Ball, Law, Mechanism, Plane, Rosenbrock, frequencies
 
 ORIGIN = (0, 0, 0)
 BALL, LAW = Ball("rod", 0.1), Law(1e6)

@@ -24,9 +24,9 @@ from bench.scenes.helicopter.parts import (
     trimmed,
 )  # fmt: skip
 from protochain.core.errors import MechanicsError
-from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, Rosenbrock, RungeKutta4
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4
 from protochain.mechanics.multibody import integrate, mass_matrix, pose
-from protochain.mechanisms import Mechanism, state_matrix
+from protochain.mechanisms import Mechanism, Rosenbrock, state_matrix
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, add_beam

@@ -7,7 +7,8 @@ from bench.scenes import run
 from bench.scenes.impact import bounces, checks, paths, systems
 from bench.scenes.impact.study import KINDS, each_alone, random_impacts, random_points, random_pose
 from protochain.core.errors import MechanicsError
-from protochain.mechanics.multibody import impact, kinetic_energy
+from protochain.mechanics.multibody import kinetic_energy
+from protochain.mechanisms.impacts import impact
 
 
 @pytest.fixture(scope="module")

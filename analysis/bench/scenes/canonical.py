@@ -4,9 +4,9 @@ After Tong, J. Comput. Nonlinear Dyn. 5:041002 (2010), whose text was not found.
 others, and where it is:
 
 =====================================  ============================================================
-velocities from momenta, by recursion  ``multibody.canonical``: articulated bodies, O(n)
+velocities from momenta, by recursion  ``mechanisms.flexible``: articulated bodies, O(n)
 other ways beside it                   amplitudes first, in blocks; the whole matrix
-bodies that bend by shapes             ``multibody.flexible``, with what stiffens a beam that turns
+bodies that bend by shapes             ``mechanisms.flexible``, with what stiffens a beam that turns
 =====================================  ============================================================
 
 Chosen are links of 1 m and 1 kg in a plane, hinged end to end, EI 3 N m^2, two shapes of bending each; the
@@ -28,12 +28,12 @@ from bench.fits import exponent
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion import DormandPrince
-from protochain.mechanics.motion.bending import BendingSystem
 from protochain.mechanics.multibody import HingeKind, Tree
-from protochain.mechanics.multibody.canonical import Route, canonical_rates, rates_of
-from protochain.mechanics.multibody.flexible import Flexible, bend, elastic
-from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics, multiply_mass
 from protochain.mechanisms.assumed import assumed_modes
+from protochain.mechanisms.flexible.canonical import Route, canonical_rates, rates_of
+from protochain.mechanisms.flexible.dynamics import forward_dynamics, multiply_mass
+from protochain.mechanisms.flexible.equations import BendingSystem
+from protochain.mechanisms.flexible.flexible import Flexible, bend, elastic
 from protochain.mechanisms.segments import Beam
 
 STIFFNESS = 3.0

@@ -16,9 +16,9 @@ from bench.cost import least_seconds, work_table
 from bench.fits import exponent
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
-from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Integrator, Rosenbrock
-from protochain.mechanics.multibody.loop_joints import LoopJoints, hold
-from protochain.mechanisms import Mechanism, Model, Run, frequencies
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Integrator
+from protochain.mechanisms import Mechanism, Model, Rosenbrock, Run, frequencies
+from protochain.mechanisms.loop_joints import LoopJoints, hold
 
 G = 9.81
 PRECISE = DormandPrince(1e-10)

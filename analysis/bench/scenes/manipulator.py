@@ -26,14 +26,8 @@ from bench.cost import timed, work_table
 from bench.fits import extrapolated, order
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
-from protochain.mechanics.motion import (
-    DormandPrince,
-    ImplicitMidpoint,
-    Integrator,
-    Rosenbrock,
-    RungeKutta4,
-)
-from protochain.mechanisms import Beam, Mechanism, Model, add_beam, frequencies, state_matrix
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Integrator, RungeKutta4
+from protochain.mechanisms import Beam, Mechanism, Model, Rosenbrock, add_beam, frequencies, state_matrix
 
 LENGTHS, TORQUES, START = (1.0, 0.8, 0.6), (60.0, 20.0, 5.0), (0.0, 0.3, 0.3)
 """m, N m, and rad from the link before, at the start."""

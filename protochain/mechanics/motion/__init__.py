@@ -1,13 +1,10 @@
-"""Motion of trees of rigid bodies in potentials and under loads: phase space, integrators, events.
+"""Motion of trees of rigid bodies in potentials and under loads: phase space, integrators.
 
 Knows nothing of proteins. Any consistent set of units will do.
 """
 
-from protochain.mechanics.motion.closed import ClosedEquations
-from protochain.mechanics.motion.events import Event, march
 from protochain.mechanics.motion.leapfrog import Leapfrog
 from protochain.mechanics.motion.midpoint import ImplicitMidpoint
-from protochain.mechanics.motion.rosenbrock import Rosenbrock
 from protochain.mechanics.motion.runge_kutta import DormandPrince, RungeKutta4
 from protochain.mechanics.motion.system import (
     Applied,
@@ -24,7 +21,6 @@ from protochain.mechanics.motion.system import (
 )  # fmt: skip
 
 __all__ = [
-    "Applied", "ClosedEquations", "Constraint", "DormandPrince", "Drive", "Equations", "Event",
-    "ImplicitMidpoint", "Integrator", "Leapfrog", "Load", "Phase", "Potential", "Rosenbrock", "RungeKutta4",
-    "StepTooLargeError", "System", "march", "total",
+    "Applied", "Constraint", "DormandPrince", "Drive", "Equations", "ImplicitMidpoint", "Integrator",
+    "Leapfrog", "Load", "Phase", "Potential", "RungeKutta4", "StepTooLargeError", "System", "total",
 ]  # fmt: skip

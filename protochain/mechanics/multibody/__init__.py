@@ -1,14 +1,7 @@
 """O(n) mechanics of trees of rigid bodies, independent of proteins and energies."""
 
-from protochain.mechanics.multibody.canonical import canonical_rates
 from protochain.mechanics.multibody.composite import mass_matrix
-from protochain.mechanics.multibody.flexible import Flexible, Shapes
 from protochain.mechanics.multibody.forward import forward_dynamics
-from protochain.mechanics.multibody.impulse import Impact, close_loops, impact
-from protochain.mechanics.multibody.impulse_bodies import Bending
-from protochain.mechanics.multibody.impulse_bound import friction_bound
-from protochain.mechanics.multibody.impulse_points import ContactPoint
-from protochain.mechanics.multibody.impulse_stress import impulse_stress
 from protochain.mechanics.multibody.kinematics import Frames, integrate, jacobian, pose, pull_back, velocities
 from protochain.mechanics.multibody.loops import log_det_closed, solve_closed
 from protochain.mechanics.multibody.mass import Method, log_det_mass, sample_velocities, solve_mass
@@ -30,10 +23,9 @@ from protochain.mechanics.multibody.random_tree import random_tree
 from protochain.mechanics.multibody.tree import HingeKind, Tree, rigid_bodies
 
 __all__ = [
-    "Bending", "ContactPoint", "Flexible", "Frames", "HingeKind", "Impact", "Method", "Rows", "Shapes",
-    "Tree", "canonical_rates", "centre_of_mass", "close_loops", "forward_dynamics", "friction_bound",
-    "impact", "impulse_stress", "integrate", "inverse_dynamics", "jacobian", "kinetic_energy",
-    "log_det_closed", "log_det_gradient", "log_det_mass", "mass_matrix", "momentum", "multiply_mass",
-    "operational_inverse", "point_rows", "pose", "pull_back", "random_tree", "rigid_bodies", "row_matrix",
-    "sample_velocities", "solve_closed", "solve_mass", "velocities",
+    "Frames", "HingeKind", "Method", "Rows", "Tree", "centre_of_mass", "forward_dynamics", "integrate",
+    "inverse_dynamics", "jacobian", "kinetic_energy", "log_det_closed", "log_det_gradient",
+    "log_det_mass", "mass_matrix", "momentum", "multiply_mass", "operational_inverse", "point_rows",
+    "pose", "pull_back", "random_tree", "rigid_bodies", "row_matrix", "sample_velocities", "solve_closed",
+    "solve_mass", "velocities",
 ]  # fmt: skip

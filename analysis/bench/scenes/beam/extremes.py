@@ -23,8 +23,8 @@ from bench.scenes.beam.parts import (
 )  # fmt: skip
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
-from protochain.mechanics.motion import Rosenbrock, RungeKutta4
-from protochain.mechanisms import Mechanism
+from protochain.mechanics.motion import RungeKutta4
+from protochain.mechanisms import Mechanism, Rosenbrock
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.segments import Beam, add_beam
 

@@ -32,8 +32,8 @@ from bench.scenes.gear.oracle import reference
 from bench.scenes.gear.quasi import at_rest, frequency, lag_of, near, stiff_flanks
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
-from protochain.mechanics.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
-from protochain.mechanisms import Model, Run
+from protochain.mechanics.motion import DormandPrince, Integrator, RungeKutta4
+from protochain.mechanisms import Model, Rosenbrock, Run
 from protochain.mechanisms.contact import Law, lankarani_nikravesh
 
 __all__ = ["Gear", "GearPair", "run"]

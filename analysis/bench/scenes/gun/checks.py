@@ -14,8 +14,8 @@ from bench.scenes.gun import search, study
 from bench.scenes.gun.oracle import Planar
 from bench.scenes.gun.parts import Gun, built
 from protochain.core.arrays import Floats
-from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Integrator, Rosenbrock, RungeKutta4
-from protochain.mechanisms import frequencies, state_matrix
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Integrator, RungeKutta4
+from protochain.mechanisms import Rosenbrock, frequencies, state_matrix
 
 FIXED = "no deck"
 MODES = "modal superposition, eigh"

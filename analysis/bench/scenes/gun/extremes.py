@@ -10,7 +10,8 @@ from bench.scenes.gun.oracle import Planar
 from bench.scenes.gun.parts import Gun, built
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
-from protochain.mechanics.motion import DormandPrince, Integrator, Rosenbrock, RungeKutta4
+from protochain.mechanics.motion import DormandPrince, Integrator, RungeKutta4
+from protochain.mechanisms import Rosenbrock
 
 REFUSED: tuple[tuple[str, Gun, Fault], ...] = (
     ("no axle, no equilibrator", Gun(axle=0.0, balanced=0.0), Fault.NO_EQUILIBRIUM),

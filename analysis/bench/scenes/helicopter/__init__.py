@@ -31,7 +31,8 @@ from bench.scenes.helicopter import checks, ground, landing, safety
 from bench.scenes.helicopter.extremes import limits, without
 from bench.scenes.helicopter.parts import BLADE, Given
 from protochain.core.arrays import Floats
-from protochain.mechanics.motion import Integrator, Rosenbrock, RungeKutta4
+from protochain.mechanics.motion import Integrator, RungeKutta4
+from protochain.mechanisms import Rosenbrock
 
 FULL = Given(cells=6)
 

@@ -13,10 +13,10 @@ from bench.scenes.helicopter import landing, resonance
 from bench.scenes.helicopter.parts import BLADE, LEGS, MODES, RATE, WEIGHT, groups
 from protochain.core.arrays import Floats
 from protochain.mechanics.multibody import HingeKind, Tree
-from protochain.mechanics.multibody.flexible import Flexible, elastic
-from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics
 from protochain.mechanisms import Mechanism, Model, Run
 from protochain.mechanisms.assumed import assumed_modes
+from protochain.mechanisms.flexible.dynamics import forward_dynamics
+from protochain.mechanisms.flexible.flexible import Flexible, elastic
 from protochain.mechanisms.linear import frequencies
 from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, add_beam

@@ -27,7 +27,8 @@ from bench.scenes.helicopter.parts import (
 from bench.scenes.helicopter.safety import landed
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
-from protochain.mechanics.motion import DormandPrince, Integrator, Rosenbrock
+from protochain.mechanics.motion import DormandPrince, Integrator
+from protochain.mechanisms import Rosenbrock
 from protochain.mechanisms.segments import Beam
 
 BLOW = 0.004

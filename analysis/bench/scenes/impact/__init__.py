@@ -3,13 +3,13 @@
 After Lidstrom (2015), of which the outline is known. What it treats, and where it is:
 
 =======================================  ==============================================================
-impulses on trees of rigid bodies        ``multibody.impact``: any tree, with and without loops
+impulses on trees of rigid bodies        ``impacts.impact``: any tree, with and without loops
 laws of restitution, Coulomb's friction  one point, or several, together or in turn
 two rods whose tip strikes a floor       ``systems.rods``: of Kane and Levinson, *Dynamics* (1985)
-uniqueness                               starts that must agree; a priori: ``multibody.friction_bound``
+uniqueness                               starts that must agree; a priori: ``impacts.friction_bound``
 impulses that are given                  ``impact(external=)``
-impulse stress                           ``multibody.impulse_stress``: its mean in each rigid body
-bodies that bend                         ``impact`` of a ``multibody.Bending``
+impulse stress                           ``impacts.impulse_stress``: its mean in each rigid body
+bodies that bend                         ``impact`` of a ``impacts.Bending``
 =======================================  ==============================================================
 
 Left out: waves in bodies, since instantaneous impulses move all of a body at once; stress where loops bear.
@@ -27,8 +27,9 @@ from bench.scenes.impact.paths import path_checks, traces, work
 from bench.scenes.impact.study import random_impacts
 from bench.scenes.impact.systems import chain
 from protochain.core.arrays import Floats
-from protochain.mechanics.multibody import impact, mass_matrix, point_rows, row_matrix
+from protochain.mechanics.multibody import mass_matrix, point_rows, row_matrix
 from protochain.mechanics.multibody.articulated import articulate
+from protochain.mechanisms.impacts import impact
 
 IMPACTS, FEW = 100_000, 2000
 """Random impacts; of the quick scene."""

@@ -7,9 +7,10 @@ import pandas as pd
 
 from bench.cases import Check, check, vanishes
 from bench.scenes.impact.systems import Blow, G, dropped
-from protochain.mechanics.motion import DormandPrince, Event, Phase, System, march
-from protochain.mechanics.multibody import impact
+from protochain.mechanics.motion import DormandPrince, Phase, System
 from protochain.mechanisms import Model
+from protochain.mechanisms.impacts import impact
+from protochain.mechanisms.march import Event, march
 
 HEIGHT, KEPT = 1.0, 0.5
 """m; restitution."""

@@ -10,9 +10,10 @@ from bench.cases import Check, check, vanishes
 from bench.scenes.impact.study import LAWS, random_points, random_pose
 from bench.scenes.impact.systems import ball, cradle, rods, struck
 from protochain.core.arrays import Floats
-from protochain.mechanics.multibody import close_loops, impact, mass_matrix, point_rows, row_matrix
-from protochain.mechanics.multibody.impulse import Order
-from protochain.mechanics.multibody.impulse_points import Struck
+from protochain.mechanics.multibody import mass_matrix, point_rows, row_matrix
+from protochain.mechanisms.impacts import close_loops, impact
+from protochain.mechanisms.impacts.impact import Order
+from protochain.mechanisms.impacts.points import Struck
 
 RODS = {
     0.7: {"newton": 1.5875, "poisson": 0.5169, "stronge": 0.5258},

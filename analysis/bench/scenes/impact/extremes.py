@@ -12,18 +12,17 @@ from bench.scenes.impact.study import LAWS, Kind, random_points, random_pose
 from bench.scenes.impact.systems import UP, ball, box, chain, cradle, rods, struck
 from protochain.core.errors import Fault
 from protochain.mechanics.multibody import (
-    ContactPoint,
     HingeKind,
     Tree,
-    impact,
     kinetic_energy,
     mass_matrix,
     point_rows,
     pose,
     row_matrix,
-)  # fmt: skip
+)
 from protochain.mechanics.multibody.articulated import articulate
-from protochain.mechanics.multibody.impulse import Law
+from protochain.mechanisms.impacts import ContactPoint, impact
+from protochain.mechanisms.impacts.impact import Law
 
 LIGHT = 1e-9
 """kg, against 1 kg."""

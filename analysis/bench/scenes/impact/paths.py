@@ -11,9 +11,9 @@ from bench.cases import Check, check, tried
 from bench.cost import Work
 from bench.scenes.impact.systems import TIP, UP, Blow, brick, rods, two_rods
 from protochain.core.arrays import Floats
-from protochain.mechanics.multibody.impulse_path import POISSON, follow
-from protochain.mechanics.multibody.impulse_points import Struck
 from protochain.mechanisms import Ball, Model, Plane, flores, real_restitution
+from protochain.mechanisms.impacts.path import POISSON, follow
+from protochain.mechanisms.impacts.points import Struck
 
 SMOOTH = (1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4)
 """Slip, relative to the speed of approach, below which smoothed friction falls off."""

@@ -14,21 +14,19 @@ from protochain.core.arrays import Floats
 from protochain.core.defaults import IMPACT_TOLERANCE
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import (
-    ContactPoint,
     HingeKind,
     Rows,
     Tree,
-    close_loops,
-    impact,
     kinetic_energy,
     pose,
     random_tree,
     velocities,
-)  # fmt: skip
+)
 from protochain.mechanics.multibody.articulated import Articulated, articulate
-from protochain.mechanics.multibody.impulse import Law, Order
-from protochain.mechanics.multibody.impulse_path import DONE, follow
-from protochain.mechanics.multibody.impulse_points import Struck
+from protochain.mechanisms.impacts import ContactPoint, close_loops, impact
+from protochain.mechanisms.impacts.impact import Law, Order
+from protochain.mechanisms.impacts.path import DONE, follow
+from protochain.mechanisms.impacts.points import Struck
 
 GAIN = 1e-9
 """Of the kinetic energy: what counts as gained. Curved pieces have errors of 1e-10."""
@@ -47,7 +45,7 @@ class Kind(NamedTuple):
     points : int
         Number of points.
     law, order : str
-        As of :func:`protochain.mechanics.multibody.impact`.
+        As of :func:`protochain.mechanisms.impacts.impact`.
     share : float
         Of all impacts.
     """

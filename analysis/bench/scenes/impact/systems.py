@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats
-from protochain.mechanics.multibody import ContactPoint, Impact, Tree, impact, random_tree
+from protochain.mechanics.multibody import Tree, random_tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate
-from protochain.mechanics.multibody.impulse import Law, Order
 from protochain.mechanics.multibody.kinematics import pose
 from protochain.mechanisms import Mechanism, Model, State
+from protochain.mechanisms.impacts import ContactPoint, Impact, impact
+from protochain.mechanisms.impacts.impact import Law, Order
 
 UP = (0.0, 0.0, 1.0)
 G = 9.81
@@ -63,7 +64,7 @@ def struck(
     blows : sequence of Blow
         Where.
     law, order : str
-        As of :func:`protochain.mechanics.multibody.impact`.
+        As of :func:`protochain.mechanisms.impacts.impact`.
 
     Returns
     -------

@@ -14,13 +14,14 @@ import numpy as np
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value, floats, frozen, read_only
 from protochain.core.errors import Fault, MechanicsError
-from protochain.mechanics.multibody import complementarity, impulse_path
 from protochain.mechanics.multibody.articulated import Articulated
-from protochain.mechanics.multibody.impulse_bodies import Bending, Bodies, bodies_of, row_speeds
-from protochain.mechanics.multibody.impulse_bound import bound_of
-from protochain.mechanics.multibody.impulse_external import External, strike
-from protochain.mechanics.multibody.impulse_points import ContactPoint, Struck
 from protochain.mechanics.multibody.operational import Rows
+from protochain.mechanisms.impacts import complementarity
+from protochain.mechanisms.impacts import path as impulse_path
+from protochain.mechanisms.impacts.bodies import Bending, Bodies, bodies_of, row_speeds
+from protochain.mechanisms.impacts.bound import bound_of
+from protochain.mechanisms.impacts.external import External, strike
+from protochain.mechanisms.impacts.points import ContactPoint, Struck
 
 Law = Literal["newton", "poisson", "stronge"]
 """Law of restitution: of velocities, of normal impulses, of the work of the normal impulse."""

@@ -9,21 +9,13 @@ from scipy.integrate import solve_ivp
 
 from bench.scenes.canonical import by_hand
 from protochain.core.errors import MechanicsError
-from protochain.mechanics.motion import (
-    Applied,
-    DormandPrince,
-    Event,
-    ImplicitMidpoint,
-    Leapfrog,
-    Load,
-    Rosenbrock,
-    RungeKutta4,
-    march,
-)  # fmt: skip
-from protochain.mechanics.motion.bending import BendingSystem
+from protochain.mechanics.motion import Applied, DormandPrince, ImplicitMidpoint, Leapfrog, Load, RungeKutta4
 from protochain.mechanics.multibody import random_tree
-from protochain.mechanics.multibody.flexible import bend
-from protochain.mechanics.multibody.flexible_dynamics import momenta
+from protochain.mechanisms import Rosenbrock
+from protochain.mechanisms.flexible.dynamics import momenta
+from protochain.mechanisms.flexible.equations import BendingSystem
+from protochain.mechanisms.flexible.flexible import bend
+from protochain.mechanisms.march import Event, march
 
 START = np.array([0.3, 0.9, 0.05, -0.04]), np.array([2.0, -3.0, 0.5, 0.4])
 

@@ -11,9 +11,9 @@ from bench.scenes import run
 from bench.scenes.canonical import by_hand
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import HingeKind
-from protochain.mechanics.multibody.canonical import canonical_rates, rates_of
-from protochain.mechanics.multibody.flexible import bend, elastic
-from protochain.mechanics.multibody.flexible_dynamics import forward_dynamics, mass_matrix, momenta
+from protochain.mechanisms.flexible.canonical import canonical_rates, rates_of
+from protochain.mechanisms.flexible.dynamics import forward_dynamics, mass_matrix, momenta
+from protochain.mechanisms.flexible.flexible import bend, elastic
 
 EPS = np.finfo(float).eps
 

@@ -1,6 +1,6 @@
 """Canonical form of bodies that bend: momenta p = M qd in place of velocities, and three ways back to these.
 
-dp/dt is what ``multibody.flexible_dynamics.momenta`` gives as the gradient, plus torques: no
+dp/dt is what ``dynamics.momenta`` gives as the gradient, plus torques: no
 accelerations, no Coriolis terms, and the momentum of a cyclic coordinate does not change at all.
 """
 
@@ -11,8 +11,8 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from protochain.core.arrays import Floats, floats
 from protochain.core.errors import Fault, MechanicsError
-from protochain.mechanics.multibody.flexible import Bent, Flexible, bend
-from protochain.mechanics.multibody.flexible_dynamics import mass_matrix, momenta, solve
+from protochain.mechanisms.flexible.dynamics import mass_matrix, momenta, solve
+from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend
 
 Route = Literal["articulated", "blocks", "dense"]
 """How rates follow from momenta: leaf to root, O(n); amplitudes before hinges; the whole matrix at once."""

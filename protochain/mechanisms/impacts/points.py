@@ -10,9 +10,9 @@ from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read
 from protochain.core.checks import number, shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated
-from protochain.mechanics.multibody.impulse_bodies import Bending, Bodies, bodies_of, twists_of
 from protochain.mechanics.multibody.loops import factor_closed
 from protochain.mechanics.multibody.operational import Rows
+from protochain.mechanisms.impacts.bodies import Bending, Bodies, bodies_of, twists_of
 
 _APART, _LOCKED = 1e-12, 1e-13
 """Speed of approach, relative to those of the bodies there, and inverse inertia, relative to that without

@@ -8,20 +8,13 @@ import pytest
 from bench.scenes.canonical import chain, started
 from bench.scenes.impact.study import random_points, random_pose
 from protochain.core.errors import Fault, MechanicsError
-from protochain.mechanics.multibody import (
-    Bending,
-    ContactPoint,
-    Flexible,
-    friction_bound,
-    impact,
-    impulse_stress,
-    pose,
-    velocities,
-)
+from protochain.mechanics.multibody import pose, velocities
 from protochain.mechanics.multibody.articulated import articulate
-from protochain.mechanics.multibody.flexible_dynamics import jacobian, mass_matrix
 from protochain.mechanics.multibody.random_tree import random_tree
 from protochain.mechanisms import Mechanism
+from protochain.mechanisms.flexible import Flexible
+from protochain.mechanisms.flexible.dynamics import jacobian, mass_matrix
+from protochain.mechanisms.impacts import Bending, ContactPoint, friction_bound, impact, impulse_stress
 
 
 def bent_chain(links=3):

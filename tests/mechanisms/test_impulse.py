@@ -12,15 +12,12 @@ from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.dynamics import closure_of
-from protochain.mechanics.motion import DormandPrince, Event, System, march
+from protochain.mechanics.motion import DormandPrince, System
 from protochain.mechanics.multibody import (
-    ContactPoint,
     HingeKind,
     Rows,
     Tree,
     centre_of_mass,
-    close_loops,
-    impact,
     kinetic_energy,
     mass_matrix,
     momentum,
@@ -32,12 +29,14 @@ from protochain.mechanics.multibody import (
     sample_velocities,
     solve_closed,
     velocities,
-)  # fmt: skip
+)
 from protochain.mechanics.multibody.articulated import articulate
-from protochain.mechanics.multibody.complementarity import restitute
 from protochain.mechanics.multibody.hamilton import momenta
-from protochain.mechanics.multibody.impulse import _together
-from protochain.mechanics.multibody.impulse_path import follow
+from protochain.mechanisms.impacts import ContactPoint, close_loops, impact
+from protochain.mechanisms.impacts.complementarity import restitute
+from protochain.mechanisms.impacts.impact import _together
+from protochain.mechanisms.impacts.path import follow
+from protochain.mechanisms.march import Event, march
 
 LAWS = ("newton", "poisson", "stronge")
 UP = (0.0, 0.0, 1.0)

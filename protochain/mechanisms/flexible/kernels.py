@@ -25,7 +25,10 @@ from protochain.mechanics.multibody.algebra import (
     turned,
     vector,
 )  # fmt: skip
-from protochain.mechanics.multibody.flexible_algebra import (
+from protochain.mechanics.multibody.kinematics import WORLD, moved_freely, seat, turned_by_hinge
+from protochain.mechanics.multibody.rotations import tangent, turn_by
+from protochain.mechanics.multibody.tree import SLIDE, TURN, Q, V
+from protochain.mechanisms.flexible.algebra import (
     CARRIER,
     LOCKED,
     NODE,
@@ -42,10 +45,7 @@ from protochain.mechanics.multibody.flexible_algebra import (
     tangent_rate,
     times,
     triple,
-)  # fmt: skip
-from protochain.mechanics.multibody.kinematics import WORLD, moved_freely, seat, turned_by_hinge
-from protochain.mechanics.multibody.rotations import tangent, turn_by
-from protochain.mechanics.multibody.tree import SLIDE, TURN, Q, V
+)
 
 ROUND_OFF = 1e-15
 """A pivot below this fraction of its diagonal is rounding error."""

@@ -6,9 +6,9 @@ import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.mechanics.multibody.articulated import Articulated
-from protochain.mechanics.multibody.impulse_bodies import Bending, bodies_of
-from protochain.mechanics.multibody.impulse_points import ContactPoint, Struck
 from protochain.mechanics.multibody.operational import Rows
+from protochain.mechanisms.impacts.bodies import Bending, bodies_of
+from protochain.mechanisms.impacts.points import ContactPoint, Struck
 
 _ROUND_OFF = 1e-12
 """Of the largest inverse inertia: what is smaller is none."""

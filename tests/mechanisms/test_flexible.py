@@ -12,9 +12,10 @@ from scipy.interpolate import CubicSpline
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, random_tree
-from protochain.mechanics.multibody.flexible import Flexible, bend, elastic, integrate
-from protochain.mechanics.multibody.flexible_algebra import tangent_rate
-from protochain.mechanics.multibody.flexible_dynamics import (
+from protochain.mechanics.multibody.rotations import tangent
+from protochain.mechanisms.assumed import assumed_modes, clamped, clamped_roots
+from protochain.mechanisms.flexible.algebra import tangent_rate
+from protochain.mechanisms.flexible.dynamics import (
     forward_dynamics,
     inverse_dynamics,
     jacobian,
@@ -22,9 +23,8 @@ from protochain.mechanics.multibody.flexible_dynamics import (
     momenta,
     pull_back,
     solve,
-)  # fmt: skip
-from protochain.mechanics.multibody.rotations import tangent
-from protochain.mechanisms.assumed import assumed_modes, clamped, clamped_roots
+)
+from protochain.mechanisms.flexible.flexible import Flexible, bend, elastic, integrate
 from protochain.mechanisms.segments import Beam
 
 

@@ -10,7 +10,7 @@ from protochain.core.errors import Fault
 from protochain.mechanics.motion.system import Equations, Phase, StepTooLargeError
 from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.kinematics import pull_back
-from protochain.mechanics.multibody.loop_joints import LoopJoints, hold
+from protochain.mechanisms.loop_joints import LoopJoints, hold
 
 CLOSED = 1e-12
 """Largest error of a loop after a step, in cosines and sizes of the tree: a thousand times rounding."""

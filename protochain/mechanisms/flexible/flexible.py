@@ -14,9 +14,9 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
 from protochain.core.errors import BodyError, MechanicsError
-from protochain.mechanics.multibody.flexible_kernels import put_frames
 from protochain.mechanics.multibody.kinematics import integrate as integrate_rigid
 from protochain.mechanics.multibody.tree import Tree
+from protochain.mechanisms.flexible.kernels import put_frames
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,17 +9,17 @@ import numpy as np
 from protochain.core.arrays import Floats, read_only
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion.system import Equations, Load
-from protochain.mechanics.multibody import flexible_dynamics
-from protochain.mechanics.multibody.flexible import Bent, Flexible, bend, elastic, integrate
 from protochain.mechanics.multibody.rotations import displacement_rates
+from protochain.mechanisms.flexible import dynamics as flexible_dynamics
+from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend, elastic, integrate
 
 
 @dataclass(frozen=True, eq=False)
 class BendingSystem(Equations):
     """Bodies of which some bend, in a potential beside their elastic energy, under loads.
 
-    Coordinates and freedoms are those of ``multibody.flexible.Flexible``. Potentials and
-    loads get ``multibody.flexible.Bent`` for factors and frames, and loads may give wrenches
+    Coordinates and freedoms are those of ``flexible.Flexible``. Potentials and
+    loads get ``flexible.Bent`` for factors and frames, and loads may give wrenches
     (nn, 6) on all nodes. Runge-Kutta and Rosenbrock methods take it.
 
     Parameters

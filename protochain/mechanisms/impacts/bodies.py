@@ -6,11 +6,11 @@ from typing import Protocol
 import numpy as np
 
 from protochain.core.arrays import Floats, Value
-from protochain.mechanics.multibody import flexible_dynamics
 from protochain.mechanics.multibody.articulated import Articulated, solve
-from protochain.mechanics.multibody.flexible import Bent, Flexible, bend
 from protochain.mechanics.multibody.kinematics import velocities
 from protochain.mechanics.multibody.operational import Rows, operational_inverse
+from protochain.mechanisms.flexible import dynamics as flexible_dynamics
+from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend
 
 
 class Bodies(Protocol):

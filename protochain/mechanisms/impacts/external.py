@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import shown
 from protochain.core.errors import Fault, MechanicsError
-from protochain.mechanics.multibody.impulse_bodies import Bodies
+from protochain.mechanisms.impacts.bodies import Bodies
 
 External = Mapping[int, tuple[ArrayLike, ArrayLike]]
 """Body -> world point (3,) and impulse on the body there (3,), world axes."""

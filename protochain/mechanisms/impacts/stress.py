@@ -7,10 +7,10 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.articulated import Articulated
-from protochain.mechanics.multibody.impulse import Impact
-from protochain.mechanics.multibody.impulse_bodies import RigidBodies
-from protochain.mechanics.multibody.impulse_external import External, checked
-from protochain.mechanics.multibody.impulse_points import ContactPoint
+from protochain.mechanisms.impacts.bodies import RigidBodies
+from protochain.mechanisms.impacts.external import External, checked
+from protochain.mechanisms.impacts.impact import Impact
+from protochain.mechanisms.impacts.points import ContactPoint
 
 
 def impulse_stress(

@@ -6,15 +6,15 @@ import numpy as np
 
 from protochain.core.arrays import Floats, floats
 from protochain.core.errors import BodyError
-from protochain.mechanics.multibody.flexible import Bent, Flexible, bend
-from protochain.mechanics.multibody.flexible_kernels import (
+from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend
+from protochain.mechanisms.flexible.kernels import (
     put_changes,
     put_gradient,
     put_loads,
     put_torques,
     put_twists,
     solve_bent,
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def forward_dynamics(
     flexible, q : Flexible and (n_q,) float
         Bodies and their coordinates.
     qd, tau : (n_v,) float
-        Velocities, and torques with the elastic ones, see ``multibody.flexible.elastic``; of
+        Velocities, and torques with the elastic ones, see ``flexible.elastic``; of
         driven hinges their accelerations.
     wrench : (nn, 6) float, optional
         External moment and force on each node about its place, world axes.
