@@ -26,7 +26,6 @@ from protochain.mechanisms.linear import frequencies, state_matrix
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Audit, Model, Run
-from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.pictures import Movie
 from protochain.mechanisms.rosenbrock import Rosenbrock
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
@@ -40,6 +39,6 @@ __all__ = [
     "ClosedEquations", "Closing", "Conservative", "Contact", "CustomForce", "Element", "Event",
     "Friction", "Happened", "HingeTorque", "Law", "Mechanism", "Memory", "Model", "Movie", "Named",
     "Plane", "Rod", "Rosenbrock", "Run", "Segments", "Spring", "State", "Surface", "Torsion", "add_beam",
-    "assumed_modes", "bending", "box_tree", "flores", "frequencies", "in_modes", "lankarani_nikravesh",
+    "assumed_modes", "bending", "box_tree", "flores", "frequencies", "lankarani_nikravesh",
     "overlapping", "real_restitution", "state_matrix", "touching",
 ]  # fmt: skip

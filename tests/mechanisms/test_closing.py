@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4
-from protochain.mechanisms import Mechanism, Rosenbrock, frequencies, in_modes
+from protochain.mechanisms import Mechanism, Rosenbrock, frequencies
 from protochain.mechanisms.impacts import ContactPoint, impact
 
 G = 9.81
@@ -325,7 +325,6 @@ def test_coordinates_and_rates_that_are_given_stay_and_others_follow():
         (lambda: contradicted().build(), r'closing "C": the rates of hinges open it by .*the others follow'),
         (lambda: four_bar().build().simulate(1.0, 0.1, Leapfrog()), "no closed loops; take Runge-Kutta"),
         (lambda: four_bar().build().simulate(1.0, 0.1, ImplicitMidpoint()), "takes no closed loops"),
-        (lambda: in_modes(four_bar().build(), []), "loops do not close on bodies that bend in modes"),
     ],
 )  # fmt: skip
 def test_what_does_not_close_is_refused_in_words(act, words):

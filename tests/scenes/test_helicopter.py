@@ -10,6 +10,7 @@ from bench.scenes import run
 from bench.scenes.helicopter import landing, resonance, safety
 from bench.scenes.helicopter.legs import Legs
 from bench.scenes.helicopter.lift import Lift, Strip
+from bench.scenes.helicopter.modes import in_modes
 from bench.scenes.helicopter.parts import (
     BLADE,
     BLADES,
@@ -28,7 +29,6 @@ from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfro
 from protochain.mechanics.multibody import integrate, mass_matrix, pose
 from protochain.mechanisms import Mechanism, Rosenbrock, state_matrix
 from protochain.mechanisms.linear import frequencies
-from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, add_beam
 
 FEET = [(1.0, 0.5, 0.0), (-1.0, 0.5, 0.0), (0.0, -1.0, 0.0)]

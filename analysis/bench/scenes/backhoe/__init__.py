@@ -10,7 +10,7 @@ tracks of 24 shoes on wheels and sprockets          ``track``: one of them, with
 the machine on the ground, slides and tips          ``cycle``: its tracks as feet of ten balls
 ground and bucket of polygons, found by boxes       ground of triangles (``without``); bucket of four plates
 friction of asperities                              ``mechanisms.Friction`` and the cubes' own
-soil of cubes that press on each other              ``mechanisms.pile``, and ``mechanisms.soil`` pushes back
+soil of cubes that press on each other              ``bench.soil.pile``, and ``bench.soil.soil`` pushes back
 stability of designs                                ``stability``: centre of pressure, and force-angle measure
 ==================================================  =====================================================
 

@@ -16,12 +16,12 @@ from bench.scenes.bucket.dig import (
     before_the_fall,
     bin_plates,
 )  # fmt: skip
+from bench.soil.parts import Heap, Motion, Plates
+from bench.soil.parts import Law as CubeLaw
+from bench.soil.pile import Pile
+from bench.soil.soil import Digging, Soil
 from protochain.core.arrays import Floats
 from protochain.mechanisms import Model, Plane, Run, State, Surface
-from protochain.mechanisms.pile import Pile
-from protochain.mechanisms.pile_parts import Heap, Motion, Plates
-from protochain.mechanisms.pile_parts import Law as CubeLaw
-from protochain.mechanisms.soil import Digging, Soil
 
 STEP = 1e-3
 """s. Of the machine; cubes take as many shorter ones as they need."""

@@ -27,8 +27,8 @@ from bench.scenes.bucket.dig import (
     settle,
     soil,
 )  # fmt: skip
+from bench.soil.parts import Motion, Sleep
 from protochain.core.arrays import Floats
-from protochain.mechanisms.pile_parts import Motion, Sleep
 
 __all__ = ["Dug", "Settled", "Site", "dig", "run", "settle"]
 

@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from bench.soil.parts import Motion, Plates
 from protochain.core.arrays import Floats
 from protochain.mechanics import multibody
 from protochain.mechanisms import Mechanism, Model
-from protochain.mechanisms.pile_parts import Motion, Plates
 
 GRAVITY = (0.0, 0.0, -9.81)
 PIN = (0.0, 0.0, 0.45)

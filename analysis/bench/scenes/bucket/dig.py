@@ -17,12 +17,12 @@ from bench.scenes.bucket.backhoe import (
     digging,
     motion_of,
 )  # fmt: skip
+from bench.soil.parts import Heap, Law, Plates, Sleep
+from bench.soil.pile import Pile
 from protochain.core.arrays import Floats
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms import Model
-from protochain.mechanisms.pile import Pile
-from protochain.mechanisms.pile_parts import Heap, Law, Plates, Sleep
 
 SIDE, DENSITY, STIFFNESS, FRICTION = 0.02, 2000.0, 1e5, 0.5
 """m, kg/m^3, N/m and 1: chosen."""

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 from bench.cases import Check, Extreme, check, extreme, vanishes
 from bench.cost import timed
 from bench.scenes.bucket.dig import DENSITY, FRICTION, PITCH, SIDE, STIFFNESS
+from bench.soil.parts import Heap, Law
+from bench.soil.pile import Pile
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
-from protochain.mechanisms.pile import Pile
-from protochain.mechanisms.pile_parts import Heap, Law
 from protochain.mechanisms.search import touching
 
 FREE_FALL = 9.81

@@ -10,6 +10,7 @@ from bench.cases import Check, check, vanishes
 from bench.fits import extrapolated
 from bench.scenes.beam.parts import ritz
 from bench.scenes.helicopter import landing, resonance
+from bench.scenes.helicopter.modes import in_modes
 from bench.scenes.helicopter.parts import BLADE, LEGS, MODES, RATE, WEIGHT, groups
 from protochain.core.arrays import Floats
 from protochain.mechanics.multibody import HingeKind, Tree
@@ -18,7 +19,6 @@ from protochain.mechanisms.assumed import assumed_modes
 from protochain.mechanisms.flexible.dynamics import forward_dynamics
 from protochain.mechanisms.flexible.flexible import Flexible, elastic
 from protochain.mechanisms.linear import frequencies
-from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, add_beam
 
 HAMMOND = "Hammond's equations, 1974"

@@ -8,11 +8,11 @@ import numpy as np
 
 from bench.scenes.helicopter.legs import Legs
 from bench.scenes.helicopter.lift import Lift, Motion, Strip
+from bench.scenes.helicopter.modes import in_modes
 from protochain.core.arrays import Floats
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Phase
 from protochain.mechanisms import Mechanism, Model
-from protochain.mechanisms.modes import in_modes
 from protochain.mechanisms.segments import Beam, Segments, add_beam
 
 GRAVITY = 9.81

@@ -5,11 +5,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from bench.soil.contact import DAMPED, RUBBED, SLEPT, STORED, WORK
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
 from protochain.core.checks import number, shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms.checks import check_boxes
-from protochain.mechanisms.pile_contact import DAMPED, RUBBED, SLEPT, STORED, WORK
 
 
 @dataclass(frozen=True)

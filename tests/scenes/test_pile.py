@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
+from bench.soil.parts import Heap, Law, Motion, Plates, Sleep
+from bench.soil.pile import Pile
 from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.mechanics.motion.system import StepTooLargeError
-from protochain.mechanisms.pile import Pile
-from protochain.mechanisms.pile_parts import Heap, Law, Motion, Plates, Sleep
 
 EDGE, MASS, STIFFNESS, GRAVITY = 0.02, 0.016, 1e5, 9.81
 GROUND = {"normal": np.array([[0.0, 0.0, 1.0]]), "offset": np.zeros(1)}

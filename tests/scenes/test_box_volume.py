@@ -6,10 +6,10 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from scipy.spatial.transform import Rotation
 
+from bench.soil.box_volume import WHOLE, box_in_box, overlap
+from bench.soil.parts import Law, Motion, Plates
+from bench.soil.pile import Pile
 from protochain.core.errors import MechanicsError
-from protochain.mechanisms.box_volume import WHOLE, box_in_box, overlap
-from protochain.mechanisms.pile import Pile
-from protochain.mechanisms.pile_parts import Law, Motion, Plates
 
 EDGE, MASS = 0.05, 0.2
 SPACE = tuple(np.empty(shape) for shape in ((12, 7), (12, 7), (8, 8), (8, 8)))

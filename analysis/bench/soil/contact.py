@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from bench.soil.box_kernels import axis_normal, best_axis, box_on_axis
+from bench.soil.box_volume import box_in_box
 from protochain.core.arrays import Floats
 from protochain.mechanics.multibody.algebra import (
     Matrix,
@@ -15,8 +17,6 @@ from protochain.mechanics.multibody.algebra import (
     subtract,
     vector,
 )
-from protochain.mechanisms.box_kernels import axis_normal, best_axis, box_on_axis
-from protochain.mechanisms.box_volume import box_in_box
 
 NORMAL, TANGENT, DAMPING, FRICTION, PREFER, DEEPEST, STILL, JOLT, PATIENCE, VOLUME = range(10)
 """Of ``law``: stiffnesses, damping ratio, friction, length by which faces are preferred, deepest contact in

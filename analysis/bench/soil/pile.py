@@ -11,25 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bench.soil.box_volume import WHOLE
+from bench.soil.contact import N_MEMORY
+from bench.soil.kernels import DONE, LISTS, TOO_DEEP, Boards, Cubes, Lists, Planes, carry_over, march
+from bench.soil.parts import Heap, Law, Motion, Plates, Sleep
 from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
 from protochain.core.checks import at_least, number, shown
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion.system import StepTooLargeError
-from protochain.mechanisms.box_volume import WHOLE
 from protochain.mechanisms.checks import check_boxes
-from protochain.mechanisms.pile_contact import N_MEMORY
-from protochain.mechanisms.pile_kernels import (
-    DONE,
-    LISTS,
-    TOO_DEEP,
-    Boards,
-    Cubes,
-    Lists,
-    Planes,
-    carry_over,
-    march,
-)  # fmt: skip
-from protochain.mechanisms.pile_parts import Heap, Law, Motion, Plates, Sleep
 from protochain.mechanisms.search import in_order, touching
 
 SKIN = 0.15

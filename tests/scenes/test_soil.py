@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from bench.soil.parts import Law, Motion, Plates
+from bench.soil.pile import Pile
+from bench.soil.soil import Soil, between
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms import Mechanism
-from protochain.mechanisms.pile import Pile
-from protochain.mechanisms.pile_parts import Law, Motion, Plates
-from protochain.mechanisms.soil import Soil, between
 
 EDGE, MASS = 0.02, 0.016
 ROUNDING = 1e-14

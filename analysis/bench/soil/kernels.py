@@ -8,21 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers
-from protochain.mechanics.multibody.algebra import (
-    Matrix,
-    Vector,
-    add,
-    dot,
-    kernel,
-    put,
-    scale,
-    subtract,
-    turned,
-    vector,
-)
-from protochain.mechanisms.box_kernels import box_on_plane
-from protochain.mechanisms.pile_contact import (
+from bench.soil.box_kernels import box_on_plane
+from bench.soil.contact import (
     BACK,
     DEEPEST,
     FORCE,
@@ -40,6 +27,19 @@ from protochain.mechanisms.pile_contact import (
     meet,
     memory_used,
     respond,
+)
+from protochain.core.arrays import Floats, Integers
+from protochain.mechanics.multibody.algebra import (
+    Matrix,
+    Vector,
+    add,
+    dot,
+    kernel,
+    put,
+    scale,
+    subtract,
+    turned,
+    vector,
 )
 
 DONE, LISTS, TOO_DEEP, TOO_FAST = range(4)

@@ -13,6 +13,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from bench.soil.parts import Heap, Motion
+from bench.soil.pile import Pile
 from protochain.core.arrays import Floats, Integers, frozen
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
@@ -20,8 +22,6 @@ from protochain.mechanics.motion import Applied, Load, Phase
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.elements import Acting, Named
-from protochain.mechanisms.pile import Pile
-from protochain.mechanisms.pile_parts import Heap, Motion
 
 
 class Look(NamedTuple):

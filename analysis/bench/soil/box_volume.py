@@ -9,6 +9,7 @@ Appl. Mech. Eng. 373:113454 (2021), on energies of overlaps.
 
 import numpy as np
 
+from bench.soil.box_kernels import at, best_axis, column
 from protochain.core.arrays import Floats
 from protochain.mechanics.multibody.algebra import (
     Matrix,
@@ -22,7 +23,6 @@ from protochain.mechanics.multibody.algebra import (
     turned,
     turned_back,
 )
-from protochain.mechanisms.box_kernels import at, best_axis, column
 
 FACETS = 6
 """Of a box's surface in another: one of each face."""
