@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.graph import Neighbours, beyond, components, neighbours
+from protochain.core.graph import Neighbours, beyond, components, grouped, neighbours
 from protochain.ligands.molecule import Molecule
 from protochain.structure import residues
 from protochain.structure.model import Structure
@@ -232,12 +232,13 @@ def turning_hinges(
     while True:
         group = _without_hinges(structure.n_atoms, bonds, hinges)
         hinges = [hinge for hinge in hinges if group[hinge.atoms[1]] != group[hinge.atoms[2]]]
-        touching = Counter(int(group[atom]) for hinge in hinges for atom in hinge.atoms[1:3])
+        members = grouped(group)
+        touching = Counter(group[[hinge.atoms[1:3] for hinge in hinges]].ravel().tolist())
         real = [
             hinge
             for hinge in hinges
             if not any(
-                touching[int(group[end])] == 1 and _on_axis(structure.positions, group, start, end)
+                touching[group[end]] == 1 and _on_axis(structure.positions, members[group[end]], start, end)
                 for start, end in (hinge.atoms[1:3], hinge.atoms[2:0:-1])
             )
         ]
@@ -256,9 +257,9 @@ def _without_hinges(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integ
     return components(bonds[rigid], n_atoms)
 
 
-def _on_axis(x: Floats, group: Integers, start: int, end: int) -> bool:
-    """Whether all atoms of the group of ``end`` lie within ON_AXIS of the axis, seen from that atom."""
+def _on_axis(x: Floats, members: Integers, start: int, end: int) -> bool:
+    """Whether all members of the group of ``end`` lie within ON_AXIS of the axis, seen from that atom."""
     axis = (x[end] - x[start]) / np.linalg.norm(x[end] - x[start])
-    arms = x[group == group[end]] - x[end]
+    arms = x[members] - x[end]
     across = np.linalg.norm(np.cross(arms, axis), axis=1)
     return bool(np.all(across <= np.sin(ON_AXIS) * np.linalg.norm(arms, axis=1)))
