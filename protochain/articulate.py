@@ -309,7 +309,7 @@ def _tree(
 
 
 def _axes(x: Floats, bodies: Sequence[_Body]) -> tuple[Floats, Integers, Floats]:
-    """Directions (n, 3) of hinges' axes, about which the outer atoms turn as q grows, atoms on them, and q."""
+    """Directions (n, 3) of axes, about which the outer atoms turn as q grows, an atom on each, and q."""
     ends = np.array([(body.inner, body.outer) for body in bodies], dtype=np.int64).reshape(-1, 2)
     of = [body.hinge.atoms for body in bodies if body.hinge]
     axis, at, q = x[ends[:, 1]] - x[ends[:, 0]], ends[:, 1], np.empty(len(of))

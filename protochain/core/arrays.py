@@ -85,5 +85,5 @@ def cross(a: Floats, b: Floats) -> Floats:
 
 
 def dots(a: Floats, b: Floats) -> Floats:
-    """Scalar products (n,) of rows (n, 3), bit for bit those of ``a[k] @ b[k]``."""
-    return np.asarray((a[:, None, :] @ b[:, :, None])[:, 0, 0])
+    """Scalar products (...) of vectors (..., 3), bit for bit those of ``a[k] @ b[k]``."""
+    return np.asarray((a[..., None, :] @ b[..., :, None])[..., 0, 0])

@@ -101,12 +101,13 @@ _Owned = Sequence[tuple[Member, gemmi.Atom]]
 
 def _near(draft: Draft, protein: _Owned, beside: _Owned) -> list[Link]:
     """Pairs that may be bonded: as near as bonded atoms, or nearer than stated bonds may be."""
-    if not beside:
+    if not (protein and beside):
         return []
     tree, bonds = KDTree([a.pos.tolist() for _, a in beside]), {*draft.stated}
     found = []
-    for member, a in protein:
-        for k in sorted(tree.query_ball_point(a.pos.tolist(), STATED)):
+    near = tree.query_ball_point([a.pos.tolist() for _, a in protein], STATED, return_sorted=True)
+    for (member, a), places in zip(protein, near, strict=True):
+        for k in places:
             other, its = beside[k]
             ends = member.address(a.name), other.address(its.name)
             link = Link(member, a, other, its, ends in bonds or ends[::-1] in bonds)
