@@ -96,6 +96,7 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
         return index[other].get(name.rstrip("+-"))
 
     modified = _modified(structure)
+    wanted = {*kinds, "rotors"} if "polar" in kinds else {*kinds}
     for r, residue_name in enumerate(structure.residue_name):
         table: list[tuple[str, str, tuple[str, ...]]] = [("phi", "phi", residues.PHI)]
         terminal = atom_at(r, "N+") is None
@@ -106,7 +107,11 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
         rotors = (*residues.ROTORS.get(str(residue_name), ()), residues.ROTOR_N_TERMINAL)
         table += [("rotors", "rotor", names) for names in rotors]
         table += [("nucleic", *torsion) for torsion in residues.NUCLEIC.get(str(residue_name), {}).items()]
-        found = [(kind, label, [atom_at(r, name) for name in names]) for kind, label, names in table]
+        found = [
+            (kind, label, [atom_at(r, name) for name in names])
+            for kind, label, names in table
+            if kind in wanted
+        ]
         if r in modified and {*residues.BACKBONE} <= index[r].keys():
             found += _by_graph(structure, index[r])
         for kind, label, (a, b, c, d) in found:
