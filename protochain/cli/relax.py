@@ -25,6 +25,7 @@ from protochain.cli.options import (
     fail,
     has_poses,
     inputs_of,
+    print_files,
     print_json,
     refuse,
     with_confidences,
@@ -287,8 +288,7 @@ def _several(
         print((folder / "summary.json").read_text())
     else:
         print_folder(done.table, folder)
-        for path in beside:
-            print(f"written: {path}")
+        print_files(*beside)
     if done.interrupted:
         print("protochain: interrupted; --resume does the rest", file=sys.stderr)
     return batch_status(done)
