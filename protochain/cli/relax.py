@@ -1,5 +1,7 @@
 """``protochain relax``."""
 
+import os
+import shlex
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -243,6 +245,19 @@ def _write_beside(
     return ""
 
 
+def _tell_frames(inputs: list[str]) -> None:
+    """Say which trajectories in folders are left aside, and what relaxes their frames."""
+    from protochain.structure.files import format_of
+    from protochain.structure.frames import trajectories
+
+    for given in filter(os.path.isdir, inputs):
+        for path in trajectories(Path(given)):
+            models = [each for each in path.parent.iterdir() if format_of(each)]
+            of = str(models[0]) if len(models) == 1 else "TOPOLOGY"
+            command = shlex.join(["protochain", "relax", of, "--trajectory", str(path)])
+            print(f"{path}: is left out; to relax its frames: {command}", file=sys.stderr)
+
+
 def _several(
     inputs: list[str],
     output: Path | None,
@@ -270,6 +285,7 @@ def _several(
     for path in beside:
         check_ligand_file(path)
     check_outputs(inputs_of(setup, manifest), [*files_of(folder, NAME), *beside])
+    _tell_frames(inputs)
     with batch_progress() as watch:
         done = relax_files(
             inputs,

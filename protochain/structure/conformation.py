@@ -9,7 +9,7 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.errors import StructureError
+from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
 
 _TOGETHER = 2.5
@@ -156,7 +156,9 @@ def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
     found = {cra.atom.altloc for cra in model.all() if cra.atom.has_altloc()}
     if asked and asked not in found:
         there = f"its atoms have {', '.join(sorted(found))}" if found else "no atom of it has one"
-        raise StructureError(f"{source}: has no alternate location {asked!r}: {there}; change or omit altloc")
+        raise StructureError(
+            f"{source}: has no alternate location {asked!r}: {there}; change or omit ", Argument("altloc")
+        )
 
 
 def without_nan(model: gemmi.Model) -> int:

@@ -2,7 +2,6 @@
 
 import importlib
 import json
-import os
 import re
 import signal
 import sys
@@ -611,6 +610,6 @@ def test_files_that_are_written_are_named(command, tmp_path, monkeypatch, capsys
         assert run(command, *asked, *["--json"] * as_json) in (None, 0)
         said = capsys.readouterr().out
         named = json.loads(said)["files"] if as_json else re.findall("^written: (.*)$", said, re.MULTILINE)
-        assert named == files and {*files} == {*os.listdir()}
+        assert named == files and {*files} == {each.name for each in tmp_path.iterdir()}
         for file in files:
             Path(file).unlink()
