@@ -200,6 +200,9 @@ def without_deuterium(model: gemmi.Model) -> int:
 
 def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
     """Choose the alternate that is asked for, or that of highest occupancy (the first of equals)."""
+    names = [atom.name for atom in group[0] if not atom.has_altloc()]
+    if len(group) == 1 and len({*names}) == len(group[0]):
+        return Conformation(group[0], "", 1.0, [], [])
     weights: dict[tuple[int, str], list[float]] = {}
     for i, residue in enumerate(group):
         for atom in residue:

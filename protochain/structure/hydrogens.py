@@ -169,7 +169,8 @@ class _Placing:
         close = self.still[sorted(self.tree.query_ball_point(self.x[parent], _REACH))]
         away = np.linalg.norm(self.x[self.turned] - self.x[parent], axis=1)
         found = np.concatenate([close, np.array(self.turned, dtype=np.int64)[away < _REACH]])
-        return found[~np.isin(found, [parent, *self.neighbours[parent]])]
+        own = {parent, *self.neighbours[parent]}
+        return np.array([k for k in found.tolist() if k not in own], dtype=np.int64)
 
 
 def _unit(v: Floats) -> Floats:

@@ -134,6 +134,8 @@ def _ends(link: Link) -> tuple[Address, Address]:
 
 def note_unused(draft: Draft, used: Iterable[Link]) -> None:
     """Report the bonds of the file that are neither used nor reported: too long, or to what is left out."""
+    if not draft.stated:
+        return
     there = {m.address(a.name): (m, a) for m in draft.members for a in m.atoms}
     told = {frozenset(repair.facts["atoms"]) for repair in draft.repairs if repair.kind is Kind.BOND_IGNORED}
     done = {frozenset(link.atoms) for link in used} | told

@@ -249,3 +249,38 @@ def test_samples_of_bioemu_have_a_sequence_or_not(tmp_path, sequence):
     alpha = made.xyz[:, made.topology.select("name CA")]
     assert len(made) == 2
     assert np.abs(alpha - alpha.mean(1)[:, None] - (at["CA"] - at["CA"].mean(0))).max() < 0.05
+
+
+@pytest.mark.parametrize("n", [3, pytest.param(100, marks=pytest.mark.slow)])
+def test_each_record_of_a_docking_program_is_a_row_with_its_own_pose(tmp_path, monkeypatch, n):
+    """GNINA, Vina and DiffDock write one file of many records: here methanol at places on a spiral."""
+    monkeypatch.chdir(tmp_path)
+    chem = pytest.importorskip("rdkit.Chem.AllChem")
+    pytest.importorskip("dimorphite_dl")
+    protein = mdtraj.load(STRUCTURES / "ala10.pdb").xyz[0] * 10.0
+    methanol = chem.AddHs(chem.MolFromSmiles("CO"))
+    chem.EmbedMolecule(methanol, randomSeed=1)
+    own = methanol.GetConformer().GetPositions()
+    out = np.abs(protein - protein.mean(0)).max() + 5.0
+    turns = np.arange(n) * 2.4
+    places = protein.mean(0) + np.stack([out * np.cos(turns), out * np.sin(turns), 0.5 * turns], axis=1)
+    with chem.SDWriter("poses.sdf") as writer:
+        for place in places:
+            methanol.GetConformer().SetPositions(own - own[0] + place)
+            writer.write(methanol)
+    asked = (
+        "--ligand",
+        "poses.sdf",
+        "--ligand-charges",
+        "gasteiger",
+        "--solvent",
+        "vacuum",
+        "--workers",
+        "1",
+    )
+    assert run("relax", STRUCTURES / "ala10.pdb", *asked, "-o", "out", "--ligand-out", "out.sdf") == 0
+    table = pd.read_csv("out/relaxed.csv")
+    assert table["structure"].tolist() == [f"ala10.poses_{k}" for k in range(1, n + 1)]
+    assert {*table["status"]} == {"converged"}
+    ends = np.array([each.GetConformer().GetPositions()[0] for each in chem.SDMolSupplier("out.sdf")])
+    assert np.linalg.norm(ends[:, None] - places, axis=2).argmin(1).tolist() == [*range(n)]
