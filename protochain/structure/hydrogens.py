@@ -94,15 +94,15 @@ class _Placing:
             else:
                 left.append(parent)
         for (is_one, n_known, n), rows in kinds.items():
-            parent, known, hydrogens = np.split(np.array(rows), [1, 1 + n_known], axis=1)
-            to = _unit(self.x[known] - self.x[parent])
+            at, near, made = np.split(np.array(rows), [1, 1 + n_known], axis=1)
+            to = _unit(self.x[near] - self.x[at])
             back = _unit(-to.sum(axis=1))
             up = _unit(cross(to[:, 1], to[:, 0]))
             along, across = (1.0, 0.0) if is_one else (np.cos(0.5 * _TETRAHEDRAL), np.sin(0.5 * _TETRAHEDRAL))
             pair = np.stack([along * back + across * up, along * back - across * up], axis=1)
             length = np.array([_LENGTH.get(self.element[k], _LENGTH["C"]) for k, *_ in rows])
-            self.x[hydrogens] = np.round(self.x[parent] + length[:, None, None] * pair[:, :n], _DECIMALS)
-            self.missing[hydrogens] = False
+            self.x[made] = np.round(self.x[at] + length[:, None, None] * pair[:, :n], _DECIMALS)
+            self.missing[made] = False
         return left
 
     def _hydrogens(self, parent: int) -> list[int]:
