@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from protochain.chain import Chain, dihedral
+from protochain.chain import Chain, dihedrals
 from protochain.core import defaults
-from protochain.core.arrays import Floats, Integers, cross, read_only
+from protochain.core.arrays import Floats, Integers, cross, dots, read_only
 from protochain.core.checks import checked, kinds, quantity, selection, text
 from protochain.core.errors import Argument, ChainError
-from protochain.core.graph import components
+from protochain.core.graph import components, grouped
 from protochain.core.settings import inheriting
 from protochain.energies import Energy, as_energy
 from protochain.hinges import HINGES, Hinge, cross_links, find_hinges, turning_hinges
@@ -103,7 +103,7 @@ def build_chain(
         # Everything kept besides the protein is one body, which is fixed.
         molecule[structure.obstacle], group[structure.obstacle] = molecule.max() + 1, group.max() + 1
         molecule, group = (np.unique(of, return_inverse=True)[1] for of in (molecule, group))
-    parts = [np.flatnonzero(molecule == m) for m in range(molecule.max() + 1)]
+    parts = grouped(molecule)
     roots = [_root_atom(structure, atoms, moving, group) for atoms in parts]
     # A molecule with fixed atoms cannot translate or rotate as a whole.
     chains = [
@@ -275,61 +275,61 @@ def _freedoms(hinge: Hinge, inner: int, angles: bool) -> list[Hinge]:
 
 def _tree(
     x: Floats, atom_mass: Floats, bodies: list[_Body], group: Integers, atom_body: Integers
-) -> tuple[Tree, Floats, list[float]]:
+) -> tuple[Tree, Floats, Floats]:
     """Return the tree, the positions (na, 3) of the atoms in their bodies' frames, and q0.
 
     The frame of a root is aligned with the world in the input pose; the z axis of any other body lies along
     its hinge, from the inner to the outer atom, so that its dihedral grows with q in either direction.
     """
-    offset, placement, origin, rotation = (list[Floats]() for _ in range(4))
-    q0: list[float] = []
-    for parent, kind, hinge, inner, outer in bodies:
-        if hinge is None:
-            centre = x[group == group[outer]].mean(axis=0)
-            free = kind == HingeKind.FREE
-            rotation.append(np.eye(3))
-            origin.append(centre)
-            offset.append(np.zeros(3) if free else centre)
-            placement.append(np.eye(3))
-            q0 += [1.0, 0.0, 0.0, 0.0, *centre] if free else []
-            continue
-        axis, at = _axis(x, hinge, inner, outer)
-        q = _measure(x, hinge)
-        rotation.append(_frame_along(axis))
-        origin.append(x[at])
-        offset.append(rotation[parent].T @ (x[at] - origin[parent]))
-        back = Rotation.from_rotvec([0.0, 0.0, -q]).as_matrix()
-        placement.append(rotation[parent].T @ rotation[-1] @ back)
-        q0.append(q)
-    frames = Frames(np.array(rotation), np.array(origin))
-    mass, com, inertia = _inertias(x, atom_mass, atom_body, bodies, frames)
     parents, kinds = np.array([body.parent for body in bodies]), np.array([body.kind for body in bodies])
-    tree = Tree(parents, kinds, np.array(offset), np.array(placement), mass, com, inertia)
-    return tree, _in_frames(frames, atom_body, x), q0
+    hinged = parents >= 0
+    rotation, placement = np.tile(np.eye(3), (2, len(bodies), 1, 1))
+    offset, origin = np.zeros((2, len(bodies), 3))
+    members = grouped(group)
+    q0 = [np.empty(0) for _ in bodies]
+    for b in np.flatnonzero(~hinged).tolist():
+        origin[b] = x[members[group[bodies[b].outer]]].mean(axis=0)
+        if kinds[b] == HingeKind.FREE:
+            q0[b] = np.array([1.0, 0.0, 0.0, 0.0, *origin[b]])
+        else:
+            offset[b] = origin[b]
+    axis, at, q = _axes(x, [body for body in bodies if body.hinge])
+    rotation[hinged], origin[hinged] = _frames_along(axis), x[at]
+    parent = parents[hinged]
+    inward = rotation[parent].swapaxes(1, 2)
+    offset[hinged] = (inward @ (x[at] - origin[parent])[:, :, None])[:, :, 0]
+    back = Rotation.from_rotvec(-q[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+    placement[hinged] = inward @ rotation[hinged] @ back
+    for b, value in zip(np.flatnonzero(hinged).tolist(), q, strict=True):
+        q0[b] = value[None]
+    frames = Frames(rotation, origin)
+    mass, com, inertia = _inertias(x, atom_mass, atom_body, bodies, frames)
+    tree = Tree(parents, kinds, offset, placement, mass, com, inertia)
+    return tree, _in_frames(frames, atom_body, x), np.concatenate(q0)
 
 
-def _axis(x: Floats, hinge: Hinge, inner: int, outer: int) -> tuple[Floats, int]:
-    """Direction of a hinge's axis, about which the outer atoms turn as q grows, and an atom on it."""
-    if not hinge.is_angle:
-        return x[outer] - x[inner], outer
-    before, at, after = hinge.atoms if inner == hinge.atoms[1] else hinge.atoms[::-1]
-    return cross(x[before] - x[at], x[after] - x[at]), at
+def _axes(x: Floats, bodies: Sequence[_Body]) -> tuple[Floats, Integers, Floats]:
+    """Directions (n, 3) of axes, about which the outer atoms turn as q grows, an atom on each, and q."""
+    ends = np.array([(body.inner, body.outer) for body in bodies], dtype=np.int64).reshape(-1, 2)
+    of = [body.hinge.atoms for body in bodies if body.hinge]
+    axis, at, q = x[ends[:, 1]] - x[ends[:, 0]], ends[:, 1], np.empty(len(of))
+    bent = np.array([len(atoms) == 3 for atoms in of], dtype=bool)
+    q[~bent] = dihedrals(x[np.array([atoms for atoms in of if len(atoms) == 4], int).reshape(-1, 4)])
+    before, middle, after = np.array([atoms for atoms in of if len(atoms) == 3], int).reshape(-1, 3).T
+    u, v = x[before] - x[middle], x[after] - x[middle]
+    normal = cross(u, v)
+    outward = ends[bent, 0] == middle
+    axis[bent], at[bent] = np.where(outward[:, None], normal, cross(v, u)), middle
+    q[bent] = np.arctan2(np.sqrt(dots(normal, normal)), dots(u, v))
+    return axis, at, q
 
 
-def _measure(x: Floats, hinge: Hinge) -> float:
-    """Value of a dihedral or of a bond angle, rad."""
-    if not hinge.is_angle:
-        return dihedral(x[list(hinge.atoms)])
-    u, v = (x[hinge.atoms[end]] - x[hinge.atoms[1]] for end in (0, 2))
-    return float(np.arctan2(np.linalg.norm(cross(u, v)), u @ v))
-
-
-def _frame_along(bond: Floats) -> Floats:
-    """Return a rotation whose third column lies along the bond."""
-    z = bond / np.linalg.norm(bond)
-    x = cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, cross(z, x), z])
+def _frames_along(axis: Floats) -> Floats:
+    """Rotations (n, 3, 3) whose third columns lie along axes (n, 3)."""
+    z = axis / np.sqrt(dots(axis, axis))[:, None]
+    x = cross(np.eye(3)[np.argmin(np.abs(z), axis=1)], z)
+    x /= np.sqrt(dots(x, x))[:, None]
+    return np.stack([x, cross(z, x), z], axis=2)
 
 
 def _in_frames(frames: Frames, body: Integers, x: Floats) -> Floats:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
+from protochain.core.arrays import Floats, Integers, Value, dots, floats, frozen, read_only
 from protochain.core.arrays import cross as vector_product
 from protochain.core.checks import instance
 from protochain.hinges import Hinge
@@ -29,6 +29,8 @@ from protochain.structure.model import Structure
 
 _ON_HINGE = 1e-9
 """nm. Atoms nearer to an axis than this lie on it: positions are rounded to 1e-15."""
+_WAYS = 1 << 20
+"""Pairs of an atom and a hinge that are looked at in one go, which bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,27 +108,32 @@ class Chain(Value):
 
         Its own body first, then bodies joined to that by a hinge on whose axis it lies; -1 for none.
         """
-        at = pose(self, self.q0)
-        groups = [{int(body)} for body in self.atom_body]
-        bonds = list(zip(self.hinge_body.tolist(), self.tree.parent[self.hinge_body].tolist(), strict=True))
-        members: dict[int, set[int]] = {body: set() for body in range(self.n_bodies)}
-        for atom, body in enumerate(self.atom_body.tolist()):
-            members[body].add(atom)
-        grown = True
-        while grown:
-            grown = False
-            for body, parent in bonds:
-                for own, other in ((body, parent), (parent, body)):
-                    new = np.array(sorted(members[own] - members[other]), dtype=np.int64)
-                    place = (at.x[new] - at.frames.origin[body]) @ at.frames.rotation[body]
-                    for atom in new[np.hypot(place[:, 0], place[:, 1]) < _ON_HINGE].tolist():
-                        members[other].add(atom)
-                        groups[atom].add(other)
-                        grown = True
-        wide = max(len(its) for its in groups)
-        own = self.atom_body.tolist()
-        rows = [[body, *sorted(its - {body})] for body, its in zip(own, groups, strict=True)]
-        return np.array([row + [-1] * (wide - len(row)) for row in rows], dtype=np.int64)
+        at, n = pose(self, self.q0), self.n_bodies
+        parent = self.tree.parent[self.hinge_body]
+        # Ways across hinges, by the body they start from.
+        start, end = np.concatenate([self.hinge_body, parent]), np.concatenate([parent, self.hinge_body])
+        order = np.argsort(start, kind="stable")
+        end, hinged = end[order], np.tile(self.hinge_body, 2)[order]
+        first = np.searchsorted(start[order], np.arange(n + 1))
+        found = left = np.arange(self.n_atoms) * n + self.atom_body
+        while len(left):
+            atom, body = np.divmod(left, n)
+            last = np.cumsum(first[body + 1] - first[body])
+            these = slice(max(1, int(np.searchsorted(last, _WAYS))))
+            atom, body, last, left = atom[these], body[these], last[these], left[these.stop :]
+            ways = first[body + 1] - first[body]
+            way = np.repeat(first[body] - last + ways, ways) + np.arange(last[-1])
+            atom, by = np.repeat(atom, ways), hinged[way]
+            place = np.einsum("ai,aij->aj", at.x[atom] - at.frames.origin[by], at.frames.rotation[by])
+            near = np.hypot(place[:, 0], place[:, 1]) < _ON_HINGE
+            new = np.setdiff1d(atom[near] * n + end[way[near]], found)
+            found, left = np.union1d(found, new), np.concatenate([left, new])
+        atom, body = np.divmod(found, n)
+        body = body[np.lexsort([body, body != self.atom_body[atom], atom])]
+        count = np.bincount(atom, minlength=self.n_atoms)
+        rows = np.full((self.n_atoms, count.max()), -1, dtype=np.int64)
+        rows[np.arange(count.max()) < count[:, None]] = body
+        return rows
 
     def __repr__(self) -> str:
         return f"<Chain of {self.structure.name}: {self.n_bodies} bodies, {self.n_hinges} hinges>"
@@ -269,9 +276,14 @@ def dihedral(x: Floats) -> float:
     float, rad
         Angle of IUPAC sign: positive if the far bond is clockwise of the near one, along the middle bond.
     """
-    b1, b2, b3 = np.diff(x, axis=0)
+    return float(dihedrals(np.asarray(x)[None])[0])
+
+
+def dihedrals(x: Floats) -> Floats:
+    """Dihedral angles (n,) in rad of fours of points (n, 4, 3), as of :func:`dihedral`."""
+    b1, b2, b3 = np.moveaxis(np.diff(x, axis=1), 1, 0)
     n1, n2 = vector_product(b1, b2), vector_product(b2, b3)
-    return float(np.arctan2(np.linalg.norm(b2) * np.dot(b1, n2), np.dot(n1, n2)))
+    return np.asarray(np.arctan2(np.sqrt(dots(b2, b2)) * dots(b1, n2), dots(n1, n2)))
 
 
 @kernel

@@ -136,7 +136,7 @@ def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> lis
     pairs, touch = overlapping(structure, x)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
     share, beside = distance / touch, _is_beside(structure, pairs)
-    groups = chain.rigid_groups if chain is not None else None
+    groups = chain.rigid_groups if chain is not None and len(pairs) else None
     found = []
     for k in np.argsort(share, kind="stable"):
         i, j = (int(atom) for atom in pairs[k])

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers
-from protochain.core.graph import Neighbours, beyond, components, neighbours
+from protochain.core.arrays import Floats, Integers, cross
+from protochain.core.graph import Neighbours, beyond, components, grouped, neighbours
 from protochain.ligands.molecule import Molecule
 from protochain.structure import residues
 from protochain.structure.model import Structure
@@ -85,9 +85,10 @@ def cross_links(structure: Structure) -> np.ndarray:
 def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
     """Yield the dihedrals of these kinds whose four atoms are present, in residue order."""
     index = [dict[str, int]() for _ in range(structure.n_residues)]
-    for atom, (name, residue) in enumerate(zip(structure.atom_name, structure.atom_residue, strict=True)):
-        index[residue][str(name)] = atom
-    chain_index = structure.residue_chain_index
+    places = zip(structure.atom_name.tolist(), structure.atom_residue.tolist(), strict=True)
+    for atom, (name, residue) in enumerate(places):
+        index[residue][name] = atom
+    chain_index = structure.residue_chain_index.tolist()
 
     def atom_at(residue: int, name: str) -> int | None:
         other = residue + {"+": 1, "-": -1}.get(name[-1], 0)
@@ -96,17 +97,22 @@ def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
         return index[other].get(name.rstrip("+-"))
 
     modified = _modified(structure)
-    for r, residue_name in enumerate(structure.residue_name):
+    wanted = {*kinds, "rotors"} if "polar" in kinds else {*kinds}
+    for r, residue_name in enumerate(structure.residue_name.tolist()):
         table: list[tuple[str, str, tuple[str, ...]]] = [("phi", "phi", residues.PHI)]
         terminal = atom_at(r, "N+") is None
         table.append(("psi", "psi", residues.PSI_TERMINAL if terminal else residues.PSI))
         table.append(("omega", "omega", residues.OMEGA))
-        chis = residues.CHI.get(str(residue_name), ())
+        chis = residues.CHI.get(residue_name, ())
         table += [("chi", f"chi{i}", names) for i, names in enumerate(chis, 1)]
-        rotors = (*residues.ROTORS.get(str(residue_name), ()), residues.ROTOR_N_TERMINAL)
+        rotors = (*residues.ROTORS.get(residue_name, ()), residues.ROTOR_N_TERMINAL)
         table += [("rotors", "rotor", names) for names in rotors]
-        table += [("nucleic", *torsion) for torsion in residues.NUCLEIC.get(str(residue_name), {}).items()]
-        found = [(kind, label, [atom_at(r, name) for name in names]) for kind, label, names in table]
+        table += [("nucleic", *torsion) for torsion in residues.NUCLEIC.get(residue_name, {}).items()]
+        found = [
+            (kind, label, [atom_at(r, name) for name in names])
+            for kind, label, names in table
+            if kind in wanted
+        ]
         if r in modified and {*residues.BACKBONE} <= index[r].keys():
             found += _by_graph(structure, index[r])
         for kind, label, (a, b, c, d) in found:
@@ -232,12 +238,13 @@ def turning_hinges(
     while True:
         group = _without_hinges(structure.n_atoms, bonds, hinges)
         hinges = [hinge for hinge in hinges if group[hinge.atoms[1]] != group[hinge.atoms[2]]]
-        touching = Counter(int(group[atom]) for hinge in hinges for atom in hinge.atoms[1:3])
+        members = grouped(group)
+        touching = Counter(group[[hinge.atoms[1:3] for hinge in hinges]].ravel().tolist())
         real = [
             hinge
             for hinge in hinges
             if not any(
-                touching[int(group[end])] == 1 and _on_axis(structure.positions, group, start, end)
+                touching[group[end]] == 1 and _on_axis(structure.positions, members[group[end]], start, end)
                 for start, end in (hinge.atoms[1:3], hinge.atoms[2:0:-1])
             )
         ]
@@ -256,9 +263,9 @@ def _without_hinges(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integ
     return components(bonds[rigid], n_atoms)
 
 
-def _on_axis(x: Floats, group: Integers, start: int, end: int) -> bool:
-    """Whether all atoms of the group of ``end`` lie within ON_AXIS of the axis, seen from that atom."""
+def _on_axis(x: Floats, members: Integers, start: int, end: int) -> bool:
+    """Whether all members of the group of ``end`` lie within ON_AXIS of the axis, seen from that atom."""
     axis = (x[end] - x[start]) / np.linalg.norm(x[end] - x[start])
-    arms = x[group == group[end]] - x[end]
-    across = np.linalg.norm(np.cross(arms, axis), axis=1)
+    arms = x[members] - x[end]
+    across = np.linalg.norm(cross(arms, axis), axis=1)
     return bool(np.all(across <= np.sin(ON_AXIS) * np.linalg.norm(arms, axis=1)))

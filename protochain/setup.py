@@ -261,7 +261,7 @@ class Setup(Settings):
         from protochain.structure import as_structure
 
         if isinstance(self.model, str):
-            raise ProtochainError(f"model {self.model}: one structure is prepared at a time; give its number")
+            raise refused("model", self.model, "one structure is prepared at a time; give its number")
         return as_structure(
             source, name, model=self.model, assembly=self.assembly, altloc=self.altloc, keep=self.keep,
             disulfide=self.disulfide, ph=self.ph, strict=self.strict, forcefield=self.forcefield,

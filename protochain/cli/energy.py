@@ -14,6 +14,7 @@ from protochain.cli.options import (
     check_page,
     inputs_of,
     named_after,
+    print_files,
     print_json,
     refuse,
     with_settings,
@@ -38,6 +39,7 @@ class Told(TypedDict):
     solvent: str
     forcefield: str
     rows: list[Any]
+    files: list[str]
 
 
 @with_settings(setup="hinges root move rigid_protein engine terms")
@@ -77,7 +79,8 @@ def energy(
             done = _frames(source, trajectory, frames, between, output, setup, whole)
         raise typer.Exit(done)
     of_frames.refuse_without(context, "workers resume")
-    check_outputs(inputs_of(setup, source), [path for path in (output, report) if path])
+    files = [path for path in (output, report) if path]
+    check_outputs(inputs_of(setup, source), files)
     structure = setup.load(source)
     energy = setup.energy(structure)
     try:
@@ -96,12 +99,12 @@ def energy(
         told: Told = {
             "input": str(source), "by": by, "between": between, "unit": "kJ/mol", "solvent": setup.solvent,
             "forcefield": setup.forcefield, "rows": table.to_dict("records"),
+            "files": [*map(str, files)],
         }  # fmt: skip
         print_json(told)
     else:
         _print(table, by)
-        if report:
-            print(f"written: {report}")
+        print_files(*files)
 
 
 def _frames(

@@ -14,6 +14,7 @@ from protochain.cli.options import (
     exit_status,
     fail,
     inputs_of,
+    print_files,
     print_json,
     refuse,
 )
@@ -201,14 +202,8 @@ def _print(done: "FramesRun", report: Path | None) -> None:
         print(_medians(done))
         if parted := _parted(done):
             print(parted)
-    for path in (
-        done.trajectory if done.written and not done.interrupted else None,
-        done.topology,
-        done.csv,
-        report,
-    ):
-        if path:
-            print(f"written: {path}")
+    trajectory = done.trajectory if done.written and not done.interrupted else None
+    print_files(trajectory, done.topology, done.csv, report)
 
 
 _PARTED = 10.0

@@ -28,6 +28,7 @@ from protochain.cli.options import (
     inputs_of,
     named_after,
     prepare,
+    print_files,
     print_json,
     print_lost,
     refuse,
@@ -349,6 +350,4 @@ def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> Non
     )
     for record in records:
         print_written(record)
-        for name in (*record.get("confidences", ()), record.get("ligands_written"), record.get("report")):
-            if name:
-                print(f"written: {name}")
+        print_files(*record.get("confidences", ()), record.get("ligands_written"), record.get("report"))

@@ -173,6 +173,12 @@ def print_json(record: Mapping[str, Any]) -> None:
     print(json_text(record, None))
 
 
+def print_files(*paths: str | Path | None) -> None:
+    """Name the files that were written, a line each; None stands for one that was not asked for."""
+    for path in filter(None, paths):
+        print(f"written: {path}")
+
+
 def named_after(source: Path) -> tuple[str, str]:
     """Return stem and suffix for outputs named after an input."""
     from protochain.structure.files import split_name, suffix_of

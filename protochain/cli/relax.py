@@ -1,5 +1,7 @@
 """``protochain relax``."""
 
+import os
+import shlex
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -25,6 +27,7 @@ from protochain.cli.options import (
     fail,
     has_poses,
     inputs_of,
+    print_files,
     print_json,
     refuse,
     with_confidences,
@@ -242,6 +245,19 @@ def _write_beside(
     return ""
 
 
+def _tell_frames(inputs: list[str]) -> None:
+    """Say which trajectories in folders are left aside, and what relaxes their frames."""
+    from protochain.structure.files import format_of
+    from protochain.structure.frames import trajectories
+
+    for given in filter(os.path.isdir, inputs):
+        for path in trajectories(Path(given)):
+            models = [each for each in path.parent.iterdir() if format_of(each)]
+            of = str(models[0]) if len(models) == 1 else "TOPOLOGY"
+            command = shlex.join(["protochain", "relax", of, "--trajectory", str(path)])
+            print(f"{path}: is left out; to relax its frames: {command}", file=sys.stderr)
+
+
 def _several(
     inputs: list[str],
     output: Path | None,
@@ -269,6 +285,7 @@ def _several(
     for path in beside:
         check_ligand_file(path)
     check_outputs(inputs_of(setup, manifest), [*files_of(folder, NAME), *beside])
+    _tell_frames(inputs)
     with batch_progress() as watch:
         done = relax_files(
             inputs,
@@ -287,8 +304,7 @@ def _several(
         print((folder / "summary.json").read_text())
     else:
         print_folder(done.table, folder)
-        for path in beside:
-            print(f"written: {path}")
+        print_files(*beside)
     if done.interrupted:
         print("protochain: interrupted; --resume does the rest", file=sys.stderr)
     return batch_status(done)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.cli.options import print_changes, print_lost, said_of_move
+from protochain.cli.options import print_changes, print_files, print_lost, said_of_move
 from protochain.core import defaults
 from protochain.core.markup import counted
 
@@ -132,9 +132,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
     print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
-    for name in (*record.get("confidences", ()), record.get("ligands_written"), record.get("report")):
-        if name:
-            print(f"written: {name}")
+    print_files(*record.get("confidences", ()), record.get("ligands_written"), record.get("report"))
 
 
 def print_folder(table: "DataFrame", folder: Path) -> None:

@@ -14,6 +14,7 @@ from protochain.cli.options import (
     check_outputs,
     exit_status,
     named_after,
+    print_files,
     print_json,
 )
 from protochain.cli.terminal import print_deviations
@@ -26,6 +27,7 @@ class Told(TypedDict):
     align: str
     measure: str
     results: list[Any]
+    files: list[str]
 
 
 def rmsd(
@@ -73,10 +75,12 @@ def rmsd(
     if as_json:
         told: Told = {
             "reference": str(reference), "align": align, "measure": measure or align, "results": rows,
+            "files": [str(output)] if output else [],
         }  # fmt: skip
         print_json(told)
     else:
         print_deviations(rows)
+        print_files(output)
     raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
 
 

@@ -14,6 +14,7 @@ from protochain.cli.options import (
     exit_status,
     files_of,
     inputs_of,
+    print_files,
     print_json,
     refuse,
     with_settings,
@@ -44,6 +45,7 @@ class Told(TypedDict):
     solvent: str
     forcefield: str
     results: list[Any]
+    files: list[str]
 
 
 @with_settings(setup="hinges root move rigid_protein engine terms")
@@ -134,11 +136,13 @@ def score(
     if as_json:
         told: Told = {
             "interface": interface, "rank": rank, "solvent": setup.solvent, "forcefield": setup.forcefield,
-            "results": rows,
+            "results": rows, "files": [*map(str, outputs)],
         }  # fmt: skip
         print_json(told)
-    elif done:
-        _print(done)
+    else:
+        if done:
+            _print(done)
+        print_files(*outputs)
     raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
 
 

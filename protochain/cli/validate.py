@@ -16,6 +16,7 @@ from protochain.cli.options import (
     files_of,
     inputs_of,
     named_after,
+    print_files,
     print_json,
     refuse,
     with_settings,
@@ -43,6 +44,7 @@ class Told(TypedDict):
 
     reference: str | None
     results: list[Any]
+    files: list[str]
 
 
 @with_settings(
@@ -144,9 +146,12 @@ def validate(
         write_atomically(changes, lambda to: of_all.to_csv(to, index=False))
     done = [row for row in rows if not row["message"]]
     if as_json:
-        print_json(Told(reference=str(reference) if reference else None, results=rows))
-    elif done:
-        _print(done, notes)
+        of = str(reference) if reference else None
+        print_json(Told(reference=of, results=rows, files=[*map(str, outputs)]))
+    else:
+        if done:
+            _print(done, notes)
+        print_files(*outputs)
     raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
 
 

@@ -82,3 +82,8 @@ def cross(a: Floats, b: Floats) -> Floats:
     product[..., 1] = az * bx - ax * bz
     product[..., 2] = ax * by - ay * bx
     return product
+
+
+def dots(a: Floats, b: Floats) -> Floats:
+    """Scalar products (...) of vectors (..., 3), bit for bit those of ``a[k] @ b[k]``."""
+    return np.asarray((a[..., None, :] @ b[..., :, None])[..., 0, 0])

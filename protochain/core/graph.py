@@ -43,6 +43,11 @@ def components(bonds: Integers, n: int) -> Integers:
     return np.asarray(connected_components(_adjacency(bonds, n), directed=False)[1], dtype=np.int64)
 
 
+def grouped(of: Integers) -> list[Integers]:
+    """Members of each group in ascending order, where ``of`` (n,) has the group of each, from 0 on."""
+    return np.split(np.argsort(of, kind="stable"), np.cumsum(np.bincount(of))[:-1])
+
+
 def joined(bonds: Integers, n: int, most: int) -> Integers:
     """(k, 2) int: pairs of n atoms separated by at most so many of the bonds (m, 2), smaller index first."""
     step = _adjacency(both_ways(bonds), n)

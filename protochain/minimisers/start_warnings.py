@@ -93,7 +93,7 @@ def strayed(structure: Structure, x: Floats) -> str:
 
 
 _FROM_OVERLAPS = "from a start whose atoms overlapped; relax keeps the fold"
-_HOLD = "--restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
+_HOLD = "a restraint or a largest RMSD"
 
 
 def how_far(away: float, recipe: Recipe, start: Structure, turned: bool) -> str:

@@ -158,7 +158,7 @@ def rejected(structure: Structure, x: Floats) -> list[str]:
     list of str
     """
     found = [
-        f"chain {chain} is a mirror image, D-amino acids under names of L (relax --mirror if it is meant)"
+        f"chain {chain} is a mirror image, D-amino acids under names of L (relax with mirror if it is meant)"
         for chain in mirror_images(structure.with_positions(x))
     ]
     inverted = atoms_named(structure, inverted_stereocentres(structure, x))
@@ -193,7 +193,7 @@ def _without_left(
         lost[Status.INVERTED] = f"{listed(inverted)} changed hand; {remedy}"
     if isomerised:
         bonds = f"the peptide bond{'s' * (len(isomerised) > 1)} {listed(isomerised)}"
-        lost[Status.ISOMERISED] = f"{bonds} turned from trans to cis, or back; --restrain holds it"
+        lost[Status.ISOMERISED] = f"{bonds} turned from trans to cis, or back; a restraint holds it"
     if lost:
         status = next(iter(lost))
         measured = "; ".join([*lost.values(), measured])

@@ -7,7 +7,7 @@ from typing import Any
 
 from protochain.core import defaults
 from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, text
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, ProtochainError
 from protochain.core.settings import Settings, setting
 from protochain.minimisers.settings import TOLERANCE
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
@@ -125,7 +125,10 @@ class RelaxSettings(Settings):
             refuse_unknown(self.protocol, "protocol", PROTOCOLS)
         if self.protocol and self.preset != defaults.PRESET:
             raise ProtochainError(
-                f"preset {self.preset}: protocol {self.protocol} has its own; give one of them"
+                Argument("preset"),
+                f" {self.preset}: ",
+                Argument("protocol"),
+                f" {self.protocol} has its own; give one of them",
             )
 
     @property
@@ -153,7 +156,10 @@ class RelaxSettings(Settings):
             asked, fixed = getattr(given, name), getattr(own, name)
             if fixed and asked not in (usual, fixed):
                 raise ProtochainError(
-                    f"{name} {asked}: protocol {self.protocol} is {fixed}; leave one of them out"
+                    Argument(name),
+                    f" {asked}: ",
+                    Argument("protocol"),
+                    f" {self.protocol} is {fixed}; leave one of them out",
                 )
         return replace(
             given, forcefield=own.forcefield or given.forcefield, solvent=own.solvent or given.solvent

@@ -9,7 +9,7 @@ import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.errors import StructureError
+from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
 
 _TOGETHER = 2.5
@@ -156,7 +156,9 @@ def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
     found = {cra.atom.altloc for cra in model.all() if cra.atom.has_altloc()}
     if asked and asked not in found:
         there = f"its atoms have {', '.join(sorted(found))}" if found else "no atom of it has one"
-        raise StructureError(f"{source}: has no alternate location {asked!r}: {there}; change or omit altloc")
+        raise StructureError(
+            f"{source}: has no alternate location {asked!r}: {there}; change or omit ", Argument("altloc")
+        )
 
 
 def without_nan(model: gemmi.Model) -> int:
@@ -198,6 +200,9 @@ def without_deuterium(model: gemmi.Model) -> int:
 
 def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:
     """Choose the alternate that is asked for, or that of highest occupancy (the first of equals)."""
+    names = [atom.name for atom in group[0] if not atom.has_altloc()]
+    if len(group) == 1 and len({*names}) == len(group[0]):
+        return Conformation(group[0], "", 1.0, [], [])
     weights: dict[tuple[int, str], list[float]] = {}
     for i, residue in enumerate(group):
         for atom in residue:

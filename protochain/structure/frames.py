@@ -159,6 +159,11 @@ _SELECTION = re.compile(
 )
 
 
+def trajectories(folder: Path) -> list[Path]:
+    """Trajectories below a folder, by their names; ``.npz`` may be anything."""
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in {*_READERS} - {".npz"})
+
+
 def open_frames(source: Any, frames: Any = None) -> Frames:
     """Open an ensemble.
 

@@ -68,6 +68,9 @@ def settled(of: Iterable[tuple[Member, Template | None]]) -> tuple[dict[int, str
         if a.element.name in ("N", "O") or a.element.is_metal
     ]
     tree = KDTree([each.x for each in polar])
+    own: dict[int, list[int]] = {}
+    for k, each in enumerate(polar):
+        own.setdefault(id(each.owner), []).append(k)
     states, rings = dict[int, str](), set[int]()
     for member in undecided:
         at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
@@ -83,8 +86,8 @@ def settled(of: Iterable[tuple[Member, Template | None]]) -> tuple[dict[int, str
             rings.add(id(member))
             for a in member.atoms:
                 a.pos = gemmi.Position(*_turned(at)[a.name])
-        for k, each in enumerate(polar):
-            if each.owner is member and each.atom.name in TAUTOMERS.values():
+        for k in own[id(member)]:
+            if (each := polar[k]).atom.name in TAUTOMERS.values():
                 has = each.atom.name == TAUTOMERS[states[id(member)]]
                 polar[k] = replace(each, gives=has, takes=not has)
     return states, rings

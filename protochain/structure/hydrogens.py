@@ -6,10 +6,12 @@ Hydroxyls and thiols are rotated, one after the other, to the minimum of a Coulo
 4 r/angstrom (Gelin, Karplus, Biochemistry 18:1256, 1979) and a repulsion.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.arrays import Floats, Integers, cross
+from protochain.core.arrays import Floats, Integers, cross, dots
 from protochain.core.graph import neighbours
 
 _LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
@@ -63,7 +65,7 @@ class _Placing:
         """Place hydrogens whose position is determined, then those that rotate."""
         parents = dict.fromkeys(self.neighbours[h][0] for h in np.flatnonzero(self.missing).tolist())
         turning = []
-        for parent in parents:
+        for parent in self._between(parents):
             hydrogens = self._hydrogens(parent)
             directions = self._directions(parent, len(hydrogens))
             # A stray hydrogen more than a parent has room for goes where the energy is lowest.
@@ -78,6 +80,30 @@ class _Placing:
                 self._turn(parent, hydrogen)
                 self.turned.append(hydrogen)
         return self.x
+
+    def _between(self, parents: Iterable[int]) -> list[int]:
+        """Place those opposite two or three bonds, all at once; return the parents that are left."""
+        kinds: dict[tuple[bool, int, int], list[list[int]]] = {}
+        left = []
+        for parent in parents:
+            known, hydrogens = self._known(parent), self._hydrogens(parent)
+            is_one = len(known) == 3 or self._is_planar(parent)
+            if len(known) in (2, 3) and len(hydrogens) <= (1 if is_one else 2):
+                kind = is_one, len(known), len(hydrogens)
+                kinds.setdefault(kind, []).append([parent, *known, *hydrogens])
+            else:
+                left.append(parent)
+        for (is_one, n_known, n), rows in kinds.items():
+            at, near, made = np.split(np.array(rows), [1, 1 + n_known], axis=1)
+            to = _unit(self.x[near] - self.x[at])
+            back = _unit(-to.sum(axis=1))
+            up = _unit(cross(to[:, 1], to[:, 0]))
+            along, across = (1.0, 0.0) if is_one else (np.cos(0.5 * _TETRAHEDRAL), np.sin(0.5 * _TETRAHEDRAL))
+            pair = np.stack([along * back + across * up, along * back - across * up], axis=1)
+            length = np.array([_LENGTH.get(self.element[k], _LENGTH["C"]) for k, *_ in rows])
+            self.x[made] = np.round(self.x[at] + length[:, None, None] * pair[:, :n], _DECIMALS)
+            self.missing[made] = False
+        return left
 
     def _hydrogens(self, parent: int) -> list[int]:
         return [k for k in self.neighbours[parent] if self.missing[k]]
@@ -101,18 +127,8 @@ class _Placing:
         )
 
     def _directions(self, parent: int, n: int) -> Floats | None:
-        """Return unit vectors (n, 3) to the hydrogens, or None where they rotate freely."""
+        """Return unit vectors (n, 3) to the hydrogens at one bond, or None where they rotate freely."""
         known, planar = self._known(parent), self._is_planar(parent)
-        to = np.array([_unit(self.x[k] - self.x[parent]) for k in known])
-        if len(known) == 3:
-            return _unit(-to.sum(axis=0))[None]
-        if len(known) == 2:
-            back = _unit(-to.sum(axis=0))
-            if planar:
-                return back[None]
-            up = _unit(cross(to[1], to[0]))
-            along, across = np.cos(0.5 * _TETRAHEDRAL), np.sin(0.5 * _TETRAHEDRAL)
-            return np.array([along * back + across * up, along * back - across * up])[:n]
         if len(known) == 1 and planar:
             return self._around(parent, _TRIGONAL, np.array([0.0, np.pi])[-n:])
         if len(known) == 1 and len(self.neighbours[parent]) > 2:
@@ -153,12 +169,14 @@ class _Placing:
         close = self.still[sorted(self.tree.query_ball_point(self.x[parent], _REACH))]
         away = np.linalg.norm(self.x[self.turned] - self.x[parent], axis=1)
         found = np.concatenate([close, np.array(self.turned, dtype=np.int64)[away < _REACH]])
-        return found[~np.isin(found, [parent, *self.neighbours[parent]])]
+        own = {parent, *self.neighbours[parent]}
+        return np.array([k for k in found.tolist() if k not in own], dtype=np.int64)
 
 
 def _unit(v: Floats) -> Floats:
-    length = np.linalg.norm(v)
-    return np.asarray(v / length if length > 1e-9 else [1.0, 0.0, 0.0])
+    """Unit vectors along vectors (..., 3); x where they have no length."""
+    length = np.sqrt(dots(v, v))[..., None]
+    return np.where(length > 1e-9, v / np.maximum(length, 1e-9), [1.0, 0.0, 0.0])
 
 
 def _least(axis: Floats) -> Floats:

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
-from protochain.core.errors import StructureError
+from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
 from protochain.core.markup import counted
 from protochain.structure import glycans, residues
@@ -83,7 +83,9 @@ def check_words(words: Iterable[str]) -> None:
     """
     for word in words:
         if word not in KINDS and not re.fullmatch(r"[A-Z0-9+-]{1,5}", word):
-            raise StructureError(f"keep {word!r} is not known; give {', '.join(KINDS)} or names of residues")
+            raise StructureError(
+                Argument("keep"), f" {word!r} is not known; give {', '.join(KINDS)} or names of residues"
+            )
 
 
 def choose(

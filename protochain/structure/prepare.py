@@ -289,8 +289,7 @@ def _bonds(
     pairs: list[tuple[int, int]] = []
     for member, template in done:
         index = at[id(member)]
-        outward = sorted(template.bonds, key=_remoteness)
-        pairs += [(index[a], index[b]) for a, b in outward if a in index and b in index]
+        pairs += [(index[a], index[b]) for a, b in template.outward if a in index and b in index]
     for part in draft.parts:
         following = part.members[1:] + ([part.members[0]] if part.cyclic else [])
         for member, following_member in zip(part.members, following, strict=False):
@@ -299,11 +298,6 @@ def _bonds(
     pairs += _linked(links, at)
     pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
     return np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1)
-
-
-def _remoteness(bond: tuple[str, str]) -> int:
-    """Order of bonds at a carbon by which its two hydrogens are named: along the side chain, N and C last."""
-    return max("ABGDEZHNC".find(name[1:2] or name) for name in bond)
 
 
 def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Integers) -> app.Topology:

@@ -101,12 +101,13 @@ _Owned = Sequence[tuple[Member, gemmi.Atom]]
 
 def _near(draft: Draft, protein: _Owned, beside: _Owned) -> list[Link]:
     """Pairs that may be bonded: as near as bonded atoms, or nearer than stated bonds may be."""
-    if not beside:
+    if not (protein and beside):
         return []
     tree, bonds = KDTree([a.pos.tolist() for _, a in beside]), {*draft.stated}
     found = []
-    for member, a in protein:
-        for k in sorted(tree.query_ball_point(a.pos.tolist(), STATED)):
+    near = tree.query_ball_point([a.pos.tolist() for _, a in protein], STATED, return_sorted=True)
+    for (member, a), places in zip(protein, near, strict=True):
+        for k in places:
             other, its = beside[k]
             ends = member.address(a.name), other.address(its.name)
             link = Link(member, a, other, its, ends in bonds or ends[::-1] in bonds)
@@ -133,6 +134,8 @@ def _ends(link: Link) -> tuple[Address, Address]:
 
 def note_unused(draft: Draft, used: Iterable[Link]) -> None:
     """Report the bonds of the file that are neither used nor reported: too long, or to what is left out."""
+    if not draft.stated:
+        return
     there = {m.address(a.name): (m, a) for m in draft.members for a in m.atoms}
     told = {frozenset(repair.facts["atoms"]) for repair in draft.repairs if repair.kind is Kind.BOND_IGNORED}
     done = {frozenset(link.atoms) for link in used} | told

@@ -81,6 +81,11 @@ class Template:
         """Names of the heavy atoms."""
         return [name for name, element in self.element.items() if element != "H"]
 
+    @cached_property
+    def outward(self) -> list[tuple[str, str]]:
+        """Its bonds in the order by which two hydrogens of a carbon are named: N and C last."""
+        return sorted(self.bonds, key=lambda bond: max("ABGDEZHNC".find(name[1:2] or name) for name in bond))
+
     def neighbours(self, name: str) -> set[str]:
         """Names of the atoms bonded to an atom."""
         return {end for bond in self.bonds if name in bond for end in bond} - {name}

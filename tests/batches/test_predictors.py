@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import shlex
 
 import gemmi
 import mdtraj
@@ -9,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import refusal, run
-from fixtures.samples import STRUCTURES
+from fixtures.samples import ROOT, STRUCTURES
 
 RING = 1.39 * np.exp(1j * np.arange(6) * np.pi / 3)
 
@@ -129,6 +130,18 @@ FOLDERS = {
         "Accepted/x_l20_s1_mpnn1_model1.pdb": lambda: model(0.87), "Accepted/Animation/x.html": "",
         "Accepted/Ranked/1_x_l20_s1_mpnn1_model1.pdb": lambda: model(0.87), "designs.csv": "Rank\n",
     },
+    "ColabFold": {
+        f"job/{name.format('job')}": content for name, content in {
+            "{}_unrelaxed_rank_001_alphafold2_ptm_model_3_seed_000.pdb": model,
+            "{}_relaxed_rank_001_alphafold2_ptm_model_3_seed_000.pdb": model,
+            "{}_unrelaxed_rank_002_alphafold2_ptm_model_1_seed_000.pdb": model,
+            "{}_scores_rank_001_alphafold2_ptm_model_3_seed_000.json": {"plddt": [80.0] * 20, "ptm": 0.5},
+            "{}_scores_rank_002_alphafold2_ptm_model_1_seed_000.json": {"plddt": [80.0] * 20, "ptm": 0.4},
+            "{}_predicted_aligned_error_v1.json": {"predicted_aligned_error": [[1.0]]},
+            "{}.a3m": ">x\nAA\n", "{}.done.txt": "", "{}_pae.png": "", "config.json": {}, "log.txt": "",
+            "cite.bibtex": "@article{}", "{}_env/pdb70.m8": "", "{}_template_domain_names.json": {},
+        }.items()
+    },
     "ESMFold2": {"x.cif": lambda: model(0.87), "x.pdb": lambda: model(0.87)},
 }  # fmt: skip
 REPORTED = {
@@ -164,7 +177,7 @@ def test_a_folder_of_a_program_goes_through(done, program):
     for name, content in files.items():
         if not callable(content):
             goes_along = name.rpartition("/")[2].startswith(("scores.", "affinity_", "plddt_"))
-            goes_along |= "confidence" in name and name.endswith(".json")
+            goes_along |= name.endswith(".json") and ("confidence" in name or "_scores_rank_" in name)
             assert (out / program / name).exists() is goes_along
 
 
@@ -173,6 +186,45 @@ def test_a_ligand_without_a_name_of_its_own_gets_its_chemistry(tmp_path):
     out = tmp_path / "out"
     assert run("relax", tmp_path, "-o", out, "--workers", "1", "--ligand", "LIG1=Oc1ccccc1") == 0
     assert "LIG1 of chain B moves" in pd.read_csv(out / "relaxed.csv")["repairs"][0]
+
+
+def test_leaving_atoms_of_covalent_bonds_go(tmp_path):
+    """AlphaFold 3 writes whole components and their bonds: here the oxygen that asparagine replaces."""
+    path = ROOT.parent / "shared" / "cases" / "ligands" / "made_chai225_NAG_keeps_O1.pdb"
+    if not path.exists():
+        pytest.skip("the cases are not here")
+    s = gemmi.read_structure(str(path))
+    bond = gemmi.Connection()
+    bond.type, bond.name = gemmi.ConnectionType.Covale, "covale1"
+    bond.partner1, bond.partner2 = (
+        gemmi.make_address(place.chain, place.residue, place.atom)
+        for name in ("ND2", "C1")
+        for place in s[0].all()
+        if (place.residue.name, place.atom.name) in {("ASN", name), ("NAG", name)}
+    )
+    s.connections.append(bond)
+    written(tmp_path / "job" / "job_model.cif", s)
+    assert run("relax", tmp_path / "job", "-o", tmp_path / "out", "--workers", "1") == 0
+    made = gemmi.read_structure(str(tmp_path / "out" / "job_model.relaxed.cif"))
+    (sugar,) = (residue for chain in made[0] for residue in chain if residue.name == "NAG")
+    assert "O1" not in sugar and "O5" in sugar
+    assert {"ND2", "C1"} in [{bond.partner1.atom_name, bond.partner2.atom_name} for bond in made.connections]
+    assert "in the place of O1 of NAG" in pd.read_csv(tmp_path / "out" / "relaxed.csv")["repairs"][0]
+
+
+def test_frames_in_a_folder_of_bioemu_are_named_with_what_relaxes_them(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path / "raw" / "topology.pdb", model())
+    x = mdtraj.load("raw/topology.pdb", no_boxchk=True)
+    x.unitcell_vectors = None
+    x.save_xtc("raw/samples.xtc")
+    assert run("relax", "raw", "-o", "out", "--workers", "1") == 0
+    (line,) = (each for each in capsys.readouterr().err.splitlines() if "samples.xtc" in each)
+    assert run(*shlex.split(line.partition("protochain ")[2]), "--workers", "1") == 0
+    made = mdtraj.load("samples.relaxed.xtc", top="samples.relaxed.pdb")
+    alpha = made.topology.select("name CA")
+    near = 10.0 * np.abs(made.xyz[0, alpha] - x.xyz[0, x.topology.select("name CA")])
+    assert len(made) == 1 and near.max() < 1.0
 
 
 @pytest.mark.parametrize("sequence", [{}, {"sequence": "NLYIQWLKDGGPSSGRPPPS"}, {"sequence": "A" * 20}])
@@ -197,3 +249,38 @@ def test_samples_of_bioemu_have_a_sequence_or_not(tmp_path, sequence):
     alpha = made.xyz[:, made.topology.select("name CA")]
     assert len(made) == 2
     assert np.abs(alpha - alpha.mean(1)[:, None] - (at["CA"] - at["CA"].mean(0))).max() < 0.05
+
+
+@pytest.mark.parametrize("n", [3, pytest.param(100, marks=pytest.mark.slow)])
+def test_each_record_of_a_docking_program_is_a_row_with_its_own_pose(tmp_path, monkeypatch, n):
+    """GNINA, Vina and DiffDock write one file of many records: here methanol at places on a spiral."""
+    monkeypatch.chdir(tmp_path)
+    chem = pytest.importorskip("rdkit.Chem.AllChem")
+    pytest.importorskip("dimorphite_dl")
+    protein = mdtraj.load(STRUCTURES / "ala10.pdb").xyz[0] * 10.0
+    methanol = chem.AddHs(chem.MolFromSmiles("CO"))
+    chem.EmbedMolecule(methanol, randomSeed=1)
+    own = methanol.GetConformer().GetPositions()
+    out = np.abs(protein - protein.mean(0)).max() + 5.0
+    turns = np.arange(n) * 2.4
+    places = protein.mean(0) + np.stack([out * np.cos(turns), out * np.sin(turns), 0.5 * turns], axis=1)
+    with chem.SDWriter("poses.sdf") as writer:
+        for place in places:
+            methanol.GetConformer().SetPositions(own - own[0] + place)
+            writer.write(methanol)
+    asked = (
+        "--ligand",
+        "poses.sdf",
+        "--ligand-charges",
+        "gasteiger",
+        "--solvent",
+        "vacuum",
+        "--workers",
+        "1",
+    )
+    assert run("relax", STRUCTURES / "ala10.pdb", *asked, "-o", "out", "--ligand-out", "out.sdf") == 0
+    table = pd.read_csv("out/relaxed.csv")
+    assert table["structure"].tolist() == [f"ala10.poses_{k}" for k in range(1, n + 1)]
+    assert {*table["status"]} == {"converged"}
+    ends = np.array([each.GetConformer().GetPositions()[0] for each in chem.SDMolSupplier("out.sdf")])
+    assert np.linalg.norm(ends[:, None] - places, axis=2).argmin(1).tolist() == [*range(n)]

@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import signal
 import sys
 from importlib import metadata
@@ -14,7 +15,7 @@ import typer
 from fixtures.command_line import refusal, run
 from fixtures.molecules import ring
 from fixtures.repairs import noted
-from fixtures.samples import chain, load
+from fixtures.samples import STRUCTURES, chain, load
 
 import protochain as pc
 from protochain.cli import app, main, options
@@ -435,7 +436,8 @@ def test_rmsd_ends_by_how_many_were_measured(chosen, status, monkeypatch, tmp_pa
     rows = [ROWS[k] for k in chosen]
     found = json.loads(capsys.readouterr().out)
     results = found.pop("results")
-    assert found == {"reference": "ref.pdb", "align": "x", "measure": "y"} and printed == [results]
+    of = {"reference": "ref.pdb", "align": "x", "measure": "y", "files": [str(csv)]}
+    assert found == of and printed == [results]
     assert [row["message"] for row in results] == [row["message"] for row in rows]
     assert [row["rmsd_angstrom"] for row in results] == pytest.approx(
         [row["rmsd_angstrom"] for row in rows], abs=1e-14
@@ -543,3 +545,22 @@ def test_no_output_of_any_command_is_an_input(command, read, written, file, tmp_
             "is the input" in said or "lies in the folder for the results" in said or "holds a batch" in said
         ), said
         assert Path(file).read_text() == "path\nin.pdb\n"
+
+
+@pytest.mark.parametrize("command", ["validate", "score", "energy", "rmsd"])
+def test_files_that_are_written_are_named(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    asked = [STRUCTURES / "3i40.pdb"] * (2 if command == "rmsd" else 1)
+    asked += ["--reference", asked[0]] * (command == "validate")
+    asked += ["--solvent", "vacuum"] * (command in ("score", "energy"))
+    files = []
+    for name, (option, *ends) in WRITTEN[command].items():
+        files.append(f"{name}{Path(ends[0]).suffix}")
+        asked += option.format(files[-1]).split()
+    for as_json in (False, True):
+        assert run(command, *asked, *["--json"] * as_json) in (None, 0)
+        said = capsys.readouterr().out
+        named = json.loads(said)["files"] if as_json else re.findall("^written: (.*)$", said, re.MULTILINE)
+        assert named == files and {*files} == {each.name for each in tmp_path.iterdir()}
+        for file in files:
+            Path(file).unlink()

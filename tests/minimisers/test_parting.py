@@ -221,7 +221,7 @@ def test_a_watcher_or_a_warning_says_that_a_run_strays_and_the_message_too():
     assert len(told) == 1 and told[0].endswith("relax keeps the fold")
     assert r.message.endswith(
         f"; {r.ca_rmsd_angstrom:.1f} angstrom from a start whose atoms overlapped; relax keeps the fold; "
-        "to stay nearer: --restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
+        "to stay nearer: a restraint or a largest RMSD"
     )
     with pytest.warns(StrayWarning, match="angstrom from a start whose atoms overlapped"):
         pc.minimise(c, pull, "cartesian", tolerance=0.01)
@@ -232,15 +232,14 @@ def test_a_watcher_or_a_warning_says_that_a_run_strays_and_the_message_too():
     # Nothing is said on the way, but the end says so, whatever the start.
     assert r.ca_rmsd_angstrom > FAR and r.ended in r.message and "start" not in r.ended
     assert r.message.endswith(
-        f"; {r.ca_rmsd_angstrom:.1f} angstrom from its start; "
-        "to stay nearer: --restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
+        f"; {r.ca_rmsd_angstrom:.1f} angstrom from its start; to stay nearer: a restraint or a largest RMSD"
     )
     near = pc.minimise(calm, stretched(calm.structure.positions), "cartesian", max_evaluations=1)
     assert near.message == near.ended
 
 
 def test_what_keeps_a_run_nearer_depends_on_the_method_and_the_start():
-    s, held = load("1l2y.pdb"), "--restrain or --max-rmsd (restraint=, max_rmsd= in Python)"
+    s, held = load("1l2y.pdb"), "a restraint or a largest RMSD"
     for name, near in (
         ("cartesian", held), ("openmm", f"cartesian with {held}"), ("openmm-md", f"cartesian with {held}"),
         *((name, f"cartesian, {held}") for name in ("hybrid", "lbfgs", "kcm", "md", "anneal")),

@@ -409,6 +409,21 @@ def test_a_model_has_its_confidences():
     assert scored("3i40.pdb", "A", "B").scores["iptm"] is None
 
 
+def test_confidences_of_0_to_1_are_those_of_0_to_100(tmp_path):
+    found = []
+    for scale in (1.0, 0.01):
+        s = gemmi.read_structure(str(STRUCTURES / MODEL))
+        for place in s[0].all():
+            place.atom.b_iso = scale * round(place.atom.b_iso)
+        path = tmp_path / f"{scale}_model_0.cif"
+        s.make_mmcif_document().write_file(str(path))
+        (tmp_path / f"confidence_{scale}_model_0.json").write_text("{}")
+        found.append(pc.score_interface(path, "A", "B", solvent="vacuum").scores)
+    for name in ("interface_plddt", "pdockq"):
+        assert found[0][name] == pytest.approx(found[1][name], rel=1e-6)
+    assert 50.0 < found[0]["interface_plddt"] < 100.0
+
+
 @pytest.fixture
 def three(tmp_path):
     for name in ("3i40.pdb", "1ysa.pdb", "1l2y.pdb"):
