@@ -315,12 +315,18 @@ _LINK_NAMES = {
 
 
 def _is_between(structure: Structure, first: int, second: int) -> bool:
-    """Whether a bond joins residues otherwise than a chain does."""
+    """Whether a bond joins residues otherwise than a chain of standard ones does, as the archive states it."""
     apart = structure.atom_residue[second] - structure.atom_residue[first]
     names = {str(structure.atom_name[end]) for end in (first, second)}
     ids = {str(structure.residue_chain[structure.atom_residue[end]]) for end in (first, second)}
     is_along = apart == 1 and len(ids) == 1 and names in ({"C", "N"}, {"O3'", "P"})
-    return bool(apart and not is_along)
+    ends = structure.atom_residue[[first, second]]
+    is_plain = all(_is_standard(str(structure.residue_name_in_file[end])) for end in ends)
+    return bool(apart and not (is_along and is_plain))
+
+
+def _is_standard(component: str) -> bool:
+    return bool(gemmi.find_tabulated_residue(component).is_standard())
 
 
 def _link_type(structure: Structure, pair: tuple[int, int]) -> gemmi.ConnectionType:
@@ -362,7 +368,7 @@ def _mmcif(
     out: gemmi.Structure, models: Sequence[Structure], remarks: Iterable[str], repairs: Iterable[str]
 ) -> str:
     head, atoms = gemmi.MmcifOutputGroups(True), gemmi.MmcifOutputGroups(False)
-    head.atoms, atoms.atoms, atoms.group_pdb = False, True, True
+    head.atoms, atoms.atoms, atoms.group_pdb, atoms.auth_all = False, True, True, True
     # A cell of 1 angstrom, which stands for none, would make some programs treat the chain as periodic.
     head.cell = head.symmetry = out.cell.is_crystal()
     document = _whole(out).make_mmcif_document(head)
@@ -407,11 +413,18 @@ def _pdb(
 
 
 def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
-    """Give CONECT records to bonds of molecules beside the protein, waters excepted, and between residues."""
+    """Give CONECT records to bonds of components that programs need not know, and between residues.
+
+    These are molecules beside the protein, waters excepted, modified residues and caps.
+    """
     out.assign_serial_numbers(numbered_ter=True)
     residues = [residue for chain in out[0] for residue in chain]
     serial = [{atom.name: atom.serial for atom in residue} for residue in residues]
-    drawn = [each.entity_type == gemmi.EntityType.NonPolymer for each in residues]
+    drawn = [
+        each.entity_type == gemmi.EntityType.NonPolymer
+        or (each.entity_type == gemmi.EntityType.Polymer and not _is_standard(each.name))
+        for each in residues
+    ]
     for i, j in structure.bonds.tolist():
         first, second = (int(structure.atom_residue[end]) for end in (i, j))
         names = str(structure.atom_name[i]), str(structure.atom_name[j])
