@@ -1,11 +1,12 @@
 """Writing of structures to PDB or mmCIF files, whole or not at all."""
 
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import chain as chained
-from itertools import count
+from itertools import count, groupby
+from operator import itemgetter
 from pathlib import Path
 from string import ascii_uppercase
 from typing import Any
@@ -18,7 +19,8 @@ from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
 from protochain.core.storage import write_atomically
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.tables import rows
+from protochain.ligands.sources import from_dictionary
+from protochain.ligands.tables import ORDERS, rows
 from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.header import NO_LABEL, Label, settle, with_header
@@ -35,6 +37,7 @@ _PDB_NAME = 3
 """Letters of the name of a residue."""
 _PDB_SERIALS = 99_999
 """Largest serial number of an atom in five columns; the end of each chain takes one."""
+_BONDS = "_chem_comp_bond."
 _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
 
@@ -201,7 +204,7 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
     model, strands = gemmi.Model(number), _in_strands(structure)
     for chain in structure.topology.chains():
         # Parts of a broken chain share its id; gemmi ends each of them.
-        gemmi_chain = gemmi.Chain(chain.id or " ")
+        gemmi_chain = gemmi.Chain(chain.id)
         for residue in chain.residues():
             made = gemmi.Residue()
             made.name = str(structure.residue_name_in_file[residue.index])
@@ -274,7 +277,7 @@ def _seqid(structure: Structure, residue: int) -> gemmi.SeqId:
 def _address(structure: Structure, atom: int) -> gemmi.AtomAddress:
     residue = int(structure.atom_residue[atom])
     return gemmi.AtomAddress(
-        str(structure.residue_chain[residue]) or " ", _seqid(structure, residue),
+        str(structure.residue_chain[residue]), _seqid(structure, residue),
         str(structure.residue_name_in_file[residue]), str(structure.atom_name[atom]),
     )  # fmt: skip
 
@@ -315,7 +318,7 @@ _LINK_NAMES = {
 
 
 def _is_between(structure: Structure, first: int, second: int) -> bool:
-    """Whether a bond joins residues otherwise than a chain of standard ones does, as the archive states it."""
+    """Whether LINK records state a bond: between residues, unless along a chain of standard ones."""
     apart = structure.atom_residue[second] - structure.atom_residue[first]
     names = {str(structure.atom_name[end]) for end in (first, second)}
     ids = {str(structure.residue_chain[structure.atom_residue[end]]) for end in (first, second)}
@@ -373,7 +376,10 @@ def _mmcif(
     head.cell = head.symmetry = out.cell.is_crystal()
     document = _whole(out).make_mmcif_document(head)
     block = document.sole_block()
-    put(block, cif_rows(models[0].header, out, _moved(models[0], out), _chemistry(models[0])))
+    about = cif_rows(models[0].header, out, _moved(models[0], out), _chemistry(models[0]))
+    if bonds := about.get(_BONDS):
+        about[_BONDS] = [*bonds, *_standard_bonds(models[0], {row["comp_id"] for row in bonds})]
+    put(block, about)
     put(block, {CATEGORY: as_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
         loop = block.init_loop(f"_protochain_{category}.", ["ordinal", "text"])
@@ -450,6 +456,22 @@ def _chemistry(structure: Structure) -> dict[str, Rows]:
             for category, its in rows(component, replace(each.ligand.molecule, names=names)).items():
                 found.setdefault(category, []).extend(its)
     return found
+
+
+def _standard_bonds(structure: Structure, known: Collection[str]) -> Iterator[dict[str, str]]:
+    """Bonds of standard components, in a file that has those of others: PyMOL takes the table for whole."""
+    inside = structure.bonds[np.diff(structure.atom_residue[structure.bonds])[:, 0] == 0]
+    its = structure.residue_name_in_file[structure.atom_residue[inside[:, 0]]]
+    pairs = dict.fromkeys(zip(its.tolist(), *structure.atom_name[inside].T.tolist(), strict=True))
+    for name, group in groupby(sorted(pairs), key=itemgetter(0)):
+        if name not in known and _is_standard(name):
+            made = from_dictionary(name)
+            ends = (frozenset(made.names[k] for k in pair) for pair in made.bonds.tolist())
+            order = dict(zip(ends, made.orders.tolist(), strict=True))
+            for _, *atoms in group:
+                first, second = map(gemmi.cif.quote, atoms)
+                said = ORDERS[order.get(frozenset(atoms), 1)]
+                yield {"comp_id": name, "atom_id_1": first, "atom_id_2": second, "value_order": said}
 
 
 def _springs(models: Sequence[Structure]) -> list[Spring]:
