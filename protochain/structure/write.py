@@ -17,6 +17,7 @@ import numpy as np
 from protochain.core.checks import flag
 from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
+from protochain.core.markup import listed
 from protochain.core.storage import write_atomically
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.sources import from_dictionary
@@ -137,6 +138,8 @@ def check_format(path: Path) -> None:
 def check_fits(structure: Structure, path: Path) -> list[str]:
     """Refuse a structure that does not fit the columns of a PDB file: it would be cut, or read as another.
 
+    mmCIF has label ids beside the chain ids, new ones where polymers that the file has apart are one chain.
+
     Returns
     -------
     list of str
@@ -148,7 +151,11 @@ def check_fits(structure: Structure, path: Path) -> list[str]:
         Naming the chain, residue or atom.
     """
     if format_of(path) != "PDB":
-        return []
+        now = (label for label, _ in _labels(structure)[0])
+        pairs = dict.fromkeys(zip((label for label, _ in structure.residue_label), now, strict=False))
+        # Those that end with xp are gemmi's, where the file has none.
+        changed = [f"{old} is {new}" for old, new in pairs if old not in ("", new) and not old.endswith("xp")]
+        return [f"{path}: label ids that differ from the file's: {listed(changed, 6)}"] if changed else []
     for what, values, width in (
         ("chain id", structure.residue_chain, 1),
         ("residue number", structure.residue_number, 4),
