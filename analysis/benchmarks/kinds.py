@@ -1,6 +1,6 @@
 """Kinds of file that people bring: what was lost, said and changed, and whether results are read again equal.
 
-    python analysis/benchmarks/kinds.py [-o DIR] [--quick] [--only FAMILY ...]
+    python analysis/benchmarks/kinds.py [-o DIR] [--quick] [--only FAMILY ...] [--processes N]
 
 Each kind of tests/fixtures/file_kinds.py is made anew, read, prepared, relaxed for at most 100 iterations,
 written as PDB and mmCIF, and read again (tests/fixtures/fate.py); a row a kind. Those that need files beside
@@ -11,6 +11,7 @@ import argparse
 import sys
 import tempfile
 from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from time import perf_counter
 
@@ -26,12 +27,17 @@ LONGEST = 400
 """Characters of a cell."""
 
 
-def row(kind: file_kinds.Kind, folder: Path) -> dict[str, object]:
-    """What became of one kind."""
+def row(name: str) -> dict[str, object]:
+    """What became of one kind, a traceback included."""
+    kind = next(kind for kind in file_kinds.KINDS if kind.name == name)
     began = perf_counter()
-    path, meant = kind.make(folder)
-    found = fate.fate(path, meant, ITERATIONS, kind.options)
-    wrong = fate.faults(found, path.name, kind.refused, kind.links, kind.keeps)
+    with tempfile.TemporaryDirectory() as folder:
+        path, meant = kind.make(Path(folder))
+        try:
+            found = fate.fate(path, meant, ITERATIONS, kind.options)
+            wrong = fate.faults(found, path.name, kind.refused, kind.links, kind.keeps)
+        except Exception as error:
+            found, wrong = fate.Fate(status="traceback"), [f"traceback: {error!r}"]
     out: dict[str, object] = {
         "kind": kind.name, "family": kind.family, "origin": "made" if kind.is_made else "real",
         "status": found.status, "refusal": found.refusal.replace(f"{path.parent}/", ""),
@@ -43,6 +49,7 @@ def row(kind: file_kinds.Kind, folder: Path) -> dict[str, object]:
         "lost_not_said": len(found.unsaid),
         "left_out": told(f"{count} {what}" for what, count in found.left_out.items()),
         "names_changed": told(f"{count} {what}" for what, count in found.renamed.items()),
+        "elements_changed": told(found.elements),
         "heavy_atoms_added": found.added_heavy, "hydrogens_added": found.added_hydrogens,
         "hydrogens_lost": found.lost_hydrogens, "heavy_atoms_moved": found.moved,
     }  # fmt: skip
@@ -84,6 +91,7 @@ FAMILIES = tuple(dict.fromkeys(kind.family for kind in file_kinds.KINDS))
 
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__)
+    own.add_argument("--processes", type=int, default=1, metavar="N", help="kinds at once; 1")
     own.add_argument("--only", nargs="+", metavar="FAMILY", choices=FAMILIES, help=", ".join(FAMILIES))
     return own
 
@@ -95,16 +103,18 @@ def main() -> None:
     if options.quick:
         chosen = [kind for kind in chosen if kind.name in ("plain", "sep", "covalent-stated", "c-alphas")]
     rows = []
-    for kind in chosen:
-        with tempfile.TemporaryDirectory() as scratch:
-            rows.append(row(kind, Path(scratch)))
-        status, wrong = rows[-1]["status"], rows[-1]["wrong"]
-        print(f"{kind.family:24} {kind.name:44} {status:12} {wrong}", flush=True)
+    with ProcessPoolExecutor(options.processes) as pool:
+        for each in pool.map(row, [kind.name for kind in chosen]):
+            rows.append(each)
+            print(f"{each['family']:24} {each['kind']:44} {each['status']:12} {each['wrong']}", flush=True)
     table = pd.DataFrame(rows)
     refused, wrong = (table["refusal"] != "").sum(), (table["faults"] > 0).sum()
-    print(f"{len(table)} kinds, {refused} refused, {wrong} with faults")
+    unsaid, tracebacks = (table["lost_not_said"] > 0).sum(), (table["status"] == "traceback").sum()
+    print(f"{len(table)} kinds: {refused} refused, {wrong} with faults, {tracebacks} tracebacks,", end=" ")
+    print(f"{unsaid} with atoms lost that are not named")
     if options.output:
-        made.write(table, options.output / "kinds.csv", ["kinds of tests/fixtures/file_kinds.py"])
+        inputs = ["kinds of tests/fixtures/file_kinds.py"]
+        made.write(table, options.output / "kinds.csv", inputs, options.processes)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from protochain.core.checks import (
     instance,
     several,
 )
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, ProtochainError
 from protochain.core.settings import Setting, setting, settings_of
 from protochain.core.storage import regular
 from protochain.minimisers.api import Minimisation
@@ -141,7 +141,10 @@ class BatchSettings(StartSettings, MinimiseSettings):
         idle = self.idle if idle is None else idle
         name = next((name for name in given if name in idle), None)
         if name is not None:
-            raise ProtochainError(f"{name}: is no setting of {', '.join(self.methods)}; leave it out")
+            raise ProtochainError(
+                Argument(name), f": is no setting of {', '.join(self.methods)}; leave it out, or give other ",
+                Argument("methods"),
+            )  # fmt: skip
 
     def values(self) -> dict[str, Any]:
         """Return all plain values by name, but for ``threads``, which change no result."""

@@ -94,8 +94,12 @@ def relax(
     with models, every frame is relaxed, into one trajectory and a table.
     """
     setup = relaxing.setup(setup)
+    several = manifest or has_poses(setup) or isinstance(setup.model, str)
     if of_frames.are_asked(trajectory, frames):
-        refuse(context, "manifest scheduler ligand_out posebusters", "is none of frames")
+        if several:
+            others = Argument("manifest"), ", ", Argument("model"), " all or poses"
+            refuse(context, "trajectory frames", "is of one structure, not of ", *others)
+        refuse(context, "scheduler ligand_out posebusters", "is none of frames")
         each = {"workers": workers, "time_limit": time_limit}
         given = of_frames.only(inputs or [])
         with of_frames.started_early(setup, workers):
@@ -103,8 +107,7 @@ def relax(
                 given, trajectory, frames, output, relaxing, setup, report, each, as_json, resume, force
             )
         raise typer.Exit(done)
-    several = manifest or scheduler or has_poses(setup) or isinstance(setup.model, str)
-    if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not several:
+    if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not (several or scheduler):
         refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, ligand_out, as_json, force))
     refuse(context, "report", "several structures have report.html in their folder")

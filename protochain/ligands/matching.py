@@ -1,6 +1,7 @@
 """Atoms of a model matched to those of a molecule whose chemistry is known, by their graph."""
 
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
@@ -74,7 +75,8 @@ def placed(
     hydrogens : (nm,) int, optional
         How many each atom has in the model, if it has some.
     by_name : bool
-        Whether names are those of the source: where all agree, distorted bonds do not matter.
+        Whether names are those of the source. Where all agree, distorted bonds do not matter, unless the
+        atoms are bonded as in the source under other names: programs number atoms anew.
 
     Raises
     ------
@@ -90,6 +92,9 @@ def placed(
     agree = len(kept) == len(heavy) and np.array_equal(elements[chosen], molecule.elements[heavy])
     if not by_name or -1 in chosen or not agree:
         chosen = _matched(molecule, elements, names, x, kept, hydrogens)
+    elif not _is_bonded(molecule, elements[chosen], x[chosen]):
+        with suppress(StructureError):
+            chosen = _matched(molecule, elements, names, x, kept, hydrogens)
     atoms = np.full(molecule.n_atoms, -1)
     atoms[heavy] = chosen
     renamed = tuple(names[i] if i >= 0 else name for i, name in zip(atoms, molecule.names, strict=True))
@@ -153,6 +158,20 @@ def _distances(elements: Any, x: Floats) -> tuple[Floats, Floats, Integers]:
     return apart, reach, np.argwhere(np.triu(apart < _REACH * reach, 1))
 
 
+def _bonds_of_heavy(molecule: Molecule) -> tuple[Any, Integers]:
+    """Which bonds join heavy atoms, and these by numbers of heavy atoms."""
+    number = np.cumsum(molecule.elements != 1) - 1
+    inside = np.isin(molecule.bonds, molecule.heavy).all(1)
+    return inside, number[molecule.bonds[inside]]
+
+
+def _is_bonded(molecule: Molecule, elements: Any, heavy: Floats) -> bool:
+    """Whether the heavy atoms of each bond are near enough for one."""
+    apart, reach, _ = _distances(elements, heavy)
+    first, second = _bonds_of_heavy(molecule)[1].T
+    return bool((apart[first, second] < _REACH * reach[first, second]).all())
+
+
 def _matched(
     molecule: Molecule,
     elements: Any,
@@ -169,9 +188,8 @@ def _matched(
         If there are none, with what differs.
     """
     heavy = molecule.heavy
-    number = np.cumsum(molecule.elements != 1) - 1
-    inside = np.isin(molecule.bonds, heavy).all(1)
-    own, its = number[molecule.bonds[inside]], molecule.elements[heavy]
+    inside, own = _bonds_of_heavy(molecule)
+    its = molecule.elements[heavy]
     apart, reach, joined = _distances(elements[kept], x[kept])
     here, whole = _formula(elements[kept]), _formula(its)
     if here != whole:
@@ -222,7 +240,8 @@ def _matched(
         beyond_usual = off[[*ring]].mean() * {1.0: -1.0, 1.5: 1.0}.get(max(kinds), 0.0)
         is_plain = len(kinds) == 1 and {*molecule.elements[[*atoms]].tolist()} == {6}
         if is_plain and beyond_usual > _OTHER_RING:
-            where = ", ".join(names[places[best][number[i]]] for i in sorted(atoms))
+            called = dict(zip(heavy.tolist(), places[best].tolist(), strict=True))
+            where = ", ".join(names[called[i]] for i in sorted(atoms))
             raise StructureError(
                 f"{molecule.source}: fits the model badly: bonds of the ring of {where} differ by "
                 f"{off[[*ring]].mean():+.2f} angstrom, as if it had others; give the molecule that it has"

@@ -16,6 +16,7 @@ import numpy as np
 from protochain.core.arrays import read_only
 from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record
 from protochain.core.errors import Argument, StructureError
+from protochain.core.graph import components
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.dictionary import component
@@ -66,9 +67,16 @@ def of_residue(
         known = from_dictionary(name)
     except StructureError:
         return found
-    # Bonds without charges do not tell a sulphate from its acid.
-    same = {known.names[i] for i in known.heavy} == {found.names[i] for i in found.heavy}
-    return known if same else found
+    # Bonds without charges do not tell a sulphate from its acid, nor a part of a molecule from the whole.
+    return known if _heavy_bonds(found) <= _heavy_bonds(known) else found
+
+
+def _heavy_bonds(molecule: Molecule) -> set[frozenset[str]]:
+    """Names of heavy atoms that are bonded, and of each by itself."""
+    pairs = (*molecule.bonds.tolist(), *zip(molecule.heavy, molecule.heavy, strict=True))
+    return {
+        frozenset(molecule.names[i] for i in pair) for pair in pairs if 1 not in molecule.elements[[*pair]]
+    }
 
 
 def read(given: str | Path) -> Molecule:
@@ -198,11 +206,13 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
     # The table of bonds has leaving atoms and hydrogens, which a model may lack.
     bonds = [row for row in bonds if row[0] in atoms and row[1] in atoms]
     names = list(atoms)
+    pairs = [(names.index(row[0]), names.index(row[1])) for row in bonds]
+    if np.ptp(components(np.array(pairs, dtype=int).reshape(-1, 2), len(names))) > 0:
+        return None, False  # A table of some bonds only.
     orders = [_ORDERS.get(row[2].lower()[:4], 0) for row in bonds]
     if 0 in orders:
         raise StructureError(f"{source}: has bonds of an unknown order; mend value_order")
     elements = [_atomic_number(symbol) for symbol, _ in atoms.values()]
-    pairs = [(names.index(row[0]), names.index(row[1])) for row in bonds]
     charges = [charge for _, charge in atoms.values()]
     if not is_charged:
         charges = _by_valence(elements, pairs, orders)

@@ -18,7 +18,7 @@ Rows = list[dict[str, str]]
 CATEGORY = "_protochain_ligand."
 _REMARK = "REMARK 981"
 """A number that the PDB does not use."""
-_ORDERS = {1: "sing", 2: "doub", 3: "trip"}
+ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 _KNOWN, _CLOCKWISE, _COUNTER, _CIS, _TRANS = "known", "clockwise", "counterclockwise", "cis", "trans"
 
 
@@ -47,7 +47,7 @@ def rows(component: str, molecule: Molecule) -> dict[str, Rows]:
     for k, ((i, j), order) in enumerate(zip(molecule.bonds.tolist(), molecule.orders.tolist(), strict=True)):
         ends = (f"{molecule.names[a]}={molecule.names[b]}" for a, b in ((i, j), (j, i)))
         bonds.append({
-            "comp_id": of, "atom_id_1": names[i], "atom_id_2": names[j], "value_order": _ORDERS[order],
+            "comp_id": of, "atom_id_1": names[i], "atom_id_2": names[j], "value_order": ORDERS[order],
             "pdbx_aromatic_flag": _flag(made.GetBondBetweenAtoms(i, j).GetIsAromatic()),
             "pdbx_stereo_config": next((letters[end] for end in ends if end in letters), "N"),
             "pdbx_ordinal": f"{k + 1}",

@@ -276,10 +276,14 @@ def _names(residue: str) -> tuple[dict[str, str], dict[str, list[str]]]:
     return {other: name for name, given in others.items() for other in given}, others
 
 
+_WATERS = ("SPCE", "TP3M", "TIP5", "OPC")
+"""Names of programs that OpenMM's table lacks."""
+
+
 @cache
 def _residue_names() -> dict[str, str]:
     root = ElementTree.parse(_DATA / "pdbNames.xml").getroot()
-    found = {}
+    found = dict.fromkeys(_WATERS, "HOH")
     for node in root.iterfind("Residue"):
         for key, value in node.items():
             if key.startswith("alt"):

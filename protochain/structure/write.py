@@ -1,11 +1,12 @@
 """Writing of structures to PDB or mmCIF files, whole or not at all."""
 
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import chain as chained
-from itertools import count
+from itertools import count, groupby
+from operator import itemgetter
 from pathlib import Path
 from string import ascii_uppercase
 from typing import Any
@@ -16,9 +17,11 @@ import numpy as np
 from protochain.core.checks import flag
 from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError
+from protochain.core.markup import listed
 from protochain.core.storage import write_atomically
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.tables import rows
+from protochain.ligands.sources import from_dictionary
+from protochain.ligands.tables import ORDERS, rows
 from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.header import NO_LABEL, Label, settle, with_header
@@ -35,6 +38,7 @@ _PDB_NAME = 3
 """Letters of the name of a residue."""
 _PDB_SERIALS = 99_999
 """Largest serial number of an atom in five columns; the end of each chain takes one."""
+_BONDS = "_chem_comp_bond."
 _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
 
@@ -134,6 +138,8 @@ def check_format(path: Path) -> None:
 def check_fits(structure: Structure, path: Path) -> list[str]:
     """Refuse a structure that does not fit the columns of a PDB file: it would be cut, or read as another.
 
+    mmCIF has label ids beside the chain ids, new ones where polymers that the file has apart are one chain.
+
     Returns
     -------
     list of str
@@ -145,7 +151,11 @@ def check_fits(structure: Structure, path: Path) -> list[str]:
         Naming the chain, residue or atom.
     """
     if format_of(path) != "PDB":
-        return []
+        now = (label for label, _ in _labels(structure)[0])
+        pairs = dict.fromkeys(zip((label for label, _ in structure.residue_label), now, strict=False))
+        # Those that end with xp are gemmi's, where the file has none.
+        changed = [f"{old} is {new}" for old, new in pairs if old not in ("", new) and not old.endswith("xp")]
+        return [f"{path}: label ids that differ from the file's: {listed(changed, 6)}"] if changed else []
     for what, values, width in (
         ("chain id", structure.residue_chain, 1),
         ("residue number", structure.residue_number, 4),
@@ -201,7 +211,7 @@ def _model(structure: Structure, number: int, labels: Sequence[Label]) -> gemmi.
     model, strands = gemmi.Model(number), _in_strands(structure)
     for chain in structure.topology.chains():
         # Parts of a broken chain share its id; gemmi ends each of them.
-        gemmi_chain = gemmi.Chain(chain.id or " ")
+        gemmi_chain = gemmi.Chain(chain.id)
         for residue in chain.residues():
             made = gemmi.Residue()
             made.name = str(structure.residue_name_in_file[residue.index])
@@ -274,7 +284,7 @@ def _seqid(structure: Structure, residue: int) -> gemmi.SeqId:
 def _address(structure: Structure, atom: int) -> gemmi.AtomAddress:
     residue = int(structure.atom_residue[atom])
     return gemmi.AtomAddress(
-        str(structure.residue_chain[residue]) or " ", _seqid(structure, residue),
+        str(structure.residue_chain[residue]), _seqid(structure, residue),
         str(structure.residue_name_in_file[residue]), str(structure.atom_name[atom]),
     )  # fmt: skip
 
@@ -315,12 +325,18 @@ _LINK_NAMES = {
 
 
 def _is_between(structure: Structure, first: int, second: int) -> bool:
-    """Whether a bond joins residues otherwise than a chain does."""
+    """Whether LINK records state a bond: between residues, unless along a chain of standard ones."""
     apart = structure.atom_residue[second] - structure.atom_residue[first]
     names = {str(structure.atom_name[end]) for end in (first, second)}
     ids = {str(structure.residue_chain[structure.atom_residue[end]]) for end in (first, second)}
     is_along = apart == 1 and len(ids) == 1 and names in ({"C", "N"}, {"O3'", "P"})
-    return bool(apart and not is_along)
+    ends = structure.atom_residue[[first, second]]
+    is_plain = all(_is_standard(str(structure.residue_name_in_file[end])) for end in ends)
+    return bool(apart and not (is_along and is_plain))
+
+
+def _is_standard(component: str) -> bool:
+    return bool(gemmi.find_tabulated_residue(component).is_standard())
 
 
 def _link_type(structure: Structure, pair: tuple[int, int]) -> gemmi.ConnectionType:
@@ -362,12 +378,15 @@ def _mmcif(
     out: gemmi.Structure, models: Sequence[Structure], remarks: Iterable[str], repairs: Iterable[str]
 ) -> str:
     head, atoms = gemmi.MmcifOutputGroups(True), gemmi.MmcifOutputGroups(False)
-    head.atoms, atoms.atoms, atoms.group_pdb = False, True, True
+    head.atoms, atoms.atoms, atoms.group_pdb, atoms.auth_all = False, True, True, True
     # A cell of 1 angstrom, which stands for none, would make some programs treat the chain as periodic.
     head.cell = head.symmetry = out.cell.is_crystal()
     document = _whole(out).make_mmcif_document(head)
     block = document.sole_block()
-    put(block, cif_rows(models[0].header, out, _moved(models[0], out), _chemistry(models[0])))
+    about = cif_rows(models[0].header, out, _moved(models[0], out), _chemistry(models[0]))
+    if bonds := about.get(_BONDS):
+        about[_BONDS] = [*bonds, *_standard_bonds(models[0], {row["comp_id"] for row in bonds})]
+    put(block, about)
     put(block, {CATEGORY: as_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
         loop = block.init_loop(f"_protochain_{category}.", ["ordinal", "text"])
@@ -407,11 +426,18 @@ def _pdb(
 
 
 def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
-    """Give CONECT records to bonds of molecules beside the protein, waters excepted, and between residues."""
+    """Give CONECT records to bonds of components that programs need not know, and between residues.
+
+    These are molecules beside the protein, waters excepted, modified residues and caps.
+    """
     out.assign_serial_numbers(numbered_ter=True)
     residues = [residue for chain in out[0] for residue in chain]
     serial = [{atom.name: atom.serial for atom in residue} for residue in residues]
-    drawn = [each.entity_type == gemmi.EntityType.NonPolymer for each in residues]
+    drawn = [
+        each.entity_type == gemmi.EntityType.NonPolymer
+        or (each.entity_type == gemmi.EntityType.Polymer and not _is_standard(each.name))
+        for each in residues
+    ]
     for i, j in structure.bonds.tolist():
         first, second = (int(structure.atom_residue[end]) for end in (i, j))
         names = str(structure.atom_name[i]), str(structure.atom_name[j])
@@ -437,6 +463,22 @@ def _chemistry(structure: Structure) -> dict[str, Rows]:
             for category, its in rows(component, replace(each.ligand.molecule, names=names)).items():
                 found.setdefault(category, []).extend(its)
     return found
+
+
+def _standard_bonds(structure: Structure, known: Collection[str]) -> Iterator[dict[str, str]]:
+    """Bonds of standard components, in a file that has those of others: PyMOL takes the table for whole."""
+    inside = structure.bonds[np.diff(structure.atom_residue[structure.bonds])[:, 0] == 0]
+    its = structure.residue_name_in_file[structure.atom_residue[inside[:, 0]]]
+    pairs = dict.fromkeys(zip(its.tolist(), *structure.atom_name[inside].T.tolist(), strict=True))
+    for name, group in groupby(sorted(pairs), key=itemgetter(0)):
+        if name not in known and _is_standard(name):
+            made = from_dictionary(name)
+            ends = (frozenset(made.names[k] for k in pair) for pair in made.bonds.tolist())
+            order = dict(zip(ends, made.orders.tolist(), strict=True))
+            for _, *atoms in group:
+                first, second = map(gemmi.cif.quote, atoms)
+                said = ORDERS[order.get(frozenset(atoms), 1)]
+                yield {"comp_id": name, "atom_id_1": first, "atom_id_2": second, "value_order": said}
 
 
 def _springs(models: Sequence[Structure]) -> list[Spring]:

@@ -87,12 +87,12 @@ def test_a_setting_that_no_method_has_is_refused(tmp_path):
     shutil.copy(STRUCTURES / "ala10.pdb", tmp_path / "a.pdb")
     here, there = tmp_path / "a.pdb", tmp_path / "work.csv"
     for methods, settings, said in (
-        (("relax",), {"max_evaluations": 7}, "max_evaluations: is no setting of relax; leave it out"),
-        (("kcm", "lbfgs"), {"preset": "crystal"}, "preset: is no setting of kcm, lbfgs; leave it out"),
+        (("relax",), {"max_evaluations": 7}, "max_evaluations: is no setting of relax"),
+        (("kcm", "lbfgs"), {"preset": "crystal"}, "preset: is no setting of kcm, lbfgs"),
     ):
         with pytest.raises(pc.ProtochainError) as refusal:
             find_jobs([here], BatchSettings(methods).changed(**settings))
-        assert str(refusal.value) == said
+        assert str(refusal.value).startswith(said)
         names, cells = ",".join(settings), ",".join(map(str, settings.values()))
         there.write_text(f'path,methods,{names}\na.pdb,"{",".join(methods)}",{cells}\n')
         with pytest.raises(pc.ProtochainError, match=f"work.csv: line 2: {re.escape(said)}"):

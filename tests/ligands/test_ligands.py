@@ -39,6 +39,8 @@ BY_DEFAULT = {
 }
 """The same of Sage 2.3.0 and NAGL's charges, by openff-nagl 0.5.5."""
 """Of the Open Force Field toolkit 0.18, interchange 0.5 and OpenMM's Reference platform."""
+BOND_NM = 0.16
+"""Longer than a bond of carbons, shorter than their distance across a bond."""
 RULES_AGREE = 0.97
 """Of the table of net charges, what rules give without it."""
 NAMES = ("bonds", "angles", "torsions", "lj", "coulomb")
@@ -394,6 +396,23 @@ def test_chemistry_comes_from_the_first_source_that_has_it():
         sources.of_residue("01")
 
 
+def test_names_of_a_component_on_other_atoms_do_not_bond_these():
+    """Programs number atoms anew; of a distorted molecule its own names decide."""
+    its = sources.from_dictionary("BEN")
+    heavy, x = its.heavy, its.positions[its.heavy].copy()
+    own = [its.names[i] for i in heavy]
+    carbons = [k for k, name in enumerate(own) if name[0] == "C"]
+    names = list(own)
+    for k, other in zip(carbons, np.roll(carbons, 2), strict=True):
+        names[k] = own[other]
+    made = matching.placed(its, its.elements[heavy], tuple(names), x, by_name=True).molecule
+    ends = made.positions[made.bonds[(made.elements[made.bonds] != 1).all(1)]]
+    assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).max() < BOND_NM
+    x[carbons[0]] += 0.1
+    found = matching.placed(its, its.elements[heavy], tuple(own), x, by_name=True)
+    assert found.atoms[heavy].tolist() == [*range(len(heavy))]
+
+
 NITROGEN = """data_x
 loop_
 _chem_comp_bond.comp_id
@@ -421,6 +440,21 @@ def test_a_nitrogen_of_four_bonds_is_charged_where_a_table_has_no_charges(bonds,
     )
     there = dict(zip(made.names, made.formal_charges.tolist(), strict=True))
     assert {name: charge for name, charge in there.items() if charge} == charges
+
+
+@pytest.mark.parametrize(
+    ("bonds", "atoms"),
+    [
+        (("C1 C2", "C1 O1"), "C1 C2 O1"),
+        (("C1 C2",), "C1 C2 C3 O1 O2 O3"),
+        (("C1 C3", "C3 C2", "C1 O1"), "C1 C2 C3 O1"),
+    ],
+    ids=["atoms missing", "bonds missing", "another molecule"],
+)
+def test_a_table_of_a_part_is_not_the_chemistry_of_a_component(bonds, atoms):
+    header = NITROGEN.format(bonds="\n".join(f"GOL {pair} sing" for pair in bonds))
+    found = sources.of_residue("GOL", header, {name: (name[0], 0) for name in atoms.split()})
+    assert ("dictionary" in found.source.lower()) == ("C1 C3" not in bonds)
 
 
 def test_a_molecule_of_a_file_with_several_is_given_by_its_number(tmp_path):

@@ -15,7 +15,7 @@ from fixtures.samples import STRUCTURES, load, shared
 import protochain as pc
 from protochain.structure import header
 from protochain.structure.files import parse
-from protochain.structure.write import as_text
+from protochain.structure.write import as_text, check_fits
 
 ENTRIES = (
     "1ubq.pdb", "1ubq.cif", "1ejg.pdb", "4pti.pdb", "3i40.pdb", "1fas_fasciculin.cif", "1orc_icode.pdb",
@@ -103,6 +103,22 @@ def test_what_the_file_says_is_in_the_file_written(name, suffix, tmp_path):
         assert expected["A"][21] == "PRO" and s.residue_name[21] == "PRO"
     assert sequences(out) == expected and expected
     assert len(out.cispeps) == {"1fas_fasciculin.cif": 2, "1orc_icode.pdb": 1}.get(name, 0)
+
+
+def test_new_label_ids_are_told(tmp_path):
+    """Two polymers under one chain id."""
+    source = gemmi.read_structure(str(STRUCTURES / "3i40.pdb"))
+    for residue in source[0]["B"]:
+        residue.seqid.num += 100
+    source[0]["B"].name = "A"
+    source.setup_entities()
+    for chain, label in zip(source[0], "PQ", strict=True):
+        for residue in chain:
+            residue.subchain = label if residue.entity_type == gemmi.EntityType.Polymer else residue.subchain
+    source.make_mmcif_document().write_file(str(tmp_path / "a.cif"))
+    (line,) = check_fits(pc.load(tmp_path / "a.cif"), tmp_path / "b.cif")
+    assert "P is A" in line and "Q is A2" in line
+    assert check_fits(read("1ubq.cif")[1], tmp_path / "b.cif") == []
 
 
 @pytest.mark.parametrize("suffix", [".pdb", ".cif"])
