@@ -47,15 +47,18 @@ MADE = {
     "alpha.pdb": ("5awl.pdb", ATOM + r".{6} (?!CA ).*\n", ""),
     "nan.pdb": ("5awl.pdb", r"(?m)^(ATOM     10.{19}).{8}", r"\1     nan"),
     "unknown.pdb": ("5awl.pdb", r"(?m)^(ATOM.{13})GLY", r"\1XYZ"),
-    "clash.pdb": ("ala10.pdb", r"(?m)^(ATOM .{8}CB  ALA A   5    ).{24}", r"\1  10.000   0.500   1.000"),
+    "broken.pdb": ("ala10.pdb", r"(?m)^(ATOM .{8}CB  ALA A   5    ).{24}", r"\1  10.000   0.500   1.000"),
     "models.pdb": ("ala10.pdb", r"(?s)^(.+)END\s+$", r"MODEL        1\n\1ENDMDL\nMODEL        2\n\1ENDMDL\n"),
     "empty.pdb": ("5awl.pdb", r"(?s).*", ""),
 }
 """Name of a file: the sample it is made of, what is replaced in it, and by what."""
 
+BENCH = "scene --quick --json -o folder"
+"""The command of a scene, whose name follows, which the table calls ``BENCH``."""
+
 LEFT_OUT = re.compile(
     r"seconds|_per_day|^(input|output|file|report|path|structure_file|protochain|python|versions|made|threads|"
-    r"command|engine_reason|message|judge|frame|title|detail|source|first|ratio|slope\w*|"
+    r"command|engine_reason|message|judge|frame|title|detail|source|first|what|added|ratio|slope\w*|"
     r"exponent|key|error_of|system_sha256)$"
 )
 """Names of what differs by machine, or is a sentence."""
@@ -93,10 +96,10 @@ def table() -> list[Record]:
     return found
 
 
+# ---- Running -----------------------------------------------------------------------------------------------
+
 _THERE = (("there", "True"),)
 """What is recorded of a picture, page or checkpoint, and of the third and further of many files."""
-
-# ---- Running -----------------------------------------------------------------------------------------------
 
 
 def _by_reference(energy: OpenMMEnergy, system: openmm.System, integrator: Any = None) -> openmm.Context:
@@ -118,7 +121,7 @@ def run(record: Record) -> Cells:
             found = dict(_cells("", _evaluated(record.what[3:].strip())))
         else:
             found = {}
-            for command in record.what.split(" && "):
+            for command in record.what.replace("BENCH", BENCH).split(" && "):
                 found |= _command(shlex.split(command))
         made = sorted(path for path in Path().rglob("[!.]*") if path.is_file() and path not in given)
         of_a_kind: Counter[tuple[Path, str]] = Counter()
@@ -137,6 +140,7 @@ def _evaluated(text: str) -> Any:
 
 
 def _name_of(error: BaseException) -> dict[str, str]:
+    """Names of an exception and of its fault: its words may change."""
     fault = getattr(error, "fault", None)
     return {"error": type(error).__name__} | ({"fault": fault.name} if fault else {})
 
@@ -156,12 +160,8 @@ def _command(words: list[str]) -> Cells:
 
     app, status, printed = cli.app, 0, io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True)
     before = signal.getsignal(signal.SIGTERM), gc.get_threshold()
-    with (
-        mock.patch.object(cli, "app", noting),
-        mock.patch.object(sys, "argv", ["protochain", *words]),
-        redirect_stdout(printed),
-        redirect_stderr(io.StringIO()),
-    ):
+    patches = mock.patch.multiple(cli, app=noting), mock.patch.object(sys, "argv", ["protochain", *words])
+    with patches[0], patches[1], redirect_stdout(printed), redirect_stderr(io.StringIO()):
         try:
             cli.main()
         except SystemExit as end:
@@ -216,10 +216,14 @@ def _cells(at: str, value: Any) -> Iterator[tuple[str, str]]:
 
 
 def _word(name: str, value: Any) -> str:
-    """A value as text: lengths to 1e-5 angstrom, other numbers to ten digits."""
+    """A value as text: lengths to 1e-6 angstrom, other numbers to ten digits."""
     if isinstance(value, float | np.floating):
         return format(round(float(value), 6) + 0.0 if "angstrom" in name else float(value), ".10g")
     return str(value)
+
+
+def _counted(counts: Mapping[str, int]) -> str:
+    return " ".join(f"{each} x{n}" for each, n in sorted(counts.items()))
 
 
 def _rows(at: str, rows: pd.DataFrame) -> Iterator[tuple[str, str]]:
@@ -236,20 +240,16 @@ def _rows(at: str, rows: pd.DataFrame) -> Iterator[tuple[str, str]]:
             yield at + name, " ".join(_word(name, each) for each in some)
         elif values.map(lambda each: each is None or isinstance(each, str | bool | float | np.bool_)).all():
             counts = Counter(str(each) for each in values)
-            few = counts if len(counts) <= 6 else {min(counts): 1, max(counts): 1, "different": len(counts)}
-            yield at + name, " ".join(f"{each} x{n}" for each, n in sorted(few.items()))
+            yield at + name, _counted(counts) if len(counts) <= 6 else f"different {len(counts)}"
 
 
 def _structure(at: str, structure: "pc.Structure") -> Iterator[tuple[str, str]]:
     """Size, residues, repairs and atoms of a prepared structure."""
-    residue = [
-        f"{chain}:{number}{code}:{name}".replace(" ", "") for chain, number, code, name in zip(
-            structure.residue_chain, structure.residue_number, structure.residue_insertion_code,
-            structure.residue_name, strict=True,
-        )
-    ]  # fmt: skip
+    of = zip(structure.residue_chain, structure.residue_number, structure.residue_insertion_code, strict=True)
+    place = [f"{chain}:{number}{code}".strip() for chain, number, code in of]
     labels = [
-        f"{residue[k]}:{name}" for k, name in zip(structure.atom_residue, structure.atom_name, strict=True)
+        f"{place[k]}:{structure.residue_name[k]}:{atom}"
+        for k, atom in zip(structure.atom_residue, structure.atom_name, strict=True)
     ]
     yield from _cells(at, {
         "n_chains": structure.n_chains, "n_residues": structure.n_residues, "n_bonds": len(structure.bonds),
@@ -271,10 +271,8 @@ def _atoms(at: str, labels: Sequence[object], x: Any) -> Iterator[tuple[str, str
         radius = np.sqrt(((x - centre) ** 2).sum(axis=1).mean())
         yield f"{at}centre_radius_angstrom", " ".join(_word("angstrom", each) for each in (*centre, radius))
     for k in range(0, len(x), max(10, len(x) // 12)):
-        yield (
-            f"{at}atom_{k}_angstrom",
-            " ".join([str(labels[k]), *(_word("angstrom", each) for each in x[k])]),
-        )
+        place = " ".join(_word("angstrom", each) for each in x[k])
+        yield f"{at}atom_{k}_angstrom", f"{labels[k]} {place}"
 
 
 def _file(path: Path) -> Iterator[tuple[str, str]]:
@@ -300,17 +298,17 @@ def _of_structure_file(path: Path) -> Iterator[tuple[str, str]]:
         records = Counter(line[:6].strip() for line in path.read_text().splitlines())
     else:
         block = gemmi.cif.read(str(path)).sole_block()
-        records = Counter(
-            {each: len(block.find_mmcif_category(each)) for each in block.get_mmcif_category_names()}
-        )
-    yield "records", " ".join(f"{each} {n}" for each, n in sorted(records.items()) if each != "REMARK")
+        categories = block.get_mmcif_category_names()
+        records = Counter({each: len(block.find_mmcif_category(each)) for each in categories})
+    del records["REMARK"]
+    yield "records", _counted(records)
     read = gemmi.read_structure(str(path))
     every = [each for model in read for each in model.all()]
-    yield (
-        "elements",
-        " ".join(f"{e} {n}" for e, n in sorted(Counter(a.atom.element.name for a in every).items())),
-    )
-    labels = [f"{a.chain.name}:{a.residue.seqid}:{a.residue.name}:{a.atom.name}" for a in every]
+    yield "elements", _counted(Counter(each.atom.element.name for each in every))
+    labels = [
+        f"{a.chain.name}:{a.residue.seqid}:{a.residue.name}:{a.atom.name} {a.atom.occ:g} {a.atom.b_iso:g}"
+        for a in every
+    ]
     yield from _atoms("", labels, [a.atom.pos.tolist() for a in every])
 
 
