@@ -58,8 +58,8 @@ BENCH = "scene --quick --json -o folder"
 
 LEFT_OUT = re.compile(
     r"seconds|_per_day|^(input|output|file|report|path|structure_file|protochain|python|versions|made|threads|"
-    r"command|engine_reason|message|judge|frame|title|detail|source|first|what|added|(ligand_)?strain_end_kj_mol|ratio|slope\w*|"
-    r"exponent|key|error_of|system_sha256)$"
+    r"command|engine_reason|message|judge|frame|title|detail|source|first|what|added|"
+    r"(ligand_)?strain_end_kj_mol|ratio|slope\w*|exponent|key|error_of|system_sha256)$"
 )
 """Names of what differs by machine, or is a sentence. (Strain at the end is where a minimisation stops.)"""
 SENTENCES = {"repairs", "overlaps", "findings", "lost_atoms", "far_molecules", "confidences", "wrong"}
