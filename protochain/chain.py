@@ -143,14 +143,9 @@ class Chain(Value):
 class Pose(Value):
     """Configuration of a chain at one q: an immutable value, so nothing in it can be stale.
 
-    Parameters
-    ----------
-    q : (n_q,) float
-        Coordinates.
-    frames : Frames
-        World frames of the bodies.
-    x : (na, 3) float, nm
-        Positions of the atoms.
+    q (n_q,): Coordinates.
+    frames: World frames of the bodies.
+    x (na, 3) nm: Positions of the atoms.
     """
 
     q: Floats
@@ -266,15 +261,8 @@ def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulat
 def dihedral(x: Floats) -> float:
     """Dihedral angle of four points from -pi to pi, by atan2, which is accurate at every angle.
 
-    Parameters
-    ----------
-    x : (4, 3) float
-        Points in order along the bonds.
-
-    Returns
-    -------
-    float, rad
-        Angle of IUPAC sign: positive if the far bond is clockwise of the near one, along the middle bond.
+    x (4, 3).
+    -> rad: Angle of IUPAC sign: positive if the far bond is clockwise of the near one, along the middle bond.
     """
     return float(dihedrals(np.asarray(x)[None])[0])
 

@@ -25,19 +25,11 @@ _NEAR = 0.8
 class Overlap:
     """Two nonbonded atoms that overlap.
 
-    Parameters
-    ----------
-    first, second : str
-        Descriptions of the atoms.
-    distance_angstrom : float
-    share : float
-        Distance as a fraction of the sum of the van der Waals radii.
-    remedy : str
-        Methods that can separate them.
-    atoms : (int, int)
-        Their indices.
-    beside : bool
-        Whether one of them is of the protein and the other of a molecule kept beside it.
+    first, second: Descriptions of the atoms.
+    share: Distance as a fraction of the sum of the van der Waals radii.
+    remedy: Methods that can separate them.
+    atoms: Their indices.
+    beside: Whether one of them is of the protein and the other of a molecule kept beside it.
     """
 
     first: str

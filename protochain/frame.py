@@ -25,12 +25,8 @@ class Frame:
     A free run drifts: nothing in its energy knows a place. Its positions are superposed on the start by one
     rigid motion of all atoms, which changes no distance. Where something holds a run, they stay as they are.
 
-    Parameters
-    ----------
-    start : Structure
-        Structure to superpose on.
-    held_by : str
-        What holds the run in place; empty for a free one.
+    start: Structure to superpose on.
+    held_by: What holds the run in place; empty for a free one.
     """
 
     start: Structure

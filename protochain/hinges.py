@@ -24,16 +24,11 @@ ON_AXIS = np.deg2rad(5.0)
 class Hinge:
     """Dihedral or bond angle that is a degree of freedom.
 
-    Parameters
-    ----------
-    chain, residue_name, residue_number, insertion_code : str
-        Residue of the dihedral, as in the file.
-    kind : str
-        ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``; ``angle N`` or ``angle CA``; of a
+    chain, residue_name, residue_number, insertion_code: Residue of the dihedral, as in the file.
+    kind: ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``; ``angle N`` or ``angle CA``; of a
         nucleotide ``alpha``, ``beta``, ``gamma``, ``epsilon``, ``zeta`` or ``base``; ``torsion`` of a ligand
         or a glycan.
-    atoms : tuple of int
-        Four of a dihedral about the bond atoms[1]-atoms[2], or three of a bond angle at atoms[1].
+    atoms: Four of a dihedral about the bond atoms[1]-atoms[2], or three of a bond angle at atoms[1].
     """
 
     chain: str

@@ -30,6 +30,7 @@ import openmm
 import pandas as pd
 from fixtures.tolerances import RECORDED, RECORDED_LENGTH
 
+import bench.scenes
 import protochain as pc
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.results.kinds import kind_of
@@ -52,9 +53,6 @@ MADE = {
     "empty.pdb": ("5awl.pdb", r"(?s).*", ""),
 }
 """Name of a file: the sample it is made of, what is replaced in it, and by what."""
-
-BENCH = "scene --quick --json -o folder"
-"""The command of a scene, whose name follows, which the table calls ``BENCH``."""
 
 LEFT_OUT = re.compile(
     r"seconds|_per_day|^(input|output|file|report|path|structure_file|protochain|python|versions|made|threads|"
@@ -121,7 +119,7 @@ def run(record: Record) -> Cells:
             found = dict(_cells("", _evaluated(record.what[3:].strip())))
         else:
             found = {}
-            for command in record.what.replace("BENCH", BENCH).split(" && "):
+            for command in record.what.split(" && "):
                 found |= _command(shlex.split(command))
         made = sorted(path for path in Path().rglob("[!.]*") if path.is_file() and path not in given)
         of_a_kind: Counter[tuple[Path, str]] = Counter()
@@ -134,7 +132,7 @@ def run(record: Record) -> Cells:
 
 def _evaluated(text: str) -> Any:
     try:
-        return eval(text, {"pc": pc, "np": np})
+        return eval(text, {"pc": pc, "np": np, "bench": bench})
     except pc.ProtochainError as error:
         return _name_of(error)
 

@@ -58,13 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(name: str | None, inputs: Sequence[Path], output: Path, quick: bool, **own: Any) -> list[str]:
-    """Run a study or scene, or all; return a line on each that is wrong.
-
-    Raises
-    ------
-    ProtochainError
-        If there is none of this name, or it takes no such option or no files.
-    """
+    """Run a study or scene, or all; return a line on each that is wrong."""
     known = {**studies.STUDIES, **scenes.SCENES}
     if name is None:
         print("\n".join(f"{each:<{max(map(len, known))}}  {line}" for each, line in known.items()))

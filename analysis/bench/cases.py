@@ -85,18 +85,11 @@ def judged(call: Callable[[], _Found], refusal: Refusal = None) -> tuple[Outcome
 class Check:
     """A value beside what it should be.
 
-    Parameters
-    ----------
-    name : str
-        What is checked, with its unit if it has one.
-    value, oracle : float
-        What came out, and what should.
-    error, bound : float
-        Error and the largest that is allowed; NaN is wrong.
-    source : str
-        Where the oracle comes from.
-    kind : str
-        Whether the error is ``relative`` to the oracle or ``absolute``.
+    name: What is checked, with its unit if it has one.
+    value, oracle: What came out, and what should.
+    error, bound: Error and the largest that is allowed; NaN is wrong.
+    source: Where the oracle comes from.
+    kind: Whether the error is ``relative`` to the oracle or ``absolute``.
     """
 
     name: str
@@ -117,14 +110,9 @@ class Check:
 class Extreme:
     """How an extreme case ended.
 
-    Parameters
-    ----------
-    name : str
-        The case.
-    outcome : str
-        ``right``, ``refused`` where that is expected, or ``wrong``.
-    detail : str
-        Error, bound and oracle, or the words of the refusal.
+    name: The case.
+    outcome: ``right``, ``refused`` where that is expected, or ``wrong``.
+    detail: Error, bound and oracle, or the words of the refusal.
     """
 
     name: str
@@ -141,14 +129,9 @@ class Extreme:
 class LeftOut:
     """Something that the scene does not need, and did not compute.
 
-    Parameters
-    ----------
-    what : str
-        What is left out.
-    ratio : float
-        How many times as long it takes with it.
-    difference, bound : float
-        How much the answer differs, and by how much it may.
+    what: What is left out.
+    ratio: How many times as long it takes with it.
+    difference, bound: How much the answer differs, and by how much it may.
     """
 
     what: str
@@ -166,22 +149,13 @@ class LeftOut:
 class Scene:
     """What a scene has found.
 
-    Parameters
-    ----------
-    name, title : str
-        Name, as in the command, and one line on what it is.
-    checks : tuple of Check
-        Values against oracles.
-    work : pandas.DataFrame
-        Columns ``method``, ``setting``, ``seconds`` and ``error``: :func:`work_table`.
-    extremes : tuple of Extreme
-        Stiff and extreme cases.
-    left_out : tuple of LeftOut
-        What was not computed.
-    tables : mapping of str to pandas.DataFrame
-        More tables by name, for notebooks: traces, sweeps.
-    error_of : str
-        What the error of ``work`` is, with its unit: the axis of the picture.
+    name, title: Name, as in the command, and one line on what it is.
+    checks: Values against oracles.
+    work: Columns ``method``, ``setting``, ``seconds`` and ``error``: :func:`work_table`.
+    extremes: Stiff and extreme cases.
+    left_out: What was not computed.
+    tables: More tables by name, for notebooks: traces, sweeps.
+    error_of: What the error of ``work`` is, with its unit: the axis of the picture.
     """
 
     name: str
@@ -212,19 +186,7 @@ class Scene:
 
 
 def plot_work(scene: Scene) -> Figure:
-    """Draw error against seconds, a line for each method.
-
-    Parameters
-    ----------
-    scene : Scene
-        With its table ``work``.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Both axes are logarithmic; settings without a finite error are left out, and errors of nothing are
-        drawn at 1e-17.
-    """
+    """Draw error against seconds, a line for each method."""
     figure = Figure(figsize=(7, 4.5), layout="constrained")
     ax = figure.subplots()
     draw_lines(ax, scene.work, "seconds", least=1e-17)

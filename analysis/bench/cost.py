@@ -19,12 +19,8 @@ _SHORT, _MOST = 0.1, 1000
 class Timed:
     """Last result of a call, and the seconds of each.
 
-    Parameters
-    ----------
-    result : object
-        What the last call returned.
-    seconds : tuple of float
-        One for each call that counts.
+    result: What the last call returned.
+    seconds: One for each call that counts.
     """
 
     result: Any
@@ -51,25 +47,6 @@ def in_turn(
     """Time calls in turn, so that a slow moment of the machine strikes all.
 
     Dense algebra has one thread: several that wait for each other take a hundred times as long.
-
-    Parameters
-    ----------
-    calls : sequence of callable
-        What is timed.
-    seconds : float
-        For how long in all, by the clock on the wall.
-    turns : int
-        At least so many.
-    row : int
-        Calls of one in a row, if they are short; the first of several finds what the others left in the
-        caches, and is not counted.
-    clock : callable
-        -> seconds: of this process, by default.
-
-    Returns
-    -------
-    list of Timed
-        One for each call.
     """
     results: list[object] = [None] * len(calls)
     taken: list[list[float]] = [[] for _ in calls]

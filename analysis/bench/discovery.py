@@ -6,18 +6,7 @@ from pkgutil import iter_modules
 
 
 def modules(folders: Iterable[str]) -> dict[str, str]:
-    """Modules of a package, with the first lines of their docstrings; none is imported.
-
-    Parameters
-    ----------
-    folders : iterable of str
-        ``__path__`` of the package.
-
-    Returns
-    -------
-    dict of str to str
-        One line on each, by name. A name with an underscore is a part of another, and left out.
-    """
+    """Modules of a package, with the first lines of their docstrings; none is imported."""
     return {
         name: _first_line(Path(folder, name) / "__init__.py" if is_package else Path(folder, f"{name}.py"))
         for folder in folders

@@ -8,18 +8,7 @@ from protochain.core.arrays import Floats
 
 
 def exponent(x: Floats | Iterable[float], y: Floats | Iterable[float]) -> float:
-    """Fit the exponent p of y ~ x^p, by least squares of the logarithms.
-
-    Parameters
-    ----------
-    x, y : (k,) float
-        For example step and error, or size and seconds; points that are not positive and finite are left out.
-
-    Returns
-    -------
-    float
-        NaN of fewer than two points.
-    """
+    """Fit the exponent p of y ~ x^p, by least squares of the logarithms: x, y (k,)."""
     points = np.column_stack([np.asarray(list(x), float), np.asarray(list(y), float)])
     points = np.log(points[np.all(np.isfinite(points) & (points > 0.0), axis=1)])
     if len(np.unique(points[:, 0])) < 2:

@@ -77,15 +77,10 @@ class Processes:
 class Workers:
     """Who does the jobs.
 
-    Parameters
-    ----------
-    submit : callable
-        As of :class:`concurrent.futures.Executor`; its futures know ``add_done_callback``, ``result``,
+    submit: As of :class:`concurrent.futures.Executor`; its futures know ``add_done_callback``, ``result``,
         ``exception`` and ``cancelled``.
-    count : callable
-        Returns how many jobs are done at a time, now.
-    dashboard : str
-        Address of Dask's dashboard, if there is one.
+    count: Returns how many jobs are done at a time, now.
+    dashboard: Address of Dask's dashboard, if there is one.
     """
 
     submit: Callable[..., Any]
@@ -95,13 +90,7 @@ class Workers:
 
 @contextmanager
 def at_work(processes: Processes) -> Iterator[Workers]:
-    """Start threads of this process, or connect to a cluster; what is not done at the end is given up.
-
-    Raises
-    ------
-    ProtochainError
-        If the cluster does not answer, or runs another version of protochain.
-    """
+    """Start threads of this process, or connect to a cluster; what is not done at the end is given up."""
     if processes.scheduler is None:
         # Without sockets: whoever could reach them would run any code as the user.
         with crew(processes.count) as executor:

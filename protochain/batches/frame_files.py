@@ -46,20 +46,12 @@ Watch = Callable[[int, int, FrameResult], None]
 class FramesRun:
     """What a run over frames wrote.
 
-    Parameters
-    ----------
-    csv : Path
-        A row a frame.
-    trajectory : Path, optional
-        Frames that could be used, in their order.
-    topology : Path, optional
-        Structure with the atoms of the trajectory.
-    counts : mapping of str to int
-        Frames of each status.
-    written : int
-        Frames in the trajectory.
-    interrupted : bool
-        Whether it was stopped before all frames were done.
+    csv: A row a frame.
+    trajectory: Frames that could be used, in their order.
+    topology: Structure with the atoms of the trajectory.
+    counts: Frames of each status.
+    written: Frames in the trajectory.
+    interrupted: Whether it was stopped before all frames were done.
     """
 
     csv: Path
@@ -89,13 +81,7 @@ def files_of(table: Path, trajectory: Path | None) -> list[Path]:
 
 
 def check_output(trajectory: Path) -> None:
-    """Refuse an unknown suffix of the output.
-
-    Raises
-    ------
-    ProtochainError
-        Naming it.
-    """
+    """Refuse an unknown suffix of the output."""
     if not format_of(trajectory):
         check_trajectory(trajectory)
 
@@ -113,39 +99,7 @@ def run_frames(
     force: bool = False,
     watch: Watch | None = None,
 ) -> FramesRun:
-    """Do a task to every frame; write a row for each, and the frames that it changed.
-
-    Parameters
-    ----------
-    ensemble : Ensemble
-    frames : Frames
-    task : Task
-    table : Path
-        CSV to write.
-    trajectory : Path, optional
-        ``.xtc`` or ``.dcd``, beside which the topology is written, or a PDB or mmCIF file of models, which is
-        made in memory at the end.
-    hydrogens : bool
-        Whether the trajectory has them.
-    processes : Processes, optional
-        As for :func:`over_frames`.
-    resume : bool
-        Go on after the last frame that an interrupted run has kept.
-    force : bool
-        Begin anew where there is such a run.
-    watch : callable, optional
-
-    Returns
-    -------
-    FramesRun
-
-    Raises
-    ------
-    ProtochainError
-        If there is an interrupted run that is neither to be resumed nor replaced, or one of other settings.
-    WriteError
-        If the disk is full; what was kept can be resumed.
-    """
+    """Do a task to every frame; write a row for each, and the frames that it changed."""
     settings = _settings(ensemble, frames, task, hydrogens)
     files = _Files(ensemble, task, table, trajectory, hydrogens, settings, resume, force)
     interrupted = False

@@ -18,18 +18,7 @@ _MOST_FIGURES = 16
 
 
 def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
-    """Write the page of a run, one file that works offline.
-
-    Parameters
-    ----------
-    run : FramesRun
-    name : str
-        What was done.
-    source : str
-        What the frames are of.
-    path : Path
-        HTML file.
-    """
+    """Write the page of a run, one file that works offline."""
     table = run.table
     usable = table[~table["status"].isin(["refused", "killed", "error", "time-limit"])]
     numbers = usable.drop(columns=[*_NO_QUANTITIES], errors="ignore").select_dtypes("number")

@@ -32,13 +32,8 @@ Act = Callable[[Structure], tuple[dict[str, Any], Floats | None]]
 class Task(Protocol):
     """What is done to every frame; pickled once for each process.
 
-    Parameters
-    ----------
-    name : str
-    columns : tuple of str
-        What a row says beside ``frame``, ``time_ps`` and ``message``.
-    at_a_time : int
-        Frames that a process gets at a time.
+    columns: What a row says beside ``frame``, ``time_ps`` and ``message``.
+    at_a_time: Frames that a process gets at a time.
     """
 
     @property
@@ -59,12 +54,7 @@ class Task(Protocol):
 class RelaxFrames:
     """Relax each frame: :func:`protochain.relax`, with one energy for all.
 
-    Parameters
-    ----------
-    relaxing : RelaxSettings
-    setup : Setup
-    energy : Energy, optional
-        In place of that of the setup.
+    energy: In place of that of the setup.
     """
 
     relaxing: RelaxSettings
@@ -103,13 +93,7 @@ class RelaxFrames:
 
 @dataclass(frozen=True)
 class ValidateFrames:
-    """Measure what is wrong with each frame, and how like a reference it is, as :func:`protochain.validate`.
-
-    Parameters
-    ----------
-    setup : Setup
-    reference : Structure, optional
-    """
+    """What is wrong with each frame, and its likeness to a reference, as :func:`protochain.validate`."""
 
     setup: Setup
     reference: Structure | None = None
@@ -141,11 +125,7 @@ class ValidateFrames:
 class EnergyFrames:
     """Tell what the energy of each frame is made of, as :func:`protochain.energy_terms` by term.
 
-    Parameters
-    ----------
-    setup : Setup
-    between : str, optional
-        Two parts, of whose interaction it is.
+    between: Two parts, of whose interaction it is.
     """
 
     setup: Setup
@@ -216,12 +196,8 @@ class FrameRow(Value):
 class FrameJob:
     """Some frames, for a process.
 
-    Parameters
-    ----------
-    task : Path
-        Pickled ensemble, task and file of the frames.
-    frames : tuple of Frame or int
-        Frames, or their places in the file, which the process reads: damaged ones may end it.
+    task: Pickled ensemble, task and file of the frames.
+    frames: Frames, or their places in the file, which the process reads: damaged ones may end it.
     """
 
     task: Path

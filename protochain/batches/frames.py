@@ -125,20 +125,7 @@ def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensem
 def over_frames(
     ensemble: Ensemble, frames: Frames, task: Task, processes: Processes | None = None
 ) -> Iterator[FrameResult]:
-    """Do a task to every frame, in their order.
-
-    Parameters
-    ----------
-    ensemble : Ensemble
-    frames : Frames
-    task : Task
-    processes : Processes, optional
-        By default all is done in this one.
-
-    Yields
-    ------
-    FrameResult
-    """
+    """Do a task to every frame, in their order."""
     if processes is None:
         act = task.begin(ensemble.structure, None)
         for frame in frames:

@@ -254,12 +254,8 @@ class Job:
 class Row:
     """Result of one method for one structure.
 
-    Parameters
-    ----------
-    record : dict
-        A line of ``summary.csv``.
-    trace : list of dict
-        Lines of ``traces.csv``, thinned.
+    record: A line of ``summary.csv``.
+    trace: Lines of ``traces.csv``, thinned.
     """
 
     record: dict[str, Any]

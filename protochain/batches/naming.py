@@ -17,20 +17,12 @@ from protochain.structure.files import split_name
 class Wanted:
     """What is to be named.
 
-    Parameters
-    ----------
-    path : Path
-        Absolute.
-    root : Path
-        Folder that was given, or that of the file: names of the folders below it are part of the name.
-    model : int, optional
-        Number of the model.
-    key : str
-        Hash of content and settings.
-    methods : tuple of str
-        What is done to it: each result is a file.
-    pose : str
-        Name of the pose of a ligand that is added to it, one of several.
+    path: Absolute.
+    root: Folder that was given, or that of the file: names of the folders below it are part of the name.
+    model: Number of the model.
+    key: Hash of content and settings.
+    methods: What is done to it: each result is a file.
+    pose: Name of the pose of a ligand that is added to it, one of several.
     """
 
     path: Path
@@ -105,21 +97,7 @@ def output_stem(name: str, method: str) -> str:
 
 
 def named_apart(wanted: Sequence[Wanted], earlier: Sequence[Earlier] = ()) -> list[str]:
-    """Name structures after their files, below the folder that all have in common.
-
-    Parameters
-    ----------
-    wanted : sequence of Wanted
-    earlier : sequence of Earlier
-        Results in the folder. Those of the same file, or of a file that has been moved, lend their names;
-        those of others are in nobody's way.
-
-    Returns
-    -------
-    list of str
-        Paths without suffixes, below the folder for the results; no two of them, nor of the files of their
-        results, are the same. Where ``a.pdb`` and ``a.cif`` lie side by side, names have the endings.
-    """
+    """Name structures after their files, below the folder that all have in common."""
     if not wanted:
         return []
     folders = [folder for each in wanted for folder in (absolute(each.root), each.place.parent)]

@@ -31,21 +31,7 @@ def write_page(
     repairs: Sequence[Repair],
     ends: Mapping[str, tuple[Structure, Structure | None]] = MappingProxyType({}),
 ) -> None:
-    """Write ``pages/NAME.html``.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the batch.
-    job : Job
-        Its structure.
-    rows : sequence of Row
-        One a method.
-    repairs : sequence of Repair
-        Changes made to prepare it.
-    ends : mapping of str to Structure and Structure or None
-        Start and end of each method; no end where there is no result.
-    """
+    """Write ``pages/NAME.html``."""
     minimised = SHOWN if {*job.settings.methods} != {RELAX} else ()
     of_relaxed = SHOWN_RELAXED if RELAX in job.settings.methods else ()
     path = folder / "pages" / f"{job.name}.html"
@@ -78,18 +64,7 @@ def _changes(ends: Mapping[str, tuple[Structure, Structure | None]]) -> "pd.Data
 
 
 def curves(rows: Sequence[Row]) -> dict[str, object]:
-    """Lowest energy so far against the logarithm of evaluations, as points of an SVG.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-        One a method.
-
-    Returns
-    -------
-    dict
-        ``low`` and ``high`` in kJ/mol, ``most`` evaluations, and ``lines`` by method.
-    """
+    """Lowest energy so far against the logarithm of evaluations, as points of an SVG."""
     runs = {}
     for row in rows:
         energies = np.array([point["energy_kj_mol"] for point in row.trace])

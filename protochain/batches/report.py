@@ -23,17 +23,7 @@ USABLE = "energy_end_reference_kj_mol"
 
 
 def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -> None:
-    """Write ``report.html``, ``statistics.csv``, ``energy.png``, ``rmsd.png`` and ``seconds.png``.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the batch.
-    table : pandas.DataFrame
-        As ``Batch.table``.
-    summary : dict
-        As ``summary.json``.
-    """
+    """Write ``report.html``, ``statistics.csv``, ``energy.png``, ``rmsd.png`` and ``seconds.png``."""
     usable = table[table[USABLE].notna()]
     methods = usable["method"]
     figures = {
@@ -65,19 +55,7 @@ def _pages(folder: Path) -> set[str]:
 
 
 def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Return the quartiles of the quantities whose distributions are drawn.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        As ``Batch.table``.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row for each method and quantity (its name ends in the unit): ``first_quartile``, ``median``,
-        ``third_quartile``, ``highest`` over the rows with a result.
-    """
+    """Return the quartiles of the quantities whose distributions are drawn."""
     import pandas as pd
 
     usable = table[table[USABLE].notna()]
@@ -108,18 +86,7 @@ def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Sort rows: those without a result, those not converged, the others; in each, largest RMSD first.
-
-    Parameters
-    ----------
-    table : pandas.DataFrame
-        As ``Batch.table``.
-
-    Returns
-    -------
-    pandas.DataFrame
-        The same rows.
-    """
+    """Sort rows: those without a result, those not converged, the others; in each, largest RMSD first."""
     rank = np.where(table[USABLE].isna(), 0, np.where(table["status"] != "converged", 1, 2))
     return (
         table.assign(rank=rank, far=-table["ca_rmsd_angstrom"].astype(float))
@@ -131,24 +98,7 @@ def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
 def plot_distribution(
     values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None, of: str = "structures"
 ) -> Figure:
-    """Plot the cumulative distribution of a quantity, a line for each method.
-
-    Parameters
-    ----------
-    values, methods : pandas.Series
-        Of the same rows; missing values are left out.
-    label : str
-        Name of the quantity, with its unit.
-    ax : matplotlib Axes, optional
-        Where to draw; by default, a new figure.
-    of : str
-        What the rows are of.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Cumulative, so that no bin width is chosen and outliers are seen.
-    """
+    """Plot the cumulative distribution of a quantity, a line for each method."""
     figure, (ax,) = panels(ax, 1, (5.2, 3.6))
     for k, (method, own) in enumerate(values.astype(float).groupby(methods, sort=False)):
         there = np.sort(own.dropna().to_numpy())

@@ -22,14 +22,8 @@ Scored = tuple[str, Interface | str]
 class ScoreJob:
     """A complex whose interfaces are scored.
 
-    Parameters
-    ----------
-    name : str
-    path : Path
-        ``-`` is standard input.
-    setup : Setup
-    interfaces : tuple of str
-        Sides, as ``A,B:C``; all chains in contact by default.
+    path: ``-`` is standard input.
+    interfaces: Sides, as ``A,B:C``; all chains in contact by default.
     """
 
     name: str

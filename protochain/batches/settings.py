@@ -20,24 +20,7 @@ NAME = "settings.json"
 def keep_settings(
     folder: Path, common: BatchSettings, jobs: Sequence[Job], table: str = "summary.csv"
 ) -> None:
-    """Write the settings of a batch to its folder, or refuse to go on with other ones.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the batch.
-    common : BatchSettings
-        Settings of all structures; a manifest may give some of them others.
-    jobs : sequence of Job
-        Structures. New ones may be added, and any left out.
-    table : str
-        Name of the table of results in the folder.
-
-    Raises
-    ------
-    ProtochainError
-        Naming the first setting that differs from that of the results in the folder, or if these have none.
-    """
+    """Write the settings of a batch to its folder, or refuse to go on with other ones."""
     path = folder / NAME
     settings, own = _plain(common), _of_structures(common, jobs)
     if path.exists():

@@ -37,10 +37,7 @@ class ChildError(Exception):
 class Child:
     """A process that runs one job after the other.
 
-    Parameters
-    ----------
-    threads : int
-        Threads for its libraries.
+    threads: Threads for its libraries.
     """
 
     def __init__(self, threads: int) -> None:
@@ -160,15 +157,7 @@ _MOST_AHEAD = 8
 
 @contextmanager
 def started_early(count: int, threads: int) -> Iterator[None]:
-    """Start children while this process still imports and reads; :func:`supervise` takes them up.
-
-    Parameters
-    ----------
-    count : int
-        Threads of the crew to come.
-    threads : int
-        Threads for each child.
-    """
+    """Start children while this process still imports and reads; :func:`supervise` takes them up."""
     _ahead.extend(Child(threads) for _ in range(min(count, _MOST_AHEAD)))
     try:
         yield
@@ -195,11 +184,6 @@ def crew(count: int) -> Iterator[Executor]:
 
     At the end, whatever the reason, jobs that have not begun are cancelled, and all children are ended, also
     in the middle of a job.
-
-    Parameters
-    ----------
-    count : int
-        Threads.
     """
     children = _Children()
     executor = ThreadPoolExecutor(count, "crew", lambda: setattr(_here, "children", children))
@@ -215,24 +199,7 @@ def crew(count: int) -> Iterator[Executor]:
 
 
 def supervise(job: Any, folder: Path, threads: int, time_limit: float) -> list[Any]:
-    """Run a job in this thread's child, started where none is running.
-
-    Parameters
-    ----------
-    job : Job or FrameJob
-        What is done, with its settings.
-    folder : Path
-        Folder of the batch.
-    threads : int
-        Threads for the child.
-    time_limit : float, s
-        Time after which the child is killed; starting it does not count.
-
-    Returns
-    -------
-    list of Row or FrameRow
-        A row for every method, or every frame up to one at which the child ended.
-    """
+    """Run a job in this thread's child, started where none is running: time_limit s."""
     child: Child | None = getattr(_here, "child", None)
     if child is None or not child.is_alive or child.threads != threads:
         if child is not None:

@@ -64,26 +64,12 @@ def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
 class Tables:
     """``summary.csv`` and ``traces.csv`` of a folder, written by one process at a time.
 
-    Parameters
-    ----------
-    folder : Path
-        Created if it does not exist.
-    resume : bool
-        Continue the batch in it; otherwise it may not hold one.
-    name : str
-        Stem of the name of the table.
-    methods : collection of str
-        Those of its rows: its columns are theirs, and those that it has.
-    further : sequence of str
-        More columns.
+    folder: Created if it does not exist.
+    resume: Continue the batch in it; otherwise it may not hold one.
+    name: Stem of the name of the table.
+    methods: Those of its rows: its columns are theirs, and those that it has.
+    further: More columns.
 
-    Raises
-    ------
-    ProtochainError
-        If it holds a batch that is not to be resumed, or another process is writing to it.
-
-    Notes
-    -----
     All rows of a structure are appended by one system call, after its traces: a process that is killed has
     written all of them or none. A loss of power may leave an incomplete row, which is discarded on resuming.
     """
@@ -128,18 +114,7 @@ class Tables:
                 pass
 
     def finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
-        """Discard incomplete rows and rows of superseded inputs; return the jobs that are finished.
-
-        Parameters
-        ----------
-        jobs : sequence of Job
-            All jobs of the batch.
-
-        Returns
-        -------
-        set of (str, str)
-            Identities of the jobs with a row for each method, none of them killed or interrupted.
-        """
+        """Discard incomplete rows and rows of superseded inputs; return the jobs that are finished."""
         of = {job.identity: job for job in jobs}
         names, sources = {job.name for job in jobs}, {_source(origin(job)) for job in jobs}
         groups = defaultdict(list)

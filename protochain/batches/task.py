@@ -29,22 +29,7 @@ if TYPE_CHECKING:
 
 
 def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
-    """Minimise or relax a structure by all methods of a job; write its structures and its page.
-
-    Parameters
-    ----------
-    job : Job
-        Structure and settings.
-    folder : Path
-        Folder for its files.
-    threads : int
-        Threads for the energy.
-
-    Yields
-    ------
-    Row
-        One a method, as it is done. Input that cannot be used is ``refused``; a bug is an ``error``.
-    """
+    """Minimise or relax a structure by all methods of a job; write its structures and its page."""
     began = perf_counter()
     done: list[Row] = []
     ends: dict[str, tuple[Structure, Structure | None]] = {}

@@ -72,13 +72,7 @@ def are_asked(trajectory: Path | None, frames: str | None) -> bool:
 
 
 def only(given: Sequence[str | Path]) -> Path:
-    """The one structure that frames are of.
-
-    Raises
-    ------
-    ProtochainError
-        If there are others.
-    """
+    """The one structure that frames are of."""
     if len(given) != 1 or not (str(given[0]) == "-" or Path(given[0]).is_file()):
         raise ProtochainError("frames are of one structure; give one file before ", Argument("trajectory"))
     return Path(given[0])

@@ -304,17 +304,7 @@ def _name(path: Path) -> str:
 
 
 def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool | None = None) -> None:
-    """Refuse, before any work, outputs that would replace an input or one another or cannot be written.
-
-    Parameters
-    ----------
-    inputs : sequence of Path
-        All files that the command reads, as of :func:`inputs_of`.
-    outputs : sequence of Path
-        All that it may write; of a folder, the files that it may write there.
-    force : bool, optional
-        Whether ``--force`` was given; None for a command that has no such option.
-    """
+    """Refuse, before any work, outputs that would replace an input or one another or cannot be written."""
     from protochain.core.storage import check_writable
 
     outputs = [path for path in outputs if str(path) != STANDARD_OUTPUT]

@@ -22,10 +22,7 @@ def printable(text: str) -> str:
 class Printable:
     """Stream that writes what is printable.
 
-    Parameters
-    ----------
-    raw : text stream
-        Gets it.
+    raw: Gets it.
     """
 
     def __init__(self, raw: TextIO) -> None:

@@ -42,11 +42,7 @@ _LONG = 30.0
 class _Progress:
     """A bar on a terminal; elsewhere a line a minute on standard error.
 
-    Parameters
-    ----------
-    name : str
-    typical, most : int
-        Steps or evaluations that such runs take, and that this one may take at most.
+    typical, most: Steps or evaluations that such runs take, and that this one may take at most.
     """
 
     def __init__(self, name: str, typical: int, most: int) -> None:
@@ -200,17 +196,7 @@ _CALLS = 5
 
 
 def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int, most: int) -> None:
-    """Say before a long run how long it will be.
-
-    Parameters
-    ----------
-    source : path-like
-        Input, as the line names it.
-    chain : Chain
-    energy : Energy
-    evaluations, most : int
-        Evaluations that such runs usually take, and that this one may take.
-    """
+    """Say before a long run how long it will be."""
     x = chain.structure.positions
     # The first call loads kernels and makes neighbour lists; others may wait for a busy core.
     energy(x)

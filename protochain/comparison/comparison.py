@@ -354,20 +354,7 @@ def _figures(comparison: Comparison) -> "dict[str, Figure]":
 
 
 def _page(comparison: Comparison, summary: dict[str, Any], figures: "dict[str, Figure]") -> str:
-    """Render ``report.html``: verdicts, tables, plots, repairs and provenance in one offline file.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    summary : dict
-        ``Comparison.summary()``; every number on the page is also in it or in the CSV files.
-    figures : dict of str to matplotlib.figure.Figure
-
-    Returns
-    -------
-    str
-        HTML. Names from files are escaped.
-    """
+    """Render ``report.html``: verdicts, tables, plots, repairs and provenance in one offline file."""
     of_one = len(comparison.solutions) == 1
     method = comparison.solutions[0].method if of_one else ""
     return render(

@@ -25,18 +25,11 @@ ALPHA = "name CA"
 class Deviation:
     """Deviation of a model from a reference, in angstrom.
 
-    Parameters
-    ----------
-    rmsd : float
-        Of the measured atoms, after superposition on the aligned ones.
-    rmsd_unsuperposed : float
-        Of the same atoms, without superposition.
-    tm_score : float
-        Of the C-alphas, normalised by the reference's length, with tmtools' own alignment (Zhang, Skolnick,
-        Nucleic Acids Res. 33:2302, 2005); NaN below three residues.
-    n_aligned, n_measured : int
-        Numbers of atoms.
-    match : Match
+    rmsd: Of the measured atoms, after superposition on the aligned ones.
+    rmsd_unsuperposed: Of the same atoms, without superposition.
+    tm_score: Of the C-alphas, normalised by the reference's length, with tmtools' own alignment (Zhang,
+        Skolnick, Nucleic Acids Res. 33:2302, 2005); NaN below three residues.
+    n_aligned, n_measured: Numbers of atoms.
     """
 
     rmsd: float
@@ -128,28 +121,7 @@ def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = N
 def rmsd_table(
     reference: str | Path, models: Sequence[str | Path], align: str = ALPHA, measure: str = ALPHA
 ) -> pd.DataFrame:
-    """Measure many files against one: one row per model of each file, failures included.
-
-    Parameters
-    ----------
-    reference : path-like
-        Its first model; ``-`` is standard input.
-    models : sequence of path-like
-        A file that holds only C-alpha atoms is measured by these.
-    align, measure : str
-        As in :func:`deviation`.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``reference``, ``file``, ``model``, the columns of :meth:`Deviation.record`, and ``message``, the
-        reason if nothing could be measured.
-
-    Raises
-    ------
-    StructureError
-        If the reference cannot be used.
-    """
+    """Measure many files against one: one row per model of each file, failures included."""
     first = measurable(reference)
     select(first, align), select(first, measure)
     rows = []
@@ -170,11 +142,7 @@ def rmsd_table(
 class RmsdFrames:
     """Measure the deviation of every frame of an ensemble from a reference.
 
-    Parameters
-    ----------
-    reference : Structure
-    align, measure : str
-        As in :func:`deviation`.
+    align, measure: As in :func:`deviation`.
     """
 
     reference: Structure

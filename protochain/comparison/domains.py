@@ -26,14 +26,9 @@ _MOST_STEPS = 50
 class Domain(NamedTuple):
     """A part that moves as a rigid body.
 
-    Parameters
-    ----------
-    members : (n,) int
-        Points of it.
-    rmsd : float
-        Of its points, superposed by themselves, in their unit.
-    turn : float, degrees
-        Of its motion against that of the largest domain.
+    members (n,) int: Points of it.
+    rmsd: Of its points, superposed by themselves, in their unit.
+    turn degrees: Of its motion against that of the largest domain.
     """
 
     members: Integers
@@ -42,19 +37,7 @@ class Domain(NamedTuple):
 
 
 def rigid_domains(x: Floats, y: Floats) -> list[Domain]:
-    """Find the rigid domains of points (n, 3) that moved from x to y, the largest first.
-
-    Parameters
-    ----------
-    x, y : (n, 3) float, nm
-        Points along a sequence, as C-alphas.
-
-    Returns
-    -------
-    list of Domain
-        Without a point in common. Each point that some domain's motion takes to within the tolerance belongs
-        to the one that takes it nearest.
-    """
+    """Find the rigid domains of points (n, 3) that moved from x to y, the largest first: x, y (n, 3) nm."""
     left, motions = np.arange(len(x)), list[tuple[Floats, Floats]]()
     while len(left) >= LEAST:
         found = _largest(x, y, left)

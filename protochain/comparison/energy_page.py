@@ -22,18 +22,7 @@ _SHOWN = 25
 def write_energies(
     structure: Structure, energy: Energy, path: Path, between: Sequence[str] | str | None = None
 ) -> None:
-    """Write the page of an energy, one file that works offline.
-
-    Parameters
-    ----------
-    structure : Structure
-    energy : Energy
-        Its energy, by the native engine.
-    path : Path
-        HTML file.
-    between : two str, or one text, optional
-        Two parts of the structure, as of :func:`protochain.energy_terms`: then of their interaction.
-    """
+    """Write the page of an energy, one file that works offline."""
     terms = energy_terms(structure, "term", between=between, energy=energy).T
     residues = energy_terms(structure, "residue", between=between, energy=energy)
     (first, *_) = colourings = list(of_energies({structure.name: residues[list(TERMS)].to_numpy().T}))

@@ -19,19 +19,7 @@ _OF_OTHERS = ("pages", "summary.parquet", "checkpoint.npz", "log.csv", "log.part
 
 
 def check_folder(folder: Path, force: bool) -> None:
-    """Check the folder of a comparison before any work is done.
-
-    Parameters
-    ----------
-    folder : Path
-    force : bool
-        Replace the comparison in it.
-
-    Raises
-    ------
-    ProtochainError
-        If it is not writable, holds a comparison that is not to be replaced, or holds something else.
-    """
+    """Check the folder of a comparison before any work is done."""
     check_writable(folder / _PAGE)
     other = [name for name in _OF_OTHERS if (folder / name).exists()]
     if other:

@@ -32,13 +32,8 @@ its length at this step, 6e-8 at 1e-5 and as much again at 1e-6.
 class Torques:
     """Torques of an energy near one point of a chain.
 
-    Parameters
-    ----------
-    chain : Chain
-    energy : Energy
-        Of all terms.
-    q : (n_q,) float
-        The point.
+    energy: Of all terms.
+    q (n_q,): The point.
     """
 
     chain: Chain
@@ -118,13 +113,7 @@ class Torques:
 
 
 def torques_at(chain: Chain, energy: Energy, q: Any) -> Torques:
-    """Torques near q, or near the chain's own start.
-
-    Raises
-    ------
-    ProtochainError
-        If q has another shape, or is not finite, or the torques are not.
-    """
+    """Torques near q, or near the chain's own start."""
     q = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     if not np.isfinite(q).all():
         at = int(np.argmin(np.isfinite(q)))

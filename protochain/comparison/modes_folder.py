@@ -93,20 +93,7 @@ def write_modes(
 ) -> dict[str, Any]:
     """Write tables, the structure, swings of the lowest modes and the page; return the record.
 
-    Parameters
-    ----------
-    modes : NormalModes
-    folder : Path
-    told : mapping
-        What the caller adds to the record.
-    temperature : float, K
-        Of fluctuations and entropy.
-    suffix, trajectory : str
-        Format of the structure, with its point, and of the swings.
-    amplitude : float, angstrom
-        Of the swings, as of :meth:`NormalModes.swing`.
-    other : Structure, optional
-        With which modes are compared.
+    temperature K, amplitude angstrom.
     """
     table, tables = modes.table(), {}
     found = record_of(modes, temperature) | dict(told)

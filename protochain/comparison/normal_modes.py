@@ -67,11 +67,7 @@ _SWEEPS = 200
 class Inertia:
     """Mass matrix of the freedoms of a chain without its motion as a whole.
 
-    Parameters
-    ----------
-    chain, pose : Chain, Pose
-    whole : (n_v, 0 or 6) float
-        Rigid motions of what nothing holds.
+    whole (n_v, 0 or 6): Rigid motions of what nothing holds.
     """
 
     chain: Chain

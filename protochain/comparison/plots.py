@@ -21,22 +21,7 @@ _SAME = 0.1
 
 
 def plot_energy(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
-    """Energy against evaluations and against seconds.
-
-    Parameters
-    ----------
-    traces : pandas.DataFrame
-        As ``Comparison.traces``.
-    title : str
-    ax : matplotlib Axes, or a sequence of two, optional
-        Where to draw; a single one gets the first panel, against evaluations. By default, a new figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Lowest energy so far of each run. Evaluations and seconds are logarithmic; if clashes make energies
-        span decades, so is the energy above the lowest of all.
-    """
+    """Energy against evaluations and against seconds."""
     _, axes = panels(ax, 2, (10, 4.2), sharey=True)
     styles = _styles(traces["method"].unique())
     traces = traces[np.isfinite(traces["energy_kj_mol"])]
@@ -59,22 +44,7 @@ def plot_work_precision(
     title: str,
     ax: Any = None,
 ) -> PlainFigure:
-    """Energy above the lowest end against evaluations and against seconds (work-precision diagram).
-
-    Parameters
-    ----------
-    traces, work : pandas.DataFrame
-        As ``Comparison.traces`` and ``Comparison.work``.
-    groups : mapping of str to sequence of str
-        Methods with the same degrees of freedom, and so the same lowest end: one row of panels each.
-    title : str
-    ax : sequence of matplotlib Axes, optional
-        Where to draw: two for each row. By default, a new figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """Energy above the lowest end against evaluations and against seconds (work-precision diagram)."""
     groups = {name: methods for name, methods in groups.items() if methods}
     n = len(groups)
     _, every = panels(ax, (n, 2), (10, 0.6 + 3.6 * n), least=2 * n, sharex="col", sharey=True)
@@ -92,21 +62,7 @@ def plot_work_precision(
 
 
 def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
-    """Largest torque against evaluations and against seconds.
-
-    Parameters
-    ----------
-    traces : pandas.DataFrame
-        As ``Comparison.traces``.
-    title : str
-    ax : matplotlib Axes, or a sequence of two, optional
-        Where to draw; a single one gets the first panel, against evaluations. By default, a new figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Logarithmic in both. Torques are not recorded while all atoms move; the title names those methods.
-    """
+    """Largest torque against evaluations and against seconds."""
     _, axes = panels(ax, 2, (10, 4.2), sharey=True)
     styles = _styles(traces["method"].unique())
     drawn = traces["max_torque_kj_mol_rad"] > 0.0
@@ -157,22 +113,7 @@ def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: S
 
 
 def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
-    """C-alpha RMSD to the start along each run, and between all ends.
-
-    Parameters
-    ----------
-    traces : pandas.DataFrame
-        As ``Comparison.traces``.
-    rmsd : pandas.DataFrame
-        As ``Comparison.rmsd``, angstrom.
-    title : str
-    ax : matplotlib Axes, or a sequence of two, optional
-        Where to draw; a single one gets the first panel, along the runs. By default, a new figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-    """
+    """C-alpha RMSD to the start along each run, and between all ends."""
     _, axes = panels(ax, 2, (10, 4.2), width_ratios=(1.3, 1))
     left = axes[0]
     styles = _styles(traces["method"].unique())
@@ -204,21 +145,7 @@ def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
 
 
 def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
-    """Displacement of each C-alpha from the start.
-
-    Parameters
-    ----------
-    displacements : pandas.DataFrame
-        As ``Comparison.displacements``, angstrom.
-    title : str
-    ax : matplotlib Axes, optional
-        Where to draw; by default, a new figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One line per method; vertical lines separate the chains.
-    """
+    """Displacement of each C-alpha from the start."""
     _, axes = panels(ax, 1, (10, 3.8))
     (panel,) = axes
     place = np.arange(1, len(displacements) + 1)
@@ -238,22 +165,7 @@ def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -
 
 
 def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: Any = None) -> PlainFigure:
-    """Change of torsions along the sequence, over how far the C-alphas moved.
-
-    Parameters
-    ----------
-    changes : mapping of str to pandas.DataFrame
-        ``Differences.residues`` by the names of the ends, of the same residues.
-    title : str
-    ax : matplotlib Axes, optional
-        Where to draw, two or the first; by default, a new figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Of one end the largest changes of backbone and of side chains; of several the root mean square of
-        each residue's torsions, a line each.
-    """
+    """Change of torsions along the sequence, over how far the C-alphas moved."""
     _, axes = panels(ax, (2, 1), (10, 6), least=1)
     top, bottom = axes[0], axes[-1]
     styles = _styles(changes)
@@ -296,21 +208,7 @@ def _places(residues: pd.DataFrame) -> dict[int, str]:
 
 
 def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> PlainFigure:
-    """Ramachandran plots of the start and of every end.
-
-    Parameters
-    ----------
-    angles : dict of str to (n, 2) float
-        Phi and psi in degrees, by ``start`` and method; the start first.
-    title : str
-    ax : sequence of matplotlib Axes, optional
-        Where to draw: one for each. By default, a new figure.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        One panel each, over the favoured and allowed regions of most residues (Top8000).
-    """
+    """Ramachandran plots of the start and of every end."""
     columns = min(3, len(angles))
     rows = -(-len(angles) // columns)
     shape = (rows, columns) if ax is None else len(angles)

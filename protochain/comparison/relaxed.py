@@ -19,16 +19,7 @@ from protochain.structure.losses import told
 
 
 def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path) -> None:
-    """Write the page of a relaxation, one file that works offline.
-
-    Parameters
-    ----------
-    relaxation : Relaxation
-    record : mapping
-        Its record, with what the caller adds.
-    path : Path
-        HTML file.
-    """
+    """Write the page of a relaxation, one file that works offline."""
     strength = relaxation.settings.strength
     changes = of_ends(relaxation.ends())
     figure = plot_differences({name: each.residues for name, each in changes.items()}, relaxation.start.name)

@@ -26,20 +26,7 @@ _FULL = 10.0
 def write_scored(
     interfaces: Sequence[Interface], rows: Sequence[Mapping[str, Any]], path: Path, setup: Setup, rank: str
 ) -> None:
-    """Write the page of scored interfaces, one file that works offline.
-
-    Parameters
-    ----------
-    interfaces : sequence of Interface
-    rows : sequence of mapping
-        Their records, with their ``file``.
-    path : Path
-        HTML file.
-    setup : Setup
-        Of the energies.
-    rank : str
-        Column by which they are sorted; empty if by none.
-    """
+    """Write the page of scored interfaces, one file that works offline."""
     known = {**SCORES, **CONFIDENCES}
     write_page(
         path,

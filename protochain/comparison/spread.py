@@ -11,19 +11,7 @@ from protochain.structure import ca_rmsd
 
 
 def spread(runs: Sequence[Solution]) -> dict[str, object]:
-    """Measure the spread of the runs of one method from one start.
-
-    Parameters
-    ----------
-    runs : sequence of Solution
-        A single one if the method repeats exactly.
-
-    Returns
-    -------
-    dict
-        ``method``, ``runs``, ``repeats_exactly``, ``converged`` (how many), lowest, median and highest
-        energy, largest C-alpha RMSD between any two ends (superposed), median evaluations and seconds.
-    """
+    """Measure the spread of the runs of one method from one start."""
     first = runs[0]
     energies = [s.end.energy for s in runs]
     apart = [ca_rmsd(first.structure, a.x, b.x) for a, b in combinations(runs, 2)]

@@ -7,19 +7,7 @@ import pandas as pd
 
 
 def at_equal_cost(traces: pd.DataFrame) -> pd.DataFrame:
-    """Lowest energy so far of each method at equal evaluations and at equal seconds.
-
-    Parameters
-    ----------
-    traces : pandas.DataFrame
-        As ``Comparison.traces``.
-
-    Returns
-    -------
-    pandas.DataFrame
-        ``cost`` (evaluations or seconds), ``at``, and one column per method, kJ/mol: NaN before its first
-        point, the final value after its last. Costs are 1, 3, 10, 30 ... up to that of the longest run.
-    """
+    """Lowest energy so far of each method at equal evaluations and at equal seconds."""
     parts = []
     for cost in ("evaluations", "seconds"):
         grid = _grid(traces[cost])
@@ -39,18 +27,7 @@ WITHIN = (100.0, 10.0, 1.0)
 def work_to_reach(traces: pd.DataFrame, lowest: Mapping[str, float]) -> pd.DataFrame:
     """Evaluations and seconds until each method first came within ``WITHIN`` of the lowest end.
 
-    Parameters
-    ----------
-    traces : pandas.DataFrame
-        As ``Comparison.traces``.
-    lowest : mapping of str to float, kJ/mol
-        Energy against which each method is measured.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per method: ``method``, ``lowest_kj_mol``, and for each cost and each of ``WITHIN`` a column
-        like ``evaluations_within_10_kj_mol``; NaN if never reached.
+    lowest kJ/mol.
     """
     rows = []
     for method, run in traces.groupby("method", sort=False):

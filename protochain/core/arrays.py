@@ -55,11 +55,6 @@ def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "")
 
     Kernels do not check shapes. And numba compiles writable and read-only arrays separately, but may call
     either code for either, whichever was compiled first: rounding would depend on earlier calls.
-
-    Raises
-    ------
-    ProtochainError
-        If the shape is another; the message names the array and both shapes. If they are no numbers.
     """
     if hasattr(values, "value_in_unit"):
         if not unit:

@@ -50,13 +50,7 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def refuse_misplaced(call: str, name: str) -> None:
-    """Refuse an option that another call takes, and say which; do nothing about others.
-
-    Raises
-    ------
-    ProtochainError
-        Naming both.
-    """
+    """Refuse an option that another call takes, and say which; do nothing about others."""
     place = next((place for place, names in _TAKEN_BY.items() if name in names.split()), None)
     if name == "chain" or place:
         takes = (
@@ -226,13 +220,7 @@ def text(value: Any, name: str) -> str:
 
 
 def refuse_unknown(value: str, name: str, known: Iterable[str]) -> None:
-    """Refuse a word that is not among those known.
-
-    Raises
-    ------
-    ProtochainError
-        Naming these.
-    """
+    """Refuse a word that is not among those known."""
     if value not in known:
         raise ProtochainError(Argument(name), f" {value!r} is not known; choose from {', '.join(known)}")
 

@@ -14,11 +14,7 @@ _MAKE_SPACE = "free space there, or give another place, and run again"
 class Argument:
     """An argument in a message; its text is that of Python, as ``time_step`` or ``keep="all"``.
 
-    Parameters
-    ----------
-    name : str
-    value : str or True, optional
-        What to give.
+    value: What to give.
     """
 
     name: str
@@ -108,15 +104,9 @@ def refused(name: str, given: object, *remedy: object) -> ProtochainError:
 class WriteError(ProtochainError):
     """A file that could not be written, mostly for want of space.
 
-    Parameters
-    ----------
-    path : path-like
-    why : str
-        The system's reason.
-    saved : str
-        What was saved besides.
-    *remedy : str or Argument
-        What to do, in parts.
+    why: The system's reason.
+    saved: What was saved besides.
+    *remedy: What to do, in parts.
     """
 
     def __init__(self, path: object, why: str, saved: str = "", *remedy: str | Argument) -> None:
@@ -167,13 +157,8 @@ class MechanicsError(ProtochainError):
 class BodyError(MechanicsError):
     """What is wrong with one body of a tree.
 
-    Parameters
-    ----------
-    body : int
-        Its number.
-    said : str
-        What is wrong, and what to do.
-    fault : Fault, optional
+    body: Its number.
+    said: What is wrong, and what to do.
     """
 
     def __init__(self, body: int, said: str, fault: Fault | None = None) -> None:

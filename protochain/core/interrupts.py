@@ -47,13 +47,7 @@ def held_interrupts() -> Iterator[list[int]]:
 
 @contextmanager
 def open_to_interrupts() -> Iterator[None]:
-    """Raise KeyboardInterrupt at once within :func:`held_interrupts`, where nothing is lost by it.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        Also if a signal was received before.
-    """
+    """Raise KeyboardInterrupt at once within :func:`held_interrupts`, where nothing is lost by it."""
     holding = {
         number: handler for number in _SIGNALS if isinstance(handler := signal.getsignal(number), _Noted)
     }
@@ -72,15 +66,7 @@ def open_to_interrupts() -> Iterator[None]:
 
 
 def answering(call: Callable[[], Result], held: bool = False) -> Result:
-    """Make a long call that lets other threads run, and let KeyboardInterrupt be raised meanwhile.
-
-    Parameters
-    ----------
-    call : callable
-        Goes on in a thread of its own when it is given up; the thread does not outlive the process.
-    held : bool
-        Whether to raise it for signals that are held, too.
-    """
+    """Make a long call that lets other threads run, and let KeyboardInterrupt be raised meanwhile."""
     if current_thread() is not main_thread():
         return call()
     handlers = [signal.getsignal(number) for number in _SIGNALS] if held else []

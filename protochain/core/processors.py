@@ -18,15 +18,7 @@ def processors() -> int:
 
 
 def allowed(root: Path, own: Path) -> float:
-    """Return the processors' worth of time that control groups allow, at most 1e6.
-
-    Parameters
-    ----------
-    root : Path
-        Where control groups are mounted.
-    own : Path
-        File with the groups of this process, one on each line: number, controllers and path.
-    """
+    """Return the processors' worth of time that control groups allow, at most 1e6."""
     most = 1e6
     for line in _text(own).splitlines():
         _, controllers, path = line.split(":", 2)

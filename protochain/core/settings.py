@@ -19,23 +19,14 @@ P = ParamSpec("P")
 class Setting:
     """What commands and manifests know of a field beside its name and default.
 
-    Parameters
-    ----------
-    check : callable
-        (value, name) -> the value that functions work with, as those of :mod:`protochain.core.checks`.
-    help : str
-        Of the option; a field without help has none.
-    kind : type
-        Of what an option or a cell of a manifest gives.
-    option : str
-        The option's names, where they are not the field's, the first of which is said; one that begins with
-        ``--no-`` turns a field off that is on.
-    read : callable, optional
-        (what is given) -> value of the field; as of degrees.
-    metavar : str, optional
-        What stands for the value in the help.
-    word : tuple of (str, str, str), optional
-        A further option without a value: its name, its help, and what it puts before the values given.
+    check: (value, name) -> the value that functions work with, as those of :mod:`protochain.core.checks`.
+    help: Of the option; a field without help has none.
+    kind: Of what an option or a cell of a manifest gives.
+    option: The option's names, where they are not the field's, the first of which is said; one that begins
+        with ``--no-`` turns a field off that is on.
+    read: (what is given) -> value of the field; as of degrees.
+    metavar: What stands for the value in the help.
+    word: A further option without a value: its name, its help, and what it puts before the values given.
     """
 
     check: Check

@@ -31,13 +31,7 @@ def _finite(values: Any) -> Any:
 
 
 def check_writable(path: Path) -> None:
-    """Refuse a path to which no file can be written.
-
-    Raises
-    ------
-    ProtochainError
-        Naming the path and the reason.
-    """
+    """Refuse a path to which no file can be written."""
     if path.is_dir():
         raise ProtochainError(f"{path}: is a folder; give the name of a file")
     folder = next(parent for parent in path.absolute().parents if parent.exists())
@@ -51,13 +45,7 @@ def check_writable(path: Path) -> None:
 
 
 def regular(path: Path) -> Path:
-    """Return a path as it is, unless what is there is no file: to read a pipe or a device may never end.
-
-    Raises
-    ------
-    ProtochainError
-        Naming the path.
-    """
+    """Return a path as it is, unless what is there is no file: to read a pipe or a device may never end."""
     if path.exists() and not path.is_file():
         raise ProtochainError(f"{path}: is not a regular file; give the name of one")
     return path
@@ -65,13 +53,7 @@ def regular(path: Path) -> Path:
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Name the file in errors of writing to it: the system's own errors name none, or a temporary one.
-
-    Raises
-    ------
-    WriteError
-        In place of any OSError, as when the disk is full.
-    """
+    """Name the file in errors of writing to it: the system's own errors name none, or a temporary one."""
     try:
         yield
     except OSError as error:
@@ -79,25 +61,13 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Call ``write`` with a temporary path beside ``path``, then rename it: no file is ever half written.
-
-    Raises
-    ------
-    WriteError
-        If it cannot be written; what was there before remains.
-    """
+    """Call ``write`` with a temporary path beside ``path``, then rename it: no file is ever half written."""
     with writing(path):
         _write_atomically(path, write)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write text atomically, as UTF-8; of names that are none, other bytes as ``repr`` has them.
-
-    Raises
-    ------
-    WriteError
-        If it cannot be written.
-    """
+    """Write text atomically, as UTF-8; of names that are none, other bytes as ``repr`` has them."""
     write_atomically(path, lambda to: to.write_text(text, encoding="utf-8", errors="backslashreplace"))
 
 
@@ -119,13 +89,7 @@ def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 @contextmanager
 def claimed(folder: Path, kind: str) -> Iterator[None]:
-    """Hold a folder, created if needed, for one process; a folder that stays empty is removed afterwards.
-
-    Raises
-    ------
-    ProtochainError
-        If another process, of this ``kind`` (``comparison``), holds it.
-    """
+    """Hold a folder, created if needed, for one process; a folder that stays empty is removed afterwards."""
     from filelock import FileLock, Timeout
 
     with writing(folder):
@@ -160,23 +124,7 @@ def write_arrays(
 def read_arrays(
     path: Path, settings: Mapping[str, Any], kind: str, *remedy: str | Argument
 ) -> tuple[dict[str, np.ndarray], Any]:
-    """Read a checkpoint that :func:`write_arrays` wrote for a run with the same settings.
-
-    Parameters
-    ----------
-    path : Path
-    settings : mapping of plain values
-        The first of them tells the kinds of run apart.
-    kind : str
-        What runs it should be of.
-    *remedy : str or Argument
-        What to do if it is not, in parts.
-
-    Raises
-    ------
-    ProtochainError
-        If the file cannot be read, or belongs to a run with other settings.
-    """
+    """Read a checkpoint that :func:`write_arrays` wrote for a run with the same settings."""
     try:
         with regular(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             _check_sizes(file)
@@ -202,13 +150,7 @@ def read_arrays(
 
 
 def fitting(arrays: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
-    """Array of a checkpoint that a run can use.
-
-    Raises
-    ------
-    ValueError
-        If it is missing, of another shape or type, or not finite.
-    """
+    """Array of a checkpoint that a run can use."""
     found = arrays.get(name)
     if not isinstance(found, np.ndarray) or found.dtype != np.float64 or found.shape != shape:
         raise ValueError(f"{name} is not {shape} numbers")
@@ -219,13 +161,7 @@ def fitting(arrays: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Flo
 
 @contextmanager
 def undamaged(path: Path, *remedy: str | Argument) -> Iterator[None]:
-    """Say of which checkpoint it is that something does not fit.
-
-    Raises
-    ------
-    ProtochainError
-        In place of what reading damaged parts raises.
-    """
+    """Say of which checkpoint it is that something does not fit."""
     try:
         yield
     except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:

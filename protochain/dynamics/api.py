@@ -234,13 +234,7 @@ class _Run:
 
 
 def freed(chain: Chain, settings: SimulationSettings) -> Chain:
-    """Chain as it is simulated: a root that ``auto`` has fixed is freed, and hydrogens have their mass.
-
-    Raises
-    ------
-    ProtochainError
-        If it has not what is to be pulled, or no hinges for springs.
-    """
+    """Chain as it is simulated: a root that ``auto`` has fixed is freed, and hydrogens have their mass."""
     made = with_free_root(chain, settings.hydrogen_mass)
     if settings.pull is not None:
         check_pull(settings.pull, made)

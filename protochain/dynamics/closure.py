@@ -105,10 +105,7 @@ class Closure:
     def _turned_lines(self, frames: Frames, twists: Floats) -> Floats:
         """(nb, 6) float: loads whose torques are what :meth:`rows` change beyond turning with their bodies.
 
-        Parameters
-        ----------
-        twists : (m, nb, 6) float
-            For each row the twists of the bodies that it is multiplied with.
+        twists (m, nb, 6).
         """
         ends = self.ends(frames)
         line = ends[:, 1] - ends[:, 0]

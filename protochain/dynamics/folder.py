@@ -41,14 +41,7 @@ def files_of(path: Path, suffix: str) -> list[Path]:
 
 
 def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
-    """Check the output folder before any work is done.
-
-    Raises
-    ------
-    ProtochainError
-        If the folder holds a simulation that is neither to be resumed nor, by ``force``, replaced, holds none
-        to resume, or is not writable.
-    """
+    """Check the output folder before any work is done."""
     check_trajectory(path / f"trajectory.{suffix}")
     check_writable(path / CHECKPOINT)
     there = [name for name in (CHECKPOINT, "log.csv", _PART) if (path / name).exists()]
@@ -88,15 +81,9 @@ class Folder:
     ``trajectory.dcd`` (or ``.xtc``) and ``log.csv`` are named ``trajectory.part.dcd`` and ``log.part.csv``
     until the run has ended without becoming unstable.
 
-    Parameters
-    ----------
-    path : Path
-    suffix : str
-        ``dcd`` or ``xtc``.
-    settings : mapping of plain values
-        Settings that a run must share to resume from the checkpoint.
-    constants : mapping of str to array
-        What the run measures at its start and keeps, by names of ``CONSTANTS``.
+    suffix: ``dcd`` or ``xtc``.
+    settings: Settings that a run must share to resume from the checkpoint.
+    constants: What the run measures at its start and keeps, by names of ``CONSTANTS``.
     """
 
     def __init__(
@@ -128,22 +115,7 @@ class Folder:
         first: Callable[[Phase], Bath],
         columns_of: Callable[[State, Floats], list[str]],
     ) -> tuple[State, list[dict[str, float]], Floats]:
-        """Open the files of an earlier run and truncate them to its last checkpoint.
-
-        Parameters
-        ----------
-        tree, structure : Tree, Structure
-        frame_interval : float, ps
-        first : callable
-            Bath of the run's thermostat at its start.
-        columns_of : callable
-            Columns of the log, of a state and the positions (na, 3) at the start.
-
-        Returns
-        -------
-        State, list of dict, (na, 3) float
-            State at the checkpoint, rows logged so far, and positions the neighbour lists were made at.
-        """
+        """Open the files of an earlier run and truncate them to its last checkpoint: frame_interval ps."""
         arrays, values = _read(self.path, self.settings)
         with undamaged(self.path / CHECKPOINT, *_AGAIN):
             state = _state(tree, arrays, values)
@@ -221,13 +193,7 @@ class Folder:
             self._frames.close()
 
     def rescue(self) -> str:
-        """Keep what the last checkpoint counts, under final names, after a file could not be written.
-
-        Returns
-        -------
-        str
-            What is saved; empty if nothing is, as before the first checkpoint.
-        """
+        """Keep what the last checkpoint counts, under final names, after a file could not be written."""
         if hasattr(self, "_file"):
             with suppress(OSError):  # What a full disk did not take is still in the buffer.
                 self._file.close()
@@ -256,13 +222,7 @@ class Folder:
 
 @contextmanager
 def rescued(folder: Folder | None) -> Iterator[None]:
-    """Keep what can be kept of a simulation when a file cannot be written, and say what and how to go on.
-
-    Raises
-    ------
-    WriteError
-        The same, with what was saved.
-    """
+    """Keep what can be kept of a simulation when a file cannot be written, and say what and how to go on."""
     try:
         yield
     except WriteError as error:

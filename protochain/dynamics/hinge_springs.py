@@ -19,17 +19,11 @@ from protochain.mechanics.multibody.articulated import Articulated, solve
 class HingeSprings:
     """Springs on hinges: E = k (1 - cos(q - q0)) for dihedrals, k/2 (q - q0)^2 for bond angles.
 
-    Parameters
-    ----------
-    n_v : int
-        Number of freedoms.
-    at_q, at_v : (m,) int
-        Their coordinates and freedoms.
-    stiffness : (m,) float, kJ/mol/rad^2
-    rest : (m,) float, rad
-        Values without torque.
-    is_angle : (m,) bool
-        Whether each is a bond angle.
+    n_v: Number of freedoms.
+    at_q, at_v (m,) int: Their coordinates and freedoms.
+    stiffness (m,) kJ/mol/rad^2.
+    rest (m,) rad: Values without torque.
+    is_angle (m,) bool: Whether each is a bond angle.
     """
 
     n_v: int
@@ -53,17 +47,10 @@ class HingeSprings:
 class Dampers:
     """Dampers of hinges: torques -c qd, and sqrt(2 c kT) times white noise.
 
-    Parameters
-    ----------
-    at_v : (m,) int
-        Their freedoms, each once.
-    damping : (m,) float, kJ/mol ps/rad^2
-        Constants c, above 0.
-    thermal_energy : float, kJ/mol
-        Value of kT; 0 for no noise.
+    at_v (m,) int: Their freedoms, each once.
+    damping (m,) kJ/mol ps/rad^2: Constants c, above 0.
+    thermal_energy kJ/mol: Value of kT; 0 for no noise.
 
-    Notes
-    -----
     At constant q torques at the hinges S change their rates u = S^T qd by W = S^T M^-1 S, so that
     du = -W C u dt + W sqrt(2 kT C) dw. With C^1/2 W C^1/2 = V L V^T this is m scalar equations for
     z = V^T C^1/2 u, each of whose solutions over a time t is z exp(-L t) and a normal number of variance
@@ -110,13 +97,7 @@ def _moved(system: System, factors: Articulated, p: Floats) -> Floats:
 
 
 def hinges_of(spring: HingeSpring, chain: Chain) -> Integers:
-    """Hinges of a chain that a spring is for, by number.
-
-    Raises
-    ------
-    ChainError
-        If there are none.
-    """
+    """Hinges of a chain that a spring is for, by number."""
     found = np.flatnonzero([_is_kind(hinge, spring.kind) for hinge in chain.hinges])
     if not len(found):
         opened = " ".join(dict.fromkeys([*chain.opened.split(), spring.kind]))
@@ -134,13 +115,7 @@ def _is_kind(hinge: Hinge, kind: str) -> bool:
 
 
 def hinge_springs(springs: Sequence[HingeSpring], chain: Chain, q: Floats) -> HingeSprings | None:
-    """Springs of these settings for a chain that starts at q, where they have no torque; None without any.
-
-    Raises
-    ------
-    ChainError
-        If the chain has no hinge of a kind.
-    """
+    """Springs of these settings for a chain that starts at q, where they have no torque; None without any."""
     if not springs:
         return None
     each = [hinges_of(spring, chain) for spring in springs]
@@ -158,13 +133,7 @@ def hinge_springs(springs: Sequence[HingeSpring], chain: Chain, q: Floats) -> Hi
 
 
 def dampers(springs: Sequence[HingeSpring], chain: Chain, thermal_energy: float) -> Dampers | None:
-    """Dampers of these settings for a chain, with noise for kT in kJ/mol, 0 for none; None without any.
-
-    Raises
-    ------
-    ChainError
-        If the chain has no hinge of a kind.
-    """
+    """Dampers of these settings for a chain, with noise for kT in kJ/mol, 0 for none; None without any."""
     damping = np.zeros(chain.n_v)
     for spring in springs:
         damping[chain.tree.v_start[chain.hinge_body[hinges_of(spring, chain)]]] += spring.damping

@@ -27,23 +27,13 @@ _KEPT = 1e-9
 class MovingSpring:
     """Spring E = k/2 (r - l)^2 between two points, with l = l0 + v t, at least 0.
 
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    body : (m,) int
-        Bodies that carry the two places.
-    local : (m, 3) float, nm
-        Points of these bodies, in their frames.
-    share : (m,) float
-        Weights with which they add up to the vector from the first place to the second.
-    stiffness, speed : float, kJ/mol/nm^2 and nm/ps
-        Constants k and v.
-    start : float, nm
-        Length at rest at time 0, l0.
+    tree: Rigid bodies.
+    body (m,) int: Bodies that carry the two places.
+    local (m, 3) nm: Points of these bodies, in their frames.
+    share (m,): Weights with which they add up to the vector from the first place to the second.
+    stiffness, speed: Constants k and v.
+    start nm: Length at rest at time 0, l0.
 
-    Notes
-    -----
     The spring takes the work of whoever moves it, -k v (r - l) dt; the molecule takes what it gives back, so
     that work is that of the load plus the energy in the spring. It is the work in Jarzynski's equation,
     Phys. Rev. Lett. 78:2690 (1997), with the spring as part of the system: Hummer, Szabo, Proc. Natl. Acad.
@@ -119,27 +109,13 @@ class MovingSpring:
 
 
 def places_of(pull: Pull, structure: Structure) -> tuple[Integers, Integers]:
-    """Atoms of the two places.
-
-    Raises
-    ------
-    StructureError
-        If there are none of a name.
-    """
+    """Atoms of the two places."""
     first, second = (atoms_at(structure, place) for place in pull.between)
     return first, second
 
 
 def check_pull(pull: Pull, chain: Chain) -> None:
-    """Check that a spring between these places of a chain can pull.
-
-    Raises
-    ------
-    StructureError
-        If a place names no atom.
-    ChainError
-        If the places lie on one rigid body, or on one another.
-    """
+    """Check that a spring between these places of a chain can pull."""
     first, second = places_of(pull, chain.structure)
     fixed = chain.tree.kind == HingeKind.FIXED
     of_atoms = chain.rigid_groups[np.concatenate([first, second])]
@@ -160,11 +136,6 @@ def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
     """Spring of these settings for a chain that starts at q, at its length at rest.
 
     Its places are centres of mass, one point for each body that has a part of them.
-
-    Raises
-    ------
-    StructureError, ChainError
-        As :func:`check_pull`.
     """
     check_pull(pull, chain)
     mass = chain.structure.atom_mass
@@ -183,13 +154,7 @@ def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
 
 
 def refuse_kept(pull: Pull, spring: MovingSpring, system: System, structure: Structure, q: Floats) -> None:
-    """Refuse places whose distance closed loops keep at q.
-
-    Raises
-    ------
-    ChainError
-        If a force between them moves neither with the loops, and would without.
-    """
+    """Refuse places whose distance closed loops keep at q."""
     if system.constraint is None:
         return
     factors = system.factors(q)

@@ -169,13 +169,7 @@ class HingeSpring:
 
 
 def _picoseconds(femtoseconds: float) -> float:
-    """Time step of the command line; one that is meant in another unit is refused.
-
-    Raises
-    ------
-    ProtochainError
-        Which says what it is in that unit.
-    """
+    """Time step of the command line; one that is meant in another unit is refused."""
     given = f"{femtoseconds:g} fs"
     if not 0.0 < femtoseconds < 1000.0 * LONGEST_STEP:
         raise refused("time_step", given, f"give a number above 0 and below {1000.0 * LONGEST_STEP:g}")
@@ -192,13 +186,7 @@ def _not_negative(unit: str, shown_as: str) -> Check:
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationSettings(Settings):
-    """Settings that define a simulation; for their meaning see :func:`protochain.simulate`.
-
-    Raises
-    ------
-    ProtochainError
-        If a setting is unknown, out of range or incompatible with another; the message says what to do.
-    """
+    """Settings that define a simulation; for their meaning see :func:`protochain.simulate`."""
 
     temperature: float = setting(
         defaults.TEMPERATURE,

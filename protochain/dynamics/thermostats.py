@@ -19,12 +19,8 @@ Random = Callable[[], np.random.Generator]
 class Bath:
     """Heat bath: state of a thermostat.
 
-    Parameters
-    ----------
-    energy : float, kJ/mol
-        Energy received from the system: with the total energy, the conserved quantity.
-    memory : (k,) float
-        Variables of the thermostat.
+    energy kJ/mol: Energy received from the system: with the total energy, the conserved quantity.
+    memory (k,): Variables of the thermostat.
     """
 
     energy: float

@@ -50,13 +50,7 @@ class CustomEnergy:
         """Do nothing: it has no neighbour lists."""
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm.
-
-        Raises
-        ------
-        ProtochainError
-            If the callable does not return a number and an array of the shape of x.
-        """
+        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
         return answer(self.function, plain(x, "nanometer", "x"), f"energy {self.name}")
 
     def parts(self, x: Floats) -> tuple[dict[str, float], Floats]:
@@ -69,13 +63,7 @@ class CustomEnergy:
 
 
 def answer(function: EnergyFunction, x: Floats, name: str) -> tuple[float, Floats]:
-    """Ask a callable for energy and forces (na, 3) at positions x (na, 3) in nm.
-
-    Raises
-    ------
-    ProtochainError
-        If it does not return a real number and an array of real numbers of the shape of x; with ``name``.
-    """
+    """Ask a callable for energy and forces (na, 3) at positions x (na, 3) in nm."""
     # Copies on both sides: the callable may write into its argument, or reuse its array of forces.
     returned = function(np.array(x))
     if not isinstance(returned, tuple | list) or len(returned) != 2:
@@ -106,12 +94,6 @@ def check_forces(function: EnergyFunction, x: Floats, name: str) -> None:
 
     It is taken beside x (na, 3), where springs to the start pull, and along the forces and a direction at
     random, so that the slope is at least as large as the forces: those wrong by a factor or in a part show.
-
-    Raises
-    ------
-    ProtochainError
-        With ``name``, the change of the energy, and what the forces say. Numbers that are not finite are not
-        compared: the run ends as ``non-finite``.
     """
     rng = np.random.default_rng(0)
     beside = x + _BESIDE * rng.normal(size=x.shape)

@@ -287,19 +287,10 @@ def interaction(
 ) -> tuple[Floats, Floats]:
     """Interaction of two parts, and what it costs to take the solvent from between them, all else away.
 
-    Parameters
-    ----------
-    structure : Structure
-    energy : NativeEnergy
-    x : (na, 3) float, nm
-    one, other : (nr,) bool
-        Residues of either part.
-
-    Returns
-    -------
-    interaction, desolvation : (terms, nr) float, kJ/mol
-        Shares of each residue: half of its pairs with the other part, with the Born radii that both have
-        together; and what generalised Born and surface within its own part change.
+    x (na, 3) nm, one, other (nr,) bool.
+    -> interaction, desolvation (terms, nr) kJ/mol: Shares of each residue: half of its pairs with the other
+    part, with the Born radii that both have together; and what generalised Born and surface within its own
+    part change.
     """
     mine, its = (part[structure.atom_residue] for part in (one, other))
     away = np.zeros((structure.n_atoms, 3))

@@ -84,12 +84,6 @@ def create_system(
     Atoms joined across bonds between the protein and obstacles do not repel one another. The force field is
     left unchanged: ``fresh`` makes another one, which receives templates. ``pairs`` are the arguments of
     ``createSystem`` on the cutoff.
-
-    Raises
-    ------
-    ForceFieldError
-        If a residue that is bonded to an obstacle, or a molecule that moves, has no template, or a bond of
-        the latter no parameters.
     """
     bounds = (*structure.ligands, *structure.fragments)
     sugars = structure.glycans

@@ -379,13 +379,7 @@ def _bundled_file(name: str) -> str | None:
 
 
 def checked_files(parts: Sequence[str], trusted: bool) -> list[str | bytes]:
-    """What OpenMM is to read of a force field, by the names of its parts.
-
-    Raises
-    ------
-    ForceFieldError
-        If one is no force field, is not there, or would run code.
-    """
+    """What OpenMM is to read of a force field, by the names of its parts."""
     return [_bundled_file(part) or _checked_file(Path(part), trusted) for part in parts]
 
 
@@ -426,11 +420,6 @@ def _use_gbsa_obc(system: openmm.System) -> str:
 
     The energies are equal (to 1e-8; asserted in the tests); on OpenMM's CPU platform GBSAOBCForce is several
     times faster. A CustomGBForce with other parameters, exclusions or tables is left unchanged.
-
-    Returns
-    -------
-    str
-        What to add to a note on the System.
     """
     places = [i for i, force in enumerate(system.getForces()) if isinstance(force, openmm.CustomGBForce)]
     if len(places) != 1:

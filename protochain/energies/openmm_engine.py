@@ -115,15 +115,6 @@ class OpenMMEnergy:
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm.
 
-        Raises
-        ------
-        ProtochainError
-            If the shape of x does not fit the System.
-        OpenMMException
-            If OpenMM fails for another reason than NaN.
-
-        Notes
-        -----
         Where OpenMM refuses NaN in positions or forces, the energy is infinite and the forces are NaN; the
         calling loop handles that.
         """

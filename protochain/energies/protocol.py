@@ -96,13 +96,7 @@ def an_energy(value: Any, name: str) -> Energy:
 
 
 def check_is_of(energy: Energy, structure: Structure) -> None:
-    """Refuse an energy that was built for another structure, even one with as many atoms.
-
-    Raises
-    ------
-    ProtochainError
-        Naming the structure.
-    """
+    """Refuse an energy that was built for another structure, even one with as many atoms."""
     if energy.atoms and energy.atoms != structure.fingerprint:
         raise ProtochainError(
             f"the energy was built for other atoms than those of {structure.name}; give pc.energy(structure)"

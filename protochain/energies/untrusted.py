@@ -39,13 +39,7 @@ _PLAIN = re.compile(r"[\w.+\-*'\"#:/,~&|^%!?@$<> ]*")
 
 
 def check_passive(path: Path, root: ElementTree.Element) -> None:
-    """Refuse a force field of which OpenMM would run a part as Python, or which opens other files.
-
-    Raises
-    ------
-    ForceFieldError
-        Naming the file, the element and what to do.
-    """
+    """Refuse a force field of which OpenMM would run a part as Python, or which opens other files."""
     trust = "if you trust the file, allow that with ", Argument("trust_forcefield", True)
     for node in root.iter():
         if node.tag in ACTIVE:

@@ -15,13 +15,7 @@ _ROUNDING = 0.01
 
 
 def by_rule(molecule: Molecule, rule: str) -> Floats:
-    """Charges by ``nagl``, ``mmff94`` (Halgren, J. Comput. Chem. 17:490, 1996) or ``gasteiger``.
-
-    Raises
-    ------
-    ForceFieldError
-        If the rule does not know an atom.
-    """
+    """Charges by ``nagl``, ``mmff94`` (Halgren, J. Comput. Chem. 17:490, 1996) or ``gasteiger``."""
     if rule == "nagl":
         return _summed(molecule, nagl.charges(molecule), rule)
     chem, made = library("rdkit.Chem.AllChem"), to_rdkit(molecule)
@@ -40,13 +34,7 @@ def by_rule(molecule: Molecule, rule: str) -> Floats:
 
 
 def from_file(molecule: Molecule, path: Path) -> Floats:
-    """Charges of a MOL2 file, in the order of the atoms, or of lines with name and charge.
-
-    Raises
-    ------
-    ForceFieldError
-        If atoms are missing or strange, or charges are no numbers or of another sum.
-    """
+    """Charges of a MOL2 file, in the order of the atoms, or of lines with name and charge."""
     lines = text_of(path).splitlines()
     in_order = path.suffix.lower() == ".mol2"
     rows = _of_mol2(lines) if in_order else [line.split() for line in lines if line.strip()]

@@ -45,13 +45,7 @@ def heavy_atoms(name: str) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def component(name: str) -> Any:
-    """Atoms and bonds of a component, as biotite's ``residue`` returns them, with those that may leave.
-
-    Raises
-    ------
-    KeyError
-        If there is none of that name.
-    """
+    """Atoms and bonds of a component, as biotite's ``residue`` returns them, with those that may leave."""
     info = library("biotite.structure.info")
     file = Path(info.__file__).with_name("components.bcif")
     if not file.is_file():

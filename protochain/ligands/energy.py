@@ -13,10 +13,8 @@ from protochain.core.units import COULOMB
 class Term(Value):
     """Bonded terms of one kind.
 
-    Parameters
-    ----------
-    atoms : (n, k) int
-    parameters : (n, m) float
+    atoms (n, k) int.
+    parameters (n, m).
     """
 
     atoms: Integers
@@ -27,13 +25,10 @@ class Term(Value):
 class Parameters(Value):
     """Parameters of the potential energy, in nm, kJ/mol, rad and e, columns as in an OpenMM System.
 
-    Parameters
-    ----------
-    bonds, angles, torsions : Term
-        Length and spring; angle and spring; periodicity, phase and k, impropers included.
-    charge, sigma, epsilon : (na,) float
-    scale_lj, scale_coulomb : float
-        Factors of pairs three bonds apart. Nearer ones are left out.
+    bonds, angles, torsions: Length and spring; angle and spring; periodicity, phase and k, impropers
+        included.
+    charge, sigma, epsilon (na,).
+    scale_lj, scale_coulomb: Factors of pairs three bonds apart. Nearer ones are left out.
     """
 
     bonds: Term
@@ -61,18 +56,7 @@ class Parameters(Value):
 
 
 def terms(parameters: Parameters, x: Floats) -> dict[str, float]:
-    """Energies at positions.
-
-    Parameters
-    ----------
-    parameters : Parameters
-    x : (na, 3) float, nm
-
-    Returns
-    -------
-    dict of str to float
-        ``bonds``, ``angles``, ``torsions``, ``lj`` and ``coulomb`` in kJ/mol.
-    """
+    """Energies at positions: x (na, 3) nm."""
     i, j = x[parameters.bonds.atoms.T]
     angles, dihedrals = _angles(x[parameters.angles.atoms]), _dihedrals(x[parameters.torsions.atoms])
     length, k_bond = parameters.bonds.parameters.T

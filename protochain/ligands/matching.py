@@ -36,14 +36,9 @@ _FLAT = 0.1
 class Placed(Value):
     """A molecule where a model has it.
 
-    Parameters
-    ----------
-    molecule : Molecule
-        With the chemistry of its source, and names and positions of the model; new places of hydrogens.
-    atoms : (na,) int
-        The model's atom of each; -1 of hydrogens.
-    inverted : tuple of str
-        Stereocentres, and double bonds as ``C1=C2``, that the model has the other way round, or flat.
+    molecule: With the chemistry of its source, and names and positions of the model; new places of hydrogens.
+    atoms (na,) int: The model's atom of each; -1 of hydrogens.
+    inverted: Stereocentres, and double bonds as ``C1=C2``, that the model has the other way round, or flat.
     """
 
     molecule: Molecule
@@ -65,23 +60,7 @@ def placed(
     Of several matches, the one whose hydrogens and lengths of bonds fit best is taken; where they fit alike,
     that with fewest stereocentres inverted.
 
-    Parameters
-    ----------
-    molecule : Molecule
-    elements : (nm,) int
-        Atomic numbers in the model; hydrogens are left out.
-    names : tuple of str
-    x : (nm, 3) float, nm
-    hydrogens : (nm,) int, optional
-        How many each atom has in the model, if it has some.
-    by_name : bool
-        Whether names are those of the source. Where all agree, distorted bonds do not matter, unless the
-        atoms are bonded as in the source under other names: programs number atoms anew.
-
-    Raises
-    ------
-    StructureError
-        If the model has another molecule there, with what differs.
+    elements (nm,) int, x (nm, 3) nm, hydrogens (nm,) int.
     """
     elements = np.asarray(elements)
     if not np.isfinite(x).all():
@@ -106,18 +85,7 @@ def placed(
 def named_as(molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], x: Floats) -> Molecule:
     """Give atoms of a molecule the names of a model, which may lack some, as where it is bonded to another.
 
-    Parameters
-    ----------
-    molecule : Molecule
-    elements : (nm,) int
-        Atomic numbers in the model, without hydrogens.
-    names : tuple of str
-    x : (nm, 3) float, nm
-
-    Raises
-    ------
-    StructureError
-        If the model has another molecule there.
+    elements (nm,) int, x (nm, 3) nm.
     """
     elements, heavy = np.asarray(elements), molecule.heavy
     if len(names) >= len(heavy):
@@ -180,13 +148,7 @@ def _matched(
     kept: Integers,
     hydrogens: ArrayLike | None,
 ) -> Integers:
-    """The model's atom of each heavy atom of a molecule.
-
-    Raises
-    ------
-    StructureError
-        If there are none, with what differs.
-    """
+    """The model's atom of each heavy atom of a molecule."""
     heavy = molecule.heavy
     inside, own = _bonds_of_heavy(molecule)
     its = molecule.elements[heavy]
@@ -273,14 +235,7 @@ def _difference(here: Any, joined: Any, whole: Any, own: Any) -> str:
 
 
 def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
-    """Return the atoms of each stereocentre and double bond that is not as in the source.
-
-    Parameters
-    ----------
-    molecule : Molecule
-    heavy : (n, 3) float, nm
-        Positions of its heavy atoms.
-    """
+    """Return the atoms of each stereocentre and double bond that is not as in the source: heavy (n, 3) nm."""
     x = np.zeros((molecule.n_atoms, 3))
     x[molecule.heavy] = heavy
     near = neighbours(molecule.bonds, molecule.n_atoms)

@@ -18,13 +18,7 @@ _MOST_ATOMS = 2000
 
 
 def library(name: str) -> Any:
-    """Import a library of the extra ``ligands``, which starts late for those who need none.
-
-    Raises
-    ------
-    ProtochainError
-        If it is not installed, with the command that does.
-    """
+    """Import a library of the extra ``ligands``, which starts late for those who need none."""
     try:
         return importlib.import_module(name)
     except ImportError:
@@ -43,26 +37,17 @@ def quietly(call: Callable[..., Any], *args: Any, **named: Any) -> Any:
 class Molecule(Value):
     """A molecule with all its hydrogens.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Unique; made of element and number where the source has none.
-    elements : (na,) int
-        Atomic numbers.
-    formal_charges : (na,) int
-    bonds : (m, 2) int
-    orders : (m,) int
-        1, 2 or 3: one Kekule structure.
-    handedness : (na,) int
-        0, or for a stereocentre RDKit's tag: 1 if the other atoms of its bonds, in their order, follow
-        clockwise as seen from the first, 2 if counter-clockwise.
-    double_bonds : (k, 5) int
-        Four atoms about a double bond with stereo, and 1 if the outer two are cis, else 0.
-    stereo : tuple of (str, str)
-        The same for people: atoms with R or S, as ``("C3", "R")``, and bonds with E or Z.
-    positions : (na, 3) float, nm, or None
-        None if the source has no coordinates in space.
-    source : str
+    names: Unique; made of element and number where the source has none.
+    elements (na,) int: Atomic numbers.
+    formal_charges (na,) int.
+    bonds (m, 2) int.
+    orders (m,) int: 1, 2 or 3: one Kekule structure.
+    handedness (na,) int: 0, or for a stereocentre RDKit's tag: 1 if the other atoms of its bonds, in their
+        order, follow clockwise as seen from the first, 2 if counter-clockwise.
+    double_bonds (k, 5) int: Four atoms about a double bond with stereo, and 1 if the outer two are cis, else
+        0.
+    stereo: The same for people: atoms with R or S, as ``("C3", "R")``, and bonds with E or Z.
+    positions (na, 3): None if the source has no coordinates in space.
     """
 
     names: tuple[str, ...]
@@ -155,13 +140,7 @@ def place(made: Any, positions: Floats) -> None:
 
 
 def from_rdkit(made: Any, source: str) -> Molecule:
-    """Return a sanitised molecule of RDKit as a value, with the hydrogens that it lacks.
-
-    Raises
-    ------
-    StructureError
-        If it is no single molecule, has a radical, or coordinates that are not numbers.
-    """
+    """Return a sanitised molecule of RDKit as a value, with the hydrogens that it lacks."""
     chem = library("rdkit.Chem")
     if made.GetNumAtoms() > _MOST_ATOMS:
         raise StructureError(f"{source}:has {made.GetNumAtoms()} atoms; give a small molecule")

@@ -23,13 +23,7 @@ from protochain.ligands.molecule import Molecule, from_rdkit, library, quietly, 
 
 @dataclass(frozen=True)
 class Charged(Value):
-    """An atom whose formal charge was changed.
-
-    Parameters
-    ----------
-    atom : str
-    before, after : int
-    """
+    """An atom whose formal charge was changed."""
 
     atom: str
     before: int
@@ -40,15 +34,9 @@ class Charged(Value):
 class Rule(Value):
     """A site whose pKa dimorphite-dl lacks, or has from too wide a class.
 
-    Parameters
-    ----------
-    gain : int
-        -1: the site is matched with its proton, and loses it if the pH is above; 1: without, and takes one.
-    smarts : str
-        Its first atom is the site. Rules are applied in their order, each until it matches no more, so that a
-        pattern may say how neighbours are charged.
-    pka : float
-    source : str
+    gain: -1: the site is matched with its proton, and loses it if the pH is above; 1: without, and takes one.
+    smarts: Its first atom is the site. Rules are applied in their order, each until it matches no more, so
+        that a pattern may say how neighbours are charged.
     """
 
     gain: int
@@ -101,15 +89,7 @@ _SHIFTS = sorted((0.25 * k for k in range(-20, 21)), key=abs)
 
 
 def at_ph(molecule: Molecule, ph: float) -> tuple[Molecule, tuple[Charged, ...]]:
-    """Return a molecule as it is at a pH, and what was changed.
-
-    Hydrogens that stay are where they were.
-
-    Raises
-    ------
-    StructureError
-        If the table makes another molecule of it.
-    """
+    """Return a molecule as it is at a pH, and what was changed: Hydrogens that stay are where they were."""
     neutral = library("rdkit.Chem.MolStandardize.rdMolStandardize").Uncharger()
     made, rank = _numbered(molecule)
     smiles = library("rdkit.Chem").MolToSmiles(quietly(neutral.uncharge, made))
@@ -126,12 +106,6 @@ def at_metal(molecule: Molecule, holding: Collection[int]) -> tuple[Molecule, tu
 
     Ammonium, sulphonamides, thiols, phenols and acids lose theirs; an azole has its proton on another
     nitrogen, if one is free.
-
-    Parameters
-    ----------
-    molecule : Molecule
-    holding : collection of int
-        Atoms that hold a metal.
     """
     if not holding:
         return molecule, ()
@@ -222,13 +196,6 @@ def with_hydrogens(molecule: Molecule, count: Mapping[int, int]) -> Molecule | N
     """Return a molecule with these numbers of hydrogens, each more or less a charge; None if they do not fit.
 
     They fit if carbons keep theirs, and others gain or lose one, all alike: of a tautomer bonds would change.
-
-    Parameters
-    ----------
-    molecule : Molecule
-        With positions.
-    count : mapping of int to int
-        Of every heavy atom.
     """
     chem = library("rdkit.Chem")
     made = to_rdkit(molecule)

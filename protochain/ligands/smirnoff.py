@@ -60,13 +60,8 @@ class Rule(Value):
 class ForceField(Value):
     """Rules of a file.
 
-    Parameters
-    ----------
-    path : Path
-    rules : mapping of str to tuple of Rule
-        By section; of sections that are not handled, only name and pattern.
-    scale_lj, scale_coulomb : float
-        Factors of pairs three bonds apart.
+    rules: By section; of sections that are not handled, only name and pattern.
+    scale_lj, scale_coulomb: Factors of pairs three bonds apart.
     """
 
     path: Path
@@ -76,13 +71,7 @@ class ForceField(Value):
 
 
 def read(path: Path) -> ForceField:
-    """Read an .offxml file, or one that comes with the package, by its name.
-
-    Raises
-    ------
-    ForceFieldError
-        Naming the file and the place.
-    """
+    """Read an .offxml file, or one that comes with the package, by its name."""
     if not path.exists() and str(path) in (SAGE_2_2.name, SAGE_2_3.name):
         path = SAGE_2_2.with_name(path.name)
     root = _root(path)
@@ -113,22 +102,7 @@ def read(path: Path) -> ForceField:
 def parametrised(
     molecule: Molecule, force_field: ForceField, charges: Callable[[Molecule], Floats], own_charges: bool
 ) -> Parameters:
-    """Give a molecule the parameters of a force field.
-
-    Parameters
-    ----------
-    molecule : Molecule
-    force_field : ForceField
-    charges : callable
-        Of the molecule, its charges (na,); asked when all atoms are known to have a type.
-    own_charges : bool
-        Whether the user has given them: library charges of the force field stand back only then.
-
-    Raises
-    ------
-    ForceFieldError
-        Naming atoms without parameters, or a rule that fits but is not handled.
-    """
+    """Give a molecule the parameters of a force field."""
     found = _Typing(molecule, force_field)
     found.refuse_unhandled({"LibraryCharges"} if own_charges else set())
     types = found.of("vdW", _as_it_is, ((i,) for i in range(molecule.n_atoms)))

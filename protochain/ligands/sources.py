@@ -38,24 +38,7 @@ def of_residue(
     atoms: Mapping[str, tuple[str, int]] = MappingProxyType({}),
     given: str | Path | None = None,
 ) -> Molecule:
-    """Return the chemistry of a residue of a model, from the first of three sources that has it.
-
-    Parameters
-    ----------
-    name : str
-        Of the residue, as ``ATP``.
-    header : str
-        mmCIF text of what the model's file says beside its atoms, ``_chem_comp_bond`` perhaps.
-    atoms : mapping of str to (str, int)
-        Element and formal charge of its atoms in the model, for a header without ``_chem_comp_atom``.
-    given : str or Path, optional
-        What the user gives: SMILES, or an SDF or MOL2 file.
-
-    Raises
-    ------
-    StructureError
-        If no source has it, with what to give.
-    """
+    """Return the chemistry of a residue of a model, from the first of three sources that has it."""
     if given is not None:
         return read(given)
     found, is_charged = _of_tables(header, name, atoms)
@@ -80,13 +63,7 @@ def _heavy_bonds(molecule: Molecule) -> set[frozenset[str]]:
 
 
 def read(given: str | Path) -> Molecule:
-    """Read what a user gives: the path of an SDF or MOL2 file, perhaps with ``#2`` for a record, or SMILES.
-
-    Raises
-    ------
-    StructureError
-        If it is neither, or not one molecule.
-    """
+    """Read what a user gives: path of an SDF or MOL2 file, perhaps with ``#2`` for a record, or SMILES."""
     path, record = file_and_record(given)
     if isinstance(given, Path) or path.suffix.lower() in MOLECULE_SUFFIXES:
         return _from_file(path, record)
@@ -101,13 +78,7 @@ def read(given: str | Path) -> Molecule:
 
 @lru_cache(maxsize=64)
 def from_dictionary(name: str) -> Molecule:
-    """Return a molecule of the Chemical Component Dictionary, which biotite carries.
-
-    Raises
-    ------
-    StructureError
-        If it has none of that name.
-    """
+    """Return a molecule of the Chemical Component Dictionary, which biotite carries."""
     try:
         with warnings.catch_warnings():
             # Of some entries coordinates lack; those of the model are used.
@@ -129,13 +100,7 @@ def from_dictionary(name: str) -> Molecule:
 
 
 def text_of(path: Path) -> str:
-    """Return the text of a file of bounded size.
-
-    Raises
-    ------
-    StructureError
-        If it cannot be read.
-    """
+    """Return the text of a file of bounded size."""
     try:
         if regular(path).stat().st_size > _LARGEST:
             raise StructureError(f"{path}: is too large for one molecule; give one of it alone")

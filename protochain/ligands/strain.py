@@ -24,17 +24,8 @@ _TOLERANCE = 1.0
 def strain(parameters: Parameters, x: Floats, elements: Integers) -> float:
     """Return the strain of a molecule at positions.
 
-    Parameters
-    ----------
-    parameters : Parameters
-    x : (na, 3) float, nm
-    elements : (na,) int
-        Atomic numbers.
-
-    Returns
-    -------
-    float, kJ/mol
-        NaN where the energy is not finite, as of atoms at one place.
+    x (na, 3) nm, elements (na,) int.
+    -> kJ/mol: NaN where the energy is not finite, as of atoms at one place.
     """
     every = np.ones(len(x), dtype=bool)
     placed = nearest_minimum(parameters, x, np.asarray(elements) == 1)

@@ -23,15 +23,7 @@ _KNOWN, _CLOCKWISE, _COUNTER, _CIS, _TRANS = "known", "clockwise", "counterclock
 
 
 def rows(component: str, molecule: Molecule) -> dict[str, Rows]:
-    """Rows of ``_chem_comp_atom``, ``_chem_comp_bond`` and of our own table of stereo.
-
-    Parameters
-    ----------
-    component : str
-        Name of the residue.
-    molecule : Molecule
-        With the names of the atoms in the file.
-    """
+    """Rows of ``_chem_comp_atom``, ``_chem_comp_bond`` and of our own table of stereo."""
     made, letters = to_rdkit(molecule), dict(molecule.stereo)
     names = [_quoted(name) for name in molecule.names]
     of = _quoted(component)
@@ -73,16 +65,7 @@ def _own(molecule: Molecule) -> Iterator[tuple[str, list[str]]]:
 def stereo(
     table: Iterable[Mapping[str, str]], names: Sequence[str], bonds: Iterable[Sequence[int]]
 ) -> tuple[list[int], list[list[int]]]:
-    """Handedness of each atom and rows of double bonds, as a molecule has them.
-
-    Parameters
-    ----------
-    table : iterable of mapping
-        Rows of our own table for one component, without quotes. What does not fit the bonds is left out.
-    names : sequence of str
-    bonds : iterable of (int, int)
-        In the molecule's order.
-    """
+    """Handedness of each atom and rows of double bonds, as a molecule has them."""
     place = {name: k for k, name in enumerate(names)}
     near = neighbours(np.array(list(bonds), dtype=np.int64).reshape(-1, 2), len(names))
     hand, double = [0] * len(names), []

@@ -10,13 +10,9 @@ from protochain.core.arrays import Floats, read_only
 class Tableau:
     """Butcher tableau of an explicit method.
 
-    Parameters
-    ----------
-    a : (s, s) of float
-        Strictly lower triangle.
-    b : (s,) of float
-    error : (s,) of float
-        Weights b minus those of the embedded method.
+    a (s, s): Strictly lower triangle.
+    b (s,).
+    error (s,): Weights b minus those of the embedded method.
     """
 
     a: tuple[tuple[float, ...], ...]

@@ -32,25 +32,12 @@ _OF_FREE_BODIES = ("position", "rotation", "velocity", "spin")
 class Body(Named):
     """A body; without a hinge it is free.
 
-    Parameters
-    ----------
-    name : str
-        Name.
-    mass : float
-        Mass; none if a body further out has some that its hinge moves.
-    com : (3,) array_like
-        Centre of mass, from the body's origin in its own axes. The origin lies on the body's hinge.
-    inertia : float, (3,) or (3, 3) array_like
-        Tensor about the centre of mass, or its diagonal, or one moment for all axes.
-    position, rotation : (3,) and (3, 3) array_like, optional
-        Where the origin of a free body starts, and its axes in the world, as columns.
-    velocity, spin : (3,) array_like, optional
-        Velocity of the origin of a free body, and its angular velocity, world axes.
-
-    Raises
-    ------
-    MechanicsError
-        If the name is taken, or an argument is unphysical.
+    name: Name.
+    mass: Mass; none if a body further out has some that its hinge moves.
+    com (3,): Centre of mass, from the body's origin in its own axes. The origin lies on the body's hinge.
+    inertia: Tensor about the centre of mass, or its diagonal, or one moment for all axes.
+    position, rotation (3,): Where the origin of a free body starts, and its axes in the world, as columns.
+    velocity, spin (3,): Velocity of the origin of a free body, and its angular velocity, world axes.
     """
 
     called: ClassVar[str] = "body"
@@ -80,27 +67,13 @@ class Body(Named):
 class Hinge(Named):
     """A hinge, which joins a body to its parent.
 
-    Parameters
-    ----------
-    name : str
-        Name.
-    parent, child : str
-        Bodies; the parent may be "world". A body has one inward hinge.
-    kind : {"revolute", "prismatic", "screw", "fixed"}
-        Kind of its motion.
-    at, axis : (3,) array_like
-        Origin of the child at q = 0, and the hinge's axis, in the parent's axes.
-    rotation : (3, 3) array_like, optional
-        Axes of the child at q = 0, as columns, in those of the parent; by default the same.
-    q, qd : float
-        Coordinate and rate at the start.
-    pitch : float
-        Slide of a screw per radian.
-
-    Raises
-    ------
-    MechanicsError
-        If the name is taken, or an argument is unphysical.
+    name: Name.
+    parent, child: Bodies; the parent may be "world". A body has one inward hinge.
+    kind: Kind of its motion.
+    at, axis (3,): Origin of the child at q = 0, and the hinge's axis, in the parent's axes.
+    rotation (3, 3): Axes of the child at q = 0, as columns, in those of the parent; by default the same.
+    q, qd: Coordinate and rate at the start.
+    pitch: Slide of a screw per radian.
     """
 
     called: ClassVar[str] = "hinge"
@@ -142,15 +115,7 @@ class Hinge(Named):
 def assemble(
     bodies: Mapping[str, Body], hinges: Mapping[str, Hinge], driven: Mapping[str, tuple[float, float]]
 ) -> Bodies:
-    """Return the bodies of a tree.
-
-    ``driven`` has the coordinate and rate of driven hinges at the start.
-
-    Raises
-    ------
-    MechanicsError
-        If bodies and hinges are no trees, or a body has no inertia that its hinge needs.
-    """
+    """Return the bodies of a tree: ``driven`` has the coordinate and rate of driven hinges at the start."""
     inward = _inward(bodies, hinges)
     order = _ordered(bodies, hinges, inward)
     place = {name: number for number, name in enumerate(order)} | {WORLD: -1}

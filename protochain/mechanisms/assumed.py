@@ -19,17 +19,8 @@ def clamped_roots(k: int) -> Floats:
 def clamped(x: Floats, k: int) -> tuple[Floats, Floats, Floats]:
     """Shapes of a clamped beam of unit length, of unit mean square, with two derivatives.
 
-    Parameters
-    ----------
-    x : (n,) float
-        Places, from 0 (clamped) to 1 (free).
-    k : int
-        Number of shapes.
-
-    Returns
-    -------
-    (n, k) float; (n, k) float; (n, k) float
-        Displacement, slope and curvature.
+    x (n,).
+    -> (n, k): Displacement, slope and curvature.
     """
     b = clamped_roots(k)
     y = b * x[:, None]

@@ -95,18 +95,11 @@ class Bushing(Between):
 class Bushings(Rows):
     """Bushings, bound.
 
-    Parameters
-    ----------
-    names : (n,) str
-        Names, for messages.
-    ends : (n, 2) int
-        Bodies of each; -1 is the world.
-    points : (n, 6) float
-        Points of both bodies, along the axes of the tree's frames.
-    axes_a, axes_b : (n, 3, 3) float
-        Axes, as columns, in the tree's frame of each body, which coincide at rest.
-    stiffness, damping : (n, 6) float
-        Of rotations and translations along the second body's axes.
+    names (n,) str: Names, for messages.
+    ends (n, 2) int: Bodies of each; -1 is the world.
+    points (n, 6): Points of both bodies, along the axes of the tree's frames.
+    axes_a, axes_b (n, 3, 3): Axes, as columns, in the tree's frame of each body, which coincide at rest.
+    stiffness, damping (n, 6): Of rotations and translations along the second body's axes.
     """
 
     names: np.ndarray
@@ -118,13 +111,7 @@ class Bushings(Rows):
     damping: Floats
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
-        """Add the wrenches of the springs.
-
-        Raises
-        ------
-        MechanicsError
-            If one is turned by almost half a turn, where its rotation vector has no direction.
-        """
+        """Add the wrenches of the springs."""
         energy: float = _bend(
             frames.rotation,
             frames.origin,

@@ -56,13 +56,7 @@ def direction(value: Any, said: str) -> Floats:
 
 
 def check_boxes(centre: Floats, rotation: Floats, half: Floats) -> None:
-    """Raise if arrays (n, 3), (n, 3, 3), (n, 3) are no boxes; the message names the first.
-
-    Raises
-    ------
-    MechanicsError
-        If an edge is not positive, a rotation none, a number not finite.
-    """
+    """Raise if arrays (n, 3), (n, 3, 3), (n, 3) are no boxes; the message names the first."""
     finite = np.isfinite(centre).all(axis=1) & np.isfinite(half).all(axis=1)
     finite = np.asarray(finite & np.isfinite(rotation).all(axis=(1, 2)))
     for bad, why in (

@@ -104,13 +104,7 @@ class Closing(Between):
 
 
 def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
-    """Close the loops: coordinates and rates that the mechanism was given stay if they can, others follow.
-
-    Raises
-    ------
-    MechanicsError
-        If a body is not there, the loops cannot be closed, or the rates open them.
-    """
+    """Close the loops: coordinates and rates that the mechanism was given stay if they can, others follow."""
     if not closings:
         return bodies
     parts = [each.bind(bodies) for each in closings]

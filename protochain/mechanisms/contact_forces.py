@@ -42,14 +42,10 @@ NO_ANCHORS = Anchors(np.empty((0, 2), np.int64), np.empty((0, 6)))
 class ContactForces:
     """Forces of a contact in a mechanism. What changes in a run is the anchors, after each of its steps.
 
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    finder : Finder
-        Where they touch.
-    constants : (6,) float
-        Stiffness, exponent and damping of the normal force; coefficient, stiffness and damping of friction.
+    tree: Rigid bodies.
+    finder: Where they touch.
+    constants (6,): Stiffness, exponent and damping of the normal force; coefficient, stiffness and damping of
+        friction.
     """
 
     def __init__(self, tree: Tree, finder: Finder, constants: Floats) -> None:
@@ -123,13 +119,7 @@ class ContactForces:
         self.anchors = kept or NO_ANCHORS
 
     def settle(self, at: Phase) -> None:
-        """End a step: drag anchors along, and set those of new touches.
-
-        Raises
-        ------
-        MechanicsError
-            If a touch is so deep that its direction means nothing.
-        """
+        """End a step: drag anchors along, and set those of new touches."""
         frames = at.factors.frames
         touches = self.touches(frames)
         self.finder.refuse_depth(touches)

@@ -22,25 +22,15 @@ class WithDampers(Integrator):
     what those lose is what dampers have taken, and what the step has lost beside it comes from vibrations
     that it does not resolve. That no sum of powers could tell, nor half of the step, which loses the same.
 
-    Parameters
-    ----------
-    integrator : Rosenbrock
-        The method.
-    taking : (k,) bool
-        Which of the works of a phase are of dampers and friction.
+    integrator: The method.
+    taking (k,) bool: Which of the works of a phase are of dampers and friction.
     """
 
     integrator: Rosenbrock
     taking: NDArray[np.bool_]
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
-        """Advance by one time step.
-
-        Raises
-        ------
-        StepTooLargeError
-            If the step ends nowhere.
-        """
+        """Advance by one time step."""
         after = self.integrator.step(system, at, time_step)
         work = after.work - at.work
         flow = max(at.kinetic, after.kinetic) + abs(after.potential - at.potential) + np.sum(np.abs(work))

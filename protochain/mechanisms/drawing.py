@@ -99,19 +99,12 @@ class Ground(NamedTuple):
 class Drawing(NamedTuple):
     """A motion to draw.
 
-    Parameters
-    ----------
-    names : tuple of str
-        Bodies.
-    shapes : tuple of Ball, Rod or Block
-        Of bodies and the world.
-    lines, grounds : Lines, and tuple of Ground
-        Springs, and planes.
-    times : (n,) float
-    rotation, origin : (n, nb, 3, 3) and (n, nb, 3) float
-        Axes of the bodies, as columns, and their origins.
-    low, high : (3,) float
-        Box in which all of it happens.
+    names: Bodies.
+    shapes: Of bodies and the world.
+    lines, grounds: Springs, and planes.
+    times (n,).
+    rotation, origin (n, nb, 3, 3): Axes of the bodies, as columns, and their origins.
+    low, high (3,): Box in which all of it happens.
     """
 
     names: tuple[str, ...]
@@ -142,13 +135,7 @@ class Drawing(NamedTuple):
 
 
 def drawing(run: "Run", rows: Sequence[int], shapes: Sequence[Shape] | None) -> Drawing:
-    """Return what there is to draw of rows of a run.
-
-    Raises
-    ------
-    MechanicsError
-        If a shape is none, or its body is not there.
-    """
+    """Return what there is to draw of rows of a run."""
     model, bodies = run.model, run.model.bodies
     own = tuple(_derived(model) if shapes is None else _checked(shapes, bodies))
     frames = [multibody.pose(model.tree, run.q[k]) for k in rows]

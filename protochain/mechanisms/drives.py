@@ -18,17 +18,8 @@ from protochain.mechanisms.elements import Named
 class Driven(Named):
     """Prescribed motion of a hinge.
 
-    Parameters
-    ----------
-    name : str
-        Name of the hinge.
-    motion : callable
-        Time -> coordinate, rate, acceleration.
-
-    Raises
-    ------
-    MechanicsError
-        If the hinge is driven already.
+    name: Name of the hinge.
+    motion: Time -> coordinate, rate, acceleration.
     """
 
     called: ClassVar[str] = "drive of hinge"
@@ -42,13 +33,7 @@ class Driven(Named):
             )
 
     def at(self, time: float) -> tuple[float, float, float]:
-        """Coordinate, rate and acceleration at a time.
-
-        Raises
-        ------
-        MechanicsError
-            If they are not three finite numbers.
-        """
+        """Coordinate, rate and acceleration at a time."""
         found = self.motion(time)
         try:
             q, qd, qdd = (float(value) for value in found)
@@ -74,13 +59,7 @@ def drive_of(bodies: Bodies, drives: Sequence[Driven]) -> Drive:
 
 
 def check_drive(bodies: Bodies, drive: Drive, time: float, nudge: float) -> None:
-    """Raise if a drive's rates and accelerations are not the derivatives of its coordinates and rates.
-
-    Raises
-    ------
-    MechanicsError
-        If they are not; the message names the hinge.
-    """
+    """Raise if a drive's rates and accelerations are not the derivatives of its coordinates and rates."""
     tree = bodies.tree
     before, at, after = (np.array(drive(t)) for t in (time - nudge, time, time + nudge))
     change = (after[:2] - before[:2]) / (2.0 * nudge)

@@ -134,10 +134,7 @@ class Named:
 class Between(Named):
     """Element between points of two bodies.
 
-    Parameters
-    ----------
-    a, b : tuple of str and (3,) array_like
-        Body, or "world", and a point of it.
+    a, b: Body, or "world", and a point of it.
     """
 
     a: Point
@@ -212,12 +209,8 @@ def joined(parts: Iterable[Any]) -> list[Any]:
 class Sum:
     """Potential of conservative elements: wrenches of all of them are pulled back once.
 
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    parts : sequence of Conservative
-        Elements, by kind.
+    tree: Rigid bodies.
+    parts: Elements, by kind.
     """
 
     tree: Tree
@@ -240,12 +233,8 @@ class Sum:
 class Gravity:
     """Weight of all bodies; its energy is zero at the world's origin.
 
-    Parameters
-    ----------
-    tree : Tree
-        Rigid bodies.
-    acceleration : (3,) float
-        Acceleration of free fall.
+    tree: Rigid bodies.
+    acceleration (3,): Acceleration of free fall.
     """
 
     tree: Tree

@@ -49,14 +49,9 @@ _NO_TORSIONS = Torsions(_NONE, _NONE, np.empty((0, 3)))
 class Acts:
     """What acts, as a kernel takes it.
 
-    Parameters
-    ----------
-    gravity : (3,) float
-        Acceleration of free fall.
-    ends, points, springs : (n, 2) int, (n, 6) and (n, 3) float
-        As of :class:`Springs`.
-    coordinates, freedoms, torsions : (k,) int, (k,) int and (k, 3) float
-        As of :class:`Torsions`.
+    gravity (3,): Acceleration of free fall.
+    ends, points, springs (n, 2) int: As of :class:`Springs`.
+    coordinates, freedoms, torsions (k,) int: As of :class:`Torsions`.
     """
 
     gravity: Floats

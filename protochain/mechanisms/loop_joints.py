@@ -53,16 +53,10 @@ class LoopJoints:
     the component of the way from a point of the first body to one of the second, along a direction of the
     first. They may depend on each other, as three of the five of a revolute joint in the plane do.
 
-    Parameters
-    ----------
-    body : (m, 2) int
-        Bodies; -1 for the world.
-    turns : (m,) bool
-        Whether the equation is a turn.
-    point : (m, 2, 3) float
-        Points, in the frames of their bodies.
-    along : (m, 2, 3) float
-        Directions, in the frames of their bodies; the second is not read of a slide.
+    body (m, 2) int: Bodies; -1 for the world.
+    turns (m,) bool: Whether the equation is a turn.
+    point (m, 2, 3): Points, in the frames of their bodies.
+    along (m, 2, 3): Directions, in the frames of their bodies; the second is not read of a slide.
     """
 
     body: Integers
@@ -95,20 +89,12 @@ class LoopJoints:
 class Held:
     """Loop joints at one pose, and what holds them.
 
-    Parameters
-    ----------
-    factors : Articulated
-        Rigid bodies, their frames, and factors of M there.
-    error : (m,) float
-        Errors of the joints.
-    rows : Rows
-        Rates of these.
-    scales : (m,) float
-        What scales A = G M^-1 G^T to a diagonal of one.
-    inverse, factor : (m, m) float
-        A, scaled; Cholesky's factor of A + e, the upper.
-    last : (m,) int
-        One past the last number of each row of the factor that is not zero.
+    factors: Rigid bodies, their frames, and factors of M there.
+    error (m,): Errors of the joints.
+    rows: Rates of these.
+    scales (m,): What scales A = G M^-1 G^T to a diagonal of one.
+    inverse, factor (m, m): A, scaled; Cholesky's factor of A + e, the upper.
+    last (m,) int: One past the last number of each row of the factor that is not zero.
     """
 
     factors: Articulated
@@ -130,8 +116,6 @@ class Held:
 
         Those of joints that depend on others have the least norm.
 
-        Notes
-        -----
         x <- x + (A + e)^-1 (b - A x) until nothing is left: the proximal method of Parikh, Boyd, Found.
         Trends Optim. 1:127 (2014), 4.1; of mechanisms: Carpentier, Budhiraja, Mansard, RSS (2021).
         """
@@ -152,15 +136,6 @@ class Held:
 def hold(factors: Articulated, joints: LoopJoints) -> Held:
     """Find what holds loop joints at one pose.
 
-    Parameters
-    ----------
-    factors : Articulated
-        Rigid bodies, their frames, and factors of M there.
-    joints : LoopJoints
-        The joints.
-
-    Notes
-    -----
     With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], A = Y^T D^-1 Y, and the column y of a joint has but the
     freedoms on the paths from its bodies to the root. O(n) for loops whose paths are short, in the order of
     which neighbours share paths; at most O(m^2 n + m^3).

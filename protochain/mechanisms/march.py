@@ -19,17 +19,11 @@ _SHORTEST = 2.0**-30
 class Event:
     """Something that happens when a value falls through zero.
 
-    Parameters
-    ----------
-    name : str
-        Name, for messages.
-    value : callable
-        Phase -> float: positive before the event.
-    jump : callable
-        System, phase -> phase from which the motion goes on, at the same time: with other velocities by
+    name: Name, for messages.
+    value: Phase -> float: positive before the event.
+    jump: System, phase -> phase from which the motion goes on, at the same time: with other velocities by
         :meth:`Equations.with_velocities`.
-    passes : bool
-        Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again.
+    passes: Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again.
     """
 
     name: str
@@ -48,36 +42,6 @@ def march(
 ) -> Iterator[tuple[Phase, Event | None]]:
     """Advance to a time, stopping at events.
 
-    Parameters
-    ----------
-    system : Equations
-        Rigid bodies, potential and loads.
-    integrator : Integrator
-        Integrator of the equations of motion.
-    at : Phase
-        Phase at the start.
-    until : float
-        Time of the end.
-    time_step : float
-        Longest step. A value that falls below zero and rises again within one step is not seen.
-    events : sequence of Event
-        Events to look for.
-
-    Yields
-    ------
-    Phase, Event or None
-        The phase after each step; at an event, after its jump, with the event.
-
-    Raises
-    ------
-    MechanicsError
-        If the time step is not positive, or an event's jump does not lift its value: events without end
-        in a finite time, as of a bouncing ball, must come to rest by the jump itself.
-    StepTooLargeError
-        If a step has no solution.
-
-    Notes
-    -----
     The time of an event is found by Brent's method on the length of the last step, to 1e-12 of a step; of
     several in one step the earliest is taken; those of one time follow each other in the order given.
     """

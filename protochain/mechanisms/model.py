@@ -241,13 +241,7 @@ def model_of(
     bodies: Bodies, gravity: Floats, elements: Sequence[Any], drives: Sequence[Driven],
     events: tuple[Event, ...],
 ) -> Model:  # fmt: skip
-    """Return a model of bodies and all that acts on them.
-
-    Raises
-    ------
-    MechanicsError
-        If an element names a body or hinge that is not there, or cannot act where it is.
-    """
+    """Return a model of bodies and all that acts on them."""
     tree, acting = bodies.tree, {}
     for element in elements:
         found = element.bind(bodies)
@@ -602,13 +596,7 @@ class _Simulation:
             self.look()
 
     def look(self) -> None:
-        """Look at the energy of the latest row.
-
-        Raises
-        ------
-        UnbalancedError
-            If much of it has come from nothing, or gone nowhere.
-        """
+        """Look at the energy of the latest row."""
         time, *_, potential, _, _ = self.rows[-1]
         (_, before), (kinetic, after) = (self.unspent(self.rows[k]) for k in (0, -1))
         lack = after - before

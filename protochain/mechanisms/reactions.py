@@ -21,14 +21,10 @@ _AXES = ("x", "y", "z")
 class Transmitted(NamedTuple):
     """What passes through hinges and joints at one moment.
 
-    Parameters
-    ----------
-    at : Phase
-        The moment.
-    hinges : (nb, 6) float
-        Moment about the origin of each body, and force, by which its parent, or the world, moves it.
-    joints : (m,) float
-        Forces and moments of the equations of the joints that close loops.
+    at: The moment.
+    hinges (nb, 6): Moment about the origin of each body, and force, by which its parent, or the world, moves
+        it.
+    joints (m,): Forces and moments of the equations of the joints that close loops.
     """
 
     at: Phase

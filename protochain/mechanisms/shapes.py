@@ -88,18 +88,11 @@ Other = Plane | Surface | Sequence[Ball] | None
 class Touches(NamedTuple):
     """Where two bodies a and b overlap.
 
-    Parameters
-    ----------
-    pair : (k, 2) int
-        Number of the ball, and of what it touches, in order.
-    ends : (k, 2) int
-        Bodies a and b; -1 is the world.
-    place : (k, 3) float
-        Middle of the overlap.
-    normal : (k, 3) float
-        Unit vectors from b to a.
-    depth : (k,) float
-        Overlaps, all positive.
+    pair (k, 2) int: Number of the ball, and of what it touches, in order.
+    ends (k, 2) int: Bodies a and b; -1 is the world.
+    place (k, 3): Middle of the overlap.
+    normal (k, 3): Unit vectors from b to a.
+    depth (k,): Overlaps, all positive.
     """
 
     pair: Integers
@@ -124,13 +117,7 @@ class Balls:
 
 
 def balls_of(bodies: Bodies, balls: Sequence[Ball], asking: str) -> Balls:
-    """Balls by numbers of bodies.
-
-    Raises
-    ------
-    MechanicsError
-        If there is none, or a body is not there.
-    """
+    """Balls by numbers of bodies."""
     if not balls:
         raise MechanicsError(f"{asking}: give at least one ball")
     own = [bodies.number(ball.body, asking) for ball in balls]
@@ -240,13 +227,7 @@ class Finder(Protocol):
 
 
 def finder(bodies: Bodies, balls: Sequence[Ball], other: Other, name: str) -> Finder:
-    """What finds where balls touch a plane, a surface, other balls, or each other (None).
-
-    Raises
-    ------
-    MechanicsError
-        If a shape cannot be touched.
-    """
+    """What finds where balls touch a plane, a surface, other balls, or each other (None)."""
     found = balls_of(bodies, balls, name)
     if isinstance(other, Plane):
         body = bodies.number(other.body, name)

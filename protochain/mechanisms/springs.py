@@ -106,16 +106,10 @@ class Spring(Between):
 class Springs(Rows):
     """Springs, bound.
 
-    Parameters
-    ----------
-    names : (n,) str
-        Names, for messages.
-    ends : (n, 2) int
-        Bodies of each; -1 is the world.
-    points : (n, 6) float
-        Points of both bodies, along the axes of the tree's frames.
-    constants : (n, 3) float
-        Stiffness, length at rest, damping.
+    names (n,) str: Names, for messages.
+    ends (n, 2) int: Bodies of each; -1 is the world.
+    points (n, 6): Points of both bodies, along the axes of the tree's frames.
+    constants (n, 3): Stiffness, length at rest, damping.
     """
 
     names: np.ndarray
@@ -124,13 +118,7 @@ class Springs(Rows):
     constants: Floats
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
-        """Add the forces of the springs.
-
-        Raises
-        ------
-        MechanicsError
-            If the ends of a spring meet that has a length at rest.
-        """
+        """Add the forces of the springs."""
         energy: float = pull(frames.rotation, frames.origin, self.ends, self.points, self.constants, wrenches)
         if energy < 0.0:
             raise MechanicsError(

@@ -69,12 +69,8 @@ class Torsion(Named):
 class Torsions(Rows):
     """Torsions, bound: torques -k (q - rest) and -c qd.
 
-    Parameters
-    ----------
-    coordinates, freedoms : (n,) int
-        Places of the hinges in q and in qd.
-    constants : (n, 3) float
-        Stiffness, coordinate at rest, damping.
+    coordinates, freedoms (n,) int: Places of the hinges in q and in qd.
+    constants (n, 3): Stiffness, coordinate at rest, damping.
     """
 
     coordinates: Integers

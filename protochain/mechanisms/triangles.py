@@ -59,20 +59,9 @@ def least_distances(
     nearer: a ball on the middle of a triangle does not touch the edges of its neighbours. Where it
     touches an edge from outside, it touches it once.
 
-    Parameters
-    ----------
-    near : (n, 2) int
-        Balls, and triangles whose boxes are near, by ball.
-    centre, radius : (balls, 3) float, (balls,) float
-    corners : (m, 3, 3) float
-
-    Returns
-    -------
-    pair : (k, 2) int
-        Ball and triangle.
-    point : (k, 3) float
-    distance : (k,) float
-        From the centre of the ball, below its radius.
+    near (n, 2) int, centre, radius (balls, 3), corners (m, 3, 3) -> point (k, 3).
+    -> pair (k, 2) int: Ball and triangle.
+    -> distance (k,): From the centre of the ball, below its radius.
     """
     n = len(near)
     points, distance, inside = np.empty((n, 3)), np.empty(n), np.empty(n, np.bool_)

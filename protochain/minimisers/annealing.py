@@ -37,18 +37,11 @@ class Annealing:
     Simulated annealing: Kirkpatrick, Gelatt, Vecchi, Science 220:671 (1983). At 0 K from rest it is damped
     dynamics.
 
-    Parameters
-    ----------
-    temperature : float, K
-        Initial temperature.
-    n_steps : int
-        Number of time steps.
-    friction : float, 1/ps
-        Of the thermostat.
-    time_step : float, ps
-        Shortened where a freedom would turn by more than ``LONGEST_TURN``.
-    seed : int
-        Of the random forces and initial velocities.
+    temperature K: Initial temperature.
+    n_steps: Number of time steps.
+    friction 1/ps: Of the thermostat.
+    time_step ps: Shortened where a freedom would turn by more than ``LONGEST_TURN``.
+    seed: Of the random forces and initial velocities.
     """
 
     temperature: float = 0.0

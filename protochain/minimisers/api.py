@@ -137,13 +137,7 @@ minimize = minimise
 
 @dataclass(frozen=True)
 class Minimisation(CheckpointSettings, MinimiseSettings):
-    """A minimisation by a recipe.
-
-    Raises
-    ------
-    ProtochainError
-        If a setting makes no sense; the message names it.
-    """
+    """A minimisation by a recipe."""
 
     recipe: Recipe
 

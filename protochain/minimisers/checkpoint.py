@@ -21,16 +21,7 @@ _KINDS = (Waypoint, Snapshot, Tally, Unstarted)
 
 
 def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any]) -> None:
-    """Write a waypoint, with the settings of its run.
-
-    Parameters
-    ----------
-    path : Path
-        An .npz file.
-    waypoint : Waypoint
-    settings : mapping
-        Of plain values.
-    """
+    """Write a waypoint, with the settings of its run."""
     arrays: dict[str, np.ndarray] = {}
     known: dict[int, Any] = {}
     tree = _plain(waypoint, arrays, known)
@@ -38,22 +29,7 @@ def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any])
 
 
 def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any], x: Floats) -> Waypoint:
-    """Read a waypoint of a plan.
-
-    Parameters
-    ----------
-    path : Path
-    plan : list of Stage
-    settings : mapping
-        Those of the run to be continued.
-    x : (na, 3) float, nm
-        Start of that run: what is read must fit its atoms and freedoms.
-
-    Raises
-    ------
-    ProtochainError
-        If the file cannot be read, belongs to a run with other settings, or holds what no run writes.
-    """
+    """Read a waypoint of a plan: x (na, 3) nm."""
     remedy = "give a file that an earlier run wrote as its checkpoint"
     arrays, tree = read_arrays(path, settings, "minimisation", remedy)
     with undamaged(path, remedy):

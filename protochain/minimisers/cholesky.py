@@ -23,16 +23,8 @@ of 1000 to 4000 atoms take 70 to 90."""
 def elimination_order(n: int, pairs: Integers) -> Integers:
     """Order of n rows that keeps the factor sparse, by multiple minimum degree.
 
-    Parameters
-    ----------
-    n : int
-    pairs : (m, 2) int
-        Rows that are coupled.
-
-    Returns
-    -------
-    (n,) int
-        Place of each row in the order.
+    pairs (m, 2) int.
+    -> (n,) int: Place of each row in the order.
     """
     i, j = pairs.T
     values = np.r_[np.full(2 * len(i), -1.0), np.full(n, 2.0 * len(i) + 1.0)]
@@ -47,17 +39,11 @@ def elimination_order(n: int, pairs: Integers) -> Integers:
 class Factor:
     """Factor L of a matrix A = L L^T, in an order of elimination.
 
-    Parameters
-    ----------
-    place : (n,) int
-        Place of each row in the order.
-    start : (n + 1,) int
-        Of each column of L.
-    rows : (m,) int
-        Of the blocks below the diagonal, ascending in each column.
-    blocks : (m, 9) float
-    inverse : (n, 9) float
-        Inverses of the diagonal blocks of L.
+    place (n,) int: Place of each row in the order.
+    start (n + 1,) int: Of each column of L.
+    rows (m,) int: Of the blocks below the diagonal, ascending in each column.
+    blocks (m, 9).
+    inverse (n, 9): Inverses of the diagonal blocks of L.
     """
 
     place: Integers
@@ -74,20 +60,7 @@ class Factor:
 
 
 def factorise(place: Integers, own: Floats, pairs: Integers, shared: Floats) -> Factor:
-    """Factorise a positive definite matrix.
-
-    Parameters
-    ----------
-    place : (n,) int
-        Place of each row in the order of elimination, as from :func:`elimination_order`. Where it makes the
-        factor fill up, another one is taken.
-    own : (n, 9) float
-        Diagonal blocks.
-    pairs : (m, 2) int
-        Rows and columns of other blocks; those of one pair are added.
-    shared : (m, 9) float
-        These blocks, row by row; their transposes are implied.
-    """
+    """Factorise a positive definite matrix: place (n,) int, own (n, 9), pairs (m, 2) int, shared (m, 9)."""
     start, rows, first, column, at = _pattern(place, pairs)
     if np.sum(np.diff(start) ** 2) > MOST_WORK * len(pairs):
         # The order was found for other pairs: with these the factor fills up.

@@ -44,26 +44,16 @@ TORSION_FLOOR = 50.0
 class NearTerms:
     """Near terms of a force field.
 
-    Parameters
-    ----------
-    n_atoms : int
-    bonds : Bonded
-        Pairs, with (r0, k).
-    angles : Bonded
-        Three atoms, with (theta0, k).
-    dihedrals : (n, 4) int
-        Each once.
-    waves : (m, 3) float
-        Cosines (n, phi0, k) of the dihedrals, those of one together; with n = 0, a constant stiffness k.
-    first_wave : (n + 1,) int
-        Of each dihedral.
-    contacts : Bonded
-        1-4 pairs, with (A, B) of A/r^12 - B/r^6.
-    lj_type : (na,) int
-    a12, b6 : (types, types) float
-        A and B of free pairs.
-    partners : tuple of (na + 1,) int, (n,) int
-        Start of each atom's partners that are no free pairs, and the partners, of higher index.
+    bonds: Pairs, with (r0, k).
+    angles: Three atoms, with (theta0, k).
+    dihedrals (n, 4) int: Each once.
+    waves (m, 3): Cosines (n, phi0, k) of the dihedrals, those of one together; with n = 0, a constant
+        stiffness k.
+    first_wave (n + 1,) int: Of each dihedral.
+    contacts: 1-4 pairs, with (A, B) of A/r^12 - B/r^6.
+    lj_type (na,) int.
+    a12, b6 (types, types): A and B of free pairs.
+    partners: Start of each atom's partners that are no free pairs, and the partners, of higher index.
     """
 
     n_atoms: int
@@ -176,14 +166,9 @@ def _dihedrals(torsions: Bonded, impropers: Bonded) -> tuple[Integers, Floats, I
 class Curvature:
     """Blocks of the Hessian's model.
 
-    Parameters
-    ----------
-    own : (na, 9) float
-        On its diagonal, row by row.
-    pairs : (n, 2) int
-        Atoms that are coupled, the smaller index first.
-    shared : (n, 9) float
-        Their blocks.
+    own (na, 9): On its diagonal, row by row.
+    pairs (n, 2) int: Atoms that are coupled, the smaller index first.
+    shared (n, 9): Their blocks.
     """
 
     own: Floats
@@ -224,14 +209,7 @@ def bonded_gradients(terms: NearTerms, x: Floats) -> tuple[Gradients, Gradients]
 def curvature(terms: NearTerms, x: Floats, near: Stretches, coupled_from: float = COUPLED) -> Curvature:
     """Blocks of the bonded terms, and of springs between near atoms.
 
-    Parameters
-    ----------
-    terms : NearTerms
-    x : (na, 3) float, nm
-    near : tuple
-        As from :func:`free_wells`.
-    coupled_from : float, kJ/mol/nm^2
-        Stiffness above which such a pair couples its atoms.
+    x (na, 3) nm, coupled_from kJ/mol/nm^2.
     """
     # Copies are writable, and kernels compiled once.
     x = np.array(x)
@@ -276,23 +254,7 @@ def near_solver(
 ) -> Callable[[Floats], Floats]:  # fmt: skip
     """Solver for the model of the Hessian in Cartesian coordinates.
 
-    Parameters
-    ----------
-    terms : NearTerms
-    x : (na, 3) float, nm
-    moving : (na,) bool
-        Atoms that may move.
-    order : (n,) int
-        From :func:`order_at`.
-    near : Springs, optional
-        Between near atoms, in place of :func:`free_wells`.
-    tether : (na,) float, kJ/mol/nm^2, optional
-        Springs of the atoms to fixed points.
-
-    Returns
-    -------
-    callable
-        (3 na,) float, kJ/mol/nm -> (3 na,) float, nm.
+    x (na, 3) nm, moving (na,) bool, order (n,) int, tether (na,).
     """
     if near is None:
         at = curvature(terms, x, free_wells(terms, x, moving))

@@ -85,18 +85,7 @@ class Proportional(Direction):
 def largest_eigenvalue(problem: Problem, at: Evaluation, n_products: int) -> float:
     """Largest size of an eigenvalue of the Hessian at a point, from below.
 
-    Parameters
-    ----------
-    problem : Problem
-        Counts two evaluations for each product.
-    at : Evaluation
-    n_products : int
-        Steps of Lanczos (J. Res. Nat. Bur. Stand. 45:255, 1950), from the torques.
-
-    Returns
-    -------
-    float, kJ/mol/rad^2
-        Largest size of a Ritz value. Products are central differences of torques.
+    -> kJ/mol/rad^2: Largest size of a Ritz value. Products are central differences of torques.
     """
     vectors: list[Floats] = []
     products: list[Floats] = []

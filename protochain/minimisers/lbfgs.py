@@ -67,19 +67,8 @@ class LBFGS(Direction):
 def quasi_newton(torque: Floats, pairs: Pairs, solve: Solve = np.copy) -> Floats:
     """Inverse-Hessian estimate times the torques, by the two-loop recursion (algorithm 7.4).
 
-    Parameters
-    ----------
-    torque : (n_v,) float
-        Minus the gradient.
-    pairs : tuple of ((n_v,) float, (n_v,) float, float)
-        Steps, the decreases of torque along them, and the (positive) products of both; oldest first.
-    solve : callable
-        Solver for the first estimate of the Hessian, up to its scale.
-
-    Returns
-    -------
-    (n_v,) float
-        A descent direction.
+    torque (n_v,).
+    -> (n_v,): A descent direction.
     """
     direction = torque.copy()
     weights = []

@@ -51,16 +51,10 @@ class Method(Protocol):
 class Snapshot:
     """A run between two iterations, with all that its continuation depends on.
 
-    Parameters
-    ----------
-    state : State
-        The method's.
-    start : Evaluation
-        First point of the run.
-    tally : Tally
-    n_iterations : int
-    lists_at : (na, 3) float or None
-        Positions at which the energy's neighbour lists were built: they set the order of its sums.
+    state: The method's.
+    start: First point of the run.
+    lists_at (na, 3): Positions at which the energy's neighbour lists were built: they set the order of its
+        sums.
     """
 
     state: State
@@ -74,11 +68,7 @@ class Snapshot:
 class Ending:
     """How a loop ended.
 
-    Parameters
-    ----------
-    stop : Stop
-    last : Snapshot
-        After the last complete iteration.
+    last: After the last complete iteration.
     """
 
     stop: Stop

@@ -88,12 +88,8 @@ class Damped(Stiffness):
     freedoms do not run ahead of stiff ones, so that a start leads to a minimum near it. Near the minimum
     nothing of the damping is left.
 
-    Parameters
-    ----------
-    refresh_every : int
-        Iterations between two computations of the matrix.
-    damping : float, 1/nm
-        Added to the diagonal, times the RMS force.
+    refresh_every: Iterations between two computations of the matrix.
+    damping 1/nm: Added to the diagonal, times the RMS force.
     """
 
     damping: float = 300.0

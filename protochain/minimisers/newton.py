@@ -100,23 +100,7 @@ def conjugate_gradients(
 ) -> Floats:
     """Solve (shift + H) d = tau inexactly, in the subspace of positive curvature met so far.
 
-    Parameters
-    ----------
-    problem : Problem
-        Counts an evaluation for each product with H.
-    at : Evaluation
-    solve : callable
-        The preconditioner.
-    shift : float
-    rtol : float
-        Residual to stop at, relative to the torque, both in the norm of the preconditioner.
-    max_products : int
-        Products with H at most.
-
-    Returns
-    -------
-    (n_v,) float
-        A descent direction (Nocedal, Wright, *Numerical Optimization*, 2006, algorithm 7.1).
+    -> (n_v,): A descent direction (Nocedal, Wright, *Numerical Optimization*, 2006, algorithm 7.1).
     """
     turn = np.zeros_like(at.torque)
     left = at.torque.copy()

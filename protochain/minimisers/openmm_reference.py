@@ -125,28 +125,7 @@ def local_energy_minimizer(
     max_evaluations: int,
     record: Record,
 ) -> tuple[Stop, Floats, int, int]:
-    """Run ``openmm.LocalEnergyMinimizer``, recorded and with a budget.
-
-    Parameters
-    ----------
-    energy : Energy
-        Its System and threads are used.
-    platform : str
-        ``CPU`` (single precision) or ``Reference`` (double).
-    x : (na, 3) float, nm
-    tolerance : float, kJ/mol/nm
-        RMS force at which it stops. In single precision it also stops, silently, when its line search finds
-        no lower energy.
-    max_evaluations : int
-        A line search is broken off at the last one.
-    record : callable
-        Called with positions, energy, evaluations so far and forces after each iteration.
-
-    Returns
-    -------
-    Stop, (na, 3) float, int, int
-        Reason it ended, positions of lowest energy, iterations, evaluations of the forces.
-    """
+    """Run ``openmm.LocalEnergyMinimizer``, recorded and with a budget: x (na, 3) nm, tolerance kJ/mol/nm."""
     with held_interrupts() as interrupts:
         reporter = _Reporter(record, max_evaluations, interrupts)
         _minimise(energy, platform, x, tolerance, reporter)

@@ -76,13 +76,9 @@ _PATIENCE = 60
 class Held:
     """Model of the Hessian of tethered atoms, whose repulsion may be soft.
 
-    Parameters
-    ----------
-    tether : (na,) float, kJ/mol/nm^2
-    is_soft : bool
-        Whether near atoms repel each other as :class:`SoftRepulsion` has it.
-    refresh_every : int
-        Iterations between two computations of the matrix.
+    tether (na,) kJ/mol/nm^2.
+    is_soft: Whether near atoms repel each other as :class:`SoftRepulsion` has it.
+    refresh_every: Iterations between two computations of the matrix.
     """
 
     tether: Floats
@@ -103,20 +99,7 @@ def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
 def parting_in_torsions(
     space: Torsions, energy: Energy, tolerance: float, restraint: Force | None, overlap: bool
 ) -> list[Stage]:
-    """Stages that part overlaps in torsions, then let the force field take over by and by.
-
-    Parameters
-    ----------
-    space : Torsions
-    energy : Energy
-        Of the stages that follow.
-    tolerance : float
-        Of the whole minimisation.
-    restraint : callable, optional
-        The user's.
-    overlap : bool
-        Whether atoms overlap; otherwise only torques are large.
-    """
+    """Stages that part overlaps in torsions, then let the force field take over by and by."""
     structure = space.chain.structure
     plan: list[Stage] = []
     if overlap:
@@ -133,15 +116,7 @@ def parting_in_all_atoms(
     restraint: Force | None,
     overlap: bool,
 ) -> list[Stage]:
-    """Stages that free threaded rings and part overlaps in all atoms, then let the force field take over.
-
-    Parameters
-    ----------
-    torsions, space : Torsions, Cartesian
-        Torsions part the atoms if nothing is known of an energy's bonds.
-    energy, tolerance, restraint, overlap
-        As for :func:`parting_in_torsions`.
-    """
+    """Stages that free threaded rings and part overlaps in all atoms, then let the force field take over."""
     structure = space.structure
     plan: list[Stage] = []
     threaded = bool(threaded_rings(structure))
@@ -222,14 +197,7 @@ def _structure(space: Space) -> Structure:
 
 
 def once_ordinary(stage: Stage, energy: Energy | None = None) -> Stage:
-    """Stage in torsions that runs only where nothing overlaps and the largest torque is ordinary.
-
-    Parameters
-    ----------
-    stage : Stage
-    energy : Energy, optional
-        With all terms, if all atoms moved before: the chain is rebuilt where they are.
-    """
+    """Stage in torsions that runs only where nothing overlaps and the largest torque is ordinary."""
     fit = None if energy is None else partial(_rebuilt, energy)
     return replace(stage, ready=partial(_is_ordinary, energy), fit=fit)
 

@@ -122,13 +122,8 @@ class Space(Protocol):
 class Tally:
     """Evaluations counted so far, and the lowest energy among them.
 
-    Parameters
-    ----------
-    n_evaluations : int
-    best : Evaluation or None
-        Point of lowest energy among those allowed as the result.
-    improved_at : int
-        Number of the evaluation that found it.
+    best: Point of lowest energy among those allowed as the result.
+    improved_at: Number of the evaluation that found it.
     """
 
     n_evaluations: int = 0

@@ -83,13 +83,7 @@ class Run:
 
 
 def check_dihedrals(energy: Energy, what: str) -> None:
-    """Refuse an energy without dihedral terms for what moves all atoms.
-
-    Raises
-    ------
-    ProtochainError
-        Naming what moves them.
-    """
+    """Refuse an energy without dihedral terms for what moves all atoms."""
     # A System that the caller gave is as the caller wants it.
     if lacks_dihedrals(energy.system) and energy.atoms:
         raise ProtochainError(
@@ -325,19 +319,7 @@ def kcm(angle: float = ANGLE) -> Recipe:
 
 
 def at_angle(recipe: Recipe, angle: float) -> Recipe:
-    """Method of KCM that begins with another angle, or keeps to it.
-
-    Parameters
-    ----------
-    recipe : Recipe
-        One that turns the hinge of largest torque by a given angle.
-    angle : float, rad
-
-    Raises
-    ------
-    ProtochainError
-        If the angle makes no sense, or the method has none.
-    """
+    """Method of KCM that begins with another angle, or keeps to it: angle rad."""
     if not 0.0 < number(angle, "angle") < np.inf:
         raise ProtochainError(f"angle {angle:g}: give a number above 0, in rad")
     if not _has_angle(recipe):

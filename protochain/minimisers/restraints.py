@@ -33,10 +33,8 @@ _LEASH_ENERGY = 10.0
 class Tethers:
     """Springs from atoms to their initial positions: E = k/2 sum |x - x0|^2.
 
-    Parameters
-    ----------
-    home : (na, 3) float, nm
-    weight : (na,) float, kJ/mol/nm^2
+    home (na, 3) nm.
+    weight (na,) kJ/mol/nm^2.
     """
 
     home: Floats
@@ -58,10 +56,8 @@ class Tethers:
 class Bound:
     """Wall around the initial position of every atom: E = k/2 sum (d - limit)^2 over those beyond it.
 
-    Parameters
-    ----------
-    home : (na, 3) float, nm
-    limit : float, nm
+    home (na, 3) nm.
+    limit nm.
     """
 
     home: Floats
@@ -80,10 +76,7 @@ class Bound:
 class Leash:
     """Harmonic wall that begins at 0.9 of the limit of the C-alpha RMSD to the start, superposed.
 
-    Parameters
-    ----------
-    structure : Structure
-    limit : float, angstrom
+    limit angstrom.
     """
 
     structure: Structure
@@ -118,14 +111,9 @@ class Leash:
 class SoftRepulsion:
     """Soft repulsion of overlapping atoms: E = k/2 sum (r0 - r)^2 over unbonded pairs nearer than r0.
 
-    Parameters
-    ----------
-    structure : Structure
-    passing : (n, 2) int
-        Pairs of residues whose atoms do not repel each other.
-    share : float
-        Range r0, as a share of the contact distance.
-    stiffness : float, kJ/mol/nm^2
+    passing (n, 2) int: Pairs of residues whose atoms do not repel each other.
+    share: Range r0, as a share of the contact distance.
+    stiffness kJ/mol/nm^2.
     """
 
     structure: Structure
@@ -155,10 +143,7 @@ class SoftRepulsion:
 class Given:
     """Restraint of a caller.
 
-    Parameters
-    ----------
-    function : callable
-        Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
+    function: Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
     """
 
     function: Force
@@ -199,19 +184,10 @@ def tethers_in(restraint: Force | None) -> Floats | None:
 class Hold:
     """Restraints of a minimisation to its start.
 
-    Parameters
-    ----------
-    strengths : tuple of float, kJ/mol/nm^2
-        Springs from the heavy atoms to their initial positions, one strength after the other.
-    max_rmsd : float, angstrom
-        C-alpha RMSD to the start that may not be exceeded.
-    term : callable, optional
-        Any other restraint: positions (na, 3) in nm to energy and forces.
-
-    Raises
-    ------
-    ProtochainError
-        If a number makes no sense.
+    strengths kJ/mol/nm^2: Springs from the heavy atoms to their initial positions, one strength after the
+        other.
+    max_rmsd angstrom: C-alpha RMSD to the start that may not be exceeded.
+    term: Any other restraint: positions (na, 3) in nm to energy and forces.
     """
 
     strengths: tuple[float, ...] = ()
@@ -226,13 +202,7 @@ class Hold:
 
     @classmethod
     def of(cls, restraint: Any, max_rmsd: float = np.inf) -> "Hold":
-        """Read one strength, several, a string of them, or a callable.
-
-        Raises
-        ------
-        ProtochainError
-            If it is none of these.
-        """
+        """Read one strength, several, a string of them, or a callable."""
         if callable(restraint):
             return cls((), max_rmsd, restraint)
         try:
@@ -252,13 +222,7 @@ class Hold:
         return "springs to the start" if self.strengths and self.strengths[-1] > 0.0 else ""
 
     def restraints(self, structure: Structure) -> list[Force | None]:
-        """Energy of each restraint in turn; None where nothing is restrained.
-
-        Raises
-        ------
-        ProtochainError
-            If a callable does not return an energy and its forces.
-        """
+        """Energy of each restraint in turn; None where nothing is restrained."""
         always: list[Force] = []
         if self.term is not None:
             always.append(Given(self.term))

@@ -61,10 +61,7 @@ ROUNDS = 4
 class Soft:
     """Stiffness with nearly nothing added: it ranks soft directions.
 
-    Parameters
-    ----------
-    refresh_every : int
-        Iterations between two computations of the matrix.
+    refresh_every: Iterations between two computations of the matrix.
     """
 
     refresh_every: int = 1_000_000_000
@@ -78,26 +75,16 @@ class Soft:
 class CurvatureState:
     """A search between two products.
 
-    Parameters
-    ----------
-    at : Evaluation
-        The point looked at; after the last step, one down the slope from a saddle point.
-    preconditioner : Preconditioner
-    vectors, products : tuple of (n_v,) float
-        Orthonormal, and the Hessian times each.
-    direction : (n_v,) float
-        Of the lowest curvature found: a unit vector.
-    residuals : tuple of (n_v,) float
-        What is left of H v - ritz v for it, and for the second lowest.
-    ritz, fall, doubt : float, kJ/mol/rad^2 or kJ/mol/nm^2
-        Curvature along it, by how much the last vector lowered it, and how far the products are from
-        symmetric there: they are differences of torques, which may be rounded.
-    value : float, in the same unit, or None
-        The lowest eigenvalue; None while it is sought.
-    is_saddle, confirmed, left : bool
-        Whether it is a saddle point, whether lower points were sought beside it, and whether ``at`` is one.
-    most : int
-        Products at most.
+    at: The point looked at; after the last step, one down the slope from a saddle point.
+    vectors, products: Orthonormal, and the Hessian times each.
+    direction (n_v,): Of the lowest curvature found: a unit vector.
+    residuals: What is left of H v - ritz v for it, and for the second lowest.
+    ritz, fall, doubt: Curvature along it, by how much the last vector lowered it, and how far the products
+        are from symmetric there: they are differences of torques, which may be rounded.
+    value: The lowest eigenvalue; None while it is sought.
+    is_saddle, confirmed, left: Whether it is a saddle point, whether lower points were sought beside it, and
+        whether ``at`` is one.
+    most: Products at most.
     """
 
     at: Evaluation
@@ -141,16 +128,11 @@ class Curvature:
     below -``LEAST``): a direction in which a turn of less than 1 rad brings a torque above the tolerance, or
     a root mean square displacement of less than 0.1 nm an RMS force.
 
-    Parameters
-    ----------
-    tolerance : float, kJ/mol/rad or kJ/mol/nm
-        Of the minimisation.
-    floats : bool
-        Whether nothing but fixed atoms holds the whole: rigid motions, whose curvature is 0, are left out.
-    leaves : bool
-        Whether to step off a saddle point.
-    share : float
-        Of the evaluations before it that the search may take; ``MOST`` and ``FEWEST`` are its limits.
+    tolerance: Of the minimisation.
+    floats: Whether nothing but fixed atoms holds the whole: rigid motions, whose curvature is 0, are left
+        out.
+    leaves: Whether to step off a saddle point.
+    share: Of the evaluations before it that the search may take; ``MOST`` and ``FEWEST`` are its limits.
     """
 
     tolerance: float
@@ -219,22 +201,7 @@ class Curvature:
 
 
 def stepped_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluation | None:
-    """Point below a saddle point, on the lower of its two sides; None if none is found.
-
-    Parameters
-    ----------
-    problem : Problem
-        Counts the evaluations.
-    at : Evaluation
-        The saddle point.
-    direction : (n_v,) float
-        Of negative curvature; its largest entry counts like a turn of 1 rad.
-
-    Returns
-    -------
-    Evaluation or None
-        The turn is doubled as long as the energy falls, and halved until it does.
-    """
+    """Point below a saddle point, on the lower of its two sides; None if none is found: direction (n_v,)."""
 
     def turned(angle: float) -> Evaluation | None:
         found = problem.evaluate(problem.move(at.q, angle * direction))
@@ -257,15 +224,7 @@ def stepped_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluati
 
 
 def with_curvature(plan: Sequence[Stage], floats: bool, share: float = np.inf) -> list[Stage]:
-    """Plan of a run that looks whether its end is a minimum, and leaves a saddle point.
-
-    Parameters
-    ----------
-    plan : sequence of Stage
-        The last one is run again from below a saddle point.
-    floats, share : bool, float
-        As of :class:`Curvature`.
-    """
+    """Plan of a run that looks whether its end is a minimum, and leaves a saddle point."""
     final = plan[-1]
     ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.CIRCLING)
     method = Curvature(final.tolerance, floats, share=share)

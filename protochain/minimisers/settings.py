@@ -16,13 +16,7 @@ TOLERANCE = optional(limited(number, lambda force: 0 < force <= 1e6, "give a num
 
 @dataclass(frozen=True, kw_only=True)
 class MinimiseSettings(Settings):
-    """How far a minimisation goes, and what holds it; for the meanings see :func:`protochain.minimise`.
-
-    Raises
-    ------
-    ProtochainError
-        If a setting makes no sense; the message names it.
-    """
+    """How far a minimisation goes, and what holds it; for the meanings see :func:`protochain.minimise`."""
 
     tolerance: float | None = setting(
         None,
@@ -63,13 +57,7 @@ class CheckpointSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class StartSettings(Settings):
-    """Many starts; for the meanings see :func:`protochain.explore`.
-
-    Raises
-    ------
-    ProtochainError
-        If a setting makes no sense; the message names it.
-    """
+    """Many starts; for the meanings see :func:`protochain.explore`."""
 
     n_starts: int = setting(
         1,

@@ -199,9 +199,7 @@ def _pose(at: Placement) -> Pose:
 class Positions:
     """Free atoms at one point.
 
-    Parameters
-    ----------
-    q : (3 na,) float, nm
+    q (3 na,) nm.
     """
 
     q: Floats

@@ -51,10 +51,8 @@ CARTESIAN_FLOOR = 8.0e3
 class Springs:
     """Harmonic springs along the lines between pairs of atoms.
 
-    Parameters
-    ----------
-    pairs : (n, 2) int
-    stiffness : (n,) float, kJ/mol/nm^2
+    pairs (n, 2) int.
+    stiffness (n,) kJ/mol/nm^2.
     """
 
     pairs: Integers
@@ -95,21 +93,9 @@ def torsion_stiffness(
 ) -> Floats:
     """Stiffness K = J^T C J of the contacts of a chain, in its torsions.
 
-    Parameters
-    ----------
-    chain : Chain
-    at : Pose
-    near_by : callable
-        Makes the springs.
-    tether : (na,) float, kJ/mol/nm^2, optional
-        Springs of the atoms to fixed points.
-    gradients : sequence of tuple
-        Angles and dihedrals, which add k J^T g g^T J.
-
-    Returns
-    -------
-    (n_v, n_v) float, kJ/mol/rad^2
-        Of all that acts between bodies; springs within a rigid group keep their length.
+    tether (na,).
+    -> (n_v, n_v) kJ/mol/rad^2: Of all that acts between bodies; springs within a rigid group keep their
+        length.
     """
     near = near_by(chain.structure, at.x, 2)
     along = _directions(at.x, near.pairs)
@@ -129,26 +115,7 @@ def cartesian_solver(
 ) -> Callable[[Floats], Floats]:
     """Solver for the sparse stiffness of bonds, angles, dihedrals and contacts, in Cartesian coordinates.
 
-    Parameters
-    ----------
-    structure : Structure
-    bonded : Springs
-        From :func:`covalent`.
-    x : (na, 3) float, nm
-    moving : (na,) bool
-        Atoms that may move.
-    near_by : callable
-        Makes the springs between atoms that are near each other.
-    tether : (na,) float, kJ/mol/nm^2, optional
-        Springs of the atoms to fixed points.
-    floor : float, kJ/mol/nm^2
-        Added for every atom.
-
-    Returns
-    -------
-    callable
-        (3 na,) float, kJ/mol/nm -> (3 na,) float, nm. Contacts enter by their diagonal blocks only, so that
-        the matrix and its factors stay as sparse as the bonds.
+    x (na, 3) nm, moving (na,) bool, tether (na,), floor kJ/mol/nm^2.
     """
     near = near_by(structure, x, 3)
     matrix = _sparse(structure.n_atoms, bonded, x, True) + _sparse(structure.n_atoms, near, x, False)

@@ -55,31 +55,15 @@ Answer = Callable[[Problem, Ending, Floats], Floats]
 class Stage:
     """One run of the loop.
 
-    Parameters
-    ----------
-    space : Space
-    method : Method
-    energy : callable
-    tolerance : float
-    restraint : callable, optional
-    recorded : bool
-        Whether its points belong in the trace: those of an energy other than the force field's do not.
-    patience : int
-        Evaluations without a new lowest energy after which it is given up.
-    answer : callable
-        Chooses the result, from which the next stage starts.
-    after : tuple of Stop
-        Endings of the stage before after which this one runs; empty for always.
-    name : str
-        What it does, for whoever watches.
-    ready : callable, optional
-        Whether to run it from where the stage before ended; otherwise it is left out.
-    fit : callable, optional
-        The stage as it runs from the positions (na, 3) where the one before ended.
-    looks : bool
-        Whether it only looks at where the stage before ended, whose ending stands if it finds nothing.
-    ends : tuple of Stop
-        Endings with which the walk ends, unless the next stage runs after them.
+    recorded: Whether its points belong in the trace: those of an energy other than the force field's do not.
+    patience: Evaluations without a new lowest energy after which it is given up.
+    answer: Chooses the result, from which the next stage starts.
+    after: Endings of the stage before after which this one runs; empty for always.
+    name: What it does, for whoever watches.
+    ready: Whether to run it from where the stage before ended; otherwise it is left out.
+    fit: The stage as it runs from the positions (na, 3) where the one before ended.
+    looks: Whether it only looks at where the stage before ended, whose ending stands if it finds nothing.
+    ends: Endings with which the walk ends, unless the next stage runs after them.
     """
 
     space: Space
@@ -129,18 +113,11 @@ def of_moving(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
 class Waypoint:
     """State of a walk when it stopped.
 
-    Parameters
-    ----------
-    stage : int
-        Index in the plan.
-    before : int
-        Iterations of the stages before.
-    last : Snapshot
-        Of the loop.
-    at : (na, 3) float, nm, or None
-        Positions that the stage was fitted to, if it was.
-    ended : str
-        Name of the ending of the stage before, if there was one.
+    stage: Index in the plan.
+    before: Iterations of the stages before.
+    last: Of the loop.
+    at (na, 3): Positions that the stage was fitted to, if it was.
+    ended: Name of the ending of the stage before, if there was one.
     """
 
     stage: int
@@ -154,23 +131,12 @@ class Waypoint:
 class Outcome:
     """Unjudged result of a method.
 
-    Parameters
-    ----------
-    stop : Stop
-    space : Space
-    q : (n_q,) float
-        Coordinates in that space.
-    n_iterations, n_evaluations : int
-    restraint : callable or None
-        Of the last stage run.
-    complete : bool
-        Whether no stage was left out.
-    waypoint : Waypoint or None
-        For a checkpoint; None if nothing was computed.
-    lowest_eigenvalue : float or None, in the unit of the space
-        Of the Hessian at q, if a stage found it.
-    eigenvalue_at_most : float or None, in the unit of the space
-        What a search that did not end knows of it.
+    q (n_q,): Coordinates in that space.
+    restraint: Of the last stage run.
+    complete: Whether no stage was left out.
+    waypoint: For a checkpoint; None if nothing was computed.
+    lowest_eigenvalue: Of the Hessian at q, if a stage found it.
+    eigenvalue_at_most: What a search that did not end knows of it.
     """
 
     stop: Stop
@@ -199,29 +165,7 @@ def walk(
     resume: Waypoint | None = None,
     resumable: bool = True,
 ) -> Outcome:
-    """Run one stage after the other, each from the result of the one before.
-
-    Parameters
-    ----------
-    plan : sequence of Stage
-    x : (na, 3) float, nm
-        Where the first begins.
-    max_evaluations : int
-        For all of them together.
-    allowed : callable, optional
-        Whether positions are allowed as the result.
-    record : callable
-        Called with each point accepted, its stage, and the evaluations so far.
-    resume : Waypoint, optional
-        Continue from there.
-    resumable : bool
-        Whether each stage makes its neighbour lists where it begins, as it does in a walk that is resumed.
-
-    Returns
-    -------
-    Outcome
-        At the end of the plan, or where an ending of a stage ends the walk.
-    """
+    """Run one stage after the other, each from the result of the one before: x (na, 3) nm."""
     first, n_iterations, waiting = 0, 0, None
     if resume is not None:
         first, n_iterations, waiting = resume.stage, resume.before, resume.last

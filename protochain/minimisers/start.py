@@ -20,11 +20,7 @@ from protochain.minimisers.verdict import Judgement, judge
 class Start:
     """A chain and its energy, with all that follows from them for any method.
 
-    Parameters
-    ----------
-    chain : Chain
-    energy : Energy
-        With all terms.
+    energy: With all terms.
     """
 
     chain: Chain

@@ -21,14 +21,7 @@ _SHOWN_RINGS = 3
 
 
 def outlook(structure: Structure, recipe: Recipe) -> list[str]:
-    """Say what is wrong with a start, and what a method does about it first.
-
-    Returns
-    -------
-    list of str
-        A line for what is counted, one for each threaded ring, and one for what will be done; none for a
-        start without violations, overlaps and threaded rings.
-    """
+    """Say what is wrong with a start, and what a method does about it first."""
     crowd = len(overlaps(structure, structure.positions))
     threaded, wrong = threaded_rings(structure), violations(structure)
     wrongs = [f"{counted(crowd, 'pair')} of atoms overlap"] if crowd else []
@@ -62,14 +55,9 @@ def is_crowded(structure: Structure) -> bool:
 class Straying:
     """Watch over a run from a start with overlaps: it says once, and at once, that it has gone far.
 
-    Parameters
-    ----------
-    structure : Structure
-        The start.
-    tell : callable
-        Given the line.
-    told : bool
-        Whether it has said so.
+    structure: The start.
+    tell: Given the line.
+    told: Whether it has said so.
     """
 
     structure: Structure
@@ -97,23 +85,7 @@ _HOLD = "a restraint or a largest RMSD"
 
 
 def how_far(away: float, recipe: Recipe, start: Structure, turned: bool) -> str:
-    """Say how far an end is from its start, and what keeps a run nearer.
-
-    Parameters
-    ----------
-    away : float, angstrom
-        C-alpha RMSD.
-    recipe : Recipe
-        The method.
-    start : Structure
-    turned : bool
-        Whether the run began from the start with its dihedrals turned, as one of many.
-
-    Returns
-    -------
-    str
-        Empty within ``FAR``.
-    """
+    """Say how far an end is from its start, and what keeps a run nearer: away angstrom."""
     if not away > FAR or len(start.alpha_carbons) <= 2:
         return ""
     if turned:

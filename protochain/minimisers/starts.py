@@ -210,13 +210,7 @@ def explore(
 
 
 def refuse_held(restraint: Any, max_rmsd: float) -> None:
-    """Refuse what holds a run near its start, for many starts.
-
-    Raises
-    ------
-    ProtochainError
-        Naming the settings.
-    """
+    """Refuse what holds a run near its start, for many starts."""
     if Hold.of(restraint, max_rmsd) != Hold():
         raise ProtochainError(
             Argument("restraint"),

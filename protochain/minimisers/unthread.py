@@ -35,12 +35,9 @@ _JOINED = 0.3
 class Push:
     """Push of a bond out of a ring: E = k/2 (out - s)^2, s the way of its middle from the centre, up to out.
 
-    Parameters
-    ----------
-    ring : (n,) int
-    bond : (2,) int
-    way : (3,) float
-        Unit vector.
+    ring (n,) int.
+    bond (2,) int.
+    way (3,): Unit vector.
     """
 
     ring: Integers
@@ -58,15 +55,7 @@ class Push:
 
 
 def freeing(gentle: Stage, closing: Callable[[Stage], Stage]) -> list[Stage]:
-    """Stages that free threaded rings, of each of which all but the first run where one is left.
-
-    Parameters
-    ----------
-    gentle : Stage
-        Stage of soft repulsion, whose energy is a sum of it and others.
-    closing : callable
-        Makes of it a stage that runs only where atoms overlap.
-    """
+    """Stages that free threaded rings, of each of which all but the first run where one is left."""
     stages = []
     for attempt in range(ATTEMPTS):
         out = replace(
@@ -103,16 +92,7 @@ def push_of(structure: Structure, x: Floats, threaded: ThreadedRing, attempt: in
 
     The best side is near to where the bond goes through; beyond it is room, and no other bond of the ring.
 
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-    threaded : ThreadedRing
-    attempt : int
-
-    Returns
-    -------
-    Push
+    x (na, 3) nm.
     """
     ring, bond = np.array(threaded.atoms), np.array(threaded.bond)
     corners = x[ring] - x[ring].mean(axis=0)

@@ -114,28 +114,7 @@ def verdict(
 ) -> tuple[Status, str]:
     """Status and message, from the reason a run ended and the residual that the judge measured.
 
-    Parameters
-    ----------
-    stop : Stop
-        Reason the run ended.
-    met : bool
-        Whether the judge found the tolerance met.
-    measured : str
-        Residual, as the message quotes it.
-    structure : Structure
-        The start.
-    x : (na, 3) float, nm
-    n_evaluations : int
-    inverted : sequence of str, optional
-        Atoms that changed hand and should not have; by default all that did.
-    isomerised : sequence of str, optional
-        Peptide bonds that went from trans to cis, or back, and should not have; by default all that did.
-    left : sequence of str, optional
-        What no result may have, in words; by default :func:`rejected`.
-
-    Returns
-    -------
-    Status, str
+    x (na, 3) nm.
     """
     left = rejected(structure, x) if left is None else left
     status, message = _without_left(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
@@ -147,15 +126,7 @@ def verdict(
 def rejected(structure: Structure, x: Floats) -> list[str]:
     """Describe what no result may have: mirror images, other isomers, chains that stand still, faults.
 
-    Parameters
-    ----------
-    structure : Structure
-        The start.
-    x : (na, 3) float, nm
-
-    Returns
-    -------
-    list of str
+    x (na, 3) nm.
     """
     found = [
         f"chain {chain} is a mirror image, D-amino acids under names of L (relax with mirror if it is meant)"

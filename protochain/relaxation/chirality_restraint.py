@@ -24,12 +24,8 @@ class Hands:
     Volumes are those that three bonds of an atom span; all triples of its bonds count, so that its hydrogen
     comes to the right side too. An atom of usual shape feels nothing.
 
-    Parameters
-    ----------
-    atoms : (n, 4) int
-        Centre and three neighbours, in an order of which the volume is to be positive.
-    least : (n,) float, nm^3
-        Volumes below which they are pushed.
+    atoms (n, 4) int: Centre and three neighbours, in an order of which the volume is to be positive.
+    least (n,) nm^3: Volumes below which they are pushed.
     """
 
     atoms: Integers

@@ -30,12 +30,8 @@ class PeptideBonds:
 
     A bond of usual shape feels nothing. Where d is large, E grows in proportion to it (Huber's function).
 
-    Parameters
-    ----------
-    atoms : (n, 4) int
-        C-alpha, C, N and C-alpha of each bond.
-    cis : (n,) bool
-        Whether it should be cis.
+    atoms (n, 4) int: C-alpha, C, N and C-alpha of each bond.
+    cis (n,) bool: Whether it should be cis.
     """
 
     atoms: Integers

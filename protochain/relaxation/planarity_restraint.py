@@ -22,10 +22,7 @@ class Planes:
     the others, harmonic angles hold the atom in a minimum of their own, with angles of 80 to 90 degrees, and
     no force leads out of it. An atom of usual shape feels nothing.
 
-    Parameters
-    ----------
-    atoms : (n, 4) int
-        Centre and its three neighbours.
+    atoms (n, 4) int: Centre and its three neighbours.
     """
 
     atoms: Integers

@@ -43,30 +43,8 @@ def repacked(
     bond angles and the backbone stay. The choice is the global minimum of the force field's energy between
     them and with all that stays, softened as is usual for rigid rotamers.
 
-    Parameters
-    ----------
-    structure : Structure
-    residues : iterable of int, optional
-        Indices of the residues that may turn; by default those :func:`troubled`, and where they are still
-        too near to others, these too. Those without a chi stay, as do proline and those whose side chain is
-        bonded to anything: disulfides, metals, ligands.
-    energy : Energy, optional
-        Energy of the structure, whose terms are used; by default that of the default force field.
-    moving : (na,) bool, optional
-        Atoms that may move; a side chain with any other stays as it is.
+    moving (na,) bool.
 
-    Returns
-    -------
-    Structure
-        Its ``repairs`` end with one for each residue that was turned; the structure itself if none was.
-
-    Raises
-    ------
-    StructureError
-        If there is no residue of an index.
-
-    Notes
-    -----
     Rotamers are those of the backbone: Shapovalov, Dunbrack, Structure 19:844 (2011).
     """
     chosen = troubled(structure) if residues is None else _checked(structure, residues)
@@ -88,17 +66,9 @@ def repacked(
 def troubled(structure: Structure, x: Floats | None = None) -> Integers:
     """Residues whose side chains may need another rotamer.
 
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm, optional
-        Positions to look at; by default the structure's own.
-
-    Returns
-    -------
-    (n,) int
-        Sorted indices of residues whose side chain overlaps, clashes, violates a distance, threads a ring or
-        has one that is threaded, or is far from every rotamer.
+    x (na, 3).
+    -> (n,) int: Sorted indices of residues whose side chain overlaps, clashes, violates a distance, threads a
+        ring or has one that is threaded, or is far from every rotamer.
     """
     x = structure.positions if x is None else x
     found = violations(structure, x)

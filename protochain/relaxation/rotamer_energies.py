@@ -47,13 +47,8 @@ class _Parameters:
 class Interactions:
     """Energies of rotamers in a structure.
 
-    Parameters
-    ----------
-    terms : Terms
-        Of the force field.
-    x : (na, 3) float, nm
-        Where all atoms are that do not turn.
-    rotamers : sequence of Rotamers
+    terms: Of the force field.
+    x (na, 3) nm: Where all atoms are that do not turn.
     """
 
     def __init__(self, terms: Terms, x: Floats, rotamers: Sequence[Rotamers]) -> None:

@@ -33,18 +33,11 @@ _POLAR = {"CYS": _STAGGERED, "SER": _STAGGERED, "THR": _STAGGERED, "TYR": _PLANA
 class Rotamers:
     """Positions that the side chain of a residue may take.
 
-    Parameters
-    ----------
-    residue : int
-    atoms : (k,) int
-        Atoms that turn.
-    chi : (n, n_chi) float, rad
-        Dihedrals to try, those of the input first; those of a polar hydrogen last.
-    n_chi : int
-        Dihedrals without that of a polar hydrogen.
-    x : (n, k, 3) float, nm
-    cost : (n,) float, kJ/mol
-        Of their rarity.
+    atoms (k,) int: Atoms that turn.
+    chi (n, n_chi) rad: Dihedrals to try, those of the input first; those of a polar hydrogen last.
+    n_chi: Dihedrals without that of a polar hydrogen.
+    x (n, k, 3) nm.
+    cost (n,) kJ/mol: Of their rarity.
     """
 
     residue: int
@@ -69,16 +62,7 @@ class Rotamers:
 def rotamers_of(
     structure: Structure, x: Floats, residues: Sequence[int], moving: NDArray[np.bool_] | None = None
 ) -> list[Rotamers]:
-    """Rotamers of the side chains that can turn.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-    residues : sequence of int
-    moving : (na,) bool, optional
-        Atoms that may move; all by default.
-    """
+    """Rotamers of the side chains that can turn: x (na, 3) nm, moving (na,) bool."""
     held = structure.kept.copy()
     if moving is not None:
         held |= ~moving

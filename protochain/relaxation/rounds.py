@@ -57,10 +57,6 @@ class LastKnown:
 
     Only where the neighbour lists are those of the first time, so that no bit depends on it; of an energy
     without lists nothing is known.
-
-    Parameters
-    ----------
-    energy : Energy
     """
 
     def __init__(self, energy: Energy) -> None:
@@ -121,16 +117,10 @@ class Round:
 class Ended:
     """Where a round ended.
 
-    Parameters
-    ----------
-    x : (na, 3) float, nm
-    stop : Stop
-    springs : Tethers
-        Those of its last stage.
-    concerned : (n,) int
-        Residues with violations, overlaps, threaded rings, chiral atoms of the wrong hand or twisted peptide
-        bonds.
-    round : Round
+    x (na, 3) nm.
+    springs: Those of its last stage.
+    concerned (n,) int: Residues with violations, overlaps, threaded rings, chiral atoms of the wrong hand or
+        twisted peptide bonds.
     """
 
     x: Floats
@@ -144,17 +134,9 @@ class Ended:
 class Relaxer:
     """What all rounds share.
 
-    Parameters
-    ----------
-    structure : Structure
-        The input, or that with side chains turned: all springs lead to it.
-    energy : Energy
-    strength : Preset
-    max_iterations : int
-        Of each minimisation; 0 for no limit.
-    note : callable
-    moving : (na,) bool, optional
-        Atoms that may move; all but obstacles by default.
+    structure: The input, or that with side chains turned: all springs lead to it.
+    max_iterations: Of each minimisation; 0 for no limit.
+    moving (na,) bool: Atoms that may move; all but obstacles by default.
     """
 
     structure: Structure
@@ -167,14 +149,7 @@ class Relaxer:
     def rounds(self, x: Floats, excluded: NDArray[np.bool_], most: int) -> list[Ended]:
         """Minimise from x, and again with fewer springs while there are violations or overlaps.
 
-        Parameters
-        ----------
-        x : (na, 3) float, nm
-            Where the first begins.
-        excluded : (nr,) bool
-            Residues without springs.
-        most : int
-            Rounds at most.
+        x (na, 3) nm, excluded (nr,) bool.
         """
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
         # Their places are wrong: springs to them would keep the C-beta, or the peptide's atoms, off.

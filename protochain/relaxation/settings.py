@@ -175,13 +175,7 @@ def named(relaxing: RelaxSettings, options: Iterable[str]) -> set[str]:
 
 
 def split(options: dict[str, Any]) -> tuple[RelaxSettings, Setup]:
-    """Split options into the settings of a relaxation and those of a setup.
-
-    Raises
-    ------
-    ProtochainError
-        If a name is neither's.
-    """
+    """Split options into the settings of a relaxation and those of a setup."""
     of_setup = tuple(each.name for each in fields(Setup) if each.name not in WITHOUT)
     unknown = next((name for name in options if name not in (*NAMES, *of_setup)), None)
     if unknown is not None:

@@ -28,18 +28,11 @@ _SPELLED = {
 class Column:
     """A column of the record.
 
-    Parameters
-    ----------
-    key : str
-        Name in JSON and CSV, with its unit.
-    value : callable
-        Value of what is recorded.
-    heading : str
-        Heading in short tables, which leave out columns without one.
-    short : str
-        Heading where 80 characters must hold all columns.
-    width : int
-        Characters of a number there.
+    key: Name in JSON and CSV, with its unit.
+    value: Value of what is recorded.
+    heading: Heading in short tables, which leave out columns without one.
+    short: Heading where 80 characters must hold all columns.
+    width: Characters of a number there.
     """
 
     key: str

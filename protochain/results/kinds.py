@@ -66,13 +66,7 @@ _KINDS: Mapping[str, Kind] = {
 
 
 def kind_of(name: str) -> Kind:
-    """Kind of the values under a name: what has a unit is a number or null, what begins with ``n_`` counts.
-
-    Raises
-    ------
-    KeyError
-        If nothing is known of it.
-    """
+    """Kind of values under a name: what has a unit is a number or null, what begins with ``n_`` counts."""
     if name in _KINDS:
         return _KINDS[name]
     if any(name.endswith(unit) for unit in UNITS):

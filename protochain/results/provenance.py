@@ -29,22 +29,7 @@ def remarks(
     rmsds: tuple[float, float],
     how: Iterable[str] = (),
 ) -> Iterator[str]:
-    """Lines of the file of a result.
-
-    Parameters
-    ----------
-    result : Solution or Relaxation
-        Whose status, energy function and frame are told.
-    method : str
-    energies : tuple of float, kJ/mol
-        At the start and at the end.
-    judge : str
-        What computed them.
-    rmsds : tuple of float, angstrom
-        Of the C-alphas to the start, superposed and as filed.
-    how : iterable of str
-        Further lines.
-    """
+    """Lines of the file of a result: energies kJ/mol, rmsds angstrom."""
     e = result.energy_function
     yield f"PROTOCHAIN {version('protochain')}, METHOD {method}, STATUS {result.status}"
     yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"

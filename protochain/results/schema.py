@@ -20,16 +20,10 @@ _PLAIN = {str: "string", bool: "boolean", int: "integer", float: "number", NoneT
 class Contract:
     """What a command prints and writes.
 
-    Parameters
-    ----------
-    json : tuple of kinds
-        What ``--json`` prints is one of them.
-    tables : mapping of str to kinds
-        By the name of the CSV or the option that names it: one of these is a row.
-    files : tuple of str
-        Names that its folder always has, in it.
-    more : tuple of str
-        Patterns of the names of other files there.
+    json: What ``--json`` prints is one of them.
+    tables: By the name of the CSV or the option that names it: one of these is a row.
+    files: Names that its folder always has, in it.
+    more: Patterns of the names of other files there.
     """
 
     json: tuple[Kind, ...] = ()

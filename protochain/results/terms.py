@@ -9,14 +9,7 @@ from protochain.results.columns import heading
 
 
 def energies_by_term(records: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """Energy of each term at the start and at each end, from records by the names of the ends.
-
-    Returns
-    -------
-    pandas.DataFrame
-        Columns ``term``, ``start_kj_mol``, and of each end ``NAME_kj_mol``. Terms that are 0 everywhere, and
-        those of energies that are not known by term, are left out; restraints are no part of the energy.
-    """
+    """Energy of each term at the start and at each end, from records by the names of the ends."""
     rows = []
     for key in dict.fromkeys(key for each in records.values() for key in each):
         name = key.removeprefix("energy_").removesuffix("_start_kj_mol")

@@ -28,14 +28,9 @@ _ALL_ATOMS = 5000
 class Colouring:
     """A quantity that colours the residues of structures.
 
-    Parameters
-    ----------
-    name : str
-        What the page calls it, with its unit.
-    values : mapping of str to (nr,) float
-        By the names of structures; those that are not here keep a colour of their own. NaN where unknown.
-    is_signed : bool
-        Of two colours about zero; else of one, from the lowest to the highest.
+    name: What the page calls it, with its unit.
+    values: By the names of structures; those that are not here keep a colour of their own. NaN where unknown.
+    is_signed: Of two colours about zero; else of one, from the lowest to the highest.
     """
 
     name: str
@@ -46,17 +41,7 @@ class Colouring:
 def scene(
     shown: Mapping[str, Structure], colourings: Iterable[Colouring] = (), chosen: str = ""
 ) -> dict[str, Any]:
-    """Variables of the viewer's template, with all structures superposed on the first.
-
-    Parameters
-    ----------
-    shown : mapping of str to Structure
-        Of the same atoms, by name.
-    colourings : iterable of Colouring
-        What else than structure and displacement may give the colours.
-    chosen : str
-        Name of the colouring at first; by default each structure has a colour.
-    """
+    """Variables of the viewer's template, with all structures superposed on the first."""
     (first_name, first), *others = shown.items()
     ends = {name: superposed(each, first) for name, each in others}
     away = {name: ANGSTROM_PER_NM * _lengths(each.positions - first.positions) for name, each in ends.items()}
@@ -131,10 +116,7 @@ def _lengths(vectors: Floats) -> Floats:
 def pockets(structure: Structure, *ends: Floats) -> list[dict[str, Any]]:
     """What the viewer of pockets needs: each ligand and the residues that are near it at any end.
 
-    Parameters
-    ----------
-    structure : Structure
-    *ends : (na, 3) float, nm
+    *ends (na, 3) nm.
     """
 
     def selected(residues: Iterable[int]) -> list[dict[str, Any]]:

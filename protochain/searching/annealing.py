@@ -25,20 +25,13 @@ _STEPS = 0.002, 0.04
 class Annealing(Value):
     """State of a cooling.
 
-    Parameters
-    ----------
-    q : (n,) float, rad
-        Torsions.
-    energy : float, kJ/mol
-    temperatures : (RUNGS,) float, K
-        From the highest.
-    time_steps : (RUNGS,) float, ps
-    widths : (RUNGS,) float, kJ/mol
-        Of energies at each temperature, as the last pilot found them.
-    accepted : float
-        Sum over rungs of the share of trajectories that was accepted.
-    n_done, n_evaluations : int
-        Rungs and evaluations, over all coolings.
+    q (n,) rad: Torsions.
+    energy kJ/mol.
+    temperatures (RUNGS,) K: From the highest.
+    time_steps (RUNGS,) ps.
+    widths (RUNGS,) kJ/mol: Of energies at each temperature, as the last pilot found them.
+    accepted: Sum over rungs of the share of trajectories that was accepted.
+    n_done, n_evaluations: Rungs and evaluations, over all coolings.
     """
 
     q: Floats
@@ -60,12 +53,8 @@ class Annealing(Value):
 class Coolings:
     """The method of annealing.
 
-    Parameters
-    ----------
-    temperatures : (float, float), K
-        Lowest and highest.
-    seed, walker : int
-        Random numbers of a rung depend on these and its number alone.
+    temperatures K: Lowest and highest.
+    seed, walker: Random numbers of a rung depend on these and its number alone.
     """
 
     temperatures: tuple[float, float]

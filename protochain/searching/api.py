@@ -192,14 +192,7 @@ def method_of(settings: SearchSettings, walker: int) -> Method:
 
 
 def check_folder(folder: Path, resume: bool, force: bool) -> None:
-    """Check the output folder before any work is done.
-
-    Raises
-    ------
-    ProtochainError
-        If it holds a search that is neither to be resumed nor, by ``force``, replaced, holds none to resume,
-        or is not writable.
-    """
+    """Check the output folder before any work is done."""
     check_writable(folder / "summary.json")
     is_there = next(_pieces(folder), None) is not None
     if is_there and not (resume or force):
@@ -341,13 +334,7 @@ def _hand_out(
     take: Callable[[int, Any, Finding], None],
     interrupts: Sequence[int],
 ) -> bool:
-    """Let processes do the pieces, of each walker one after the other; return whether it was interrupted.
-
-    Raises
-    ------
-    ProtochainError
-        If the process of one piece ended several times; those before it are kept.
-    """
+    """Let processes do the pieces, of each walker one after the other; return whether it was interrupted."""
     ended: SimpleQueue[tuple[int, Any]] = SimpleQueue()
     running: dict[int, Any] = {}
     failures = [0] * len(walks.states)

@@ -32,23 +32,15 @@ _SIZE = np.pi / 4
 class Bank(Value):
     """State of a bank of m minima.
 
-    Parameters
-    ----------
-    q : (m, n) float, rad
-        Their torsions.
-    energies : (m,) float, kJ/mol
-    tried : (m,) float
-        Trials from each since it came or since the round began.
-    random : (k, n) float, rad
-        The last random minima.
-    room : int
-        Minima that the bank is to hold: below it, random ones join.
-    mean : float, rad
-        Mean distance of the random minima.
-    width : float
-        Distance of what is near, by ``mean``.
-    n_rounds, n_done, n_accepted, n_evaluations : int
-        Rounds, descents, those that changed the bank, and evaluations so far.
+    q (m, n) rad: Their torsions.
+    energies (m,) kJ/mol.
+    tried (m,): Trials from each since it came or since the round began.
+    random (k, n) rad: The last random minima.
+    room: Minima that the bank is to hold: below it, random ones join.
+    mean rad: Mean distance of the random minima.
+    width: Distance of what is near, by ``mean``.
+    n_rounds, n_done, n_accepted, n_evaluations: Rounds, descents, those that changed the bank, and
+    evaluations so far.
     """
 
     q: Floats
@@ -78,10 +70,7 @@ class Bank(Value):
 class Crossings:
     """The method of conformational space annealing.
 
-    Parameters
-    ----------
-    seed, walker : int
-        Random numbers of a trial depend on these and its number alone.
+    seed, walker: Random numbers of a trial depend on these and its number alone.
     """
 
     seed: int

@@ -24,16 +24,10 @@ _LARGEST = np.pi
 class Hopping(Value):
     """State of a walk over minima.
 
-    Parameters
-    ----------
-    q : (n,) float, rad
-        Torsions of the minimum where it is.
-    energy : float, kJ/mol
-        Of this minimum.
-    n_done, n_accepted, n_evaluations : int
-        Hops, those accepted, and evaluations so far.
-    size : float, rad
-        Standard deviation of turns.
+    q (n,) rad: Torsions of the minimum where it is.
+    energy kJ/mol: Of this minimum.
+    n_done, n_accepted, n_evaluations: Hops, those accepted, and evaluations so far.
+    size rad: Standard deviation of turns.
     """
 
     q: Floats
@@ -53,12 +47,8 @@ class Hopping(Value):
 class Hops:
     """The method of hopping.
 
-    Parameters
-    ----------
-    temperature : float, K
-        Of Metropolis' criterion.
-    seed, walker : int
-        Random numbers of a hop depend on these and its number alone.
+    temperature K: Of Metropolis' criterion.
+    seed, walker: Random numbers of a hop depend on these and its number alone.
     """
 
     temperature: float

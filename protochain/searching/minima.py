@@ -68,15 +68,7 @@ def _turns(q: Floats, other: Floats, period: Floats) -> Floats:
 def unique(q: Floats, energy: Floats, period: Floats) -> Integers:
     """Which minima differ from all lower ones, the lowest first.
 
-    Parameters
-    ----------
-    q : (m, n) float, rad
-    energy : (m,) float, kJ/mol
-    period : (n,) float, rad
-
-    Returns
-    -------
-    (k,) int
+    q (m, n) rad, energy (m,) kJ/mol, period (n,) rad -> (k,) int.
     """
     kept: list[int] = []
     first = 0
@@ -112,19 +104,7 @@ def clusters(positions: Sequence[Floats], height: float = ALIKE) -> Integers:
 def free_energy(energy: float, hessian: Floats, temperature: float, log_det_mass: float = 0.0) -> float:
     """Free energy of a minimum in the harmonic way, kJ/mol.
 
-    Parameters
-    ----------
-    energy : float, kJ/mol
-    hessian : (n, n) float, kJ/mol/rad^2
-    temperature : float, K
-    log_det_mass : float
-        Of the mass matrix, amu nm^2, for rigid bonds and angles; without it for stiff ones, which is what
-        Fixman's potential samples.
-
-    Returns
-    -------
-    float
-        E + kT/2 ln det (H / 2 pi kT), and -kT/2 ln det M; up to a constant of the chain. NaN at no minimum.
+    energy kJ/mol, hessian (n, n) kJ/mol/rad^2, temperature K.
     """
     kt = MOLAR_GAS * temperature
     sign, log_det = np.linalg.slogdet(hessian / (2.0 * np.pi * kt))

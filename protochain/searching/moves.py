@@ -33,21 +33,12 @@ T = TypeVar("T")
 class Residue:
     """Coordinates of the torsions of one residue.
 
-    Parameters
-    ----------
-    name : str
-    kind : int
-        Index of its class in ``ramachandran.CLASSES``.
-    hand : float
-        1, or -1 of a D-amino acid.
-    phi, psi : int
-        ``NONE`` where it does not turn.
-    chi : tuple of int
-        From chi1 outwards, as far as they turn.
-    is_first : bool
-        Whether it has no phi, as nothing is before it.
-    is_last : bool
-        Whether psi is that of a carboxylate, by its first oxygen.
+    kind: Index of its class in ``ramachandran.CLASSES``.
+    hand: 1, or -1 of a D-amino acid.
+    phi, psi: ``NONE`` where it does not turn.
+    chi: From chi1 outwards, as far as they turn.
+    is_first: Whether it has no phi, as nothing is before it.
+    is_last: Whether psi is that of a carboxylate, by its first oxygen.
     """
 
     name: str
@@ -69,14 +60,9 @@ class Residue:
 class Moves(Value):
     """What a chain's torsions allow.
 
-    Parameters
-    ----------
-    residues : tuple of Residue
-        Those of which anything turns, in the order of the sequence.
-    flips : tuple of (int, int)
-        Coordinates of psi of a residue and phi of the next, on either side of a peptide bond.
-    others : tuple of int
-        Coordinates of all hinges that are neither phi, psi nor chi.
+    residues: Those of which anything turns, in the order of the sequence.
+    flips: Coordinates of psi of a residue and phi of the next, on either side of a peptide bond.
+    others: Coordinates of all hinges that are neither phi, psi nor chi.
     """
 
     residues: tuple[Residue, ...]
@@ -157,11 +143,7 @@ def crossed(moves: Moves, q: Floats, other: Floats, random: np.random.Generator)
     Of the backbone or the side chain of one residue, of a stretch of up to half of all residues, or of up to
     five hinges anywhere.
 
-    Parameters
-    ----------
-    moves : Moves
-    q, other : (n,) float, rad
-    random : Generator
+    q, other (n,) rad.
     """
     kind = random.choice(list(CROSSED), p=list(CROSSED.values()))
     if kind == "part":
@@ -179,21 +161,7 @@ def crossed(moves: Moves, q: Floats, other: Floats, random: np.random.Generator)
 
 
 def moved(moves: Moves, kind: str, q: Floats, size: float, random: np.random.Generator) -> Floats:
-    """Torsions (n,) after a move of this kind at a place drawn at random.
-
-    Parameters
-    ----------
-    moves : Moves
-    kind : str
-        ``backbone`` (phi and psi of a residue, from the favoured regions of its Ramachandran plot),
-        ``rotamer`` (the chi of one, from its rotamers), ``crankshaft`` (a peptide bond's plane: psi by a turn
-        and the next phi back by as much, which hardly turns both ends against each other, and shifts them),
-        or ``turn`` (one other hinge).
-    q : (n,) float, rad
-    size : float, rad
-        Standard deviation of the turn of a crankshaft, and of another hinge.
-    random : Generator
-    """
+    """Torsions (n,) after a move of this kind at a place drawn at random: q (n,) rad, size rad."""
     q = q.copy()
     if kind == "backbone":
         _turn_backbone(q, _one(moves.with_backbone, random), random)

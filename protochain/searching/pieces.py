@@ -36,12 +36,8 @@ def stream(walker: int, replica: int = -1) -> int:
 class Finding(Value):
     """What steps of a walker found.
 
-    Parameters
-    ----------
-    minima : (m, n + 2) float
-        Of each descent: evaluations of the walker by then, energy in kJ/mol, torsions.
-    samples : (k, r, n + 1) float
-        Of each round of replicas: energy in kJ/mol and torsions at each temperature.
+    minima (m, n + 2): Of each descent: evaluations of the walker by then, energy in kJ/mol, torsions.
+    samples (k, r, n + 1): Of each round of replicas: energy in kJ/mol and torsions at each temperature.
     """
 
     minima: Floats
@@ -135,15 +131,9 @@ class Done(Value):
 class Piece(Value):
     """A piece for a process.
 
-    Parameters
-    ----------
-    task : Path
-        Pickled landscape and methods of all walkers.
-    walker : int
-    state : State or None
-        Where it begins; None at the start.
-    budget : float
-        Evaluations of the walker in all.
+    task: Pickled landscape and methods of all walkers.
+    state: Where it begins; None at the start.
+    budget: Evaluations of the walker in all.
     """
 
     task: Path
@@ -176,13 +166,7 @@ def write_piece(path: Path, state: Any, found: Finding, settings: Mapping[str, A
 
 
 def read_piece(path: Path, kind: type, settings: Mapping[str, Any]) -> tuple[Any, Finding]:
-    """Read a piece of a search with the same settings.
-
-    Raises
-    ------
-    ProtochainError
-        If the file cannot be read, is damaged, or of another search.
-    """
+    """Read a piece of a search with the same settings."""
     again = "search again with ", Argument("force", True)
     arrays, numbers = read_arrays(path, settings, "search", *again)
     with undamaged(path, *again):

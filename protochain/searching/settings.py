@@ -36,25 +36,12 @@ def interval(value: Any, name: str) -> tuple[float, float]:
 class SearchSettings(Settings):
     """Settings that define a search.
 
-    Parameters
-    ----------
-    method : str
-        ``csa``, ``hopping``, ``annealing`` or ``tempering``.
-    temperatures : (float, float), K
-        Lowest and highest.
-    n_walkers : int
-        Independent walks, which share the evaluations.
-    n_replicas : int
-        Temperatures of each walk of tempering.
-    pilot : int
-        Rounds in which tempering places its temperatures, before those that count.
-    seed : int
-        Of all random numbers.
-
-    Raises
-    ------
-    ProtochainError
-        If a setting is unknown or out of range; the message says what to do.
+    method: ``csa``, ``hopping``, ``annealing`` or ``tempering``.
+    temperatures K: Lowest and highest.
+    n_walkers: Independent walks, which share the evaluations.
+    n_replicas: Temperatures of each walk of tempering.
+    pilot: Rounds in which tempering places its temperatures, before those that count.
+    seed: Of all random numbers.
     """
 
     method: str = setting(

@@ -38,14 +38,8 @@ def slope(lower: Floats, upper: Floats) -> float:
     Canonical samples have 1/kT - 1/kT' (Shirts, J. Chem. Theory Comput. 9:909, 2013), whatever the density of
     states. The most likely slope of a logistic regression.
 
-    Parameters
-    ----------
-    lower, upper : (k,) float, kJ/mol
-
-    Returns
-    -------
-    float, mol/kJ
-        NaN if the energies do not overlap, or are all the same.
+    lower, upper (k,) kJ/mol.
+    -> mol/kJ: NaN if the energies do not overlap, or are all the same.
     """
     energy = np.concatenate([lower, upper])
     energy = energy - energy.mean()

@@ -33,25 +33,19 @@ _STEPS = 0.002, 0.04
 class Tempering(Value):
     """State of r replicas.
 
-    Parameters
-    ----------
-    q : (r, n) float, rad
-        Torsions at each temperature.
-    energy : (r,) float, kJ/mol
-    temperatures : (r,) float, K
-    time_steps : (r,) float, ps
-    replica : (r,) float
-        Number of the replica at each temperature.
-    heading : (r,) float
-        Of each replica: 1 if it was last at the lowest temperature, -1 at the highest, 0 if at neither.
-    odds : (r - 1,) float
-        Sum over rounds, since the last change, of the probability that neighbours would be exchanged.
-    accepted : float
-        Sum over these rounds of the share of trajectories that was accepted.
-    n_counted : int
-        These rounds.
-    n_done, n_evaluations, n_trips : int
-        Rounds, evaluations, and ways of a replica from the lowest temperature to the highest and back.
+    q (r, n) rad: Torsions at each temperature.
+    energy (r,) kJ/mol.
+    temperatures (r,) K.
+    time_steps (r,) ps.
+    replica (r,): Number of the replica at each temperature.
+    heading (r,): Of each replica: 1 if it was last at the lowest temperature, -1 at the highest, 0 if at
+        neither.
+    odds (r - 1,): Sum over rounds, since the last change, of the probability that neighbours would be
+        exchanged.
+    accepted: Sum over these rounds of the share of trajectories that was accepted.
+    n_counted: These rounds.
+    n_done, n_evaluations, n_trips: Rounds, evaluations, and ways of a replica from the lowest temperature to
+        the highest and back.
     """
 
     q: Floats
@@ -77,15 +71,9 @@ class Tempering(Value):
 class Replicas:
     """The method of tempering.
 
-    Parameters
-    ----------
-    temperatures : (float, float), K
-        Lowest and highest.
-    n_replicas : int
-    pilot : int
-        Rounds in which the temperatures are placed.
-    seed, walker : int
-        Random numbers of a round depend on these and its number alone.
+    temperatures K: Lowest and highest.
+    pilot: Rounds in which the temperatures are placed.
+    seed, walker: Random numbers of a round depend on these and its number alone.
     """
 
     temperatures: tuple[float, float]
@@ -173,19 +161,9 @@ def exchanged(
 ) -> tuple[np.ndarray, Floats]:
     """Exchange the pairs (k, k + 1) of neighbours with k = first, first + 2, ...
 
-    Parameters
-    ----------
-    energy : (r,) float, kJ/mol
-    temperatures : (r,) float, K
-    first : int
-    random : Generator
-
-    Returns
-    -------
-    (r,) int
-        Which torsions each temperature has afterwards.
-    (r - 1,) float
-        Probability with which each pair would be exchanged, also of those that are not tried.
+    energy (r,) kJ/mol, temperatures (r,) K.
+    -> (r,) int: Which torsions each temperature has afterwards.
+    -> (r - 1,): Probability with which each pair would be exchanged, also of those that are not tried.
     """
     beta = 1.0 / (MOLAR_GAS * temperatures)
     order = np.arange(len(energy))

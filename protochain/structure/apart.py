@@ -27,18 +27,7 @@ _IDS = ascii_uppercase + ascii_lowercase + digits
 
 
 def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
-    """Give chains whose ids and numbers are those of a chain before them ids of their own.
-
-    Parameters
-    ----------
-    structure : gemmi.Structure
-        Changed in place. The parts of its chains are not merged yet.
-
-    Returns
-    -------
-    list of Repair
-        What was done.
-    """
+    """Give chains whose ids and numbers are those of a chain before them ids of their own."""
     renamed = []
     for model in structure:
         _split_where_numbers_begin_again(model)
@@ -112,13 +101,7 @@ _HYDROGENS = {"ACE": ("HY",), "NME": ("HT", "HNT"), "NH2": ("HT",)}
 
 
 def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
-    """Refuse chains that lie upon others, as models that no MODEL record tells apart.
-
-    Raises
-    ------
-    StructureError
-        Naming both.
-    """
+    """Refuse chains that lie upon others, as models that no MODEL record tells apart."""
     owner = [k for k, chain in enumerate(chains) for residue in chain if _is_amino(residue)]
     x = [r.get_ca().pos.tolist() for chain in chains for r in chain if _is_amino(r)]
     close = KDTree(x).query_pairs(_UPON, output_type="ndarray") if x else np.empty((0, 2), dtype=int)
@@ -133,13 +116,7 @@ def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
 
 
 def refuse_crowds(atoms: Sequence[gemmi.Atom], source: str) -> None:
-    """Refuse so many atoms upon one another that time and memory would no longer go with their number.
-
-    Raises
-    ------
-    StructureError
-        Telling how many pairs there are.
-    """
+    """Refuse so many atoms upon one another that time and memory would no longer go with their number."""
     heavy = [atom.pos.tolist() for atom in atoms if not atom.is_hydrogen()]
     tree = KDTree(np.reshape(heavy, (-1, 3)))
     pairs = (int(tree.count_neighbors(tree, _CROWD)) - tree.n) // 2
@@ -160,23 +137,6 @@ def told_apart(structure: gemmi.Structure, source: str) -> list[Repair]:
     """Split molecules that share number and name, and number atoms of a molecule that share a name.
 
     Atoms of alternate locations, and atoms of an amino acid given more than once, are left for later choice.
-
-    Parameters
-    ----------
-    structure : gemmi.Structure
-        Changed in place.
-    source : str
-        Name of the file, for messages.
-
-    Returns
-    -------
-    list of Repair
-        What was done.
-
-    Raises
-    ------
-    StructureError
-        If amino acids share number and name: their order in the chain is not known.
     """
     split = numbered = 0
     for model in structure:

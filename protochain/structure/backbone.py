@@ -27,13 +27,7 @@ _STARTS = 8
 
 
 def complete_backbone(run: Sequence[Member], i: int) -> tuple[str, ...]:
-    """Build the atoms of the backbone that residue i lacks, where its neighbours say where they are.
-
-    Returns
-    -------
-    tuple of str
-        Their names; empty if it has all, or they cannot be built.
-    """
+    """Build the atoms of the backbone that residue i lacks, where its neighbours say where they are."""
     member = run[i]
     missing = tuple(name for name in BACKBONE if not member.atom(name))
     if not missing or member.is_cap:

@@ -73,11 +73,7 @@ class Graph:
     def leave(self, a: str, absent: Collection[str], flagged: Collection[str]) -> tuple[list[str], int]:
         """Take away groups that are absent at an atom, or else one that its component says may leave.
 
-        Returns
-        -------
-        gone : list of str
-        freed : int
-            Valences of the atom that this frees.
+        -> freed: Valences of the atom that this frees.
         """
         groups = {x: self.beyond(a, x) for x in self.heavy(a)}
         marked = sorted((x for x in groups if groups[x].keys() <= {*flagged}), key=lambda x: self.order(a, x))
@@ -126,18 +122,7 @@ class Graph:
         return [x for x in double if any(is_multiple(y, _N, _O) for y in self.heavy(x) if y != a)]
 
     def give(self, a: str, order: int, freed: int, single: Sequence[str]) -> list[str]:
-        """Free valences of an atom for a bond; ``single`` are neighbours whose bonds are used up first.
-
-        Returns
-        -------
-        list of str
-            Atoms that leave.
-
-        Raises
-        ------
-        StructureError
-            If it has none.
-        """
+        """Free valences of an atom for a bond; ``single`` are neighbours whose bonds are used up first."""
         z, q = self.atoms[a]
         light, heavy = self.light(a), self.heavy(a)
         room = 3 - sum(self.order(a, x) for x in heavy) - order
@@ -169,13 +154,7 @@ class Graph:
         return gone
 
     def molecule(self, source: str) -> Molecule:
-        """As a value, with the hydrogens that lack.
-
-        Raises
-        ------
-        StructureError
-            If it is no molecule.
-        """
+        """As a value, with the hydrogens that lack."""
         names = [*self.atoms]
         place = {name: k for k, name in enumerate(names)}
         made = assembled(

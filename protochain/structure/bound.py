@@ -45,19 +45,11 @@ Charging = tuple[Molecule, tuple[Charged, ...]]
 class Chemistry:
     """Where the chemistry of molecules beside the protein comes from.
 
-    Parameters
-    ----------
-    sources : tuple of (str, str)
-        What the user gives: the name of a residue, or none for a pose that is added; SMILES, or a path.
-    charges : str
-        As for :func:`protochain.ligand`.
-    ph : float
-    has_glycam : bool
-        Whether the force field is one that GLYCAM-06j goes with.
-    has_sage : bool
-        Whether it is one that Sage goes with where molecules are bonded to residues.
-    posed : mapping of str to (Molecule, tuple of Charged)
-        Poses that were added, by the name of the residue.
+    sources: What the user gives: the name of a residue, or none for a pose that is added; SMILES, or a path.
+    charges: As for :func:`protochain.ligand`.
+    has_glycam: Whether the force field is one that GLYCAM-06j goes with.
+    has_sage: Whether it is one that Sage goes with where molecules are bonded to residues.
+    posed: Poses that were added, by the name of the residue.
     """
 
     sources: tuple[LigandSource, ...] = ()
@@ -105,20 +97,7 @@ AS_KNOWN = Chemistry()
 
 
 def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]) -> tuple[Chemistry, Member]:
-    """Return the molecule of a file as a residue beside the protein, and the chemistry with it.
-
-    Parameters
-    ----------
-    chemistry : Chemistry
-    path : str
-    chains, names : set of str
-        That others have; its own are others.
-
-    Raises
-    ------
-    StructureError
-        If the file cannot be read, or has no coordinates.
-    """
+    """Return the molecule of a file as a residue beside the protein, and the chemistry with it."""
     given = of_residue("", given=Path(path))
     if given.positions is None:
         raise StructureError(f"{path}: has no coordinates in space; dock it first")
@@ -145,13 +124,7 @@ class Chemist:
         self.known: dict[str, Charging] = dict(chemistry.posed)
 
     def settle(self, part: Part) -> None:
-        """Let a molecule move if its chemistry is known; a repair says why one is not.
-
-        Raises
-        ------
-        StructureError
-            If what the user gives is another molecule than the file has.
-        """
+        """Let a molecule move if its chemistry is known; a repair says why one is not."""
         (member,) = part.members
         name = member.given or member.name
         try:
@@ -192,13 +165,7 @@ class Chemist:
         return member.name if member.name in STANDARD else member.given or member.name
 
     def free(self, member: Member) -> Molecule:
-        """Chemistry of a residue as its source has it, under the names of its atoms in the file.
-
-        Raises
-        ------
-        ProtochainError
-            If no source has it.
-        """
+        """Chemistry of a residue as its source has it, under the names of its atoms in the file."""
         found, atoms = self._of_source(member), [a for a in member.atoms if not a.is_hydrogen()]
         names, is_given = tuple(a.name for a in atoms), self.name(member) in self.chemistry.moving
         if not is_given and {*names} <= {*found.names}:

@@ -15,20 +15,7 @@ Bridge = tuple[Member, Member]
 
 
 def disulfides(draft: Draft, asked: Sequence[Bond] = ()) -> list[Bridge]:
-    """Find the disulfide bonds: between sulphurs that are close, and those that are asked for.
-
-    Parameters
-    ----------
-    draft : Draft
-        Its repairs receive every bond that the file does not state.
-    asked : sequence of Bond
-        Further bonds, as ``("A:3", "A:40")``; with ``"none"`` among them, only these.
-
-    Raises
-    ------
-    StructureError
-        If a requested cysteine is none, does not exist, or has another bond.
-    """
+    """Find the disulfide bonds: between sulphurs that are close, and those that are asked for."""
     cysteines = [member for member in draft.members if member.name == "CYS"]
     wanted = [bond for bond in asked if bond != NO_BONDS]
     found = _near(draft, cysteines)

@@ -63,13 +63,7 @@ class Maker:
         self.at: dict[str, gemmi.Atom] = {}
 
     def fragment(self) -> Fragment:
-        """Chemistry and parameters, whose atoms these are, and what leaves at each bond.
-
-        Raises
-        ------
-        ProtochainError
-            If it has no chemistry or no parameters; with ``Fault.INCOMPLETE`` if the file lacks atoms.
-        """
+        """Chemistry and parameters, whose atoms these are, and what leaves at each bond."""
         sources: dict[str, None] = {}
         for m in self.members:
             free, tag = self.chemist.free(m), self.tag[id(m)]

@@ -31,16 +31,10 @@ class PairSums(Value):
 
     By them a superposition of any of the pairs is found and judged without going through the points again.
 
-    Parameters
-    ----------
-    weight : (k, m) float
-        Number of points; 0 for chains that may not be paired.
-    own, other : (k, m, 3) float
-        Sums of the points of the model and of the reference.
-    across : (k, m, 3, 3) float
-        Sums of products of points of the reference with points of the model.
-    square : (k, m) float
-        Sums of the squares of both.
+    weight (k, m): Number of points; 0 for chains that may not be paired.
+    own, other (k, m, 3): Sums of the points of the model and of the reference.
+    across (k, m, 3, 3): Sums of products of points of the reference with points of the model.
+    square (k, m): Sums of the squares of both.
     """
 
     weight: Floats
@@ -89,16 +83,8 @@ class PairSums(Value):
 def least_deviation(sums: PairSums, first: Integers) -> Integers:
     """Find the chain of the model for each chain of the reference with the least RMSD.
 
-    Parameters
-    ----------
-    sums : PairSums
-    first : (k,) int
-        Chains of the model to begin with, -1 for none; kept unless others are better.
-
-    Returns
-    -------
-    (k,) int
-        As ``first``, with as many chains at least.
+    first (k,) int.
+    -> (k,) int: As ``first``, with as many chains at least.
     """
     allowed = sums.weight > 0.0
     best, least = first, _mean_square(sums, first)

@@ -40,15 +40,8 @@ def centres(residue: str) -> dict[str, tuple[str, str, str]]:
 def volume(x: Floats) -> Floats:
     """Signed volume spanned by bonds.
 
-    Parameters
-    ----------
-    x : (..., 4, 3) float
-        Centre and three neighbours.
-
-    Returns
-    -------
-    (...) float
-        Positive in an L-amino acid, negative in its mirror image.
+    x (..., 4, 3).
+    -> (...): Positive in an L-amino acid, negative in its mirror image.
     """
     arms = x[..., 1:, :] - x[..., :1, :]
     return np.asarray((arms[..., 0, :] * cross(arms[..., 1, :], arms[..., 2, :])).sum(-1))
@@ -97,16 +90,7 @@ def atoms_named(structure: Structure, atoms: Integers) -> list[str]:
 def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:
     """Find the chiral atoms whose hand is not that of an L-amino acid, or of D where the residue is mirrored.
 
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-    mirrored : (nr,) bool
-        Residues that are D-amino acids.
-
-    Returns
-    -------
-    (n,) int
+    x (na, 3) nm, mirrored (nr,) bool -> (n,) int.
     """
     atoms = chiral_atoms(structure)
     hands = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
@@ -114,13 +98,7 @@ def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) ->
 
 
 def mirror_images(structure: Structure) -> dict[str, Integers]:
-    """Find the chains that are mirror images: most stereocentres of their amino acids are D under names of L.
-
-    Returns
-    -------
-    dict of str to (n,) int
-        Id of each such chain, and its residues that have a stereocentre.
-    """
+    """Find chains that are mirror images: most stereocentres of their amino acids are D under names of L."""
     atoms = chiral_atoms(structure)
     of = structure.atom_residue[atoms[:, 0]]
     amino = np.isin(of, structure.atom_residue[structure.alpha_carbons])

@@ -12,13 +12,7 @@ from protochain.structure.repairs import Kind
 
 
 def assemble(draft: Draft, structure: gemmi.Structure, name: str) -> None:
-    """Build a biological assembly in the place of the molecules as filed.
-
-    Raises
-    ------
-    StructureError
-        If the file states none of that name.
-    """
+    """Build a biological assembly in the place of the molecules as filed."""
     there = [each.name for each in structure.assemblies]
     if name not in there:
         known = f"it has {', '.join(there)}" if there else "it states none"
@@ -32,13 +26,7 @@ def assemble(draft: Draft, structure: gemmi.Structure, name: str) -> None:
 
 
 def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -> gemmi.Model:
-    """Return the model of that number, or the first; the draft's repairs tell of the others.
-
-    Raises
-    ------
-    StructureError
-        If there is no such model.
-    """
+    """Return the model of that number, or the first; the draft's repairs tell of the others."""
     numbers = [model.num for model in structure]
     refuse_absent(draft.source, numbers, [] if number is None else [number])
     chosen = 0 if number is None else numbers.index(number)
@@ -51,13 +39,7 @@ def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -
 
 
 def choose_chains(draft: Draft, model: gemmi.Model, names: Sequence[str]) -> list[gemmi.Chain]:
-    """Return the chains of these names, or all, in the order of the file.
-
-    Raises
-    ------
-    StructureError
-        If there is no chain of a name, or one lies upon another.
-    """
+    """Return the chains of these names, or all, in the order of the file."""
     for chain in model:
         chain.name = chain.name.strip()
     there = [chain.name for chain in model]
@@ -72,13 +54,7 @@ def choose_chains(draft: Draft, model: gemmi.Model, names: Sequence[str]) -> lis
 
 
 def refuse_absent(source: str, numbers: Sequence[int], asked: Sequence[int]) -> None:
-    """Refuse the first model asked for that is not among those of a file.
-
-    Raises
-    ------
-    StructureError
-        Naming it, and those that are.
-    """
+    """Refuse the first model asked for that is not among those of a file."""
     absent = next((number for number in asked if number not in numbers), None)
     if absent is not None:
         in_row = list(numbers) == list(range(numbers[0], numbers[-1] + 1))

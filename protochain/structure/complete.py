@@ -30,11 +30,6 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
     """Rename atoms to their PDB names and add missing heavy atoms.
 
     Side chains are built from ideal geometries of the hand that their names say, on rotamers.
-
-    Raises
-    ------
-    StructureError
-        If a residue has no template, has an atom that its template lacks, or cannot be completed.
     """
     renamed: list[Renamed] = []
     open_ended: list[Member] = []

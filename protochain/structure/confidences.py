@@ -69,16 +69,6 @@ def copy_confidences(model: Path, result: Path) -> Copied:
     """Copy the confidence files of a model into the folder of a result, byte for byte, under their names.
 
     Nothing is copied into the model's own folder, and nothing is replaced.
-
-    Parameters
-    ----------
-    model, result : Path
-        Files; of standard input and output, ``-``, nothing is known.
-
-    Raises
-    ------
-    WriteError
-        If one cannot be written.
     """
     if "-" in (str(model), str(result)) or model.resolve().parent == result.resolve().parent:
         return Copied()
@@ -98,16 +88,10 @@ def copy_confidences(model: Path, result: Path) -> Copied:
 class Confidence(NamedTuple):
     """What confidence files say of a complex.
 
-    Parameters
-    ----------
-    iptm : float or None
-        Of the whole model.
-    pairs : list or dict
-        IpTM of pairs of chains: rows by the place of the chains, or by their names.
-    pae : (nt, nt) float, angstrom, optional
-        Predicted error of every token, its column, aligned on another, its row.
-    order : tuple of str
-        Chains in the order of the tokens; that of the model file if empty.
+    iptm: Of the whole model.
+    pairs: IpTM of pairs of chains: rows by the place of the chains, or by their names.
+    pae (nt, nt): Predicted error of every token, its column, aligned on another, its row.
+    order: Chains in the order of the tokens; that of the model file if empty.
     """
 
     iptm: float | None
@@ -116,21 +100,7 @@ class Confidence(NamedTuple):
     order: tuple[str, ...] = ()
 
     def between(self, chains: Sequence[str], one: Set[str], other: Set[str]) -> float | None:
-        """IpTM of two sides.
-
-        Parameters
-        ----------
-        chains : sequence of str
-            All of the model file, in its order.
-        one, other : set of str
-            Those of either side.
-
-        Returns
-        -------
-        float or None
-            Mean over the pairs of their chains, either taken as the frame; the whole model's if it has two
-            chains and the files do not tell of pairs.
-        """
+        """IpTM of two sides."""
         if not self.pairs:
             return self.iptm if len(chains) == 2 else None
         chains = self.order or chains
@@ -147,19 +117,7 @@ class Confidence(NamedTuple):
         return sum(values) / len(values) if values else None
 
     def tokens(self, atoms: Sequence[str]) -> dict[tuple[str, str], int]:
-        """Token of each residue, by chain and number: its only one, or that of its CA or C1'.
-
-        Parameters
-        ----------
-        atoms : sequence of str
-            All of the model file, in its order, as ``A/17/GLU/CG``.
-
-        Returns
-        -------
-        dict
-            Empty if the atoms do not have as many tokens as the files: one of a standard residue, one of each
-            heavy atom of all others.
-        """
+        """Token of each residue, by chain and number: its only one, or that of its CA or C1'."""
         if self.pae is None:
             return {}
         residues: dict[str, dict[tuple[str, str], list[str]]] = {name: {} for name in self.order}

@@ -24,17 +24,10 @@ _WHOLE = "whole-"
 class Conformation:
     """Chosen conformation of a residue.
 
-    Parameters
-    ----------
-    residue : gemmi.Residue
-        Without alternate locations.
-    altloc : str
-    occupancy : float
-        Mean over the atoms of the chosen location.
-    others : list of str
-        Alternates left out: ``SER B``.
-    repeated : list of str
-        Names of atoms that occurred more than once.
+    residue: Without alternate locations.
+    occupancy: Mean over the atoms of the chosen location.
+    others: Alternates left out: ``SER B``.
+    repeated: Names of atoms that occurred more than once.
     """
 
     residue: gemmi.Residue
@@ -76,19 +69,6 @@ def agreed(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[list[str]
 
     Places are connected where their alternates are as near as bonded atoms. Together they take the letter
     that most of their molecules have, and of such letters that of highest occupancy (the first of equals).
-
-    Parameters
-    ----------
-    places : sequence of list of gemmi.Residue
-        Alternatives of each, as :func:`same_place` groups them.
-    asked : str
-        Preferred letter.
-
-    Returns
-    -------
-    list of str, dict of int to int
-        Preferred letter of each place; and which places are not there in this state, as another excludes
-        each: that one.
     """
     letters, gives_way = [asked] * len(places), dict[int, int]()
     atoms = [atom for k, group in enumerate(places) for atom in _partial(k, group)]
@@ -146,13 +126,7 @@ def _is_water(group: list[gemmi.Residue]) -> bool:
 
 
 def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
-    """Refuse an alternate location that no atom has.
-
-    Raises
-    ------
-    StructureError
-        Naming those that there are.
-    """
+    """Refuse an alternate location that no atom has."""
     found = {cra.atom.altloc for cra in model.all() if cra.atom.has_altloc()}
     if asked and asked not in found:
         there = f"its atoms have {', '.join(sorted(found))}" if found else "no atom of it has one"
@@ -162,13 +136,7 @@ def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
 
 
 def without_nan(model: gemmi.Model) -> int:
-    """Put 0 for occupancies that are no numbers, and return of how many atoms; B factors remain unknown.
-
-    Parameters
-    ----------
-    model : gemmi.Model
-        Changed in place.
-    """
+    """Put 0 for occupancies that are no numbers, and return of how many atoms; B factors remain unknown."""
     n = 0
     for place in model.all():
         atom = place.atom
@@ -180,13 +148,7 @@ def without_nan(model: gemmi.Model) -> int:
 
 
 def without_deuterium(model: gemmi.Model) -> int:
-    """Make hydrogens of the deuterium atoms of a model, by element and name, and return how many there are.
-
-    Parameters
-    ----------
-    model : gemmi.Model
-        Changed in place.
-    """
+    """Make hydrogens of deuterium atoms of a model, by element and name, and return how many there are."""
     heavy = [place for place in model.all() if place.atom.element.name == "D"]
     for place in heavy:
         place.atom.element = gemmi.Element("H")

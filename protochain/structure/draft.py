@@ -25,27 +25,15 @@ Address = tuple[str, str, str]
 class Member:
     """A residue in one conformation, under its standard name.
 
-    Parameters
-    ----------
-    name, number, insertion_code, chain_id : str
-    atoms : list of gemmi.Atom
-        Positions in angstrom.
-    state : str
-        Protonation state that its name in the file implies; empty if none.
-    is_d : bool
-        Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
-    own : Template, optional
-        Made from its own atoms, for a molecule that is kept as it is.
-    links, metals : list of gemmi.Atom
-        Its atoms that are bonded to a molecule kept beside the protein, and to a metal.
-    label : Label
-        Label ids of the file.
-    given : str
-        Its name in the file, where another.
-    odd : bool
-        Whether it is an amino acid, or a nucleotide of a strand, that no force field has.
-    parent : str
-        Standard amino acid that such a one becomes without parameters; empty if there is none.
+    atoms: Positions in angstrom.
+    state: Protonation state that its name in the file implies; empty if none.
+    is_d: Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
+    own: Made from its own atoms, for a molecule that is kept as it is.
+    links, metals: Its atoms that are bonded to a molecule kept beside the protein, and to a metal.
+    label: Label ids of the file.
+    given: Its name in the file, where another.
+    odd: Whether it is an amino acid, or a nucleotide of a strand, that no force field has.
+    parent: Standard amino acid that such a one becomes without parameters; empty if there is none.
     """
 
     name: str
@@ -94,26 +82,14 @@ class Member:
 class Part:
     """Unbroken chain, or a molecule kept beside the protein.
 
-    Parameters
-    ----------
-    chain_id : str
-    members : list of Member
-    obstacle : bool
-        Whether it is kept beside the protein: fixed, unless it is mobile.
-    mobile : bool
-        Whether it moves: the user's force field has its parameters, or it is a ligand of known chemistry.
-    ligand : Ligand, optional
-        Chemistry and parameters of such a ligand, under the names of its atoms.
-    inverted : tuple of str
-        Its stereocentres, and double bonds, that the file has the other way round.
-    posed : bool
-        Whether it is a pose that was added.
-    cyclic : bool
-        Whether the last residue is bonded to the first.
-    glycan : str
-        GLYCAM's code of a sugar of a glycan that moves.
-    is_small : bool
-        Whether it is a small molecule that no force field has.
+    obstacle: Whether it is kept beside the protein: fixed, unless it is mobile.
+    mobile: Whether it moves: the user's force field has its parameters, or it is a ligand of known chemistry.
+    ligand: Chemistry and parameters of such a ligand, under the names of its atoms.
+    inverted: Its stereocentres, and double bonds, that the file has the other way round.
+    posed: Whether it is a pose that was added.
+    cyclic: Whether the last residue is bonded to the first.
+    glycan: GLYCAM's code of a sugar of a glycan that moves.
+    is_small: Whether it is a small molecule that no force field has.
     """
 
     chain_id: str
@@ -160,16 +136,11 @@ class Part:
 class Fragment:
     """Residues that no template fits, as one molecule, with caps where chains go on.
 
-    Parameters
-    ----------
-    ligand : Ligand
-        Chemistry and parameters.
-    owners : tuple of (Member or None, str)
-        Residue of each atom of the molecule, and its name there; None for atoms of caps that stand for none.
-    core : tuple of str
-        What the force field calls each atom that keeps its parameters; empty for others.
-    bonds : mapping of Link to tuple of (Member, str)
-        Its bonds otherwise than along a chain, and the atoms that left there.
+    ligand: Chemistry and parameters.
+    owners: Residue of each atom of the molecule, and its name there; None for atoms of caps that stand for
+        none.
+    core: What the force field calls each atom that keeps its parameters; empty for others.
+    bonds: Its bonds otherwise than along a chain, and the atoms that left there.
     """
 
     ligand: Ligand
@@ -182,35 +153,19 @@ class Fragment:
 class Draft:
     """Molecules of a file, completed step by step.
 
-    Parameters
-    ----------
-    name, source : str
-        Short name, and the name of the file in messages.
-    parts : list of Part
-    stated : list of pairs of Address
-        Bonds between residues that the file states.
-    repairs : list of Repair
-        Changes made so far.
-    rebuilt : dict of int to tuple of str
-        Atoms added to side chains, by ``id`` of their residue.
-    left_out : Counter
-        Molecules and atoms left out, by kind.
-    glycosidic : list of pairs of Address
-        Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
-    links : list of Link
-        Bonds of the protein to molecules beside it that springs hold.
-    fragments : list of Fragment
-    springs : mapping of tuple of Address to (float, float)
-        Springs that the file says hold the bonds to molecules beside the protein: rest, nm or rad, and
+    name, source: Short name, and the name of the file in messages.
+    stated: Bonds between residues that the file states.
+    repairs: Changes made so far.
+    rebuilt: Atoms added to side chains, by ``id`` of their residue.
+    left_out: Molecules and atoms left out, by kind.
+    glycosidic: Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
+    links: Bonds of the protein to molecules beside it that springs hold.
+    springs: Springs that the file says hold the bonds to molecules beside the protein: rest, nm or rad, and
         stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
-    absent : list of Member
-        The molecules left out.
-    header : str
-        What the file says beside its atoms, as mmCIF text.
-    model_number : int
-        Number of the model in the file.
-    filed : tuple of str
-        Atoms of the model in the file, in its order.
+    absent: The molecules left out.
+    header: What the file says beside its atoms, as mmCIF text.
+    model_number: Number of the model in the file.
+    filed: Atoms of the model in the file, in its order.
     """
 
     name: str

@@ -39,14 +39,9 @@ _OF_FRAMES = ("N", "CA", "C", "O")
 class Ensemble(Value):
     """A structure, and which atoms of a frame are its own.
 
-    Parameters
-    ----------
-    structure : Structure
-        Prepared once: all frames have its atoms, bonds and protonation.
-    place : (na,) int
-        Place of each of its atoms in a frame; -1 of one that is placed anew in each.
-    settings : mapping
-        Options of :func:`protochain.as_structure` for frames that lack heavy atoms.
+    structure: Prepared once: all frames have its atoms, bonds and protonation.
+    place (na,) int: Place of each of its atoms in a frame; -1 of one that is placed anew in each.
+    settings: Options of :func:`protochain.as_structure` for frames that lack heavy atoms.
     """
 
     structure: Structure
@@ -64,11 +59,6 @@ class Ensemble(Value):
 
         Else by their order, that of the structure's own file, or that of its own atoms, as in trajectories
         that :func:`protochain.simulate` writes. If both have as many, the one that makes shorter bonds.
-
-        Raises
-        ------
-        StructureError
-            If the frames have other atoms.
         """
         return cls(structure, _places(structure, frames), dict(settings or {}))
 
@@ -77,11 +67,6 @@ class Ensemble(Value):
 
         A molecule that is broken across the box is made whole. Hydrogens that the frame lacks are placed as
         :func:`protochain.load` does, and so are heavy atoms.
-
-        Raises
-        ------
-        StructureError
-            If it cannot be used.
         """
         return self.structure.with_positions(self._positions(frame))
 

@@ -79,24 +79,7 @@ def suffix_of(source: Path) -> str:
 
 
 def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
-    """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides.
-
-    Parameters
-    ----------
-    path : Path
-        ``-`` for standard input.
-
-    Returns
-    -------
-    gemmi.Structure, list of str, bool, str
-        Its contents, the oddities corrected on the way, whether the file marks its end, and what else goes on
-        to files written of it, as mmCIF text.
-
-    Raises
-    ------
-    StructureError
-        If it cannot be read, is too large, is cut short, or has coordinates that are not numbers.
-    """
+    """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides."""
     source = "standard input" if path == STANDARD_INPUT else str(path)
     if not _is_unicode(source):
         raise StructureError(f"{ascii(source)[1:-1]}: its name is not UTF-8; rename the file")
@@ -223,13 +206,7 @@ def _blocks_with_atoms(document: gemmi.cif.Document, source: str) -> list[gemmi.
 
 
 def _complete(block: gemmi.cif.Block, source: str) -> None:
-    """Add columns without which gemmi reads no atoms, where their values are clear.
-
-    Raises
-    ------
-    StructureError
-        If there are no elements.
-    """
+    """Add columns without which gemmi reads no atoms, where their values are clear."""
     column = block.find_loop("_atom_site.Cartn_x")
     if not column:
         return
@@ -337,11 +314,7 @@ def _corrected(
 
     gemmi reads anything that is not a number as 0, and entry names after column 72 of old files as elements.
 
-    Returns
-    -------
-    text : str
-    long_names : dict
-        Names of four letters, by the first three, chain and number of their residue.
+    -> long_names: Names of four letters, by the first three, chain and number of their residue.
     """
     lines = text.split("\n")
     long_names = _put_names_of_four_letters(lines)
@@ -515,13 +488,7 @@ def _without_oddities(structure: gemmi.Structure) -> None:
 
 
 def check(structure: gemmi.Structure, source: str) -> None:
-    """Refuse a structure with no atoms, too many, or invalid coordinates.
-
-    Raises
-    ------
-    StructureError
-        Naming the atom or the limit.
-    """
+    """Refuse a structure with no atoms, too many, or invalid coordinates."""
     if len(structure) == 0 or structure[0].count_atom_sites() == 0:
         raise StructureError(f"{source}: no atoms found; give a PDB or mmCIF file with coordinates")
     for model in structure:

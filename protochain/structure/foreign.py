@@ -34,13 +34,7 @@ _LIGHTEST = 0.9
 
 
 def by_mdanalysis(path: Path) -> gemmi.Structure:
-    """Read a file of GROMACS (GRO), PQR, or of Amber or CHARMM with that of the same name beside it.
-
-    Raises
-    ------
-    StructureError
-        If the other file is not there, or either cannot be read.
-    """
+    """Read a file of GROMACS (GRO), PQR, or of Amber or CHARMM with that of the same name beside it."""
     import MDAnalysis
 
     suffix = path.suffix.lower()
@@ -67,13 +61,7 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
 
 
 def text_of_binary(data: bytes, source: str) -> str:
-    """Return a BinaryCIF file as mmCIF text.
-
-    Raises
-    ------
-    StructureError
-        If it cannot be read.
-    """
+    """Return a BinaryCIF file as mmCIF text."""
     pdbx = library("biotite.structure.io.pdbx")
     document = gemmi.cif.Document()
     try:
@@ -106,13 +94,7 @@ def _beside(path: Path, suffixes: Iterable[str], what: str) -> Path:
 
 
 def as_gemmi(source: Any) -> gemmi.Structure:
-    """Atoms of an object of another library, as :func:`protochain.as_structure` takes it.
-
-    Raises
-    ------
-    StructureError
-        If the type of the source is unknown.
-    """
+    """Atoms of an object of another library, as :func:`protochain.as_structure` takes it."""
     if isinstance(source, gemmi.Structure):
         return source.clone()
     if isinstance(source, tuple | list) and len(source) == 2 and isinstance(source[0], app.Topology):

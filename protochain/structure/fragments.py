@@ -43,26 +43,7 @@ poor model overlap."""
 
 
 def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
-    """Give residues that no template fits their parameters, and report them.
-
-    Parameters
-    ----------
-    draft : Draft
-        Receives the fragments, and their bonds.
-    chemist : Chemist
-    links : sequence of Link
-        Bonds of the protein to molecules beside it.
-
-    Returns
-    -------
-    list of Link
-        Those that springs are to hold.
-
-    Raises
-    ------
-    StructureError
-        If residues have no parameters, and no standard parent to become.
-    """
+    """Give residues that no template fits their parameters, and report them."""
     where = {id(m): at for part in draft.parts for m, at in _places(part)}
     cross = list(_crosslinks(draft, where))
     for link in cross:
@@ -211,13 +192,7 @@ def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
 
 
 def _refuse_or_tie(draft: Draft, links: Sequence[Link], error: Exception) -> None:
-    """Report bonds without parameters: springs hold those to molecules beside a chain, others are ignored.
-
-    Raises
-    ------
-    StructureError
-        For one that the file does not state.
-    """
+    """Report bonds without parameters: springs hold those to molecules beside a chain, others are ignored."""
     beside = {id(m) for part in draft.parts if part.obstacle for m in part.members}
     for link in links:
         if id(link.other) in beside:
@@ -252,13 +227,7 @@ def _unknown_told(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) -> 
 
 
 def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection[int]) -> None:
-    """Give the residues of a fragment their templates, take away what leaves, and report both.
-
-    Raises
-    ------
-    StructureError
-        With ``Fault.INCOMPLETE``, if the file lacks atoms of one.
-    """
+    """Give the residues of a fragment their templates, take away what leaves, and report both."""
     mine = {
         id(m): m
         for (m, _), name in zip(made.owners, made.ligand.molecule.names, strict=True)

@@ -34,17 +34,11 @@ ALL = "all"
 class Frame(Value):
     """One frame of an ensemble.
 
-    Parameters
-    ----------
-    index : int
-        Its place among all frames, from 0.
-    x : (n, 3) float or None, nm
-        Positions of the atoms of the file; None if it cannot be read.
-    box : (3, 3) float or None, nm
-        Vectors of the periodic box, a row each; None if the file states none.
-    time : float or None, ps
-    why : str
-        Why it cannot be read.
+    index: Its place among all frames, from 0.
+    x (n, 3) nm: Positions of the atoms of the file; None if it cannot be read.
+    box (3, 3) nm: Vectors of the periodic box, a row each; None if the file states none.
+    time ps.
+    why: Why it cannot be read.
     """
 
     index: int
@@ -58,26 +52,16 @@ class Frame(Value):
 class Frames:
     """Frames of an ensemble, or some of them; may be iterated more than once.
 
-    Parameters
-    ----------
-    source : str
-        What they are read from, for messages.
-    count : int
-        Number of all frames of the source.
-    n_atoms : int
-        Atoms of a frame.
-    read : callable
-        Takes places of frames, one after the other, and yields each as it is taken.
-    chosen : range
-        Places of the frames that are wanted.
-    names : tuple of str
-        Atoms of a frame as :class:`protochain.structure.model.Origin` names them; empty if the source does
+    source: What they are read from, for messages.
+    count: Number of all frames of the source.
+    n_atoms: Atoms of a frame.
+    read: Takes places of frames, one after the other, and yields each as it is taken.
+    chosen: Places of the frames that are wanted.
+    names: Atoms of a frame as :class:`protochain.structure.model.Origin` names them; empty if the source does
         not say.
-    path : Path, optional
-        File from which other processes can read them.
-    sequence : str
-        Of a protein of which a frame has N, CA, C and O of each residue, in that order, and no others; X if
-        the file does not tell it.
+    path: File from which other processes can read them.
+    sequence: Of a protein of which a frame has N, CA, C and O of each residue, in that order, and no others;
+        X if the file does not tell it.
     """
 
     source: str
@@ -104,13 +88,7 @@ class Frames:
         return Frames(**kept, chosen=chosen)
 
     def select(self, asked: Any) -> "Frames":
-        """Choose frames: ``all``, a number, or ``START:STOP:STEP``, as Python has them.
-
-        Raises
-        ------
-        ProtochainError
-            If that is no selection, or none of the frames is left.
-        """
+        """Choose frames: ``all``, a number, or ``START:STOP:STEP``, as Python has them."""
         some = range(self.count)[selection(asked, "frames")]
         if not some:
             raise ProtochainError(
@@ -120,12 +98,7 @@ class Frames:
 
 
 class Reading:
-    """Frames read in any order, from a file that stays open.
-
-    Parameters
-    ----------
-    frames : Frames
-    """
+    """Frames read in any order, from a file that stays open."""
 
     def __init__(self, frames: Frames) -> None:
         self._asked: deque[int] = deque()
@@ -165,26 +138,7 @@ def trajectories(folder: Path) -> list[Path]:
 
 
 def open_frames(source: Any, frames: Any = None) -> Frames:
-    """Open an ensemble.
-
-    Parameters
-    ----------
-    source : path-like, array, mdtraj.Trajectory, MDAnalysis.Universe or AtomGroup
-        File of ``.xtc``, ``.trr``, ``.dcd``, ``.nc``; PDB or mmCIF, whose models are frames; ``.npz``, as
-        BioEmu writes it, or with an array ``positions`` or ``pos`` of (frames, atoms, 3) and ``unit``, ``nm``
-        or ``angstrom``. An array (frames, atoms, 3) is in nm.
-    frames : str, int, slice, optional
-        As :meth:`Frames.select` takes it; all by default.
-
-    Returns
-    -------
-    Frames
-
-    Raises
-    ------
-    StructureError
-        If it cannot be read, or holds no frames.
-    """
+    """Open an ensemble."""
     opened = source if isinstance(source, Frames) else _opened(source)
     if not opened.count:
         raise StructureError(f"{opened.source}: holds no frames; give a trajectory, or a file with models")
@@ -556,17 +510,8 @@ _C_O = 0.123
 def backbones(x: Floats, turn: Floats) -> Floats:
     """N, CA, C and O of residues whose frames are given, as generators of backbones have them.
 
-    Parameters
-    ----------
-    x : (n, 3) float, nm
-        C-alphas.
-    turn : (n, 3, 3) float
-        Rotations.
-
-    Returns
-    -------
-    (4 n, 3) float, nm
-        O in the plane of CA, C and the next N, opposite to both; of the last residue, trans to N.
+    x (n, 3) nm, turn (n, 3, 3).
+    -> (4 n, 3) nm: O in the plane of CA, C and the next N, opposite to both; of the last residue, trans to N.
     """
     n, c = x + turn @ _N, x + turn @ _C
     away = _unit(c - x) + _unit(np.vstack([c[:-1] - n[1:], x[-1:] - n[-1:]]))

@@ -46,20 +46,7 @@ _Owned = tuple[Member, gemmi.Atom]
 
 
 def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_glycam: bool) -> None:
-    """Let glycans move whose sugars and links GLYCAM-06j knows; links of others are as if stated.
-
-    Parameters
-    ----------
-    draft : Draft
-        With its protein; receives the bonds.
-    parts : sequence of Part
-        Molecules beside it.
-    others : collection of str
-        Names of residues whose parameters or chemistry the user gives.
-    has_glycam : bool
-        Whether the force field is one that GLYCAM-06j goes with.
-
-    """
+    """Let glycans move whose sugars and links GLYCAM-06j knows; links of others are as if stated."""
     sugars = [part for part in parts if part.members[0].name in SUGARS.keys() - {*others}]
     if not sugars:
         return

@@ -24,20 +24,7 @@ _INFO = ("_struct.title", "_cell.Z_PDB")
 
 
 def take_header(structure: gemmi.Structure, records: str = "") -> str:
-    """Give every residue its label ids, where the file does not, and return what the file says.
-
-    Parameters
-    ----------
-    structure : gemmi.Structure
-        Its residues and entities are changed.
-    records : str
-        mmCIF text of categories that gemmi does not carry.
-
-    Returns
-    -------
-    str
-        mmCIF text.
-    """
+    """Give every residue its label ids, where the file does not, and return what the file says."""
     structure.setup_entities()
     structure.assign_label_seq_id()
     groups = gemmi.MmcifOutputGroups(False)
@@ -61,15 +48,7 @@ def with_header(header: str) -> gemmi.Structure:
 
 
 def settle(out: gemmi.Structure, *, whole: bool) -> None:
-    """Make entities and secondary structure those of the residues that are there.
-
-    Parameters
-    ----------
-    out : gemmi.Structure
-        Changed in place. Residues have the label ids of the file, where they are known.
-    whole : bool
-        Give every polymer a sequence, that of its residues if the file has none.
-    """
+    """Make entities and secondary structure those of the residues that are there."""
     there: dict[str, list[gemmi.Residue]] = {}
     for model in out:
         for chain in model:

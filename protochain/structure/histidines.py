@@ -45,18 +45,7 @@ class Polar:
 
 
 def settled(of: Iterable[tuple[Member, Template | None]]) -> tuple[dict[int, str], set[int]]:
-    """Choose the tautomers with the best hydrogen bonds, one after the other; rings are turned in place.
-
-    Parameters
-    ----------
-    of : iterable of (Member, Template)
-        Every residue; without a template where a histidine's state is open.
-
-    Returns
-    -------
-    dict of int to str, set of int
-        States by ``id`` of the residue, and those whose rings were turned by 180 degrees about CB-CG.
-    """
+    """Choose the tautomers with the best hydrogen bonds, one after the other; rings are turned in place."""
     residues = [*of]
     undecided = [member for member, template in residues if template is None]
     if not undecided:

@@ -34,20 +34,7 @@ _DECIMALS = 6
 def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Integers) -> Floats:
     """Place hydrogens that have no position.
 
-    Parameters
-    ----------
-    x : (na, 3) float, nm
-        NaN for hydrogens to place.
-    element : list of str
-    charge : (na,) float, e
-    bonds : (nbonds, 2) int
-        Of two hydrogens at a carbon the first is on the side of b x a, where a and b point along the carbon's
-        first and second bond: HB2 and HB3, if the bond to CA comes first (Markley et al., Pure Appl. Chem.
-        70:117, 1998).
-
-    Returns
-    -------
-    (na, 3) float, nm
+    x (na, 3) nm, charge (na,) e, bonds (nbonds, 2) int -> (na, 3) nm.
     """
     return _Placing(x, element, charge, bonds).placed()
 

@@ -50,13 +50,8 @@ _DUMMY = "DUM"
 class Candidate:
     """A residue that is no part of the protein.
 
-    Parameters
-    ----------
-    member : Member
-    given : str
-        Its name in the file.
-    notes : list of Repair
-        Repairs to report if it is kept.
+    given: Its name in the file.
+    notes: Repairs to report if it is kept.
     """
 
     member: Member
@@ -74,13 +69,7 @@ class Candidate:
 
 
 def check_words(words: Iterable[str]) -> None:
-    """Refuse a word that is neither a kind of molecule nor can be the name of a residue.
-
-    Raises
-    ------
-    StructureError
-        Naming the word.
-    """
+    """Refuse a word that is neither a kind of molecule nor can be the name of a residue."""
     for word in words:
         if word not in KINDS and not re.fullmatch(r"[A-Z0-9+-]{1,5}", word):
             raise StructureError(
@@ -95,30 +84,7 @@ def choose(
     known: Mapping[str, Template],
     chemistry: Chemistry = AS_KNOWN,
 ) -> list[Part]:
-    """Choose the molecules to keep; count and report the others.
-
-    Parameters
-    ----------
-    draft : Draft
-        With its protein; receives the repairs, what is left out first, and the counts.
-    candidates : sequence of Candidate
-        In the order of the file.
-    keep : sequence of str
-        Words of ``KINDS``, and names of residues.
-    known : mapping of str to Template
-    chemistry : Chemistry
-        Of ligands; those given are kept.
-
-    Returns
-    -------
-    list of Part
-
-    Raises
-    ------
-    StructureError
-        If a word is neither a kind nor the name of a molecule of the file, or no molecule has the name of a
-        ligand.
-    """
+    """Choose the molecules to keep; count and report the others."""
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
     _refuse_unknown_names(draft, candidates, [*chemistry.named], "ligand ")

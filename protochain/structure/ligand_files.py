@@ -47,25 +47,13 @@ def save_ligands(
 
 
 def check_ligand_file(path: Path) -> None:
-    """Refuse a name that tells another format.
-
-    Raises
-    ------
-    StructureError
-        Naming the path.
-    """
+    """Refuse a name that tells another format."""
     if path.suffix.lower() != ".sdf":
         raise StructureError(f"{path}: ligands are written as SDF; give a name that ends in .sdf")
 
 
 def check_ligands(structure: Structure) -> None:
-    """Refuse a structure without ligands whose chemistry is known.
-
-    Raises
-    ------
-    StructureError
-        Naming it.
-    """
+    """Refuse a structure without ligands whose chemistry is known."""
     if not structure.ligands:
         raise StructureError(
             f"{structure.name}: has no ligand whose chemistry is known, so no SDF can be written; name its "
@@ -74,13 +62,7 @@ def check_ligands(structure: Structure) -> None:
 
 
 def ligand_text(structure: Structure, sources: Sequence[str | Path] = (), others: bool = False) -> str:
-    """Return the text that :func:`save_ligands` writes.
-
-    Raises
-    ------
-    StructureError
-        If there are none.
-    """
+    """Return the text that :func:`save_ligands` writes."""
     check_ligands(structure)
     chem, found, wanted = library("rdkit.Chem"), [], {str(Path(each)) for each in sources}
     chosen = [each for each in structure.ligands if each.ligand.molecule.source in wanted]
@@ -98,13 +80,7 @@ def ligand_text(structure: Structure, sources: Sequence[str | Path] = (), others
 
 
 def poses(path: Path) -> list[str]:
-    """Sources of the poses of a folder, or of the molecules of a file: the file itself if it has one.
-
-    Raises
-    ------
-    StructureError
-        If a file cannot be read.
-    """
+    """Sources of the poses of a folder, or of the molecules of a file: the file itself if it has one."""
     if path.is_dir():
         files = sorted(each for each in path.iterdir() if each.suffix.lower() in MOLECULE_SUFFIXES)
         return [pose for file in files for pose in poses(file)]

@@ -80,15 +80,8 @@ _REACH = 2.8
 class Link:
     """Atom of the protein and one kept beside it: a bond, or a pair that may be one.
 
-    Parameters
-    ----------
-    member : Member
-    atom : gemmi.Atom
-    other : Member
-        Kept beside the protein.
-    other_atom : gemmi.Atom
-    stated : bool
-        Whether the file states a bond.
+    other: Kept beside the protein.
+    stated: Whether the file states a bond.
     """
 
     member: Member
@@ -156,14 +149,9 @@ def usual_length(first: str, second: str) -> float:
 class Told:
     """Close pairs of atoms, told apart.
 
-    Parameters
-    ----------
-    bonded : list of Link
-        In the order given.
-    refused : list of (Link, str)
-        Bonds that the file states and that cannot be, and why.
-    overlapping : list of Link
-        As near as bonded atoms, and not bonded; in the order given.
+    bonded: In the order given.
+    refused: Bonds that the file states and that cannot be, and why.
+    overlapping: As near as bonded atoms, and not bonded; in the order given.
     """
 
     bonded: list[Link]
@@ -172,18 +160,7 @@ class Told:
 
 
 def told_apart(draft: Draft, pairs: Sequence[Link]) -> Told:
-    """Tell bonds from overlaps: those of the file first, then those nearest to a usual length.
-
-    Parameters
-    ----------
-    draft : Draft
-    pairs : sequence of Link
-        Without metals.
-
-    Returns
-    -------
-    Told
-    """
+    """Tell bonds from overlaps: those of the file first, then those nearest to a usual length."""
     near = _Neighbourhood(draft)
     close = [pair for pair in pairs if pair.excess <= COVALENT_SLACK]
     crowd = Counter(id(pair.other) for pair in close)

@@ -29,20 +29,7 @@ def far_molecules(losses: Iterable[Loss]) -> list[str]:
 
 
 def told(rows: Iterable[Mapping[Any, Any]], say: Say = str) -> list[str]:
-    """Tell at the end of a run what its structures lost.
-
-    Parameters
-    ----------
-    rows : iterable of mapping
-        Records, or rows of a table, of which those of one structure say the same.
-    say : callable
-        Argument -> its words.
-
-    Returns
-    -------
-    list of str
-        A line on atoms, and one on molecules, where any are lost.
-    """
+    """Tell at the end of a run what its structures lost."""
     of = {str(row.get("structure")): row for row in rows}
     lines = []
     for key, what in _TOLD.items():

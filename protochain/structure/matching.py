@@ -35,19 +35,12 @@ takes chains for equal from an identity of 0.95 on."""
 class Match(Value):
     """Corresponding residues of two structures.
 
-    Parameters
-    ----------
-    reference, model : (n,) int
-        Indices of paired residues, in the order of the reference.
-    how : str
-        ``numbers`` if chains, numbers and names agree; ``sequence`` if sequences were aligned; ``fold`` if
+    reference, model (n,) int: Indices of paired residues, in the order of the reference.
+    how: ``numbers`` if chains, numbers and names agree; ``sequence`` if sequences were aligned; ``fold`` if
         they are unrelated, but one fold has both: then by numbers if these agree, whatever the names.
-    identity : float
-        Fraction of pairs with the same residue name.
-    coverage : float
-        Fraction of the reference's amino acids that are matched.
-    chains : tuple of (str, str)
-        Ids of paired chains, of the reference and of the model.
+    identity: Fraction of pairs with the same residue name.
+    coverage: Fraction of the reference's amino acids that are matched.
+    chains: Ids of paired chains, of the reference and of the model.
     """
 
     reference: Integers
@@ -76,20 +69,6 @@ def match(reference: Structure, model: Structure) -> Match:
 
     Alignments are global, by gemmi with BLOSUM62. Chains are paired for the largest sum of scores; of chains
     that are as alike, as in homomers, those are paired that give the least RMSD of C-alphas.
-
-    Parameters
-    ----------
-    reference, model : Structure
-
-    Returns
-    -------
-    Match
-
-    Raises
-    ------
-    ProtochainError
-        If no residue matches, or the sequences are unrelated: less than 30 % identical, gaps between aligned
-        residues included, and not of one fold, with a TM-score below 0.5.
     """
     ours, theirs = _by_chain(reference), _by_chain(model)
     numbered = _numbered(reference, model)
@@ -166,13 +145,7 @@ def _aligned_by_shape(reference: tuple[Floats, str], model: tuple[Floats, str]) 
 
 
 def measurable(source: Any) -> Structure:
-    """Structure of anything that can be measured; of a file, its first model.
-
-    Raises
-    ------
-    StructureError
-        If it cannot be used; a file of C-alpha atoms only can.
-    """
+    """Structure of anything that can be measured; of a file, its first model."""
     if not isinstance(source, str | Path):
         return as_structure(source)
     found = next(structure for _, structure in models_of(source, first=True))

@@ -25,13 +25,8 @@ from protochain.structure.residues import Atom, Residue, name_in_file
 class Tie:
     """Spring that holds a bond between the protein and a molecule kept beside it.
 
-    Parameters
-    ----------
-    atoms : tuple of int
-        Two of a distance, or three of an angle at the second.
-    rest : float, nm or rad
-    stiffness : float, kJ/mol/nm^2 or kJ/mol/rad^2
-        E = stiffness/2 (value - rest)^2.
+    atoms: Two of a distance, or three of an angle at the second.
+    stiffness: E = stiffness/2 (value - rest)^2.
     """
 
     atoms: tuple[int, ...]
@@ -43,18 +38,12 @@ class Tie:
 class BoundLigand(Value):
     """A small molecule beside the protein that moves, or residues that no template fits: of known chemistry.
 
-    Parameters
-    ----------
-    ligand : Ligand
-        Its chemistry and parameters; names and positions are those of the file.
-    atoms : (n,) int
-        The structure's atom of each atom of the molecule, hydrogens included.
-    inverted : tuple of str
-        Stereocentres, and double bonds as ``C1=C2``, that the file has the other way round than the source.
-    core : tuple of str
-        Of residues what the force field calls each atom that keeps its parameters; empty for others.
-    posed : bool
-        Whether it is a pose that was added to the file's structure.
+    ligand: Its chemistry and parameters; names and positions are those of the file.
+    atoms (n,) int: The structure's atom of each atom of the molecule, hydrogens included.
+    inverted: Stereocentres, and double bonds as ``C1=C2``, that the file has the other way round than the
+        source.
+    core: Of residues what the force field calls each atom that keeps its parameters; empty for others.
+    posed: Whether it is a pose that was added to the file's structure.
     """
 
     ligand: Ligand
@@ -93,14 +82,9 @@ _DIGITS = 9
 class Origin(Value):
     """Where the atoms of a structure come from, by which other positions of the file's atoms become its own.
 
-    Parameters
-    ----------
-    atoms : tuple of str
-        Atoms of the model in the file, in its order: ``A/17/GLU/CG``; of another library, of its object.
-    place : (na,) int
-        Place of each atom of the structure among these; -1 of an atom that was added.
-    charge : (na,) float, e
-        Charges of the templates, by which added hydroxyls were turned.
+    atoms: Atoms of the model in the file, in its order: ``A/17/GLU/CG``; of another library, of its object.
+    place (na,) int: Place of each atom of the structure among these; -1 of an atom that was added.
+    charge (na,) e: Charges of the templates, by which added hydroxyls were turned.
     """
 
     atoms: tuple[str, ...]

@@ -28,18 +28,7 @@ def value_of(ph: float | str) -> float:
 
 
 def by_propka(draft: Draft) -> Mapping[int, float]:
-    """Find the pKa of the acids and bases of a protein, with all that is kept beside it.
-
-    Returns
-    -------
-    mapping of int to float
-        pKa by ``id`` of the residue.
-
-    Raises
-    ------
-    StructureError
-        If PROPKA is not installed, or the structure is too large for the PDB files that it reads.
-    """
+    """Find the pKa of the acids and bases of a protein, with all that is kept beside it."""
     try:
         run = import_module("propka.run")
     except ImportError:

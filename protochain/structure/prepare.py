@@ -162,13 +162,7 @@ def prepare(
     ph: float | str = defaults.PH,
     forcefield: Sequence[Path] = (),
 ) -> Structure:
-    """Complete a draft: heavy atoms, disulfides, hydrogens.
-
-    Raises
-    ------
-    StructureError
-        If a residue fits no template.
-    """
+    """Complete a draft: heavy atoms, disulfides, hydrogens."""
     wanted = bonds_of(disulfide, "disulfide")
     known = templates(forcefield)
     beside, sugars = stated_beside(draft), glycosidic(draft)

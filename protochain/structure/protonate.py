@@ -32,21 +32,6 @@ def protonate(
     """Choose protonation states and add missing hydrogens, whose positions stay NaN.
 
     States shown by residue names or hydrogens in the file are kept; others follow from the pH.
-
-    Parameters
-    ----------
-    draft : Draft
-    known : mapping of str to Template
-    bridged : set of int
-        ``id`` of the cysteines in disulfide bonds.
-    ph : float
-    pka : mapping of int to float
-        pKa of single residues by ``id``; that of their kind by default.
-
-    Returns
-    -------
-    list of (Member, Template)
-        In order of the draft; each heavy atom of a member is followed by its hydrogens.
     """
     shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _shown(m) for m in draft.members}
     states = {id(m): shown[id(m)] or _at_ph(m, ph, pka) for m in draft.members}
@@ -166,13 +151,7 @@ def _at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
 
 
 def _match(draft: Draft, member: Member, template: Template) -> int:
-    """Rename and order the hydrogens of the file, drop those that do not fit, and add missing ones.
-
-    Returns
-    -------
-    int
-        Number of hydrogens renamed.
-    """
+    """Rename and order the hydrogens of the file, drop those that do not fit, and add missing ones."""
     before = {a.name for a in member.atoms if a.is_hydrogen()}
     rename(member.atoms, template)
     heavy = [a for a in member.atoms if not a.is_hydrogen()]

@@ -68,27 +68,16 @@ _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.Connec
 class Reading:
     """Options for reading a file.
 
-    Parameters
-    ----------
-    model : int, optional
-        Number of the model in the file; the first by default.
-    altloc : str
-        Preferred alternate location, which some atom must have; by default, and where it is absent, the one
-        of highest occupancy.
-    keep : tuple of str
-        Molecules kept as fixed obstacles, as in :func:`protochain.load`; none by default.
-    strict : bool
-        Refuse chain breaks and residues that would be left out of a chain.
-    forcefield : tuple of Path
-        Force-field files whose residues are recognised besides the bundled ones.
-    chains : tuple of str
-        Names of the chains to take; all by default.
-    chemistry : Chemistry
-        Of ligands.
-    standard_residues : bool
-        Convert modified residues to their standard parents, also those that have parameters.
-    assembly : str
-        Name of the biological assembly to build; none by default.
+    model: Number of the model in the file; the first by default.
+    altloc: Preferred alternate location, which some atom must have; by default, and where it is absent, the
+        one of highest occupancy.
+    keep: Molecules kept as fixed obstacles, as in :func:`protochain.load`; none by default.
+    strict: Refuse chain breaks and residues that would be left out of a chain.
+    forcefield: Force-field files whose residues are recognised besides the bundled ones.
+    chains: Names of the chains to take; all by default.
+    chemistry: Of ligands.
+    standard_residues: Convert modified residues to their standard parents, also those that have parameters.
+    assembly: Name of the biological assembly to build; none by default.
     """
 
     model: int | None = None
@@ -109,23 +98,7 @@ class Reading:
 
 
 def read(path: str | Path, reading: Reading | None = None) -> Draft:
-    """Read the molecules of one model of a PDB or mmCIF file.
-
-    Parameters
-    ----------
-    path : path-like
-        ``-`` for standard input.
-    reading : Reading, optional
-
-    Returns
-    -------
-    Draft
-
-    Raises
-    ------
-    StructureError
-        If the file cannot be read, is cut short, holds no protein, or holds residues that cannot be used.
-    """
+    """Read the molecules of one model of a PDB or mmCIF file."""
     path = Path(path)
     structure, overlooked, ends, records = parse(path)
     name = "stdin" if path == STANDARD_INPUT else split_name(path)[0]
@@ -140,13 +113,7 @@ def read(path: str | Path, reading: Reading | None = None) -> Draft:
 
 
 def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -> Draft:
-    """Fill a draft from a gemmi structure.
-
-    Raises
-    ------
-    StructureError
-        If it holds no protein, or residues that cannot be used.
-    """
+    """Fill a draft from a gemmi structure."""
     if reading.assembly:
         assemble(draft, structure, reading.assembly)
     draft.header = take_header(structure, draft.header)
@@ -232,13 +199,7 @@ def _counted(kind: str, count: int) -> str:
 
 
 def model_numbers(path: str | Path) -> list[int]:
-    """List the numbers of the models in a file.
-
-    Raises
-    ------
-    StructureError
-        As :func:`read`.
-    """
+    """List the numbers of the models in a file."""
     return [model.num for model in parse(Path(path))[0]]
 
 

@@ -44,22 +44,7 @@ def by_element(member: Member) -> Template:
 
 
 def recognised(member: Member, seen: Template, known: Iterable[Template]) -> Template | None:
-    """Find the template whose heavy atoms are bonded as those of a molecule.
-
-    Parameters
-    ----------
-    member : Member
-        Of one residue.
-    seen : Template
-        Made from its own atoms, with bonds by distance.
-    known : iterable of Template
-        The first that fits is taken; if the molecule has all its hydrogens, they must fit, too.
-
-    Returns
-    -------
-    Template or None
-        Under the names that the molecule has for its atoms.
-    """
+    """Find the template whose heavy atoms are bonded as those of a molecule."""
     candidates = list(known)
     for with_hydrogens in (True, False) if seen.hydrogens else (False,):
         mine = _graph(seen, with_hydrogens)

@@ -94,18 +94,7 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
 def cif_rows(
     header: str, out: gemmi.Structure, label: Mapping[Label, Label], ligands: Mapping[str, Rows]
 ) -> dict[str, Rows]:
-    """Return the categories of a header, about what a structure has, under the names that it has there.
-
-    Parameters
-    ----------
-    header : str
-    out : gemmi.Structure
-        With its entities.
-    label : mapping of Label to Label
-        Label ids in the file written of those in the file read.
-    ligands : mapping of str to list
-        Chemistry of ligands by category, in the place of what the header says of the same components.
-    """
+    """Return the categories of a header, about what a structure has, under the names that it has there."""
     names = {residue.name: residue for model in out for chain in model for residue in chain}
     there = _There(out, label, names)
     found = _with(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})

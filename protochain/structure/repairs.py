@@ -37,13 +37,8 @@ class Rank(IntEnum):
 class Words(NamedTuple):
     """How a kind of repair is told.
 
-    Parameters
-    ----------
-    one : str
-        A template, whose fields are the facts of the repair.
-    many : str
-        What is said of several residues; by default what ``one`` says of its residue.
-    rank : Rank
+    one: A template, whose fields are the facts of the repair.
+    many: What is said of several residues; by default what ``one`` says of its residue.
     """
 
     one: str
@@ -310,13 +305,8 @@ class Loss:
 
     Waters, alternate locations, and what options leave out are not lost; ``left_out`` counts them too.
 
-    Parameters
-    ----------
-    chain, number, name : str
-        Of the residue in the file; the number with its insertion code.
-    atoms : tuple of str
-        Names in the file.
-    why : Why
+    chain, number, name: Of the residue in the file; the number with its insertion code.
+    atoms: Names in the file.
     """
 
     chain: str
@@ -334,14 +324,9 @@ class Loss:
 class Repair(Value):
     """A change made to the contents of a file; its text is a sentence.
 
-    Parameters
-    ----------
-    kind : Kind
-    facts : mapping
-        What the words of the kind name, and more: ``residue`` (a ``residues.Residue``),
-        ``atoms``, ``count``, ``length`` (angstrom), ...
-    lost : tuple of Loss
-        What it takes away.
+    facts: What the words of the kind name, and more: ``residue`` (a ``residues.Residue``), ``atoms``,
+        ``count``, ``length`` (angstrom), ...
+    lost: What it takes away.
     """
 
     kind: Kind
@@ -390,20 +375,7 @@ def _filled(template: str, repair: Repair, say: Say) -> str:
 
 
 def summarised(repairs: Iterable[Repair], say: Say = str) -> tuple[str, ...]:
-    """Summarise repairs.
-
-    Parameters
-    ----------
-    repairs : iterable of Repair
-    say : callable
-        Argument -> its words.
-
-    Returns
-    -------
-    tuple of str
-        First what is lost: molecules left out, gaps, other losses. Then what was changed, the states of all
-        histidines in one line, and last the hydrogens added. Repairs that are like no other stay as they are.
-    """
+    """Summarise repairs."""
     groups: dict[tuple[Rank, str], list[Repair]] = defaultdict(list)
     for repair in repairs:
         groups[_group(repair, say)].append(repair)

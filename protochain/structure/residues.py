@@ -141,13 +141,8 @@ def name_in_file(name: str, is_d: bool) -> str:
 class Residue:
     """A residue by what a file calls it; its text is ``residue 17 GLU of chain A``.
 
-    Parameters
-    ----------
-    chain : str
-        Empty for a chain without an id.
-    number : str
-        With its insertion code.
-    name : str
+    chain: Empty for a chain without an id.
+    number: With its insertion code.
     """
 
     chain: str

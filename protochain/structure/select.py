@@ -16,28 +16,7 @@ from protochain.structure.model import Structure
 
 
 def select(structure: Structure, selection: str) -> np.ndarray:
-    """Select atoms.
-
-    Parameters
-    ----------
-    structure : Structure
-    selection : str
-        In the language of MDAnalysis, distances in angstrom: ``resid 5:20 and not backbone``, ``chainID A``,
-        ``around 5 resid 12``. Three words more: ``sidechain``, atoms of the protein beyond the C-alpha;
-        ``ligand``, the poses that were added, or without one all ligands of known chemistry; and
-        ``interface``, residues with a heavy atom within 5 angstrom of one of another chain, water aside; or
-        of two sides, ``interface A:B``, ``interface A,B:C``, or of two chains, ``interface A B``.
-
-    Returns
-    -------
-    (na,) bool
-        Mask of the selected atoms.
-
-    Raises
-    ------
-    StructureError
-        If the selection cannot be read or is empty, or there is no ligand that it names.
-    """
+    """Select atoms: -> (na,) bool: Mask of the selected atoms."""
     from MDAnalysis.exceptions import SelectionError
 
     universe = to_mdanalysis(structure)
@@ -72,13 +51,7 @@ def moved_of(source: Any) -> dict[str, str]:
 
 
 def moving(structure: Structure, move: str) -> NDArray[np.bool_]:
-    """Atoms (na,) that a selection lets move; ``all`` but obstacles.
-
-    Raises
-    ------
-    StructureError
-        As of :func:`select`; if it selects obstacles only.
-    """
+    """Atoms (na,) that a selection lets move; ``all`` but obstacles."""
     free = ~structure.obstacle
     if move == defaults.MOVE:
         return free
@@ -91,20 +64,7 @@ def moving(structure: Structure, move: str) -> NDArray[np.bool_]:
 
 
 def sides(structure: Structure, first: str, second: str) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Residues of the two sides of an interface, (nr,) bool each, waters on neither.
-
-    Parameters
-    ----------
-    structure : Structure
-    first, second : str
-        Chains with commas between, with all that bears their names, or a selection, of whose residues the
-        other side's chains have none.
-
-    Raises
-    ------
-    StructureError
-        If a side cannot be read or is empty, or a residue is on both.
-    """
+    """Residues of the two sides of an interface, (nr,) bool each, waters on neither."""
     found = [_side(structure, each) for each in (first, second)]
     for mine, other in ((0, 1), (1, 0)):
         if found[other].selected and not found[mine].selected:
@@ -125,13 +85,7 @@ def sides(structure: Structure, first: str, second: str) -> tuple[NDArray[np.boo
 
 
 def sides_named(structure: Structure, interface: str) -> tuple[str, str]:
-    """Split ``A:B``, ``A,B:C`` or ``A:resid 5:20`` at the colon that leaves two sides.
-
-    Raises
-    ------
-    StructureError
-        As of :func:`sides`; if there is no such colon.
-    """
+    """Split ``A:B``, ``A,B:C`` or ``A:resid 5:20`` at the colon that leaves two sides."""
     parts = interface.split(":")
     splits = [(":".join(parts[:k]).strip(), ":".join(parts[k:]).strip()) for k in range(1, len(parts))]
     refused = StructureError(
@@ -254,24 +208,7 @@ def _word(structure: Structure) -> re.Pattern[str]:
 
 
 def atoms_at(structure: Structure, place: str) -> Integers:
-    """Atoms of a place.
-
-    Parameters
-    ----------
-    structure : Structure
-    place : str
-        An atom as ``A:20:CA``, a residue as ``A:20`` or ``A:20B`` (with its insertion code), or a selection.
-
-    Returns
-    -------
-    (n,) int
-        At least one.
-
-    Raises
-    ------
-    StructureError
-        If there is no such residue or atom, or more than one residue of this name.
-    """
+    """Atoms of a place: -> (n,) int: At least one."""
     named = re.fullmatch(r"(\S*):(-?\d+\w?)(?::(\S+))?", place)
     if not named:
         return np.flatnonzero(select(structure, place))

@@ -270,19 +270,7 @@ def ties(
 ) -> tuple[Tie, ...]:
     """Springs that hold the bonds at the distances and angles of the input, if they are those of bonds.
 
-    Parameters
-    ----------
-    links : sequence of Link
-    at : mapping of int to mapping of str to int
-        Index of each atom, by ``id`` of its residue and by name.
-    x : (na, 3) float, nm
-    element : sequence of str
-    bonds : (n, 2) int
-        With those of the links.
-
-    Returns
-    -------
-    tuple of Tie
+    x (na, 3) nm, bonds (n, 2) int.
     """
     heavy = np.array(element) != "H"
     near = neighbours(bonds[heavy[bonds].all(axis=1)], len(element))

@@ -27,13 +27,7 @@ Spring = tuple[tuple[Address, ...], float, float]
 
 
 def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
-    """Return the springs that a file states, by their atoms.
-
-    Parameters
-    ----------
-    records : str
-        mmCIF text.
-    """
+    """Return the springs that a file states, by their atoms."""
     block = gemmi.cif.read_string(records).sole_block() if CATEGORY in records else gemmi.cif.Block("")
     columns = block.get_mmcif_category(CATEGORY, raw=True)
     found: dict[tuple[Address, ...], tuple[float, float]] = {}

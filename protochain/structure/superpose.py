@@ -14,14 +14,8 @@ from protochain.structure.model import Structure
 def superpose(x: Floats, reference: Floats) -> Floats:
     """Superpose points onto a reference with least RMSD.
 
-    Parameters
-    ----------
-    x, reference : (n, 3) float
-
-    Returns
-    -------
-    (n, 3) float
-        x rotated and translated onto ``reference`` (Kabsch, Acta Cryst. A32:922, 1976).
+    x, reference (n, 3).
+    -> (n, 3): x rotated and translated onto ``reference`` (Kabsch, Acta Cryst. A32:922, 1976).
     """
     turn, shift = motion(x, reference)
     return x @ turn.T + shift
@@ -45,18 +39,7 @@ def motion_of(covariance: Floats, own_centre: Floats, centre: Floats) -> tuple[F
 
 
 def rmsd(x: Floats, reference: Floats) -> float:
-    """Root-mean-square deviation after superposition, in the unit of the points.
-
-    Parameters
-    ----------
-    x, reference : (n, 3) float
-
-    Returns
-    -------
-    float
-        In double precision; mdtraj's in single is noise below about 1e-3 of the size of the molecule. NaN of
-        no points, as of the C-alphas of nucleic acids.
-    """
+    """Root-mean-square deviation after superposition, in the unit of the points: x, reference (n, 3)."""
     if not len(x):
         return np.nan
     return float(np.sqrt(np.mean(np.sum((superpose(x, reference) - reference) ** 2, axis=1))))

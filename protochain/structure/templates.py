@@ -51,21 +51,13 @@ _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
 class Template:
     """Residue template of a force field.
 
-    Parameters
-    ----------
-    name : str
-        Name in the force field: ``ALA``, ``NALA`` at the start of a chain, ``HIE``.
-    element : mapping of str to str
-        Element of each atom, by PDB name.
-    charge : mapping of str to float, e
-    bonds : tuple of pairs of str
-        Bonds within the residue.
-    synonyms : mapping of str to str
-        PDB name of every other name of an atom.
-    type : mapping of str to str
-        Atom type of each atom in the force field, by PDB name.
-    is_users : bool
-        Whether it is from a file of the user's.
+    name: Name in the force field: ``ALA``, ``NALA`` at the start of a chain, ``HIE``.
+    element: Element of each atom, by PDB name.
+    charge e.
+    bonds: Bonds within the residue.
+    synonyms: PDB name of every other name of an atom.
+    type: Atom type of each atom in the force field, by PDB name.
+    is_users: Whether it is from a file of the user's.
     """
 
     name: str
@@ -118,18 +110,7 @@ class Template:
 
 
 def templates(user_files: Sequence[Path] = ()) -> Mapping[str, Template]:
-    """Templates by name: proteins, caps, nucleic acids, water and ions.
-
-    Parameters
-    ----------
-    user_files : sequence of Path
-        Force-field files of the user, whose residues are added; one may have the atom types of another.
-
-    Raises
-    ------
-    StructureError
-        If a file cannot be read.
-    """
+    """Templates by name: proteins, caps, nucleic acids, water and ions."""
     # A user's file may change between calls.
     own = {name: replace(each, is_users=True) for name, each in _read(user_files).items()}
     return {**own, **_phosphates(), **_amber()}
@@ -313,17 +294,6 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
     Names mean several things: ``NLN`` is asparagine with a sugar in GLYCAM, and norleucine's amide in the PDB
     archive; ``HSE`` histidine in CHARMM, and homoserine; ``HIP`` histidine in Amber, and its phosphate;
     ``NHE`` a cap, and a buffer; ``DCY`` deoxycytidine in OpenMM's table, and D-cysteine.
-
-    Parameters
-    ----------
-    given : str
-    atoms : collection of gemmi.Atom
-    known : mapping of str to Template
-
-    Returns
-    -------
-    (str, str)
-        Name and protonation state.
     """
     name, state = standard_name(given)
     if name == given and name in (*STANDARD, *CAPS, "HOH"):
@@ -413,13 +383,7 @@ def other_names(atoms: Iterable[gemmi.Atom], template: Template) -> Iterator[str
 
 
 def rename(atoms: list[gemmi.Atom], template: Template) -> list[tuple[str, str]]:
-    """Rename atoms to their PDB names.
-
-    Returns
-    -------
-    list of (str, str)
-        Names before and after.
-    """
+    """Rename atoms to their PDB names."""
     present = {atom.name for atom in atoms}
     changed = []
     for atom in atoms:

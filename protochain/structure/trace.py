@@ -13,27 +13,7 @@ from protochain.structure.read import standard_parent
 
 
 def alpha_trace(parsed: gemmi.Structure, source: str, model: int) -> Structure:
-    """Take the C-alpha atoms of the amino acids of a model, without any other atom.
-
-    Parameters
-    ----------
-    parsed : gemmi.Structure
-        Contents of a file.
-    source : str
-        Name of the file in messages.
-    model : int
-        Number of the model.
-
-    Returns
-    -------
-    Structure
-        One atom a residue, without bonds; modified residues have the names of their parents.
-
-    Raises
-    ------
-    StructureError
-        If there is no C-alpha atom.
-    """
+    """Take the C-alpha atoms of the amino acids of a model, without any other atom."""
     topology, x = app.Topology(), list[list[float]]()
     carbon = app.Element.getBySymbol("C")
     for chain in next(each for each in parsed if each.num == model):

@@ -26,13 +26,7 @@ coordinates that are not compressed; and the number of atoms up to which they ar
 
 
 def check_trajectory(path: Path) -> None:
-    """Refuse an unknown trajectory suffix.
-
-    Raises
-    ------
-    StructureError
-        Naming the suffix.
-    """
+    """Refuse an unknown trajectory suffix."""
     if path.suffix.lower() not in (".dcd", ".xtc"):
         raise StructureError(f"{path}: unknown trajectory suffix {path.suffix!r}; use .dcd or .xtc")
 
@@ -60,25 +54,11 @@ def _without_hydrogens(structure: Structure) -> tuple[Any, Any]:
 class TrajectoryFile:
     """Writer of frames to ``NAME.part.dcd``, renamed when the ``with`` block ends.
 
-    Parameters
-    ----------
-    path : path-like
-        Ends in ``.dcd`` or ``.xtc``.
-    structure : Structure
-        Structure that gives the topology.
-    interval : float, ps
-        Time between frames.
-    kept : tuple of int and int, optional
-        Continue a file from this number of frames and bytes; the rest is cut off.
-    hydrogens : bool
-        Whether to write them.
-
-    Raises
-    ------
-    StructureError
-        If the suffix is unknown, or the file to continue has lost frames.
-    WriteError
-        If the disk is full.
+    path: Ends in ``.dcd`` or ``.xtc``.
+    structure: Structure that gives the topology.
+    interval ps: Time between frames.
+    kept: Continue a file from this number of frames and bytes; the rest is cut off.
+    hydrogens: Whether to write them.
     """
 
     def __init__(
@@ -149,13 +129,7 @@ class TrajectoryFile:
         self.n_frames = n_frames
 
     def append(self, x: Floats) -> None:
-        """Write one frame of positions (na, 3) in nm.
-
-        Raises
-        ------
-        WriteError
-            If the disk is full; part of the frame may be in the file.
-        """
+        """Write one frame of positions (na, 3) in nm."""
         with writing(self.path):
             begin = self.part.stat().st_size
             x = x[self.atoms]

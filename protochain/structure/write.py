@@ -123,13 +123,7 @@ def _renamed(structure: Structure, names: Mapping[str, str]) -> Structure:
 
 
 def check_format(path: Path) -> None:
-    """Refuse an unknown suffix.
-
-    Raises
-    ------
-    StructureError
-        Naming the suffix.
-    """
+    """Refuse an unknown suffix."""
     if format_of(path) not in _WRITERS:
         suffix = split_name(path)[1]
         raise StructureError(f"{path}: unknown suffix {suffix!r}; use {' or '.join(SUFFIXES)}")
@@ -139,16 +133,6 @@ def check_fits(structure: Structure, path: Path) -> list[str]:
     """Refuse a structure that does not fit the columns of a PDB file: it would be cut, or read as another.
 
     mmCIF has label ids beside the chain ids, new ones where polymers that the file has apart are one chain.
-
-    Returns
-    -------
-    list of str
-        What the file will have otherwise than the structure.
-
-    Raises
-    ------
-    StructureError
-        Naming the chain, residue or atom.
     """
     if format_of(path) != "PDB":
         now = (label for label, _ in _labels(structure)[0])

@@ -19,16 +19,9 @@ _PHOSPHATE = ("OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 def hydrogen_bonds(structure: Structure, some: NDArray[np.bool_] | None = None) -> Integers:
     """Hydrogen bonds by the criterion of Baker and Hubbard, as mdtraj finds them.
 
-    Parameters
-    ----------
-    structure : Structure
-    some : (na,) bool, optional
-        Atoms among which they are looked for.
-
-    Returns
-    -------
-    (n, 3) int
-        Donor, hydrogen, acceptor: hydrogen and acceptor within 2.5 angstrom, the angle above 120 degrees.
+    some (na,) bool.
+    -> (n, 3) int: Donor, hydrogen, acceptor: hydrogen and acceptor within 2.5 angstrom, the angle above 120
+        degrees.
     """
     import mdtraj
 

@@ -26,10 +26,8 @@ _CLASS = {"ALA": "ALA", "PRO": "PRO", "VAL": "VAL", "THR": "VAL", "ILE": "VAL"}
 class Deviations(NamedTuple):
     """C-beta deviations of the residues that have one.
 
-    Parameters
-    ----------
-    residue : (n,) int
-    deviation : (n,) float, angstrom
+    residue (n,) int.
+    deviation (n,) angstrom.
     """
 
     residue: Integers
@@ -48,8 +46,6 @@ def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviation
     at the ideal distance from C-alpha. A D-amino acid that the file names so is measured by its mirror image;
     any other has a deviation of some 2 angstrom.
 
-    Notes
-    -----
     Lovell et al., Proteins 50:437 (2003); ideal values as in mmtbx's cbetadev.
     """
     found = layout(structure)

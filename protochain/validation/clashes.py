@@ -235,14 +235,7 @@ def _is_seen(structure: Structure, tree: cKDTree, pairs: Integers) -> NDArray[np
 def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: Floats) -> NDArray[np.bool_]:
     """Whether a dot on the first atom deep in the second is in none bonded to it, and deeper in no other.
 
-    Parameters
-    ----------
-    structure : Structure
-    tree : cKDTree
-        Of all positions, angstrom.
-    pairs : (n, 2) int
-    share : (m,) float
-        How far a dot is from the line between the atoms, 1 where it is just deep enough; on a golden spiral.
+    pairs (n, 2) int, share (m,).
     """
     x, kinds = np.asarray(tree.data), _kinds(structure)
     first, second = pairs.T

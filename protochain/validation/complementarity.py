@@ -42,21 +42,7 @@ def united_radii(structure: Structure) -> Floats:
 
 
 def shape_complementarity(structure: Structure, x: Floats, one: Integers, other: Integers) -> float:
-    """Sc of two sides.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-    one, other : (n,) int
-        Atoms of either side.
-
-    Returns
-    -------
-    float
-        From -1 to 1, of protein complexes mostly 0.6 to 0.8; NaN if neither buries anything of the other but
-        periphery.
-    """
+    """Sc of two sides: x (na, 3) nm, one, other (n,) int."""
     radius = united_radii(structure)
     heavy = [atoms[radius[atoms] > 0.0] for atoms in (one, other)]
     parts = [(ANGSTROM_PER_NM * x[atoms], radius[atoms]) for atoms in heavy]

@@ -22,15 +22,10 @@ _SAME = 1e-6
 class Dots(Value):
     """Dots on a surface.
 
-    Parameters
-    ----------
-    x : (n, 3) float, angstrom
-    normal : (n, 3) float
-        Unit vectors out of the molecule.
-    area : (n,) float, angstrom^2
-        What each dot stands for.
-    probe : (n, 3) float, angstrom
-        Centre of the probe that touches there.
+    x (n, 3) angstrom.
+    normal (n, 3): Unit vectors out of the molecule.
+    area (n,) angstrom^2: What each dot stands for.
+    probe (n, 3) angstrom: Centre of the probe that touches there.
     """
 
     x: Floats
@@ -50,17 +45,7 @@ def molecular_surface(
 ) -> Dots:
     """Cover the molecular surface with dots.
 
-    Parameters
-    ----------
-    x : (n, 3) float, angstrom
-        Atoms.
-    radius : (n,) float, angstrom
-    probe : float, angstrom
-        Radius of the probe.
-    density : float, 1/angstrom^2
-        Dots to an area.
-    wanted : (n,) bool, optional
-        Atoms whose surface is asked for, with that between any two or three of them; all hide it.
+    x (n, 3) angstrom, radius (n,) angstrom, probe angstrom, density 1/angstrom^2, wanted (n,) bool.
     """
     of = np.arange(len(x)) if wanted is None else np.flatnonzero(wanted)
     if not len(of):

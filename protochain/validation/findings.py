@@ -47,10 +47,7 @@ def _measured(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]
 class Found(Value):
     """What is found wrong with a structure at some positions.
 
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
+    x (na, 3) nm.
     """
 
     structure: Structure
@@ -185,16 +182,10 @@ RESIDUE_COLUMNS: Mapping[str, Callable[[Found], Any]] = {
 class Measure(NamedTuple):
     """A number by which structures are compared.
 
-    Parameters
-    ----------
-    what : str
-        What it is, in words.
-    heading : str
-        In tables of a terminal; without one it is not in them.
-    value : callable
-        Its value of a :class:`Found`.
-    whole : bool
-        Whether it is a whole number.
+    what: What it is, in words.
+    heading: In tables of a terminal; without one it is not in them.
+    value: Its value of a :class:`Found`.
+    whole: Whether it is a whole number.
     """
 
     what: str
@@ -263,12 +254,8 @@ MEASURES = {
 class Remaining(NamedTuple):
     """Something in a result that a biologist may reject.
 
-    Parameters
-    ----------
-    what : str
-        What it is, in words.
-    places : callable
-        Where a :class:`Found` has it.
+    what: What it is, in words.
+    places: Where a :class:`Found` has it.
     """
 
     what: str

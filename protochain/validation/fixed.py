@@ -33,13 +33,9 @@ _BOND_SLACK = 0.3
 class FixedFaults(NamedTuple):
     """What is wrong with molecules beside the protein.
 
-    Parameters
-    ----------
-    bonds : (n, 2) int
-        Atoms of their broken bonds: far longer or shorter than usual, or, of a molecule in pieces, the
-        nearest ones.
-    clashes : (m, 2) int
-        Heavy atoms of theirs, and of theirs and the protein's, that overlap by 1.5 angstrom.
+    bonds (n, 2) int: Atoms of their broken bonds: far longer or shorter than usual, or, of a molecule in
+        pieces, the nearest ones.
+    clashes (m, 2) int: Heavy atoms of theirs, and of theirs and the protein's, that overlap by 1.5 angstrom.
     """
 
     bonds: Integers

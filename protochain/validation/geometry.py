@@ -23,12 +23,7 @@ _TABLE = Path(__file__).parent / "data" / "geometry.csv"
 class Norm:
     """Usual value of a bond length or angle within a residue.
 
-    Parameters
-    ----------
-    residue : str
-    atoms : tuple of str
-        Two of a bond, three of an angle.
-    mean, sigma : float, angstrom or degrees
+    atoms: Two of a bond, three of an angle.
     """
 
     residue: str
@@ -62,11 +57,8 @@ def distances() -> tuple[Floats, Floats]:
 
     Angles become distances by the law of cosines, and their errors are propagated as if independent.
 
-    Returns
-    -------
-    (20, 14, 14) float, angstrom
-        By type, and by the places of two atoms; NaN for other pairs.
-    (20, 14, 14) float, angstrom
+    -> (20, 14, 14) angstrom.
+    -> (20, 14, 14) angstrom: By type, and by the places of two atoms; NaN for other pairs.
     """
     shape = (len(TYPES), WIDTH, WIDTH)
     mean, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
@@ -104,12 +96,9 @@ def _opposite(
 def places(structure: Structure) -> tuple[Integers, Integers]:
     """Where the heavy atoms of a structure's amino acids are.
 
-    Returns
-    -------
-    (nr, 14) int
-        Atom in each place of each residue, -1 if there is none; a terminus' second oxygen has no place.
-    (nr,) int
-        Type of each residue; -1 for caps and molecules beside the protein.
+    (nr, 14) int: Atom in each place of each residue, -1 if there is none; a terminus' second oxygen has no
+        place.
+    (nr,) int: Type of each residue; -1 for caps and molecules beside the protein.
     """
     names = [STATE_PARENT.get(name, (name, ""))[0] for name in structure.residue_name.tolist()]
     kind = np.array([TYPES.index(name) if name in STANDARD else -1 for name in names], dtype=np.int64)

@@ -18,12 +18,8 @@ from protochain.validation.layout import peptides
 class Expected(NamedTuple):
     """What stereocentres of a structure should be.
 
-    Parameters
-    ----------
-    atoms : (n, 4) int
-        Each, and three neighbours in an order in which they should span a positive volume.
-    unnamed : (m,) int
-        Residues that are D-amino acids by their coordinates, under names of L.
+    atoms (n, 4) int: Each, and three neighbours in an order in which they should span a positive volume.
+    unnamed (m,) int: Residues that are D-amino acids by their coordinates, under names of L.
     """
 
     atoms: Integers

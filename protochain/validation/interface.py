@@ -221,13 +221,7 @@ def score_interface(
 
 
 def native(energy: Energy) -> NativeEnergy:
-    """The energy by the native engine, as that alone tells terms.
-
-    Raises
-    ------
-    ProtochainError
-        If it cannot compute it.
-    """
+    """The energy by the native engine, as that alone tells terms."""
     found = native_of(energy)
     if found is None:
         raise ProtochainError(f"interface: is scored by the native engine alone, not by: {energy.reason}")
@@ -454,15 +448,8 @@ def _of_errors(
 def ipsae(errors: Floats, least: float = 1.0) -> float:
     """IpSAE of one side aligned, the other scored.
 
-    Parameters
-    ----------
-    errors : (n, m) float, angstrom
-        Predicted errors of m residues of one side, aligned on each of n of the other.
-    least : float, angstrom
-        Least distance scale; 2 if one side is of nucleotides.
+    errors (n, m) angstrom, least angstrom.
 
-    Notes
-    -----
     Dunbrack, bioRxiv 2025.02.10.637595, with the scale by the number of residues that each one aligns well.
     """
     well = errors < _SAE_ERROR

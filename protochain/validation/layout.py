@@ -17,14 +17,9 @@ NONE = -1
 class Layout(NamedTuple):
     """Amino acids of a structure, their atoms and neighbours.
 
-    Parameters
-    ----------
-    amino : (nr,) bool
-        What has a backbone: no caps, and nothing that is kept beside the protein.
-    atom : dict of str to (nr,) int
-        Index of the atom of that name in each amino acid, -1 where there is none.
-    before, after : (nr,) int
-        Amino acids that a peptide bond joins to N and to C, -1 where there is none.
+    amino (nr,) bool: What has a backbone: no caps, and nothing that is kept beside the protein.
+    atom: Index of the atom of that name in each amino acid, -1 where there is none.
+    before, after (nr,) int: Amino acids that a peptide bond joins to N and to C, -1 where there is none.
     """
 
     amino: NDArray[np.bool_]
@@ -39,13 +34,7 @@ class Layout(NamedTuple):
 
 
 def positions(structure: Structure, x: Floats | None) -> Floats:
-    """(na, 3) float, nm: positions to measure, checked, or the structure's own.
-
-    Raises
-    ------
-    ProtochainError
-        If x has another shape.
-    """
+    """(na, 3) float, nm: positions to measure, checked, or the structure's own."""
     return structure.positions if x is None else floats(x, (structure.n_atoms, 3), "x", "nm")
 
 
@@ -77,16 +66,8 @@ def layout(structure: Structure) -> Layout:
 def dihedrals(x: Floats, atoms: Integers) -> Floats:
     """Dihedrals of four atoms each, in degrees, from -180 to 180.
 
-    Parameters
-    ----------
-    x : (na, 3) float
-    atoms : (n, 4) int
-        Indices; where one is -1 the result is NaN.
-
-    Returns
-    -------
-    (n,) float
-        IUPAC-IUB: positive if, seen along the middle bond, the far bond lies clockwise of the near one.
+    x (na, 3), atoms (n, 4) int.
+    -> (n,): IUPAC-IUB: positive if, seen along the middle bond, the far bond lies clockwise of the near one.
     """
     # Rows of x, y and z: numpy sums along an axis of three slowly.
     a, b, c, d = x.T[:, atoms.T].swapaxes(0, 1)

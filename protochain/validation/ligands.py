@@ -108,15 +108,7 @@ class LigandFound(Value):
 
 
 def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple[LigandFound, ...]:
-    """Find out about each ligand of a structure at positions, without PoseBusters.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-    clashing : Clashes
-        Of the structure at these positions.
-    """
+    """Find out about each ligand of a structure at positions, without PoseBusters: x (na, 3) nm."""
     protein = np.flatnonzero(~structure.kept & (structure.atom_element != "H"))
     tree = cKDTree(ANGSTROM_PER_NM * x[protein])
     return tuple(

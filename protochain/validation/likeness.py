@@ -41,14 +41,9 @@ LIKENESS = {
 class Likeness(Value):
     """Likeness of a structure to a reference.
 
-    Parameters
-    ----------
-    measures : mapping of str to float
-        The keys of ``LIKENESS``; None where nothing can be measured.
-    lddt : (nr,) float
-        lDDT of each residue of the structure, NaN where it matches none.
-    match : Match
-        Residues of both.
+    measures: The keys of ``LIKENESS``; None where nothing can be measured.
+    lddt (nr,): lDDT of each residue of the structure, NaN where it matches none.
+    match: Residues of both.
     """
 
     measures: Mapping[str, Any]

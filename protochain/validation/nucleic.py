@@ -37,18 +37,14 @@ _PERPENDICULAR = 2.9
 class Nucleotides(Value):
     """Sugars and base pairs of a structure.
 
-    Parameters
-    ----------
-    residue : (n,) int
-        Nucleotides whose sugar is whole.
-    phase, amplitude : (n,) float, degrees
-        Of its pseudorotation: Altona, Sundaralingam, J. Am. Chem. Soc. 94:8205 (1972).
-    delta : (n,) float, degrees
-    outlier : (n,) bool
-        Delta is that of no sugar, or of a ribose not that which the phosphate after it asks for.
-    pairs : (k, 2) int, optional
-        Residues whose bases are paired by the criteria of DSSR (Lu, Bussemaker, Olson, Nucleic Acids Res.
-        43:e142, 2015), as biotite finds them; None without biotite.
+    residue (n,) int: Nucleotides whose sugar is whole.
+    phase, amplitude (n,) degrees: Of its pseudorotation: Altona, Sundaralingam, J. Am. Chem. Soc. 94:8205
+        (1972).
+    delta (n,) degrees.
+    outlier (n,) bool: Delta is that of no sugar, or of a ribose not that which the phosphate after it asks
+        for.
+    pairs (k, 2) int: Residues whose bases are paired by the criteria of DSSR (Lu, Bussemaker, Olson, Nucleic
+        Acids Res. 43:e142, 2015), as biotite finds them; None without biotite.
     """
 
     residue: Integers
@@ -65,17 +61,7 @@ class Nucleotides(Value):
 
 
 def nucleotides(structure: Structure, x: Floats) -> Nucleotides:
-    """Measure sugars, and find base pairs.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-
-    Returns
-    -------
-    Nucleotides
-    """
+    """Measure sugars, and find base pairs: x (na, 3) nm."""
     at = _atoms(structure)
     ring = {name for torsion in _RING for name in torsion} | {*_DELTA}
     whole = [r for r, its in at.items() if ring <= its.keys()]

@@ -18,14 +18,10 @@ PERPENDICULAR = 90.0
 class Peptides(NamedTuple):
     """Peptide bonds, each named after the residue of its nitrogen.
 
-    Parameters
-    ----------
-    residue : (n,) int
-    omega : (n,) float, degrees
-    proline : (n,) bool
-        Whether that residue is a proline.
-    cis, twisted : (n,) bool
-        Within 30 degrees of 0, and farther than that from both 0 and 180.
+    residue (n,) int.
+    omega (n,) degrees.
+    proline (n,) bool: Whether that residue is a proline.
+    cis, twisted (n,) bool: Within 30 degrees of 0, and farther than that from both 0 and 180.
     """
 
     residue: Integers
@@ -38,8 +34,6 @@ class Peptides(NamedTuple):
 def omegas(structure: Structure, x: Floats | None = None) -> Peptides:
     """Measure omega, CA-C-N-CA, of every peptide bond, at positions x (na, 3) or the structure's own.
 
-    Notes
-    -----
     Source of the limits: Williams et al., Protein Sci. 27:293 (2018).
     """
     omega = peptides(structure, positions(structure, x))[2]

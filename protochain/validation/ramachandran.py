@@ -29,16 +29,11 @@ _TABLES = Path(__file__).parent / "data" / "ramachandran.npz"
 class Ramachandran(NamedTuple):
     """Residues with both phi and psi on the Ramachandran plot.
 
-    Parameters
-    ----------
-    residue : (n,) int
-    phi, psi : (n,) float, degrees
-    kind : (n,) int
-        Index of the class in ``CLASSES``.
-    score : (n,) float
-        Share of the residues of its class that are rarer, from 0 to 1.
-    region : (n,) int
-        0 outlier, 1 allowed, 2 favoured.
+    residue (n,) int.
+    phi, psi (n,) degrees.
+    kind (n,) int: Index of the class in ``CLASSES``.
+    score (n,): Share of the residues of its class that are rarer, from 0 to 1.
+    region (n,) int: 0 outlier, 1 allowed, 2 favoured.
     """
 
     residue: Integers
@@ -62,14 +57,6 @@ class Ramachandran(NamedTuple):
 def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
     """Place residues on the Ramachandran plot, as MolProbity does, at positions x (na, 3) or their own.
 
-    Returns
-    -------
-    Ramachandran
-        The 20 amino acids, where they lie between two others. D-amino acids, if the file names them so, by
-        their mirror image.
-
-    Notes
-    -----
     Tables: Top8000 (Williams et al., Protein Sci. 27:293, 2018), as in mmtbx's ramalyze.
     """
     phi, psi, omega = peptides(structure, positions(structure, x))
@@ -86,15 +73,7 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
 def score(kind: Integers, phi: Floats, psi: Floats) -> Floats:
     """Interpolate the tables between their four nearest points.
 
-    Parameters
-    ----------
-    kind : (n,) int
-        Index of the class in ``CLASSES``.
-    phi, psi : (n,) float, degrees
-
-    Returns
-    -------
-    (n,) float
+    kind (n,) int, phi, psi (n,) degrees -> (n,).
     """
     table = tables()
     n = table.shape[1]

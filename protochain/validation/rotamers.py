@@ -35,13 +35,9 @@ _WIDE = {
 class SideChains(NamedTuple):
     """Side chains with all their dihedrals.
 
-    Parameters
-    ----------
-    residue : (n,) int
-    rotamer : (n,) str
-        Name of the nearest rotamer.
-    distance : (n,) float
-        Distance from it in the dihedral that is farthest off, as a fraction of the limit.
+    residue (n,) int.
+    rotamer (n,) str: Name of the nearest rotamer.
+    distance (n,): Distance from it in the dihedral that is farthest off, as a fraction of the limit.
     """
 
     residue: Integers
@@ -57,14 +53,6 @@ class SideChains(NamedTuple):
 def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
     """Find the nearest rotamer of each side chain, at positions x (na, 3) or the structure's own.
 
-    Returns
-    -------
-    SideChains
-        Those of D-amino acids, if the file names them so, by their mirror image. Alanine, glycine and proline
-        have no rotamers here.
-
-    Notes
-    -----
     The limits were chosen for agreement with MolProbity's contours on 20 structures, without Arg and Lys.
     """
     x = positions(structure, x)

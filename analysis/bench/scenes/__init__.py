@@ -20,25 +20,7 @@ SCENES = modules(__path__)
 
 
 def run(name: str, quick: bool = False) -> Scene:
-    """Run a scene.
-
-    Parameters
-    ----------
-    name : str
-        One of ``SCENES``.
-    quick : bool
-        Small cases only: some seconds, instead of up to two minutes.
-
-    Returns
-    -------
-    Scene
-        Checks, work, extremes and what was left out.
-
-    Raises
-    ------
-    ProtochainError
-        If there is no such scene.
-    """
+    """Run a scene."""
     check_name(name)
     made: Callable[[bool], Scene] = import_module(f"{__name__}.{name}").run
     # As everywhere on one thread: kernels are small, and seconds are compared.

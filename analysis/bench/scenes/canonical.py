@@ -44,17 +44,7 @@ Rates = Callable[[float, Floats], Floats]
 
 
 def chain(n: int, shapes: int = 2, stiffness: float = STIFFNESS, flap: int = 0, tip: float = 0.0) -> Flexible:
-    """Build a chain.
-
-    Parameters
-    ----------
-    n, shapes, flap : int
-        Links; shapes of each in the plane, and out of it.
-    stiffness : float
-        EI.
-    tip : float
-        Mass of a ball fixed to the end; none by default.
-    """
+    """Build a chain."""
     link = assumed_modes(Beam(1.0, 1.0, stiffness), flap=flap, lag=shapes)
     ball = 1 if tip else 0
     kinds = [HingeKind.REVOLUTE] * n + [HingeKind.FIXED] * ball

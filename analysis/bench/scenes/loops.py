@@ -44,19 +44,7 @@ def bar(m: Mechanism, name: str, start: Place, end: Place, mass: float | None = 
 
 
 def four_bar(close: bool = True, damping: float = 0.0, speed: float = 3.0, rocker: float = 1.5) -> Mechanism:
-    """Crank, coupler and rocker in the plane of x and z; the crank starts upright, at 3 rad/s.
-
-    Parameters
-    ----------
-    close : bool
-        Whether a joint closes it, or a bushing with a damper.
-    damping : float
-        Of the bushing, N s/m.
-    speed : float
-        Rate of the crank at the start; where a joint closes the loop, the others follow.
-    rocker : float
-        Mass of the rocker, kg.
-    """
+    """Crank, coupler and rocker in the plane of x and z; the crank starts upright, at 3 rad/s."""
     m = Mechanism(gravity=(0, 0, -G))
     a, b, c, d = (np.array(PINS[name]) for name in "ABCD")
     for name, start, end, mass in (("crank", a, b, 1.0), ("coupler", b, c, None), ("rocker", d, c, rocker)):

@@ -57,19 +57,7 @@ def motor(torque: float) -> Callable[[float], float]:
 def arm(
     cells: int, rigid: float = 0.0, factor: float = 1.0, torque: float = 1.0, **more: Any
 ) -> tuple[Model, Tip]:
-    """Build the arm; return its end, too.
-
-    Parameters
-    ----------
-    cells : int
-        Of each link; with none the links are rigid.
-    rigid : float
-        Share of each link that is rigid at each end.
-    factor, torque : float
-        Factors of the stiffness, and of the torques.
-    **more
-        Further arguments of :func:`add_beam`; ``payload``, a mass at the end; ``polar``, as of a beam.
-    """
+    """Build the arm; return its end, too."""
     payload, polar = more.pop("payload", 0.0), more.pop("polar", 0.0)
     mechanism, above, at = Mechanism(), "world", (0.0, 0.0, 0.0)
     for k, (length, size, angle) in enumerate(zip(LENGTHS, TORQUES, START, strict=True)):

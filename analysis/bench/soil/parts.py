@@ -16,22 +16,13 @@ from protochain.mechanisms.checks import check_boxes
 class Law:
     """How contacts push and rub.
 
-    Parameters
-    ----------
-    stiffness : float
-        Force per depth of a face that lies flat; that of one corner is a fourth.
-    friction : float
-        Largest tangential force, in normal ones.
-    damping : float
-        Of normal and tangential springs, relative to the critical one of the pair.
-    tangential : float
-        Stiffness against sliding, relative to ``stiffness``.
-    by : {"points", "volume"}
-        What of two boxes presses: points along an axis that the contact keeps, or the volume of their
+    stiffness: Force per depth of a face that lies flat; that of one corner is a fourth.
+    friction: Largest tangential force, in normal ones.
+    damping: Of normal and tangential springs, relative to the critical one of the pair.
+    tangential: Stiffness against sliding, relative to ``stiffness``.
+    by: What of two boxes presses: points along an axis that the contact keeps, or the volume of their
         overlap, whose forces are the gradient of an energy (:mod:`protochain.mechanisms.box_volume`).
 
-    Notes
-    -----
     Take points for heaps, whose contacts are damped: they are quick, and stiff at edges and corners, but
     have no energy when the axis changes, so that an impact without loss may change its own by a quarter.
     Take the volume for few bodies, slow or undamped, whose energy matters: it is kept to 0.1 % at the
@@ -59,14 +50,9 @@ class Law:
 class Sleep:
     """When cubes are left out: they rest until a force on them changes.
 
-    Parameters
-    ----------
-    speed : float
-        Speed of its corners below which a cube may fall asleep.
-    acceleration : float
-        Acceleration of its corners, by the forces on it, above which it wakes.
-    time : float
-        How long it must have been slow.
+    speed: Speed of its corners below which a cube may fall asleep.
+    acceleration: Acceleration of its corners, by the forces on it, above which it wakes.
+    time: How long it must have been slow.
     """
 
     speed: float
@@ -83,21 +69,10 @@ class Sleep:
 class Plates(Value):
     """Boxes fixed to bodies that move.
 
-    Parameters
-    ----------
-    body : (m,) int
-        Body of each.
-    centre : (m, 3) float
-        In the body's frame.
-    rotation : (m, 3, 3) float
-        Columns are the directions of its edges, in the body's frame.
-    half : (m, 3) float
-        Half lengths of the edges.
-
-    Raises
-    ------
-    MechanicsError
-        If one is no box.
+    body (m,) int: Body of each.
+    centre (m, 3): In the body's frame.
+    rotation (m, 3, 3): Columns are the directions of its edges, in the body's frame.
+    half (m, 3): Half lengths of the edges.
     """
 
     body: Integers = field(default_factory=lambda: np.empty(0, np.int64))
@@ -121,14 +96,9 @@ class Plates(Value):
 class Motion(NamedTuple):
     """Motion of bodies, prescribed: s + 1 moments of s steps, the first one now.
 
-    Parameters
-    ----------
-    origin : (s + 1, nb, 3) float
-        Origins of the bodies' frames.
-    rotation : (s + 1, nb, 3, 3) float
-        Rotations of the bodies.
-    twist : (s + 1, nb, 6) float
-        Angular velocity, velocity of the origin; world axes.
+    origin (s + 1, nb, 3): Origins of the bodies' frames.
+    rotation (s + 1, nb, 3, 3): Rotations of the bodies.
+    twist (s + 1, nb, 6): Angular velocity, velocity of the origin; world axes.
     """
 
     origin: Floats
@@ -140,25 +110,14 @@ class Motion(NamedTuple):
 class Heap(Value):
     """State of a pile, from which it goes on as if it had not stopped.
 
-    Parameters
-    ----------
-    time : float
-    position, velocity, spin : (n, 3) float
-        Centres, their velocities and angular velocities; world axes.
-    quaternion : (n, 4) float
-        Rotations, (w, x, y, z).
-    acceleration : (n, 6) float
-        Of the centres, and angular.
-    asleep : (n,) int
-        1 for cubes that sleep.
-    still : (n,) float
-        How long each has been slow.
-    start, other : (n + 1,) and (c,) int
-        Neighbours of cube i: ``other[start[i]:start[i + 1]]``; those from n on are plates.
-    memory, plane_memory : (c, 17) and (n p, 17) float
-        What is remembered of each contact.
-    sums : (5,) float
-        See the properties.
+    position, velocity, spin (n, 3): Centres, their velocities and angular velocities; world axes.
+    quaternion (n, 4): Rotations, (w, x, y, z).
+    acceleration (n, 6): Of the centres, and angular.
+    asleep (n,) int: 1 for cubes that sleep.
+    still (n,): How long each has been slow.
+    start, other (n + 1,): Neighbours of cube i: ``other[start[i]:start[i + 1]]``; those from n on are plates.
+    memory, plane_memory (c, 17): What is remembered of each contact.
+    sums (5,): See the properties.
     """
 
     time: float

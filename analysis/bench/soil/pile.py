@@ -45,26 +45,13 @@ _OWN = (
 class Pile(Value):
     """Cubes, and what they may touch.
 
-    Parameters
-    ----------
-    edge, mass : (n,) float
-        Edges and masses of the cubes; homogeneous.
-    law : Law
-        How contacts push and rub.
-    gravity : (3,) float
-    normal : (p, 3) float
-        Outward normals of fixed half spaces, the ground and walls.
-    offset : (p,) float
-        Their surfaces are normal . x = offset.
-    plates : Plates
-        Boxes on bodies that move.
-    sleep : Sleep, optional
-        When cubes at rest are left out; never by default.
-
-    Raises
-    ------
-    MechanicsError
-        If edges or masses are not positive, or a normal has no unit length.
+    edge, mass (n,): Edges and masses of the cubes; homogeneous.
+    law: How contacts push and rub.
+    gravity (3,).
+    normal (p, 3): Outward normals of fixed half spaces, the ground and walls.
+    offset (p,): Their surfaces are normal . x = offset.
+    plates: Boxes on bodies that move.
+    sleep: When cubes at rest are left out; never by default.
     """
 
     edge: Floats
@@ -130,23 +117,7 @@ class Pile(Value):
         spin: ArrayLike | None = None,
         motion: Motion | None = None,
     ) -> Heap:
-        """Heap of cubes as they are given.
-
-        Parameters
-        ----------
-        position : (n, 3) float
-        rotation : (n, 3, 3) float, optional
-            Along the axes by default.
-        velocity, spin : (n, 3) float, optional
-            Of the centres, and angular; at rest by default.
-        motion : Motion, optional
-            Where the bodies of the plates are.
-
-        Raises
-        ------
-        MechanicsError
-            If a rotation is none, or cubes lie deeper in each other than half their edge.
-        """
+        """Heap of cubes as they are given: position (n, 3), rotation (n, 3, 3), velocity, spin (n, 3)."""
         from scipy.spatial.transform import Rotation
 
         n = len(self.edge)
@@ -170,28 +141,8 @@ class Pile(Value):
     ) -> tuple[Heap, Floats]:
         """Take steps.
 
-        Parameters
-        ----------
-        heap : Heap
-            Where to begin.
-        steps : int
-        time_step : float
-        motion : Motion, optional
-            Motion of the bodies of the plates meanwhile, at ``steps + 1`` moments.
-
-        Returns
-        -------
-        Heap
-            Where it ended.
-        (steps, nb, 6) float
-            Moment about the origin of each body's frame, and force, on the bodies, at the end of each step.
-
-        Raises
-        ------
-        StepTooLargeError
-            If the time step is longer than :attr:`longest_step`, or a cube moves by half of its edge.
-        MechanicsError
-            If a contact is deeper than half an edge, or an argument is none.
+        -> (steps, nb, 6): Moment about the origin of each body's frame, and force, on the bodies, at the end
+            of each step.
         """
         if not isinstance(heap, Heap):
             raise MechanicsError(f"heap {shown(heap)}: give one, as start() makes it")

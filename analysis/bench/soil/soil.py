@@ -27,17 +27,10 @@ from protochain.mechanisms.elements import Acting, Named
 class Look(NamedTuple):
     """The soil after a step of the mechanism.
 
-    Parameters
-    ----------
-    time : float
-    kinetic, potential, stored, dissipated : float
-        Energies of the cubes.
-    work : float
-        What plates have done to them.
-    momentum : (3,) float
-        Of the cubes.
-    pushes : (k, 3) float
-        Mean force on each of the soil's bodies over the step.
+    kinetic, potential, stored, dissipated: Energies of the cubes.
+    work: What plates have done to them.
+    momentum (3,): Of the cubes.
+    pushes (k, 3): Mean force on each of the soil's bodies over the step.
     """
 
     time: float
@@ -54,24 +47,12 @@ class Look(NamedTuple):
 class Soil(Named):
     """Cubes that push back.
 
-    Parameters
-    ----------
-    name : str
-        Name.
-    bodies : sequence of str
-        Bodies that have the plates of the pile, by ``pile.plates.body``, each in the body's own axes;
+    name: Name.
+    bodies: Bodies that have the plates of the pile, by ``pile.plates.body``, each in the body's own axes;
         "world" stands still.
-    pile : Pile
-        Cubes and plates.
-    heap : Heap
-        The cubes at the start.
-    least : int
-        Steps of the cubes to one of the mechanism, at least; as many more as they need.
-
-    Raises
-    ------
-    MechanicsError
-        If a plate is on a body that is not among ``bodies``.
+    pile: Cubes and plates.
+    heap: The cubes at the start.
+    least: Steps of the cubes to one of the mechanism, at least; as many more as they need.
     """
 
     called: ClassVar[str] = "soil"
@@ -91,13 +72,7 @@ class Soil(Named):
             raise MechanicsError(f"{self.said}: least {self.least}: give a whole number from 1")
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return what acts: forces whose work is counted, and the cubes, which remember.
-
-        Raises
-        ------
-        MechanicsError
-            If a body is not there.
-        """
+        """Return what acts: forces whose work is counted, and the cubes, which remember."""
         found = Digging(bodies, self)
         return Acting(load=Load(found.applied, depends_on_velocity=False), memory=found)
 
@@ -115,19 +90,10 @@ class _Stopped:
 class Digging:
     """Cubes as a mechanism moves them. What changes in a run is the heap, after each of its steps.
 
-    Parameters
-    ----------
-    bodies : Bodies
-        Bodies of the mechanism.
-    soil : Soil
-        Cubes.
-
-    Attributes
-    ----------
-    heap : Heap
-        The cubes, after the last step of the last run.
-    looks : list of Look
-        The soil after each of its steps.
+    bodies: Bodies of the mechanism.
+    soil: Cubes.
+    heap: The cubes, after the last step of the last run.
+    looks: The soil after each of its steps.
     """
 
     def __init__(self, bodies: Bodies, soil: Soil) -> None:
@@ -180,13 +146,7 @@ class Digging:
         self.pushes = np.zeros((len(self.numbers), 6)) if kept is None else kept
 
     def settle(self, at: Phase) -> None:
-        """End a step: the cubes take theirs.
-
-        Raises
-        ------
-        MechanicsError
-            If a cube is crushed.
-        """
+        """End a step: the cubes take theirs."""
         before, self._before = self._before, at
         if before is None or not at.time > before.time:
             return
@@ -223,22 +183,7 @@ class Digging:
 def between(
     first: tuple[Floats, Floats, Floats], last: tuple[Floats, Floats, Floats], span: float, steps: int
 ) -> Motion:
-    """Motion of bodies from one moment to another: places and turns of order three in time.
-
-    Parameters
-    ----------
-    first, last : tuple of (k, 3), (k, 3, 3) and (k, 6) float
-        Origins, rotations and twists.
-    span : float
-        Time between them.
-    steps : int
-
-    Returns
-    -------
-    Motion
-        At ``steps + 1`` moments, with twists that are its derivatives; Hermite's polynomials, of turns by
-        their rotation vectors from the first.
-    """
+    """Motion of bodies from one moment to another: places and turns of order three in time."""
     (x0, r0, v0), (x1, r1, v1) = first, last
     turn = Rotation.from_matrix(r1 @ r0.swapaxes(1, 2)).as_rotvec()
     # Rate of the rotation vector at the end: of small turns, w - turn x w / 2 and so on.

@@ -13,23 +13,7 @@ STUDIES = modules(__path__)
 
 
 def study(name: str) -> Any:
-    """Return the module of a study, whose ``run(output, inputs)`` yields its tables.
-
-    Parameters
-    ----------
-    name : str
-        One of ``STUDIES``.
-
-    Returns
-    -------
-    module
-        Imported on demand.
-
-    Raises
-    ------
-    ProtochainError
-        If there is no such study.
-    """
+    """Return the module of a study, whose ``run(output, inputs)`` yields its tables."""
     if name not in STUDIES:
         raise ProtochainError(f"there is no study {name!r}; choose from {', '.join(STUDIES)}")
     return import_module(f"bench.studies.{name}")

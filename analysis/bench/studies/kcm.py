@@ -47,35 +47,7 @@ def run(
     starts: int = N_STARTS,
     evaluations: int = MOST,
 ) -> Iterator[pd.DataFrame]:
-    """Add runs to ``runs.csv``, then write the tables, figures and ``summary.md`` that follow from it.
-
-    Parameters
-    ----------
-    output : Path
-        Folder. Runs that are in its ``runs.csv`` are not repeated.
-    inputs : sequence of Path
-        Structures, beside three peptides from their sequences; tables (.csv) of runs and traces to continue.
-    quick : bool
-        Only two peptides and a few short runs.
-    minutes : float
-        No run is started after so many.
-    jobs : int
-        Processes, of one thread each.
-    starts : int
-        Perturbed starts of each kind, beside the one that is not.
-    evaluations : int
-        At most, for each run.
-
-    Yields
-    ------
-    pandas.DataFrame
-        Each run when it is done, then the tables of the summary.
-
-    Raises
-    ------
-    ProtochainError
-        If a setting makes no sense, or the folder holds another table.
-    """
+    """Add runs to ``runs.csv``, then write the tables, figures and ``summary.md`` that follow from it."""
     _check(minutes, jobs, starts, evaluations)
     path = output / "runs.csv"
     for table in (each for each in inputs if each.suffix == ".csv"):
@@ -112,13 +84,7 @@ def planned(
 
 
 def stored(path: Path) -> pd.DataFrame:
-    """Runs of a table, without a last line that was cut off; empty if there is no table.
-
-    Raises
-    ------
-    ProtochainError
-        If the file is no table of runs.
-    """
+    """Runs of a table, without a last line that was cut off; empty if there is no table."""
     if not path.exists():
         return pd.DataFrame(columns=list(kcm_cases.KEY))
     text = path.read_text(encoding="utf-8")

@@ -101,14 +101,9 @@ stays, and dynamics leads to no minimum."""
 class Trial:
     """A method as the study runs it.
 
-    Parameters
-    ----------
-    recipe : Recipe
-        Its run is continued.
-    nudged : bool
-        Whether its start is moved by ``NUDGE``.
-    root : str
-        As of :func:`protochain.build_chain`.
+    recipe: Its run is continued.
+    nudged: Whether its start is moved by ``NUDGE``.
+    root: As of :func:`protochain.build_chain`.
     """
 
     recipe: Recipe
@@ -186,21 +181,12 @@ _POLISHER = replace(RECIPES["lbfgs"], name="polish", parts_overlaps=False)
 class Case:
     """A start: a protein, a model of it, and where its dihedrals begin.
 
-    Parameters
-    ----------
-    protein : str
-        Name.
-    source : str
-        Sequence, or path of a file.
-    is_file : bool
-    model : str
-        Kinds of hinges.
-    energy : str
-        Of ``ENERGIES``.
-    start : str
-        ``deposited``, ``perturbed`` or ``extended``.
-    seed : int
-        Of the perturbation; 0 is none.
+    protein: Name.
+    source: Sequence, or path of a file.
+    model: Kinds of hinges.
+    energy: Of ``ENERGIES``.
+    start: ``deposited``, ``perturbed`` or ``extended``.
+    seed: Of the perturbation; 0 is none.
     """
 
     protein: str

@@ -17,15 +17,7 @@ _LEAST = 1e-2
 
 
 def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Figure:
-    """Three panels: energy along runs of one start, how often pairs of methods agree, energy for equal cost.
-
-    Parameters
-    ----------
-    tables : mapping of str to pandas.DataFrame
-        ``contrasts`` and ``cost``.
-    traces : pandas.DataFrame, optional
-        Runs of one start, point by point.
-    """
+    """Panels: energy along runs of one start, how often pairs of methods agree, energy for equal cost."""
     figure = Figure(figsize=(11, 8), layout="constrained")
     axes = figure.subplot_mosaic([["shares", "shares"], ["energy", "cost"]])
     shares, energy, cost = axes["shares"], axes["energy"], axes["cost"]

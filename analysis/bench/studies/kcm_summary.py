@@ -40,11 +40,7 @@ FEW = 3
 class Contrast:
     """Two methods, and what they differ in.
 
-    Parameters
-    ----------
-    what, a, b : str
-    is_control : bool
-        Whether nothing should depend on the difference.
+    is_control: Whether nothing should depend on the difference.
     """
 
     what: str

@@ -195,13 +195,6 @@ class NativeEnergy:
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm.
 
-        Raises
-        ------
-        ProtochainError
-            If the shape of x does not fit the System.
-
-        Notes
-        -----
         Coincident atoms give large finite numbers. NaN in the positions gives an infinite energy and NaN
         forces; the calling loop handles that.
         """

@@ -31,13 +31,9 @@ CLOSE = 0.35
 class Layout:
     """Terms in the memory layout of the kernels.
 
-    Parameters
-    ----------
-    terms : Terms
-    groups : (na, k) int
-        Rigid groups of each atom, -1 for none.
-    exceptions : (na + 1,) int, (n,) int
-        Start of each atom's exception partners, and the partners, constant exceptions included.
+    groups (na, k) int: Rigid groups of each atom, -1 for none.
+    exceptions (na + 1,) int: Start of each atom's exception partners, and the partners, constant exceptions
+        included.
     """
 
     terms: Terms

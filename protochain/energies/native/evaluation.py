@@ -49,11 +49,7 @@ _BONDED = ("bonds", "angles", "torsions", "impropers", "ties", "tie angles")
 class Workspace:
     """Arrays that an evaluation writes to, for any lists.
 
-    Parameters
-    ----------
-    layout : Layout
-    mixed : bool
-        Whether rows of tiles beyond all masks are computed in single precision.
+    mixed: Whether rows of tiles beyond all masks are computed in single precision.
     """
 
     def __init__(self, layout: Layout, mixed: bool = False) -> None:
@@ -73,17 +69,9 @@ class Workspace:
 class Evaluation:
     """An energy with its lists.
 
-    Parameters
-    ----------
-    layout : Layout
-    lists : Lists
-    fixed : (na,) float
-        Constant parts of the Born integrals.
-    workspace : Workspace
-        Of the same layout; one evaluation at a time may use it.
-    threads : int
-    far : Far, optional
-        What is summed by a tree, in whose order atoms are in layout, lists and workspace.
+    fixed (na,): Constant parts of the Born integrals.
+    workspace: Of the same layout; one evaluation at a time may use it.
+    far: What is summed by a tree, in whose order atoms are in layout, lists and workspace.
     """
 
     def __init__(

@@ -29,17 +29,11 @@ of charge whose moments it takes; field that it adds to."""
 def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
     """Tables of an order.
 
-    Returns
-    -------
-    (n, 8) int
-        Of each monomial, in the order of their degree: exponents of x, y, z; degree; an axis; row of the
-        monomial divided by that axis once, and twice (-1 for none); exponent along it.
-    (m, 3) int
-        Rows of a, b and a + b for all |a| + |b| <= order, by the degree of a + b.
-    (l, 3) int
-        Row of each monomial of a lower order, times x, times y, times z.
-    (n * n,) int
-        Row of a + b, at n a + b; of those of a higher order 0.
+    (n, 8) int: Of each monomial, in the order of their degree: exponents of x, y, z; degree; an axis; row of
+        the monomial divided by that axis once, and twice (-1 for none); exponent along it.
+    (m, 3) int: Rows of a, b and a + b for all |a| + |b| <= order, by the degree of a + b.
+    (l, 3) int: Row of each monomial of a lower order, times x, times y, times z.
+    (n * n,) int: Row of a + b, at n a + b; of those of a higher order 0.
     """
     powers = [
         (i, j, n - i - j) for n in range(order + 1) for i in range(n, -1, -1) for j in range(n - i, -1, -1)

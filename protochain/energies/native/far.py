@@ -109,14 +109,9 @@ def openings(accuracy: float, in_solvent: bool) -> list[Opening]:
 class Far:
     """Charges and fields of a layout.
 
-    Parameters
-    ----------
-    layout : Layout
-        In the order of the tree.
-    opening : Opening
-    tree : Tree
-    screened : (n, 2) int, (n, W) bool
-        Pairs of far blocks, and their rows, that feel by how much f of generalised Born differs from r.
+    layout: In the order of the tree.
+    screened (n, 2) int: Pairs of far blocks, and their rows, that feel by how much f of generalised Born
+        differs from r.
     """
 
     layout: Layout
@@ -172,15 +167,8 @@ class Far:
     def arguments(self) -> tuple[Any, ...]:
         """Interactions, orders and factors, by subject.
 
-        Returns
-        -------
-        two of (kinds, 2) int, (n, 4) int, (n,) float
-            Kinds of charge with their orders, and interactions: of charges and integrals, and of
-            dE/d(integral).
-        (fields,) int, (fields,) int, (fields, 3) float
-            Kind that each field acts on; its order; factors of force, of energy in vacuum, and polar.
-        tuple
-            Tables of the expansions.
+        -> (fields,) int: Kind that each field acts on; its order; factors of force, of energy in vacuum, and
+            polar.
         """
         high, low = self.opening.order, max(1, self.opening.order - self.opening.lower)
         signs = self._factors[0]

@@ -43,16 +43,7 @@ class Worth:
         return now >= self.until
 
     def note(self, now: float, took: float, worked: float, share: float) -> None:
-        """Take account of an energy with helpers.
-
-        Parameters
-        ----------
-        now, took, worked : float, s
-            Time of the clock, time that the energy took, and the part in which its leading thread worked,
-            neither waiting nor put aside for other work.
-        share : float
-            Of all tasks, those that the leading thread did.
-        """
+        """Take account of an energy with helpers: now, took, worked s."""
         # Alone it would have done the others at the same rate.
         saved = worked / share - took if share else took
         self.balance = (1.0 - min(1.0, took / _MEMORY)) * self.balance + saved

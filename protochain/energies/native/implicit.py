@@ -27,14 +27,9 @@ _OBC2 = (1.0, 0.8, 4.85)
 class Necks:
     """Neck tables of GBn and GBn2.
 
-    Parameters
-    ----------
-    kind : (na,) int
-        Row of each atom in the tables.
-    height, place : (kinds, kinds) float
-        Height (1/nm) and position (nm) of the neck's peak for atom i beside atom j.
-    reach : (kinds, kinds) float, nm
-        Distance at which a neck ends.
+    kind (na,) int: Row of each atom in the tables.
+    height, place (kinds, kinds): Height (1/nm) and position (nm) of the neck's peak for atom i beside atom j.
+    reach (kinds, kinds) nm: Distance at which a neck ends.
     """
 
     kind: Integers
@@ -47,19 +42,12 @@ class Necks:
 class Solvent:
     """Generalised-Born parameters of each atom.
 
-    Parameters
-    ----------
-    charge : (na,) float
-        Charge times the root of Coulomb's constant and of the difference of inverse dielectrics.
-    offset_radius, scaled_radius, radius : (na,) float, nm
-    bend : (na, 3) float
-        alpha, beta, gamma; zero for HCT.
-    surface : (na,) float, kJ/mol nm^6
-        c of the surface energy c / B^6.
-    engulfs : bool
-        Whether a sphere that contains a whole atom counts in full, as in GBSAOBCForce.
-    necks : Necks or None
-    cutoff : float, nm
+    charge (na,): Charge times the root of Coulomb's constant and of the difference of inverse dielectrics.
+    offset_radius, scaled_radius, radius (na,) nm.
+    bend (na, 3): alpha, beta, gamma; zero for HCT.
+    surface (na,) kJ/mol nm^6: c of the surface energy c / B^6.
+    engulfs: Whether a sphere that contains a whole atom counts in full, as in GBSAOBCForce.
+    cutoff nm.
     """
 
     charge: Floats

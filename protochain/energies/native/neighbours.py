@@ -16,22 +16,13 @@ SKIN = 0.1
 class Lists:
     """Pairs of blocks and of atoms at one set of positions.
 
-    Parameters
-    ----------
-    x : (na, 3) float, nm
-        Positions at which the lists were built.
-    tiles : (n_tiles, 2) int
-        Pairs of blocks within the cutoff, the second not before the first.
-    changing : (n, 2) int
-        Those of ``tiles`` whose atoms do not all belong to one rigid group.
-    is_near : (n,) bool
-        Whether two atoms of those may be near each other.
-    is_necked : (n_tiles,) bool
-        Whether two of their atoms may have a neck between them.
-    close : (n, 2) int
-        Pairs of atoms that may be near each other, without those at a fixed distance.
-    free : (n, 2) int
-        Pairs of ``close`` that are no exceptions.
+    x (na, 3) nm: Positions at which the lists were built.
+    tiles (n_tiles, 2) int: Pairs of blocks within the cutoff, the second not before the first.
+    changing (n, 2) int: Those of ``tiles`` whose atoms do not all belong to one rigid group.
+    is_near (n,) bool: Whether two atoms of those may be near each other.
+    is_necked (n_tiles,) bool: Whether two of their atoms may have a neck between them.
+    close (n, 2) int: Pairs of atoms that may be near each other, without those at a fixed distance.
+    free (n, 2) int: Pairs of ``close`` that are no exceptions.
     """
 
     x: Floats
@@ -54,24 +45,8 @@ def make_lists(
 ) -> Lists:  # fmt: skip
     """Build the neighbour lists.
 
-    Parameters
-    ----------
-    x : (na, 3) float, nm
-    near : float, nm
-        Largest distance of close pairs of atoms.
-    block_near : (blocks,) float, nm
-        Two blocks are near within the larger of their two distances.
-    necked : float, nm
-        Largest distance of a neck.
-    cutoff : float, nm
-    exceptions : (na + 1,) int, (n,) int
-        Start of each atom's exception partners, and the partners.
-    groups : (na, k) int
-        Rigid groups of each atom, -1 for none; atoms that share a group keep their distance.
-    block_group : (blocks,) int
-        Rigid group to which all atoms of a block belong, -1 for none.
-    tiles : (n, 2) int, optional
-        Pairs of blocks; by default those within the cutoff.
+    x (na, 3) nm, near nm, block_near (blocks,) nm, necked nm, cutoff nm, exceptions (na + 1,) int, groups
+    (na, k) int, block_group (blocks,) int, tiles (n, 2) int.
     """
     boxes, reaches = _boxes(x), (block_near + SKIN, necked + SKIN)
     if tiles is None:
@@ -216,13 +191,7 @@ def _share(groups: Integers, i: int, j: int) -> bool:
 
 
 def block_groups(groups: Integers) -> Integers:
-    """(blocks,) int: rigid group to which all atoms of a block belong, -1 for none.
-
-    Parameters
-    ----------
-    groups : (na, k) int
-        Rigid groups of each atom, -1 for none.
-    """
+    """(blocks,) int: rigid group to which all atoms of a block belong, -1 for none: groups (na, k) int."""
     found = []
     for first in range(0, len(groups), W):
         own = groups[first : first + W]

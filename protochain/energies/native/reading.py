@@ -46,13 +46,7 @@ def bare(expression: str) -> str:
 
 
 def one_cutoff(name: str, cutoff: float, other: float) -> None:
-    """Refuse a force whose cutoff (nm; infinite for none) differs from that of NonbondedForce.
-
-    Raises
-    ------
-    UnsupportedForceError
-        Naming both cutoffs.
-    """
+    """Refuse a force whose cutoff (nm; infinite for none) differs from that of NonbondedForce."""
     if cutoff != other:
         raise UnsupportedForceError(
             f"{name} with a cutoff of {cutoff:g} nm, NonbondedForce with {other:g} nm"

@@ -20,10 +20,8 @@ from protochain.energies.native.reading import UnsupportedForceError, bare, one_
 class Bonded:
     """Bonded terms of one kind.
 
-    Parameters
-    ----------
-    atoms : (n, k) int
-    parameters : (n, m) float
+    atoms (n, k) int.
+    parameters (n, m).
     """
 
     atoms: Integers
@@ -34,19 +32,12 @@ class Bonded:
 class Nonbonded:
     """Lennard-Jones and Coulomb parameters.
 
-    Parameters
-    ----------
-    charge : (na,) float
-        Charge times the root of Coulomb's constant.
-    lj_type : (na,) int
-    a12, b6 : (types, types) float
-        A and B of A/r^12 - B/r^6.
-    exceptions : Bonded
-        Pairs with their own parameters (A, B, q q); all zero for excluded pairs.
-    cutoff : float, nm
-        Infinite for none.
-    krf, crf : float
-        Constants of the reaction field q q (1/r + krf r^2 - crf).
+    charge (na,): Charge times the root of Coulomb's constant.
+    lj_type (na,) int.
+    a12, b6 (types, types): A and B of A/r^12 - B/r^6.
+    exceptions: Pairs with their own parameters (A, B, q q); all zero for excluded pairs.
+    cutoff nm: Infinite for none.
+    krf, crf: Constants of the reaction field q q (1/r + krf r^2 - crf).
     """
 
     charge: Floats
@@ -63,15 +54,9 @@ class Nonbonded:
 class Terms:
     """Potential energy of a System, term by term.
 
-    Parameters
-    ----------
-    n_atoms : int
-    bonded : mapping of str to Bonded
-        ``bonds`` and ``ties`` (r0, k), ``angles`` and ``tie angles`` (theta0, k), ``torsions`` (n, phi0, k),
-        ``impropers`` (phi0, k), and ``maps`` of eight atoms with the index of the map.
-    map_coefficients : (maps, size, size, 4, 4) float
-    nonbonded : Nonbonded
-    solvent : Solvent or None
+    bonded: ``bonds`` and ``ties`` (r0, k), ``angles`` and ``tie angles`` (theta0, k), ``torsions`` (n, phi0,
+        k), ``impropers`` (phi0, k), and ``maps`` of eight atoms with the index of the map.
+    map_coefficients (maps, size, size, 4, 4).
     """
 
     n_atoms: int
@@ -108,21 +93,7 @@ class Terms:
 
 
 def compile_system(system: openmm.System) -> Terms:
-    """Read the terms of a System.
-
-    Parameters
-    ----------
-    system : openmm.System
-
-    Returns
-    -------
-    Terms
-
-    Raises
-    ------
-    UnsupportedForceError
-        Naming the first force, or feature of one, without an exact native kernel.
-    """
+    """Read the terms of a System."""
     found: dict[str, list[openmm.Force]] = {}
     for force in system.getForces():
         found.setdefault(type(force).__name__, []).append(force)

@@ -22,21 +22,14 @@ FIRST, END, LEFT, RIGHT, PARENT = range(5)
 class Tree:
     """Nodes about fixed centres, parents before children, those of a chunk side by side.
 
-    Parameters
-    ----------
-    order : (na,) int
-        Atoms in the order of the blocks.
-    nodes : (n, 5) int
-    roots : (CHUNKS + 1,) int
-        First node of each chunk.
-    centre : (n, 3) float, nm
-    radius : (n,) float, nm
-        Largest distance of an atom from the centre.
-    start : (n + 1,) int
-    source : (m,) int
-        Far nodes of each node, from its start on; far from each other.
-    near : (k, 2) int
-        Pairs of blocks that are not far, the second not before the first, in order.
+    order (na,) int: Atoms in the order of the blocks.
+    nodes (n, 5) int.
+    roots (CHUNKS + 1,) int: First node of each chunk.
+    centre (n, 3) nm.
+    radius (n,) nm: Largest distance of an atom from the centre.
+    start (n + 1,) int.
+    source (m,) int: Far nodes of each node, from its start on; far from each other.
+    near (k, 2) int: Pairs of blocks that are not far, the second not before the first, in order.
     """
 
     order: Integers
@@ -50,15 +43,7 @@ class Tree:
 
 
 def plant(x: Floats, opening: float, least: float) -> Tree:
-    """Build the tree at positions x (na, 3) in nm.
-
-    Parameters
-    ----------
-    opening : float
-        Two nodes are far if their radii add up to less than this share of their distance.
-    least : float, nm
-        Least distance of atoms of far nodes.
-    """
+    """Build the tree at positions x (na, 3) in nm: least nm."""
     n = -(-len(x) // W)
     order, nodes = _bisected(x, n)
     roots = np.flatnonzero(nodes[:, PARENT] < 0)
@@ -201,21 +186,9 @@ def _separated(
 def screened_pairs(tree: Tree, x: Floats, born: Floats, reach: float) -> tuple[Integers, np.ndarray]:
     """Pairs of blocks that are far, but feel by how much f of generalised Born differs from r.
 
-    Parameters
-    ----------
-    x : (na, 3) float, nm
-        Positions in the order of the tree.
-    born : (na,) float, nm
-        Born radii, in that order.
-    reach : float
-        r^2 / (4 B B) up to which they do.
-
-    Returns
-    -------
-    (n, 2) int
-        Pairs of blocks, the second after the first, in order.
-    (n, W) bool
-        Rows of the first in which an atom does.
+    x (na, 3) nm, born (na,) nm.
+    -> (n, 2) int: Pairs of blocks, the second after the first, in order.
+    -> (n, W) bool: Rows of the first in which an atom does.
     """
     most = np.array([born[first * W : end * W].max() for first, end in tree.nodes[:, :2]])
     low, high = _corners(x, tree.nodes)

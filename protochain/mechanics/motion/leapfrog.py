@@ -94,23 +94,8 @@ class Leapfrog(Integrator):
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
     """Move for one time step without a potential, by the midpoint rule.
 
-    Parameters
-    ----------
-    at : Phase
-        Phase at the start.
-    p : (n_v,) float
-        Momenta at the start.
-    time_step : float
-
-    Returns
-    -------
-    (n_q,) float, (n_v,) float, Articulated
-        Coordinates, momenta and factors of M at the end.
-
-    Raises
-    ------
-    StepTooLargeError
-        If Newton's method for the velocities does not converge.
+    p (n_v,).
+    -> (n_q,): Coordinates, momenta and factors of M at the end.
     """
     tree, there = at.factors.tree, Workspace.like(at)
     q, p = at.q.copy(), p.copy()
@@ -141,13 +126,7 @@ class Workspace(NamedTuple):
         )
 
     def factors(self, tree: Tree, failed: bool) -> Articulated:
-        """Return the frames and factors of a drift that has succeeded.
-
-        Raises
-        ------
-        StepTooLargeError
-            If it has failed: M is singular, if at all, only where a diverging iteration has led.
-        """
+        """Return the frames and factors of a drift that has succeeded."""
         if failed:
             raise StepTooLargeError("no velocities solve the equations of the time step")
         rotation, origin, *rest = (frozen(array) for array in self)

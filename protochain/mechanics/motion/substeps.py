@@ -29,37 +29,7 @@ def in_substeps(
     least: float = _LEAST,
     most: int | None = None,
 ) -> Phase:
-    """Advance by one time step, in as many substeps as the tolerance requires.
-
-    Parameters
-    ----------
-    substep : callable
-        Phase and length of a substep -> :data:`Tried`.
-    system : Equations
-        Rigid bodies, potential and loads.
-    at : Phase
-        Phase at the start.
-    time_step : float
-        Length of the step; negative backwards.
-    tolerance : float
-        Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree.
-    order : int
-        Power of the substep with which its error goes.
-    least : float
-        Shortest substep, relative to the step.
-    most : int, optional
-        Most substeps; by default so many that they take ten seconds.
-
-    Returns
-    -------
-    Phase
-        Phase at the end.
-
-    Raises
-    ------
-    StepTooLargeError
-        If a substep would have to be shorter than rounding allows, or there would be too many.
-    """
+    """Advance by one time step, in as many substeps as the tolerance requires."""
     start, done, part = at.time, 0.0, time_step
     why, fault = "", None
     most = most or _MOST

@@ -189,13 +189,7 @@ class Integrator(Protocol):
 
 
 def refuse_departure(system: "Equations", found: Floats, wanted: Floats) -> None:
-    """Raise if a step back has found other coordinates than those where the step began.
-
-    Raises
-    ------
-    StepTooLargeError
-        If any differs by more than ``RETURNED``.
-    """
+    """Raise if a step back has found other coordinates than those where the step began."""
     if not np.max(np.abs(found - wanted) / system.coordinate_units, initial=0.0) < RETURNED:
         raise StepTooLargeError("the time step cannot be taken back")
 
@@ -455,13 +449,7 @@ def total(parts: list[Potential]) -> Potential:
 
 
 def canonical(equations: Equations, name: str) -> System:
-    """Return them, for an integrator that moves by momenta of rigid bodies.
-
-    Raises
-    ------
-    MechanicsError
-        If they have no such momenta, as of bodies that bend or closed loops, or hinges are driven.
-    """
+    """Return them, for an integrator that moves by momenta of rigid bodies."""
     remedy = "take Runge-Kutta, Dormand-Prince or Rosenbrock"
     if not isinstance(equations, System):
         raise MechanicsError(f"the {name} takes no {equations.beyond}; {remedy}")

@@ -50,20 +50,13 @@ ROUND_OFF = 1e-15
 class Articulated:
     """Factors of M at one pose.
 
-    Parameters
-    ----------
-    tree, frames : Tree, Frames
-        Rigid bodies and their world frames.
-    inertia : (nb, 21) float
-        Articulated-body inertia P = [[I, C], [C^T, M]] of each body about its origin along world axes, with
-        its own hinge locked: upper triangle of I, C row by row, upper triangle of M.
-    gain : (nb, 6) float
-        Gain G = P h / D, with h the hinge's twist, about the parent's origin (of a root: its own); 0 where
-        the hinge is driven.
-    pivot : (nb,) float
-        Pivot D = h^T P h; 1 where there is no hinge, or a driven one.
-    root : (n_free, 6, 6) float
-        Cholesky factors of P of the free roots.
+    tree, frames: Rigid bodies and their world frames.
+    inertia (nb, 21): Articulated-body inertia P = [[I, C], [C^T, M]] of each body about its origin along
+        world axes, with its own hinge locked: upper triangle of I, C row by row, upper triangle of M.
+    gain (nb, 6): Gain G = P h / D, with h the hinge's twist, about the parent's origin (of a root: its own);
+        0 where the hinge is driven.
+    pivot (nb,): Pivot D = h^T P h; 1 where there is no hinge, or a driven one.
+    root (n_free, 6, 6): Cholesky factors of P of the free roots.
     """
 
     tree: Tree
@@ -77,23 +70,6 @@ class Articulated:
 def articulate(tree: Tree, frames: Frames) -> Articulated:
     """Factorise M at one pose, by one inward sweep.
 
-    Parameters
-    ----------
-    tree, frames : Tree, Frames
-        Rigid bodies and their world frames.
-
-    Returns
-    -------
-    Articulated
-        Factors of M.
-
-    Raises
-    ------
-    MechanicsError
-        If M is singular: a hinge has no inertia.
-
-    Notes
-    -----
     After Jain, Vaidehi, Rodriguez (1993); Featherstone (2008). O(n).
     """
     n = tree.n_bodies
@@ -118,17 +94,8 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
 def solve(factors: Articulated, tau: Floats, loads: Floats | None = None) -> Floats:
     """Solve M x = tau - J^T loads by one inward and one outward sweep.
 
-    Parameters
-    ----------
-    factors : Articulated
-    tau : (n_v,) float
-    loads : (nb, 6) float, optional
-        Loads that act against tau: moments about the bodies' origins, forces.
-
-    Returns
-    -------
-    (n_v,) float
-        Solution, 0 where hinges are driven; what tau has there is not read.
+    tau (n_v,), loads (nb, 6).
+    -> (n_v,): Solution, 0 where hinges are driven; what tau has there is not read.
     """
     tree, frames = factors.tree, factors.frames
     wrench = np.zeros((tree.n_bodies, 6)) if loads is None else loads.copy()
@@ -152,23 +119,7 @@ def _among_all(tree: Tree, x: Floats) -> Floats:
 
 
 def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
-    """Solve M x = tau for one tau: :func:`articulate` and :func:`solve` in one call.
-
-    Parameters
-    ----------
-    tree, frames : Tree, Frames
-        Rigid bodies and their world frames.
-    tau : (n_v,) float
-
-    Returns
-    -------
-    (n_v,) float
-
-    Raises
-    ------
-    MechanicsError
-        As :func:`articulate`.
-    """
+    """Solve M x = tau for one tau: :func:`articulate` and :func:`solve` in one call: tau (n_v,) -> (n_v,)."""
     if not tree.is_plain:
         return solve(articulate(tree, frames), tau)
     x = floats(tau, (tree.n_v,), "tau").copy()
@@ -177,17 +128,7 @@ def solve_at_once(tree: Tree, frames: Frames, tau: Floats) -> Floats:
 
 
 def log_det(factors: Articulated) -> float:
-    """Logarithm of det M: sum of ln D over hinges and of ln det P over free roots.
-
-    Parameters
-    ----------
-    factors : Articulated
-
-    Returns
-    -------
-    float
-        Value of ln det M, with M in amu nm^2 (amu for slides); of the freedoms that are not driven.
-    """
+    """Logarithm of det M: sum of ln D over hinges and of ln det P over free roots."""
     roots = np.diagonal(factors.root, axis1=1, axis2=2)
     return float(np.sum(np.log(factors.pivot)) + 2.0 * np.sum(np.log(roots)))
 
@@ -195,18 +136,9 @@ def log_det(factors: Articulated) -> float:
 def sample(factors: Articulated, noise: Floats) -> Floats:
     """[1 - H psi K]^T D^-1/2 noise, whose covariance is M^-1 for independent unit noise.
 
-    Parameters
-    ----------
-    factors : Articulated
-    noise : (n_v,) float
+    noise (n_v,).
+    -> (n_v,): Sample, 0 where hinges are driven.
 
-    Returns
-    -------
-    (n_v,) float
-        Sample, 0 where hinges are driven.
-
-    Notes
-    -----
     Outward sweep of a solution, for D^-1/2 noise: the rate of a hinge is its noise minus the gain times the
     motion of its parent. After Jain, Vaidehi, Rodriguez (1993). O(n).
     """

@@ -45,18 +45,11 @@ _REFINEMENTS = 5
 class Eliminated:
     """Factors of H at one pose.
 
-    Parameters
-    ----------
-    tree, frames : Tree, Frames
-        Rigid bodies and their world frames.
-    inverse_inertia : (nb, 6, 6) float
-        Inverse inertia W of each body about its origin, world axes: wrench -> twist.
-    factor : (nb, 6, 6) float
-        Cholesky factor of each hinge's block of H at its elimination.
-    gain : (nb, 6, 6) float
-        Inverse of that block times the block that couples the hinge to its parent body.
-    n_hard : (nb,) int
-        Number of directions locked by each hinge; all six by a driven one.
+    tree, frames: Rigid bodies and their world frames.
+    inverse_inertia (nb, 6, 6): Inverse inertia W of each body about its origin, world axes: wrench -> twist.
+    factor (nb, 6, 6): Cholesky factor of each hinge's block of H at its elimination.
+    gain (nb, 6, 6): Inverse of that block times the block that couples the hinge to its parent body.
+    n_hard (nb,) int: Number of directions locked by each hinge; all six by a driven one.
     """
 
     tree: Tree
@@ -70,23 +63,6 @@ class Eliminated:
 def eliminate(tree: Tree, frames: Frames) -> Eliminated:
     """Factorise H at one pose, by one inward sweep.
 
-    Parameters
-    ----------
-    tree, frames : Tree, Frames
-        Rigid bodies and their world frames.
-
-    Returns
-    -------
-    Eliminated
-        Factors of H.
-
-    Raises
-    ------
-    MechanicsError
-        If a body has no mass, or is a point or a line, so that it has no inverse inertia.
-
-    Notes
-    -----
     Block elimination of H (after Lee, Wang, Chirikjian 2007), leaf to root. O(n).
     """
     n = tree.n_bodies
@@ -113,15 +89,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
 def respond(factors: Eliminated, wrench: Floats) -> Floats:
     """Twists due to impulses on the bodies and reactions of the hinges: (W - W E_h^T H^-1 E_h W) wrench.
 
-    Parameters
-    ----------
-    factors : Eliminated
-    wrench : (nb, 6) float
-        Moments about the bodies' origins and forces, world axes.
-
-    Returns
-    -------
-    (nb, 6) float
+    wrench (nb, 6) -> (nb, 6).
     """
     tree, frames = factors.tree, factors.frames
     impulse = floats(wrench, (tree.n_bodies, 6), "wrench").copy()
@@ -136,17 +104,8 @@ def respond(factors: Eliminated, wrench: Floats) -> Floats:
 def solve(factors: Eliminated, tau: Floats) -> Floats:
     """Solve M x = tau by x = (A - B H^-1 B^T) tau.
 
-    Parameters
-    ----------
-    factors : Eliminated
-    tau : (n_v,) float
+    tau (n_v,) -> (n_v,).
 
-    Returns
-    -------
-    (n_v,) float
-
-    Notes
-    -----
     A tau is the response of unconnected bodies, often far larger than that of the chain, so that digits
     cancel. Iterative refinement with M x from Newton-Euler recovers them (Higham, *Accuracy and Stability of
     Numerical Algorithms*, 2002, theorem 12.3): one step, and more for bodies that are almost lines or points.
@@ -186,18 +145,7 @@ def _solve_once(factors: Eliminated, tau: Floats) -> Floats:
 
 
 def soft_rates(tree: Tree, frames: Frames, twists: Floats) -> Floats:
-    """Hinge rates E_s V of bodies that move with these twists.
-
-    Parameters
-    ----------
-    tree, frames : Tree, Frames
-        Rigid bodies and their world frames.
-    twists : (nb, 6) float
-
-    Returns
-    -------
-    (n_v,) float
-    """
+    """Hinge rates E_s V of bodies that move with these twists: twists (nb, 6) -> (n_v,)."""
     rates = np.empty(tree.n_v)
     _soft_rates(
         tree.links, tree.bodies, frames.rotation, frames.origin,
@@ -207,17 +155,7 @@ def soft_rates(tree: Tree, frames: Frames, twists: Floats) -> Floats:
 
 
 def log_det(factors: Eliminated) -> float:
-    """Logarithm of det M: sum of ln det M_b plus ln det H.
-
-    Parameters
-    ----------
-    factors : Eliminated
-
-    Returns
-    -------
-    float
-        Value of ln det M, with M in amu nm^2 (amu for slides).
-    """
+    """Logarithm of det M: sum of ln det M_b plus ln det H."""
     tree = factors.tree
     bodies = 3.0 * np.sum(np.log(tree.mass)) + np.sum(np.linalg.slogdet(tree.inertia)[1])
     pivots = np.diagonal(factors.factor, axis1=1, axis2=2)

@@ -22,24 +22,12 @@ from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
 def momenta(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
     """Canonical momenta, and the gradient of the kinetic energy at constant velocities.
 
-    Parameters
-    ----------
-    tree, frames : Tree, Frames
-        Rigid bodies and their world frames.
-    qd : (n_v,) float, rad/ps and nm/ps
-        Velocities.
+    qd (n_v,).
+    -> (n_v,): Momenta p = M qd. A free root has the angular momentum of its whole tree about its origin, then
+        the linear momentum; world axes.
+    -> (n_v,): Gradient d(qd^T M(q) qd / 2)/dq at constant qd; of a free root along rotations about world axes
+        and translations.
 
-    Returns
-    -------
-    (n_v,) float
-        Momenta p = M qd. A free root has the angular momentum of its whole tree about its origin, then the
-        linear momentum; world axes.
-    (n_v,) float, kJ/mol per unit of q
-        Gradient d(qd^T M(q) qd / 2)/dq at constant qd; of a free root along rotations about world axes and
-        translations.
-
-    Notes
-    -----
     With V the twist of a body, h that of its hinge and Pi the momentum of the body and all beyond it, about
     its origin: p = h . Pi, and the gradient is (V x h) . Pi, since rotating the bodies beyond a hinge is
     equivalent to rotating its parent's twist back. Lagrange's equations are dp/dt = tau + gradient. O(n).
@@ -66,22 +54,9 @@ def put_momenta(
 def turning_gradient(tree: Tree, frames: Frames, twists: Floats, loads: Floats) -> Floats:
     """Gradient of the sum of loads times twists at constant velocities, when loads turn with their bodies.
 
-    Parameters
-    ----------
-    tree, frames : Tree, Frames
-        Rigid bodies and their world frames.
-    twists : (nb, 6) float
-        Twists of the bodies.
-    loads : (nb, 6) float
-        Moments about the bodies' origins, and forces.
+    twists (nb, 6), loads (nb, 6).
+    -> (n_v,): Gradient along q; with the bodies' momenta as loads that of the kinetic energy.
 
-    Returns
-    -------
-    (n_v,) float
-        Gradient along q; with the bodies' momenta as loads that of the kinetic energy.
-
-    Notes
-    -----
     As in :func:`momenta`: (V x h) . Pi, with Pi the load of a body and all beyond it. O(n).
     """
     product, gradient = np.empty(tree.n_v), np.empty(tree.n_v)

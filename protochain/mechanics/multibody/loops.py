@@ -103,13 +103,7 @@ def log_det_closed(tree: Tree, frames: Frames, rows: Rows, method: Method = "art
 
 
 def factor_closed(inverse: Floats) -> tuple[Floats, bool]:
-    """Cholesky's factor of G M^-1 G^T, as scipy's ``cho_factor`` gives it: upper.
-
-    Raises
-    ------
-    MechanicsError
-        If the rows are linearly dependent.
-    """
+    """Cholesky's factor of G M^-1 G^T, as scipy's ``cho_factor`` gives it: upper."""
     size = np.sqrt(np.maximum(np.diagonal(inverse), 0.0))
     try:
         factor, lower = cho_factor(inverse)

@@ -93,13 +93,7 @@ def sample_velocities(tree: Tree, frames: Frames, thermal_energy: float, rng: np
 
 
 def checked(method: str) -> str:
-    """Return the method if it is known.
-
-    Raises
-    ------
-    MechanicsError
-        If it is not; the message names the methods.
-    """
+    """Return the method if it is known."""
     if method not in ("articulated", "fixman"):
         raise MechanicsError(f"method {method!r} is not known; choose articulated or fixman")
     return method

@@ -79,20 +79,9 @@ def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
 def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = None) -> Floats:
     """Inertial load on each body that moves with qd and qdd.
 
-    Parameters
-    ----------
-    tree, frames : Tree, Frames
-        Rigid bodies and their world frames.
-    qd, qdd : (n_v,) float
-        Velocities and accelerations, by default zero.
+    qd, qdd (n_v,).
+    -> (nb, 6): Moments about the origins of the bodies and forces, world axes. O(n).
 
-    Returns
-    -------
-    (nb, 6) float, kJ/mol/rad and kJ/mol/nm
-        Moments about the origins of the bodies and forces, world axes. O(n).
-
-    Notes
-    -----
     With c the centre of mass from the origin, a the origin's acceleration and I about the origin:
     force = m (a + alpha x c + omega x (omega x c)), moment = I alpha + m c x a + omega x I omega.
     """

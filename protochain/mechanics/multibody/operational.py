@@ -92,12 +92,7 @@ def row_matrix(tree: Tree, frames: Frames, rows: Rows) -> Floats:
 
 
 def row_loads(tree: Tree, rows: Rows) -> Floats:
-    """Each row as loads on all bodies.
-
-    Returns
-    -------
-    (m, nb, 6) float
-    """
+    """Each row as loads on all bodies: -> (m, nb, 6)."""
     out = np.zeros((len(rows.body), tree.n_bodies, 6))
     for side in (0, 1):
         (on,) = np.nonzero(rows.body[:, side] >= 0)

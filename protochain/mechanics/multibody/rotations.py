@@ -18,18 +18,9 @@ _SMALL = 0.1
 def displacement_rates(tree: Tree, step: Floats, qd: Floats) -> Floats:
     """Time derivative of a displacement from a fixed q, for velocities qd at its end.
 
-    Parameters
-    ----------
-    tree : Tree
-    step : (n_v,) float
-        Displacement, as for ``multibody.integrate``, rotating a free root by less than 2 pi.
-    qd : (n_v,) float, rad/ps and nm/ps
-        Velocities at ``integrate(tree, q, step)``.
-
-    Returns
-    -------
-    (n_v,) float
-        Rates qd, with dexp^-1 applied to the angular velocities of free roots, as in Munthe-Kaas methods.
+    step (n_v,), qd (n_v,).
+    -> (n_v,): Rates qd, with dexp^-1 applied to the angular velocities of free roots, as in Munthe-Kaas
+        methods.
     """
     rates = floats(qd, (tree.n_v,), "qd").copy()
     put_rates(tree.links, floats(step, (tree.n_v,), "step"), rates)

@@ -21,25 +21,8 @@ Route = Literal["articulated", "blocks", "dense"]
 def rates_of(flexible: Flexible, bent: Bent, p: Floats, route: Route = "articulated") -> Floats:
     """Velocities qd of momenta p = M qd.
 
-    Parameters
-    ----------
-    flexible, bent : Flexible, Bent
-        Bodies and their frames; no hinge is driven.
-    p : (n_v,) float
-        Momenta.
-    route : str
-        Way of solution: ``articulated``, by articulated bodies; ``blocks``, with the block of the amplitudes
-        eliminated, (M_rr - M_rf M_ff^-1 M_fr) q_r' = p_r - M_rf M_ff^-1 p_f; or ``dense``.
-
-    Returns
-    -------
-    (n_v,) float
-        Velocities.
-
-    Raises
-    ------
-    MechanicsError
-        If M is singular, a hinge is driven, or the route is unknown.
+    p (n_v,).
+    -> (n_v,): Velocities.
     """
     p = floats(p, (flexible.n_v,), "p")
     if flexible.tree.driven is not None:

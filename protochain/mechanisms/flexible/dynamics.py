@@ -19,12 +19,7 @@ from protochain.mechanisms.flexible.kernels import (
 
 @dataclass(frozen=True)
 class Blocks:
-    """Mass matrix by hinges (r) and amplitudes (f): [[rr, rf], [fr, ff]], fr the transpose of rf.
-
-    Parameters
-    ----------
-    rr, rf, ff : (r, r), (r, f) and (f, f) float
-    """
+    """Mass matrix by hinges (r) and amplitudes (f): [[rr, rf], [fr, ff]], fr the transpose of rf."""
 
     rr: Floats
     rf: Floats
@@ -44,27 +39,13 @@ def velocities(flexible: Flexible, bent: Bent, qd: Floats) -> Floats:
 def jacobian(flexible: Flexible, bent: Bent) -> Floats:
     """Dense Jacobian of the nodes: their twists about their places are J qd.
 
-    Returns
-    -------
-    (nn, 6, n_v) float
-        Columns are the freedoms. O(n^2): for tests and small studies.
+    -> (nn, 6, n_v): Columns are the freedoms. O(n^2): for tests and small studies.
     """
     return np.stack([velocities(flexible, bent, unit) for unit in np.eye(flexible.n_v)], axis=2)
 
 
 def mass_matrix(flexible: Flexible, bent: Bent) -> Blocks:
-    """Mass matrix: the sum of J^T I J over all nodes. O(n^3).
-
-    Parameters
-    ----------
-    flexible, bent : Flexible, Bent
-        Bodies and their frames.
-
-    Returns
-    -------
-    Blocks
-        By hinges and amplitudes.
-    """
+    """Mass matrix: the sum of J^T I J over all nodes. O(n^3)."""
     j, r, mass = jacobian(flexible, bent), flexible.tree.n_v, flexible.sections.mass
     inertia = bent.rotation @ flexible.sections.inertia @ bent.rotation.swapaxes(1, 2)
     moved = np.concatenate([inertia @ j[:, :3], mass[:, None, None] * j[:, 3:]], axis=1)
@@ -82,19 +63,8 @@ def inverse_dynamics(
 ) -> Floats:
     """Torques M qdd + c(q, qd) - J^T wrench, without elastic ones.
 
-    Parameters
-    ----------
-    flexible, q : Flexible and (n_q,) float
-        Bodies and their coordinates.
-    qd, qdd : (n_v,) float
-        Velocities and accelerations.
-    wrench : (nn, 6) float, optional
-        External moment and force on each node about its place, world axes.
-
-    Returns
-    -------
-    (n_v,) float
-        Torques. O(n).
+    qd, qdd (n_v,), wrench (nn, 6).
+    -> (n_v,): Torques. O(n).
     """
     return _torques(flexible, bend(flexible, q), q, qd, qdd, wrench)
 
@@ -104,25 +74,8 @@ def forward_dynamics(
 ) -> Floats:
     """Accelerations, which solve M qdd + c(q, qd) = tau + J^T wrench.
 
-    Parameters
-    ----------
-    flexible, q : Flexible and (n_q,) float
-        Bodies and their coordinates.
-    qd, tau : (n_v,) float
-        Velocities, and torques with the elastic ones, see ``flexible.elastic``; of
-        driven hinges their accelerations.
-    wrench : (nn, 6) float, optional
-        External moment and force on each node about its place, world axes.
-
-    Returns
-    -------
-    (n_v,) float
-        Accelerations; those of driven hinges as given. O of the sum of cubes of the numbers of shapes.
-
-    Raises
-    ------
-    MechanicsError
-        If M is singular.
+    qd, tau (n_v,), wrench (nn, 6).
+    -> (n_v,): Accelerations; those of driven hinges as given. O of the sum of cubes of the numbers of shapes.
     """
     bent, given, driven = bend(flexible, q), np.zeros(flexible.n_v), flexible.tree.driven_v
     given[driven] = tau[driven]
@@ -132,23 +85,8 @@ def forward_dynamics(
 def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
     """Solve M x = tau by one inward and one outward sweep; x is 0 where hinges are driven.
 
-    Parameters
-    ----------
-    flexible, bent : Flexible, Bent
-        Bodies and their frames.
-    tau : (n_v,) float
+    tau (n_v,) -> (n_v,).
 
-    Returns
-    -------
-    (n_v,) float
-
-    Raises
-    ------
-    MechanicsError
-        If M is singular; the message names the body.
-
-    Notes
-    -----
     As ``multibody.articulated``, with a body's amplitudes eliminated before its hinge.
     """
     _, mass, inertia, *_ = flexible.arrays
@@ -167,17 +105,8 @@ def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
 def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
     """Canonical momenta p = M qd, and the gradient of the kinetic energy at constant velocities. O(n).
 
-    Parameters
-    ----------
-    flexible, q : Flexible and (n_q,) float
-        Bodies and their coordinates.
-    qd : (n_v,) float
-        Velocities.
-
-    Returns
-    -------
-    (n_v,) float; (n_v,) float
-        Momenta; gradient, the sum over all nodes of (dJ/dt)^T times momentum, also for a free root.
+    qd (n_v,).
+    -> (n_v,): Momenta; gradient, the sum over all nodes of (dJ/dt)^T times momentum, also for a free root.
         Lagrange's equations are dp/dt = tau + gradient.
     """
     bent = bend(flexible, q)

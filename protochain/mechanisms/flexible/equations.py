@@ -22,15 +22,7 @@ class BendingSystem(Equations):
     loads get ``flexible.Bent`` for factors and frames, and loads may give wrenches
     (nn, 6) on all nodes. Runge-Kutta and Rosenbrock methods take it.
 
-    Parameters
-    ----------
-    flexible : Flexible
-        Bodies, on the hinges of ``tree``.
-
-    Raises
-    ------
-    MechanicsError
-        If they are on another tree.
+    flexible: Bodies, on the hinges of ``tree``.
     """
 
     flexible: Flexible = field(kw_only=True)

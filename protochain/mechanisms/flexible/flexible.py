@@ -189,12 +189,8 @@ class Flexible(Value):
 class Bent(Value):
     """Where all nodes are, at one q: frames of bodies and sections, body by body as in ``node_start``.
 
-    Parameters
-    ----------
-    rotation, origin : (nn, 3, 3) and (nn, 3) float
-        Axes of the nodes in the world, as columns, and their places.
-    columns : (nn, K, 6) float
-        Twists of the nodes about their places, for unit rates of their body's amplitudes.
+    rotation, origin (nn, 3, 3): Axes of the nodes in the world, as columns, and their places.
+    columns (nn, K, 6): Twists of the nodes about their places, for unit rates of their body's amplitudes.
     """
 
     rotation: Floats
@@ -203,18 +199,7 @@ class Bent(Value):
 
 
 def bend(flexible: Flexible, q: Floats) -> Bent:
-    """Frames of all bodies and sections at q, by one outward sweep.
-
-    Parameters
-    ----------
-    flexible, q : Flexible and (n_q,) float
-        Bodies and their coordinates.
-
-    Returns
-    -------
-    Bent
-        World frames of the nodes.
-    """
+    """Frames of all bodies and sections at q, by one outward sweep."""
     place, _, _, moves, turns, shortening = flexible.arrays
     n, most = len(place), moves.shape[1]
     rotation, origin, columns = np.empty((n, 3, 3)), np.empty((n, 3)), np.zeros((n, most, 6))

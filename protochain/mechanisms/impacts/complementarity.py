@@ -28,19 +28,7 @@ _PROXIMAL = 500
 def restitute(w: Floats, u: Floats, mu: Floats, e: Floats, out: Floats) -> int:
     """Write the impulses of an impact of k points by Poisson's law: of both phases, and of the compression.
 
-    Parameters
-    ----------
-    w, u : (3 k, 3 k) float, (3 k,) float
-        Inverse inertia and velocities before, (normal, two tangential) of each point.
-    mu, e : (k,) float
-        Friction and restitution.
-    out : (2, 3 k) float
-        Impulses; those of the compression. If there are several solutions, the first is their difference.
-
-    Returns
-    -------
-    int
-        How it ended.
+    w, u (3 k, 3 k), mu, e (k,), out (2, 3 k).
     """
     n = len(u)
     floor, more, before = np.zeros(n // 3), np.zeros(n), u

@@ -17,26 +17,8 @@ External = Mapping[int, tuple[ArrayLike, ArrayLike]]
 def strike(bodies: Bodies, qd: Floats, external: External) -> tuple[Floats, float]:
     """Velocities after given impulses, and their work.
 
-    Parameters
-    ----------
-    bodies : Bodies
-        Bodies at one pose.
-    qd : (n_v,) float
-        Velocities before.
-    external : mapping of int to ((3,) float, (3,) float)
-        Body -> world point and impulse there.
-
-    Returns
-    -------
-    (n_v,) float
-        Velocities after.
-    float
-        Work: sum of P . (v- + v+)/2 (Thomson, Tait, *Treatise on Natural Philosophy*, 1879).
-
-    Raises
-    ------
-    MechanicsError
-        If there is no such body, a point or impulse is not finite, or is no point and impulse.
+    qd (n_v,).
+    -> (n_v,): Velocities after.
     """
     wrench = external_wrench(bodies, external)
     after = qd + bodies.change(wrench)

@@ -37,22 +37,7 @@ def follow(
 ) -> int:  # fmt: skip
     """Write the impulse (normal, two tangential) that ends an impact, and how it came about.
 
-    Parameters
-    ----------
-    w, u : (3, 3) float, (3,) float
-        Inverse inertia and velocity before; u[0] < 0.
-    mu, e, law : float, float, int
-        Friction, restitution, its law.
-    slow, tolerance : float
-        Speed that is rounding error; error of a step of curved pieces, relative to the impulse.
-    out : (8,) float
-        Impulse; normal impulse and its work at the end of the compression; work at the end; numbers of exact
-        pieces and of steps of curved ones.
-
-    Returns
-    -------
-    int
-        How it ended.
+    w, u (3, 3), out (8,).
     """
     size = max(w[0, 0], max(w[1, 1], w[2, 2]))
     out[:] = 0.0
@@ -292,19 +277,7 @@ def follow_in_turn(
 ) -> tuple[int, int]:  # fmt: skip
     """Write impulses, and those of the compressions, of one point after the other, the fastest first.
 
-    Parameters
-    ----------
-    w, u, mu, e, law, slow, tolerance : (3 k, 3 k), (3 k,), (k,), (k,), int, (k,), float
-        As of :func:`follow`, for k points.
-    turns : int
-        Largest number of turns.
-    out : (2, 3 k) float
-        Impulses; of the compressions.
-
-    Returns
-    -------
-    int, int
-        How it ended, and the last point.
+    out (2, 3 k).
     """
     v, block, local, own = u.copy(), np.empty((3, 3)), np.empty(8), np.empty(3)
     out[:] = 0.0

@@ -82,24 +82,14 @@ class ContactPoint(Value):
 class Struck:
     """Points and loops at one moment: rows, inverse inertia, velocities.
 
-    Parameters
-    ----------
-    bodies, qd, rows : Bodies, (n_v,) float, Rows
-        Rows: of the loops, then of the points along their own axes (normal, two tangential).
-    axes : (k, 3, 3) float
-        Axes of the points, as rows.
-    before : (m + 3 k,) float
-        Velocities along the rows.
-    w, u : (3 k, 3 k) float, (3 k,) float
-        Inverse inertia and velocities of the points, with the loops closed.
-    slow : (k,) float
-        Speeds of approach that are rounding errors.
-    movable : (k,) bool
-        Whether anything gives way along the normal.
-    closing : (m, 3 k) float
-        Impulses of the loops per impulse of the points.
-    closed : (m,) float
-        Impulses of the loops without those.
+    bodies, qd, rows: Rows: of the loops, then of the points along their own axes (normal, two tangential).
+    axes (k, 3, 3): Axes of the points, as rows.
+    before (m + 3 k,): Velocities along the rows.
+    w, u (3 k, 3 k): Inverse inertia and velocities of the points, with the loops closed.
+    slow (k,): Speeds of approach that are rounding errors.
+    movable (k,) bool: Whether anything gives way along the normal.
+    closing (m, 3 k): Impulses of the loops per impulse of the points.
+    closed (m,): Impulses of the loops without those.
     """
 
     bodies: Bodies

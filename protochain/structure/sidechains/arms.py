@@ -18,12 +18,8 @@ WIDTH = np.deg2rad(20.0)
 class Arm:
     """What of a side chain can turn.
 
-    Parameters
-    ----------
-    axes : tuple of (4,) int
-        Atoms that define each dihedral, from the backbone outward.
-    outward : tuple of (n_turned,) int
-        Atoms that each dihedral turns; the first turns them all.
+    axes: Atoms that define each dihedral, from the backbone outward.
+    outward: Atoms that each dihedral turns; the first turns them all.
     """
 
     axes: tuple[tuple[int, ...], ...]
@@ -75,20 +71,8 @@ def backbone_of(
 def around(chi: Floats, rarity: Floats, turns: Floats, n_turned: int) -> tuple[Floats, Floats]:
     """Dihedrals about those of rotamers, and what each costs.
 
-    Parameters
-    ----------
-    chi : (n, n_chi) float, rad
-    rarity : (n,) float
-        Negative logarithms of the frequencies of the rotamers.
-    turns : (n_turns,) float, rad
-    n_turned : int
-        How many of the dihedrals take each turn.
-
-    Returns
-    -------
-    (n n_turns^n_turned, n_chi) float, rad
-    (n n_turns^n_turned,) float
-        The rarity, and half the square of the turn in widths.
+    chi (n, n_chi) rad, rarity (n,), turns (n_turns,) rad -> (n n_turns^n_turned, n_chi) rad.
+    -> (n n_turns^n_turned,): The rarity, and half the square of the turn in widths.
     """
     steps = np.zeros((len(turns) ** n_turned, chi.shape[1]))
     steps[:, :n_turned] = np.stack(np.meshgrid(*[turns] * n_turned), axis=-1).reshape(len(steps), -1)

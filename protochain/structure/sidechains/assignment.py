@@ -29,14 +29,9 @@ _Found = tuple[float, dict[int, int]]
 class Assignment(NamedTuple):
     """The states chosen.
 
-    Parameters
-    ----------
-    states : (n,) int
-        State of each site.
-    energy : float
-        Sum of the own and pair energies.
-    is_proven : bool
-        Whether it is the global minimum; if not, the search was ended as too long.
+    states (n,) int: State of each site.
+    energy: Sum of the own and pair energies.
+    is_proven: Whether it is the global minimum; if not, the search was ended as too long.
     """
 
     states: Integers
@@ -48,21 +43,7 @@ def best(
     own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats],
     largest: int = _LARGEST, most_tables: int = _MOST_TABLES,
 ) -> Assignment:  # fmt: skip
-    """Find the states of lowest energy; the same tables give the same states.
-
-    Parameters
-    ----------
-    own : sequence of (n_i,) float
-        Energy of each state of each site.
-    pairs : mapping of (int, int) to (n_i, n_j) float
-        Energy between the states of sites i < j.
-    largest, most_tables : int
-        Entries of a table in the elimination, and tables looked at in all branches.
-
-    Returns
-    -------
-    Assignment
-    """
+    """Find the states of lowest energy; the same tables give the same states."""
     everything = Part(
         tuple(range(len(own))), tuple(np.array(each, dtype=float) for each in own),
         tuple(np.arange(len(each)) for each in own),

@@ -40,15 +40,9 @@ _BACKBONE = ("N", "CA", "C", "O")
 class Branch:
     """An atom of a side chain, placed from the three atoms before it.
 
-    Parameters
-    ----------
-    name, element : str
-    before : tuple of str
-        Names of the atoms three, two and one bonds before it.
-    length, angle, dihedral : float
-        Angstrom, rad, rad.
-    chi : int or None
-        Index of the chi that turns it.
+    before: Names of the atoms three, two and one bonds before it.
+    length, angle, dihedral: Angstrom, rad, rad.
+    chi: Index of the chi that turns it.
     """
 
     name: str
@@ -64,15 +58,10 @@ class Branch:
 class Ideal:
     """Ideal geometry of an L-amino acid.
 
-    Parameters
-    ----------
-    x : mapping of str to (3,) float, angstrom
-        Heavy atoms.
-    bonds : mapping of str to tuple of str
-        Bonded atoms.
-    branches : tuple of Branch
-        The side chain beyond CB, in the order of building.
-    chi : tuple of float, rad
+    x angstrom: Heavy atoms.
+    bonds: Bonded atoms.
+    branches: The side chain beyond CB, in the order of building.
+    chi rad.
     """
 
     x: Mapping[str, Floats]
@@ -144,18 +133,8 @@ def fixed_chi(residue: str, known: Mapping[str, Floats]) -> dict[int, float]:
 def grown(residue: str, known: Mapping[str, Floats], chi: Floats) -> Places:
     """Place the missing atoms of a side chain for every set of dihedrals.
 
-    Parameters
-    ----------
-    residue : str
-    known : mapping of str to (3,) float, angstrom
-        Atoms that are there, N, CA and C among them; they stay.
-    chi : (n, n_chi) float, rad
-        A chi that atoms in place determine is theirs.
-
-    Returns
-    -------
-    dict of str to (n, 3) float, angstrom
-        The missing atoms.
+    known angstrom, chi (n, n_chi) rad.
+    -> angstrom: The missing atoms.
     """
     geometry, n = ideal(residue), len(chi)
     at: Places = dict(known)
@@ -185,10 +164,7 @@ def beta_carbon(residue: str, known: Mapping[str, Floats]) -> Floats:
 def bridged(residue: str, known: Mapping[str, Floats]) -> Places:
     """Place missing atoms between atoms that are there, by their distances to those within two bonds.
 
-    Returns
-    -------
-    dict of str to (3,) float, angstrom
-        Empty where nothing is known beyond the missing atoms.
+    -> angstrom: Empty where nothing is known beyond the missing atoms.
     """
     geometry, found = ideal(residue), dict(known)
     chi, _ = conformers(residue)

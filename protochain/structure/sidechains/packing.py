@@ -46,15 +46,10 @@ _BETAS = (3.2, 4.7)
 class Choices:
     """Conformers of a side chain.
 
-    Parameters
-    ----------
-    site : Site
-    names : tuple of str
-        Its missing atoms.
-    chi : (n, n_chi) float, rad
-    x : (n, n_atoms, 3) float, angstrom
-    cost : (n,) float
-        Without the other residues that are built.
+    names: Its missing atoms.
+    chi (n, n_chi) rad.
+    x (n, n_atoms, 3) angstrom.
+    cost (n,): Without the other residues that are built.
     """
 
     site: Site
@@ -67,13 +62,9 @@ class Choices:
 class Packed(NamedTuple):
     """Side chains that were packed.
 
-    Parameters
-    ----------
-    places : list of dict of str to (3,) float, angstrom
-        The missing atoms of each site.
-    is_proven : bool
-        Whether no other combination of the conformers tried has a lower energy; if not, the search was too
-        long.
+    places angstrom: The missing atoms of each site.
+    is_proven: Whether no other combination of the conformers tried has a lower energy; if not, the search was
+        too long.
     """
 
     places: list[Places]
@@ -81,14 +72,7 @@ class Packed(NamedTuple):
 
 
 def packed(members: Sequence[Member], sites: Sequence[Site]) -> Packed:
-    """Place the missing side-chain atoms of residues.
-
-    Parameters
-    ----------
-    members : sequence of Member
-        All residues and molecules of the structure.
-    sites : sequence of Site
-    """
+    """Place the missing side-chain atoms of residues."""
     here = _Surroundings(members)
     choices = [_choices(site, here, *choosable(site)) for site in sites]
     first = _settled(choices)

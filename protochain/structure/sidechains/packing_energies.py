@@ -101,10 +101,7 @@ def donates_accepts(residue: str, name: str) -> tuple[bool, bool]:
 class Kinds:
     """Kinds of several atoms.
 
-    Parameters
-    ----------
-    of : sequence of (str, str, str)
-        Residue, name, and element of those beside the protein, empty for amino acids.
+    of: Residue, name, and element of those beside the protein, empty for amino acids.
     """
 
     def __init__(self, of: Sequence[tuple[str, str, str]]) -> None:

@@ -24,17 +24,10 @@ _RISE = 1e-3
 class Part:
     """Sites, and the states of them that are left.
 
-    Parameters
-    ----------
-    sites : tuple of int
-        As in the whole.
-    own : tuple of (n_i,) float
-    states : tuple of (n_i,) int
-        As in the whole.
-    pairs : dict
-        By places in ``sites``.
-    constant : float
-        Energy of all that was decided.
+    sites: As in the whole.
+    states: As in the whole.
+    pairs: By places in ``sites``.
+    constant: Energy of all that was decided.
     """
 
     sites: tuple[int, ...]

@@ -40,20 +40,8 @@ def relieved(
 ) -> Floats:
     """Turn rebuilt side chains that overlap with other atoms.
 
-    Parameters
-    ----------
-    x : (na, 3) float, nm
-    owners : sequence of (Member, str)
-        Residue and name of each atom.
-    elements : sequence of str
-    bonds : (nbonds, 2) int
-    rebuilt : dict of int to tuple of str
-        Atoms added to side chains, by ``id`` of their residue.
-
-    Returns
-    -------
-    (na, 3) float, nm
-        Bond lengths and angles are kept.
+    x (na, 3) nm, bonds (nbonds, 2) int.
+    -> (na, 3) nm: Bond lengths and angles are kept.
     """
     if not rebuilt:
         return x

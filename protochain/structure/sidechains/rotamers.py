@@ -24,22 +24,11 @@ _TURN = 256
 def rotamers(residue: str, phi: float = BACKBONE[0], psi: float = BACKBONE[1]) -> tuple[Floats, Floats]:
     """Dihedrals and frequencies of the rotamers of a residue.
 
-    Parameters
-    ----------
-    residue : str
-        Name; of ALA and GLY there are none, of PRO chi1 alone.
-    phi, psi : float, degrees
-        Of the L-amino acid.
+    phi, psi degrees.
+    -> (n, n_chi) rad: chi1, chi2, ... as :data:`protochain.structure.residues.CHI` defines them, of the
+        L-amino acid.
+    -> (n,): Frequencies, the largest first; their sum is 1.
 
-    Returns
-    -------
-    (n, n_chi) float, rad
-        chi1, chi2, ... as :data:`protochain.structure.residues.CHI` defines them, of the L-amino acid.
-    (n,) float
-        Frequencies, the largest first; their sum is 1.
-
-    Notes
-    -----
     Rotamers of less than 0.3 per cent, and the rarest 1.5 per cent, are left out. Source: Shapovalov,
     Dunbrack, Structure 19:844 (2011).
     """

@@ -13,13 +13,8 @@ from protochain.structure.sidechains.rotamers import BACKBONE
 class Site:
     """A residue whose side chain is to be completed.
 
-    Parameters
-    ----------
-    member : Member
-    sign : int
-        1, or -1 for a D-amino acid, which is built in the mirror.
-    before, after : Member or None
-        Its neighbours in the chain.
+    sign: 1, or -1 for a D-amino acid, which is built in the mirror.
+    before, after: Its neighbours in the chain.
     """
 
     member: Member

@@ -91,19 +91,12 @@ def arm(until: float = 1.2) -> Iterator[Check]:
 class Balance:
     """Where the drives' work of a cycle went, J, and impulses, N s.
 
-    Parameters
-    ----------
-    drives, machine, soil, ground : float
-        Work of the drives; energy gained by the machine and by the soil, with what was lost in it; lost at
-        the feet.
-    passed : float
-        What the soil did to the machine and the machine to the soil together: zero but for errors.
-    created : float
-        Energy that the cubes alone have from nothing.
-    push : (3,) float
-        Impulse of the soil on the bucket.
-    missing : (3,) float
-        Momentum of machine and cubes that no force from outside gave.
+    drives, machine, soil, ground: Work of the drives; energy gained by the machine and by the soil, with what
+        was lost in it; lost at the feet.
+    passed: What the soil did to the machine and the machine to the soil together: zero but for errors.
+    created: Energy that the cubes alone have from nothing.
+    push (3,): Impulse of the soil on the bucket.
+    missing (3,): Momentum of machine and cubes that no force from outside gave.
     """
 
     drives: float

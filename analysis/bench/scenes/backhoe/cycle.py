@@ -38,13 +38,8 @@ SWING, ASIDE, END = (0.75, 0.5), np.deg2rad(60.0), 1.3
 class Ground:
     """Cubes at rest in a bin.
 
-    Parameters
-    ----------
-    pile : Pile
-        Cubes, the bin on body 0, the bucket on body 1.
-    heap : Heap
-    level : float, m
-        How high they lie.
+    pile: Cubes, the bin on body 0, the bucket on body 1.
+    level m: How high they lie.
     """
 
     pile: Pile
@@ -107,15 +102,9 @@ def working(level: float, depth: float = 0.4) -> Path:
 class Worked:
     """A cycle that was run.
 
-    Parameters
-    ----------
-    design : Design
-    run : Run
-        The machine's motion.
-    soil : Digging
-        The cubes.
-    seconds : float
-        Processor seconds.
+    run: The machine's motion.
+    soil: The cubes.
+    seconds: Processor seconds.
     """
 
     design: Design

@@ -85,12 +85,8 @@ Path = Callable[[float], tuple[Floats, Floats, Floats]]
 class Design:
     """What differs from machine to machine.
 
-    Parameters
-    ----------
-    name : str
-    counterweight : float, kg
-    length, gauge : float, m
-        Of the tracks on the ground; of their middles.
+    counterweight kg.
+    length, gauge m: Of the tracks on the ground; of their middles.
     """
 
     name: str

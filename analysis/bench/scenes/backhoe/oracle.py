@@ -28,18 +28,7 @@ _TICK = 1e-4
 
 
 def parts(angles: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Bodies of the arm and its cylinders, in the plane of the house's axes x and z.
-
-    Parameters
-    ----------
-    angles : (3,) float
-        Of the hinges.
-
-    Returns
-    -------
-    (n,), (n,), (n, 2), (n,) float
-        Masses, moments of inertia about y, places of the centres of mass, angles about y.
-    """
+    """Bodies of the arm and its cylinders, in the plane of the house's axes x and z: angles (3,)."""
     masses, inertias, places, turns = [], [], [], []
     pin: Floats = np.zeros(2)
     base: Floats = np.zeros(2)

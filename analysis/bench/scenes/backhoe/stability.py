@@ -42,19 +42,8 @@ def inside_by(point: Floats, corners: Floats) -> Floats:
 def force_angle(corners: Floats, at: Floats, force: Floats, moment: Floats) -> tuple[Floats, Floats]:
     """Force-angle measure of stability: Papadopoulos, Rey, ICRA 1996, 3111; Veh. Syst. Dyn. 33:29 (2000).
 
-    Parameters
-    ----------
-    corners : (k, 3) float
-        Of what it stands on, counterclockwise from above.
-    at : (3,) float
-        Centre of mass.
-    force, moment : (3,) float
-        All that acts on the vehicle but the ground, about the centre of mass.
-
-    Returns
-    -------
-    (k,) float, (k,) float
-        Angles, rad, between the force and the way from the centre of mass to each edge; these times the
+    corners (k, 3), at (3,), force, moment (3,).
+    -> (k,): Angles, rad, between the force and the way from the centre of mass to each edge; these times the
         force and its distance from the edge. Negative where it tips.
     """
     along = np.roll(corners, -1, axis=0) - corners

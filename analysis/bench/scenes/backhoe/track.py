@@ -40,15 +40,9 @@ G = 9.81
 class Wheel:
     """A wheel with seats.
 
-    Parameters
-    ----------
-    body : str
-        Whose y axis is the wheel's.
-    radius : float
-        Of the seats.
-    height : float
-        Of the teeth between them; 0 of a round wheel.
-    teeth : int
+    body: Whose y axis is the wheel's.
+    radius: Of the seats.
+    height: Of the teeth between them; 0 of a round wheel.
     """
 
     body: str
@@ -61,13 +55,8 @@ class Wheel:
 class Teeth:
     """Pins of bodies on wheels with teeth: force k d (1 + a d') where a pin is d inside the outline.
 
-    Parameters
-    ----------
-    pins : tuple of (str, (3,) float)
-        Bodies and points; all move in planes of constant y.
-    wheels : tuple of Wheel
-    stiffness, damping : float
-        Constants k and a.
+    pins: Bodies and points; all move in planes of constant y.
+    stiffness, damping: Constants k and a.
     """
 
     pins: tuple[tuple[str, tuple[float, float, float]], ...]
@@ -164,19 +153,7 @@ def crawler(
     drive: Callable[[float], tuple[float, float, float]], slope: float = 0.0, grip: float = 0.8,
     stiffness: float = 1e5,
 ) -> Mechanism:  # fmt: skip
-    """Build half of the vehicle on one track, in a plane.
-
-    Parameters
-    ----------
-    drive : callable
-        Time -> angle, rate and acceleration of the sprocket.
-    slope : float
-        Angle of the ground, uphill to +x; axes are those of the ground.
-    grip : float
-        Coefficient of friction.
-    stiffness : float
-        Of teeth, and of the ground under a pad.
-    """
+    """Build half of the vehicle on one track, in a plane."""
     m = Mechanism(G * np.array([-np.sin(slope), 0.0, -np.cos(slope)]))
     wheels = tuple(Wheel(name, SEATS + TIGHT, 0.3 * SEATS) for name in ("sprocket", "idler"))
     chained = tuple((f"shoe {k}", (0.0, 0.0, 0.0)) for k in range(SHOES))

@@ -36,13 +36,8 @@ WINDOW = 1e-3
 class Site:
     """Bin and number of cubes.
 
-    Parameters
-    ----------
-    low, high : (2,) of float, m
-        Corners of the bin's floor, at z = 0.
-    cubes : int
-    seed : int
-        Of the cubes' rotations.
+    low, high (2,) m: Corners of the bin's floor, at z = 0.
+    seed: Of the cubes' rotations.
     """
 
     low: tuple[float, float]
@@ -110,18 +105,10 @@ def away(t: float) -> tuple[Floats, Floats, Floats]:
 class Settled:
     """Soil at rest.
 
-    Parameters
-    ----------
-    site : Site
-    heap : Heap
-    level : float, m
-        How high it lies.
-    carried : float, N
-        Force on the bin, upward, over the last tenth of a second, with what speeds the cubes up.
-    unaccounted : float
-        Energy that came from nothing, of that dissipated.
-    seconds : float
-        Processor seconds.
+    level m: How high it lies.
+    carried N: Force on the bin, upward, over the last tenth of a second, with what speeds the cubes up.
+    unaccounted: Energy that came from nothing, of that dissipated.
+    seconds: Processor seconds.
     """
 
     site: Site
@@ -157,20 +144,12 @@ def settle(site: Site, duration: float, split: int = 1) -> Settled:
 class Dug:
     """The bucket's work.
 
-    Parameters
-    ----------
-    heap : Heap
-        Soil at the end.
-    table : pandas.DataFrame
-        Energies of the soil, work of the bucket, cubes asleep and in the bucket, by time.
-    snapshots : pandas.DataFrame
-        Places and rotations of the cubes at some times.
-    machine : pandas.DataFrame
-        Angles of the hinges, torques and work of the drives, energy of the machine, by time.
-    unexplained : float, J
-        Work of the drives that is neither energy, of machine or soil, nor dissipation.
-    seconds : float
-        Processor seconds.
+    heap: Soil at the end.
+    table: Energies of the soil, work of the bucket, cubes asleep and in the bucket, by time.
+    snapshots: Places and rotations of the cubes at some times.
+    machine: Angles of the hinges, torques and work of the drives, energy of the machine, by time.
+    unexplained J: Work of the drives that is neither energy, of machine or soil, nor dissipation.
+    seconds: Processor seconds.
     """
 
     heap: Heap

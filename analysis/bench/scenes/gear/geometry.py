@@ -17,14 +17,9 @@ STEEL = 7850.0
 class Wheel:
     """Involute wheel.
 
-    Parameters
-    ----------
-    teeth : int
-        Number of teeth.
-    module, pressure_angle : float
-        m and rad: pitch diameter by teeth, and angle of the line of action.
-    shift : float
-        Outward shift of its teeth's profile, in modules.
+    teeth: Number of teeth.
+    module, pressure_angle: m and rad: pitch diameter by teeth, and angle of the line of action.
+    shift: Outward shift of its teeth's profile, in modules.
     """
 
     teeth: int
@@ -78,14 +73,9 @@ class GearPair:
     it moves. With base radius r and angle a of its wheel, positive in that direction, s = r a + n p for
     flank n, p the base pitch: the gap of two flanks is linear in the angles.
 
-    Parameters
-    ----------
-    teeth : (int, int)
-        Of the driving and of the driven wheel.
-    module, pressure_angle, width : float
-        m, rad and m.
-    shift : float
-        Of the teeth of the driving wheel outwards, and of the driven one's inwards, in modules.
+    teeth: Of the driving and of the driven wheel.
+    module, pressure_angle, width: m, rad and m.
+    shift: Of the teeth of the driving wheel outwards, and of the driven one's inwards, in modules.
     """
 
     teeth: tuple[int, int] = (20, 40)

@@ -24,25 +24,15 @@ NO_TOOTH = -1
 class Gear:
     """Numbers of the scene; m, kg, s, N.
 
-    Parameters
-    ----------
-    pair : GearPair
-        Geometry.
-    stiffness : float
-        c' of one pair of teeth by width, N/m^2: 14 N/(mm um) by ISO 6336.
-    torque : float
-        On the driving wheel, N m; that on the driven one holds against it.
-    speed : float
-        Of the driving wheel, rad/s.
-    flank : Law
-        Normal force of flanks: by default as stiff at the torque as a line contact of steel, some 2 N/nm.
-    damping : float
-        Of a tooth on its spring, relative to critical damping of the wheels on one pair of teeth.
-    tooth : float
-        Inertia of the teeth relative to steel; what they lack is the wheel's, so that both together stay.
-    backlash : float
-        Play between the back flanks, m along their line of action, while the front ones touch; infinite:
-        they are left out.
+    pair: Geometry.
+    stiffness: c' of one pair of teeth by width, N/m^2: 14 N/(mm um) by ISO 6336.
+    torque: On the driving wheel, N m; that on the driven one holds against it.
+    speed: Of the driving wheel, rad/s.
+    flank: Normal force of flanks: by default as stiff at the torque as a line contact of steel, some 2 N/nm.
+    damping: Of a tooth on its spring, relative to critical damping of the wheels on one pair of teeth.
+    tooth: Inertia of the teeth relative to steel; what they lack is the wheel's, so that both together stay.
+    backlash: Play between the back flanks, m along their line of action, while the front ones touch;
+        infinite: they are left out.
     """
 
     pair: GearPair = field(default_factory=GearPair)
@@ -111,18 +101,11 @@ class Gear:
 class Flanks:
     """All flanks of a pair of wheels, an element of a mechanism.
 
-    Parameters
-    ----------
-    pair : GearPair
-        Geometry.
-    law : Law
-        Normal force.
-    backlash : float
-        Play of the back flanks.
-    wheels : (str, str)
-        Hinges of the driving and of the driven wheel.
-    teeth : tuple of two tuples of str
-        Hinge of each tooth, empty for one that is part of its wheel.
+    pair: Geometry.
+    law: Normal force.
+    backlash: Play of the back flanks.
+    wheels: Hinges of the driving and of the driven wheel.
+    teeth: Hinge of each tooth, empty for one that is part of its wheel.
     """
 
     pair: GearPair
@@ -151,16 +134,11 @@ class Flanks:
 class Meshing:
     """Flanks in a mechanism.
 
-    Parameters
-    ----------
-    one, other : (1 + teeth,) int
-        Freedoms of each wheel and of its teeth, -1 for a tooth that is part of the wheel.
-    numbers : (7,) float
-        Base radii, base pitch, beginning and end of the path of contact; across a tooth, play.
-    corners : tuple
-        Tip corners: :attr:`GearPair.corners`.
-    law : (3,) float
-        Stiffness, exponent, damping.
+    one, other (1 + teeth,) int: Freedoms of each wheel and of its teeth, -1 for a tooth that is part of the
+        wheel.
+    numbers (7,): Base radii, base pitch, beginning and end of the path of contact; across a tooth, play.
+    corners: Tip corners: :attr:`GearPair.corners`.
+    law (3,): Stiffness, exponent, damping.
     """
 
     one: Integers
@@ -255,26 +233,7 @@ def gears(
     start: Mapping[str, float] = MappingProxyType({}),
     drive: Callable[[float], tuple[float, float, float]] | None = None,
 ) -> Model:
-    """Build the mechanism.
-
-    Parameters
-    ----------
-    gear : Gear
-        Its numbers.
-    live : (range, range), optional
-        Teeth that are bodies, of both wheels; the others are part of them. By default all.
-    rigid : bool
-        Whether no tooth is: wheels with rigid teeth, which give way at the flanks only.
-    start : mapping of str to float
-        Coordinates of hinges at the start, by name; 0 of the others.
-    drive : callable, optional
-        Time -> angle, rate and acceleration of the driving wheel, in place of its torque.
-
-    Returns
-    -------
-    Model
-        Hinges ``wheel 0`` and ``wheel 1``, and ``tooth 0 7`` of tooth 7 of wheel 0.
-    """
+    """Build the mechanism."""
     m = Mechanism()
     everything = tuple(range(teeth) for teeth in gear.pair.teeth)
     live = (range(0), range(0)) if rigid else live or (everything[0], everything[1])

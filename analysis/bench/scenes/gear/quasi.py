@@ -31,13 +31,7 @@ def stiff_flanks(gear: Gear, factor: float = 1e5) -> Gear:
 
 
 def at_rest(gear: Gear, place: float) -> tuple[Model, Floats]:
-    """Model with the teeth that may touch, and its coordinates at rest, the driving wheel held at a place.
-
-    Raises
-    ------
-    MechanicsError
-        If no equilibrium is found, or the torque parts the flanks.
-    """
+    """Model with the teeth that may touch, and its coordinates at rest, the driving wheel held at a place."""
     if not gear.torque > 0.0:
         raise MechanicsError(f"torque {gear.torque:g}: give one above 0, which holds the flanks together")
     base = gear.pair.wheels[0].base

@@ -23,10 +23,7 @@ HEAVE, ROLL, CRADLE, SLIDE = range(4)
 class Planar:
     """Equations of motion of a gun.
 
-    Parameters
-    ----------
-    gun : Gun
-        Whose deck moves.
+    gun: Whose deck moves.
     """
 
     gun: Gun

@@ -46,31 +46,18 @@ _EQUAL = 1e-10
 class Gun:
     """What is varied.
 
-    Parameters
-    ----------
-    deck : float
-        Stiffness k_d of the deck in heave, N/m; ``inf`` leaves the deck out.
-    axle : float
-        Stiffness of the axle, N m/rad.
-    balanced : float
-        Stiffness of the equilibrator, relative to the one that balances cradle and barrel at any elevation; 0
-        leaves it out.
-    ratio : float
-        Damper of the axle, relative to critical.
-    cells : int
-        Cells of the tube; none is a rigid one.
-    bending : float
-        Factor of the tube's stiffness.
-    offset : float
-        How far the breech's centre of mass lies below the bore, m.
-    damped : float
-        Factor of all dampers and of the brake.
-    charge : float
-        Factor of the firing force.
-    shots : int
-        Number of shots.
-    blow : float
-        Impulse of a moment on the deck that comes and goes as the firing force does, N m s.
+    deck: Stiffness k_d of the deck in heave, N/m; ``inf`` leaves the deck out.
+    axle: Stiffness of the axle, N m/rad.
+    balanced: Stiffness of the equilibrator, relative to the one that balances cradle and barrel at any
+        elevation; 0 leaves it out.
+    ratio: Damper of the axle, relative to critical.
+    cells: Cells of the tube; none is a rigid one.
+    bending: Factor of the tube's stiffness.
+    offset: How far the breech's centre of mass lies below the bore, m.
+    damped: Factor of all dampers and of the brake.
+    charge: Factor of the firing force.
+    shots: Number of shots.
+    blow: Impulse of a moment on the deck that comes and goes as the firing force does, N m s.
     """
 
     deck: float = 1e8
@@ -138,14 +125,8 @@ HEELING = (
 class Built:
     """A gun as a mechanism, standing.
 
-    Parameters
-    ----------
-    gun : Gun
-    model : Model
-    muzzle : tuple of str and (3,) float
-        Body and point.
-    start : Phase
-        Where it stands before it fires.
+    muzzle: Body and point.
+    start: Where it stands before it fires.
     """
 
     gun: Gun
@@ -184,13 +165,7 @@ class Built:
 
 
 def built(gun: Gun) -> Built:
-    """Build a gun, and let it come to rest.
-
-    Raises
-    ------
-    MechanicsError
-        If a number is unphysical, or there is no place where it stands.
-    """
+    """Build a gun, and let it come to rest."""
     mechanism = Mechanism(gravity=(0.0, 0.0, -GRAVITY))
     heave, roll, axle = gun.dampers
     under = "world"

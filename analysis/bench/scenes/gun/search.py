@@ -27,17 +27,7 @@ LOW, HIGH = np.array([4.0, -2.0, 0.0]), np.array([np.log10(STIFFEST), 0.5, 2.0])
 
 
 def searched(numbers: tuple[int, int, int] = (4, 2, 2), most: int = 20, until: float = UNTIL) -> pd.DataFrame:
-    """Least share of the stiffest axle's motion that is found: a grid, then Nelder and Mead from its best.
-
-    Parameters
-    ----------
-    numbers : tuple of 3 int
-        Points of the grid: stiffness of the axle, its damper, equilibrator.
-    most : int
-        Largest number of guns that Nelder and Mead try from there.
-    until : float
-        End of the motion, s.
-    """
+    """Least share of the stiffest axle's motion that is found: a grid, then Nelder and Mead from its best."""
     grid = np.array(list(product(*map(np.linspace, LOW, HIGH, numbers))))
     rows = []
     for case, gun in CASES:

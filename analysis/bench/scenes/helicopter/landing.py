@@ -95,21 +95,8 @@ def oscillator(
 ) -> tuple[Floats, Floats]:
     """Depth of the feet and force of linear legs (n,) of a rigid helicopter: a damped oscillator.
 
-    Parameters
-    ----------
-    times : (n,) float
-        Times after the touch.
-    stiffness, damping, air : float
-        Of all legs together, and damping by the lift.
-    sink, down : float
-        Speed at the touch; force down at that speed, weight less lift.
-    mass : float
-        Mass.
-
-    Returns
-    -------
-    (n,) float, (n,) float
-        Valid until the force is zero.
+    times (n,).
+    -> (n,): Valid until the force is zero.
     """
     # m d'' + (c + air) d' + k d = down + air sink, from d = 0, d' = sink.
     both = damping + air

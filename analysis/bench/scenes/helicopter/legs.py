@@ -23,20 +23,12 @@ class Legs:
     d is the depth of a foot, and nothing acts above the ground. Friction is mu F v / sqrt(v^2 + slip^2),
     against the velocity v along the ground.
 
-    Parameters
-    ----------
-    body : str
-        Body that has the legs.
-    feet : sequence of (3,) array_like
-        Where they end, in the body's axes.
-    stiffness, damping, squared : float
-        Constants k, c and c2 of a leg.
-    friction : float
-        Coefficient mu.
-    slip : float
-        Speed at which friction has 0.7 of its full size.
-    slope : float
-        Angle, rad, by which the ground rises with y from the origin: it is z = y tan(slope).
+    body: Body that has the legs.
+    feet: Where they end, in the body's axes.
+    stiffness, damping, squared: Constants k, c and c2 of a leg.
+    friction: Coefficient mu.
+    slip: Speed at which friction has 0.7 of its full size.
+    slope: Angle, rad, by which the ground rises with y from the origin: it is z = y tan(slope).
     """
 
     body: str

@@ -35,18 +35,11 @@ class Lift:
 
     z' is the speed of the strip along the shaft, theta the pitch with the sine of its twist from the hub.
 
-    Parameters
-    ----------
-    hub : str
-        Body whose z axis is the shaft.
-    strips : tuple of Strip
-        Pieces of all blades.
-    constant : float
-        Density / 2, times chord, times slope of the lift.
-    rate, pitch, gust : callable
-        Time -> rate of the shaft W, pitch theta, upward gust w.
-    inflow : float
-        Induced velocity v_i.
+    hub: Body whose z axis is the shaft.
+    strips: Pieces of all blades.
+    constant: Density / 2, times chord, times slope of the lift.
+    rate, pitch, gust: Time -> rate of the shaft W, pitch theta, upward gust w.
+    inflow: Induced velocity v_i.
     """
 
     hub: str

@@ -32,10 +32,7 @@ _PARALLEL = 1e-9
 class ReducedSystem(Equations):
     """Equations of motion along some directions only.
 
-    Parameters
-    ----------
-    directions : (n_v, k) float
-        Columns that span the velocities, none of them of driven hinges.
+    directions (n_v, k): Columns that span the velocities, none of them of driven hinges.
     """
 
     directions: Floats = field(kw_only=True)
@@ -73,10 +70,7 @@ class ReducedSystem(Equations):
 class ReducedModel(Model):
     """Model that moves along some directions only, made by :func:`in_modes`; its other fields are a model's.
 
-    Parameters
-    ----------
-    shapes : (n_v, k) float
-        Directions.
+    shapes (n_v, k): Directions.
     """
 
     shapes: Floats = field(kw_only=True)
@@ -95,27 +89,7 @@ class ReducedModel(Model):
 
 
 def in_modes(model: Model, groups: Iterable[tuple[Sequence[str], int]]) -> ReducedModel:
-    """Let groups of hinges move in their lowest modes only.
-
-    Parameters
-    ----------
-    model : Model
-        Mechanism with springs on these hinges; all others move as before.
-    groups : iterable of (sequence of str, int)
-        Names of the hinges of each group, as those of a beam about one of its axes, and the number of its
-        modes. They are modes of small motions about the start, at rest, with all other hinges held.
-
-    Returns
-    -------
-    ReducedModel
-        Which takes Runge-Kutta, Dormand-Prince and Rosenbrock.
-
-    Raises
-    ------
-    MechanicsError
-        If a hinge is in two groups or has no spring, there are not as many modes, or the start moves
-        otherwise.
-    """
+    """Let groups of hinges move in their lowest modes only."""
     if model.bodies.joints is not None:
         raise MechanicsError("loops do not close on bodies that bend in modes; take add_beam()")
     tree = model.tree

@@ -43,30 +43,17 @@ LEGS = Legs(
 class Given:
     """What differs from case to case.
 
-    Parameters
-    ----------
-    cells : int
-        Cells of each blade; 0 for rigid ones.
-    modes : bool
-        Whether blades bend in two modes of flap, and one of lag and torsion each, instead of freely.
-    mounts : bool
-        Whether the transmission is on its mounts, instead of fixed.
-    legs : Legs or None
-        Legs, if the ground is near.
-    speed : float
-        Rate of the shaft, unless ``motion`` gives it.
-    motion : callable or None
-        Time -> angle, rate and acceleration of the shaft.
-    pitch, gust : callable
-        Time -> pitch, upward gust.
-    inflow : float
-        Induced velocity.
-    beam : Beam
-        A blade.
-    damping : float
-        Time constant of the blades' own damping, s.
-    loads : tuple
-        Arguments of :meth:`Mechanism.load`.
+    cells: Cells of each blade; 0 for rigid ones.
+    modes: Whether blades bend in two modes of flap, and one of lag and torsion each, instead of freely.
+    mounts: Whether the transmission is on its mounts, instead of fixed.
+    legs: Legs, if the ground is near.
+    speed: Rate of the shaft, unless ``motion`` gives it.
+    motion: Time -> angle, rate and acceleration of the shaft.
+    pitch, gust: Time -> pitch, upward gust.
+    inflow: Induced velocity.
+    beam: A blade.
+    damping: Time constant of the blades' own damping, s.
+    loads: Arguments of :meth:`Mechanism.load`.
     """
 
     cells: int = 6
@@ -192,17 +179,7 @@ def induced(thrust: float) -> float:
 
 
 def settled(model: Model, velocity: tuple[float, float, float], depth: float | None = None) -> Phase:
-    """Phase in which nothing vibrates: blades coned, mounts pressed, by Newton's method.
-
-    Parameters
-    ----------
-    model : Model
-        Helicopter.
-    velocity : (3,) float
-        Velocity of all of it.
-    depth : float, optional
-        How deep the feet are about, if it stands; otherwise it stays in place and its parts fall together.
-    """
+    """Phase in which nothing vibrates: blades coned, mounts pressed, by Newton's method: velocity (3,)."""
     tree, b = model.tree, model.directions
     roots = [int(tree.v_start[k]) for k in np.flatnonzero(tree.parent < 0)]
     qd = model.qd.copy()

@@ -20,20 +20,12 @@ RPM = 2.0 * np.pi / 60.0
 class Rotor:
     """A rotor with hinges of lag on a hub that slides.
 
-    Parameters
-    ----------
-    blades : int
-        Number of blades.
-    mass, first, second : float
-        Mass of a blade, and its first and second moment about the hinge of lag.
-    offset : float
-        Distance of the hinges from the shaft.
-    lag_damping : float
-        Of the dampers at the hinges.
-    hub_mass, hub_damping : (float, float)
-        Along x and y.
-    hub_stiffness : float
-        Along both.
+    blades: Number of blades.
+    mass, first, second: Mass of a blade, and its first and second moment about the hinge of lag.
+    offset: Distance of the hinges from the shaft.
+    lag_damping: Of the dampers at the hinges.
+    hub_mass, hub_damping: Along x and y.
+    hub_stiffness: Along both.
     """
 
     blades: int = 4
@@ -135,17 +127,7 @@ def states(model: Model, rotor: Rotor, rate: float, q: Floats, qd: Floats) -> Fl
 
 
 def simulated(rotor: Rotor, rate: float, turns: int, steps: int = 64, size: float = 1e-4) -> Floats:
-    """Follow the least stable mode; return times, and the sizes of (x, y, z_c, z_s): (n, 2).
-
-    Parameters
-    ----------
-    rotor, rate : Rotor and float
-        Rotor, and rate of its shaft.
-    turns, steps : int
-        Turns of the shaft, and time steps of each.
-    size : float
-        Size of the first state.
-    """
+    """Follow the least stable mode; return times, and the sizes of (x, y, z_c, z_s): (n, 2)."""
     values, vectors = eigenvalues(rotor, rate)
     # One of a pair: its state turns in a plane, and grows in it.
     worst = vectors[:, np.argmax(values.real)]

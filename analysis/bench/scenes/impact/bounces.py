@@ -19,27 +19,7 @@ SLOWEST = 1e-4
 
 
 def bounce(model: Model, ends: bool, until: float = 9.0) -> tuple[pd.DataFrame, float]:
-    """Let the ball fall.
-
-    Parameters
-    ----------
-    model : Model
-        The ball.
-    ends : bool
-        Whether slow bounces are ended by the jump.
-    until : float
-        Time of the end.
-
-    Returns
-    -------
-    pandas.DataFrame, float
-        Time and speed of each bounce; the time at which they end (infinite if they do not).
-
-    Raises
-    ------
-    MechanicsError
-        If the bounces become too short for the clock, and are not ended.
-    """
+    """Let the ball fall."""
     rows: list[dict[str, float]] = []
     rest = [np.inf]
 

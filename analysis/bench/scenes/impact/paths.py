@@ -44,19 +44,7 @@ def along(point: Point, tolerance: float) -> Floats:
 def integrated(point: Point, tolerance: float, smooth: float = 0.0) -> tuple[Floats, Floats, Floats]:
     """Integrate du/dp = W (1, t) by scipy, t = -mu u_t/|u_t|, to the end by Poisson's law.
 
-    Parameters
-    ----------
-    point : Point
-        The point.
-    tolerance : float
-        Relative.
-    smooth : float
-        With it t = -mu u_t/sqrt(u_t^2 + (smooth u_n)^2), by an implicit method.
-
-    Returns
-    -------
-    (3,) float, (k,) float, (k, 3) float
-        Velocities after; normal impulses and velocities on the way.
+    -> (3,): Velocities after; normal impulses and velocities on the way.
     """
     w, u, mu, e = point
     least = (smooth * u[0]) ** 2
@@ -135,20 +123,7 @@ def work(quick: bool) -> Iterator[Work]:
 
 
 def soft_floor(stiffness: float, steps: int) -> tuple[float, float]:
-    """Let the rods' tip sink into a floor without friction, and come out of it.
-
-    Parameters
-    ----------
-    stiffness : float
-        Of Flores' law with exponent 1.5, N/m^1.5, for a restitution of 0.5.
-    steps : int
-        Time steps over some two times the time of contact.
-
-    Returns
-    -------
-    float, float
-        Normal velocity of the tip after, and that of an impulse with the law's real restitution.
-    """
+    """Let the rods' tip sink into a floor without friction, and come out of it."""
     model, blow = rods(0.0)
     (w, *_), (u, *_) = point_of(model, blow)[:2]
     law = flores(stiffness, 0.5, -u)

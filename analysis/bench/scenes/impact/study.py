@@ -38,16 +38,10 @@ LAWS: tuple[Law, ...] = ("newton", "poisson", "stronge")
 class Kind(NamedTuple):
     """A row of the study.
 
-    Parameters
-    ----------
-    plane : bool
-        Whether all moves in one plane.
-    points : int
-        Number of points.
-    law, order : str
-        As of :func:`protochain.mechanisms.impacts.impact`.
-    share : float
-        Of all impacts.
+    plane: Whether all moves in one plane.
+    points: Number of points.
+    law, order: As of :func:`protochain.mechanisms.impacts.impact`.
+    share: Of all impacts.
     """
 
     plane: bool
@@ -70,14 +64,9 @@ KINDS = (
 class Posed:
     """A tree in a pose, perhaps with loops.
 
-    Parameters
-    ----------
-    factors : Articulated
-        Tree, frames and factors of M.
-    loops : Rows, optional
-        Rows of the loops.
-    plane : bool
-        Whether all moves in the plane z = 0.
+    factors: Tree, frames and factors of M.
+    loops: Rows of the loops.
+    plane: Whether all moves in the plane z = 0.
     """
 
     factors: Articulated
@@ -86,21 +75,7 @@ class Posed:
 
 
 def random_impacts(n: int, seed: int) -> pd.DataFrame:
-    """Make random impacts, and count those that add energy.
-
-    Parameters
-    ----------
-    n : int
-        Number of impacts.
-    seed : int
-        Seed.
-
-    Returns
-    -------
-    pandas.DataFrame
-        A row for each of ``KINDS`` and for trees and loops: ``impacts``, ``refused``, ``gained`` (of those
-        not refused) and the largest change of the kinetic energy, relative to that before.
-    """
+    """Make random impacts, and count those that add energy."""
     rng, rows = np.random.default_rng(seed), []
     for kind in KINDS:
         for looped in (False, True):
@@ -180,21 +155,7 @@ def random_points(
 
 
 def random_pose(plane: bool, looped: bool, rng: np.random.Generator) -> Posed:
-    """Make a random tree of 3 to 8 bodies in a random pose, with one or two loops or none.
-
-    Parameters
-    ----------
-    plane : bool
-        Whether it moves in the plane z = 0: from pins in the world, by revolute hinges along z.
-    looped : bool
-        Whether bodies are pinned together or, in space, hold two distances.
-    rng : numpy.random.Generator
-        Source of random numbers.
-
-    Returns
-    -------
-    Posed
-    """
+    """Make a random tree of 3 to 8 bodies in a random pose, with one or two loops or none."""
     n = int(rng.integers(3, 9))
     tree = _plane_tree(n, rng) if plane else _space_tree(n, rng)
     q = rng.normal(size=tree.n_q)

@@ -23,16 +23,10 @@ G = 9.81
 class Blow:
     """Where bodies of a mechanism touch.
 
-    Parameters
-    ----------
-    first, second : str
-        Bodies, or "world".
-    at : (3,) array_like
-        The point, in the second body's own axes.
-    normal : (3,) array_like
-        From the first to the second, in the world.
-    friction, restitution : float
-        Coefficients.
+    first, second: Bodies, or "world".
+    at (3,): The point, in the second body's own axes.
+    normal (3,): From the first to the second, in the world.
+    friction, restitution: Coefficients.
     """
 
     first: str
@@ -55,22 +49,7 @@ class Blow:
 def struck(
     model: Model, blows: Sequence[Blow], law: Law = "poisson", order: Order = "together"
 ) -> tuple[Impact, float]:
-    """Strike a mechanism as it starts.
-
-    Parameters
-    ----------
-    model : Model
-        The mechanism.
-    blows : sequence of Blow
-        Where.
-    law, order : str
-        As of :func:`protochain.mechanisms.impacts.impact`.
-
-    Returns
-    -------
-    Impact, float
-        What it does, and the kinetic energy before.
-    """
+    """Strike a mechanism as it starts."""
     start = model.start()
     state = model.state(start)
     return impact(state.factors, state.qd, [b.point(state) for b in blows], law, None, order), start.kinetic

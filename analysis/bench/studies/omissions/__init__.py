@@ -30,22 +30,7 @@ _SECONDS = 3.0, 0.2
 
 
 def run(output: Path, inputs: Sequence[Path] = (), quick: bool = False) -> Iterator[pd.DataFrame]:
-    """Run all of them; write ``omissions.csv``, ``omissions.png`` and ``report.html``.
-
-    Parameters
-    ----------
-    output : Path
-        Folder.
-    inputs : sequence of Path
-        Structures; an extended chain by default, which has neither disulfides nor waters.
-    quick : bool
-        Some of them, timed for less long: under a minute.
-
-    Yields
-    ------
-    pandas.DataFrame
-        Those of each structure. Their column ``verdict`` is ``right`` or ``wrong``.
-    """
+    """Run all of them; write ``omissions.csv``, ``omissions.png`` and ``report.html``."""
     rows: list[Row] = []
     chosen = [each for each in (*energies.OMISSIONS, *runs.OMISSIONS) if each.in_quick or not quick]
     with threadpool_limits(1, "blas"):

@@ -39,18 +39,11 @@ Counted = Callable[[], Mapping[str, int]]
 class Both:
     """Two ways to one answer.
 
-    Parameters
-    ----------
-    everything, less : callable
-        Point -> answer.
-    points : sequence
-        Where the answers are compared; they are timed at the first.
-    sizes : callable
-        Point -> what the error of each part of the answer is relative to.
-    counts : tuple of callables, optional
-        Counts of each way, taken after an evaluation.
-    what : str
-        What is left out, in words.
+    everything, less: Point -> answer.
+    points: Where the answers are compared; they are timed at the first.
+    sizes: Point -> what the error of each part of the answer is relative to.
+    counts: Counts of each way, taken after an evaluation.
+    what: What is left out, in words.
     """
 
     everything: Call
@@ -65,11 +58,7 @@ class Both:
 class Material:
     """What omissions are tried on.
 
-    Parameters
-    ----------
-    structure : Structure
-    path : Path, optional
-        File that it came from, which may hold waters.
+    path: File that it came from, which may hold waters.
     """
 
     structure: Structure
@@ -87,13 +76,7 @@ class Material:
 
 
 def native(made: Energy) -> NativeEnergy:
-    """Energy by native kernels.
-
-    Raises
-    ------
-    ProtochainError
-        If another engine was chosen for it.
-    """
+    """Energy by native kernels."""
     if not isinstance(made, NativeEnergy):
         raise ProtochainError(f"omissions: needs the native engine, and the energy is by {made.engine}")
     return made
@@ -103,14 +86,9 @@ def native(made: Energy) -> NativeEnergy:
 class Omission:
     """One representative run.
 
-    Parameters
-    ----------
-    name, against : str
-        What runs, and what "everything" is.
-    make : callable
-        Material -> both ways; None if the material has not what it takes.
-    in_quick : bool
-        Whether ``--quick`` has it.
+    name, against: What runs, and what "everything" is.
+    make: Material -> both ways; None if the material has not what it takes.
+    in_quick: Whether ``--quick`` has it.
     """
 
     name: str
@@ -167,13 +145,7 @@ def run_omission(omission: Omission, material: Material, seconds: float) -> Row 
 
 
 def difference(a: Answer, b: Answer, sizes: Sequence[float]) -> float:
-    """Largest difference of the parts of two answers, each relative to its size; NaN if any is.
-
-    Raises
-    ------
-    ProtochainError
-        If the answers have not the same shapes.
-    """
+    """Largest difference of the parts of two answers, each relative to its size; NaN if any is."""
     if [np.shape(part) for part in a] != [np.shape(part) for part in b] or len(a) != len(sizes):
         raise ProtochainError("omissions: answers of different shapes")
     each = [

@@ -76,29 +76,7 @@ KINDS = {
 def run(
     output: Path, inputs: Sequence[Path] = (), quick: bool = False, only: Sequence[str] = tuple(KINDS)
 ) -> Iterator[pd.DataFrame]:
-    """Measure; write ``curves.csv``, a CSV and a picture for each kind, and ``report.html``.
-
-    Parameters
-    ----------
-    output : Path
-        Folder.
-    inputs : sequence of Path
-        Structures for the minimisers; three peptides by default. The other kinds make their own.
-    quick : bool
-        Few and small cases: within a minute.
-    only : sequence of str
-        Kinds to measure.
-
-    Yields
-    ------
-    pandas.DataFrame
-        Of the minimisers their ends and their table; of the others the points.
-
-    Raises
-    ------
-    ProtochainError
-        If a kind is not known, or files are given and none of the kinds reads them.
-    """
+    """Measure; write ``curves.csv``, a CSV and a picture for each kind, and ``report.html``."""
     for name in only:
         if name not in KINDS:
             raise ProtochainError(f"precision: there is no kind {name!r}; choose from {', '.join(KINDS)}")

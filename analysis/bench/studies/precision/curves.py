@@ -18,24 +18,14 @@ _LEAST = 1e-21
 class Point:
     """One setting of one method: what it costs, and how far off it is.
 
-    Parameters
-    ----------
-    case : str
-        System or quantity: a panel of the picture.
-    method, parameter : str
-        A line of the panel, and a place on it.
-    error : float
-        In the unit.
-    unit : str
-        Unit of the error; ``1`` where it is relative.
-    held_against : str
-        What the result was compared with.
-    seconds : float
-        Processor seconds, on one thread.
-    evaluations : float
-        Of the energy, or of whatever the method counts; NaN where there is nothing to count.
-    n : int
-        Size of the system: bodies, freedoms or atoms.
+    case: System or quantity: a panel of the picture.
+    method, parameter: A line of the panel, and a place on it.
+    error: In the unit.
+    unit: Unit of the error; ``1`` where it is relative.
+    held_against: What the result was compared with.
+    seconds: Processor seconds, on one thread.
+    evaluations: Of the energy, or of whatever the method counts; NaN where there is nothing to count.
+    n: Size of the system: bodies, freedoms or atoms.
     """
 
     case: str
@@ -53,14 +43,9 @@ class Point:
 class Kind:
     """Something that approximates or iterates.
 
-    Parameters
-    ----------
-    title : str
-        Heading of its part of the page.
-    measured : str
-        One sentence: what is measured, and on what.
-    measure : callable
-        Whether it must be quick -> points.
+    title: Heading of its part of the page.
+    measured: One sentence: what is measured, and on what.
+    measure: Whether it must be quick -> points.
     """
 
     title: str

@@ -7,23 +7,7 @@ import numpy as np
 
 
 def extrapolated(f: Callable[[Any], Any], h: Any, levels: int = 5) -> tuple[np.ndarray, float]:
-    """Derivative of a smooth function at zero, and an estimate of its error.
-
-    Parameters
-    ----------
-    f : callable
-        Number -> array or number.
-    h : float
-        First step; each of the others is half of the one before.
-    levels : int
-        Number of steps.
-
-    Returns
-    -------
-    array, float
-        The entry of Romberg's table of central differences that differs least from its two neighbours, and
-        the larger of these differences (Ridders, Adv. Eng. Softw. 4:75, 1982).
-    """
+    """Derivative of a smooth function at zero, and an estimate of its error."""
     best, least = np.asarray(np.nan), np.inf
     above: list[np.ndarray] = []
     for i in range(levels):

@@ -18,8 +18,6 @@ DIGITS = f"{np.finfo(WIDE).nmant + 1} bits"
 def wide_frames(tree: Tree, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rotations (nb, 3, 3) and origins (nb, 3) of the bodies' frames at coordinates q (n_q,).
 
-    Notes
-    -----
     Hinges turn (REVOLUTE) or are free; other kinds are not needed here.
     """
     turn, at = np.zeros((tree.n_bodies, 3, 3), WIDE), np.zeros((tree.n_bodies, 3), WIDE)
@@ -43,12 +41,9 @@ def wide_frames(tree: Tree, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 class WideMass:
     """Mass matrix, the sum over bodies of J^T I J.
 
-    Parameters
-    ----------
-    spin, flow : (nb, 3, n_v) longdouble
-        Angular velocities of the bodies, and velocities of their centres of mass, for unit rates.
-    mass, inertia : (nb,) and (nb, 3, 3) longdouble
-        Masses, and inertia tensors along the world's axes.
+    spin, flow (nb, 3, n_v): Angular velocities of the bodies, and velocities of their centres of mass, for
+        unit rates.
+    mass, inertia (nb,): Masses, and inertia tensors along the world's axes.
     """
 
     spin: np.ndarray

@@ -36,22 +36,7 @@ _QUICK = 200
 
 
 def run(output: Path, inputs: Sequence[Path] = (), quick: bool = False) -> Iterator[pd.DataFrame]:
-    """Measure all methods; write ``traces.csv``, ``ends.csv``, ``precision.csv`` and ``precision.png``.
-
-    Parameters
-    ----------
-    output : Path
-        Folder.
-    inputs : sequence of Path
-        Structures; three peptides by default.
-    quick : bool
-        One peptide by default, and a fifth of the evaluations.
-
-    Yields
-    ------
-    pandas.DataFrame
-        Ends of each structure when it is done, and finally the table.
-    """
+    """Measure all methods; write ``traces.csv``, ``ends.csv``, ``precision.csv`` and ``precision.png``."""
     traces, ends = [], []
     peptides = map(from_sequence, PEPTIDES[: 1 if quick else None])
     for structure in (load(path) for path in inputs) if inputs else peptides:
@@ -89,18 +74,7 @@ def measure(structure: Structure, most: int = _MOST) -> tuple[pd.DataFrame, pd.D
 
 
 def work(traces: pd.DataFrame, ends: pd.DataFrame) -> pd.DataFrame:
-    """Evaluations and seconds until each method came near the best known energy.
-
-    Parameters
-    ----------
-    traces, ends : pandas.DataFrame
-        As from :func:`measure`, of one or many structures.
-
-    Returns
-    -------
-    pandas.DataFrame
-        One row per method, cost and threshold: median and quartiles over the structures, infinite if never.
-    """
+    """Evaluations and seconds until each method came near the best known energy."""
     rows = []
     for (method, structure), trace in traces.groupby(["method", "structure"], sort=False):
         best, residues = _best(ends, str(method), str(structure))

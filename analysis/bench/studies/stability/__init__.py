@@ -25,34 +25,7 @@ def run(
     threads: int = 2,
     workers: int | None = None,
 ) -> Iterator[pd.DataFrame]:
-    """Run the grid; write ``cells.csv``, ``grid.png`` and ``report.html``, and of all of it solvers' errors.
-
-    Parameters
-    ----------
-    output : Path
-        Folder.
-    inputs : sequence of Path
-        Must be empty: the cases are made here.
-    quick : bool
-        Only cases of some seconds: two minutes on 2 cores.
-    rows : sequence of str
-        Rows of the grid.
-    threads : int
-        What has threads is computed on one and on so many, and must be the same.
-    workers : int, optional
-        Processes; as many as there are processors for, by default.
-
-    Yields
-    ------
-    pandas.DataFrame
-        Counts of verdicts by row; the cells that are wrong, or ``wrong`` in the column ``verdict`` of none;
-        and the times and errors of the solvers.
-
-    Raises
-    ------
-    ProtochainError
-        If files are given or a row is not known.
-    """
+    """Run the grid; write ``cells.csv``, ``grid.png`` and ``report.html``, and solvers' errors."""
     if inputs:
         raise ProtochainError("stability: makes its own cases; give no files")
     if threads < 1 or (workers is not None and workers < 1):

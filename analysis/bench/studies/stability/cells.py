@@ -38,16 +38,10 @@ class Part(IntEnum):
 class Found:
     """What a check found.
 
-    Parameters
-    ----------
-    error : float
-        Size of the error; NaN is wrong.
-    bound : float
-        Largest error that theory allows.
-    oracle : str
-        What the result was held against.
-    message : str
-        Anything else worth a line.
+    error: Size of the error; NaN is wrong.
+    bound: Largest error that theory allows.
+    oracle: What the result was held against.
+    message: Anything else worth a line.
     """
 
     error: float
@@ -60,18 +54,11 @@ class Found:
 class Case:
     """One cell: a check with its parameters.
 
-    Parameters
-    ----------
-    name, parameters : str
-        Row of the matrix and place in it.
-    check : callable
-        Number of threads -> what it found; a ProtochainError is a refusal.
-    part : Part
-        Smallest part of the grid that it belongs to.
-    refusal : Fault, Argument or None
-        What the refusal that is expected is about; None where an answer is.
-    threaded : bool
-        Whether what it computes depends on the number of threads.
+    name, parameters: Row of the matrix and place in it.
+    check: Number of threads -> what it found; a ProtochainError is a refusal.
+    part: Smallest part of the grid that it belongs to.
+    refusal: What the refusal that is expected is about; None where an answer is.
+    threaded: Whether what it computes depends on the number of threads.
     """
 
     name: str
@@ -142,13 +129,7 @@ def _judged(row: str, case: Case, threads: int) -> Cell:
 
 
 def cases_of(row: str, part: Part = Part.FULL) -> list[tuple[int, Case]]:
-    """Cases of a row in a part of the grid, with their places in its table.
-
-    Raises
-    ------
-    ProtochainError
-        If there is no such row.
-    """
+    """Cases of a row in a part of the grid, with their places in its table."""
     if row not in ROWS:
         raise ProtochainError(f"stability: there is no row {row!r}; choose from {', '.join(ROWS)}")
     table: Sequence[Case] = import_module(f"{__package__}.{row}").CASES
