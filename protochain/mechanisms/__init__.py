@@ -25,9 +25,10 @@ from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.linear import frequencies, state_matrix
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.mechanism import Mechanism
-from protochain.mechanisms.model import Audit, Model, Run
+from protochain.mechanisms.model import Model
 from protochain.mechanisms.pictures import Movie
 from protochain.mechanisms.rosenbrock import Rosenbrock
+from protochain.mechanisms.run import Audit, Run
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,15 +12,13 @@ from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
+from protochain.mechanisms.assembly import Assembly, Motion
 from protochain.mechanisms.bodies import WORLD, Bodies
 from protochain.mechanisms.bushing import Bushings
 from protochain.mechanisms.checks import number, numbers
 from protochain.mechanisms.contact_forces import ContactForces
 from protochain.mechanisms.shapes import Ball, OnPlane
 from protochain.mechanisms.springs import Springs
-
-if TYPE_CHECKING:
-    from protochain.mechanisms.model import Model, Run
 
 THICK = 0.02
 """Diameter of rods without a radius, and least thickness of blocks, by the size of the picture."""
@@ -134,7 +132,7 @@ class Drawing(NamedTuple):
         return np.asarray(points @ self.rotation[k, body].T + self.origin[k, body])
 
 
-def drawing(run: "Run", rows: Sequence[int], shapes: Sequence[Shape] | None) -> Drawing:
+def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) -> Drawing:
     """Return what there is to draw of rows of a run."""
     model, bodies = run.model, run.model.bodies
     own = tuple(_derived(model) if shapes is None else _checked(shapes, bodies))
@@ -184,7 +182,7 @@ def _checked(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
     return shapes
 
 
-def _derived(model: "Model") -> Iterator[Shape]:
+def _derived(model: Assembly) -> Iterator[Shape]:
     """Shapes of what is known: rods to where something is joined, balls of contacts, else blocks or balls.
 
     A block or ball has the body's moments of inertia.
@@ -212,7 +210,7 @@ def _derived(model: "Model") -> Iterator[Shape]:
             yield from _like(name, com, bodies.turn[b] @ tree.inertia[b] @ bodies.turn[b].T / tree.mass[b])
 
 
-def _joined(model: "Model") -> list[list[Floats]]:
+def _joined(model: Assembly) -> list[list[Floats]]:
     """Points of each body, in its own axes, at which other bodies, loops or springs are joined."""
     tree, bodies = model.tree, model.bodies
     found: list[list[Floats]] = [[] for _ in range(tree.n_bodies)]
@@ -257,7 +255,7 @@ def _balls(part: ContactForces, bodies: Bodies) -> tuple[list[int], list[Floats]
     )
 
 
-def _lines(model: "Model") -> Lines:
+def _lines(model: Assembly) -> Lines:
     """Springs between points."""
     rows = [part for part in model.conservative if isinstance(part, Springs)]
     turn = model.bodies.turn
@@ -268,7 +266,7 @@ def _lines(model: "Model") -> Lines:
     return Lines(ends, np.array(own, dtype=float).reshape(-1, 2, 3))
 
 
-def _grounds(model: "Model") -> Iterator[Ground]:
+def _grounds(model: Assembly) -> Iterator[Ground]:
     for part in model.conservative:
         finder = part.finder if isinstance(part, ContactForces) else None
         if isinstance(finder, OnPlane):

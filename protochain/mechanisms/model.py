@@ -1,50 +1,35 @@
-"""A mechanism as built, its simulation, and what comes of it: rows, table and audit."""
+"""A mechanism as built, and its simulation."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import null_space
 
-from protochain.core.arrays import Floats, read_only
+from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, MechanicsError
-from protochain.mechanics import multibody
 from protochain.mechanics.motion import (
-    Drive,
-    Equations,
     Integrator,
-    Load,
     Phase,
     RungeKutta4,
     StepTooLargeError,
-    System,
 )
-from protochain.mechanics.multibody import HingeKind, Tree
-from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
-from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.closed_equations import ClosedEquations
+from protochain.mechanics.multibody import HingeKind
+from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.dissipated import WithDampers
-from protochain.mechanisms.drawing import Shape
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
-from protochain.mechanisms.elements import Acting, Conservative, Gravity, Memory, Sum, damping, joined
+from protochain.mechanisms.elements import Acting, Gravity, damping, joined
 from protochain.mechanisms.event import Event, Happened
-from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
 from protochain.mechanisms.march import march
-from protochain.mechanisms.pictures import Movie, movie, strip
-from protochain.mechanisms.reactions import motion, reactions
 from protochain.mechanisms.rosenbrock import Rosenbrock
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from numpy.typing import ArrayLike
+    pass
 
-    from protochain.core.figure import Figure
+from protochain.mechanisms.assembly import Assembly, NamedLoad, Row
+from protochain.mechanisms.run import Run
 
 _LOOK = 256
 """Rows from one look at the balance of energy to the next."""
@@ -57,16 +42,7 @@ _SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class NamedLoad:
-    """A load, whose work is counted under its name."""
-
-    name: str
-    load: Load
-    dissipates: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Model:
+class Model(Assembly):
     """Mechanism that no later change reaches, made by :meth:`Mechanism.build`.
 
     Parameters
@@ -89,77 +65,6 @@ class Model:
         What elements keep from step to step.
     """
 
-    bodies: Bodies
-    q: Floats
-    qd: Floats
-    conservative: tuple[Conservative, ...] = ()
-    loads: tuple[NamedLoad, ...] = ()
-    drive: Drive | None = None
-    events: tuple[Event, ...] = ()
-    inside: bool = False
-    memories: tuple[Memory, ...] = ()
-
-    @property
-    def tree(self) -> Tree:
-        """Rigid bodies."""
-        return self.bodies.tree
-
-    @property
-    def directions(self) -> Floats:
-        """(n_v, k) float: directions in which it can move, as columns: of all hinges that are not driven."""
-        free = np.eye(self.tree.n_v)[:, self.tree.undriven_v]
-        state = self.state()
-        if state.loops is None:
-            return free
-        g = multibody.row_matrix(self.tree, state.frames, state.loops)
-        return np.asarray(free @ null_space(g @ free, rcond=1e-9))
-
-    @cached_property
-    def system(self) -> Equations:
-        """The mechanism as integrators see it."""
-        loads = tuple(each.load for each in self.loads)
-        potential, joints = Sum(self.tree, self.conservative), self.bodies.joints
-        acts = Acts.of(self.conservative) if not loads and self.tree.is_plain else None
-        if acts is not None:
-            if joints is None:
-                return CompiledSystem(self.tree, potential, acts=acts)
-            return CompiledLoops(self.tree, potential, joints=joints, acts=acts)
-        if joints is None:
-            return System(self.tree, potential, loads=loads, drive=self.drive)
-        return ClosedEquations(self.tree, potential, loads=loads, drive=self.drive, joints=joints)
-
-    @property
-    def works(self) -> tuple[str, ...]:
-        """Names of what does work, in the order of ``Phase.work``."""
-        return (*(each.name for each in self.loads), *(("drives",) if self.drive is not None else ()))
-
-    @property
-    def taking(self) -> NDArray[np.bool_]:
-        """(k,) bool: which of the works are of dampers and friction, which can but take energy."""
-        kinds = [each.dissipates for each in self.loads]
-        return np.array(kinds + [False] * (self.drive is not None), dtype=bool)
-
-    def start(self) -> Phase:
-        """Phase at the start.
-
-        Raises
-        ------
-        MechanicsError
-            If the pose is singular, or what an element gives is no number.
-        """
-        try:
-            return self.system.at(self.q, self.qd)
-        except BodyError as error:
-            raise error.by_name(self.bodies.names) from None
-
-    def state(self, at: Phase | None = None) -> State:
-        """State at a phase, by default at the start, from which points and velocities can be had by name."""
-        at = self.start() if at is None else at
-        state = State(self.bodies, at.time, at.q, at.qd, at.factors.frames)
-        # Known already, so that impulses need not factorise again.
-        state.__dict__["factors"] = at.factors
-        return state
-
     def simulate(
         self,
         until: float,
@@ -168,7 +73,7 @@ class Model:
         every: int = 1,
         start: Phase | None = None,
         balance: float = BALANCE,
-    ) -> "Run":
+    ) -> Run:
         """Follow the motion.
 
         Parameters
@@ -266,270 +171,6 @@ def model_of(
 def _on_world(bodies: Bodies) -> bool:
     """Whether a loop closes on the world."""
     return bodies.joints is not None and bool(np.any(bodies.joints.body < 0))
-
-
-class Audit(NamedTuple):
-    """What does not add up, each relative to the largest of its kind in the run.
-
-    Parameters
-    ----------
-    energy : float
-        Largest change of energy that is neither work nor an event's, of the largest energy in motion.
-    momentum, spin : float or None
-        Largest change of momentum, and of that about the origin, of the sum of those of the bodies; None if
-        something acts from outside, as the jump of an event that does not pass may.
-    gap, parting : float or None
-        Largest error of a loop, a cosine or length by the size of the tree, and largest rate of one, by that
-        of the fastest hinge; None without loops.
-    """
-
-    energy: float
-    momentum: float | None
-    spin: float | None
-    gap: float | None = None
-    parting: float | None = None
-
-
-Row = tuple[float, Floats, Floats, Floats, float, Floats, float]
-"""Time, q, qd, p, potential energy and work of a phase, and energy that events have given until then: a plain
-tuple, as to make a NamedTuple takes twice as long."""
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """Motion of a mechanism; its arrays are made when they are first asked for.
-
-    Parameters
-    ----------
-    model : Model
-        The mechanism.
-    rows : sequence of Row
-        Phases, without their factors.
-    events : tuple of Happened
-        What has happened.
-    end : Phase
-        Phase at the end, from which :meth:`Model.simulate` can go on.
-    kept : sequence of tuple
-        What the model's memories kept at each row; empty without memories.
-    """
-
-    model: Model
-    rows: Sequence[Row]
-    events: tuple[Happened, ...]
-    end: Phase
-    kept: Sequence[tuple[Any, ...]] = ()
-
-    @cached_property
-    def time(self) -> Floats:
-        """(n,) float: times of the rows."""
-        return read_only([row[0] for row in self.rows])
-
-    @cached_property
-    def q(self) -> Floats:
-        """(n, n_q) float: coordinates."""
-        return read_only([row[1] for row in self.rows])
-
-    @cached_property
-    def qd(self) -> Floats:
-        """(n, n_v) float: velocities."""
-        return read_only([row[2] for row in self.rows])
-
-    @cached_property
-    def kinetic(self) -> Floats:
-        """(n,) float: kinetic energy."""
-        return read_only(0.5 * np.einsum("ij,ij->i", [row[3] for row in self.rows], self.qd))
-
-    @cached_property
-    def potential(self) -> Floats:
-        """(n,) float: potential energy."""
-        return read_only([row[4] for row in self.rows])
-
-    @cached_property
-    def work(self) -> Floats:
-        """(n, k) float: work since the start of each of ``model.works``."""
-        return read_only([row[5] for row in self.rows])
-
-    @cached_property
-    def jumps(self) -> Floats:
-        """(n,) float: energy given by events since the start."""
-        return read_only([row[6] for row in self.rows])
-
-    @property
-    def total(self) -> Floats:
-        """(n,) float: energy."""
-        return self.kinetic + self.potential
-
-    @property
-    def dissipation(self) -> Floats:
-        """(n,) float: energy that dampers and friction have taken."""
-        return np.asarray(0.0 - np.sum(self.work[:, self.model.taking], axis=1))
-
-    @property
-    def momenta(self) -> Floats:
-        """(n, 2, 3) float: momentum, and angular momentum about the world's origin."""
-        return self._momenta[0]
-
-    @cached_property
-    def _momenta(self) -> tuple[Floats, Floats]:
-        """Both, and the sums of the sizes of those of the bodies, (n, 2)."""
-        tree, n = self.model.tree, len(self.time)
-        whole, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
-        for i, (q, qd) in enumerate(zip(self.q, self.qd, strict=True)):
-            frames = multibody.pose(tree, q)
-            each = momenta_of_bodies(tree, frames, multibody.velocities(tree, frames, qd))
-            both = each[:, 3:], each[:, :3] + np.cross(frames.origin, each[:, 3:])
-            whole[i] = [np.sum(one, axis=0) for one in both]
-            sizes[i] = [np.sum(np.linalg.norm(one, axis=1)) for one in both]
-        return read_only(whole), read_only(sizes)
-
-    @cached_property
-    def table(self) -> "pd.DataFrame":
-        """One row a time: energies, work of each load, dissipation, momentum and spin about the origin."""
-        import pandas as pd
-
-        columns = {
-            "time": self.time, "kinetic": self.kinetic, "potential": self.potential, "total": self.total,
-        }  # fmt: skip
-        columns |= {f"work {name}": self.work[:, k] for k, name in enumerate(self.model.works)}
-        columns["dissipation"] = self.dissipation
-        columns["events"] = self.jumps
-        names = [f"{what} {axis}" for what in ("momentum", "spin") for axis in "xyz"]
-        columns |= dict(zip(names, self.momenta.reshape(-1, 6).T, strict=True))
-        return pd.DataFrame(columns)
-
-    @cached_property
-    def motion(self) -> "pd.DataFrame":
-        """One row a time: coordinate and rate of each hinge by its name, and what a drive gives it.
-
-        Drives are torques, or forces of slides.
-        """
-        return motion(self)
-
-    def reactions(self, name: str) -> "pd.DataFrame":
-        """Tell the forces that pass through a hinge, or a joint that closes a loop.
-
-        Parameters
-        ----------
-        name : str
-            Hinge or joint.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row a time: ``force x`` ... ``moment z``, world axes, on the child of a hinge about its origin,
-            on the second body of a joint about its point; torques of springs, motors and drives in it are
-            among them. Where joints depend on others, forces are not unique; these are the least.
-
-        Raises
-        ------
-        MechanicsError
-            If there is no such hinge.
-        """
-        return reactions(self, name)
-
-    def view(
-        self,
-        path: str | Path | None = None,
-        shapes: Sequence[Shape] | None = None,
-        title: str = "",
-        frames: int = 200,
-    ) -> Movie:
-        """Show the motion in three dimensions: in a notebook, and as a page that works offline.
-
-        Parameters
-        ----------
-        path : str or Path, optional
-            Where to write the page, as ``"motion.html"``.
-        shapes : sequence of Ball, Rod or Block, optional
-            What bodies look like; by default rods to where others are joined, the balls of contacts, and for
-            bodies without either blocks or balls with their moments of inertia.
-        title : str
-            Its heading.
-        frames : int
-            Most poses.
-
-        Returns
-        -------
-        Movie
-            Drag to turn it, scroll to zoom.
-
-        Raises
-        ------
-        MechanicsError
-            If a shape is none or its body not there.
-        """
-        return movie(self, path, shapes, title, frames)
-
-    def strip(
-        self,
-        times: "ArrayLike | None" = None,
-        shapes: Sequence[Shape] | None = None,
-        along: "ArrayLike | None" = None,
-    ) -> "Figure":
-        """Draw poses beside each other.
-
-        Parameters
-        ----------
-        times : (n,) array_like, optional
-            When; the rows next to these are drawn. By default five, from start to end.
-        shapes : sequence of Ball, Rod or Block, optional
-            As of :meth:`view`.
-        along : (3,) array_like, optional
-            Direction in which one looks; by default that in which the motion is flat, or aslant.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            Shown by notebooks; ``savefig("strip.svg")`` writes it.
-
-        Raises
-        ------
-        MechanicsError
-            If a time is not of the run, a shape is none, or its body not there.
-        """
-        return strip(self, times, shapes, along)
-
-    def audit(self) -> Audit:
-        """Say how far energy less work, and momentum, are from constant.
-
-        Returns
-        -------
-        Audit
-            Largest errors, relative.
-        """
-        lack = self.total - np.sum(self.work, axis=1) - self.jumps
-        scale = self.in_motion
-        energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
-        loops = self._opened() if self.model.bodies.joints is not None else (None, None)
-        strikes = {each.name for each in self.model.events if not each.passes}
-        if not self.model.inside or any(event.name in strikes for event in self.events):
-            return Audit(energy, None, None, *loops)
-        whole, sizes = self._momenta
-        changes = np.max(np.linalg.norm(whole - whole[0], axis=2), axis=0)
-        scales = np.max(sizes, axis=0)
-        momentum, spin = np.divide(changes, scales, out=np.zeros(2), where=scales > 0.0)
-        return Audit(energy, float(momentum), float(spin), *loops)
-
-    def _opened(self) -> tuple[float, float]:
-        """Largest error of a loop by the size of the tree, and its rate by the fastest freedom."""
-        joints, tree = self.model.bodies.joints, self.model.tree
-        assert joints is not None
-        units = np.where(joints.turns, 1.0, tree.size)
-        gap = parting = 0.0
-        for q, qd in zip(self.q, self.qd, strict=True):
-            frames = multibody.pose(tree, q)
-            error, rows = joints.rows(frames)
-            rates = multibody.row_matrix(tree, frames, rows) @ qd
-            gap = max(gap, float(np.max(np.abs(error) / units)))
-            parting = max(parting, float(np.max(np.abs(rates) / units)))
-        fastest = float(np.max(np.abs(self.qd) / tree.units, initial=0.0))
-        return gap, parting / fastest if fastest > 0.0 else 0.0
-
-    @property
-    def in_motion(self) -> float:
-        """Largest energy that moves: kinetic, that of a change of the potential, of work, of events."""
-        parts = self.kinetic, self.potential - self.potential[0], self.work - self.work[0], self.jumps
-        return max(float(np.max(np.abs(part), initial=0.0)) for part in parts)
 
 
 class UnbalancedError(StepTooLargeError):

@@ -15,6 +15,7 @@ from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.core.storage import write_text
 from protochain.mechanisms.assemble import quaternion
+from protochain.mechanisms.assembly import Motion
 from protochain.mechanisms.checks import direction
 from protochain.mechanisms.drawing import THICK, Block, Drawing, Rod, Shape, corners, drawing
 from protochain.mechanisms.shapes import Ball
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from protochain.core.figure import Figure
-    from protochain.mechanisms.model import Run
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 """Okabe and Ito's palette."""
@@ -64,7 +64,7 @@ class Movie:
 
 
 def movie(
-    run: "Run", path: str | Path | None, shapes: Sequence[Shape] | None, title: str, frames: int
+    run: Motion, path: str | Path | None, shapes: Sequence[Shape] | None, title: str, frames: int
 ) -> Movie:
     """Return the page of a motion, and write it; see :meth:`Run.view`."""
     from jinja2 import Template
@@ -87,7 +87,7 @@ def movie(
 
 
 def strip(
-    run: "Run", times: ArrayLike | None, shapes: Sequence[Shape] | None, along: ArrayLike | None
+    run: Motion, times: ArrayLike | None, shapes: Sequence[Shape] | None, along: ArrayLike | None
 ) -> "Figure":
     """Return a figure of poses; see :meth:`Run.strip`."""
     from protochain.core.figure import Figure
@@ -121,7 +121,7 @@ def strip(
     return figure
 
 
-def _rows(run: "Run", times: Floats) -> list[int]:
+def _rows(run: Motion, times: Floats) -> list[int]:
     """Numbers of the rows that are next to times."""
     middles = 0.5 * (run.time[1:] + run.time[:-1])
     return [int(k) for k in np.searchsorted(middles, times)]

@@ -8,12 +8,12 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.mechanics.motion import Phase
 from protochain.mechanics.multibody.newton_euler import inertial_loads
+from protochain.mechanisms.assembly import Assembly, Motion
 from protochain.mechanisms.loop_joints import hold
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from protochain.mechanisms.model import Model, Run
 
 _AXES = ("x", "y", "z")
 
@@ -32,7 +32,7 @@ class Transmitted(NamedTuple):
     joints: Floats
 
 
-def transmitted(model: "Model", at: Phase) -> Transmitted:
+def transmitted(model: Assembly, at: Phase) -> Transmitted:
     """Find what hinges transmit, by Newton and Euler from the outermost bodies inward.
 
     What a body lacks to move as it does, beyond gravity, springs, loads and joints of loops, comes from its
@@ -62,7 +62,7 @@ def transmitted(model: "Model", at: Phase) -> Transmitted:
     return Transmitted(at, passed, impulses)
 
 
-def _given(model: "Model", at: Phase) -> Floats:
+def _given(model: Assembly, at: Phase) -> Floats:
     """Torques, and in their place the accelerations of driven hinges, as forward dynamics takes them."""
     given = at.torque.copy()
     if model.drive is not None:
@@ -70,7 +70,7 @@ def _given(model: "Model", at: Phase) -> Floats:
     return given
 
 
-def phases(run: "Run") -> Iterator[Phase]:
+def phases(run: Motion) -> Iterator[Phase]:
     """Phases of the rows, each while what elements remember, as where friction began, is as it was there."""
     memories = run.model.memories
     try:
@@ -83,7 +83,7 @@ def phases(run: "Run") -> Iterator[Phase]:
             memory.recall(None)
 
 
-def reactions(run: "Run", name: str) -> "pd.DataFrame":
+def reactions(run: Motion, name: str) -> "pd.DataFrame":
     """Forces of a hinge, or of a joint that closes a loop; see :meth:`Run.reactions`."""
     import pandas as pd
 
@@ -101,7 +101,7 @@ def reactions(run: "Run", name: str) -> "pd.DataFrame":
     return pd.DataFrame({"time": run.time, **columns})
 
 
-def _of_joint(found: Transmitted, model: "Model", rows: list[int]) -> Floats:
+def _of_joint(found: Transmitted, model: Assembly, rows: list[int]) -> Floats:
     """(6,) float: moment about the joint's point of the second body, and force on that."""
     joints, frames = model.bodies.joints, found.at.factors.frames
     assert joints is not None
@@ -116,7 +116,7 @@ def _of_joint(found: Transmitted, model: "Model", rows: list[int]) -> Floats:
     return np.asarray(wrench)
 
 
-def motion(run: "Run") -> "pd.DataFrame":
+def motion(run: Motion) -> "pd.DataFrame":
     """Coordinates of hinges by name; see :attr:`Run.motion`."""
     import pandas as pd
 

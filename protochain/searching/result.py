@@ -270,9 +270,14 @@ class Search(Value):
 
     def save(self, folder: str | Path) -> None:
         """Write tables, the lowest minima as PDB files, ``summary.json`` and the page ``report.html``."""
-        from protochain.searching.folder import write_search
+        from protochain.searching.folder import drawn, write_search
 
-        write_search(self, Path(folder))
+        figure = drawn(self.minima, [found.minima for found in self.findings], self.energy)
+        populations = self.populations if len(self.temperatures) else None
+        write_search(
+            Path(folder), self.record(), self.minima, self.structure, self.ends(), figure, populations,
+            self.conformers,
+        )  # fmt: skip
 
     def ends(self) -> dict[str, Structure]:
         """The lowest minima by name, for :func:`protochain.view`."""

@@ -21,7 +21,8 @@ from bench.soil.parts import Law as CubeLaw
 from bench.soil.pile import Pile
 from bench.soil.soil import Digging, Soil
 from protochain.core.arrays import Floats
-from protochain.mechanisms import Model, Plane, Run, State, Surface
+from protochain.mechanisms import Plane, Run, State, Surface
+from protochain.mechanisms.assembly import Assembly
 
 STEP = 1e-3
 """s. Of the machine; cubes take as many shorter ones as they need."""
@@ -113,7 +114,7 @@ class Worked:
     seconds: float
 
     @property
-    def model(self) -> Model:
+    def model(self) -> Assembly:
         """The machine."""
         return self.run.model
 

@@ -15,6 +15,7 @@ from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import kernel
 from protochain.mechanisms import Acting, Bodies, Mechanism, Model
+from protochain.mechanisms.assembly import Assembly
 from protochain.mechanisms.contact import Law, lankarani_nikravesh
 
 NO_TOOTH = -1
@@ -221,7 +222,7 @@ def _press(
     return energy, pairs[:count]
 
 
-def meshing_of(model: Model) -> Meshing:
+def meshing_of(model: Assembly) -> Meshing:
     """What presses in a model of gears."""
     return next(part for part in model.conservative if isinstance(part, Meshing))
 

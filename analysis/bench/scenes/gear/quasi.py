@@ -11,6 +11,7 @@ from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanisms import Model
+from protochain.mechanisms.assembly import Assembly
 from protochain.mechanisms.contact import Law
 
 
@@ -93,7 +94,7 @@ def _force(depth: float, tooth: float, flank: float, exponent: float) -> float:
     return float(brentq(lambda f: f / tooth + (f / flank) ** (1.0 / exponent) - depth, 0.0, most, xtol=1e-12))
 
 
-def lag_of(model: Model, q: Floats, gear: Gear) -> float:
+def lag_of(model: Assembly, q: Floats, gear: Gear) -> float:
     """Transmission error of the driving wheel, rad: its angle less the ratio times that of the driven one."""
     one, other = (model.bodies.freedom(f"wheel {k}")[0] for k in (0, 1))
     return float(q[one] - gear.ratio * q[other])

@@ -1,0 +1,195 @@
+"""A mechanism as built, and the rows of its motion, as integrators and pictures see them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import null_space
+
+from protochain.core.arrays import Floats, read_only
+from protochain.core.errors import BodyError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import (
+    Drive,
+    Equations,
+    Load,
+    Phase,
+    System,
+)
+from protochain.mechanics.multibody import Tree
+from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
+from protochain.mechanisms.bodies import Bodies, State
+from protochain.mechanisms.closed_equations import ClosedEquations
+from protochain.mechanisms.elements import Conservative, Memory, Sum
+from protochain.mechanisms.event import Event, Happened
+from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
+
+if TYPE_CHECKING:
+    pass
+
+
+@dataclass(frozen=True, eq=False)
+class NamedLoad:
+    """A load, whose work is counted under its name."""
+
+    name: str
+    load: Load
+    dissipates: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """Bodies and all that acts on them, and the start; see :class:`Model`."""
+
+    bodies: Bodies
+    q: Floats
+    qd: Floats
+    conservative: tuple[Conservative, ...] = ()
+    loads: tuple[NamedLoad, ...] = ()
+    drive: Drive | None = None
+    events: tuple[Event, ...] = ()
+    inside: bool = False
+    memories: tuple[Memory, ...] = ()
+
+    @property
+    def tree(self) -> Tree:
+        """Rigid bodies."""
+        return self.bodies.tree
+
+    @property
+    def directions(self) -> Floats:
+        """(n_v, k) float: directions in which it can move, as columns: of all hinges that are not driven."""
+        free = np.eye(self.tree.n_v)[:, self.tree.undriven_v]
+        state = self.state()
+        if state.loops is None:
+            return free
+        g = multibody.row_matrix(self.tree, state.frames, state.loops)
+        return np.asarray(free @ null_space(g @ free, rcond=1e-9))
+
+    @cached_property
+    def system(self) -> Equations:
+        """The mechanism as integrators see it."""
+        loads = tuple(each.load for each in self.loads)
+        potential, joints = Sum(self.tree, self.conservative), self.bodies.joints
+        acts = Acts.of(self.conservative) if not loads and self.tree.is_plain else None
+        if acts is not None:
+            if joints is None:
+                return CompiledSystem(self.tree, potential, acts=acts)
+            return CompiledLoops(self.tree, potential, joints=joints, acts=acts)
+        if joints is None:
+            return System(self.tree, potential, loads=loads, drive=self.drive)
+        return ClosedEquations(self.tree, potential, loads=loads, drive=self.drive, joints=joints)
+
+    @property
+    def works(self) -> tuple[str, ...]:
+        """Names of what does work, in the order of ``Phase.work``."""
+        return (*(each.name for each in self.loads), *(("drives",) if self.drive is not None else ()))
+
+    @property
+    def taking(self) -> NDArray[np.bool_]:
+        """(k,) bool: which of the works are of dampers and friction, which can but take energy."""
+        kinds = [each.dissipates for each in self.loads]
+        return np.array(kinds + [False] * (self.drive is not None), dtype=bool)
+
+    def start(self) -> Phase:
+        """Phase at the start.
+
+        Raises
+        ------
+        MechanicsError
+            If the pose is singular, or what an element gives is no number.
+        """
+        try:
+            return self.system.at(self.q, self.qd)
+        except BodyError as error:
+            raise error.by_name(self.bodies.names) from None
+
+    def state(self, at: Phase | None = None) -> State:
+        """State at a phase, by default at the start, from which points and velocities can be had by name."""
+        at = self.start() if at is None else at
+        state = State(self.bodies, at.time, at.q, at.qd, at.factors.frames)
+        # Known already, so that impulses need not factorise again.
+        state.__dict__["factors"] = at.factors
+        return state
+
+
+Row = tuple[float, Floats, Floats, Floats, float, Floats, float]
+"""Time, q, qd, p, potential energy and work of a phase, and energy that events have given until then: a plain
+tuple, as to make a NamedTuple takes twice as long."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Rows of a motion, as arrays that are made when they are first asked for; see :class:`Run`."""
+
+    model: Assembly
+    rows: Sequence[Row]
+    events: tuple[Happened, ...]
+    end: Phase
+    kept: Sequence[tuple[Any, ...]] = ()
+
+    @cached_property
+    def time(self) -> Floats:
+        """(n,) float: times of the rows."""
+        return read_only([row[0] for row in self.rows])
+
+    @cached_property
+    def q(self) -> Floats:
+        """(n, n_q) float: coordinates."""
+        return read_only([row[1] for row in self.rows])
+
+    @cached_property
+    def qd(self) -> Floats:
+        """(n, n_v) float: velocities."""
+        return read_only([row[2] for row in self.rows])
+
+    @cached_property
+    def kinetic(self) -> Floats:
+        """(n,) float: kinetic energy."""
+        return read_only(0.5 * np.einsum("ij,ij->i", [row[3] for row in self.rows], self.qd))
+
+    @cached_property
+    def potential(self) -> Floats:
+        """(n,) float: potential energy."""
+        return read_only([row[4] for row in self.rows])
+
+    @cached_property
+    def work(self) -> Floats:
+        """(n, k) float: work since the start of each of ``model.works``."""
+        return read_only([row[5] for row in self.rows])
+
+    @cached_property
+    def jumps(self) -> Floats:
+        """(n,) float: energy given by events since the start."""
+        return read_only([row[6] for row in self.rows])
+
+    @property
+    def total(self) -> Floats:
+        """(n,) float: energy."""
+        return self.kinetic + self.potential
+
+    @property
+    def dissipation(self) -> Floats:
+        """(n,) float: energy that dampers and friction have taken."""
+        return np.asarray(0.0 - np.sum(self.work[:, self.model.taking], axis=1))
+
+    @property
+    def momenta(self) -> Floats:
+        """(n, 2, 3) float: momentum, and angular momentum about the world's origin."""
+        return self._momenta[0]
+
+    @cached_property
+    def _momenta(self) -> tuple[Floats, Floats]:
+        """Both, and the sums of the sizes of those of the bodies, (n, 2)."""
+        tree, n = self.model.tree, len(self.time)
+        whole, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
+        for i, (q, qd) in enumerate(zip(self.q, self.qd, strict=True)):
+            frames = multibody.pose(tree, q)
+            each = momenta_of_bodies(tree, frames, multibody.velocities(tree, frames, qd))
+            both = each[:, 3:], each[:, :3] + np.cross(frames.origin, each[:, 3:])
+            whole[i] = [np.sum(one, axis=0) for one in both]
+            sizes[i] = [np.sum(np.linalg.norm(one, axis=1)) for one in both]
+        return read_only(whole), read_only(sizes)

@@ -1,0 +1,212 @@
+"""What comes of a simulation: table, coordinates by name, forces of joints, pictures and audit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from protochain.mechanics import multibody
+from protochain.mechanisms.drawing import Shape
+from protochain.mechanisms.pictures import Movie, movie, strip
+from protochain.mechanisms.reactions import motion, reactions
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from numpy.typing import ArrayLike
+
+    from protochain.core.figure import Figure
+
+from protochain.mechanisms.assembly import Motion
+
+
+class Audit(NamedTuple):
+    """What does not add up, each relative to the largest of its kind in the run.
+
+    Parameters
+    ----------
+    energy : float
+        Largest change of energy that is neither work nor an event's, of the largest energy in motion.
+    momentum, spin : float or None
+        Largest change of momentum, and of that about the origin, of the sum of those of the bodies; None if
+        something acts from outside, as the jump of an event that does not pass may.
+    gap, parting : float or None
+        Largest error of a loop, a cosine or length by the size of the tree, and largest rate of one, by that
+        of the fastest hinge; None without loops.
+    """
+
+    energy: float
+    momentum: float | None
+    spin: float | None
+    gap: float | None = None
+    parting: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Run(Motion):
+    """Motion of a mechanism; its arrays are made when they are first asked for.
+
+    Parameters
+    ----------
+    model : Model
+        The mechanism.
+    rows : sequence of Row
+        Phases, without their factors.
+    events : tuple of Happened
+        What has happened.
+    end : Phase
+        Phase at the end, from which :meth:`Model.simulate` can go on.
+    kept : sequence of tuple
+        What the model's memories kept at each row; empty without memories.
+    """
+
+    @cached_property
+    def table(self) -> "pd.DataFrame":
+        """One row a time: energies, work of each load, dissipation, momentum and spin about the origin."""
+        import pandas as pd
+
+        columns = {
+            "time": self.time, "kinetic": self.kinetic, "potential": self.potential, "total": self.total,
+        }  # fmt: skip
+        columns |= {f"work {name}": self.work[:, k] for k, name in enumerate(self.model.works)}
+        columns["dissipation"] = self.dissipation
+        columns["events"] = self.jumps
+        names = [f"{what} {axis}" for what in ("momentum", "spin") for axis in "xyz"]
+        columns |= dict(zip(names, self.momenta.reshape(-1, 6).T, strict=True))
+        return pd.DataFrame(columns)
+
+    @cached_property
+    def motion(self) -> "pd.DataFrame":
+        """One row a time: coordinate and rate of each hinge by its name, and what a drive gives it.
+
+        Drives are torques, or forces of slides.
+        """
+        return motion(self)
+
+    def reactions(self, name: str) -> "pd.DataFrame":
+        """Tell the forces that pass through a hinge, or a joint that closes a loop.
+
+        Parameters
+        ----------
+        name : str
+            Hinge or joint.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row a time: ``force x`` ... ``moment z``, world axes, on the child of a hinge about its origin,
+            on the second body of a joint about its point; torques of springs, motors and drives in it are
+            among them. Where joints depend on others, forces are not unique; these are the least.
+
+        Raises
+        ------
+        MechanicsError
+            If there is no such hinge.
+        """
+        return reactions(self, name)
+
+    def view(
+        self,
+        path: str | Path | None = None,
+        shapes: Sequence[Shape] | None = None,
+        title: str = "",
+        frames: int = 200,
+    ) -> Movie:
+        """Show the motion in three dimensions: in a notebook, and as a page that works offline.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            Where to write the page, as ``"motion.html"``.
+        shapes : sequence of Ball, Rod or Block, optional
+            What bodies look like; by default rods to where others are joined, the balls of contacts, and for
+            bodies without either blocks or balls with their moments of inertia.
+        title : str
+            Its heading.
+        frames : int
+            Most poses.
+
+        Returns
+        -------
+        Movie
+            Drag to turn it, scroll to zoom.
+
+        Raises
+        ------
+        MechanicsError
+            If a shape is none or its body not there.
+        """
+        return movie(self, path, shapes, title, frames)
+
+    def strip(
+        self,
+        times: "ArrayLike | None" = None,
+        shapes: Sequence[Shape] | None = None,
+        along: "ArrayLike | None" = None,
+    ) -> "Figure":
+        """Draw poses beside each other.
+
+        Parameters
+        ----------
+        times : (n,) array_like, optional
+            When; the rows next to these are drawn. By default five, from start to end.
+        shapes : sequence of Ball, Rod or Block, optional
+            As of :meth:`view`.
+        along : (3,) array_like, optional
+            Direction in which one looks; by default that in which the motion is flat, or aslant.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            Shown by notebooks; ``savefig("strip.svg")`` writes it.
+
+        Raises
+        ------
+        MechanicsError
+            If a time is not of the run, a shape is none, or its body not there.
+        """
+        return strip(self, times, shapes, along)
+
+    def audit(self) -> Audit:
+        """Say how far energy less work, and momentum, are from constant.
+
+        Returns
+        -------
+        Audit
+            Largest errors, relative.
+        """
+        lack = self.total - np.sum(self.work, axis=1) - self.jumps
+        scale = self.in_motion
+        energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
+        loops = self._opened() if self.model.bodies.joints is not None else (None, None)
+        strikes = {each.name for each in self.model.events if not each.passes}
+        if not self.model.inside or any(event.name in strikes for event in self.events):
+            return Audit(energy, None, None, *loops)
+        whole, sizes = self._momenta
+        changes = np.max(np.linalg.norm(whole - whole[0], axis=2), axis=0)
+        scales = np.max(sizes, axis=0)
+        momentum, spin = np.divide(changes, scales, out=np.zeros(2), where=scales > 0.0)
+        return Audit(energy, float(momentum), float(spin), *loops)
+
+    def _opened(self) -> tuple[float, float]:
+        """Largest error of a loop by the size of the tree, and its rate by the fastest freedom."""
+        joints, tree = self.model.bodies.joints, self.model.tree
+        assert joints is not None
+        units = np.where(joints.turns, 1.0, tree.size)
+        gap = parting = 0.0
+        for q, qd in zip(self.q, self.qd, strict=True):
+            frames = multibody.pose(tree, q)
+            error, rows = joints.rows(frames)
+            rates = multibody.row_matrix(tree, frames, rows) @ qd
+            gap = max(gap, float(np.max(np.abs(error) / units)))
+            parting = max(parting, float(np.max(np.abs(rates) / units)))
+        fastest = float(np.max(np.abs(self.qd) / tree.units, initial=0.0))
+        return gap, parting / fastest if fastest > 0.0 else 0.0
+
+    @property
+    def in_motion(self) -> float:
+        """Largest energy that moves: kinetic, that of a change of the potential, of work, of events."""
+        parts = self.kinetic, self.potential - self.potential[0], self.work - self.work[0], self.jumps
+        return max(float(np.max(np.abs(part), initial=0.0)) for part in parts)
