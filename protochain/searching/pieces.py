@@ -144,17 +144,21 @@ class Piece(Value):
         Where it begins; None at the start.
     budget : float
         Evaluations of the walker in all.
+    seconds : float
+        After which it takes no further step.
     """
 
     task: Path
     walker: int
     state: Any | None
     budget: float
+    seconds: float = SECONDS
 
     def run(self, threads: int) -> Iterator[Done]:
         """Do it, on one thread."""
         landscape, methods = _begun(self.task)
-        yield Done(self.walker, *advance(landscape, methods[self.walker], self.state, self.budget))
+        method = methods[self.walker]
+        yield Done(self.walker, *advance(landscape, method, self.state, self.budget, self.seconds))
 
     def lost(self, done: Sequence[Done], status: str, message: str, seconds: float) -> list[Done]:
         """Say why there is no more of it."""
