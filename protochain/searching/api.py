@@ -342,7 +342,7 @@ def _hand_out(
         for walker in range(len(walks.states)):
             has_time = left() > 0.0 or not (running or walks.have_begun)
             if walker not in running and walks.wants(walker, share) and has_time:
-                piece = Piece(task, walker, walks.states[walker], share)
+                piece = Piece(task, walker, walks.states[walker], share, min(SECONDS, left()))
                 future = crew.submit(supervise, piece, task.parent, processes.threads, processes.time_limit)
                 running[walker] = future  # Dask gives up what nobody holds.
                 future.add_done_callback(lambda future, walker=walker: ended.put((walker, future)))

@@ -131,20 +131,36 @@ class Done(Value):
 class Piece(Value):
     """A piece for a process.
 
+<<<<<<< HEAD
     task: Pickled landscape and methods of all walkers.
     state: Where it begins; None at the start.
     budget: Evaluations of the walker in all.
+=======
+    Parameters
+    ----------
+    task : Path
+        Pickled landscape and methods of all walkers.
+    walker : int
+    state : State or None
+        Where it begins; None at the start.
+    budget : float
+        Evaluations of the walker in all.
+    seconds : float
+        After which it takes no further step.
+>>>>>>> h-kinds
     """
 
     task: Path
     walker: int
     state: Any | None
     budget: float
+    seconds: float = SECONDS
 
     def run(self, threads: int) -> Iterator[Done]:
         """Do it, on one thread."""
         landscape, methods = _begun(self.task)
-        yield Done(self.walker, *advance(landscape, methods[self.walker], self.state, self.budget))
+        method = methods[self.walker]
+        yield Done(self.walker, *advance(landscape, method, self.state, self.budget, self.seconds))
 
     def lost(self, done: Sequence[Done], status: str, message: str, seconds: float) -> list[Done]:
         """Say why there is no more of it."""

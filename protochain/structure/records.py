@@ -104,7 +104,9 @@ def cif_rows(
         if category not in (CATEGORY, _MODIFIED)
         and (rows := _once(row for each in given if (row := there.renamed(category, each))))
     }
-    return kept | {"_chem_comp.": list(_components(kept.get("_chem_comp.", []), names))}
+    sequences = (each for entity in out.entities for each in entity.full_sequence)
+    unseen = {name: gemmi.Residue() for each in sequences for name in each.split(",")}
+    return kept | {"_chem_comp.": list(_components(kept.get("_chem_comp.", []), unseen | names))}
 
 
 def _with(ligands: Mapping[str, Rows], found: Mapping[str, Rows]) -> dict[str, Rows]:

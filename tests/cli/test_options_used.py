@@ -7,7 +7,7 @@ import re
 import shutil
 import sys
 from concurrent.futures import Future
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from types import SimpleNamespace
 
 import numpy as np
@@ -46,7 +46,7 @@ PATHS = {
     "batch": f"p.pdb d.pdb --methods lbfgs {QUICK}",
     "batch relax": f"c.pdb --methods relax --max-iterations 2 --solvent vacuum {LIGAND}",
     "batch starts": f"p.pdb --methods lbfgs --starts 2 {QUICK}",
-    "compare": f"p.pdb --methods lbfgs {QUICK}",
+    "compare": f"p.pdb --methods lbfgs,anneal {QUICK}",
     "simulate": "p.pdb --no-relax --steps 4 --every 2 --solvent vacuum",
     "simulate pulled": "p.pdb --no-relax --steps 4 --pull A:1:N-A:5:C --solvent vacuum",
     "modes": "p.pdb --no-relax --modes 2 --solvent vacuum",
@@ -162,7 +162,6 @@ def made(tmp_path_factory):
             folder / "end.pdb",
         )
         run("minimise", "p.pdb", *QUICK.split(), "-o", folder / "q.pdb")
-        run("simulate", *PATHS["simulate"].split(), "-o", "there")
     (folder / "end.pdb").unlink()
     return folder
 
@@ -211,12 +210,16 @@ def content(path):
     return text if path.suffix in (".pdb", ".sdf") else None
 
 
-def outcome(here, capsys, words):
-    """What a command comes to: exit status, what it prints, files, and who does its jobs."""
-    here.arrived.clear()
+def outcome(here, capsys, words, before=()):
+    """What a command comes to, perhaps after another: status, what it prints, files, who does its jobs."""
     shutil.rmtree(here.folder, ignore_errors=True)
     shutil.copytree(here.made, here.folder)
     here.chdir(here.folder)
+    if before:
+        with suppress(SystemExit):
+            run(*before)
+        capsys.readouterr()
+    here.arrived.clear()
     try:
         status = run(*words)
     except ProtochainError as error:
@@ -272,9 +275,12 @@ def test_no_option_is_ignored(path, here, read, capsys):
             found = outcome(here, capsys, words)
         elif (option.name, path) == ("force", "minimise models"):  # m.1.pdb is no input.
             continue
-        elif option.name == "force":  # In the place of its own input, or of a simulation.
-            over = [*words, "--json", "-o", "there" if words[0] == "simulate" else words[1]]
-            other, found = outcome(here, capsys, over), outcome(here, capsys, [*over, *its])
+        elif option.name == "force":  # In the place of its own input, or of a folder of results.
+            is_folder = words[0] in ("simulate", "compare", "search")
+            over = [*words, "--json"] if is_folder else [*words, "--json", "-o", words[1]]
+            other, found = (
+                outcome(here, capsys, each, over if is_folder else ()) for each in (over, [*over, *its])
+            )
         else:
             found = outcome(here, capsys, [*words, "--json", *its])
         if found == other or (found[0] == BAD_INPUT and option.opts[0].lstrip("-") not in str(found[1])):

@@ -105,6 +105,13 @@ def test_what_the_file_says_is_in_the_file_written(name, suffix, tmp_path):
     assert len(out.cispeps) == {"1fas_fasciculin.cif": 2, "1orc_icode.pdb": 1}.get(name, 0)
 
 
+def test_residues_of_the_sequence_that_are_not_there_are_components():
+    text = as_text(read("2beg_abeta_fibril.pdb")[1], ".cif")
+    block = gemmi.cif.read_string(text).sole_block()
+    named = {row.str(0) for row in block.find("_chem_comp.", ["id"])}
+    assert {row.str(0) for row in block.find("_entity_poly_seq.", ["mon_id"])} <= named
+
+
 def test_new_label_ids_are_told(tmp_path):
     """Two polymers under one chain id."""
     source = gemmi.read_structure(str(STRUCTURES / "3i40.pdb"))

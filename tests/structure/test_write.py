@@ -82,7 +82,7 @@ def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():
         "pdbx_PDB_model_num",
     )  # fmt: skip
     assert atoms[3] == ["ATOM", "S", "SG", "CYS", "A", "A", "1", "0", "0.3", "3.5", "1"]
-    assert atoms[-1] == ["HETATM", "H", "H2", "HOH", "x1", " ", "4", "3", "1.3", "13.5", "1"]
+    assert atoms[-1] == ["HETATM", "H", "H2", "HOH", "x1", "", "4", "3", "1.3", "13.5", "1"]
     assert len(atoms) == 14 and "_cell." not in text
     crystal = gemmi.Structure()
     crystal.add_model(gemmi.Model(1))
