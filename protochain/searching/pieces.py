@@ -131,23 +131,10 @@ class Done(Value):
 class Piece(Value):
     """A piece for a process.
 
-<<<<<<< HEAD
     task: Pickled landscape and methods of all walkers.
     state: Where it begins; None at the start.
     budget: Evaluations of the walker in all.
-=======
-    Parameters
-    ----------
-    task : Path
-        Pickled landscape and methods of all walkers.
-    walker : int
-    state : State or None
-        Where it begins; None at the start.
-    budget : float
-        Evaluations of the walker in all.
-    seconds : float
-        After which it takes no further step.
->>>>>>> h-kinds
+    seconds: After which it takes no further step.
     """
 
     task: Path
