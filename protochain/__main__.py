@@ -1,0 +1,6 @@
+"""``python -m protochain`` is the command line."""
+
+from protochain.cli import main
+
+if __name__ == "__main__":
+    main()
