@@ -82,6 +82,12 @@ def build_chain(
         If a kind of hinge is unknown, nothing can turn, or a heavy atom has too little mass to give.
     StructureError
         If the selection cannot be read or selects no atom.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> c.n_bodies, c.n_hinges
+    (6, 5)
     """
     structure, opened = as_structure(structure), str(hinges).split()
     unknown = [kind for kind in opened if kind not in HINGES]

@@ -171,6 +171,12 @@ def pose(chain: Chain, q: Floats) -> Pose:
     -------
     Pose
         Computed from q and constant body-frame coordinates, so bond lengths and angles cannot drift. O(n).
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> pc.pose(c, c.q0).x.shape
+    (27, 3)
     """
     frames = multibody.pose(_chain(chain, "chain").tree, q)
     return Pose(read_only(q), frames, place_atoms(chain, frames))
@@ -197,6 +203,13 @@ def pull_back(chain: Chain, pose: Pose, f: Floats) -> Floats:
     -------
     (n_v,) float, kJ/mol/rad
         Torques; a free root has (moment, force) about its frame's origin, the force in kJ/mol/nm. O(n).
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> at = pc.pose(c, c.q0)
+    >>> pc.pull_back(c, at, np.ones_like(at.x)).shape
+    (5,)
     """
     wrench = np.zeros((_chain(chain, "chain").n_bodies, 6))
     f = floats(f, (chain.n_atoms, 3), "f", "kilojoule_per_mole/nanometer")
@@ -216,6 +229,13 @@ def mass_matrix(chain: Chain, pose: Pose) -> Floats:
     -------
     (n_v, n_v) float, amu nm^2
         M by the composite-rigid-body algorithm; see :func:`protochain.mechanics.multibody.mass_matrix`.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> m = pc.mass_matrix(c, pc.pose(c, c.q0))
+    >>> bool(np.all(np.linalg.eigvalsh(m) > 0.0))
+    True
     """
     return multibody.mass_matrix(_chain(chain, "chain").tree, _pose(pose, "pose").frames)
 
@@ -236,6 +256,14 @@ def solve_mass(chain: Chain, pose: Pose, tau: Floats, method: multibody.Method =
     -------
     (n_v,) float, rad/ps^2
         Accelerations from rest.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> at = pc.pose(c, c.q0)
+    >>> a = pc.solve_mass(c, at, np.ones(c.n_v))
+    >>> bool(np.allclose(pc.mass_matrix(c, at) @ a, 1.0))
+    True
     """
     return multibody.solve_mass(_chain(chain, "chain").tree, _pose(pose, "pose").frames, tau, method)
 
@@ -254,6 +282,13 @@ def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulat
     -------
     float
         Value of ln det M, with M in amu nm^2.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> at = pc.pose(c, c.q0)
+    >>> bool(np.isclose(pc.log_det_mass(c, at), np.linalg.slogdet(pc.mass_matrix(c, at))[1]))
+    True
     """
     return multibody.log_det_mass(_chain(chain, "chain").tree, _pose(pose, "pose").frames, method)
 

@@ -106,6 +106,12 @@ class Setup(Settings):
     ------
     ProtochainError
         If the model or a disulfide bond cannot be read.
+
+    Examples
+    --------
+    >>> structure, chain, energy = pc.Setup(solvent="vacuum").prepare("structures/ala10.pdb")
+    >>> structure.n_residues
+    10
     """
 
     hinges: str = setting(

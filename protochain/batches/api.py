@@ -159,6 +159,11 @@ def batch(
     ProtochainError
         If there is nothing to do, a setting is unknown or makes no sense or differs from that of the batch to
         be resumed, or the folder or cluster cannot be used.
+
+    Examples
+    --------
+    >>> pc.batch(["structures/ala10.pdb"], "out", methods="lbfgs", workers=1)
+    <Batch in out: 1 converged>
     """
     whole = [inputs] if isinstance(inputs, str) else several(inputs, "inputs")
     given = [str(path(each, "inputs")) for each in whole]

@@ -67,6 +67,12 @@ def compare(
     ------
     ProtochainError
         If a method is unknown or the input cannot be used.
+
+    Examples
+    --------
+    >>> found = pc.compare(pc.from_sequence("GAG"), methods="lbfgs,cartesian")
+    >>> [record["method"] for record in found.records()]
+    ['lbfgs', 'cartesian']
     """
     recipes: dict[str, Recipe] = {}
     for recipe in map(recipe_of, methods):

@@ -78,6 +78,12 @@ def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALP
         If nothing matches, or the sequences are unrelated.
     StructureError
         If a selection cannot be read or names no atom.
+
+    Examples
+    --------
+    >>> found = pc.deviation("structures/ala10.pdb", "structures/ala10.pdb")
+    >>> round(float(found.tm_score), 3)
+    1.0
     """
     reference, model = measurable(reference), measurable(model)
     found = match(reference, model)
@@ -114,6 +120,11 @@ def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = N
     ------
     ProtochainError
         If nothing matches, the sequences are unrelated, or a selection cannot be read.
+
+    Examples
+    --------
+    >>> pc.rmsd("structures/ala10.pdb", "structures/ala10.pdb") < 1e-6
+    True
     """
     return deviation(reference, model, align, measure or align).rmsd
 

@@ -140,6 +140,12 @@ def differences(before: Any, after: Any) -> Differences:
     of the last dihedral of Asp, Glu, Phe and Tyr is none. A rigid domain has 20 C-alphas or more, each within
     2 angstrom of where one motion takes it: adaptive selection of Wriggers, Schulten, Proteins 29:1 (1997),
     :mod:`protochain.comparison.domains`.
+
+    Examples
+    --------
+    >>> found = pc.differences("structures/ala10.pdb", "structures/ala10.pdb")
+    >>> found.totals["rotamers_changed"]
+    0
     """
     first, second = as_structure(before), as_structure(after)
     found = match(first, second)

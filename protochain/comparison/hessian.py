@@ -158,6 +158,12 @@ def hessian(chain: Any, energy: Any = None, q: Any = None) -> Floats:
     and bonded terms central differences of some ten evaluations of these alone; the whole costs O(na^2 n),
     in ubiquitin as much as 200 evaluations. Of other energies all is by central differences of torques, two
     evaluations a row, to about 1e-8 of the largest entry.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> pc.hessian(c).shape
+    (5, 5)
     """
     chain, energy = with_energy(chain, energy)
     return torques_at(chain, energy, q).matrix(np.arange(chain.n_v))
@@ -187,6 +193,13 @@ def hessian_product(chain: Any, energy: Any, q: Any, direction: Any) -> Floats:
     ------
     ProtochainError
         If the input cannot be used.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> row = pc.hessian_product(c, pc.energy(c.structure), c.q0, np.eye(c.n_v)[0])
+    >>> bool(np.allclose(row, pc.hessian(c)[0], rtol=1e-3, atol=0.1))
+    True
     """
     chain, energy = with_energy(chain, energy)
     return torques_at(chain, energy, q).product(floats(direction, (chain.n_v,), "direction"))

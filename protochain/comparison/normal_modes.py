@@ -173,6 +173,13 @@ def normal_modes(
     ProtochainError
         If the input cannot be used, the method is unknown, the modes do not converge, or there are more than
         16000 freedoms, or 6000 where the Hessian is not analytic.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> at_minimum = pc.build_chain(pc.minimise(c, method="newton"))
+    >>> pc.normal_modes(at_minimum, k=3).frequencies.shape
+    (3,)
     """
     check_modes(k, method)
     began = perf_counter()

@@ -42,6 +42,11 @@ def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> di
     ------
     ProtochainError
         If the start has other atoms.
+
+    Examples
+    --------
+    >>> round(pc.quality("structures/1l2y.pdb")["radius_of_gyration_angstrom"], 1)
+    7.3
     """
     if start is None and isinstance(structure, Solution):
         start, chain = structure.chain, chain or structure.chain

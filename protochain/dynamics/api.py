@@ -136,6 +136,13 @@ def simulate(
     ------
     ProtochainError
         If a setting is unknown or out of range, or the input or the folder cannot be used.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> m = pc.simulate(c, n_steps=20, seed=1)
+    >>> str(m.ending), len(m.q)
+    ('completed', 12)
     """
     given = locals()
     settings, running = taken(SimulationSettings, given), taken(RunSettings, given)

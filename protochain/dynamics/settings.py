@@ -125,6 +125,11 @@ class HingeSpring:
     ------
     ProtochainError
         If a number makes no sense, or the kind is unknown.
+
+    Examples
+    --------
+    >>> pc.HingeSpring("phi", 100.0).kind
+    'phi'
     """
 
     kind: str

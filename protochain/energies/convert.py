@@ -37,6 +37,11 @@ def to_ase(structure: Any, energy: Any = None) -> "Atoms":
     ------
     ProtochainError
         If ASE is not installed.
+
+    Examples
+    --------
+    >>> len(pc.to_ase(pc.from_sequence("GAG")))
+    27
     """
     try:
         from ase import Atoms

@@ -134,6 +134,12 @@ def energy_terms(
     ProtochainError
         If ``by`` is unknown, the parts cannot be read, are empty or have an atom in common, or the engine has
         no kernel for a force.
+
+    Examples
+    --------
+    >>> terms = pc.energy_terms(pc.from_sequence("GAG"))
+    >>> sorted(terms)[:3]
+    ['angles', 'bonds', 'cmap']
     """
     import pandas as pd
 

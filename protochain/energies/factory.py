@@ -183,6 +183,13 @@ def energy(
         If a name is unknown, the file would run code, or a residue has no parameters.
     UnsupportedForceError
         If the engine is ``native`` and has no exact kernel for a force, which is named.
+
+    Examples
+    --------
+    >>> s = pc.from_sequence("GAG")
+    >>> value, forces = pc.energy(s)(s.positions)
+    >>> forces.shape
+    (27, 3)
     """
     settings = {name: value for name, value in locals().items() if name not in ("structure", "system")}
     structure = as_structure(structure)

@@ -127,6 +127,13 @@ def minimise(
     OpenMM's CPU platform, limit how small a torque can become: when a method on such an engine claims its
     tolerance, finds no lower energy or meets a number that is not finite, it continues on the Reference
     platform, within the same budget.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> r = pc.minimise(c, method="lbfgs")
+    >>> str(r.status), r.end.energy < r.start.energy
+    ('converged', True)
     """
     run = taken(Minimisation, locals(), recipe=recipe_of(method))
     return minimise_from(Start(*with_energy(chain, energy)), run, watch)

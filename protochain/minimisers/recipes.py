@@ -314,6 +314,13 @@ def kcm(angle: float = ANGLE) -> Recipe:
     ------
     ProtochainError
         If the angle is no number above 0.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> r = pc.minimise(c, method=pc.kcm(angle=0.01), max_evaluations=20)
+    >>> r.end.energy < r.start.energy
+    True
     """
     return at_angle(RECIPES["kcm"], angle)
 

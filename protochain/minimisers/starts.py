@@ -177,6 +177,13 @@ def explore(
     ------
     ProtochainError
         If a setting is invalid.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> found = pc.explore(c, n_starts=3, method="lbfgs")
+    >>> found.best.end.energy <= found.solutions[0].end.energy
+    True
     """
     MinimiseSettings(seed=seed)
     StartSettings(n_starts=n_starts, spread=spread, hop_temperature=hop_temperature)

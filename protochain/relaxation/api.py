@@ -78,6 +78,12 @@ def relax(
     ------
     ProtochainError
         If an option makes no sense, or the input cannot be used.
+
+    Examples
+    --------
+    >>> r = pc.relax("structures/ala10.pdb")
+    >>> str(r.status)
+    'converged'
     """
     relaxing, setup = split({"preset": preset, **moved_of(source), **options})
     structure = setup.load(source)

@@ -149,6 +149,13 @@ def search(
     ------
     ProtochainError
         If a setting is unknown or out of range, or the input or the folder cannot be used.
+
+    Examples
+    --------
+    >>> c = pc.build_chain(pc.from_sequence("GAG"))
+    >>> found = pc.search(c, method="hopping", evaluations=500)
+    >>> len(found.minima) > 0
+    True
     """
     given = locals()
     settings, running = taken(SearchSettings, given), taken(SearchRunSettings, given)

@@ -30,6 +30,11 @@ def from_sequence(sequence: str) -> Structure:
     ------
     StructureError
         If a letter is not one of the 20, or there are fewer than two.
+
+    Examples
+    --------
+    >>> pc.from_sequence("GAG").n_atoms
+    27
     """
     # Imported here: it imports Biopython, which would slow every start of the program.
     import PeptideBuilder

@@ -50,6 +50,11 @@ def as_structure(source: Any, name: str = "structure", **settings: Any) -> Struc
     ------
     StructureError
         If the type of the source is unknown, or it cannot be used.
+
+    Examples
+    --------
+    >>> pc.as_structure("structures/ala10.pdb").n_residues
+    10
     """
     held = getattr(source, "structure", source)
     held = held() if inspect.ismethod(held) else held  # Of a search the first, lowest minimum.
@@ -88,6 +93,11 @@ def to_mdtraj(structure: Any, frames: Floats | None = None) -> mdtraj.Trajectory
     -------
     mdtraj.Trajectory
         In nm and single precision.
+
+    Examples
+    --------
+    >>> pc.to_mdtraj(pc.from_sequence("GAG")).n_residues
+    3
     """
     import mdtraj
 
@@ -110,6 +120,11 @@ def to_mdanalysis(structure: Any) -> MDAnalysis.Universe:
     -------
     MDAnalysis.Universe
         In angstrom.
+
+    Examples
+    --------
+    >>> len(pc.to_mdanalysis(pc.from_sequence("GAG")).select_atoms("name CA"))
+    3
     """
     import MDAnalysis
 

@@ -128,6 +128,12 @@ def load(
     ------
     StructureError
         If the file cannot be used: one line naming the file, the place and the remedy.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/1l2y.pdb")
+    >>> s.n_residues, s.n_atoms
+    (20, 304)
     """
     acidity_or_auto(ph, "ph")
     residues = user_files(forcefield)

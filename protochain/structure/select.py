@@ -118,6 +118,11 @@ def touching_chains(structure: Any) -> list[tuple[str, str]]:
     ------
     StructureError
         If the structure cannot be used.
+
+    Examples
+    --------
+    >>> pc.touching_chains(pc.load("structures/3i40.pdb"))
+    [('A', 'B')]
     """
     structure = as_structure(structure)
     chain = structure.residue_chain[_touching(structure)]

@@ -76,6 +76,12 @@ def ca_rmsd(structure: Any, x: Any, reference: Any) -> float:
     ------
     ProtochainError
         If positions are those of other atoms.
+
+    Examples
+    --------
+    >>> s = pc.from_sequence("GAG")
+    >>> pc.ca_rmsd(s, s.positions, s.positions + 1.0) < 1e-6
+    True
     """
     structure = as_structure(structure)
     alpha = structure.alpha_carbons

@@ -66,6 +66,12 @@ def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydro
     ------
     StructureError
         If the suffix is unknown, or the structure does not fit the format.
+
+    Examples
+    --------
+    >>> pc.save(pc.from_sequence("GAG"), "gag.pdb")
+    >>> pc.load("gag.pdb").n_atoms
+    27
     """
     path, hydrogens = as_path(path, "path"), flag(hydrogens, "hydrogens")
     check_format(path)

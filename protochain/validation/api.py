@@ -68,6 +68,11 @@ def validate(source: Any, reference: Any = None, posebusters: bool = False, **se
     ------
     ProtochainError
         If a file cannot be used, or no residue matches the reference.
+
+    Examples
+    --------
+    >>> pc.validate("structures/1l2y.pdb").measures["violations"]
+    0
     """
     posebusters = flag(posebusters, "posebusters")
     structure = as_structure(source, **settings)

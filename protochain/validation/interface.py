@@ -212,6 +212,11 @@ def score_interface(
     Hydrogen bonds are Baker and Hubbard's, areas those of Shrake and Rupley for a probe of 1.4 angstrom and
     Bondi's radii, both by mdtraj; Sc is that of Lawrence and Colman, J. Mol. Biol. 234:946 (1993); residues
     are in contact with heavy atoms within 5 angstrom.
+
+    Examples
+    --------
+    >>> pc.score_interface("structures/3i40.pdb", "A", "B").scores["hydrogen_bonds"]
+    6
     """
     structure = as_structure(source, **given(forcefield=forcefield), **settings)
     parts = sides(structure, first, second)

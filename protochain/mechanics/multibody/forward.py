@@ -61,6 +61,16 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     -----
     The Newton-Euler loads at qdd = 0 are subtracted, and articulated bodies solve for the accelerations:
     Featherstone (2008). O(n).
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> rest, tau = np.zeros(tree.n_v), np.ones(tree.n_v)
+    >>> qdd = multibody.forward_dynamics(tree, q, rest, tau)
+    >>> bool(np.allclose(multibody.inverse_dynamics(tree, q, rest, qdd), tau))
+    True
     """
     if wrench is None:
         loads = np.zeros((tree.n_bodies, 6))

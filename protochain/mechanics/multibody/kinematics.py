@@ -67,6 +67,14 @@ def pose(tree: Tree, q: Floats) -> Frames:
     Notes
     -----
     Featherstone, *Rigid Body Dynamics Algorithms* (2008). O(n).
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> multibody.pose(tree, q).origin.shape
+    (5, 3)
     """
     rotation = np.empty((tree.n_bodies, 3, 3))
     origin = np.empty((tree.n_bodies, 3))
@@ -92,6 +100,15 @@ def velocities(tree: Tree, frames: Frames, qd: Floats) -> Floats:
     Notes
     -----
     Featherstone, *Rigid Body Dynamics Algorithms* (2008). O(n).
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> frames = multibody.pose(tree, q)
+    >>> multibody.velocities(tree, frames, np.ones(tree.n_v)).shape
+    (5, 6)
     """
     twists = np.empty((tree.n_bodies, 6))
     outward_twists(
@@ -112,6 +129,15 @@ def jacobian(tree: Tree, frames: Frames) -> Floats:
     -------
     (nb, 6, n_v) float
         Columns are the degrees of freedom. O(n^2): for tests and small studies.
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> frames = multibody.pose(tree, q)
+    >>> multibody.jacobian(tree, frames).shape
+    (5, 6, 10)
     """
     return np.stack([velocities(tree, frames, unit) for unit in np.eye(tree.n_v)], axis=2)
 
@@ -158,6 +184,14 @@ def integrate(tree: Tree, q: Floats, qd: Floats) -> Floats:
     -------
     (n_q,) float
         New coordinates; a free root is rotated by exp(omega), so that its twist is (omega, u) throughout.
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> bool(np.allclose(multibody.integrate(tree, q, np.zeros(tree.n_v)), q))
+    True
     """
     moved = floats(q, (tree.n_q,), "q").copy()
     move_along(tree.links, floats(qd, (tree.n_v,), "qd"), moved)

@@ -50,6 +50,15 @@ def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Flo
     Notes
     -----
     Recursive Newton-Euler algorithm: Luh, Walker, Paul (1980); Featherstone (2008). O(n).
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> rest = np.zeros(tree.n_v)
+    >>> bool(np.allclose(multibody.inverse_dynamics(tree, q, rest, rest), 0.0))
+    True
     """
     frames = pose(tree, q)
     loads = inertial_loads(tree, frames, qd, qdd)
@@ -72,6 +81,16 @@ def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
     -------
     (n_v,) float
         Product, in amu nm^2 times the unit of x. O(n).
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> frames = multibody.pose(tree, q)
+    >>> x = np.ones(tree.n_v)
+    >>> bool(np.allclose(multibody.multiply_mass(tree, frames, x), multibody.mass_matrix(tree, frames) @ x))
+    True
     """
     return pull_back(tree, frames, inertial_loads(tree, frames, np.zeros(tree.n_v), x))
 
@@ -108,6 +127,17 @@ def kinetic_energy(tree: Tree, frames: Frames, qd: Floats) -> float:
     -------
     float, kJ/mol
         Kinetic energy.
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> frames = multibody.pose(tree, q)
+    >>> qd = np.ones(tree.n_v)
+    >>> half = 0.5 * qd @ multibody.mass_matrix(tree, frames) @ qd
+    >>> bool(np.isclose(multibody.kinetic_energy(tree, frames, qd), half))
+    True
     """
     twists = velocities(tree, frames, qd)
     return 0.5 * float(np.vdot(twists, momenta_of_bodies(tree, frames, twists)))
@@ -146,6 +176,15 @@ def centre_of_mass(tree: Tree, frames: Frames) -> Floats:
     -------
     (3,) float, nm
         World coordinates.
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> frames = multibody.pose(tree, q)
+    >>> multibody.centre_of_mass(tree, frames).shape
+    (3,)
     """
     each = frames.origin + np.einsum("bij,bj->bi", frames.rotation, tree.com)
     return np.asarray(tree.mass @ each / tree.mass.sum())

@@ -123,6 +123,15 @@ def log_det_gradient(tree: Tree, frames: Frames) -> Floats:
     Jain, Kandel, Wagner, Larsen, Vaidehi, J. Chem. Phys. 139:244103 (2013), for hinges of any kind: moving
     all bodies beyond hinge k along its twist h changes their articulated inertia P+ by -(P+ crm(h) + its
     transpose), and ln det M by the trace of that change with the parent's Y about the hinge. O(n).
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
+    >>> frames = multibody.pose(tree, q)
+    >>> multibody.log_det_gradient(tree, frames).shape
+    (10,)
     """
     return gradient_of_log_det(articulate(tree, frames))
 

@@ -34,6 +34,13 @@ def random_tree(
     -------
     Tree
         Tree with lengths of order 0.1 nm and masses of order 10 amu, as in a protein.
+
+    Examples
+    --------
+    >>> from protochain import multibody
+    >>> tree = multibody.random_tree(5, seed=1)
+    >>> tree.n_bodies, tree.n_v
+    (5, 10)
     """
     rng = np.random.default_rng(seed)
     last = np.arange(-1, n - 1)
