@@ -26,12 +26,12 @@ from protochain.structure.residues import Residue
 from protochain.structure.write import as_text
 
 WITHOUT_ENERGY = (
-    "engine", "move", "rigid_protein", "terms", "solvent", "cutoff", "accuracy", "precision", "threads",
+    "engine", "move", "rigid_protein", "terms", "solvent", "cutoff", "accuracy", "threads",
 )  # fmt: skip
 SETUP = {
     "hinges": "phi psi chi", "move": "all", "rigid_protein": False, "forcefield": "amber14",
     "solvent": "obc2", "engine": "auto",
-    "cutoff": "auto", "accuracy": "auto", "precision": "double", "threads": None, "trust_forcefield": False,
+    "cutoff": "auto", "accuracy": "auto", "threads": None, "trust_forcefield": False,
     "terms": "all", "model": None,
     "chains": None, "assembly": "", "altloc": "",
     "keep": None, "disulfide": None, "no_disulfide": False, "ph": None, "strict": False,
@@ -58,7 +58,6 @@ NOT_IN_VALIDATE = (
     "engine",
     "cutoff",
     "accuracy",
-    "precision",
     *NOT_IN_BATCH,
 )
 FRAMES = {"trajectory": None, "frames": None, "workers": None, "resume": False}
