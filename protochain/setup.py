@@ -38,8 +38,7 @@ if TYPE_CHECKING:
 
 ALL_MODELS = "all"
 OF_ENERGY = (
-    "forcefield", "solvent", "engine", "cutoff", "accuracy", "precision", "threads", "trust_forcefield",
-    "terms",
+    "forcefield", "solvent", "engine", "cutoff", "accuracy", "threads", "trust_forcefield", "terms",
 )  # fmt: skip
 """Settings that :func:`protochain.energy` takes."""
 
@@ -68,8 +67,6 @@ class Setup(Settings):
     cutoff : float, "auto" or None
         As in :func:`protochain.energy`.
     accuracy : float, "auto" or "exact"
-        As in :func:`protochain.energy`.
-    precision : str
         As in :func:`protochain.energy`.
     threads : int, optional
         Threads for the energy; all by default.
@@ -151,9 +148,6 @@ class Setup(Settings):
         "RMS error of forces in kJ/mol/nm up to which a tree may sum far pairs, exact, or auto: 0.001 from "
         "5,000 atoms.",
         accuracy_of,
-    )
-    precision: str = setting(
-        defaults.PRECISION, "double, or mixed: far pairs in single precision, ends in double.", text
     )
     threads: int | None = setting(None, "Threads to compute on [default: all].", optional(at_least(1)), int)
     trust_forcefield: bool = setting(False, "Allow a force-field file to run its scripts.", flag, bool)

@@ -154,12 +154,9 @@ def test_a_simulation_stays_on_its_input_and_a_resumed_one_too(tmp_path):
     assert np.abs(still.x - s.positions)[np.isin(s.atom_residue, range(14, 20))].max() < ROUND_OFF_NM
 
 
-@pytest.mark.parametrize("hop", [None, 300.0])
-def test_the_best_of_many_starts_lies_on_the_input(hop):
+def test_the_best_of_many_starts_lies_on_the_input():
     s = load("ala10.pdb")
-    found = pc.explore(
-        chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 3, seed=1, hop_temperature=hop, max_evaluations=100
-    )
+    found = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 3, seed=1, max_evaluations=100)
     for solution, row in zip(found.solutions, found.records(), strict=True):
         filed, fitted = both(solution.structure.positions, s.positions, s.alpha_carbons)
         assert fitted > 0.1 and filed == pytest.approx(fitted, abs=AGREES)

@@ -157,12 +157,6 @@ def by_accuracy(threads: int, quick: bool) -> Iterator[dict[str, object]]:
                 tree = exact.to_accuracy(accuracy, x)
                 if tree is not exact:
                     yield against.row(solvent, f"tree, {accuracy:g} asked", tree)
-            mixed = NativeEnergy(exact.by_openmm, 1, mixed=True)
-            if n <= 41:
-                yield against.row(solvent, "mixed precision, all pairs", mixed)
-            tree = mixed.to_accuracy(ACCURACIES[1], x)
-            if tree is not mixed:
-                yield against.row(solvent, f"mixed precision, tree, {ACCURACIES[1]:g} asked", tree)
             # By OpenMM, GBn2 takes minutes.
             if n <= (4 if solvent == "gbn2" else 16):
                 yield against.row(solvent, "OpenMM CPU, all pairs", exact.by_openmm)
@@ -231,7 +225,6 @@ def curves(table: pd.DataFrame) -> Figure:
     )
     ways = (
         ("tree", "o-", "tree"),
-        ("mixed", "^-.", "mixed precision"),
         ("cutoff", "s:", "cutoff"),
         ("OpenMM CPU, all", "x", "OpenMM, all pairs"),
     )

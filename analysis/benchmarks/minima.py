@@ -37,7 +37,7 @@ NEAR = 0.5
 """kJ/mol above the lowest that any walk found."""
 PEPTIDE, HELIX = "YGGFM", "AAAAAAAAAA"
 FOLDS = {"chignolin": ("5awl.pdb", "YYDPETGTWY"), "Trp-cage": ("1l2y.pdb", "NLYIQWLKDGGPSSGRPPPS")}
-TEMPERATURES = {"csa": "300-600", "hopping": "300-600", "annealing": "200-900", "tempering": "300-600"}
+TEMPERATURES = {"csa": "300-600", "hopping": "300-600", "tempering": "300-600"}
 TRAJECTORY = 20
 """Steps between exchanges in torsions."""
 CORES = min(2, len(os.sched_getaffinity(0)))

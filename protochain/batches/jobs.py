@@ -59,7 +59,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
         starts; by default, that of each.
     max_evaluations, seed, restraint, max_rmsd, curvature : int, int, str, float, bool
         As in :func:`protochain.minimise`.
-    n_starts, spread, hop_temperature : int, float, float
+    n_starts, spread : int, float
         As in :func:`protochain.explore`, which runs each method if there are several starts; its best end is
         kept.
 

@@ -135,8 +135,8 @@ def _run(
         )  # fmt: skip
         return solution, {"n_starts": 1}
     found = explore(
-        chain, energy, method, s.n_starts, seed=s.seed, spread=s.spread, hop_temperature=s.hop_temperature,
-        tolerance=s.tolerance, max_evaluations=s.max_evaluations, curvature=s.curvature,
+        chain, energy, method, s.n_starts, seed=s.seed, spread=s.spread, tolerance=s.tolerance,
+        max_evaluations=s.max_evaluations, curvature=s.curvature,
     )  # fmt: skip
     overall = found.overall()
     return found.best, overall.pop("starts_summary") | overall

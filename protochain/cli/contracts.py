@@ -90,7 +90,7 @@ _INTERFACE = _optional(_row(of_relaxing.INTERFACE_COLUMNS))
 _RESIDUE = _row("chain residue name")
 
 _START = _row(
-    "start energy_start_kj_mol energy_end_reference_kj_mol ca_rmsd_angstrom evaluations seconds accepted",
+    "start energy_start_kj_mol energy_end_reference_kj_mol ca_rmsd_angstrom evaluations seconds",
     status=Status,
 )
 _STARTS = _row(

@@ -60,7 +60,7 @@ class Built(TypedDict):
     n_atoms: int
 
 
-@with_settings(setup="engine move rigid_protein terms solvent cutoff accuracy precision threads")
+@with_settings(setup="engine move rigid_protein terms solvent cutoff accuracy threads")
 def info(
     source: Input,
     energy: Annotated[

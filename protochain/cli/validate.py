@@ -48,7 +48,7 @@ class Told(TypedDict):
 
 
 @with_settings(
-    setup="hinges move rigid_protein forcefield solvent engine cutoff accuracy precision threads "
+    setup="hinges move rigid_protein forcefield solvent engine cutoff accuracy threads "
     "trust_forcefield terms ligand_charges"
 )
 def validate(

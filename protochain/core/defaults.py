@@ -13,7 +13,6 @@ ACCURACY: Literal["auto"] = "auto"
 TREE_FROM = 5_000
 TREE_FROM_IN_VACUUM = 9_000
 """Atoms from which far pairs are summed by a tree, as that is quicker; in vacuum no solvent screens them."""
-PRECISION = "double"
 TREE_ACCURACY = 1e-3  # kJ/mol/nm, RMS error of the forces
 
 HINGES = "phi psi chi"

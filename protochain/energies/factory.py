@@ -77,7 +77,6 @@ _BESIDE = {
 as of those that a force field does not know, by element."""
 
 ENGINES = ("auto", "native", "openmm")
-PRECISIONS = ("double", "mixed")
 
 NONBONDED = " (nonbonded)"
 """Behind the name of a force field without its dihedrals."""
@@ -113,8 +112,8 @@ def _as_of(build: Callable[..., Energy], source: Any, named: dict[str, Any]) -> 
 
 @checked(
     forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, accuracy=accuracy_of,
-    precision=text, threads=optional(at_least(1)),
-    trust_forcefield=flag, terms=text, system=instance(openmm.System, "ForceField.createSystem"),
+    threads=optional(at_least(1)), trust_forcefield=flag, terms=text,
+    system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 @inheriting(_as_of)
 def energy(
@@ -125,7 +124,6 @@ def energy(
     *,
     cutoff: float | Literal["auto"] | None = defaults.CUTOFF,
     accuracy: float | Literal["auto", "exact"] = defaults.ACCURACY,
-    precision: str = defaults.PRECISION,
     system: openmm.System | None = None,
     threads: int | None = None,
     trust_forcefield: bool = False,
@@ -158,10 +156,6 @@ def energy(
         RMS error of the forces in kJ/mol/nm up to which the native engine may sum far pairs by a tree, in
         a time that grows as the number of atoms. It is measured against the sum over all pairs, and told
         by ``reason``. ``exact``: all pairs one by one. ``auto``: 1e-3 where that is quicker, by size.
-    precision : str
-        ``double``, or ``mixed``: pairs that are far enough for it in single precision by the native engine,
-        in two thirds to four fifths of the time, forces right to some 1e-4 kJ/mol/nm RMS. What judges an end,
-        and the last steps to it, are in double precision. With a cutoff it saves nothing.
     system : openmm.System, optional
         System to use instead of building one; copied, so that later changes do not affect a run.
     threads : int, optional
@@ -197,10 +191,6 @@ def energy(
         raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
     if terms not in TERMS:
         raise ForceFieldError(f"terms {terms!r} are not known; choose from {', '.join(TERMS)}")
-    if precision not in PRECISIONS:
-        raise ForceFieldError(f"precision {precision!r} is not known; choose from {', '.join(PRECISIONS)}")
-    if precision == "mixed" and engine == "openmm":
-        raise ForceFieldError(Argument("precision", "mixed"), " is of the native engine, not of OpenMM's")
     is_free = accuracy == "auto" and cutoff == "auto"
     if accuracy not in ("auto", "exact") and (cutoff not in ("auto", None) or engine == "openmm"):
         other = ("the engine of OpenMM",) if engine == "openmm" else ("a ", Argument("cutoff"))
@@ -233,16 +223,14 @@ def energy(
             f"the System has {system.getNumParticles()} particles but {structure.name} has "
             f"{structure.n_atoms} atoms; build it from structure.topology"
         )
-    made = by_engine(engine, by_openmm, precision == "mixed")
+    made = by_engine(engine, by_openmm)
     if isinstance(made, NativeEnergy) and accuracy != "exact":
         return made.to_accuracy(float(accuracy), structure.positions)
-    if isinstance(made, NativeEnergy) and made.mixed:
-        made.note_error(structure.positions, made.exact(structure.positions)[1])
     if is_long and cutoff is None and not is_given and not isinstance(made, NativeEnergy):
         forcefield = forcefield.removesuffix(NONBONDED)
         return energy(
             structure, forcefield, solvent, engine, cutoff=defaults.LONG_CUTOFF, threads=threads,
-            precision=precision, trust_forcefield=trust_forcefield, terms=terms,
+            trust_forcefield=trust_forcefield, terms=terms,
         )  # fmt: skip
     if isinstance(made, NativeEnergy) and cutoff is not None and structure.n_atoms <= _MEASURED_UP_TO:
         by_openmm.note += f"; {made.cutoff_error(structure.positions)}"
@@ -358,12 +346,12 @@ _TABULATED = "LennardJones"
 """Name of the force that OpenMM makes of a table of pairs."""
 
 
-def by_engine(engine: str, by_openmm: OpenMMEnergy, mixed: bool = False) -> Energy:
+def by_engine(engine: str, by_openmm: OpenMMEnergy) -> Energy:
     """Choose the engine; ``auto`` falls back on OpenMM and notes why."""
     if engine == "openmm":
         return by_openmm
     try:
-        return NativeEnergy(by_openmm, by_openmm.threads, mixed=mixed)
+        return NativeEnergy(by_openmm, by_openmm.threads)
     except UnsupportedForceError as error:
         if engine == "native":
             raise

@@ -73,21 +73,11 @@ class StartSettings(Settings):
         float,
         read=math.radians,
     )
-    hop_temperature: float | None = setting(
-        None,
-        "Basin hopping: start from the last minimum accepted at this K.",
-        optional(
-            limited(number, lambda kelvin: 0 <= kelvin < math.inf, "give a temperature in K, not below 0")
-        ),
-        float,
-        "--hop",
-    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0 < self.spread < math.inf:
             raise ProtochainError(Argument("spread"), " ", Angle(self.spread), ": give an angle above 0")
-        for name, usual in (("spread", defaults.SPREAD), ("hop_temperature", None)):
-            if self.n_starts == 1 and getattr(self, name) != usual:
-                remedy = "; give ", Argument("n_starts"), " 2 or more, or leave it out"
-                raise ProtochainError(Argument(name), ": is of several starts", *remedy)
+        if self.n_starts == 1 and self.spread != defaults.SPREAD:
+            remedy = "; give ", Argument("n_starts"), " 2 or more, or leave it out"
+            raise ProtochainError(Argument("spread"), ": is of several starts", *remedy)

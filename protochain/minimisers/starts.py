@@ -1,4 +1,4 @@
-"""Minimisation of one protein from many starts: perturbed dihedrals, or basin hopping."""
+"""Minimisation of one protein from many starts of perturbed dihedrals."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.articulate import build_chain, with_energy
+from protochain.articulate import with_energy
 from protochain.chain import Chain, pose
 from protochain.core import defaults
 from protochain.core.arrays import read_only
 from protochain.core.checks import WATCHER, checked, function, integer, number, quantity
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.units import MOLAR_GAS
 from protochain.energies import Energy
 from protochain.minimisers.api import minimise
 from protochain.minimisers.restraints import Hold
@@ -24,7 +23,6 @@ from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk
 from protochain.minimisers.verdict import OTHER_ISOMER, Status
 from protochain.structure import Structure
-from protochain.structure.superpose import rmsd
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,13 +41,10 @@ class Starts:
         Unperturbed.
     solutions : tuple of Solution
         One for each start, the first from the unperturbed chain.
-    accepted : tuple of bool
-        Whether basin hopping continued from there; always true for independent starts.
     """
 
     chain: Chain
     solutions: tuple[Solution, ...]
-    accepted: tuple[bool, ...]
 
     @cached_property
     def best(self) -> Solution:
@@ -77,9 +72,8 @@ class Starts:
                 "evaluations": s.n_evaluations,
                 "seconds": s.seconds,
                 "status": str(s.status),
-                "accepted": accepted,
             }
-            for k, (s, accepted) in enumerate(zip(self.solutions, self.accepted, strict=True))
+            for k, s in enumerate(self.solutions)
         ]
 
     @cached_property
@@ -124,8 +118,8 @@ class Starts:
 
 
 @checked(
-    n_starts=integer, seed=integer, spread=quantity("radian"), hop_temperature=quantity("kelvin"),
-    each=function("k", "solution"), watch=WATCHER, max_rmsd=number,
+    n_starts=integer, seed=integer, spread=quantity("radian"), each=function("k", "solution"),
+    watch=WATCHER, max_rmsd=number,
 )  # fmt: skip
 @held_interrupts()
 def explore(
@@ -136,7 +130,6 @@ def explore(
     *,
     seed: int = defaults.SEED,
     spread: float = defaults.SPREAD,
-    hop_temperature: float | None = None,
     tolerance: float | None = None,
     each: Callable[[int, Solution], None] | None = None,
     **settings: Any,
@@ -157,9 +150,6 @@ def explore(
         Start k draws from its own random stream, (seed, k).
     spread : float, rad
         Standard deviation of the perturbation of every hinge.
-    hop_temperature : float, K, optional
-        Basin hopping (Wales, Doye, J. Phys. Chem. A 101:5111, 1997): each start is the last accepted minimum,
-        perturbed, and a minimum is accepted by the Metropolis criterion at this temperature.
     tolerance : float, optional
         As in :func:`protochain.minimise`, but by default 1 also in kJ/mol/nm: minima are to be compared.
     each : callable, optional
@@ -186,34 +176,26 @@ def explore(
     True
     """
     MinimiseSettings(seed=seed)
-    StartSettings(n_starts=n_starts, spread=spread, hop_temperature=hop_temperature)
+    StartSettings(n_starts=n_starts, spread=spread)
     refuse_held(settings.get("restraint", ()), settings.get("max_rmsd", np.inf))
     settings["tolerance"] = defaults.TOLERANCE if tolerance is None else tolerance
     chain, energy = with_energy(chain, energy)
     solutions: list[Solution] = []
-    accepted: list[bool] = []
-    here, present = chain, np.inf
     for k in range(n_starts):
         random = np.random.default_rng([seed, k])
         try:
-            start = perturbed(here, spread, random) if k else chain
+            start = perturbed(chain, spread, random) if k else chain
             solution = _home(minimise(start, energy, method, seed=seed, **settings), chain)
         except KeyboardInterrupt:
             if not solutions:
                 raise
             break
         solutions.append(solution)
-        accepted.append(True)
-        if hop_temperature is not None:
-            accepted[-1] = _accept(solution.end.energy - present, hop_temperature, random)
-            accepted[-1] &= solution.status not in OTHER_ISOMER
-            if accepted[-1]:
-                here, present = _chain_at(solution), solution.end.energy
         if each:
             each(k, solution)
         if solution.status is Status.INTERRUPTED:
             break
-    return Starts(chain, tuple(solutions), tuple(accepted))
+    return Starts(chain, tuple(solutions))
 
 
 def refuse_held(restraint: Any, max_rmsd: float) -> None:
@@ -266,17 +248,3 @@ def _home(solution: Solution, chain: Chain) -> Solution:
     x = frame(solution.x)
     frames = read_only([frame(each) for each in solution.frames], np.float32)
     return replace(solution, x=x, frame=frame, ca_rmsd_angstrom=frame.ca_rmsds(x)[0], frames=frames)
-
-
-def _chain_at(solution: Solution) -> Chain:
-    """Chain at the end of a solution: the same bodies if they still fit, otherwise rebuilt."""
-    chain = solution.chain
-    if len(solution.q) == chain.n_q and rmsd(pose(chain, solution.q).x, solution.x) < 1e-9:
-        return _moved(chain, solution.q)
-    return build_chain(solution)
-
-
-def _accept(rise: float, temperature: float, random: np.random.Generator) -> bool:
-    if rise <= 0.0:
-        return True
-    return bool(temperature > 0.0 and random.random() < np.exp(-rise / (MOLAR_GAS * temperature)))

@@ -221,7 +221,7 @@ def _by(energy: Energy) -> str:
     """How what judges is called."""
     if energy.engine == "custom":
         return ITSELF
-    return NATIVE if energy.is_exact or isinstance(energy, NativeEnergy) else REFERENCE
+    return NATIVE if energy.is_exact else REFERENCE
 
 
 def _judged(

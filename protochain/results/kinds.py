@@ -44,7 +44,7 @@ _KINDS: Mapping[str, Kind] = {
             acceptance helix_share helix_share_error exchanges slope slope_error share share_error
             """),
         (bool, """
-            free_ligands repacked violation rotamer_outlier pucker_outlier accepted repeats_exactly is_minimum
+            free_ligands repacked violation rotamer_outlier pucker_outlier repeats_exactly is_minimum
             interrupted
             """),
         (list[str], """

@@ -1,4 +1,4 @@
-"""Search for low minima in torsions: hopping, annealing and tempering."""
+"""Search for low minima in torsions: conformational space annealing, hopping and tempering."""
 
 import lazy_loader
 

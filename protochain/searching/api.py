@@ -23,7 +23,6 @@ from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.settings import taken
 from protochain.core.storage import check_writable, claimed
-from protochain.searching.annealing import Coolings
 from protochain.searching.csa import Crossings
 from protochain.searching.hopping import Hops
 from protochain.searching.landscape import Landscape
@@ -108,8 +107,7 @@ def search(
         As in :func:`protochain.minimise`.
     method : str
         ``csa`` (conformational space annealing: a bank of minima is crossed), ``hopping`` (Metropolis over
-        minima), ``annealing`` (cooled hybrid Monte Carlo, again and again) or ``tempering`` (replica
-        exchange, which also yields populations).
+        minima) or ``tempering`` (replica exchange, which also yields populations).
     evaluations : int, optional
         Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: 200,000,
         without end if ``hours`` are given.
@@ -193,8 +191,6 @@ def method_of(settings: SearchSettings, walker: int) -> Method:
         return Crossings(settings.seed, walker)
     if settings.method == "hopping":
         return Hops(settings.temperatures[0], settings.seed, walker)
-    if settings.method == "annealing":
-        return Coolings(settings.temperatures, settings.seed, walker)
     return Replicas(settings.temperatures, settings.n_replicas, settings.pilot, settings.seed, walker)
 
 

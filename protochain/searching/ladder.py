@@ -1,10 +1,9 @@
-"""Temperatures as far apart as energies are wide: ladders of replicas, and schedules of cooling."""
+"""Temperatures as far apart as energies are wide: ladders of replicas."""
 
 import numpy as np
-from scipy.special import erfc, erfcinv
+from scipy.special import erfcinv
 
 from protochain.core.arrays import Floats
-from protochain.core.units import MOLAR_GAS
 
 _RAREST, _MOST_FREQUENT = 1e-3, 0.999
 """Acceptances that are told apart from 0 and 1: more need more trials than a pilot has."""
@@ -22,21 +21,6 @@ def length_of_acceptance(acceptance: Floats) -> Floats:
     is erfc(L/2) (Predescu, Predescu, Ciobanu, J. Chem. Phys. 120:4119, 2004).
     """
     return np.asarray(2.0 * erfcinv(np.clip(acceptance, _RAREST, _MOST_FREQUENT)))
-
-
-def acceptance_of_length(length: Floats) -> Floats:
-    """Mean acceptance of exchanges across a thermodynamic length."""
-    return np.asarray(erfc(0.5 * np.asarray(length)))
-
-
-def length_of_widths(temperatures: Floats, widths: Floats) -> Floats:
-    """Thermodynamic length (n - 1,) between temperatures (n,), K, from the widths (n,) of energies, kJ/mol.
-
-    The heat capacity is width^2 / kT^2: a schedule with equal lengths cools at constant thermodynamic speed
-    (Salamon, Nulton, Harland, Pedersen, Ruppeiner, Liao, Comput. Phys. Commun. 49:423, 1988).
-    """
-    beta = 1.0 / (MOLAR_GAS * temperatures)
-    return np.asarray(0.5 * (widths[1:] + widths[:-1]) * np.abs(np.diff(beta)))
 
 
 def equally_spaced(temperatures: Floats, lengths: Floats) -> Floats:

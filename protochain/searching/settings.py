@@ -9,7 +9,7 @@ from protochain.core.checks import Check, at_least, flag, limited, number, optio
 from protochain.core.errors import refused
 from protochain.core.settings import Settings, setting
 
-METHODS = ("csa", "hopping", "annealing", "tempering")
+METHODS = ("csa", "hopping", "tempering")
 
 _LOWEST, _HIGHEST = 1.0, 1e5
 _MOST = 10_000
@@ -36,7 +36,7 @@ def interval(value: Any, name: str) -> tuple[float, float]:
 class SearchSettings(Settings):
     """Settings that define a search.
 
-    method: ``csa``, ``hopping``, ``annealing`` or ``tempering``.
+    method: ``csa``, ``hopping`` or ``tempering``.
     temperatures K: Lowest and highest.
     n_walkers: Independent walks, which share the evaluations.
     n_replicas: Temperatures of each walk of tempering.
@@ -45,7 +45,7 @@ class SearchSettings(Settings):
     """
 
     method: str = setting(
-        defaults.SEARCH, "csa (conformational space annealing), hopping, annealing or tempering.", text
+        defaults.SEARCH, "csa (conformational space annealing), hopping or tempering.", text
     )
     temperatures: tuple[float, float] = setting(
         defaults.SEARCH_TEMPERATURES,

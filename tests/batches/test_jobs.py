@@ -20,10 +20,10 @@ from protochain.relaxation import RelaxSettings
 
 PLAIN = {
     "methods": ("cartesian",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000,
-    "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": None,
+    "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None,
     "hinges": "phi psi chi", "root": "auto", "move": "all", "rigid_protein": False, "forcefield": "amber14",
     "solvent": "obc2", "engine": "auto", "terms": "all", "cutoff": "auto", "accuracy": "auto",
-    "precision": "double", "trust_forcefield": False,
+    "trust_forcefield": False,
     "model": None,
     "assembly": "", "altloc": "",
     "keep": ("near",), "disulfide": None, "ph": 7.0, "strict": False, "chains": (), "ligands": (),
@@ -39,14 +39,14 @@ OF_RELAX = {
 """Those of ``relax`` alone."""
 
 MINIMISING = {
-    "max_rmsd", "max_evaluations", "seed", "restraint", "n_starts", "spread", "hop_temperature", "curvature",
+    "max_rmsd", "max_evaluations", "seed", "restraint", "n_starts", "spread", "curvature",
     "hinges", "root",
 }  # fmt: skip
 """Those that ``relax`` does not have."""
 
 FIELDS = {
-    "restrain": "restraint", "starts": "n_starts", "hop": "hop_temperature",
-    "hop-temperature": "hop_temperature", "chain": "chains", "energy": "terms", "ligand": "ligands",
+    "restrain": "restraint", "starts": "n_starts",
+    "chain": "chains", "energy": "terms", "ligand": "ligands",
 }  # fmt: skip
 """Fields by names of columns that are others."""
 
@@ -142,9 +142,7 @@ def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
         ({"n_starts": 0}, "n_starts 0: give at least 1"),
         ({"n_starts": 2.5}, "n_starts 2.5: give a whole number"),
         ({"spread": 0.0}, "spread 0 rad: give an angle above 0"),
-        ({"hop_temperature": 300.0},
-         "hop_temperature: is of several starts; give n_starts 2 or more, or leave it out"),
-        ({"n_starts": 2, "hop_temperature": -1}, "hop_temperature -1: give a temperature in K, not below 0"),
+        ({"spread": 1.0}, "spread: is of several starts; give n_starts 2 or more, or leave it out"),
         *(({"n_starts": 2, name: value}, "restraint and max_rmsd refer to each start's own structure; "
            "use one start") for name, value in (("restraint", "5"), ("max_rmsd", 1.0))),
     ],
@@ -168,16 +166,16 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "methods": "kcm, lbfgs", "tolerance": "2", "max_rmsd": " 0.5 ", "max_evaluations": "7", "seed": "3",
         "restrain": "5 0", "curvature": "no",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
-        "engine": "native", "cutoff": "2.5", "accuracy": "1e-3", "precision": "mixed", "rigid_protein": "no",
+        "engine": "native", "cutoff": "2.5", "accuracy": "1e-3", "rigid_protein": "no",
         "model": "2", "assembly": "1", "altloc": "B", "keep": "ZN,CA",
         "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B", "energy": "nonbonded",
         "ligand": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes",
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
-        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": False,
+        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False,
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
-        "engine": "native", "cutoff": 2.5, "accuracy": 1e-3, "precision": "mixed", "rigid_protein": False,
+        "engine": "native", "cutoff": 2.5, "accuracy": 1e-3, "rigid_protein": False,
         "model": 2, "assembly": "1", "altloc": "B", "keep": ("ZN", "CA"),
         "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
         "terms": "nonbonded",
@@ -185,9 +183,9 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "standard_residues": True,
     }  # fmt: skip
     # Columns have the names of the options or of the fields, and angles are in degrees.
-    starts = {"n_starts": 4, "spread": math.pi / 2, "hop_temperature": 300.0}
-    for named in (("starts", "spread", "hop"), ("n_starts", "spread", "hop-temperature")):
-        cells = dict(zip(named, ("4", "90", "300"), strict=True))
+    starts = {"n_starts": 4, "spread": math.pi / 2}
+    for named in (("starts", "spread"), ("n_starts", "spread")):
+        cells = dict(zip(named, ("4", "90"), strict=True))
         assert BatchSettings().read(cells) == BatchSettings(**starts)
     assert {FIELDS.get(name, name) for name in (*row, *cells)} == set(PLAIN) - {"trust_forcefield"}
     assert BatchSettings().read({"model": "1-3, 5", "disulfide": "none"}).setup == pc.Setup(

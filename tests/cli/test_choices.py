@@ -180,12 +180,12 @@ def test_a_manifest_has_the_options_of_the_command_line(tmp_path):
     path = STRUCTURES / "4pti.pdb"
     first, second, third = settings_of(
         tmp_path,
-        "path,restrain,starts,spread,hop,disulfide,chain,max-rmsd\n"
-        f'{path},1000 100 0,,,,"A:5-A:55,A:14-A:38",A,1.5\n{path},,4,20,300,none,,\n{path},,,,,,,\n',
+        "path,restrain,starts,spread,disulfide,chain,max-rmsd\n"
+        f'{path},1000 100 0,,,"A:5-A:55,A:14-A:38",A,1.5\n{path},,4,20,none,,\n{path},,,,,,\n',
     )
     assert first.restraint == "1000 100 0" and first.max_rmsd == 1.5 and first.setup.chains == ("A",)
     assert first.setup.disulfide == (("A:5", "A:55"), ("A:14", "A:38"))
-    assert (second.n_starts, second.hop_temperature, second.setup.disulfide) == (4, 300.0, ("none",))
+    assert (second.n_starts, second.setup.disulfide) == (4, ("none",))
     assert second.spread == pytest.approx(np.radians(20))
     assert third == BatchSettings() and third.setup.disulfide is None
     assert len({str(each.record()) for each in (first, second, third)}) == 3
@@ -197,7 +197,7 @@ def test_a_manifest_has_the_options_of_the_command_line(tmp_path):
         ("restrain\nx.pdb,strong", "'strong'"),
         ("starts\nx.pdb,0", "starts 0"),
         ("starts\nx.pdb,two", "two"),
-        ("hop\nx.pdb,300", "hop_temperature: is of several starts"),
+        ("spread\nx.pdb,30", "spread: is of several starts"),
         ("spread\nx.pdb,0", "spread 0"),
         ("restrain,starts\nx.pdb,100,3", "refer to each start's own structure"),
         ("model\nx.pdb,5-1", "model '5-1'"),
@@ -242,7 +242,7 @@ def test_a_batch_restrains_and_starts_as_single_runs_do(tmp_path):
             {"disulfide": (("A:5", "A:55"),), "chains": ("A", "B")},
         ),
         (("--restrain", "100 0"), {"restraint": "100 0"}),
-        (("--starts", 4, "--spread", 20, "--hop", 300), {"n_starts": 4, "hop_temperature": 300.0}),
+        (("--starts", 4, "--spread", 20), {"n_starts": 4}),
         (("--starts", 4), {"n_starts": 4, "spread": BatchSettings().spread}),
     ],
 )

@@ -89,7 +89,7 @@ def test_build_makes_a_file_that_loads(protochain, tmp_path):
         (["minimise", "in.pdb", "--tolerance", "-1"], ["tolerance -1"]),
         (["minimise", "in.pdb", "--max-evaluations", "many"], ["--max-evaluations", "integer"]),
         (["minimise", "in.pdb", "--hinges", "phi psy"], ["'psy'"]),
-        (["minimise", "in.pdb", "--hop", "300"], ["hop", "--starts 2"]),
+        (["minimise", "in.pdb", "--spread", "30"], ["spread", "--starts 2"]),
         (["minimise", "in.pdb", "--starts", "3", "--resume", "c.npz"], ["--resume", "several starts"]),
         (["minimise", "in.pdb", "--restrain", "strong"], ["'strong'", "1000 100 0"]),
         (["minimise", "in.pdb", "--move", "rezid 5"], ["'rezid 5'", "cannot be read"]),

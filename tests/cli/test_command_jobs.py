@@ -212,7 +212,7 @@ def test_batch_hands_its_options_on(batched, capsys):
         "manifest": None, "resume": False, "workers": None, "scheduler": None, "threads": 1,
         "time_limit": 3600.0,
         "methods": ("cartesian",), "tolerance": None, "max_rmsd": math.inf, "max_evaluations": 5000,
-        "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": None,
+        "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None,
         "setup": Setup(), "relaxing": RelaxSettings(),
     }  # fmt: skip
     assert capsys.readouterr().out == "done 1 'page'\n"
@@ -230,15 +230,15 @@ def test_batch_hands_its_options_on(batched, capsys):
         "manifest": Path("m.csv"), "resume": True, "workers": 2, "scheduler": "s", "threads": 3,
         "time_limit": 4.0,
         "methods": ("md", "kcm"), "tolerance": 5.0, "max_rmsd": 7.0, "max_evaluations": 6, "seed": 8,
-        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "hop_temperature": None, "curvature": False,
+        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False,
         "setup": Setup(ph=5.0),
         "relaxing": RelaxSettings("crystal", "", 5.0, 9.0, 8, 7, "resid 3", False, True),
     }  # fmt: skip
     assert capsys.readouterr().out == '{"a": 1}\n'
-    assert run("batch", "a", "--starts", 9, "--spread", 90, "--hop", 300) == 0
+    assert run("batch", "a", "--starts", 9, "--spread", 90) == 0
     assert batched.given[2] == (
         (["a"], Path("batch")),
-        batched.given[0][1] | {"n_starts": 9, "spread": math.pi / 2, "hop_temperature": 300.0},
+        batched.given[0][1] | {"n_starts": 9, "spread": math.pi / 2},
     )
 
 

@@ -172,15 +172,12 @@ def test_a_start_with_overlaps_is_foretold_to_take_longer(asked, tmp_path, monke
     assert asked.foretold == [(3 * typical_evaluations("cartesian", 5000), 5000), (200, 200)]
 
 
-@pytest.mark.parametrize(
-    ("options", "spread", "hop"),
-    [((), 0.2, None), (("--spread", 90), math.pi / 2, None), (("--hop", 300), 0.2, 300.0)],
-)
-def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("options", "spread"), [((), 0.2), (("--spread", 90), math.pi / 2)])
+def test_many_starts_are_explored(options, spread, asked, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(MINIMISE, "print_distribution", lambda summary: print("distribution", summary))
     assert run("minimise", "a.pdb", "--starts", 4, *options) == 0
-    assert asked.runs == [DEFAULTS | {"n_starts": 4, "spread": spread, "hop_temperature": hop}]
+    assert asked.runs == [DEFAULTS | {"n_starts": 4, "spread": spread}]
     assert asked.shown[0][:2] == ("cartesian", 5000)
     assert asked.foretold == [(4 * typical_evaluations("cartesian", 5000), 20_000)]
     assert capsys.readouterr().out.startswith("distribution {'n': 1}\n")
@@ -203,8 +200,7 @@ def test_many_starts_are_explored(options, spread, hop, asked, tmp_path, monkeyp
             ("--starts", 2, "--trajectory", "t.dcd"),
             "trajectory: belongs to one run, and there are several starts; leave it out",
         ),
-        (("--hop", 300), "hop_temperature: is of several starts; give n_starts 2 or more, or leave it out"),
-        (("--hop", 0), "hop_temperature: is of several starts; give n_starts 2 or more, or leave it out"),
+        (("--spread", 90), "spread: is of several starts; give n_starts 2 or more, or leave it out"),
         (("--trajectory", "t.avi"), "t.avi: unknown trajectory suffix '.avi'; use .dcd or .xtc"),
         (("-o", "a.xyz"), "a.xyz: unknown suffix '.xyz'; use .pdb or .ent or .cif or .mmcif or .pdbx"),
         (("-o", "t.pdb", "--trace", "t.pdb"), "{}/t.pdb: is given for two outputs; give each its own"),

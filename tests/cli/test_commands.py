@@ -26,12 +26,12 @@ from protochain.structure.residues import Residue
 from protochain.structure.write import as_text
 
 WITHOUT_ENERGY = (
-    "engine", "move", "rigid_protein", "terms", "solvent", "cutoff", "accuracy", "precision", "threads",
+    "engine", "move", "rigid_protein", "terms", "solvent", "cutoff", "accuracy", "threads",
 )  # fmt: skip
 SETUP = {
     "hinges": "phi psi chi", "move": "all", "rigid_protein": False, "forcefield": "amber14",
     "solvent": "obc2", "engine": "auto",
-    "cutoff": "auto", "accuracy": "auto", "precision": "double", "threads": None, "trust_forcefield": False,
+    "cutoff": "auto", "accuracy": "auto", "threads": None, "trust_forcefield": False,
     "terms": "all", "model": None,
     "chains": None, "assembly": "", "altloc": "",
     "keep": None, "disulfide": None, "no_disulfide": False, "ph": None, "strict": False,
@@ -41,7 +41,7 @@ OUTPUT, AS_JSON, RUN = {"output": None}, {"as_json": False}, {"tolerance": 1.0, 
 OWN = {**RUN, "tolerance": None}
 MINIMISE = {
     "source": None, **OUTPUT, "method": "cartesian", "angle": None, **OWN, "restraint": "", "max_rmsd": None,
-    "n_starts": 1, "spread": None, "hop_temperature": None, "checkpoint": None, "resume": None, "trace": None,
+    "n_starts": 1, "spread": None, "checkpoint": None, "resume": None, "trace": None,
     "trajectory": None, "report": None, "curvature": None, "ligand_out": None, "one_file": False, "seed": 0,
     **AS_JSON, "force": False, **SETUP,
 }  # fmt: skip
@@ -58,7 +58,6 @@ NOT_IN_VALIDATE = (
     "engine",
     "cutoff",
     "accuracy",
-    "precision",
     *NOT_IN_BATCH,
 )
 FRAMES = {"trajectory": None, "frames": None, "workers": None, "resume": False}
@@ -75,7 +74,7 @@ COMMANDS = {
         "inputs": None, "output": Path("batch"), "methods": "cartesian", "manifest": None, "workers": None,
         "scheduler": None, "threads": 1, "time_limit": 3600.0, "null": False, "resume": False,
         "dry_run": False, **OWN, "max_rmsd": None, "restraint": "", "n_starts": 1, "spread": None,
-        "hop_temperature": None, "curvature": None, "seed": 0,
+        "curvature": None, "seed": 0,
         "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
         "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
         "posebusters": False, "free_ligands": False, "repack_region": "", "interface": "",
@@ -152,7 +151,7 @@ FLAGS = {
     "ligands": ["--ligand"],
     "as_json": ["--json"], "output": ["-o", "--output"], "chains": ["--chain", "--chains"],
     "null": ["--null", "-0"], "restraint": ["--restrain"], "n_starts": ["--starts"],
-    "hop_temperature": ["--hop"], "n_steps": ["--steps"],
+    "n_steps": ["--steps"],
     "between": ["--pull"], "speed": ["--pull-speed"], "hinge_springs": ["--hinge-spring"],
     ("between", "energy"): ["--between"], ("stiffness", "simulate"): ["--pull-stiffness"],
     "terms": ["--energy"], "n_walkers": ["--walkers"], "n_replicas": ["--replicas"],

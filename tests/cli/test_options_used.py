@@ -70,7 +70,7 @@ PATHS = {
 VALUES = {
     "output": "other.pdb", "method": "newton", "angle": "0.001", "trace": "t.csv", "trajectory": "t.dcd",
     "report": "page.html", "ligand_out": "l.sdf", "checkpoint": "end.npz", "resume": "state.npz",
-    "tolerance": "700", "restraint": "100 0", "max_rmsd": "0.5", "spread": "20", "hop_temperature": "300",
+    "tolerance": "700", "restraint": "100 0", "max_rmsd": "0.5", "spread": "20",
     "manifest": "list.csv", "scheduler": "tcp://127.0.0.1:9", "frames": "0", "preset": "design",
     "protocol": "alphafold", "stiffness": "50", "exclude": "resid 2", "repack_region": "chainID A",
     "interface": "A:B", "methods": "lbfgs,newton", "reference": "d.pdb", "to": "q.pdb",
@@ -84,7 +84,7 @@ VALUES = {
 """What an option is given, by its name; flags and numbers not here get another than their default."""
 OF_SETUP = {
     "hinges": "chi", "move": "resid 2", "forcefield": "amber99sb", "solvent": "obc2", "engine": "openmm",
-    "terms": "nonbonded", "cutoff": "1", "accuracy": "exact", "precision": "mixed", "threads": "1",
+    "terms": "nonbonded", "cutoff": "1", "accuracy": "exact", "threads": "1",
     "model": "2",
     "assembly": "1", "altloc": "B", "keep": "none", "disulfide": "A:3-A:5", "ph": "3", "chains": "A",
     "ligands": "LIG=CO", "ligand_charges": "mmff94",

@@ -1,7 +1,6 @@
 """Whole runs: parted overlaps, restraints, limits, selections, many starts, checkpoints."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,14 +11,13 @@ from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM
 
 import protochain as pc
 from protochain.contacts import OVERLAP, overlaps
-from protochain.minimisers import LBFGS, BudgetSpentError, Descent, Run, Status, StrongWolfe, starts
+from protochain.minimisers import LBFGS, BudgetSpentError, Descent, Run, Status, StrongWolfe
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Ending, Snapshot, Stop, Unstarted
 from protochain.minimisers.problem import Evaluation, Problem, Tally
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.spaces import Positions, Torsions
 from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Stage, lowest, parting, walk
-from protochain.minimisers.starts import _accept
 from protochain.minimisers.verdict import verdict
 
 FREE = ("lbfgs", "cartesian", "hybrid")
@@ -236,47 +234,6 @@ def test_starts_take_a_file_and_the_default_energy():
     assert [s.end.energy for s in found.solutions] == [s.end.energy for s in again.solutions]
 
 
-def test_hops_keep_minima_as_metropolis_does():
-    found = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 6, spread=0.5, hop_temperature=0.0)
-    kept = [s.end.energy for s, ok in zip(found.solutions, found.accepted, strict=True) if ok]
-    assert kept == sorted(kept, reverse=True) and len(kept) < 6
-    random = np.random.default_rng(0)
-    share = np.mean([_accept(2.0, 300.0, random) for _ in range(20_000)])
-    assert share == pytest.approx(np.exp(-2.0 / (8.31446e-3 * 300.0)), abs=0.01)
-    assert _accept(-1.0, 0.0, random) and not _accept(1e-3, 0.0, random)
-
-
-def test_hops_go_on_from_the_present_minimum_however_low_an_earlier_one(monkeypatch):
-    rng, temperature = np.random.default_rng(1), 300.0
-    energies, came_from = rng.uniform(0.0, 10.0, size=2000), []
-
-    def minimise(start, *_, **__):
-        came_from.append(start)
-        end = SimpleNamespace(energy=energies[len(came_from) - 1])
-        return SimpleNamespace(end=end, status=Status.CONVERGED, number=len(came_from) - 1)
-
-    monkeypatch.setattr(starts, "minimise", minimise)
-    monkeypatch.setattr(starts, "perturbed", lambda here, *_: here)
-    monkeypatch.setattr(starts, "_home", lambda solution, _: solution)
-    monkeypatch.setattr(starts, "_chain_at", lambda solution: solution.number)
-    given = chain("ala10.pdb")
-    found = starts.explore(given, energy("ala10.pdb"), n_starts=2000, hop_temperature=temperature)
-    assert found.accepted[0] and came_from[0] is given
-    present, chances, climbed = 0, [], []
-    for k in range(1, 2000):
-        assert came_from[k] == present
-        rise = energies[k] - energies[present]
-        if rise > 0:
-            chances.append(np.exp(-rise / (8.31446e-3 * temperature)))
-            climbed.append(found.accepted[k])
-        else:
-            assert found.accepted[k]
-        present = k if found.accepted[k] else present
-    # Four standard deviations of some thousand draws.
-    spread = np.sqrt(np.sum(np.multiply(chances, np.subtract(1.0, chances))))
-    assert abs(np.sum(climbed) - np.sum(chances)) < 4 * spread
-
-
 class Ended:
     """A method whose run ends as told, and which notes that it was run."""
 
@@ -451,7 +408,6 @@ def test_restraints_that_make_no_sense_are_refused(options, word):
     [
         ({"n_starts": 0}, "at least 1"),
         ({"spread": 0.0}, "above 0"),
-        ({"hop_temperature": -1.0}, "not below 0"),
         ({"max_rmsd": 1.0}, "each start's own"),
         ({"restraint": (10.0,)}, "each start's own"),
     ],

@@ -15,7 +15,7 @@ from protochain.contacts import overlaps
 from protochain.frame import Frame
 from protochain.minimisers import Starts, Status, starts
 from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.starts import _accept, _chain_at, _home, parted, perturbed
+from protochain.minimisers.starts import _home, parted, perturbed
 
 
 @dataclass
@@ -59,7 +59,7 @@ def made():
         status = Status.BUDGET if k == 2 else Status.CONVERGED
         x = breathed(0.01 * k)[0] + [1.0, 2.0, 3.0]
         solutions.append(Made(end, x, 100.0 + k, 10 + k, 1.0 + k, status, Frame(c.structure), 5.0 + k))
-    return Starts(c, tuple(solutions), (True, True, False, True, True))
+    return Starts(c, tuple(solutions))
 
 
 def test_the_best_is_the_first_of_lowest_energy():
@@ -78,7 +78,7 @@ def test_the_records_of_all_starts():
     assert rmsds == pytest.approx([breathed(0.01 * k)[1] for k in range(5)], abs=1e-6)
     assert rows[2] == {
         "start": 2, "energy_start_kj_mol": 102.0, "energy_end_reference_kj_mol": -11.0, "evaluations": 12,
-        "seconds": 3.0, "status": "budget", "accepted": False,
+        "seconds": 3.0, "status": "budget",
     }  # fmt: skip
     assert [row["start"] for row in rows] == list(range(5)) and type(rows[0]["status"]) is str
     assert found.table.to_dict("records") == found.records() and len(found.table) == 5
@@ -126,7 +126,7 @@ def test_independent_starts_are_perturbed_from_the_first_by_streams_of_their_own
     assert [call[0] for call in given.calls] == [c, (c, 0.3, drawn[1]), (c, 0.3, drawn[2])]
     assert all(call[1:] == (e, "kcm", 7, {"tolerance": 2.0}) for call in given.calls)
     assert seen == list(enumerate(found.solutions)) and found.chain is c
-    assert found.accepted == (True, True, True) and [s.energy for s in found.solutions] == [-1.0, -3.0, -2.0]
+    assert [s.energy for s in found.solutions] == [-1.0, -3.0, -2.0]
     # Each is brought home to the chain given.
     assert all(solution.frame is c for solution in found.solutions)
 
@@ -134,26 +134,8 @@ def test_independent_starts_are_perturbed_from_the_first_by_streams_of_their_own
 def test_an_interrupt_leaves_out_the_starts_that_follow(given):
     given.ends += [(-1.0, None), (-3.0, None, 0.0, 1, 1.0, Status.INTERRUPTED)]
     found = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), n_starts=5)
-    assert len(found.solutions) == len(given.calls) == 2 and found.accepted == (True, True)
+    assert len(found.solutions) == len(given.calls) == 2
     assert given.calls[0][2:4] == ("cartesian", 0) and given.calls[1][0][1] == 0.2
-
-
-def test_hops_start_from_the_last_accepted_minimum(given, monkeypatch):
-    given.ends += [(-1.0, "a"), (-3.0, "b"), (-2.0, "c"), (-3.0, "d"), (-9.0, "e")]
-    monkeypatch.setattr(starts, "_chain_at", lambda solution: solution.x)
-    c = chain("ala10.pdb")
-    found = pc.explore(c, energy("ala10.pdb"), n_starts=5, hop_temperature=0.0)
-    assert [call[0] if call[0] is c else call[0][0] for call in given.calls] == [c, "a", "b", "b", "d"]
-    assert found.accepted == (True, True, False, True, True)
-    assert all(solution.frame is c for solution in found.solutions)
-
-
-def test_no_hop_starts_from_a_minimum_of_the_other_hand(given, monkeypatch):
-    given.ends += [(-1.0, "a"), (-9.0, "b", 0.0, 1, 1.0, Status.INVERTED), (-2.0, "c"), (-3.0, "d")]
-    monkeypatch.setattr(starts, "_chain_at", lambda solution: solution.x)
-    found = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), n_starts=4, hop_temperature=0.0)
-    assert [call[0][0] for call in given.calls[1:]] == ["a", "a", "c"]
-    assert found.accepted == (True, False, True, True) and found.best is found.solutions[3]
 
 
 def test_a_solution_from_a_perturbed_start_is_superposed_on_the_structure_given():
@@ -177,20 +159,6 @@ def test_a_solution_from_a_perturbed_start_is_superposed_on_the_structure_given(
     assert _home(first, c) is first
 
 
-def test_a_rise_is_accepted_with_boltzmanns_chance():
-    class Drawn:
-        def __init__(self, number):
-            self.number = number
-
-        def random(self):
-            return self.number
-
-    chance = np.exp(-2.0 / (8.31446261815324e-3 * 300.0))
-    assert _accept(2.0, 300.0, Drawn(0.999 * chance)) and not _accept(2.0, 300.0, Drawn(1.001 * chance))
-    assert _accept(0.0, 0.0, Drawn(1.0)) and _accept(-1.0, 0.0, Drawn(1.0))
-    assert not _accept(1e-9, 0.0, Drawn(0.0)) and _accept(2.0, 0.5, Drawn(0.0))
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -198,8 +166,6 @@ def test_a_rise_is_accepted_with_boltzmanns_chance():
         ({"seed": -1}, "seed -1: give 0 or more"),
         ({"spread": 0.0}, "spread 0 rad: give an angle above 0"),
         ({"spread": np.inf}, "spread inf rad: give an angle above 0"),
-        ({"hop_temperature": -1.0}, "hop_temperature -1: give a temperature in K, not below 0"),
-        ({"hop_temperature": np.inf}, "hop_temperature inf: give a temperature in K, not below 0"),
         ({"restraint": 3.0}, "restraint and max_rmsd refer to each start's own structure; use one start"),
         ({"max_rmsd": 3.0}, "restraint and max_rmsd refer to each start's own structure; use one start"),
     ],
@@ -228,21 +194,3 @@ def test_parting_moves_the_same_bodies_until_nothing_overlaps():
     moved = parted(c)
     assert not overlaps(c.structure, moved.structure.positions) and moved.tree is c.tree
     assert Torsions(moved).start(moved.structure.positions) is moved.q0
-
-
-def test_a_chain_goes_on_from_a_solution_with_its_bodies_or_rebuilt():
-    c = pc.build_chain(load("ala10.pdb"), "phi psi", move="resid 3:7")
-    q = c.q0 + 0.01
-    x = pose(c, q).x
-    kept = _chain_at(SimpleNamespace(chain=c, q=q, x=x))
-    assert kept.tree is c.tree and np.array_equal(kept.q0, q) and np.array_equal(kept.structure.positions, x)
-    longer = 1.01 * x
-    for other in (q, q[:-1]):
-        solution = SimpleNamespace(chain=c, q=other, x=longer, structure=c.structure.with_positions(longer))
-        rebuilt = _chain_at(solution)
-        assert rebuilt.tree is not c.tree and np.array_equal(rebuilt.structure.positions, longer)
-        assert (rebuilt.opened, rebuilt.root, rebuilt.move) == (
-            c.opened,
-            c.root,
-            c.move,
-        ) and c.opened == "phi psi"

@@ -32,7 +32,7 @@ _COARSE, _WATER = 0.9, 78.5
 
 
 class NativeEnergy:
-    """Energy of an OpenMM System by compiled kernels, in double or mixed precision.
+    """Energy of an OpenMM System by compiled kernels, in double precision.
 
     A run repeats bit for bit on any number of threads. Energies at the same positions may differ in the last
     digits between runs that reach them by different paths: neighbour lists, and with them the order of sums,
@@ -46,8 +46,6 @@ class NativeEnergy:
         Number of threads.
     opening : Opening, optional
         How a tree sums what is far; all pairs are summed without.
-    mixed : bool
-        Whether pairs that are far enough for it are computed in single precision.
 
     Raises
     ------
@@ -55,23 +53,20 @@ class NativeEnergy:
         If the System has a force without an exact native kernel.
     """
 
-    engine = "native"
+    engine, is_exact = "native", True
 
-    def __init__(
-        self, by_openmm: OpenMMEnergy, threads: int, opening: Opening | None = None, mixed: bool = False
-    ) -> None:
+    def __init__(self, by_openmm: OpenMMEnergy, threads: int, opening: Opening | None = None) -> None:
         terms = compile_system(by_openmm.system)
         nobody = np.full((terms.n_atoms, 1), -1)
         layout = Layout(terms, nobody, partners(terms.nonbonded.exceptions.atoms, terms.n_atoms))
         if terms.nonbonded.cutoff < layout.near:
             raise UnsupportedForceError(f"NonbondedForce with a cutoff below {layout.near:.2g} nm")
-        self._set(by_openmm, threads, layout, opening, mixed)
+        self._set(by_openmm, threads, layout, opening)
 
     def _set(
-        self, by_openmm: OpenMMEnergy, threads: int, layout: Layout, opening: Opening | None = None,
-        mixed: bool = False,
-    ) -> None:  # fmt: skip
-        self.by_openmm, self.opening, self.mixed = by_openmm, opening, mixed
+        self, by_openmm: OpenMMEnergy, threads: int, layout: Layout, opening: Opening | None = None
+    ) -> None:
+        self.by_openmm, self.opening = by_openmm, opening
         self.errors: tuple[float, ...] = ()
         """RMS errors of the forces in kJ/mol/nm: the first and the last that were measured."""
         self.system, self.atoms = by_openmm.system, by_openmm.atoms
@@ -88,15 +83,13 @@ class NativeEnergy:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Made anew, without the neighbour lists of earlier evaluations."""
-        given = self.by_openmm, self.threads, self.opening, self.mixed
         rigid = None if self._all is None else (self._layout.groups, self._all[3])
-        return _remade, (*given, rigid)
+        return _remade, (self.by_openmm, self.threads, self.opening, rigid)
 
     @property
     def reason(self) -> str:
         """Kernels, precision, threads, the accuracy of far pairs, and the constant terms left out."""
-        precision = "mixed" if self.mixed else "double"
-        text = f"native kernels, {precision} precision, {self.threads} threads"
+        text = f"native kernels, double precision, {self.threads} threads"
         if self.opening is not None:
             text += "; far pairs by a tree"
         if self.errors:
@@ -128,31 +121,20 @@ class NativeEnergy:
 
     @property
     def reference(self) -> "Energy":
-        """The same energy on OpenMM's Reference platform.
-
-        Of mixed precision, or of very many atoms, all pairs by native kernels in double precision.
-        """
-        if self.mixed or (self.opening is not None and self._layout.terms.n_atoms > defaults.FULL_UP_TO):
+        """The same energy on OpenMM's Reference platform; of very many atoms, all pairs by native kernels."""
+        if self.opening is not None and self._layout.terms.n_atoms > defaults.FULL_UP_TO:
             return self.exact
         return self.by_openmm.reference
 
     @cached_property
     def exact(self) -> "NativeEnergy":
-        """The same energy with all pairs summed one by one in double precision; itself if it does so."""
-        return self if self.opening is None and not self.mixed else self._copy(None, False)
-
-    @property
-    def is_exact(self) -> bool:
-        """Whether it computes in double precision, so that the reference would gain nothing."""
-        return not self.mixed
+        """The same energy with all pairs summed one by one; itself if it does so."""
+        return self if self.opening is None else self.by_tree(None)
 
     def by_tree(self, opening: Opening | None) -> "NativeEnergy":
         """Return a copy whose far pairs are summed by a tree; None: one by one."""
-        return self._copy(opening, self.mixed)
-
-    def _copy(self, opening: Opening | None, mixed: bool) -> "NativeEnergy":
         copy = NativeEnergy.__new__(NativeEnergy)
-        copy._set(self.by_openmm, self.threads, self._layout, opening, mixed)
+        copy._set(self.by_openmm, self.threads, self._layout, opening)
         return copy
 
     def to_accuracy(self, accuracy: float, x: Floats) -> "NativeEnergy":
@@ -181,7 +163,7 @@ class NativeEnergy:
 
     def note_error(self, x: Floats, forces: Floats) -> float:
         """RMS difference of the forces at x (na, 3) in nm from exact ones, which ``reason`` tells."""
-        if self.opening is None and not self.mixed:
+        if self.opening is None:
             return 0.0
         error = float(np.sqrt(((self(x)[1] - forces) ** 2).sum(axis=1).mean()))
         self.errors = (*self.errors[:1], error)
@@ -242,7 +224,7 @@ class NativeEnergy:
 
         The neighbour lists remain as they are: what is asked between two runs changes no bit of the second.
         """
-        if self.opening is not None or self.mixed:
+        if self.opening is not None:
             return self.exact._with_born(x)
         if self._layout.terms.solvent is None:
             blocks = self._layout.blocks.copy()
@@ -295,13 +277,12 @@ class NativeEnergy:
         less = NativeEnergy.__new__(NativeEnergy)
         # Exceptions left out must still be kept off the list of free pairs.
         layout = replace(self._layout, terms=fewer, groups=groups)
-        less._set(self.by_openmm, self.threads, layout, mixed=self.mixed)
+        less._set(self.by_openmm, self.threads, layout)
         # Lists at these positions, whatever was computed before, so that runs repeat.
         mine, its = lists_of(self._layout, x), lists_of(less._layout, x)
         less._lists, less._all = its, (self._layout, mine, its, x)
         left_out["close pairs"] = len(mine.close) - len(its.close)
         less.left_out = MappingProxyType({kind: n for kind, n in left_out.items() if n})
-        less.errors = self.errors
         return less
 
     @cached_property
@@ -376,7 +357,7 @@ class NativeEnergy:
             self._lists = lists_of(self._layout, x)
         last = self._evaluation
         if last is None or last.lists is not self._lists:
-            workspace = last.workspace if last else Workspace(self._layout, self.mixed)
+            workspace = last.workspace if last else Workspace(self._layout)
             self._evaluation = Evaluation(
                 self._layout, self._lists, self._constants[1], workspace, self.threads
             )
@@ -394,7 +375,7 @@ class NativeEnergy:
         tree = plant(at, opening.angle, least_distance(self._layout))
         layout = in_order(self._layout, tree.order)
         lists = replace(lists_of(layout, at[tree.order], tree.near), x=at.copy())
-        workspace = last.workspace if last else Workspace(layout, self.mixed)
+        workspace = last.workspace if last else Workspace(layout)
         workspace.atoms[:] = layout.blocks
         far, fixed = Far(layout, opening, tree), np.zeros(len(x))
         if layout.terms.solvent is not None:
@@ -412,10 +393,9 @@ class NativeEnergy:
 
 
 def _remade(
-    by_openmm: OpenMMEnergy, threads: int, opening: Opening | None, mixed: bool,
-    rigid: tuple[Integers, Floats] | None,
-) -> NativeEnergy:  # fmt: skip
-    made = NativeEnergy(by_openmm, threads, opening, mixed)
+    by_openmm: OpenMMEnergy, threads: int, opening: Opening | None, rigid: tuple[Integers, Floats] | None
+) -> NativeEnergy:
+    made = NativeEnergy(by_openmm, threads, opening)
     return made if rigid is None else made.without_constants(*rigid)
 
 

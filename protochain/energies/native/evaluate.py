@@ -92,11 +92,6 @@ class Layout:
         return np.concatenate([in_types(row, n.lj_type) for row in rows], axis=2)
 
     @cached_property
-    def small_lj(self) -> np.ndarray:
-        """(blocks, types, 2 W) float32: ``lj`` in single precision."""
-        return self.lj.astype(np.float32)
-
-    @cached_property
     def touched(self) -> np.ndarray:
         """(CHUNKS, blocks) bool: blocks whose sums a chunk writes to for bonded terms and exceptions."""
         found = np.zeros((CHUNKS, n_blocks(self.terms.n_atoms)), dtype=bool)

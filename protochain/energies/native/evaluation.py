@@ -47,17 +47,13 @@ _BONDED = ("bonds", "angles", "torsions", "impropers", "ties", "tie angles")
 
 
 class Workspace:
-    """Arrays that an evaluation writes to, for any lists.
+    """Arrays that an evaluation writes to, for any lists."""
 
-    mixed: Whether rows of tiles beyond all masks are computed in single precision.
-    """
-
-    def __init__(self, layout: Layout, mixed: bool = False) -> None:
+    def __init__(self, layout: Layout) -> None:
         n = layout.terms.n_atoms
         self.x, self.forces = np.empty((n, 3)), np.empty((n, 3))
         self.atoms = aligned(layout.blocks.shape)
         self.atoms[:] = layout.blocks
-        self.small = np.zeros(layout.blocks.shape, np.float32) if mixed else None
         self.sums = aligned((CHUNKS, len(self.atoms), SUMS * W))
         self.parts = np.empty((len(KINDS), CHUNKS))
         self.worth = Worth()
@@ -178,7 +174,6 @@ def arguments(
             _fixed(*each) if isinstance(each, tuple) else _fixed(each)[0] for each in far.arguments()
         )
         of_tree = far.room(), _fixed(*far.geometry()), settings, _fixed(*far.screened)
-    small = None if w.small is None else (w.small, *_fixed(layout.small_lj))
     state = w.x, w.atoms, w.sums, *_fixed(writes), w.parts, w.forces
     pairwise = tuple(map(float, (layout.near, nonbonded.cutoff, nonbonded.krf, nonbonded.crf)))
     vacuum = *_fixed(layout.lj, layout.lj_type, lists.changing, lists.is_near, layout.block_near), pairwise
@@ -192,7 +187,7 @@ def arguments(
         which = maps.parameters[:, 0].astype(np.int64)
         of_maps = _fixed(maps.atoms, which, terms.map_coefficients)
     if solvent is None:
-        return state, vacuum, some, of_maps, None, None, of_tree, small
+        return state, vacuum, some, of_maps, None, None, of_tree
     each = (
         *_fixed(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
         bool(solvent.engulfs), *_fixed(solvent.charge, solvent.surface), float(solvent.cutoff),
@@ -200,9 +195,9 @@ def arguments(
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
     born = each, _fixed(lists.close, fixed, lists.tiles), written
     if solvent.necks is None:
-        return state, vacuum, some, of_maps, born, None, of_tree, small
+        return state, vacuum, some, of_maps, born, None, of_tree
     necks = *_fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.necked
-    return state, vacuum, some, of_maps, born, necks, of_tree, small
+    return state, vacuum, some, of_maps, born, necks, of_tree
 
 
 def _fixed(*arrays: Any) -> tuple[Any, ...]:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.energies.native import bonded, born, expansion, neck, pairs, single
+from protochain.energies.native import bonded, born, expansion, neck, pairs
 from protochain.energies.native.atomic import add, give_way, load, pause, replace, ticks
 from protochain.energies.native.layout import (
     CHUNKS,
@@ -53,15 +53,13 @@ BONDS, ANGLES, TORSIONS, IMPROPERS, MAPS, TIES, TIE_ANGLES, NONBONDED, POLAR, SU
 @shared
 def work(
     leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any,
-    far: Any, small: Any,
+    far: Any,
 ) -> None:  # fmt: skip
     """Do tasks: the thread that leads until its energy is done, a helper until none has come for a while."""
     room = np.empty(2, np.int64)
     began = since = ticks(room)
     if leads:
         put_positions(state[0], state[1])
-        if small is not None:
-            single.put_small(0, len(state[1]), state[1], small[0])
         counters[ALL] = counters[TASKS] * counters[STEPS]
         add(counters, LAST, counters[ALL])
         add(counters, OPEN, counters[TASKS])
@@ -74,7 +72,7 @@ def work(
         if load(counters, NEXT) < load(counters, OPEN):
             waited += ticks(room) - since if looks else 0
             looks = 0
-            did += take(counters, state, vacuum, terms, maps, solvent, necks, far, small)
+            did += take(counters, state, vacuum, terms, maps, solvent, necks, far)
             continue
         if looks == 0:
             since = ticks(room)
@@ -91,9 +89,8 @@ def work(
 
 @inlined
 def take(
-    counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any, far: Any,
-    small: Any,
-) -> bool:  # fmt: skip
+    counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any, far: Any
+) -> bool:
     """Do the next task, if one is open, and return whether one was."""
     task = load(counters, NEXT)
     if task >= load(counters, OPEN) or not replace(counters, NEXT, task, task + 1):
@@ -102,9 +99,9 @@ def take(
     each = CHUNKS // counters[TASKS]
     mine = of_step * each, (of_step + 1) * each
     if solvent is None:
-        in_vacuum(step % IN_VACUUM, mine, state, vacuum, terms, maps, far, small)
+        in_vacuum(step % IN_VACUUM, mine, state, vacuum, terms, maps, far)
     else:
-        in_solvent(step % IN_SOLVENT, mine, state, vacuum, terms, maps, solvent, necks, far, small)
+        in_solvent(step % IN_SOLVENT, mine, state, vacuum, terms, maps, solvent, necks, far)
     done = add(counters, DONE, 1) + 1
     if done == load(counters, OPEN) and done < load(counters, LAST):
         add(counters, OPEN, counters[TASKS])
@@ -112,25 +109,17 @@ def take(
 
 
 @inlined
-def in_vacuum(
-    step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, far: Any, small: Any
-) -> None:
+def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, far: Any) -> None:
     """Do some chunks of a step of the energy in vacuum."""
     _, atoms, sums, touched, parts, forces = state
     lj, lj_type, tiles, is_near, block_near, pairwise = vacuum
     near, cutoff, krf, crf = pairwise
     if step == 0:
         clear(mine, sums, touched, parts)
-        if small is None:
-            pairs.pair_sums(
-                mine, atoms, lj, lj_type, tiles, is_near, near, block_near, cutoff, krf, crf, sums,
-                parts[NONBONDED],
-            )  # fmt: skip
-        else:
-            single.pair_sums(
-                mine, atoms, small[0], lj, small[1], lj_type, tiles, is_near, near, block_near, cutoff, krf,
-                crf, False, sums, parts[NONBONDED],
-            )  # fmt: skip
+        pairs.pair_sums(
+            mine, atoms, lj, lj_type, tiles, is_near, near, block_near, cutoff, krf, crf, sums,
+            parts[NONBONDED],
+        )  # fmt: skip
         bonded_sums(mine, state, pairwise, terms, maps)
         if far is not None:
             far_moments(mine, atoms, far[2][0], far)
@@ -144,31 +133,31 @@ def in_vacuum(
 @inlined
 def in_solvent(
     step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any,
-    far: Any, small: Any,
+    far: Any,
 ) -> None:  # fmt: skip
     """Do some chunks of a step of the energy with generalised Born."""
     _, atoms, sums, touched, parts, forces = state
     if step == 0:
         clear(mine, sums, touched, parts)
-        integrals(mine, state, vacuum, solvent, necks, small)
+        integrals(mine, state, vacuum, solvent, necks)
         if far is not None:
             far_moments(mine, atoms, far[2][0], far)
     elif step == 1:
         if far is not None:
             far_fields(mine, far[2][0], far)
-        born_radii(mine, state, solvent, far, small)
+        born_radii(mine, state, solvent, far)
     elif step == 2:
-        polar(mine, state, solvent, small)
+        polar(mine, state, solvent)
         if far is not None:
             screened_tiles, screened_rows = far[3]
             born.screened_sums(mine, atoms, screened_tiles, screened_rows, sums, parts[POLAR])
     elif step == 3:
-        pulls(mine, state, solvent, small)
+        pulls(mine, state, solvent)
         if far is not None:
             put_pulls(mine, atoms, solvent[2][3], far)
             far_moments(mine, atoms, far[2][1], far)
     elif step == 4:
-        solvated_pairs(mine, state, vacuum, solvent, necks, small)
+        solvated_pairs(mine, state, vacuum, solvent, necks)
         bonded_sums(mine, state, vacuum[5], terms, maps)
         if far is not None:
             far_fields(mine, far[2][1], far)
@@ -244,15 +233,12 @@ def blocks_of(mine: Share, atoms: Floats) -> Share:
 
 
 @inlined
-def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any, small: Any) -> None:
+def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
     """Born integrals."""
     x, atoms, sums, _, _, _ = state
     _, _, tiles, is_near, block_near, (near, _, _, _) = vacuum
     (offset_radius, _, _, scaled_radius, engulfs, _, _, cutoff), (close, _, _), (slopes, _, _, _) = solvent
-    if small is None:
-        born.integral_sums(mine, atoms, tiles, is_near, near, block_near, cutoff, sums)
-    else:
-        single.integral_sums(mine, atoms, small[0], tiles, is_near, near, block_near, cutoff, sums)
+    born.integral_sums(mine, atoms, tiles, is_near, near, block_near, cutoff, sums)
     born.near_integral_sums(mine, x, offset_radius, scaled_radius, engulfs, close, near, slopes, sums)
     if necks is not None:
         table, kind, necked, reach = necks
@@ -260,7 +246,7 @@ def integrals(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any, sm
 
 
 @inlined
-def born_radii(mine: Share, state: Any, solvent: Any, far: Any, small: Any) -> None:
+def born_radii(mine: Share, state: Any, solvent: Any, far: Any) -> None:
     """Born radii of some atoms."""
     x, atoms, sums, touched, _, _ = state
     (offset_radius, radius, bend, _, _, _, _, _), (_, fixed, _), (_, integral, slope, _) = solvent
@@ -276,23 +262,18 @@ def born_radii(mine: Share, state: Any, solvent: Any, far: Any, small: Any) -> N
     for i in range(begin, end):
         integral[i] += fixed[i]
     born.put_born_radii(begin, end, integral, offset_radius, radius, bend, atoms, slope)
-    if small is not None:
-        single.put_small(*blocks, atoms, small[0])
 
 
 @inlined
-def polar(mine: Share, state: Any, solvent: Any, small: Any) -> None:
+def polar(mine: Share, state: Any, solvent: Any) -> None:
     """Energies of generalised Born, their forces, and derivatives by Born radii."""
     _, atoms, sums, _, parts, _ = state
     # Of all tiles: where no atom has moved relative to another, Born radii have changed.
-    if small is None:
-        born.polar_sums(mine, atoms, solvent[1][2], solvent[0][7], sums, parts[POLAR])
-    else:
-        single.polar_sums(mine, atoms, small[0], solvent[1][2], solvent[0][7], sums, parts[POLAR])
+    born.polar_sums(mine, atoms, solvent[1][2], solvent[0][7], sums, parts[POLAR])
 
 
 @inlined
-def pulls(mine: Share, state: Any, solvent: Any, small: Any) -> None:
+def pulls(mine: Share, state: Any, solvent: Any) -> None:
     """Derivatives by the Born integrals of some atoms, and their own energies."""
     x, atoms, sums, touched, parts, _ = state
     (_, _, _, _, _, gb_charge, surface, _), _, (_, _, slope, pull) = solvent
@@ -302,26 +283,18 @@ def pulls(mine: Share, state: Any, solvent: Any, small: Any) -> None:
         polar, area = born.add_self_energy(begin, end, gb_charge, surface, slope, atoms, pull)
         parts[POLAR, c] += polar
         parts[SURFACE, c] += area
-    if small is not None:
-        single.put_small(*blocks_of(mine, atoms), atoms, small[0])
 
 
 @inlined
-def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any, small: Any) -> None:
+def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: Any) -> None:
     """Energies and forces of pairs, with the forces by the change of the Born radii."""
     x, atoms, sums, _, parts, _ = state
     lj, lj_type, tiles, is_near, block_near, (near, pair_cutoff, krf, crf) = vacuum
     (_, _, _, _, _, _, _, cutoff), (close, _, _), (slopes, _, _, pull) = solvent
-    if small is None:
-        pairs.solvated_pair_sums(
-            mine, atoms, lj, lj_type, tiles, is_near, near, block_near, pair_cutoff, krf, crf, sums,
-            parts[NONBONDED],
-        )  # fmt: skip
-    else:
-        single.pair_sums(
-            mine, atoms, small[0], lj, small[1], lj_type, tiles, is_near, near, block_near, pair_cutoff, krf,
-            crf, True, sums, parts[NONBONDED],
-        )  # fmt: skip
+    pairs.solvated_pair_sums(
+        mine, atoms, lj, lj_type, tiles, is_near, near, block_near, pair_cutoff, krf, crf, sums,
+        parts[NONBONDED],
+    )  # fmt: skip
     born.near_descreening_sums(mine, x, pull, close, slopes, sums)
     if necks is not None:
         table, kind, necked, reach = necks
