@@ -255,7 +255,7 @@ def test_the_summary_of_a_batch(tmp_path, monkeypatch):
     # JSON has no infinity.
     settings = json.loads(json.dumps(jobs[0].settings.record() | {"max_rmsd": None}, default=str))
     assert jobs[0].settings.max_rmsd == float("inf") and len(settings) > 20
-    names = ("protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "distributed", "pandas")
+    names = ("protochain", "openmm", "gemmi", "numpy", "scipy", "numba", "distributed", "pandas")
     assert summary == {
         "lost_atoms": {}, "far_molecules": {},
         "table": "summary.csv", "n_structures": 2, "n_rows": 4, "status": {"budget": 3, "refused": 1},
