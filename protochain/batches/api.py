@@ -326,7 +326,7 @@ def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
         "n_rows": len(table),
         "status": {str(name): int(n) for name, n in Counter(table["status"]).items()},
         **{key: _texts(table, key) for key in ("lost_atoms", "far_molecules")},
-        **of_run("openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "distributed", "pandas"),
+        **of_run("openmm", "gemmi", "numpy", "scipy", "numba", "pandas"),
         "settings": jobs[0].settings.record(),
     }
     text = json_text(summary)

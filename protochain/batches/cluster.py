@@ -12,6 +12,7 @@ from protochain.batches.supervise import crew, started_early
 from protochain.core import defaults
 from protochain.core.checks import check_fields, integer, number, optional, text
 from protochain.core.errors import Argument, ProtochainError
+from protochain.core.extras import library
 from protochain.core.processors import processors
 
 if TYPE_CHECKING:
@@ -107,12 +108,10 @@ def at_work(processes: Processes) -> Iterator[Workers]:
 @contextmanager
 def _connected(scheduler: str) -> Iterator["Client"]:
     # Half a second that batches on this machine do without.
-    from distributed import Client
-    from distributed.security import Security
-
+    dask = library("distributed", "cluster")
     try:
-        security = Security() if scheduler.startswith("tls://") else None
-        client = Client(scheduler, security=security, timeout=_PATIENCE, set_as_default=False)
+        security = dask.Security() if scheduler.startswith("tls://") else None
+        client = dask.Client(scheduler, security=security, timeout=_PATIENCE, set_as_default=False)
     except (OSError, TypeError, ValueError) as error:
         raise ProtochainError(f"scheduler {scheduler}: no cluster answers there: {error}") from error
     with client:

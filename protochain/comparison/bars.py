@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from time import monotonic
+from weakref import finalize
 
 from protochain.core.arrays import Floats, Watcher
 
@@ -15,6 +16,8 @@ _SHOWN = {
     "temperature_k": "{:.0f} K",
 }
 """Values shown beside the bar, where a row has them; where hinges turn the force is nan, else the torque."""
+_EVERY = 0.1
+"""s between two that are shown."""
 
 
 def progress(title: str = "") -> Watcher:
@@ -38,20 +41,36 @@ class _Bar:
     """Watcher of a run; the number of evaluations is not known in advance."""
 
     def __init__(self, title: str) -> None:
-        from tqdm.auto import tqdm
+        from rich.console import Console
+        from rich.progress import Progress, TextColumn, TimeElapsedColumn
+        from rich.table import Column
 
-        self.title = title
-        self.bar: Any = tqdm(desc=title, unit=" evaluations")
+        # A notebook shows what a terminal is sent, too, if that is one line without colours.
+        console = Console(stderr=True, force_terminal=True, force_jupyter=False, color_system=None)
+        text = "{task.description}{task.completed:.0f} {task.fields[unit]}{task.fields[now]}"
+        line = TextColumn(text, markup=False, table_column=Column(no_wrap=True))
+        self.bar = Progress(
+            line, TimeElapsedColumn(), console=console, auto_refresh=False,
+            redirect_stdout=False, redirect_stderr=False,
+        )  # fmt: skip
+        self.title = f"{title}: " if title else ""
+        self.task = self.bar.add_task(self.title, total=None, unit="evaluations", now="")
+        self.shown = 0.0
+        self.bar.start()
+        finalize(self, self.bar.stop)
 
     def at_stage(self, name: str, evaluations: int) -> None:
         """Show the stage of the run before the bar."""
-        said = f"{self.title}: {name}" if self.title else name
-        self.bar.set_description_str(said, refresh=not self.bar.desc.startswith(said))
-        self.bar.update(evaluations - self.bar.n)
+        self.bar.update(self.task, description=f"{self.title}{name}: ", completed=evaluations, refresh=True)
 
     def __call__(self, row: Mapping[str, float], x: Floats) -> None:
-        if "step" in row:
-            self.bar.unit = " steps"
-        said = [text.format(row[key]) for key, text in _SHOWN.items() if row.get(key, 0.0) == row.get(key)]
-        self.bar.set_postfix_str(", ".join(said), refresh=False)
-        self.bar.update(row.get("evaluations", row.get("step", 0)) - self.bar.n)
+        now = [text.format(row[key]) for key, text in _SHOWN.items() if row.get(key, 0.0) == row.get(key)]
+        is_due = monotonic() - self.shown > _EVERY
+        self.bar.update(
+            self.task,
+            completed=row.get("evaluations", row.get("step", 0)),
+            unit="steps" if "step" in row else "evaluations",
+            now="".join(f", {each}" for each in now),
+            refresh=is_due,
+        )
+        self.shown = monotonic() if is_due else self.shown

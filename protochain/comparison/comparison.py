@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 
 _PACKAGES = (
     "openmm",
-    "pdbfixer",
     "gemmi",
     "numpy",
     "scipy",

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.ligands.molecule import library
+from protochain.core.extras import library
 
 _COLUMNS = {
     "chem_comp_atom": (

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import StructureError
+from protochain.core.extras import library
 from protochain.core.graph import neighbours
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.molecule import Molecule, assembled, library, place, to_rdkit
+from protochain.ligands.molecule import Molecule, assembled, place, to_rdkit
 
 _MOST_MATCHES = 1000
 """Of symmetric molecules: six phenyl groups have 64, four t-butyl groups 1296."""

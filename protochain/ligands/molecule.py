@@ -1,6 +1,5 @@
 """A small molecule as a value, and the same as RDKit has it."""
 
-import importlib
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,21 +9,12 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, read_only
-from protochain.core.errors import ProtochainError, StructureError
+from protochain.core.errors import StructureError
+from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
 
 _MOST_ATOMS = 2000
 """Memory grows with their square."""
-
-
-def library(name: str) -> Any:
-    """Import a library of the extra ``ligands``, which starts late for those who need none."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        which = name.partition(".")[0]
-        remedy = 'pip install "protochain[ligands]"'
-        raise ProtochainError(f"{which} is needed, which is not installed: {remedy}") from None
 
 
 def quietly(call: Callable[..., Any], *args: Any, **named: Any) -> Any:

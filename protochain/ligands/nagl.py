@@ -17,8 +17,9 @@ from scipy.special import expit
 from threadpoolctl import threadpool_limits
 
 from protochain.core.arrays import Floats
+from protochain.core.extras import library
 from protochain.core.graph import both_ways
-from protochain.ligands.molecule import Molecule, in_mdl_aromaticity, library, quietly
+from protochain.ligands.molecule import Molecule, in_mdl_aromaticity, quietly
 
 _MODEL = Path(__file__).with_name("openff-gnn-am1bcc-1.0.0.npz")
 _TABLE = _MODEL.with_suffix(".txt")

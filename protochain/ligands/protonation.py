@@ -17,8 +17,9 @@ from typing import Any
 
 from protochain.core.arrays import Value, read_only
 from protochain.core.errors import StructureError
+from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.molecule import Molecule, from_rdkit, library, quietly, to_rdkit
+from protochain.ligands.molecule import Molecule, from_rdkit, quietly, to_rdkit
 
 
 @dataclass(frozen=True)

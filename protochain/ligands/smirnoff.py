@@ -15,10 +15,11 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.core.errors import Argument, ForceFieldError
+from protochain.core.extras import library
 from protochain.core.graph import neighbours
 from protochain.core.storage import regular
 from protochain.ligands.energy import Parameters, Term
-from protochain.ligands.molecule import Molecule, in_mdl_aromaticity, library, quietly
+from protochain.ligands.molecule import Molecule, in_mdl_aromaticity, quietly
 
 SAGE_2_2, SAGE_2_3 = (
     Path(__file__).with_name(f"openff_unconstrained-{version}.offxml") for version in ("2.2.1", "2.3.0")

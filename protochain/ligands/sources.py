@@ -16,11 +16,12 @@ import numpy as np
 from protochain.core.arrays import read_only
 from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record
 from protochain.core.errors import Argument, StructureError
+from protochain.core.extras import library
 from protochain.core.graph import components
 from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.dictionary import component
-from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly, to_rdkit
+from protochain.ligands.molecule import Molecule, assembled, from_rdkit, quietly, to_rdkit
 from protochain.ligands.tables import CATEGORY, stereo
 
 _LARGEST = 10_000_000

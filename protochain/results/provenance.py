@@ -32,7 +32,7 @@ def remarks(
     """Lines of the file of a result: energies kJ/mol, rmsds angstrom."""
     e = result.energy_function
     yield f"PROTOCHAIN {version('protochain')}, METHOD {method}, STATUS {result.status}"
-    yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}, PDBFIXER {version('pdbfixer')}"
+    yield f"WITH OPENMM {version('openmm')}, GEMMI {version('gemmi')}"
     yield f"FORCE FIELD {e.forcefield}, SOLVENT {e.solvent}, ENGINE {e.engine}"
     yield from how
     yield f"ENERGY {energies[1]:.4f} KJ/MOL BEFORE ROUNDING, AT THE START {energies[0]:.4f}"

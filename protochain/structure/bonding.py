@@ -3,7 +3,8 @@
 from collections.abc import Collection, Sequence
 
 from protochain.core.errors import StructureError
-from protochain.ligands.molecule import Molecule, assembled, from_rdkit, library, quietly
+from protochain.core.extras import library
+from protochain.ligands.molecule import Molecule, assembled, from_rdkit, quietly
 from protochain.structure.residues import BACKBONE
 
 _H, _C, _N, _O, _S = 1, 6, 7, 8, 16

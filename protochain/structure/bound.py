@@ -19,10 +19,11 @@ from protochain.core.arrays import read_only
 from protochain.core.checks import CHARGE_RULES, LigandSource, charges_of_ligands
 from protochain.core.checks import ligands as ligands_of
 from protochain.core.errors import ProtochainError, StructureError
+from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import Ligand, parametrised
 from protochain.ligands.matching import Placed, named_as, placed
-from protochain.ligands.molecule import Molecule, library
+from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import Charged, at_metal, at_ph, with_hydrogens
 from protochain.ligands.sources import of_residue
 from protochain.structure.draft import Draft, Member, Part, atom

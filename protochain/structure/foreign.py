@@ -13,9 +13,9 @@ from openmm import app, unit
 
 from protochain.core.checks import shown
 from protochain.core.errors import StructureError
+from protochain.core.extras import library
 from protochain.core.markup import excerpt
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.molecule import library
 from protochain.structure.draft import atom
 
 _POSITIONS = {

@@ -7,8 +7,9 @@ from typing import Any
 from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record, flag, several
 from protochain.core.checks import path as as_path
 from protochain.core.errors import Argument, StructureError
+from protochain.core.extras import library
 from protochain.core.storage import write_text
-from protochain.ligands.molecule import library, to_rdkit
+from protochain.ligands.molecule import to_rdkit
 from protochain.ligands.sources import records, text_of
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure

@@ -6,7 +6,6 @@ Rostkowski, Jensen, J. Chem. Theory Comput. 7:2284 (2011).
 
 import logging
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from io import StringIO
 from string import ascii_letters, digits
 
@@ -14,6 +13,7 @@ import gemmi
 
 from protochain.core import defaults
 from protochain.core.errors import StructureError
+from protochain.core.extras import library
 from protochain.structure.draft import Draft, Member
 
 _PER_CHAIN = 9000
@@ -29,10 +29,7 @@ def value_of(ph: float | str) -> float:
 
 def by_propka(draft: Draft) -> Mapping[int, float]:
     """Find the pKa of the acids and bases of a protein, with all that is kept beside it."""
-    try:
-        run = import_module("propka.run")
-    except ImportError:
-        raise StructureError('ph auto needs PROPKA: pip install "protochain[pka]"') from None
+    run = library("propka.run", "pka")
     members = draft.members
     if len(members) > _PER_CHAIN * len(_CHAINS):
         raise StructureError(f"{draft.source}: ph auto: {len(members)} residues are too many for PROPKA")

@@ -11,7 +11,6 @@ from xml.etree import ElementTree
 
 import gemmi
 from openmm import app
-from pdbfixer.pdbfixer import substitutions
 
 from protochain.core.errors import StructureError
 from protochain.ligands.dictionary import heavy_atoms
@@ -349,14 +348,31 @@ _OF_ENDS = {"OXT", "OT1", "OT2", "P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P"}
 
 def archive_parent(name: str) -> str:
     """Return the standard amino acid that one of the PDB archive derives from, or an empty string."""
-    if name in substitutions:
-        return str(substitutions[name])
+    if name in _PARENTS:
+        return _PARENTS[name]
     info = gemmi.find_tabulated_residue(name)
     if info is not None and info.is_amino_acid():
         return _OF_LETTER.get(info.one_letter_code.upper(), "")
     return ""
 
 
+_PARENTS = {
+    name: parent
+    for parent, names in {
+        "ASP": "2AS ASA ASB ASK ASL ASQ BHD DAS DSP IAS", "HIS": "3AH DHI HIC HIP MHS NEM NEP",
+        "GLU": "5HP CGU DGL GGL GMA PCA", "LYS": "5OW ALY DLY KCX LLP LLY LYM LYZ SHR TRG",
+        "ARG": "ACL AGM ARM DAR HAR HMR",
+        "ALA": "AIB ALM AYA BNN CHG CSD DAL DHA DNP FLA HAC MAA PRR TIH TPQ", "THR": "ALO BMT DTH TPO",
+        "CYS": "BCS BUC C5C C6C CAS CCS CEA CME CSO CSP CSS CSW CSX CY1 CY3 CYG CYM CYQ DCY EFC OCS PEC "
+               "PR3 PYX SCH SCS SCY SHC SMC SOC",
+        "LEU": "BUG CLE DLE MK8 MLE NLE NLN NLP", "MET": "CXM FME MSE OMT", "PHE": "DAH DPN HPQ PHI PHL",
+        "GLN": "DGN", "ILE": "DIL IIL", "VAL": "DIV DVA MVA", "PRO": "DPR HYP",
+        "SER": "DSN MIS OAS SAC SEL SEP SET SVA", "TRP": "DTR HTR LTR TPL TRO",
+        "TYR": "DTY IYR PAQ PTR STY TYB TYI TYQ TYS TYY", "GLY": "GL3 GLZ GSC MPQ MSA NMC SAR", "ASN": "MEN",
+    }.items()
+    for name in names.split()
+}  # fmt: skip
+"""Of PDBFixer 1.12 (see NOTICE); the archive says nothing of the parents of most of these names."""
 _OF_LETTER = {letter: name for name, letter in STANDARD.items()} | {
     "U": "CYS", "O": "LYS", "B": "ASN", "Z": "GLN"
 }  # fmt: skip

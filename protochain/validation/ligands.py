@@ -11,9 +11,10 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import ProtochainError
+from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.matching import inverted_atoms
-from protochain.ligands.molecule import library, quietly, to_rdkit
+from protochain.ligands.molecule import quietly, to_rdkit
 from protochain.ligands.strain import strain
 from protochain.structure.model import BoundLigand, Structure, at_positions
 from protochain.structure.residues import Residue

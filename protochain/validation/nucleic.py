@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import ProtochainError
+from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.ligands.molecule import library
 from protochain.structure.model import Structure
 from protochain.structure.residues import NUCLEOTIDES
 from protochain.validation.layout import dihedrals

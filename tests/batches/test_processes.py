@@ -111,6 +111,15 @@ def test_dask_is_loaded_for_a_cluster_only():
     assert done.stdout == "set()\n"
 
 
+def test_without_dask_a_batch_here_runs_and_a_cluster_names_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with at_work(Processes(workers=1)) as workers:
+        assert workers.submit(len, "job").result() == 3
+    remedy = r'^distributed .* pip install "protochain\[cluster\]"$'
+    with pytest.raises(pc.ProtochainError, match=remedy), at_work(Processes(scheduler="tcp://there:1")):
+        pass
+
+
 @pytest.mark.parametrize("address", ["tcp://there:1", "tls://there:1"])
 def test_a_cluster_that_runs_is_used_where_its_version_is_ours(address, dask):
     dask.answers = [("one", OWN), ("two", OWN)]
@@ -255,7 +264,7 @@ def test_the_summary_of_a_batch(tmp_path, monkeypatch):
     # JSON has no infinity.
     settings = json.loads(json.dumps(jobs[0].settings.record() | {"max_rmsd": None}, default=str))
     assert jobs[0].settings.max_rmsd == float("inf") and len(settings) > 20
-    names = ("protochain", "openmm", "pdbfixer", "gemmi", "numpy", "scipy", "numba", "distributed", "pandas")
+    names = ("protochain", "openmm", "gemmi", "numpy", "scipy", "numba", "pandas")
     assert summary == {
         "lost_atoms": {}, "far_molecules": {},
         "table": "summary.csv", "n_structures": 2, "n_rows": 4, "status": {"budget": 3, "refused": 1},

@@ -163,7 +163,7 @@ def test_the_provenance_of_a_structure(tmp_path):
     c = chain("1ejg.pdb")
     start = c.structure.positions
     s = solution(chain=c, x=start + np.array([0.3, 0.0, -0.4]), frame=Frame(c.structure, "a spring"))
-    packages = [f"{name.upper()} {version(name)}" for name in ("openmm", "gemmi", "pdbfixer")]
+    packages = [f"{name.upper()} {version(name)}" for name in ("openmm", "gemmi")]
     assert list(s.provenance()) == [
         f"PROTOCHAIN {version('protochain')}, METHOD lbfgs, STATUS budget",
         f"WITH {', '.join(packages)}",

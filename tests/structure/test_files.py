@@ -26,6 +26,7 @@ from protochain.structure import residues
 from protochain.structure.files import parse
 from protochain.structure.read import model_numbers
 from protochain.structure.repairs import Kind, Why
+from protochain.structure.templates import archive_parent
 from protochain.structure.write import as_text
 
 FILES = sorted(
@@ -385,6 +386,10 @@ AMINO_ACIDS = {
     for letters in itertools.product(string.ascii_uppercase + string.digits, repeat=3)
     if gemmi.find_tabulated_residue(name := "".join(letters)).is_amino_acid()
 }
+
+
+def test_parents_are_those_of_pdbfixer():
+    assert {name: archive_parent(name) for name in substitutions} == substitutions
 
 
 BY_RULE = {"ASX": "ASN", "GLX": "GLN", "SEC": "CYS", "PYL": "LYS"}
