@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -44,14 +44,6 @@ Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
 
-class Planned(TypedDict):
-    """A structure of ``--dry-run``."""
-
-    structure: str
-    methods: list[str]
-    input: str
-
-
 @with_settings(setup="trust_forcefield")
 def batch(
     context: typer.Context,
@@ -90,9 +82,7 @@ def batch(
     if dry_run:
         jobs = find_jobs(given, settings, manifest, output)
         if as_json:
-            found = [
-                Planned(structure=j.name, methods=[*j.settings.methods], input=str(j.path)) for j in jobs
-            ]
+            found = [{"structure": j.name, "methods": j.settings.methods, "input": str(j.path)} for j in jobs]
             print_json({"structures": found})
         else:
             print_jobs(jobs)

@@ -1,7 +1,7 @@
 """``protochain energy``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -27,19 +27,6 @@ if TYPE_CHECKING:
 
 _MOST_ROWS = 25
 """Rows that are printed; those of the largest totals."""
-
-
-class Told(TypedDict):
-    """What is told of an energy; rows are those of the table."""
-
-    input: str
-    by: str
-    between: str | None
-    unit: str
-    solvent: str
-    forcefield: str
-    rows: list[Any]
-    files: list[str]
 
 
 @with_settings(setup="hinges root move rigid_protein engine terms")
@@ -96,12 +83,11 @@ def energy(
 
         write_energies(structure, energy, report, between)
     if as_json:
-        told: Told = {
+        print_json({
             "input": str(source), "by": by, "between": between, "unit": "kJ/mol", "solvent": setup.solvent,
             "forcefield": setup.forcefield, "rows": table.to_dict("records"),
             "files": [*map(str, files)],
-        }  # fmt: skip
-        print_json(told)
+        })  # fmt: skip
     else:
         _print(table, by)
         print_files(*files)

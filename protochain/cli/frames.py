@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -49,21 +49,6 @@ Workers = Annotated[int | None, typer.Option(help="Of frames: processes [default
 Resume = Annotated[bool, typer.Option("--resume", help="Of frames: continue where a run was stopped.")]
 _SHOWN = 10
 """Frames that cannot be used that are listed; the table has all."""
-
-
-class Told(TypedDict):
-    """What is told of a run over frames."""
-
-    input: str
-    trajectory: str
-    frames: int
-    counts: dict[str, int]
-    csv: str
-    output: str | None
-    written: int
-    topology: str | None
-    interrupted: bool
-    report: str | None
 
 
 def are_asked(trajectory: Path | None, frames: str | None) -> bool:
@@ -148,14 +133,13 @@ def run(
 
         write_report(done, task.name, chosen.source, report)
     if as_json:
-        told: Told = {
+        print_json({
             "input": str(source), "trajectory": str(trajectory or source),
             "frames": sum(done.counts.values()), "counts": dict(done.counts), "csv": str(done.csv),
             "output": str(done.trajectory) if done.trajectory else None, "written": done.written,
             "topology": str(done.topology) if done.topology else None,
             "interrupted": done.interrupted, "report": str(report) if report else None,
-        }  # fmt: skip
-        print_json(told)
+        })  # fmt: skip
     else:
         _print(done, report)
     if done.interrupted:

@@ -3,7 +3,7 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any, TypedDict
+from typing import Annotated, Any
 
 import typer
 
@@ -18,16 +18,6 @@ from protochain.cli.options import (
     print_json,
 )
 from protochain.cli.terminal import print_deviations
-
-
-class Told(TypedDict):
-    """What is told of deviations; results are the rows of the table."""
-
-    reference: str
-    align: str
-    measure: str
-    results: list[Any]
-    files: list[str]
 
 
 def rmsd(
@@ -73,11 +63,10 @@ def rmsd(
         if row["message"]:
             print(" ".join(row["message"].split()), file=sys.stderr)
     if as_json:
-        told: Told = {
+        print_json({
             "reference": str(reference), "align": align, "measure": measure or align, "results": rows,
             "files": [str(output)] if output else [],
-        }  # fmt: skip
-        print_json(told)
+        })  # fmt: skip
     else:
         print_deviations(rows)
         print_files(output)

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -35,17 +35,6 @@ _SHOWN = {
     "ipsae": "ipSAE", "pdockq": "pDockQ", "pdockq2": "pDockQ2",
 }  # fmt: skip
 """Columns of the terminal; kJ/mol and square angstrom."""
-
-
-class Told(TypedDict):
-    """What is told of interfaces; results are the rows of the table."""
-
-    interface: list[str] | None
-    rank: str | None
-    solvent: str
-    forcefield: str
-    results: list[Any]
-    files: list[str]
 
 
 @with_settings(setup="hinges root move rigid_protein engine terms")
@@ -134,11 +123,10 @@ def score(
 
         write_scored([each for each in found if each], done, report, setup, rank or "")
     if as_json:
-        told: Told = {
+        print_json({
             "interface": interface, "rank": rank, "solvent": setup.solvent, "forcefield": setup.forcefield,
             "results": rows, "files": [*map(str, outputs)],
-        }  # fmt: skip
-        print_json(told)
+        })  # fmt: skip
     else:
         if done:
             _print(done)

@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -37,14 +37,6 @@ _LISTS = ["findings", "ligands", "nucleotides", "changes", "bonds_changed"]
 """What JSON has of a structure, and a table of many cannot."""
 _SHOWN = 10
 """Residues listed of each structure; the tables have all."""
-
-
-class Told(TypedDict):
-    """What is told of structures; results are the rows of the table, and what it cannot have."""
-
-    reference: str | None
-    results: list[Any]
-    files: list[str]
 
 
 @with_settings(
@@ -147,7 +139,7 @@ def validate(
     done = [row for row in rows if not row["message"]]
     if as_json:
         of = str(reference) if reference else None
-        print_json(Told(reference=of, results=rows, files=[*map(str, outputs)]))
+        print_json({"reference": of, "results": rows, "files": [*map(str, outputs)]})
     else:
         if done:
             _print(done, notes)
