@@ -298,6 +298,11 @@ def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup
     return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
 
 
+def is_one_file(given: str) -> bool:
+    """Whether an input is a file, or could be one that is not there: no folder and no pattern."""
+    return given == "-" or Path(given).is_file() or not (Path(given).is_dir() or set("*?[") & set(given))
+
+
 def _name(path: Path) -> str:
     """Path as a user would write it: relative to the folder he is in, if it lies there."""
     return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)

@@ -3,6 +3,7 @@
 import os
 import shlex
 import sys
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,6 +28,7 @@ from protochain.cli.options import (
     fail,
     has_poses,
     inputs_of,
+    is_one_file,
     print_files,
     print_json,
     refuse,
@@ -40,6 +42,7 @@ from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
+    from protochain.batches.frame_tasks import RelaxFrames
     from protochain.relaxation import Relaxation
 
 Inputs = Annotated[
@@ -99,15 +102,14 @@ def relax(
         if several:
             others = Argument("manifest"), ", ", Argument("model"), " all or poses"
             refuse(context, "trajectory frames", "is of one structure, not of ", *others)
-        refuse(context, "scheduler ligand_out posebusters", "is none of frames")
-        each = {"workers": workers, "time_limit": time_limit}
-        given = of_frames.only(inputs or [])
-        with of_frames.started_early(setup, workers):
-            done = _frames(
-                given, trajectory, frames, output, relaxing, setup, report, each, as_json, resume, force
-            )
-        raise typer.Exit(done)
-    if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not (several or scheduler):
+        output = _beside(trajectory or of_frames.only(inputs or [])) if output is None else output
+        of_frames.run_if_asked(
+            context, inputs or [], trajectory, frames, setup, partial(_task, relaxing, setup, output),
+            output.with_suffix(".csv"), refused="scheduler ligand_out posebusters", output=output,
+            report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
+            hydrogens=relaxing.keep_hydrogens, as_json=as_json,
+        )  # fmt: skip
+    if inputs and len(inputs) == 1 and is_one_file(inputs[0]) and not (several or scheduler):
         refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, ligand_out, as_json, force))
     refuse(context, "report", "several structures have report.html in their folder")
@@ -124,31 +126,13 @@ def relax(
     raise typer.Exit(done)
 
 
-def _frames(
-    source: Path,
-    trajectory: Path | None,
-    frames: str | None,
-    output: Path | None,
-    relaxing: RelaxSettings,
-    setup: Setup,
-    report: Path | None,
-    processes: dict[str, Any],
-    as_json: bool,
-    resume: bool,
-    force: bool,
-) -> int:
-    """Relax every frame; return the exit status."""
+def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
+    """Relax every frame, once the name of the output is known to be one."""
     from protochain.batches.frame_files import check_output
     from protochain.batches.frame_tasks import RelaxFrames
 
-    output = _beside(trajectory or source) if output is None else output
     check_output(output)
-    done = of_frames.run(
-        source, trajectory, frames, setup, RelaxFrames(relaxing, setup), output.with_suffix(".csv"), output,
-        report=report, **processes, resume=resume, force=force,
-        hydrogens=relaxing.keep_hydrogens, as_json=as_json,
-    )  # fmt: skip
-    return of_frames.status_of(done)
+    return RelaxFrames(relaxing, setup)
 
 
 def _beside(frames: Path) -> Path:
@@ -159,10 +143,6 @@ def _beside(frames: Path) -> Path:
     if format_of(frames):
         return Path(relaxed_name(frames))
     return Path(f"{relaxed_stem(frames.stem)}{'.xtc' if frames.suffix.lower() == '.xtc' else '.dcd'}")
-
-
-def _is_one_file(given: str) -> bool:
-    return given == "-" or Path(given).is_file() or not (Path(given).is_dir() or set("*?[") & set(given))
 
 
 def _one(
