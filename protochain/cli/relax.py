@@ -24,16 +24,17 @@ from protochain.cli.options import (
     beside_structure,
     check_names,
     check_outputs,
+    end_folder,
     exit_status,
-    fail,
     has_poses,
     inputs_of,
     is_one_file,
     print_files,
     print_json,
     refuse,
-    with_confidences,
+    refuse_unusable,
     with_settings,
+    write_beside,
     write_models,
 )
 from protochain.core import defaults
@@ -122,8 +123,7 @@ def relax(
     processes: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     processes |= {} if setup.threads is None else {"threads": setup.threads}
     with Processes(**processes).started_early():
-        done = _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume)
-    raise typer.Exit(done)
+        _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume)
 
 
 def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
@@ -183,49 +183,25 @@ def _one(
     with held_interrupts():
         with progress(seconds) as watch:
             result = relax_structure(structure, energy, relaxing, watch, setup.move)
-        if not result.is_usable:
-            return fail(f"{source}: {result.message}; nothing is better than the start: nothing is written")
+        refuse_unusable(source, result)
         hydrogens = result.settings.keep_hydrogens
         write_models([result.structure], output, suffix_of(source), result.provenance(), hydrogens)
         record = result.record() | {
             "input": str(source), "output": str(output), "seconds_preparation": preparation,
         }  # fmt: skip
-        lost = _write_beside(result, record, source, report, ligand_out, setup)
-    if lost:
-        record["not_written"] = [lost]
-        fail(f"{lost}; saved: {output}")
+        write_beside(result, record, setup, _write_page, report, ligand_out)
     if as_json:
         print_json(record)
     else:
         with beside_structure(output):
             print_relaxed(result, record)
-    return UNCONVERGED if lost else exit_status([record["status"]])
+    return UNCONVERGED if "not_written" in record else exit_status([record["status"]])
 
 
-def _write_beside(
-    result: "Relaxation",
-    record: dict[str, Any],
-    source: Path,
-    report: Path | None,
-    ligand_out: Path | None,
-    setup: Setup,
-) -> str:
-    """Write confidences, page and ligands; return why one could not be written, which loses nothing else."""
-    from protochain.core.errors import WriteError
+def _write_page(result: "Relaxation", record: dict[str, Any], path: Path) -> None:
+    from protochain.comparison.relaxed import write_relaxed
 
-    try:
-        record["confidences"] = with_confidences(source, Path(record["output"]))
-        if ligand_out:
-            setup.save_ligands(result, ligand_out)
-            record["ligands_written"] = str(ligand_out)
-        if report:
-            from protochain.comparison.relaxed import write_relaxed
-
-            write_relaxed(result, record, report)
-            record["report"] = str(report)
-    except WriteError as error:
-        return str(error)
-    return ""
+    write_relaxed(result, record, path)
 
 
 def _tell_frames(inputs: list[str]) -> None:
@@ -251,8 +227,8 @@ def _several(
     processes: dict[str, Any],
     as_json: bool,
     resume: bool,
-) -> int:
-    """Relax many files into a folder, and join their poses in a file beside; return the exit status."""
+) -> None:
+    """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
     from protochain.batches.naming import poses_name
     from protochain.batches.relaxing import NAME, relax_files
     from protochain.batches.table import files_of
@@ -283,11 +259,9 @@ def _several(
     for path in beside:
         written = done.table.dropna(subset="output")["structure"]
         write_text(path, "".join((folder / poses_name(name)).read_text() for name in written))
-    if as_json:
-        print((folder / "summary.json").read_text())
-    else:
+
+    def show() -> None:
         print_folder(done.table, folder)
         print_files(*beside)
-    if done.interrupted:
-        print("protochain: interrupted; --resume does the rest", file=sys.stderr)
-    return batch_status(done)
+
+    end_folder(folder, show, as_json, done.interrupted, batch_status(done))
