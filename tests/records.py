@@ -17,7 +17,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
+from contextlib import chdir, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
@@ -33,7 +33,6 @@ from fixtures.tolerances import RECORDED, RECORDED_LENGTH
 import bench.scenes
 import protochain as pc
 from protochain.energies.openmm_engine import OpenMMEnergy
-from protochain.results.kinds import kind_of
 
 HERE = Path(__file__).parent / "records"
 STRUCTURES, TABLE, EXPECTED = HERE.parents[1] / "structures", HERE / "table.txt", HERE / "expected"
@@ -328,7 +327,7 @@ def _of_frames(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def same(column: str, old: str, new: str) -> bool:
-    """Whether the words of two cells are equal: numbers by the kind of the column, all else exactly."""
+    """Whether the words of two cells are equal: numbers within tolerance, all else exactly."""
     before, after = old.split(), new.split()
     return len(before) == len(after) and all(map(lambda a, b: _same(column, a, b), before, after))
 
@@ -344,9 +343,6 @@ def _same(column: str, old: str, new: str) -> bool:
 
 
 def _tolerance(name: str, value: float) -> float:
-    with suppress(KeyError):
-        if kind_of(name) in (int, bool, str):
-            return 0.0
     if name.endswith("_angstrom"):
         return RECORDED_LENGTH
     return RECORDED * max(1.0, abs(value))

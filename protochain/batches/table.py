@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_origin
 
 from filelock import FileLock, Timeout
 
@@ -19,9 +19,9 @@ from protochain.batches.settings import NAME as SETTINGS
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.storage import check_writable, write_text, writing
 from protochain.minimisers import record
-from protochain.relaxation.record import INTERFACE_COUNTS
+from protochain.relaxation.record import COLUMNS as OF_RELAXING
+from protochain.relaxation.record import INTERFACE_COLUMNS
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.validation import MEASURES
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,14 +33,15 @@ COLUMNS = (
 )  # fmt: skip
 """Columns of ``summary.csv``: those of a record of a minimisation, and those of a batch."""
 
-INTEGERS = (
-    "iteration", "iterations", "evaluations", "n_chains", "n_residues", "n_atoms", "n_bodies", "n_hinges",
-    "n_atoms_moving", "seed", "threads", "n_starts", "n_within_1_kj_mol_of_lowest", "model",
-    "overlaps_start", "overlaps_end", "overlaps_beside_start", "overlaps_beside_end",
-    "n_rounds", "n_residues_let_go", "n_lost_atoms", *INTERFACE_COUNTS,
-    *(f"{key}_{when}" for key, each in MEASURES.items() if each.whole for when in ("start", "end")),
-)  # fmt: skip
-"""Columns of integers, which a failure lacks: they remain integers, with missing values."""
+_OWN = {"iteration": "Int64", "n_starts": "Int64", "n_within_1_kj_mol_of_lowest": "Int64", "model": "Int64"}
+_TYPES = dict.fromkeys(("structure", "message", "key", "output"), "string") | _OWN
+_TYPES |= {
+    column.key: "string" if get_origin(column.kind) in (list, dict) else "Int64"
+    for column in (*record.COLUMNS, *OF_RELAXING, *INTERFACE_COLUMNS)
+    if column.kind in (int, int | None) or get_origin(column.kind) in (list, dict)
+}
+"""Of columns as pandas reads them: names that look like numbers remain text, and whole numbers, which a
+failure lacks, whole."""
 
 CIRCUMSTANCES = ("killed", "time-limit", "interrupted")
 """Statuses that may differ next time: such runs are repeated on resuming."""
@@ -195,25 +196,10 @@ def _source(row: Mapping[str, object]) -> tuple[str, str]:
 
 
 def read_table(path: Path) -> "pd.DataFrame":
-    """Read a table of a batch; names that look like numbers remain text."""
+    """Read a table of a batch."""
     import pandas as pd
 
-    text = (
-        "structure",
-        "message",
-        "key",
-        "repairs",
-        "side_chains_turned",
-        "left_out",
-        "lost_atoms",
-        "far_molecules",
-        "constant_terms",
-        "restraint_kj_mol_nm2",
-        "springs_backbone_kj_mol_nm2",
-        "springs_side_chains_kj_mol_nm2",
-        "output",
-    )
-    table = pd.read_csv(path, dtype=dict.fromkeys(text, "string") | dict.fromkeys(INTEGERS, "Int64"))
+    table = pd.read_csv(path, dtype=_TYPES)
     return table.copy()  # A block for each of a hundred columns, as read, would be slow, pandas warns.
 
 

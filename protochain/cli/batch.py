@@ -1,8 +1,8 @@
 """``protochain batch``."""
 
-import sys
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import Annotated
 
 import typer
 
@@ -13,6 +13,7 @@ from protochain.cli.options import (
     Scheduler,
     batch_status,
     check_outputs,
+    end_folder,
     inputs_of,
     print_json,
     refuse,
@@ -24,9 +25,6 @@ from protochain.core.checks import words
 from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
-
-if TYPE_CHECKING:
-    pass
 
 Inputs = Annotated[
     list[str] | None,
@@ -42,14 +40,6 @@ ByNul = Annotated[
 ]
 Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, with the same settings.")]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
-
-
-class Planned(TypedDict):
-    """A structure of ``--dry-run``."""
-
-    structure: str
-    methods: list[str]
-    input: str
 
 
 @with_settings(setup="trust_forcefield")
@@ -90,9 +80,7 @@ def batch(
     if dry_run:
         jobs = find_jobs(given, settings, manifest, output)
         if as_json:
-            found = [
-                Planned(structure=j.name, methods=[*j.settings.methods], input=str(j.path)) for j in jobs
-            ]
+            found = [{"structure": j.name, "methods": j.settings.methods, "input": str(j.path)} for j in jobs]
             print_json({"structures": found})
         else:
             print_jobs(jobs)
@@ -103,10 +91,5 @@ def batch(
             given, output, manifest=manifest, resume=resume, watch=watch, workers=workers,
             scheduler=scheduler, threads=threads, time_limit=time_limit, **vars(settings),
         )  # fmt: skip
-    if as_json:
-        print((output / "summary.json").read_text())
-    else:
-        print_batch(done.table, str(done.report))
-    if done.interrupted:
-        print("protochain: interrupted; --resume does the rest", file=sys.stderr)
-    raise typer.Exit(batch_status(done))
+    show = partial(print_batch, done.table, str(done.report))
+    end_folder(output, show, as_json, done.interrupted, batch_status(done))

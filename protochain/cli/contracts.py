@@ -7,30 +7,20 @@ from typing import Any, NotRequired, get_type_hints
 from protochain.batches import relaxed, table
 from protochain.batches.frame_files import FIRST
 from protochain.batches.frame_tasks import EnergyFrames
-from protochain.cli.batch import Planned
-from protochain.cli.energy import Told as Energies
-from protochain.cli.frames import Told as Frames
-from protochain.cli.inspect import Built, Facts
-from protochain.cli.rmsd import Told as Deviations
-from protochain.cli.score import Told as Scores
-from protochain.cli.validate import Told as Findings
 from protochain.comparison import folder as of_comparison
 from protochain.comparison import modes_folder as of_modes
 from protochain.comparison.deviation import RmsdFrames
 from protochain.comparison.differences import TORSIONS
 from protochain.comparison.work import WITHIN
 from protochain.dynamics import simulation
-from protochain.dynamics.loop import Ending
 from protochain.dynamics.settings import SimulationSettings
 from protochain.energies.decomposed import TERMS
 from protochain.minimisers import record as of_minimising
 from protochain.minimisers.solution import TRACE_COLUMNS
 from protochain.minimisers.verdict import Status
 from protochain.relaxation import record as of_relaxing
-from protochain.relaxation.record import interface_column
 from protochain.relaxation.rounds import Round
-from protochain.results.columns import Column
-from protochain.results.kinds import Kind, kind_of, row
+from protochain.results.columns import Column, Kind, kind_of, number
 from protochain.results.schema import OTHERS, Contract, cell
 from protochain.searching.settings import SearchSettings
 from protochain.setup import Setup
@@ -44,28 +34,55 @@ from protochain.validation.nucleic import NUCLEOTIDE_COLUMNS
 Kinds = dict[str, Kind]
 
 
-def _number(of: Any) -> Kind:
-    return int | None if of.whole else float | None
-
-
+_OTHERS = {
+    name: kind
+    for kind, names in (
+        (int, """
+            iteration start overlaps matched_residues aligned_atoms measured_atoms heavy_atoms_added
+            atoms_added clashes contacts domain rotamers_changed rigid_domains hydrogen_bonds_kept
+            hydrogen_bonds_gained hydrogen_bonds_lost salt_bridges_kept salt_bridges_gained
+            salt_bridges_lost runs converged mode side step steps output_frame minimum cluster walker
+            evaluations_of_walker
+            """),
+        (float | None, """
+            coverage identity contacts_kept phi psi omega chi1 chi2 chi3 chi4 frequency_per_cm
+            eigenvalue_per_ps2 collectivity residual overlap cumulative_overlap log_det_hessian
+            ramachandran_percent secondary_structure_kept tm_score_to_start reference_tm_score
+            reference_coverage at median first_quartile third_quartile highest evaluations_median total
+            acceptance helix_share helix_share_error exchanges slope slope_error share share_error
+            """),
+        (bool, "violation rotamer_outlier pucker_outlier repeats_exactly interrupted"),
+        (list[str], "confidences not_written command inverted"),
+        (int | None, "round_trips model"),
+        (bool | None, "posebusters_passed"),
+        (list[str] | None, "posebusters_failed"),
+        (dict[str, str], "versions"),
+        (list[float], "temperatures_k"),
+    )
+    for name in names.split()
+}  # fmt: skip
+"""Kinds of names in rows that have no columns, where the name does not tell."""
 _ENDS = ("start", "end")
+_OF_RELAXING = (*of_relaxing.COLUMNS, *of_relaxing.INTERFACE_COLUMNS)
 _KNOWN: Kinds = {
-    **{key: _number(each) for key, each in {**MEASURES, **SCORES, **CONFIDENCES}.items()},
-    **{f"{key}_{when}": _number(each) for key, each in MEASURES.items() for when in _ENDS},
-    **{
-        interface_column(key, when): _number(each)
-        for key, each in {**SCORES, **CONFIDENCES}.items()
-        for when in _ENDS
-    },
+    **_OTHERS,
+    **{each.key: each.kind for each in (*of_minimising.COLUMNS, *_OF_RELAXING, *of_modes.COLUMNS)},
+    **{key: number(each) for key, each in {**MEASURES, **SCORES, **CONFIDENCES}.items()},
     **dict.fromkeys((*LIKENESS, *TERMS), float | None),
-    **dict(zip(LIGAND_ENDS, (kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS), strict=True)),
 }
-"""Kinds of measures, which say themselves what they are."""
+_KNOWN |= zip(
+    LIGAND_ENDS, (_OTHERS.get(key) or kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS), strict=True
+)
+"""Kinds of names: of columns, and of measures, which say themselves what they are."""
 
 
 def _row(names: str | Iterable[str | Column], **own: Kind) -> Kinds:
     given = names.split() if isinstance(names, str) else names
-    return row((each.key if isinstance(each, Column) else each for each in given), _KNOWN, **own)
+    known = (
+        (each, _KNOWN.get(each) or kind_of(each)) if isinstance(each, str) else (each.key, each.kind)
+        for each in given
+    )
+    return dict(known) | own
 
 
 def _optional(kinds: Kinds) -> Kinds:
@@ -77,15 +94,11 @@ def _cells(*kinds: Kinds) -> Kinds:
     return {name: cell(kind) for each in kinds for name, kind in each.items()}
 
 
-def _told(told: type, **rows: Kind) -> Kinds:
-    return get_type_hints(told) | rows
-
-
 _ORIGIN = _row("input output seconds_preparation")
 _WRITTEN = _optional(_row("report ligands_written confidences not_written"))
 _RUN = _row("command python versions")
 _FAILED = _row("file message")
-_SOLUTION = _row(of_minimising.COLUMNS, status=Status)
+_SOLUTION = _row(of_minimising.COLUMNS)
 _INTERFACE = _optional(_row(of_relaxing.INTERFACE_COLUMNS))
 _RESIDUE = _row("chain residue name")
 
@@ -103,7 +116,7 @@ _MINIMISED = {
 }  # fmt: skip
 _RELAXED = {
     **_row(
-        of_relaxing.COLUMNS, status=Status, rounds=list[Round],
+        of_relaxing.COLUMNS, rounds=list[Round],
         ligands=[_row([*LIGAND_COLUMNS[:4], *LIGAND_ENDS])],
     ),
     **_INTERFACE, **_ORIGIN, **_WRITTEN,
@@ -178,7 +191,7 @@ _SETTINGS = {
     for name, kind in get_type_hints(SimulationSettings).items()
 } | {"pull": str | None, "hinge_springs": list[str] | None}  # fmt: skip
 _SIMULATED = {
-    **_row(simulation.RECORD, status=Ending, accepted=float | None), **_SETTINGS,
+    **_row(simulation.RECORD), **_SETTINGS,
     **_optional(_row(simulation.PULLED)), **_ORIGIN,
 }  # fmt: skip
 _LOG = {
@@ -230,7 +243,10 @@ _SHARES = {
 _ENERGIES = _row([*TERMS, "total"])
 _SIDES = _row("chain_1 residue_1 name_1 chain_2 residue_2 name_2")
 _BY = ({"of": str, **_ENERGIES}, {**_RESIDUE, **_ENERGIES}, {**_SIDES, **_ENERGIES})
-_DEVIATION = _row(["reference", "file", "model", *RmsdFrames.columns, "message"])
+_MEASURED = _cells(
+    _optional(_row(["reference", "file", "model", *RmsdFrames.columns, "message"])),
+    _row("reference file model message"),
+)
 _WHOLE = EnergyFrames(Setup()).columns
 _PARTS = EnergyFrames(Setup(), "A,B").columns
 
@@ -239,10 +255,32 @@ def _names(paths: Iterable[Path]) -> tuple[str, ...]:
     return tuple(path.name for path in paths)
 
 
+_ENERGIES_TOLD = _row(
+    "input by between unit solvent forcefield rows files", between=str | None, files=list[str]
+)
+_FINDINGS_TOLD = _row("reference results files", reference=str | None, files=list[str])
+_SCORES_TOLD = _row(
+    "interface rank solvent forcefield results files",
+    interface=list[str] | None, rank=str | None, files=list[str],
+)  # fmt: skip
+_DEVIATIONS_TOLD = _row("reference align measure results files", files=list[str])
+_FRAMES_TOLD = _row(
+    "counts csv frames input interrupted output report topology trajectory written",
+    counts=dict[str, int], frames=int, output=str | None, report=str | None, topology=str | None, written=int,
+)  # fmt: skip
+_FACTS = {
+    **_row("hinges input left_out loops lost_atoms n_atoms n_bodies n_chains n_hinges n_q n_residues n_v"),
+    **_row("overlaps repairs seconds_chain seconds_import seconds_preparation"),
+    **_optional(_row("engine engine_reason threads constant_terms seconds_energy", seconds_energy=float)),
+    "hinges": dict[str, int], "loops": list[str], "overlaps": list[str],
+    **dict.fromkeys(("seconds_chain", "seconds_import", "seconds_preparation"), float),
+}  # fmt: skip
+
+
 CONTRACTS: Mapping[str, Contract] = {
     "minimise": Contract((_MINIMISED, {"models": [_MINIMISED]}), {"--trace": (_cells(_TRACE),)}),
     "relax": Contract(
-        (_RELAXED, Frames, _BATCH),
+        (_RELAXED, _FRAMES_TOLD, _BATCH),
         {
             "relaxed.csv": (_of_batch(relaxed.COLUMNS, relaxed.OF_INTERFACE),), **_BATCH_TABLES,
             "--trajectory": (_frames(of_relaxing.OF_FRAMES, of_relaxing.INTERFACE_COLUMNS),),
@@ -265,7 +303,7 @@ CONTRACTS: Mapping[str, Contract] = {
         ("report.html", *of_comparison.names()), (_STRUCTURE,),
     ),
     "batch": Contract(
-        (_BATCH, {"structures": list[Planned]}),
+        (_BATCH, {"structures": [_row("input methods structure", methods=list[str])]}),
         {"summary.csv": (_of_batch(_BOTH, _EITHER),), **_BATCH_TABLES},
         (*_names(table.files_of(Path())), *_BATCH_FILES), _BATCH_MORE,
     ),
@@ -292,7 +330,7 @@ CONTRACTS: Mapping[str, Contract] = {
         (r"^(populations|conformers)\.csv$", r"^minima/minimum-\d+\.pdb$", r"\.npz$"),
     ),
     "validate": Contract(
-        (_told(Findings, results=[{**_VALIDATED, **_LISTED}, _FAILED]), Frames),
+        (_FINDINGS_TOLD | {"results": [{**_VALIDATED, **_LISTED}, _FAILED]}, _FRAMES_TOLD),
         {
             "--csv": (_cells(_optional(_VALIDATED), _row("file message")),),
             "--residues": (_cells(_row(RESIDUE_COLUMNS), _optional(_row("lddt")), _MODEL),),
@@ -301,20 +339,18 @@ CONTRACTS: Mapping[str, Contract] = {
         },
     ),
     "score": Contract(
-        (_told(Scores, results=[_SCORED, _FAILED]),),
+        (_SCORES_TOLD | {"results": [_SCORED, _FAILED]},),
         {"--csv": (_cells(_optional(_SCORED), _row("file message")),), "--residues": (_cells(_SHARES),)},
     ),
     "energy": Contract(
-        (*(_told(Energies, rows=[kind]) for kind in _BY), Frames),
+        (*(_ENERGIES_TOLD | {"rows": [kind]} for kind in _BY), _FRAMES_TOLD),
         {"--output": tuple(map(_cells, _BY)), "--trajectory": (_frames(_WHOLE), _frames(_PARTS))},
     ),
     "rmsd": Contract(
-        (_told(Deviations, results=[_cells(_optional(_DEVIATION), _row("reference file model message"))]),
-         Frames),
-        {"--output": (_cells(_optional(_DEVIATION), _row("reference file model message")),),
-         "--trajectory": (_frames(RmsdFrames.columns),)},
+        (_DEVIATIONS_TOLD | {"results": [_MEASURED]}, _FRAMES_TOLD),
+        {"--output": (_MEASURED,), "--trajectory": (_frames(RmsdFrames.columns),)},
     ),
-    "info": Contract((Facts,)),
-    "build": Contract((Built,)),
+    "info": Contract((_FACTS,)),
+    "build": Contract((_row("n_atoms n_residues output"),)),
 }  # fmt: skip
 """By command."""

@@ -1,7 +1,7 @@
 """``protochain energy``."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,10 +13,8 @@ from protochain.cli.options import (
     check_outputs,
     check_page,
     inputs_of,
-    named_after,
     print_files,
     print_json,
-    refuse,
     with_settings,
 )
 from protochain.core.errors import ProtochainError
@@ -25,21 +23,10 @@ from protochain.setup import Setup
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from protochain.batches.frame_tasks import Task
+
 _MOST_ROWS = 25
 """Rows that are printed; those of the largest totals."""
-
-
-class Told(TypedDict):
-    """What is told of an energy; rows are those of the table."""
-
-    input: str
-    by: str
-    between: str | None
-    unit: str
-    solvent: str
-    forcefield: str
-    rows: list[Any]
-    files: list[str]
 
 
 @with_settings(setup="hinges root move rigid_protein engine terms")
@@ -72,13 +59,16 @@ def energy(
     from protochain.energies.decomposed import energy_terms
 
     check_page(report)
-    if of_frames.are_asked(trajectory, frames):
-        refuse(context, "by report", "is none of frames")
-        whole = {"workers": workers, "resume": resume, "as_json": as_json}
-        with of_frames.started_early(setup, workers):
-            done = _frames(source, trajectory, frames, between, output, setup, whole)
-        raise typer.Exit(done)
-    of_frames.refuse_without(context, "workers resume")
+
+    def task() -> "Task":
+        from protochain.batches.frame_tasks import EnergyFrames
+
+        return EnergyFrames(setup, between)
+
+    of_frames.run_if_asked(
+        context, [source], trajectory, frames, setup, task, output,
+        refused="by report", workers=workers, resume=resume, as_json=as_json,
+    )  # fmt: skip
     files = [path for path in (output, report) if path]
     check_outputs(inputs_of(setup, source), files)
     structure = setup.load(source)
@@ -96,33 +86,14 @@ def energy(
 
         write_energies(structure, energy, report, between)
     if as_json:
-        told: Told = {
+        print_json({
             "input": str(source), "by": by, "between": between, "unit": "kJ/mol", "solvent": setup.solvent,
             "forcefield": setup.forcefield, "rows": table.to_dict("records"),
             "files": [*map(str, files)],
-        }  # fmt: skip
-        print_json(told)
+        })  # fmt: skip
     else:
         _print(table, by)
         print_files(*files)
-
-
-def _frames(
-    source: Path,
-    trajectory: Path | None,
-    frames: str | None,
-    between: str | None,
-    output: Path | None,
-    setup: Setup,
-    whole: dict[str, Any],
-) -> int:
-    """Tell what the energy of every frame is made of; return the exit status."""
-    from protochain.batches.frame_tasks import EnergyFrames
-
-    table = output or Path(f"{named_after(source)[0]}.energy.csv")
-    task = EnergyFrames(setup, between)
-    done = of_frames.run(source, trajectory, frames, setup, task, table, force=not whole["resume"], **whole)
-    return of_frames.status_of(done)
 
 
 def _print(table: "DataFrame", by: str) -> None:

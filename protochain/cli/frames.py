@@ -1,19 +1,23 @@
 """What ``--trajectory`` and ``--frames`` do, in every command that has them: a row a frame."""
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from protochain.cli.options import (
     check_outputs,
+    check_page,
     exit_status,
     fail,
     inputs_of,
+    is_one_file,
+    named_after,
+    print_changes,
     print_files,
     print_json,
     refuse,
@@ -51,21 +55,6 @@ _SHOWN = 10
 """Frames that cannot be used that are listed; the table has all."""
 
 
-class Told(TypedDict):
-    """What is told of a run over frames."""
-
-    input: str
-    trajectory: str
-    frames: int
-    counts: dict[str, int]
-    csv: str
-    output: str | None
-    written: int
-    topology: str | None
-    interrupted: bool
-    report: str | None
-
-
 def are_asked(trajectory: Path | None, frames: str | None) -> bool:
     """Whether a command is to go over frames."""
     return trajectory is not None or frames is not None
@@ -73,14 +62,44 @@ def are_asked(trajectory: Path | None, frames: str | None) -> bool:
 
 def only(given: Sequence[str | Path]) -> Path:
     """The one structure that frames are of."""
-    if len(given) != 1 or not (str(given[0]) == "-" or Path(given[0]).is_file()):
+    if len(given) != 1 or not is_one_file(str(given[0])):
         raise ProtochainError("frames are of one structure; give one file before ", Argument("trajectory"))
     return Path(given[0])
 
 
-def refuse_without(context: typer.Context, names: str) -> None:
-    """Refuse options that only a run over frames has."""
-    refuse(context, names, "is of frames, of which there are none without ", Argument("trajectory"))
+def run_if_asked(
+    context: typer.Context,
+    given: Sequence[str | Path],
+    trajectory: Path | None,
+    frames: str | None,
+    setup: "Setup",
+    task: "Callable[[], Task]",
+    table: Path | None,
+    *,
+    refused: str = "",
+    alone: str = "workers resume",
+    **how: Any,
+) -> None:
+    """Go over frames if they are asked for, and exit with the status.
+
+    ``task``, made while processes start, names the table if no name is given; ``refused`` are options that
+    do not go with frames, ``alone`` those that go with nothing else.
+    """
+    if not are_asked(trajectory, frames):
+        return refuse(
+            context, alone, "is of frames, of which there are none without ", Argument("trajectory")
+        )
+    refuse(context, refused, "is none of frames")
+    source = only(given)
+    with started_early(setup, how["workers"]):
+        its = task()
+        table = table or Path(f"{named_after(source)[0]}.{_ENDINGS.get(its.name, its.name)}.csv")
+        how.setdefault("force", not how["resume"])
+        raise typer.Exit(run(source, trajectory, frames, setup, its, table, **how))
+
+
+_ENDINGS = {"validate": "validated"}
+"""Of tables, where it is not the name of the task."""
 
 
 def _processes(setup: "Setup", workers: int | None, time_limit: float = defaults.TIME_LIMIT) -> "Processes":
@@ -100,7 +119,6 @@ def opened(
 ) -> "tuple[Ensemble, Frames]":
     """Prepare the structure, and open its frames; say what was changed."""
     from protochain.batches.frames import ensemble_of
-    from protochain.cli.options import print_changes
     from protochain.structure.repairs import Kind
 
     if trajectory is None and str(source) == "-":
@@ -128,15 +146,17 @@ def run(
     hydrogens: bool = True,
     as_json: bool = False,
     reads: Sequence[Path] = (),
-) -> "FramesRun":
-    """Go over frames, with a bar; write table, trajectory and page, and print what became of them."""
+) -> int:
+    """Go over frames, with a bar; write table, trajectory and page, print what became of them.
+
+    The exit status is that of a batch.
+    """
     from protochain.batches.frame_files import files_of, run_frames
 
     processes = _processes(setup, workers, time_limit)
     outputs = [*files_of(table, output), *([report] if report else [])]
     check_outputs(inputs_of(setup, source, trajectory, *reads), outputs, force)
-    if report and report.suffix.lower() != ".html":
-        raise ProtochainError(f"{report}: give a name that ends in .html")
+    check_page(report)
     ensemble, chosen = opened(source, trajectory, frames, setup)
     with _progress(task.name, len(chosen)) as watch:
         done = run_frames(
@@ -148,23 +168,17 @@ def run(
 
         write_report(done, task.name, chosen.source, report)
     if as_json:
-        told: Told = {
+        print_json({
             "input": str(source), "trajectory": str(trajectory or source),
             "frames": sum(done.counts.values()), "counts": dict(done.counts), "csv": str(done.csv),
             "output": str(done.trajectory) if done.trajectory else None, "written": done.written,
             "topology": str(done.topology) if done.topology else None,
             "interrupted": done.interrupted, "report": str(report) if report else None,
-        }  # fmt: skip
-        print_json(told)
+        })  # fmt: skip
     else:
         _print(done, report)
     if done.interrupted:
         fail("interrupted; --resume does the rest")
-    return done
-
-
-def status_of(done: "FramesRun") -> int:
-    """Exit status, as of a batch."""
     usable = bool(done.counts.get("measured") or done.counts.get("converged") or done.written)
     return exit_status(Counter(done.counts).elements(), usable=usable, interrupted=done.interrupted)
 

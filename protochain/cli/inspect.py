@@ -4,7 +4,7 @@ from collections import Counter
 from importlib import import_module
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated, NotRequired, TypedDict
+from typing import Annotated, Any
 
 import typer
 
@@ -23,41 +23,6 @@ from protochain.cli.options import (
 from protochain.core.checks import force_field_parts
 from protochain.core.markup import counted
 from protochain.setup import Setup
-
-
-class Facts(TypedDict):
-    """What ``protochain info`` tells."""
-
-    input: str
-    n_chains: int
-    n_residues: int
-    n_atoms: int
-    n_bodies: int
-    n_hinges: int
-    n_q: int
-    n_v: int
-    hinges: dict[str, int]
-    loops: list[str]
-    left_out: dict[str, int]
-    lost_atoms: list[str]
-    repairs: list[str]
-    overlaps: list[str]
-    engine: NotRequired[str]
-    engine_reason: NotRequired[str]
-    threads: NotRequired[int | None]
-    constant_terms: NotRequired[dict[str, int]]
-    seconds_import: float
-    seconds_preparation: float
-    seconds_chain: float
-    seconds_energy: NotRequired[float]
-
-
-class Built(TypedDict):
-    """What ``protochain build`` made."""
-
-    output: str
-    n_residues: int
-    n_atoms: int
 
 
 @with_settings(setup="engine move rigid_protein terms solvent cutoff accuracy threads")
@@ -84,7 +49,7 @@ def info(
     loaded = perf_counter()
     chain = setup.chain(structure)
     built = perf_counter()
-    facts: Facts = {
+    facts: dict[str, Any] = {
         "input": str(source),
         "n_chains": structure.n_chains,
         "n_residues": structure.n_residues,
@@ -140,11 +105,9 @@ def build(
     check_outputs([], [output])
     structure = from_sequence(sequence)
     write_models([structure], output, ".pdb", ())
-    built: Built = {
-        "output": str(output), "n_residues": structure.n_residues, "n_atoms": structure.n_atoms,
-    }  # fmt: skip
     if as_json:
-        return print_json(built)
+        facts = {"n_residues": structure.n_residues, "n_atoms": structure.n_atoms}
+        return print_json({"output": str(output), **facts})
     with beside_structure(output):
         where = "standard output" if str(output) == STANDARD_OUTPUT else output
         size = f"{counted(structure.n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}"

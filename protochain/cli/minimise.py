@@ -2,7 +2,7 @@
 
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -24,7 +24,6 @@ from protochain.cli.options import (
     check_names,
     check_outputs,
     exit_status,
-    fail,
     inputs_of,
     named_after,
     prepare,
@@ -32,8 +31,9 @@ from protochain.cli.options import (
     print_json,
     print_lost,
     refuse,
-    with_confidences,
+    refuse_unusable,
     with_settings,
+    write_beside,
     write_models,
 )
 from protochain.cli.terminal import (
@@ -103,7 +103,7 @@ def minimise(
     Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
     if starting.n_starts > 1:
         refuse(context, "checkpoint resume trajectory", "belongs to one run, and there are several starts")
-    beside = [Path(path) for path in (trace, trajectory, saving.checkpoint, report, ligand_out) if path]
+    beside = {"report": report, "ligands": ligand_out, "trace": trace}
     stem, suffix = named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
     check_names(output, report, ligand_out, as_json)
@@ -113,7 +113,8 @@ def minimise(
         single = "trace trajectory checkpoint resume report ligand_out"
         refuse(context, single, "belongs to one model, and there may be several")
     runs = _runs(source, output, setup, one_file)
-    written = [*dict.fromkeys(path for _, path in runs), *beside]
+    more = [Path(path) for path in (trajectory, saving.checkpoint, *beside.values()) if path]
+    written = [*dict.fromkeys(path for _, path in runs), *more]
     check_outputs(inputs_of(setup, source, saving.resume), written, force)
 
     settings: dict[str, Any] = {"method": chosen, **vars(minimising)}
@@ -125,9 +126,9 @@ def minimise(
     most = minimising.max_evaluations
     lengths = starting.n_starts * typical_evaluations(chosen, most), starting.n_starts * most
     records: list[dict[str, Any]] = []
-    with _Writer(output, suffix, one_file, trace, report, ligand_out, setup) as write:
+    with _Writer(output, suffix, one_file) as write:
         for own, path in runs:
-            records.append(_solved(context, source, own, path, chosen, solve, lengths, write))
+            records.append(_solved(context, source, own, path, chosen, solve, lengths, write, beside))
             if records[-1]["status"] == "interrupted":
                 break
     with beside_structure(output):
@@ -170,50 +171,17 @@ def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tupl
 
 
 class _Writer:
-    """Writer of solutions, each to its own file or at the end all to one, and of their other files."""
+    """Writer of structures, each to its own file or at the end all to one."""
 
-    def __init__(
-        self,
-        output: Path,
-        suffix: str,
-        one_file: bool,
-        trace: Path | None,
-        report: Path | None,
-        ligands: Path | None,
-        setup: Setup,
-    ) -> None:
+    def __init__(self, output: Path, suffix: str, one_file: bool) -> None:
         self.output, self.suffix, self.one_file = output, suffix, one_file
-        self.trace, self.report, self.ligands, self.setup = trace, report, ligands, setup
         self.done: list[Solution] = []
 
-    def __call__(
-        self, solution: "Solution", path: Path, origin: Mapping[str, Any], lost: list[str]
-    ) -> dict[str, Any]:
-        """Write a solution, or keep it for the end; return what its record says of other files.
-
-        A full disk loses only what does not fit; ``lost`` are the lines that say so.
-        """
-        from protochain.core.storage import write_atomically
-
+    def __call__(self, solution: "Solution", path: Path) -> None:
+        """Write the structure of a solution, or keep it for the end."""
         self.done.append(solution)
         if not self.one_file:
             write_models([solution.structure], path, self.suffix, solution.provenance())
-        written: dict[str, Any] = {}
-        try:
-            if self.trace:
-                write_atomically(self.trace, lambda to: solution.trace.to_csv(to, index=False))
-            if self.report:
-                from protochain.comparison import Comparison
-
-                Comparison(solution.chain.structure, (solution,), origin).write_page(self.report)
-                written["report"] = str(self.report)
-            written["confidences"] = with_confidences(Path(origin["input"]), path)
-            if self.ligands:
-                self.setup.save_ligands(solution, self.ligands)
-                written["ligands_written"] = str(self.ligands)
-        except WriteError as error:
-            lost = [*lost, str(error)]
-        return written | ({"not_written": lost} if lost else {})
 
     def __enter__(self) -> Self:
         return self
@@ -235,13 +203,14 @@ def _solved(
     solve: "Callable[[Chain, Energy], tuple[Solution, dict[str, Any]]]",
     lengths: tuple[int, int],
     write: _Writer,
+    beside: dict[str, Path | None],
 ) -> dict[str, Any]:
     """Prepare and minimise one model, write it, and return its record."""
     from protochain.structure.ligand_files import check_ligands
     from protochain.structure.write import check_fits
 
     chain, energy, preparation = prepare(source, setup)
-    if write.ligands:
+    if beside["ligands"]:
         check_ligands(chain.structure)
     for line in check_fits(chain.structure, output):
         print(line, file=sys.stderr)
@@ -249,16 +218,21 @@ def _solved(
     typical, most = lengths
     foretell(source, chain, energy, min(most, (TROUBLED if troubled else 1) * typical), most)
     context.with_resource(held_interrupts())
-    solution, beside = solve(chain, energy)
-    if not solution.is_usable:
-        raise SystemExit(
-            fail(f"{source}: {solution.message}; nothing is better than the start: nothing is written")
-        )
+    solution, told = solve(chain, energy)
+    refuse_unusable(source, solution)
+    write(solution, output)
+    model = {} if setup.model is None else {"model": setup.model}
     origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
-    beside |= write(solution, output, origin, beside.get("not_written", []))
-    for line in beside.get("not_written", []):
-        fail(f"{line}; saved: {output}")
-    return solution.record() | beside | ({} if setup.model is None else {"model": setup.model}) | origin
+    record = solution.record() | told | model | origin
+    write_beside(solution, record, setup, _write_page, **beside)
+    return record
+
+
+def _write_page(solution: "Solution", record: dict[str, Any], path: Path) -> None:
+    from protochain.comparison import Comparison
+
+    origin = {key: record[key] for key in ("input", "output", "seconds_preparation")}
+    Comparison(solution.chain.structure, (solution,), origin).write_page(path)
 
 
 def _once(

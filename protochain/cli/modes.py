@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.cli.first import METHOD, foretell_both, minimised_first
 from protochain.cli.options import (
     CONVERGED,
     UNCONVERGED,
@@ -19,7 +20,7 @@ from protochain.cli.options import (
     print_lost,
     with_settings,
 )
-from protochain.cli.terminal import foretell, print_outlook, run_progress, typical_evaluations
+from protochain.cli.terminal import print_outlook
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
@@ -83,7 +84,7 @@ def modes(
     chain, energy, preparation = prepare(source, setup)
     # Two evaluations for each row of the Hessian, or for some 700 products; analytic, it is a hundred.
     evaluations = 100 if applies(energy) else 2 * min(chain.n_v, DENSE)
-    _foretell(source, chain, energy, evaluations, relax)
+    foretell_both(source, chain, energy, evaluations, int(relax))
     with held_interrupts():
         q, first = _relaxed(source, chain, energy) if relax else (chain.q0, "not minimised first")
         with open_to_interrupts():
@@ -102,33 +103,17 @@ def modes(
     raise typer.Exit(CONVERGED if found.is_minimum else UNCONVERGED)
 
 
-def _foretell(source: Path, chain: "Chain", energy: "Energy", evaluations: int, relax: bool) -> None:
-    """Say before a long run how long it will be."""
-    usual, most = (0, 0)
-    if relax:
-        usual, most = typical_evaluations("lbfgs", defaults.MAX_EVALUATIONS), defaults.MAX_EVALUATIONS
-    foretell(source, chain, energy, usual + evaluations, most + evaluations)
-
-
 def _relaxed(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", str]:
     """Coordinates of a minimum, by turning hinges where torques are left, and what was done."""
     from protochain.comparison.hessian import torques_at
     from protochain.comparison.modes import FLAT
-    from protochain.minimisers import minimise
 
     if torques_at(chain, energy, None).largest <= FLAT:
         return chain.q0, "a minimum as it is: not minimised first"
-    print_outlook(source, chain.structure, "lbfgs")
-    with run_progress("lbfgs", defaults.MAX_EVALUATIONS, writes=False) as watch:
-        relaxed = minimise(chain, energy, "lbfgs", _RELAXED, watch=watch)
-    if relaxed.status == "interrupted":
-        raise KeyboardInterrupt
+    print_outlook(source, chain.structure, METHOD)
+    relaxed, said = minimised_first(chain, energy, _RELAXED)
     if not relaxed.is_usable:
         raise ProtochainError(f"{source}: {relaxed.message}")
-    said = (
-        f"minimised first: {relaxed.start.energy:.1f} -> {relaxed.end.energy:.1f} kJ/mol, "
-        f"C-alpha RMSD {relaxed.ca_rmsd_angstrom:.2f} angstrom"
-    )
     print(f"{source}: {said}", file=sys.stderr)
     return relaxed.q, said
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, redirect_stdout
 from dataclasses import MISSING, Field, fields
-from functools import wraps
+from functools import partial, wraps
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.core import defaults
-from protochain.core.errors import Angle, Argument, ProtochainError
+from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
 from protochain.core.markup import counted
 from protochain.core.settings import Made, Setting, settings_of
 from protochain.dynamics.settings import RunSettings, SimulationSettings
@@ -160,6 +160,19 @@ def batch_status(done: "Batch") -> int:
     return exit_status(table["status"], usable=usable, interrupted=done.interrupted)
 
 
+def end_folder(
+    folder: Path, show: Callable[[], object], as_json: bool, interrupted: bool, status: int
+) -> None:
+    """Print what a folder of results holds, and exit."""
+    if as_json:
+        print((folder / "summary.json").read_text())
+    else:
+        show()
+    if interrupted:
+        fail("interrupted; --resume does the rest")
+    raise typer.Exit(status)
+
+
 def fail(message: str, status: int = FAILED) -> int:
     """Report an error on standard error in one line, and return the exit status."""
     print(f"protochain: {' '.join(message.split())}", file=sys.stderr)
@@ -298,6 +311,11 @@ def files_of(inputs: Sequence[str], setup: Setup) -> list[tuple[str, Path, Setup
     return found + [("standard input", Path("-"), setup)] * (len(given) < len(inputs))
 
 
+def is_one_file(given: str) -> bool:
+    """Whether an input is a file, or could be one that is not there: no folder and no pattern."""
+    return given == "-" or Path(given).is_file() or not (Path(given).is_dir() or set("*?[") & set(given))
+
+
 def _name(path: Path) -> str:
     """Path as a user would write it: relative to the folder he is in, if it lies there."""
     return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
@@ -355,14 +373,46 @@ def write_models(
     sys.stdout.write(as_text(models, suffix, remarks, hydrogens=hydrogens))
 
 
-def with_confidences(source: Path, output: Path) -> list[str]:
-    """Copy what a predictor wrote beside a model to beside its result; say what was not; return the rest."""
+def refuse_unusable(source: Path, result: Any) -> None:
+    """End with a message if a run has no result that could be written."""
+    if not result.is_usable:
+        why = f"{source}: {result.message}; nothing is better than the start: nothing is written"
+        raise SystemExit(fail(why))
+
+
+def write_beside(
+    result: Any,
+    record: dict[str, Any],
+    setup: Setup,
+    write_report: Callable[[Any, dict[str, Any], Path], object],
+    report: Path | None,
+    ligands: Path | None,
+    trace: Path | None = None,
+) -> None:
+    """Write what was asked for beside a structure, and copy what a predictor wrote beside its input.
+
+    The record gets their names. A full disk loses only what does not fit, which is said.
+    """
+    from protochain.core.storage import write_atomically
     from protochain.structure.confidences import copy_confidences
 
-    copied = copy_confidences(source, output)
-    for line in copied.left:
-        print(line, file=sys.stderr)
-    return [str(path) for path in copied.written]
+    try:
+        if trace:
+            write_atomically(trace, partial(result.trace.to_csv, index=False))
+        if report:
+            write_report(result, record, report)
+            record["report"] = str(report)
+        copied = copy_confidences(Path(record["input"]), Path(record["output"]))
+        for line in copied.left:
+            print(line, file=sys.stderr)
+        record["confidences"] = [str(path) for path in copied.written]
+        if ligands:
+            setup.save_ligands(result, ligands)
+            record["ligands_written"] = str(ligands)
+    except WriteError as error:
+        record.setdefault("not_written", []).append(str(error))
+    for line in record.get("not_written", ()):
+        fail(f"{line}; saved: {record['output']}")
 
 
 def beside_structure(output: Path) -> AbstractContextManager[Any]:

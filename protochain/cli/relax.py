@@ -3,6 +3,7 @@
 import os
 import shlex
 import sys
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,15 +24,17 @@ from protochain.cli.options import (
     beside_structure,
     check_names,
     check_outputs,
+    end_folder,
     exit_status,
-    fail,
     has_poses,
     inputs_of,
+    is_one_file,
     print_files,
     print_json,
     refuse,
-    with_confidences,
+    refuse_unusable,
     with_settings,
+    write_beside,
     write_models,
 )
 from protochain.core import defaults
@@ -40,6 +43,7 @@ from protochain.relaxation.settings import RelaxSettings
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
+    from protochain.batches.frame_tasks import RelaxFrames
     from protochain.relaxation import Relaxation
 
 Inputs = Annotated[
@@ -99,15 +103,14 @@ def relax(
         if several:
             others = Argument("manifest"), ", ", Argument("model"), " all or poses"
             refuse(context, "trajectory frames", "is of one structure, not of ", *others)
-        refuse(context, "scheduler ligand_out posebusters", "is none of frames")
-        each = {"workers": workers, "time_limit": time_limit}
-        given = of_frames.only(inputs or [])
-        with of_frames.started_early(setup, workers):
-            done = _frames(
-                given, trajectory, frames, output, relaxing, setup, report, each, as_json, resume, force
-            )
-        raise typer.Exit(done)
-    if inputs and len(inputs) == 1 and _is_one_file(inputs[0]) and not (several or scheduler):
+        output = _beside(trajectory or of_frames.only(inputs or [])) if output is None else output
+        of_frames.run_if_asked(
+            context, inputs or [], trajectory, frames, setup, partial(_task, relaxing, setup, output),
+            output.with_suffix(".csv"), refused="scheduler ligand_out posebusters", output=output,
+            report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
+            hydrogens=relaxing.keep_hydrogens, as_json=as_json,
+        )  # fmt: skip
+    if inputs and len(inputs) == 1 and is_one_file(inputs[0]) and not (several or scheduler):
         refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, ligand_out, as_json, force))
     refuse(context, "report", "several structures have report.html in their folder")
@@ -120,35 +123,16 @@ def relax(
     processes: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     processes |= {} if setup.threads is None else {"threads": setup.threads}
     with Processes(**processes).started_early():
-        done = _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume)
-    raise typer.Exit(done)
+        _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume)
 
 
-def _frames(
-    source: Path,
-    trajectory: Path | None,
-    frames: str | None,
-    output: Path | None,
-    relaxing: RelaxSettings,
-    setup: Setup,
-    report: Path | None,
-    processes: dict[str, Any],
-    as_json: bool,
-    resume: bool,
-    force: bool,
-) -> int:
-    """Relax every frame; return the exit status."""
+def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
+    """Relax every frame, once the name of the output is known to be one."""
     from protochain.batches.frame_files import check_output
     from protochain.batches.frame_tasks import RelaxFrames
 
-    output = _beside(trajectory or source) if output is None else output
     check_output(output)
-    done = of_frames.run(
-        source, trajectory, frames, setup, RelaxFrames(relaxing, setup), output.with_suffix(".csv"), output,
-        report=report, **processes, resume=resume, force=force,
-        hydrogens=relaxing.keep_hydrogens, as_json=as_json,
-    )  # fmt: skip
-    return of_frames.status_of(done)
+    return RelaxFrames(relaxing, setup)
 
 
 def _beside(frames: Path) -> Path:
@@ -159,10 +143,6 @@ def _beside(frames: Path) -> Path:
     if format_of(frames):
         return Path(relaxed_name(frames))
     return Path(f"{relaxed_stem(frames.stem)}{'.xtc' if frames.suffix.lower() == '.xtc' else '.dcd'}")
-
-
-def _is_one_file(given: str) -> bool:
-    return given == "-" or Path(given).is_file() or not (Path(given).is_dir() or set("*?[") & set(given))
 
 
 def _one(
@@ -203,49 +183,25 @@ def _one(
     with held_interrupts():
         with progress(seconds) as watch:
             result = relax_structure(structure, energy, relaxing, watch, setup.move)
-        if not result.is_usable:
-            return fail(f"{source}: {result.message}; nothing is better than the start: nothing is written")
+        refuse_unusable(source, result)
         hydrogens = result.settings.keep_hydrogens
         write_models([result.structure], output, suffix_of(source), result.provenance(), hydrogens)
         record = result.record() | {
             "input": str(source), "output": str(output), "seconds_preparation": preparation,
         }  # fmt: skip
-        lost = _write_beside(result, record, source, report, ligand_out, setup)
-    if lost:
-        record["not_written"] = [lost]
-        fail(f"{lost}; saved: {output}")
+        write_beside(result, record, setup, _write_page, report, ligand_out)
     if as_json:
         print_json(record)
     else:
         with beside_structure(output):
             print_relaxed(result, record)
-    return UNCONVERGED if lost else exit_status([record["status"]])
+    return UNCONVERGED if "not_written" in record else exit_status([record["status"]])
 
 
-def _write_beside(
-    result: "Relaxation",
-    record: dict[str, Any],
-    source: Path,
-    report: Path | None,
-    ligand_out: Path | None,
-    setup: Setup,
-) -> str:
-    """Write confidences, page and ligands; return why one could not be written, which loses nothing else."""
-    from protochain.core.errors import WriteError
+def _write_page(result: "Relaxation", record: dict[str, Any], path: Path) -> None:
+    from protochain.comparison.relaxed import write_relaxed
 
-    try:
-        record["confidences"] = with_confidences(source, Path(record["output"]))
-        if ligand_out:
-            setup.save_ligands(result, ligand_out)
-            record["ligands_written"] = str(ligand_out)
-        if report:
-            from protochain.comparison.relaxed import write_relaxed
-
-            write_relaxed(result, record, report)
-            record["report"] = str(report)
-    except WriteError as error:
-        return str(error)
-    return ""
+    write_relaxed(result, record, path)
 
 
 def _tell_frames(inputs: list[str]) -> None:
@@ -271,8 +227,8 @@ def _several(
     processes: dict[str, Any],
     as_json: bool,
     resume: bool,
-) -> int:
-    """Relax many files into a folder, and join their poses in a file beside; return the exit status."""
+) -> None:
+    """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
     from protochain.batches.naming import poses_name
     from protochain.batches.relaxing import NAME, relax_files
     from protochain.batches.table import files_of
@@ -303,11 +259,9 @@ def _several(
     for path in beside:
         written = done.table.dropna(subset="output")["structure"]
         write_text(path, "".join((folder / poses_name(name)).read_text() for name in written))
-    if as_json:
-        print((folder / "summary.json").read_text())
-    else:
+
+    def show() -> None:
         print_folder(done.table, folder)
         print_files(*beside)
-    if done.interrupted:
-        print("protochain: interrupted; --resume does the rest", file=sys.stderr)
-    return batch_status(done)
+
+    end_folder(folder, show, as_json, done.interrupted, batch_status(done))

@@ -1,33 +1,19 @@
 """``protochain rmsd``."""
 
 import json
-import sys
 from pathlib import Path
-from typing import Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
-from protochain.cli.options import (
-    AsJson,
-    check_outputs,
-    exit_status,
-    named_after,
-    print_files,
-    print_json,
-)
-from protochain.cli.terminal import print_deviations
+from protochain.cli.options import AsJson, check_outputs
+from protochain.cli.rows import Rows, conclude, print_rows, refused
+from protochain.setup import Setup
 
-
-class Told(TypedDict):
-    """What is told of deviations; results are the rows of the table."""
-
-    reference: str
-    align: str
-    measure: str
-    results: list[Any]
-    files: list[str]
+if TYPE_CHECKING:
+    from protochain.batches.frame_tasks import Task
 
 
 def rmsd(
@@ -56,52 +42,39 @@ def rmsd(
     Files of C-alpha atoms only are measured too. Of frames of one file, a row for each goes to a CSV.
     """
     from protochain.comparison.deviation import rmsd_table
-    from protochain.core.storage import write_atomically
 
-    if of_frames.are_asked(trajectory, frames):
-        whole = {"workers": workers, "resume": resume, "as_json": as_json}
-        ends = align, measure or align
-        raise typer.Exit(_frames(reference, models, trajectory, frames, *ends, output, whole))
-    of_frames.refuse_without(context, "workers resume")
+    measure = measure or align
+
+    def task() -> "Task":
+        from protochain.comparison.deviation import RmsdFrames
+        from protochain.structure.matching import measurable
+
+        return RmsdFrames(measurable(reference), align, measure)
+
+    of_frames.run_if_asked(
+        context, models, trajectory, frames, Setup(), task, output,
+        workers=workers, resume=resume, as_json=as_json, reads=[reference],
+    )  # fmt: skip
     if output:
         check_outputs([reference, *models], [output])
-    table = rmsd_table(reference, models, align, measure or align)
-    if output:
-        write_atomically(output, lambda to: table.to_csv(to, index=False))
+    table = rmsd_table(reference, models, align, measure)
     rows = json.loads(table.to_json(orient="records", double_precision=15))
     for row in rows:
         if row["message"]:
-            print(" ".join(row["message"].split()), file=sys.stderr)
-    if as_json:
-        told: Told = {
-            "reference": str(reference), "align": align, "measure": measure or align, "results": rows,
-            "files": [str(output)] if output else [],
-        }  # fmt: skip
-        print_json(told)
-    else:
-        print_deviations(rows)
-        print_files(output)
-    raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
+            refused(row["message"])
+    tables = {output: lambda: table}
+    conclude(rows, tables, print_deviations, as_json, reference=str(reference), align=align, measure=measure)
 
 
-def _frames(
-    reference: Path,
-    models: list[Path],
-    trajectory: Path | None,
-    frames: str | None,
-    align: str,
-    measure: str,
-    output: Path | None,
-    whole: dict[str, Any],
-) -> int:
-    """Measure every frame; return the exit status."""
-    from protochain.comparison.deviation import RmsdFrames
-    from protochain.setup import Setup
-    from protochain.structure.matching import measurable
-
-    source = of_frames.only(models)
-    task = RmsdFrames(measurable(reference), align, measure)
-    table = output or Path(f"{named_after(source)[0]}.rmsd.csv")
-    reads, force = [reference], not whole["resume"]
-    done = of_frames.run(source, trajectory, frames, Setup(), task, table, reads=reads, force=force, **whole)
-    return of_frames.status_of(done)
+def print_deviations(rows: Rows) -> None:
+    """Print a row for each model measured."""
+    headings = ("file", "model", "RMSD angstrom", "TM-score", "matched residues", "chains")
+    print_rows(headings, [
+        (
+            row["file"], f"{row['model']:.0f}", f"{row['rmsd_angstrom']:.3f}",
+            None if row["tm_score"] is None else f"{row['tm_score']:.4f}",
+            f"{row['matched_residues']:.0f} ({100 * row['coverage']:.0f} %) by {row['matched_by']}",
+            row["chain_mapping"],
+        )
+        for row in rows
+    ])  # fmt: skip

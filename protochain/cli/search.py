@@ -1,7 +1,7 @@
 """``protochain search``."""
 
-import sys
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +13,7 @@ from protochain.cli.options import (
     AsJson,
     Scheduler,
     check_outputs,
+    end_folder,
     inputs_of,
     named_after,
     prepare,
@@ -73,13 +74,8 @@ def search(
             chain, energy, output=output, workers=count, scheduler=scheduler, watch=watch,
             **vars(running), **vars(searching),
         )  # fmt: skip
-    if as_json:
-        print((output / "summary.json").read_text())
-    else:
-        print_search(done, output)
-    if done.interrupted:
-        print("protochain: interrupted; --resume goes on", file=sys.stderr)
-    raise typer.Exit(INTERRUPTED if done.interrupted else CONVERGED)
+    status = INTERRUPTED if done.interrupted else CONVERGED
+    end_folder(output, partial(print_search, done, output), as_json, done.interrupted, status)
 
 
 def is_sequence(source: Path) -> bool:

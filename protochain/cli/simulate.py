@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.cli.first import METHOD, foretell_both, minimised_first
 from protochain.cli.options import (
     CONVERGED,
     INTERRUPTED,
@@ -22,14 +23,10 @@ from protochain.cli.options import (
 )
 from protochain.cli.terminal import (
     TROUBLED,
-    foretell,
     print_outlook,
     print_simulation,
-    run_progress,
     simulation_progress,
-    typical_evaluations,
 )
-from protochain.core import defaults
 from protochain.core.interrupts import held_interrupts
 from protochain.dynamics.settings import Pull, RunSettings, SimulationSettings
 from protochain.setup import Setup
@@ -78,7 +75,9 @@ def simulate(
     if simulation.pull or simulation.hinge_springs:
         freed(chain, simulation)  # What is not there is said before the work.
     relax = relax and not running.resume
-    _foretell(source, chain, energy, running.n_steps, relax)
+    troubled = relax and print_outlook(source, chain.structure, METHOD)
+    times = (TROUBLED if troubled else 1) if relax else 0
+    foretell_both(source, chain, energy, running.n_steps, times)
     context.with_resource(held_interrupts())
     q = _relaxed(source, chain, energy, simulation) if relax else chain.q0
     with simulation_progress(source.stem, running.n_steps, simulation.time_step) as watch:
@@ -100,29 +99,10 @@ def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
     raise typer.Exit(CONVERGED if done.ending == "completed" else INTERRUPTED)
 
 
-def _foretell(source: Path, chain: "Chain", energy: "Energy", steps: int, relax: bool) -> None:
-    """Say before a long run how long it will be, and what a minimisation does about a bad start."""
-    usual = most = steps
-    if relax:
-        troubled = print_outlook(source, chain.structure, "lbfgs")
-        usual += (TROUBLED if troubled else 1) * typical_evaluations("lbfgs", defaults.MAX_EVALUATIONS)
-        most += defaults.MAX_EVALUATIONS
-    foretell(source, chain, energy, usual, most)
-
-
 def _relaxed(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
     """Minimise by turning hinges; report what it changed, and return the coordinates."""
-    from protochain.minimisers import minimise
-
-    with run_progress("lbfgs", defaults.MAX_EVALUATIONS, writes=False) as watch:
-        relaxed = minimise(chain, energy, "lbfgs", _RELAXED, seed=simulation.seed, watch=watch)
-    if relaxed.status == "interrupted":
-        raise KeyboardInterrupt
+    relaxed, said = minimised_first(chain, energy, _RELAXED, simulation.seed)
     # Without constraints: the force field holds the loops, and takes the strain from them, too.
     kept = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
-    print(
-        f"{source}: minimised first: {relaxed.start.energy:.1f} -> {relaxed.end.energy:.1f} kJ/mol, "
-        f"C-alpha RMSD {relaxed.ca_rmsd_angstrom:.2f} angstrom{kept}",
-        file=sys.stderr,
-    )
+    print(f"{source}: {said}{kept}", file=sys.stderr)
     return relaxed.q

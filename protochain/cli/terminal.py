@@ -409,27 +409,3 @@ def print_distribution(summary: dict[str, float]) -> None:
         f"{summary['n_starts']} starts: lowest {low:.2f}, median {middle:.2f}, highest {high:.2f} kJ/mol; "
         f"{summary['n_within_1_kj_mol_of_lowest']} within 1 kJ/mol of the lowest"
     )
-
-
-def print_deviations(rows: list[dict[str, Any]]) -> None:
-    """Print a row for each model measured."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("file", overflow="fold", min_width=24)
-    for heading in ("model", "RMSD angstrom", "TM-score", "matched residues"):
-        table.add_column(heading, justify="right")
-    measured = [row for row in rows if not row["message"]]
-    table.add_column("chains", justify="right", no_wrap=True)
-    for row in measured:
-        score = row["tm_score"]
-        table.add_row(
-            escape(row["file"]), f"{row['model']:.0f}", f"{row['rmsd_angstrom']:.3f}",
-            "-" if score is None else f"{score:.4f}",
-            f"{row['matched_residues']:.0f} ({100 * row['coverage']:.0f} %) by {row['matched_by']}",
-            escape(row["chain_mapping"]),
-        )  # fmt: skip
-    console = printer()
-    if measured:
-        console.print(table, crop=False)

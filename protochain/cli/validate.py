@@ -1,9 +1,9 @@
 """``protochain validate``."""
 
-import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,24 +12,20 @@ from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import (
     AsJson,
     check_outputs,
-    exit_status,
     files_of,
     inputs_of,
-    named_after,
-    print_files,
-    print_json,
-    refuse,
     with_settings,
 )
-from protochain.cli.printable import printer
+from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.errors import ProtochainError
 from protochain.core.markup import counted
 from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-    from rich.table import Table
 
+    from protochain.batches.frame_tasks import Task
+    from protochain.comparison.differences import Differences
     from protochain.structure import Structure
     from protochain.validation import Validation
 
@@ -37,14 +33,6 @@ _LISTS = ["findings", "ligands", "nucleotides", "changes", "bonds_changed"]
 """What JSON has of a structure, and a table of many cannot."""
 _SHOWN = 10
 """Residues listed of each structure; the tables have all."""
-
-
-class Told(TypedDict):
-    """What is told of structures; results are the rows of the table, and what it cannot have."""
-
-    reference: str | None
-    results: list[Any]
-    files: list[str]
 
 
 @with_settings(
@@ -84,101 +72,66 @@ def validate(
     Heavy atoms are measured where the file has them; those that are missing, and hydrogens, are added first.
     Of frames of one file, a row for each goes to --csv.
     """
-    from protochain.core.storage import write_atomically
     from protochain.structure.matching import measurable
 
-    if of_frames.are_asked(trajectory, frames):
-        refuse(context, "residues changes posebusters", "is none of frames")
-        ways: dict[str, Any] = {
-            "csv": csv,
-            "report": report,
-            "workers": workers,
-            "resume": resume,
-            "as_json": as_json,
-        }
-        with of_frames.started_early(setup, workers):
-            status = _frames(inputs, trajectory, frames, reference, setup, **ways)
-        raise typer.Exit(status)
-    of_frames.refuse_without(context, "workers resume report")
+    def task() -> "Task":
+        from protochain.batches.frame_tasks import ValidateFrames
 
-    outputs = [path for path in (csv, residues, changes) if path]
+        return ValidateFrames(setup, measurable(reference) if reference else None)
+
+    of_frames.run_if_asked(
+        context, inputs, trajectory, frames, setup, task, csv, refused="residues changes posebusters",
+        alone="workers resume report", report=report, workers=workers, resume=resume, as_json=as_json,
+        reads=[reference] if reference else [],
+    )  # fmt: skip
     files = files_of(inputs, setup)
+    outputs = [path for path in (csv, residues, changes) if path]
     check_outputs(inputs_of(setup, reference, *(path for _, path, _ in files)), outputs)
     if changes and not reference:
         raise ProtochainError(f"changes {changes}: changes are from a reference; give one")
     compared = measurable(reference) if reference else None
-    rows: list[dict[str, Any]] = []
-    tables: list[DataFrame] = []
-    changed: list[DataFrame] = []
+    rows: Rows = []
     notes: dict[str, list[str]] = {}
+    of_residues: list[DataFrame] = []
+    changed: list[DataFrame] = []
     # Structures are not kept: there may be thousands.
     for name, result in _validated(files, compared, posebusters):
         if isinstance(result, ProtochainError):
-            print(" ".join(str(result).split()), file=sys.stderr)
-            rows.append({"file": name, "message": str(result)})
+            rows.append(refused(result, file=name))
             continue
-        told: dict[str, Any] = {
-            "added": result.added, "findings": result.listing(), "message": "",
-            "ligands": [each.record() for each in result.ligands],
-            "nucleotides": result.nucleotide_table.to_dict("records"),
-        }  # fmt: skip
-        notes[name] = [*map(str, result.ligands), *filter(None, [result.posebusters_missing])]
-        if changes:
-            from protochain.comparison.differences import differences
-
-            between = differences(reference, result.structure)
-            told |= {"changes": dict(between.totals), "bonds_changed": between.bonds.to_dict("records")}
-            notes[name].append(repr(between).strip("<>"))
-            changed.append(between.residues.assign(file=name, model=result.structure.model_number))
-        rows.append({"file": name, **result.record(), **told})
+        between = _changes(reference, result) if changes else None
+        rows.append({"file": name, **_row(result, between)})
+        said = (result.posebusters_missing, repr(between).strip("<>") if between else "")
+        notes[name] = [*map(str, result.ligands), *filter(None, said)]
+        of: dict[str, Any] = {"file": name, "model": result.structure.model_number}
         if residues:
-            tables.append(result.residues.assign(file=name, model=result.structure.model_number))
-    if outputs:
-        import pandas as pd
-    if csv:
-        table = pd.DataFrame(rows).drop(columns=_LISTS, errors="ignore").convert_dtypes()
-        write_atomically(csv, lambda to: table.to_csv(to, index=False))
-    if residues:
-        every = pd.concat(tables) if tables else pd.DataFrame()
-        write_atomically(residues, lambda to: every.to_csv(to, index=False))
-    if changes:
-        of_all = pd.concat(changed) if changed else pd.DataFrame()
-        write_atomically(changes, lambda to: of_all.to_csv(to, index=False))
-    done = [row for row in rows if not row["message"]]
-    if as_json:
-        of = str(reference) if reference else None
-        print_json(Told(reference=of, results=rows, files=[*map(str, outputs)]))
-    else:
-        if done:
-            _print(done, notes)
-        print_files(*outputs)
-    raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
+            of_residues.append(result.residues.assign(**of))
+        if between:
+            changed.append(between.residues.assign(**of))
+    tables = {
+        csv: lambda: table_of(rows, _LISTS),
+        residues: lambda: joined(of_residues),
+        changes: lambda: joined(changed),
+    }
+    conclude(rows, tables, partial(_print, notes), as_json, reference=str(reference) if reference else None)
 
 
-def _frames(
-    inputs: list[str],
-    trajectory: Path | None,
-    frames: str | None,
-    reference: Path | None,
-    setup: Setup,
-    csv: Path | None,
-    report: Path | None,
-    workers: int | None,
-    resume: bool,
-    as_json: bool,
-) -> int:
-    """Measure every frame; return the exit status."""
-    from protochain.batches.frame_tasks import ValidateFrames
-    from protochain.structure.matching import measurable
+def _changes(reference: Path | None, result: "Validation") -> "Differences":
+    from protochain.comparison.differences import differences
 
-    source = of_frames.only(inputs)
-    task = ValidateFrames(setup, measurable(reference) if reference else None)
-    done = of_frames.run(
-        source, trajectory, frames, setup, task, csv or Path(f"{named_after(source)[0]}.validated.csv"),
-        report=report, workers=workers, resume=resume, force=not resume,
-        as_json=as_json, reads=[reference] if reference else [],
-    )  # fmt: skip
-    return of_frames.status_of(done)
+    return differences(reference, result.structure)
+
+
+def _row(result: "Validation", between: "Differences | None") -> dict[str, Any]:
+    """What JSON has of a structure, and in what a table cannot hold."""
+    row = {
+        **result.record(), "added": result.added, "findings": result.listing(), "message": "",
+        "ligands": [each.record() for each in result.ligands],
+        "nucleotides": result.nucleotide_table.to_dict("records"),
+    }  # fmt: skip
+    if between:
+        row |= {"changes": dict(between.totals), "bonds_changed": between.bonds.to_dict("records")}
+    return row
 
 
 def _validated(
@@ -195,48 +148,21 @@ def _validated(
             yield named, error
 
 
-def _print(rows: Sequence[dict[str, Any]], notes: Mapping[str, Sequence[str]]) -> None:
+def _print(notes: Mapping[str, Sequence[str]], rows: Rows) -> None:
     """Print the numbers of all structures, then the ligands and the residues concerned in words."""
     from protochain.validation import LIKENESS, MEASURES
 
-    console = printer()
-    headings = {key: measure.heading for key, measure in MEASURES.items() if measure.heading}
-    console.print(_table(rows, headings), crop=False)
+    tables = [{key: measure.heading for key, measure in MEASURES.items() if measure.heading}]
     if LIKENESS.keys() & rows[0].keys():
-        console.print(_table(rows, {key: heading for key, (heading, _) in LIKENESS.items()}), crop=False)
+        tables.append({key: heading for key, (heading, _) in LIKENESS.items()})
+    for shown in tables:
+        cells = ([Path(row["file"]).name, *(row[key] for key in shown)] for row in rows)
+        print_rows(["file", *shown.values()], cells)
     for row in rows:
         lines = row["findings"]
-        more = [f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"] * (
-            len(lines) > _SHOWN
-        )
+        more = f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"
         mapping = row.get("chain_mapping") if row["n_chains"] > 1 else None
-        chains = [f"chains of the reference and their match: {mapping}"] if mapping else []
-        told = [
-            f"  {line}"
-            for line in [*filter(None, [row["added"]]), *chains, *notes[row["file"]], *lines[:_SHOWN], *more]
-        ]
-        for line in [f"{row['file']}:", *told] if told else []:
-            console.print(line, markup=False, highlight=False, soft_wrap=True)
-
-
-def _table(rows: Sequence[dict[str, Any]], headings: dict[str, str]) -> "Table":
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("file", overflow="fold", min_width=14)
-    for heading in headings.values():
-        table.add_column(heading, justify="right")
-    for row in rows:
-        table.add_row(escape(Path(row["file"]).name), *(_number(row[key]) for key in headings))
-    return table
-
-
-def _number(value: Any) -> str:
-    return (
-        "-"
-        if value is None
-        else f"{value:.2f}"
-        if isinstance(value, float) and value < 10
-        else f"{value:.0f}"
-    )
+        chains = mapping and f"chains of the reference and their match: {mapping}"
+        told = [row["added"], chains, *notes[row["file"]], *lines[:_SHOWN], len(lines) > _SHOWN and more]
+        if any(told):
+            print(f"{row['file']}:", *filter(None, told), sep="\n  ")

@@ -1,6 +1,5 @@
 """Result of a simulation."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
@@ -18,8 +17,8 @@ from protochain.dynamics.settings import SimulationSettings
 from protochain.dynamics.thermostats import THERMOSTATS
 from protochain.energies.protocol import Energy
 from protochain.frame import Frame
+from protochain.results.columns import Column, of_energy, of_losses
 from protochain.structure import Structure, save
-from protochain.structure.losses import far_molecules, lost_atoms, n_lost
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -142,7 +141,7 @@ class Simulation:
         """Return the simulation as flat values for JSON."""
         settings = {RENAMED.get(name, name): value for name, value in self.settings.record().items()}
         settings["time_step_fs"] *= 1000
-        return {name: value(self) for name, value in RECORD.items()} | settings | self._pulled()
+        return {each.key: each.value(self) for each in RECORD} | settings | self._pulled()
 
     def _pulled(self) -> dict[str, float]:
         """What a pull has come to; nothing without one."""
@@ -184,45 +183,42 @@ RENAMED = {
 }  # fmt: skip
 """Settings whose names in a record have units; the time step has another one there."""
 
-RECORD: Mapping[str, Callable[[Simulation], Any]] = {
-    "protochain": lambda r: version("protochain"),
-    "structure": lambda r: r.chain.structure.name,
-    "engine": lambda r: r.energy_function.engine,
-    "engine_reason": lambda r: r.energy_function.reason,
-    "forcefield": lambda r: r.energy_function.forcefield,
-    "solvent": lambda r: r.energy_function.solvent,
-    "hinges": lambda r: r.chain.opened,
-    "move": lambda r: r.chain.move,
-    "n_chains": lambda r: r.chain.structure.n_chains,
-    "n_residues": lambda r: r.chain.structure.n_residues,
-    "n_atoms": lambda r: r.chain.structure.n_atoms,
-    "n_bodies": lambda r: r.chain.n_bodies,
-    "n_hinges": lambda r: r.chain.n_hinges,
-    "freedoms": lambda r: r.freedoms,
-    "steps": lambda r: r.state.step,
-    "time_ps": lambda r: r.state.step * r.settings.time_step,
-    "mean_temperature_second_half_k": lambda r: float(
+RECORD = (
+    Column("protochain", lambda r: version("protochain")),
+    Column("structure", lambda r: r.chain.structure.name),
+    *(each for each in of_energy() if each.key != "protochain"),
+    Column("hinges", lambda r: r.chain.opened),
+    Column("move", lambda r: r.chain.move),
+    Column("n_chains", lambda r: r.chain.structure.n_chains),
+    Column("n_residues", lambda r: r.chain.structure.n_residues),
+    Column("n_atoms", lambda r: r.chain.structure.n_atoms),
+    Column("n_bodies", lambda r: r.chain.n_bodies),
+    Column("n_hinges", lambda r: r.chain.n_hinges),
+    Column("freedoms", lambda r: r.freedoms, kind=int),
+    Column("steps", lambda r: r.state.step, kind=int),
+    Column("time_ps", lambda r: r.state.step * r.settings.time_step),
+    Column("mean_temperature_second_half_k", lambda r: float(
         np.mean([row["temperature_k"] for row in r.rows[len(r.rows) // 2 :]])
+    )),
+    Column("potential_end_kj_mol", lambda r: r.rows[-1]["potential_kj_mol"]),
+    Column(
+        "conserved_drift_kj_mol_ps_per_100_atoms",
+        lambda r: r.drift if len(r.rows) > 2 else None, kind=float | None,
     ),
-    "potential_end_kj_mol": lambda r: r.rows[-1]["potential_kj_mol"],
-    "conserved_drift_kj_mol_ps_per_100_atoms": lambda r: r.drift if len(r.rows) > 2 else None,
-    "accepted": lambda r: r.accepted,
-    "ca_rmsd_angstrom": lambda r: r.rows[-1]["ca_rmsd_angstrom"],
-    "ca_rmsd_input_angstrom": lambda r: r.frame.ca_rmsds(r.x)[0],
-    "ca_rmsd_input_as_filed_angstrom": lambda r: r.frame.ca_rmsds(r.x)[1],
-    "frame": lambda r: str(r.frame),
-    "seconds": lambda r: r.seconds,
-    "ns_per_day": lambda r: r.ns_per_day,
-    "status": lambda r: str(r.ending),
-    "message": lambda r: r.message,
-    "left_out": lambda r: dict(r.chain.structure.left_out),
-    "lost_atoms": lambda r: lost_atoms(r.chain.structure.losses),
-    "n_lost_atoms": lambda r: n_lost(r.chain.structure.losses),
-    "far_molecules": lambda r: far_molecules(r.chain.structure.losses),
-    "repairs": lambda r: [str(each) for each in r.chain.structure.repairs],
-    "threads": lambda r: r.energy_function.threads,
-}
-"""Values of a record beside the settings, by name."""
+    Column("accepted", lambda r: r.accepted, kind=float | None),
+    Column("ca_rmsd_angstrom", lambda r: r.rows[-1]["ca_rmsd_angstrom"]),
+    Column("ca_rmsd_input_angstrom", lambda r: r.frame.ca_rmsds(r.x)[0]),
+    Column("ca_rmsd_input_as_filed_angstrom", lambda r: r.frame.ca_rmsds(r.x)[1]),
+    Column("frame", lambda r: str(r.frame)),
+    Column("seconds", lambda r: r.seconds),
+    Column("ns_per_day", lambda r: r.ns_per_day, kind=float | None),
+    Column("status", lambda r: str(r.ending), kind=Ending),
+    Column("message", lambda r: r.message),
+    Column("left_out", lambda r: dict(r.chain.structure.left_out), kind=dict[str, int]),
+    *of_losses(lambda r: r.chain.structure),
+    Column("threads", lambda r: r.energy_function.threads, kind=int | None),
+)  # fmt: skip
+"""Columns of a record beside the settings."""
 PULLED = (
     "pull_stiffness_kj_mol_nm2", "pull_speed_nm_ps", "pull_distance_start_nm", "pull_distance_end_nm",
     "pull_work_end_kj_mol", "pull_force_largest_kj_mol_nm",

@@ -7,6 +7,7 @@ import numpy as np
 from protochain.articulate import turned_atoms
 from protochain.core import defaults
 from protochain.energies.decomposed import TERMS
+from protochain.minimisers.verdict import Status
 from protochain.results.columns import (
     Column,
     of_energy,
@@ -26,7 +27,7 @@ def _structure(solution: Any) -> Any:
 COLUMNS = (
     Column("structure", lambda s: s.chain.structure.name),
     Column("method", lambda s: s.method, "method"),
-    Column("status", lambda s: str(s.status), "status"),
+    Column("status", lambda s: str(s.status), "status", kind=Status),
     Column("message", lambda s: s.message),
     Column("energy_start_kj_mol", lambda s: s.start.energy, "energy at start", "start"),
     Column("energy_end_kj_mol", lambda s: s.energy),
@@ -41,8 +42,8 @@ COLUMNS = (
     *of_terms(TERMS),
     *of_measures(MEASURES, "start", "end"),
     *of_remains(REMAINS),
-    Column("iterations", lambda s: s.n_iterations),
-    Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals"),
+    Column("iterations", lambda s: s.n_iterations, kind=int),
+    Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals", kind=int),
     Column("seconds", lambda s: s.seconds, "seconds", "time s", 6),
     *of_structure(_structure),
     Column("n_bodies", lambda s: s.chain.n_bodies),
@@ -51,16 +52,16 @@ COLUMNS = (
     *of_energy(),
     Column("hinges", lambda s: s.chain.opened),
     Column("root", lambda s: s.chain.root),
-    Column("tolerance", lambda s: s.tolerance),
+    Column("tolerance", lambda s: s.tolerance, kind=float | None),
     Column("tolerance_unit", lambda s: "kJ/mol/rad" if s.keeps_geometry else "kJ/mol/nm"),
     Column("move", lambda s: s.chain.move),
-    Column("restraint_kj_mol_nm2", lambda s: s.hold.record()),
+    Column("restraint_kj_mol_nm2", lambda s: s.hold.record(), kind=list[float | str]),
     Column("max_rmsd_angstrom", lambda s: s.hold.max_rmsd),
-    Column("left_out", lambda s: dict(s.chain.structure.left_out)),
-    Column("constant_terms", lambda s: dict(s.constant_terms)),
+    Column("left_out", lambda s: dict(s.chain.structure.left_out), kind=dict[str, int]),
+    Column("constant_terms", lambda s: dict(s.constant_terms), kind=dict[str, int]),
     *of_losses(_structure),
-    Column("seed", lambda s: s.seed),
-    Column("threads", lambda s: s.energy_function.threads),
+    Column("seed", lambda s: s.seed, kind=int),
+    Column("threads", lambda s: s.energy_function.threads, kind=int | None),
 )
 """In the order in which a reader looks at them."""
 

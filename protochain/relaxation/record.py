@@ -8,10 +8,12 @@ from typing import Any
 from protochain.contacts import overlaps
 from protochain.core.arrays import Floats
 from protochain.energies.decomposed import TERMS
+from protochain.minimisers.verdict import Status
 from protochain.results.columns import (
     UNITS,
     Column,
     heading,
+    number,
     of_energy,
     of_losses,
     of_measures,
@@ -35,7 +37,7 @@ def _start(relaxation: Any) -> Any:
 COLUMNS = (
     Column("structure", lambda r: r.start.name),
     Column("method", lambda r: METHOD),
-    Column("status", lambda r: str(r.status)),
+    Column("status", lambda r: str(r.status), kind=Status),
     Column("message", lambda r: r.message),
     Column("energy_start_kj_mol", lambda r: r.energy_start),
     Column("energy_end_reference_kj_mol", lambda r: r.energy_end),
@@ -49,18 +51,18 @@ COLUMNS = (
     *of_measures(MEASURES, "start"),
     *of_measures(MEASURES, "end"),
     *of_remains(REMAINS),
-    Column("overlaps_start", lambda r: len(overlaps(r.start, r.start.positions))),
-    Column("overlaps_end", lambda r: r.rounds[r.best].overlaps),
-    Column("overlaps_beside_start", lambda r: _beside(r, r.start.positions)),
-    Column("overlaps_beside_end", lambda r: _beside(r, r.x)),
+    Column("overlaps_start", lambda r: len(overlaps(r.start, r.start.positions)), kind=int),
+    Column("overlaps_end", lambda r: r.rounds[r.best].overlaps, kind=int),
+    Column("overlaps_beside_start", lambda r: _beside(r, r.start.positions), kind=int),
+    Column("overlaps_beside_end", lambda r: _beside(r, r.x), kind=int),
     Column("ligand_strain_start_kj_mol", lambda r: _strain(r.ligands_start)),
     Column("ligand_strain_end_kj_mol", lambda r: _strain(r.ligands_end)),
     Column("ligands", lambda r: list(map(at_both_ends, r.ligands_start, r.ligands_end))),
     Column("n_rounds", lambda r: len(r.rounds)),
     Column("n_residues_let_go", lambda r: r.rounds[r.best].let_go),
     Column("rounds", lambda r: [asdict(each) for each in r.rounds]),
-    Column("iterations", lambda r: sum(each.iterations for each in r.rounds)),
-    Column("evaluations", lambda r: sum(each.evaluations for each in r.rounds)),
+    Column("iterations", lambda r: sum(each.iterations for each in r.rounds), kind=int),
+    Column("evaluations", lambda r: sum(each.evaluations for each in r.rounds), kind=int),
     Column("seconds", lambda r: r.seconds),
     *of_structure(_start),
     Column("n_atoms_moving", lambda r: r.n_atoms_moving),
@@ -69,24 +71,26 @@ COLUMNS = (
     Column("preset", lambda r: "" if r.settings.protocol else r.settings.preset),
     Column("protocol", lambda r: r.settings.protocol),
     Column("bonds_to_hydrogen", lambda r: "free"),
-    Column("tolerance", lambda r: r.settings.strength.tolerance),
+    Column("tolerance", lambda r: r.settings.strength.tolerance, kind=float | None),
     Column("tolerance_unit", lambda r: "kJ/mol/nm"),
-    Column("springs_backbone_kj_mol_nm2", lambda r: list(r.settings.strength.backbone)),
-    Column("springs_side_chains_kj_mol_nm2", lambda r: list(r.settings.strength.side_chains)),
-    Column("max_iterations", lambda r: r.settings.max_iterations),
-    Column("max_outer_iterations", lambda r: r.settings.max_outer_iterations),
+    Column("springs_backbone_kj_mol_nm2", lambda r: list(r.settings.strength.backbone), kind=list[float]),
+    Column(
+        "springs_side_chains_kj_mol_nm2", lambda r: list(r.settings.strength.side_chains), kind=list[float]
+    ),
+    Column("max_iterations", lambda r: r.settings.max_iterations, kind=int),
+    Column("max_outer_iterations", lambda r: r.settings.max_outer_iterations, kind=int),
     Column("exclude", lambda r: r.settings.exclude),
-    Column("free_ligands", lambda r: r.settings.free_ligands),
+    Column("free_ligands", lambda r: r.settings.free_ligands, kind=bool),
     Column("hydrogens", lambda r: "kept" if r.settings.keep_hydrogens else "stripped"),
-    Column("repacked", lambda r: r.settings.repack or bool(r.settings.repack_region)),
+    Column("repacked", lambda r: r.settings.repack or bool(r.settings.repack_region), kind=bool),
     Column("repack_region", lambda r: r.settings.repack_region),
-    Column("side_chains_turned", lambda r: [str(each) for each in r.turned]),
-    Column("hands_turned", lambda r: [str(each) for each in r.hands_turned]),
-    Column("peptides_turned", lambda r: [str(each) for each in r.peptides_turned]),
-    Column("fixed", lambda r: fixed_counts(r.start)),
-    Column("left_out", lambda r: dict(r.start.left_out)),
+    Column("side_chains_turned", lambda r: [str(each) for each in r.turned], kind=list[str]),
+    Column("hands_turned", lambda r: [str(each) for each in r.hands_turned], kind=list[str]),
+    Column("peptides_turned", lambda r: [str(each) for each in r.peptides_turned], kind=list[str]),
+    Column("fixed", lambda r: fixed_counts(r.start), kind=dict[str, int]),
+    Column("left_out", lambda r: dict(r.start.left_out), kind=dict[str, int]),
     *of_losses(_start),
-    Column("threads", lambda r: r.energy_function.threads),
+    Column("threads", lambda r: r.energy_function.threads, kind=int | None),
 )
 """In the order in which a reader looks at them."""
 
@@ -117,16 +121,12 @@ def _score(key: str, when: str, of: Any) -> Any:
 INTERFACE_COLUMNS = (
     Column("interface", lambda r: r.settings.interface),
     *(
-        Column(interface_column(key, when), partial(_score, key, when))
-        for key in SCORES
+        Column(interface_column(key, when), partial(_score, key, when), kind=number(score))
+        for key, score in SCORES.items()
         for when in ("start", "end")
     ),
 )
 """Further columns, where an interface is scored."""
-INTERFACE_COUNTS = tuple(
-    interface_column(key, when) for key, score in SCORES.items() if score.whole for when in ("start", "end")
-)
-"""Those of whole numbers."""
 
 
 def _beside(relaxation: Any, x: Floats) -> int:

@@ -1,6 +1,6 @@
 """Columns of records, behind terminal, CSV, JSON and pages, and those that all results share."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -24,12 +24,25 @@ _SPELLED = {
 }  # fmt: skip
 
 
+Kind = Any
+"""``str``, ``float | None``, ``list[str]``, ``dict[str, int]``, an enumeration, a dataclass, a TypedDict;
+name -> kind, an object that has these names and no others; ``[kind]``, a list of these."""
+
+
+def kind_of(name: str) -> Kind:
+    """Kind that a name tells: with a unit, or seconds, a number or null; with ``n_`` a count; else text."""
+    if name.startswith("seconds") or any(name.endswith(unit) for unit in UNITS):
+        return float | None
+    return int if name.startswith("n_") else str
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of the record.
 
     key: Name in JSON and CSV, with its unit.
     value: Value of what is recorded.
+    kind: What values are, for schemas and for reading tables, unless the key tells.
     heading: Heading in short tables, which leave out columns without one.
     short: Heading where 80 characters must hold all columns.
     width: Characters of a number there.
@@ -40,6 +53,10 @@ class Column:
     heading: str = ""
     short: str = ""
     width: int = 8
+    kind: Kind = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", self.kind or kind_of(self.key))
 
     def short_text(self, value: Any) -> str:
         """Value as the short table prints it: with two decimals, or as many as its width holds."""
@@ -87,11 +104,16 @@ def flat(value: Any) -> Any:
     return "; ".join(map(str, value)) if isinstance(value, list) else value
 
 
-def of_measures(keys: Iterable[str], *whens: str) -> Iterator[Column]:
+def number(of: Any) -> Kind:
+    """Kind of a measure that may be missing."""
+    return int | None if of.whole else float | None
+
+
+def of_measures(measures: Mapping[str, Any], *whens: str) -> Iterator[Column]:
     """Columns of what is wrong with the structure at the ``start`` or ``end`` of a run."""
-    for key in keys:
+    for key, measure in measures.items():
         for when in whens:
-            yield Column(f"{key}_{when}", partial(_measure, key, when))
+            yield Column(f"{key}_{when}", partial(_measure, key, when), kind=number(measure))
 
 
 def _measure(key: str, when: str, of: Any) -> Any:
@@ -101,7 +123,7 @@ def _measure(key: str, when: str, of: Any) -> Any:
 def of_remains(keys: Iterable[str]) -> Iterator[Column]:
     """Columns of what remains at the end of a run that a biologist may reject, by place."""
     for key in keys:
-        yield Column(key, partial(_remaining, key))
+        yield Column(key, partial(_remaining, key), kind=list[str])
 
 
 def _remaining(key: str, of: Any) -> list[str]:
@@ -145,7 +167,7 @@ def of_energy() -> Iterator[Column]:
 
 def of_losses(structure: Callable[[Any], Any]) -> Iterator[Column]:
     """Columns of what preparation left out and changed."""
-    yield Column("lost_atoms", lambda r: lost_atoms(structure(r).losses))
+    yield Column("lost_atoms", lambda r: lost_atoms(structure(r).losses), kind=list[str])
     yield Column("n_lost_atoms", lambda r: n_lost(structure(r).losses))
-    yield Column("far_molecules", lambda r: far_molecules(structure(r).losses))
-    yield Column("repairs", lambda r: [str(each) for each in structure(r).repairs])
+    yield Column("far_molecules", lambda r: far_molecules(structure(r).losses), kind=list[str])
+    yield Column("repairs", lambda r: [str(each) for each in structure(r).repairs], kind=list[str])

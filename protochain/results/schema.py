@@ -6,8 +6,7 @@ from enum import Enum
 from types import NoneType, UnionType
 from typing import Any, Literal, NotRequired, Union, get_args, get_origin, get_type_hints, is_typeddict
 
-from protochain.results.columns import UNITS, heading
-from protochain.results.kinds import Kind
+from protochain.results.columns import UNITS, Kind, heading
 
 Schema = dict[str, Any]
 DRAFT = "https://json-schema.org/draft/2020-12/schema"

@@ -18,7 +18,9 @@ from protochain.relaxation import RelaxSettings
 from protochain.setup import Setup
 
 pytestmark = pytest.mark.usefixtures("interruptible")
-SIMULATE, BATCH = (importlib.import_module(f"protochain.cli.{name}") for name in ("simulate", "batch"))
+SIMULATE, FIRST, BATCH = (
+    importlib.import_module(f"protochain.cli.{name}") for name in ("simulate", "first", "batch")
+)
 
 
 @pytest.fixture
@@ -66,8 +68,8 @@ def simulated(monkeypatch, tmp_path):
     monkeypatch.setattr(SIMULATE, "print_outlook", outlook)
     module = importlib.import_module("protochain.dynamics.api")
     monkeypatch.setattr(module, "freed", lambda chain, settings: seen.checked.append(settings))
-    monkeypatch.setattr(SIMULATE, "foretell", foretell)
-    monkeypatch.setattr(SIMULATE, "run_progress", progress)
+    monkeypatch.setattr(FIRST, "foretell", foretell)
+    monkeypatch.setattr(FIRST, "run_progress", progress)
     monkeypatch.setattr(SIMULATE, "simulation_progress", progress)
     monkeypatch.setattr(SIMULATE, "print_simulation", lambda record: print("summary", record))
     monkeypatch.setattr("protochain.minimisers.minimise", minimise)

@@ -26,7 +26,7 @@ MAY_IMPORT = {
     "energies": {"core", "structure"},
     "ligands": {"core"},
     **{part: {"core", *CHAIN} for part in SINGLE},
-    "dynamics": {"core", *CHAIN},
+    "dynamics": {"core", *CHAIN, "results"},
     "validation": {"core", *CHAIN},
     "minimisers": {"core", *CHAIN, "dynamics", "validation", "results"},
     "relaxation": {"core", *CHAIN, "validation", "minimisers", "results"},

@@ -1,0 +1,34 @@
+"""Minimising a structure first, by turning hinges, as simulate and modes do."""
+
+from typing import TYPE_CHECKING
+
+from protochain.cli.terminal import foretell, run_progress, typical_evaluations
+from protochain.core import defaults
+
+if TYPE_CHECKING:
+    from protochain.chain import Chain
+    from protochain.energies import Energy
+    from protochain.minimisers import Solution
+
+METHOD = "lbfgs"
+
+
+def foretell_both(source: object, chain: "Chain", energy: "Energy", evaluations: int, times: int) -> None:
+    """Say before a long run how long it will be, with a minimisation of so many times the usual length."""
+    typical = times * typical_evaluations(METHOD, defaults.MAX_EVALUATIONS)
+    most = defaults.MAX_EVALUATIONS if times else 0
+    foretell(source, chain, energy, evaluations + typical, evaluations + most)
+
+
+def minimised_first(
+    chain: "Chain", energy: "Energy", tolerance: float, seed: int = defaults.SEED
+) -> "tuple[Solution, str]":
+    """Minimise to a largest torque (kJ/mol/rad); return also what it changed, in words."""
+    from protochain.minimisers import minimise
+
+    with run_progress(METHOD, defaults.MAX_EVALUATIONS, writes=False) as watch:
+        done = minimise(chain, energy, METHOD, tolerance, seed=seed, watch=watch)
+    if done.status == "interrupted":
+        raise KeyboardInterrupt
+    energies = f"{done.start.energy:.1f} -> {done.end.energy:.1f} kJ/mol"
+    return done, f"minimised first: {energies}, C-alpha RMSD {done.ca_rmsd_angstrom:.2f} angstrom"

@@ -1,0 +1,84 @@
+"""How commands end that have a row for each of many structures: tables, what is printed, the status."""
+
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from protochain.cli.options import exit_status, print_files, print_json
+from protochain.cli.printable import printer
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Rows = list[dict[str, Any]]
+
+
+def refused(error: object, **row: Any) -> dict[str, Any]:
+    """Report on standard error why a structure has no result; return its row."""
+    print(" ".join(str(error).split()), file=sys.stderr)
+    return {**row, "message": str(error)}
+
+
+def conclude(
+    rows: Rows,
+    tables: Mapping[Path | None, "Callable[[], DataFrame]"],
+    show: Callable[[Rows], None],
+    as_json: bool,
+    files: Sequence[Path] = (),
+    **told: Any,
+) -> None:
+    """Write the tables that are asked for, print the rows or one object with what is ``told``, and exit."""
+    from protochain.core.storage import write_atomically
+
+    for path, table in tables.items():
+        if path:
+            write_atomically(path, partial(table().to_csv, index=False))
+    written = [*filter(None, tables), *files]
+    done = [row for row in rows if not row["message"]]
+    if as_json:
+        print_json({**told, "results": rows, "files": [*map(str, written)]})
+    else:
+        if done:
+            show(done)
+        print_files(*written)
+    raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
+
+
+def table_of(rows: Rows, without: Iterable[str] = ()) -> "DataFrame":
+    """Rows as a table, without what a cell cannot hold."""
+    import pandas as pd
+
+    return pd.DataFrame(rows).drop(columns=[*without], errors="ignore").convert_dtypes()
+
+
+def joined(tables: "Sequence[DataFrame]") -> "DataFrame":
+    """Tables below one another; none of none."""
+    import pandas as pd
+
+    return pd.concat(tables) if tables else pd.DataFrame()
+
+
+def print_rows(headings: Iterable[str], rows: Iterable[Sequence[Any]], texts: int = 1) -> None:
+    """Print rows below headings, the first ``texts`` columns as text, all others as numbers."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
+    for k, heading in enumerate(headings):
+        if k < texts:
+            table.add_column(heading, overflow="fold", min_width=0 if k else 14)
+        else:
+            table.add_column(heading, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(*(escape(_text(value)) for value in row))
+    printer().print(table, crop=False)
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, float):
+        return "-" if value is None else str(value)
+    return f"{value:.2f}" if abs(value) < 10 else f"{value:.0f}"
