@@ -16,6 +16,7 @@ from typer.core import TyperGroup, TyperOption
 from typer.exceptions import TyperException
 from typer.main import get_command
 
+from protochain.cli.help import Command
 from protochain.cli.options import (
     BAD_INPUT,
     INTERRUPTED,
@@ -68,7 +69,7 @@ def _command(name: str) -> Any:
     function = _ALIASES.get(name, name)
     alone = typer.Typer(rich_markup_mode=None, add_completion=False, pretty_exceptions_enable=False)
     module = import_module(f"protochain.cli.{_COMMANDS[function]}")
-    alone.command(name, hidden=name in _ALIASES)(getattr(module, function))
+    alone.command(name, cls=Command, hidden=name in _ALIASES)(getattr(module, function))
     return get_command(alone)
 
 

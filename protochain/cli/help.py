@@ -1,0 +1,53 @@
+"""Help of a command: the options that people use first, then all others by what they are about."""
+
+from typing import Any
+
+from typer.core import TyperCommand
+
+_FIRST = [
+    "output",
+    "method",
+    "methods",
+    "preset",
+    "interface",
+    "reference",
+    "by",
+    "ligands",
+    "report",
+    "trajectory",
+    "frames",
+    "resume",
+]
+"""What people type most, in this order."""
+_FEW = 5
+_GROUPS = {
+    "Structure": "model assembly altloc chains keep exclude disulfide no_disulfide ph strict frames "
+    "standard_residues strip_hydrogens keep_hydrogens",
+    "Force field": "forcefield solvent terms engine cutoff accuracy trust_forcefield",
+    "Ligands": "ligands ligand_charges ligand_out free_ligands posebusters",
+    "Output": "output report trace trajectory as_json csv residues changes force one_file checkpoint resume "
+    "rank",
+    "Machine": "threads workers scheduler time_limit",
+}
+_ORDER = ("Arguments", "Used most", "Structure", "Force field", "Method", "Ligands", "Output", "Machine")
+
+
+class Command(TyperCommand):
+    """A command whose help has its options in groups."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write arguments and options, a section each group."""
+        group = {name: title for title, names in _GROUPS.items() for name in names.split()}
+        params = self.get_params(ctx)
+        named = {param.name for param in params if param.param_type_name == "option"}
+        first = [name for name in _FIRST if name in named][:_FEW]
+        rows: dict[str, list[tuple[str, str]]] = {title: [] for title in _ORDER}
+        for param in sorted(params, key=lambda each: first.index(each.name) if each.name in first else _FEW):
+            record = param.get_help_record(ctx)
+            if record:
+                title = "Used most" if param.name in first else group.get(param.name, "Method")
+                rows["Arguments" if param.param_type_name == "argument" else title].append(record)
+        for title, records in rows.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
