@@ -122,8 +122,8 @@ def _add_pairs(
 
         def sweep(part: int, bodies: Integers = bodies, along: Floats = along, sums: Floats = sums) -> None:
             kernels.pair_sweep(
-                bodies, ends[part], ends[part + 1], parent, depth, v_start, motions, x, first, *pairs[0],
-                *pairs[1], rows, along, sums[part], own,
+                bodies, ends[part], ends[part + 1], (parent, depth, v_start, motions), atoms, *pairs,
+                (rows, along, sums[part], own),
             )  # fmt: skip
 
         share(sweep, range(_COLUMNS))

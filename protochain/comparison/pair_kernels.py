@@ -26,6 +26,14 @@ _NEGLIGIBLE = 36.0
 """x of exp(-x) from which on the Born radii of a pair do not matter to it: 2e-16 is left."""
 
 
+Tree = tuple[Integers, Integers, Integers, Floats]
+"""Parent, depth and first freedom of each body, and motions of the freedoms."""
+Pairs = tuple[Floats, Integers, Floats, Floats, Integers, Integers, Floats]
+"""Charges, Lennard-Jones types and their A and B; starts, partners and parameters of exceptions."""
+Solvent = tuple[bool, Floats, Floats, Floats, Floats, bool, Floats]
+"""Whether there is one; charges, Born and offset radii, scaled radii; whether spheres engulf; pulls."""
+
+
 @scalar
 def screening(r: float, u: float, radius: float, s: float, engulfs: bool) -> tuple[float, float, float]:
     """Descreening integral h of a sphere of radius s at distance r from an atom, h'/r, and h''; u = 1/r^2."""
@@ -190,19 +198,20 @@ def _project(wrench: Floats, parent: Integers, v_start: Integers, motions: Float
 
 @shared
 def pair_sweep(
-    bodies: Integers, begin: int, end: int, parent: Integers, depth: Integers, v_start: Integers,
-    motions: Floats, x: Floats, first: Integers, charge: Floats, lj_type: Integers,
-    a12: Floats, b6: Floats, partner_start: Integers, partner: Integers, own: Floats, solvated: bool,
-    gb_charge: Floats, born: Floats, radius: Floats, scaled: Floats, engulfs: bool, pull: Floats,
-    rows: Floats, along: Floats, here: Floats, there: Floats,
+    bodies: Integers, begin: int, end: int, tree: Tree, atoms: tuple[Floats, Integers], pairs: Pairs,
+    solvent: Solvent, sums: tuple[Floats, Floats, Floats, Floats],
 ) -> None:  # fmt: skip
     """Wrenches on some bodies, at unit rates of those from ``begin`` to ``end`` that come before them.
 
-    Atoms lie in the order of their bodies. A row of blocks, (6, 6 nb), is summed from the leaves inward;
-    ``along`` has its components along the freedoms of the bodies, one after the other. The stiffness of each
-    atom by itself, (xx, xy, xz, yy, yz, zz), and the force on it go to ``here`` for atoms of the bodies, one
-    after the other, and are added to ``there`` for the others.
+    Atoms lie in the order of their bodies. Of the sums, a row of blocks, (6, 6 nb), is summed from the leaves
+    inward; ``along`` has its components along the freedoms of the bodies, one after the other. The stiffness
+    of each atom by itself, (xx, xy, xz, yy, yz, zz), and the force on it go to ``here`` for atoms of the
+    bodies, one after the other, and are added to ``there`` for the others.
     """
+    parent, depth, v_start, motions = tree
+    (x, first), (rows, along, here, there) = atoms, sums
+    charge, lj_type, a12, b6, partner_start, partner, own = pairs
+    solvated, gb_charge, born, radius, scaled, engulfs, pull = solvent
     over = 1.0 / born
     mark = np.full(len(x), -1, np.int64)
     g, mine = np.empty((3, 6)), np.empty(9)
@@ -225,11 +234,8 @@ def pair_sweep(
                     u = 1.0 / r2
                     m = mark[j]
                     if m < 0:
-                        a, b_, qq = (
-                            a12[lj_type[i], lj_type[j]],
-                            b6[lj_type[i], lj_type[j]],
-                            charge[i] * charge[j],
-                        )
+                        one, other = lj_type[i], lj_type[j]
+                        a, b_, qq = a12[one, other], b6[one, other], charge[i] * charge[j]
                     else:
                         a, b_, qq = own[m, 0], own[m, 1], own[m, 2]
                     u3 = u * u * u

@@ -15,7 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from protochain.articulate import with_energy
-from protochain.chain import Chain, Pose, pose
+from protochain.chain import Pose, pose
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
@@ -37,7 +37,7 @@ from protochain.minimisers.spaces import Torsions, spaces
 from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
 from protochain.minimisers.start_warnings import Straying
-from protochain.minimisers.verdict import judge, rebuilt, verdict
+from protochain.minimisers.verdict import Judgement, judge, rebuilt, verdict
 from protochain.validation.omega import twisted_bonds
 
 
@@ -281,34 +281,16 @@ def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, seconds: float) -> Solution:
     """Judge an outcome; the start itself is the result where the end is no better."""
     chain, energy, structure = start.chain, start.energy, start.chain.structure
-    turned = isinstance(done.space, Torsions)
-    if isinstance(done.space, Torsions):
-        end_chain = done.space.chain
-        at = pose(end_chain, done.q)
-    else:
-        end_chain, at = _reposed(chain, done)
-    end = judge(end_chain, energy, at, done.restraint)
-    if not end.energy <= start.judgement.energy:
-        at, end = start.pose, judge(chain, energy, start.pose, done.restraint)
-    residual = end.max_torque if turned else end.rms_force
-    restrained = ", restraints included" if done.restraint else ""
+    at, end = _better(start, done)
     lowest = done.lowest_eigenvalue if at is not start.pose else None
-    measured = f"{done.space.unit.format(residual)} for a tolerance of {run.converged_at:g}{restrained}"
+    residual = end.max_torque if isinstance(done.space, Torsions) else end.rms_force
     met = done.complete and residual <= run.converged_at
-    judged = "judged by the callable itself" if energy.engine == "custom" else "in double precision"
-    if lowest is not None:
-        most = "" if done.eigenvalue_at_most is None else "at most "
-        judged += f"; lowest eigenvalue of the Hessian {most}{lowest:.3g} {done.space.eigenvalue_unit}"
-    elif met:
-        judged += "; curvature not examined"
-        if done.eigenvalue_at_most is not None:
-            most = f"{done.eigenvalue_at_most:.3g} {done.space.eigenvalue_unit}"
-            judged += f" to the end: the lowest eigenvalue of the Hessian is at most {most}"
+    measured = _measured(done, residual, run.converged_at, energy.engine, met, lowest)
     stop = done.stop
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.
         stop, met = Stop.NON_FINITE, False
-    status, ended = verdict(stop, met, f"{measured}, {judged}", structure, at.x, done.n_evaluations)
+    status, ended = verdict(stop, met, measured, structure, at.x, done.n_evaluations)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
         ended = f"{ended}; peptide bonds that became twisted: {listed(twisted)}"
     x = at.x if at is start.pose else record.frame(at.x)
@@ -347,6 +329,34 @@ def _restraints(held: Force | None, first: Floats, last: Floats) -> tuple[float,
     return None if held is None else (held(first)[0], held(last)[0])
 
 
-def _reposed(chain: Chain, done: Outcome) -> tuple[Chain, Pose]:
-    moved = rebuilt(chain, read_only(done.x))
-    return moved, pose(moved, moved.q0)
+def _better(start: Start, done: Outcome) -> tuple[Pose, Judgement]:
+    """Pose and judgement of the end, or of the start where the end is no better."""
+    if isinstance(done.space, Torsions):
+        chain = done.space.chain
+        at = pose(chain, done.q)
+    else:
+        chain = rebuilt(start.chain, read_only(done.x))
+        at = pose(chain, chain.q0)
+    end = judge(chain, start.energy, at, done.restraint)
+    if end.energy <= start.judgement.energy:
+        return at, end
+    return start.pose, judge(start.chain, start.energy, start.pose, done.restraint)
+
+
+def _measured(
+    done: Outcome, residual: float, tolerance: float, engine: str, met: bool, lowest: float | None
+) -> str:
+    """What was measured of an end, in words: residual, judge and curvature."""
+    restrained = ", restraints included" if done.restraint else ""
+    judged = "judged by the callable itself" if engine == "custom" else "in double precision"
+    text = f"{done.space.unit.format(residual)} for a tolerance of {tolerance:g}{restrained}, {judged}"
+    known, unit = done.eigenvalue_at_most, done.space.eigenvalue_unit
+    if lowest is not None:
+        most = "" if known is None else "at most "
+        return f"{text}; lowest eigenvalue of the Hessian {most}{lowest:.3g} {unit}"
+    if not met:
+        return text
+    text += "; curvature not examined"
+    if known is None:
+        return text
+    return f"{text} to the end: the lowest eigenvalue of the Hessian is at most {known:.3g} {unit}"
