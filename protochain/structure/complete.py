@@ -135,7 +135,6 @@ def _pack(draft: Draft, sites: list[Site]) -> None:
         draft.note(Kind.NOT_PROVEN)
     for site, places in zip(sites, found.places, strict=True):
         _add(site.member, places)
-        draft.rebuilt[id(site.member)] = tuple(places)
 
 
 def _site(draft: Draft, part: Part, i: int) -> Site:

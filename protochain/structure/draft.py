@@ -156,7 +156,6 @@ class Draft:
     name, source: Short name, and the name of the file in messages.
     stated: Bonds between residues that the file states.
     repairs: Changes made so far.
-    rebuilt: Atoms added to side chains, by ``id`` of their residue.
     left_out: Molecules and atoms left out, by kind.
     glycosidic: Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
     links: Bonds of the protein to molecules beside it that springs hold.
@@ -176,7 +175,6 @@ class Draft:
     links: list["Link"] = field(default_factory=list)
     fragments: list[Fragment] = field(default_factory=list)
     repairs: list[Repair] = field(default_factory=list)
-    rebuilt: dict[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: Counter[str] = field(default_factory=Counter)
     springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
     absent: list[Member] = field(default_factory=list)

@@ -36,7 +36,6 @@ from protochain.structure.model import BoundLigand, Origin, Structure
 from protochain.structure.pka import by_propka, value_of
 from protochain.structure.protonate import protonate
 from protochain.structure.read import Reading, read
-from protochain.structure.sidechains.relief import relieved
 from protochain.structure.sites import (
     glycosidic,
     metal_ties,
@@ -191,7 +190,6 @@ def prepare(
     place = np.where(np.isnan(x[:, 0]), -1, [place_in_file(atom) for atom in atoms])
     x = place_hydrogens(x, elements, charge, bonds)
     owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
-    x = relieved(x, owners, elements, bonds, draft.rebuilt)
     _refuse_coincident(draft, owners, x, bonds)
     of_residues = [part for part in draft.parts for _ in part.members]
     fixed, mobile = np.repeat(

@@ -13,7 +13,7 @@ from protochain.structure import residues
 from protochain.structure.chirality import centres, changed_hands, hand, volume, wrong_hands
 from protochain.structure.draft import Member, atom
 from protochain.structure.read import read
-from protochain.structure.sidechains import arms, packing, relief
+from protochain.structure.sidechains import arms, packing
 from protochain.structure.sidechains.arms import wrapped
 from protochain.structure.sidechains.ideal import (
     beta_carbon,
@@ -28,7 +28,6 @@ from protochain.structure.sidechains.ideal import (
 )
 from protochain.structure.sidechains.packing import Choices, choosable, packed
 from protochain.structure.sidechains.packing_energies import Kinds, rarity, table
-from protochain.structure.sidechains.relief import relieved
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.structure.sidechains.sites import Site
 from protochain.structure.templates import templates
@@ -427,105 +426,6 @@ def test_rebuilt_cysteines_close_their_bonds():
         built = [places["SG"] for places in packed(members, sites).places]
         other = built[1] if both else by_number[second][1].atom("SG").pos.tolist()
         assert np.linalg.norm(built[0] - other) == pytest.approx(2.05, abs=0.3)
-
-
-# --- Turned out of overlaps
-
-
-def relief_of(number, *built, beside=None, sequence="ASA", away=(0.05, 0.0, 0.0), mirror=1):
-    """Positions before and after of a made chain and an oxygen (nm), and the index of each atom."""
-    s = pc.from_sequence(sequence)
-    s = s.with_positions(s.positions * [mirror, 1, 1])
-    owners, members = [], []
-    for r in range(s.n_residues):
-        members.append(Member(str(s.residue_name[r]), str(r + 1), "", "A", []))
-    for i in range(s.n_atoms):
-        member = members[int(s.atom_residue[i])]
-        member.atoms.append(atom(str(s.atom_name[i]), str(s.atom_element[i]), (10 * s.positions[i]).tolist()))
-        owners.append((member, str(s.atom_name[i])))
-    x, elements = s.positions, [str(e) for e in s.atom_element]
-    at = {(m.seqid, n): i for i, (m, n) in enumerate(owners)}
-    if beside is not None:
-        x = np.vstack([x, x[at[beside]] + away])
-        owners.append((Member("HOH", "9", "", "B", []), "O"))
-        elements.append("O")
-    rebuilt = {id(members[number - 1]): built}
-    return x, relieved(x, owners, elements, s.bonds, rebuilt), at, s.bonds
-
-
-def test_a_rebuilt_side_chain_turns_out_of_an_overlap():
-    x, there, at, bonds = relief_of(2, "CB", "OG", beside=("2", "OG"))
-    turned = {at["2", n] for n in ("OG", "HG", "HB2", "HB3")}
-    changed = set(np.flatnonzero((x != there).any(axis=1)).tolist())
-    assert changed == turned and np.array_equal(np.round(there[sorted(turned)], 6), there[sorted(turned)])
-    own = np.linalg.norm(there[at["2", "OG"]] - there[-1])
-    assert own > 0.65 * 2 * residues.VAN_DER_WAALS["O"] > np.linalg.norm(x[at["2", "OG"]] - x[-1])
-    lengths, before = (np.linalg.norm(y[bonds[:, 0]] - y[bonds[:, 1]], axis=1) for y in (there, x))
-    assert lengths == pytest.approx(before, abs=2e-6)
-    names = ("CB", "CA", "OG", "HB2")
-    volumes = [volume(y[[at["2", n] for n in names]]) for y in (x, there)]
-    assert volumes[0] == pytest.approx(volumes[1], rel=1e-3)
-
-
-@pytest.mark.parametrize(("fraction", "moved"), [(0.64, True), (0.66, False)])
-def test_an_overlap_is_nearer_than_0_65_of_contact(fraction, moved):
-    x, _, at, _ = relief_of(2, "CB", "OG")
-    way = unit(x[at["2", "OG"]] - x[at["2", "CB"]])
-    x, there, *_ = relief_of(2, "CB", "OG", beside=("2", "OG"), away=fraction * 2 * 0.152 * way)
-    assert bool((x != there).any()) is moved
-
-
-def test_in_a_mirror_the_same_conformers_are_taken():
-    _, there, *_ = relief_of(2, "CB", "CG", "CD1", "CD2", beside=("2", "CG"), sequence="ALA")
-    _, other, *_ = relief_of(
-        2, "CB", "CG", "CD1", "CD2", beside=("2", "CG"), sequence="ALA", away=(-0.05, 0, 0), mirror=-1
-    )
-    assert other == pytest.approx(there * [-1, 1, 1], abs=2e-6)
-
-
-def test_turned_atoms_repel_others_and_each_other_beyond_three_bonds():
-    """Five carbons in a row, whose ends meet, and an oxygen at the middle one."""
-    x = np.array([[0.0, 0, 0], [5, 0, 0], [10, 0, 0], [15, 0, 0], [0.1, 0, 0], [10, 0.1, 0]])
-    owners = [(made("LIG", {}), f"C{k}") for k in range(6)]
-    room = relief._Room(x, owners, [*"CCCCCO"], np.array([[0, 1], [1, 2], [2, 3], [3, 4]]))
-    moved = np.arange(5)
-    felt = room._repulsion(moved, np.stack([x[:5], x[:5] + np.array([0, 0, 40.0])]))
-    ends = 100.0 * (1.0 - 0.1 / (0.7 * 0.34))
-    assert felt == pytest.approx([ends + 100.0 * (1.0 - 0.1 / (0.7 * (0.17 + 0.152))), ends])
-
-
-def test_dihedrals_tried_are_those_of_now_and_around_each_rotamer():
-    """The cost of a dihedral is that of its rotamer, and half the square of its distance in widths."""
-    x, _, at, bonds = relief_of(2, "CB", "CG", "CD1", "CD2", sequence="ALA")
-    quartet = tuple(at["2", name] for name in ("N", "CA", "CB", "CG"))
-    turns, width = np.deg2rad([0.0, -12, 12, -24, 24]), np.deg2rad(20.0)
-    rotamer = np.deg2rad([[60.0], [-170.0]])
-    turning = relief._Turning(arms.Arm((quartet,), (np.array([0]),)), rotamer, np.array([1.0, 3.0]))
-    room = relief._Room(x, [(made("LIG", {}), str(k)) for k in range(len(x))], ["C"] * len(x), bonds)
-    chi, cost = room._tried(turning)
-    now = float(dihedral(*x[list(quartet)]))
-    assert chi[:, 0] == pytest.approx([now, *(rotamer[0] + turns), *(rotamer[1] + turns)])
-    away = np.abs((rotamer[:, 0] - now + np.pi) % (2 * np.pi) - np.pi)
-    strain = np.array([1.0, 3.0]) + 0.5 * (away / width) ** 2
-    around = 0.5 * (turns / width) ** 2
-    assert cost == pytest.approx([strain.min(), *(1.0 + around), *(3.0 + around)])
-
-
-def test_only_what_was_built_and_overlaps_turns():
-    for built, beside, sequence in (
-        (("CB", "OG"), None, "ASA"), (("CB",), ("2", "OG"), "ASA"), (("CB",), ("2", "CB"), "AAA"),
-    ):  # fmt: skip
-        x, there, *_ = relief_of(2, *built, beside=beside, sequence=sequence)
-        assert np.array_equal(x, there)
-    x, there, *_ = relief_of(1, "CB", beside=("2", "OG"))
-    assert np.array_equal(x, there)
-    # Of a chain whose first atoms are those of the file, the end turns alone.
-    x, there, at, _ = relief_of(2, "CE", "NZ", beside=("2", "NZ"), sequence="AKA")
-    changed = set(np.flatnonzero((x != there).any(axis=1)).tolist())
-    heavy = {n for (_, n), i in at.items() if i in changed and n[0] != "H"}
-    assert "NZ" in heavy and heavy <= {"CE", "NZ"}
-    same = np.zeros((1, 3))
-    assert relieved(same, [], [], np.zeros((0, 2), int), {}) is same
 
 
 def test_rotation_adds_to_a_dihedral():

@@ -1,1 +1,1 @@
-"""Side chains: built from ideal geometry, packed by their rotamers, and turned out of one another's way."""
+"""Side chains: built from ideal geometry, and packed by their rotamers."""

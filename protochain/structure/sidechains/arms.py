@@ -1,7 +1,8 @@
 """Side chains turned about their bonds: bond lengths and angles stay."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -68,16 +69,19 @@ def backbone_of(
     return angles[0], angles[1]
 
 
-def around(chi: Floats, rarity: Floats, turns: Floats, n_turned: int) -> tuple[Floats, Floats]:
+def around(
+    chi: Floats, rarity: Floats, turns: Iterable[float], n_turned: int, width: float = WIDTH
+) -> tuple[Floats, Floats]:
     """Dihedrals about those of rotamers, and what each costs.
 
-    chi (n, n_chi) rad, rarity (n,), turns (n_turns,) rad -> (n n_turns^n_turned, n_chi) rad.
-    -> (n n_turns^n_turned,): The rarity, and half the square of the turn in widths.
+    chi (n, n_chi) rad, rarity (n,), turns rad -> (n n_turns^n_turned, n_chi) rad.
+    -> (n n_turns^n_turned,): The rarity, and half the square of the turn in widths, rad.
     """
-    steps = np.zeros((len(turns) ** n_turned, chi.shape[1]))
-    steps[:, :n_turned] = np.stack(np.meshgrid(*[turns] * n_turned), axis=-1).reshape(len(steps), -1)
-    cost = (rarity[:, None] + 0.5 * ((steps / WIDTH) ** 2).sum(axis=1)).ravel()
-    return (chi[:, None] + steps).reshape(-1, chi.shape[1]), cost
+    ways = list(product(turns, repeat=n_turned))
+    steps = np.zeros((len(ways), chi.shape[1]))
+    steps[:, :n_turned] = ways
+    cost = (rarity[:, None] + 0.5 * ((steps / width) ** 2).sum(axis=1)).ravel()
+    return (chi[:, None] + steps).reshape(len(cost), chi.shape[1]), cost
 
 
 def rotated(x: Floats, start: Floats, end: Floats, angle: Floats) -> Floats:

@@ -9,7 +9,6 @@ give the same choice.
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import within
 from protochain.structure import residues
 from protochain.structure.draft import Member
-from protochain.structure.sidechains.arms import WIDTH, wrapped
+from protochain.structure.sidechains.arms import WIDTH, around, wrapped
 from protochain.structure.sidechains.assignment import Assignment, best
 from protochain.structure.sidechains.conflicts import touching
 from protochain.structure.sidechains.ideal import Places, conformers, fixed_chi, grown, ideal
@@ -99,27 +98,18 @@ def choosable(site: Site) -> tuple[Floats, Floats]:
         chi, frequency = turns, near @ frequency
     cost = rarity(name, frequency)
     if name not in _MANY and name != "CYS" and chi.shape[1]:
-        chi, cost = _around(chi, cost, _TURN, 1)
+        chi, cost = around(chi, cost, (0.0, -_TURN, _TURN), 1, _TURNED)
     for k, value in fixed_chi(name, site.known).items():
         if k < chi.shape[1]:
             cost = cost + 0.5 * (wrapped(chi[:, k] - value) / WIDTH) ** 2
     return chi, cost
 
 
-def _around(chi: Floats, cost: Floats, turn: float, n: int) -> tuple[Floats, Floats]:
-    """Dihedrals and costs of conformers, and of those turned one way and the other about the first n chi."""
-    steps = np.zeros((3**n, chi.shape[1]))
-    steps[:, :n] = list(product((0.0, -turn, turn), repeat=n))
-    strain = 0.5 * ((steps / _TURNED) ** 2).sum(axis=1)
-    turned = (chi[:, None] + steps).reshape(len(chi) * len(steps), chi.shape[1])
-    return turned, (cost[:, None] + strain).ravel()
-
-
 def _turned(each: Choices, state: int) -> tuple[Floats, Floats]:
     """Dihedrals and costs about a conformer."""
     chi = each.chi[[state]]
     n = 0 if each.site.member.name == "PRO" else min(2, chi.shape[1])
-    return _around(chi, np.zeros(1), _FINER, n)
+    return around(chi, np.zeros(1), (0.0, -_FINER, _FINER), n, _TURNED)
 
 
 def _choices(site: Site, here: "_Surroundings", chi: Floats, cost: Floats) -> Choices:
