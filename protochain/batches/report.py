@@ -96,10 +96,10 @@ def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
 
 
 def plot_distribution(
-    values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None, of: str = "structures"
+    values: "pd.Series", methods: "pd.Series", label: str, of: str = "structures"
 ) -> Figure:
     """Plot the cumulative distribution of a quantity, a line for each method."""
-    figure, (ax,) = panels(ax, 1, (5.2, 3.6))
+    figure, (ax,) = panels(None, 1, (5.2, 3.6))
     for k, (method, own) in enumerate(values.astype(float).groupby(methods, sort=False)):
         there = np.sort(own.dropna().to_numpy())
         if len(there):

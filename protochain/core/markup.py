@@ -9,9 +9,9 @@ def counted(n: int, what: str, several: str = "") -> str:
     return f"{n} {what if n == 1 else several or what + 's'}"
 
 
-def excerpt(text: str, most: int = 100) -> str:
-    """Return text of a file for a message, cut to so many letters."""
-    return text if len(text) <= most else f"{text[:most]}..."
+def excerpt(text: str) -> str:
+    """Return text of a file for a message, cut to 100 letters."""
+    return text if len(text) <= 100 else f"{text[:100]}..."
 
 
 def listed(places: Sequence[str], shown: int = 6) -> str:

@@ -63,14 +63,13 @@ def repacked(
     return replace(structure, positions=x, repairs=(*structure.repairs, *told)) if told else structure
 
 
-def troubled(structure: Structure, x: Floats | None = None) -> Integers:
+def troubled(structure: Structure) -> Integers:
     """Residues whose side chains may need another rotamer.
 
-    x (na, 3).
     -> (n,) int: Sorted indices of residues whose side chain overlaps, clashes, violates a distance, threads a
         ring or has one that is threaded, or is far from every rotamer.
     """
-    x = structure.positions if x is None else x
+    x = structure.positions
     found = violations(structure, x)
     crowded = near_pairs(structure, x, _NEAR)[0], clashes(structure, x).pairs
     threaded = [(*ring.atoms, *ring.bond) for ring in threaded_rings(structure, x)]

@@ -83,10 +83,10 @@ def unique(q: Floats, energy: Floats, period: Floats) -> Integers:
     return np.array(kept, dtype=np.int64)
 
 
-def clusters(positions: Sequence[Floats], height: float = ALIKE) -> Integers:
+def clusters(positions: Sequence[Floats]) -> Integers:
     """Number, from 1, of the cluster of each of m sets of C-alphas (n, 3), nm, in order of the first in it.
 
-    By average linkage over the RMSD of pairs, superposed; ``height`` in angstrom.
+    By average linkage over the RMSD of pairs, superposed.
     """
     m = len(positions)
     if m < 2:
@@ -95,7 +95,7 @@ def clusters(positions: Sequence[Floats], height: float = ALIKE) -> Integers:
     for i in range(m):
         for j in range(i):
             away[i, j] = away[j, i] = rmsd_angstrom(positions[i], positions[j])
-    found = fcluster(linkage(squareform(away, checks=False), "average"), height, "distance")
+    found = fcluster(linkage(squareform(away, checks=False), "average"), ALIKE, "distance")
     _, first = np.unique(found, return_index=True)
     renamed = {int(found[k]): number for number, k in enumerate(sorted(first.tolist()), 1)}
     return np.array([renamed[int(each)] for each in found], dtype=np.int64)

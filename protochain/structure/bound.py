@@ -123,6 +123,7 @@ class Chemist:
         self.draft, self.chemistry, self.templates = draft, chemistry, known
         self.metals = [(m, a) for m in draft.members for a in m.atoms if is_metal(a.element.name)]
         self.known: dict[str, Charging] = dict(chemistry.posed)
+        self.made: dict[tuple[object, ...], Ligand] = {}
 
     def settle(self, part: Part) -> None:
         """Let a molecule move if its chemistry is known; a repair says why one is not."""
@@ -141,7 +142,7 @@ class Chemist:
             # What the file's hydrogens show, the pH has not done.
             now = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
             charged = tuple(each for each in charged if each.after == now[each.atom])
-            part.ligand = parametrised(molecule, self.chemistry.charges, charged=charged)
+            part.ligand = self._parametrised(molecule, charged)
         except ProtochainError as error:
             # What the user gives is not left aside.
             if name in self.chemistry.moving or self.chemistry.charges not in CHARGE_RULES:
@@ -149,6 +150,14 @@ class Chemist:
             self.draft.note(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
             return
         part.inverted, part.mobile, part.posed = at.inverted, True, name in self.chemistry.posed
+
+    def _parametrised(self, molecule: Molecule, charged: tuple[Charged, ...]) -> Ligand:
+        """The molecule with its parameters, which copies of it share."""
+        of = vars(replace(molecule, positions=None, source="")).values()
+        alike = tuple(its.tobytes() if isinstance(its, np.ndarray) else its for its in of)
+        if alike not in self.made:
+            self.made[alike] = parametrised(molecule, self.chemistry.charges)
+        return replace(self.made[alike], molecule=molecule, charged=charged)
 
     def _at_metals(self, molecule: Molecule, charged: tuple[Charged, ...], member: Member) -> Charging:
         """The molecule without the protons that metals displace; their places are left out of the residue."""

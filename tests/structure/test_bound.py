@@ -12,6 +12,7 @@ from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
 from protochain.energies.factory import build_system
+from protochain.ligands import parametrised
 from protochain.ligands.sources import of_residue
 from protochain.structure.chirality import chiral_atoms, volume
 from protochain.structure.ligand_files import poses
@@ -252,6 +253,13 @@ def test_donors_of_a_ligand_that_hold_a_metal_are_tied_to_it():
         assert s.atom_element[i] == "O" and s.atom_element[j] == "Mg"
         assert np.linalg.norm(s.positions[i] - s.positions[j]) == pytest.approx(tie.rest, abs=1e-6)
         assert np.linalg.norm(relaxed.x[i] - relaxed.x[j]) == pytest.approx(tie.rest, abs=0.02)
+
+
+def test_copies_of_a_ligand_share_parameters_which_are_those_of_each_alone():
+    s = pc.load(shared("../complexes/astex/1HQ2_PH2_protein.pdb"), keep=("all",))
+    assert len(s.ligands) == 5 and len({id(each.ligand.parameters) for each in s.ligands}) == 2
+    for bound in s.ligands:
+        assert parametrised(bound.ligand.molecule).terms() == bound.ligand.terms()
 
 
 def with_metal(path, name, element, away):
