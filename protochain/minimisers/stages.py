@@ -166,57 +166,89 @@ def walk(
     resumable: bool = True,
 ) -> Outcome:
     """Run one stage after the other, each from the result of the one before: x (na, 3) nm."""
-    first, n_iterations, waiting = 0, 0, None
-    if resume is not None:
-        first, n_iterations, waiting = resume.stage, resume.before, resume.last
-    space, home, left_out = plan[first].space, None, False
-    q, waypoint = plan[0].space.start(x), resume
-    stop = Stop[resume.ended] if resume and resume.ended else Stop.BUDGET
-    n_evaluations, before = 0, None
-    for i, stage in enumerate(plan[first:], first):
-        if waiting is not None:
-            stage, home = _fitted(stage, resume.at if resume else None)
-            q = waiting.start.q
-        elif stage.after and (left_out or stop not in stage.after):
+    on = _Walk(plan[resume.stage if resume else 0].space, plan[0].space.start(x), resume)
+    for i, planned in enumerate(plan[on.first :], on.first):
+        stage = on.enter(planned)
+        if stage is None:
             continue
-        else:
-            left_out = stage.ready is not None and not stage.ready(stage, space.place(q))
-            if left_out:
-                continue
-            stage, home = _fitted(stage, space.place(q).x)
-            if stage.space is not space:
-                q = stage.space.start(space.place(q).x)
-        space = stage.space
         problem = Problem(stage.space, stage.energy, max_evaluations, stage.restraint, allowed)
-        lists_at = stage.space.place(q).x if resumable else None
-        problem.restore(Tally(n_evaluations, None, n_evaluations), lists_at)
-        if waiting is None and stage.looks and before is not None:
-            waiting = _evaluated(problem, *before, q)
+        tally = Tally(on.n_evaluations, None, on.n_evaluations)
+        problem.restore(tally, stage.space.place(on.q).x if resumable else None)
 
         def note(at: Evaluation, stage: Stage = stage, problem: Problem = problem) -> None:
             record(at, stage, problem.n_evaluations)
 
+        known = on.known(stage, problem)
         try:
-            ending = run(problem, stage.method, q, stage.tolerance, stage.patience, note, waiting)
+            ending = run(problem, stage.method, on.q, stage.tolerance, stage.patience, note, known)
         except (BudgetSpentError, KeyboardInterrupt) as error:
             # The stage has evaluated nothing: the result of the one before stands.
-            stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
+            on.stop = Stop.BUDGET if isinstance(error, BudgetSpentError) else Stop.INTERRUPTED
             break
-        waypoint = Waypoint(i, n_iterations, ending.last, home, stop.name if i else "")
-        waiting, n_evaluations = None, problem.n_evaluations
-        q = stage.answer(problem, ending, q)
-        before = problem, ending
+        if on.ends(i, stage, problem, ending, [*plan[i + 1 : i + 2]]):
+            break
+    return on.outcome(planned, plan[i + 1 :])
+
+
+class _Walk:
+    """Where a walk is between two stages, and what it has come to.
+
+    stop: Ending of the last stage that did more than look.
+    left_out: Whether the stage before was not ready to run.
+    """
+
+    def __init__(self, space: Space, q: Floats, resume: Waypoint | None) -> None:
+        self.space, self.q, self.resume = space, q, resume
+        self.first, self.n_iterations = (resume.stage, resume.before) if resume else (0, 0)
+        self.stop = Stop[resume.ended] if resume and resume.ended else Stop.BUDGET
+        self.waiting = resume.last if resume else None
+        self.home = resume.at if resume else None
+        self.waypoint, self.left_out, self.n_evaluations = resume, False, 0
+        self.before: tuple[Problem, Ending] | None = None
+
+    def enter(self, stage: Stage) -> Stage | None:
+        """The stage as it runs from here, or from where it was saved; None if it does not."""
+        if self.waiting is not None:
+            stage, self.home = _fitted(stage, self.home)
+            self.q = self.waiting.start.q
+        elif stage.after and (self.left_out or self.stop not in stage.after):
+            return None
+        else:
+            at = self.space.place(self.q)
+            self.left_out = stage.ready is not None and not stage.ready(stage, at)
+            if self.left_out:
+                return None
+            stage, self.home = _fitted(stage, at.x)
+            if stage.space is not self.space:
+                self.q = stage.space.start(at.x)
+        self.space = stage.space
+        return stage
+
+    def known(self, stage: Stage, problem: Problem) -> Snapshot | None:
+        """What a stage goes on from: a saved run, or, if it only looks, the last point of the one before."""
+        if self.waiting is None and stage.looks and self.before is not None:
+            return _evaluated(problem, *self.before, self.q)
+        return self.waiting
+
+    def ends(self, i: int, stage: Stage, problem: Problem, ending: Ending, follows: list[Stage]) -> bool:
+        """Go to the result of a stage; whether the walk ends there."""
+        ended = self.stop.name if i else ""
+        self.waypoint = Waypoint(i, self.n_iterations, ending.last, self.home, ended)
+        self.waiting, self.n_evaluations = None, problem.n_evaluations
+        self.q, self.before = stage.answer(problem, ending, self.q), (problem, ending)
         if stage.looks and ending.stop in (Stop.NO_DESCENT, Stop.NON_FINITE):
-            break
-        stop = ending.stop
-        n_iterations += 0 if stage.looks else ending.last.n_iterations
-        if stop in stage.ends and not (plan[i + 1 :] and stop in plan[i + 1].after):
-            break
-    stop = Stop.STRAINED if left_out else stop
-    complete = not left_out and all(left.after for left in plan[i + 1 :])
-    return Outcome(
-        stop, space, q, n_iterations, n_evaluations, stage.restraint, complete, waypoint, *_found(before)
-    )
+            return True
+        self.stop = ending.stop
+        self.n_iterations += 0 if stage.looks else ending.last.n_iterations
+        return self.stop in stage.ends and not any(self.stop in each.after for each in follows)
+
+    def outcome(self, last: Stage, left: Sequence[Stage]) -> Outcome:
+        """Result, after the last stage of the plan that was looked at."""
+        return Outcome(
+            Stop.STRAINED if self.left_out else self.stop, self.space, self.q, self.n_iterations,
+            self.n_evaluations, last.restraint, not self.left_out and all(each.after for each in left),
+            self.waypoint, *_found(self.before),
+        )  # fmt: skip
 
 
 def _found(before: tuple[Problem, Ending] | None) -> tuple[float | None, float | None]:

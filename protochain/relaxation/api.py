@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from protochain.core import defaults
-from protochain.core.arrays import Floats, Integers, Watcher, read_only
+from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
 from protochain.core.interrupts import answering, held_interrupts
 from protochain.core.markup import counted, listed
@@ -27,12 +27,12 @@ from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import IN_RIGID_PROTEIN
 from protochain.relaxation.result import ITSELF, NATIVE, REFERENCE, Relaxation
-from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left, mendable
+from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left
 from protochain.relaxation.settings import RelaxSettings, named, split
+from protochain.relaxation.wrong import Wrong
 from protochain.structure import Structure
 from protochain.structure.chirality import atoms_named, with_mirror_images
 from protochain.structure.select import moved_of, moving, select, sides_named
-from protochain.validation import threaded_rings, violations
 from protochain.validation.fixed import fixed_counts
 from protochain.validation.interface import native
 from protochain.validation.omega import bonds_named
@@ -247,45 +247,43 @@ def _verdict(
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
     fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]
     measured += f"; fixed, not relaxed: {listed(fixed)}" if fixed else ""
-    found = violations(structure, end.x)
-    broken = int((found.per_residue & ~mendable(structure, found)).sum())
+    at = end.wrong
+    broken = int((at.violations.per_residue & ~at.mendable()).sum())
     where = f"; {counted(broken, 'residue')} with violations at breaks of the chain: model what is missing"
     measured += where if broken else ""
     return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
-        inverted=_spoiled(structure, end.x),
-        isomerised=_bonds_before(structure, end.x, _lost(structure, end.x)),
-        left=left_in_words(structure, end.x),
+        inverted=_spoiled(at), isomerised=_bonds_before(at, _lost(at)), left=left_in_words(at),
     )  # fmt: skip
 
 
-def _spoiled(structure: Structure, x: Floats) -> list[str]:
+def _spoiled(at: Wrong) -> list[str]:
     """Chiral atoms whose hand was right, and is wrong now; that others became right is as it should be."""
-    hands = Hands.of(structure)
-    return atoms_named(structure, np.setdiff1d(hands.wrong(x), hands.wrong(structure.positions)))
+    s = at.structure
+    return atoms_named(s, np.setdiff1d(at.hands, Hands.of(s).wrong(s.positions)))
 
 
-def _lost(structure: Structure, x: Floats) -> Integers:
+def _lost(at: Wrong) -> Integers:
     """Nitrogens of peptide bonds that had the form that they should have, and have the other."""
-    bonds = PeptideBonds.of(structure)
-    return np.setdiff1d(bonds.reversed(x), bonds.wrong(structure.positions))
+    s = at.structure
+    return np.setdiff1d(at.reversed, PeptideBonds.of(s).wrong(s.positions))
 
 
-def _bonds_before(structure: Structure, x: Floats, nitrogens: Integers) -> list[str]:
-    return bonds_named(structure, x, structure.positions, structure.atom_residue[nitrogens])
+def _bonds_before(at: Wrong, nitrogens: Integers) -> list[str]:
+    s = at.structure
+    return bonds_named(s, at.x, s.positions, s.atom_residue[nitrogens])
 
 
-def left_in_words(structure: Structure, x: Floats) -> list[str]:
-    """What is left to mend at positions x (na, 3), by name."""
-    others = [*rejected(structure, x), *map(str, threaded_rings(structure, x))]
-    peptides = PeptideBonds.of(structure).wrong(x)
-    twisted = _bonds_before(structure, x, np.setdiff1d(peptides, _lost(structure, x)))
+def left_in_words(at: Wrong) -> list[str]:
+    """What is left to mend, by name."""
+    others = [*rejected(at.structure, at.x), *map(str, at.rings)]
+    twisted = _bonds_before(at, np.setdiff1d(at.peptides, _lost(at)))
     others += [f"twisted peptide bonds: {listed(twisted)}"] if twisted else []
     # A break of the chain is no fault of the model: it is cropped, and its numbers may run on.
-    residues = np.flatnonzero(mendable(structure, violations(structure, x))).tolist()
+    residues = np.flatnonzero(at.mendable()).tolist()
     if not residues:
         return others
-    named = [structure.describe_residue(residue) for residue in residues[:_NAMED]]
+    named = [at.structure.describe_residue(residue) for residue in residues[:_NAMED]]
     more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
     left = f"{counted(len(residues), 'residue is', 'residues are')} left with violations"
     return [*others, f"{left}: {', '.join(named)}{more}"]

@@ -29,10 +29,8 @@ from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.planarity_restraint import Planes
 from protochain.relaxation.presets import Preset
+from protochain.relaxation.wrong import Wrong
 from protochain.structure import Structure
-from protochain.validation import threaded_rings, violations
-from protochain.validation.rings import ThreadedRing
-from protochain.validation.violations import Violations
 
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
 _MEMORY = 8
@@ -117,17 +115,22 @@ class Round:
 class Ended:
     """Where a round ended.
 
-    x (na, 3) nm.
+    wrong: What is wrong there.
     springs: Those of its last stage.
     concerned (n,) int: Residues with violations, overlaps, threaded rings, chiral atoms of the wrong hand or
         twisted peptide bonds.
     """
 
-    x: Floats
+    wrong: Wrong
     stop: Stop
     springs: Tethers
     concerned: Integers
     round: Round
+
+    @property
+    def x(self) -> Floats:
+        """(na, 3) float, nm: positions."""
+        return self.wrong.x
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,19 +156,19 @@ class Relaxer:
         """
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
         # Their places are wrong: springs to them would keep the C-beta, or the peptide's atoms, off.
-        turning = self.structure.atom_residue[[*self.hands.wrong(x), *self.peptides.reversed(x)]]
+        at = Wrong.at(self.structure, x)
+        turning = self.structure.atom_residue[[*at.hands, *at.reversed]]
         share[turning] = np.minimum(share[turning], _WEAKER)
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         strongest = strengths[-1:]
         while True:
-            threaded = threaded_rings(self.structure, x)
             share = share.copy()
             # Springs would draw the bonds back.
-            share[self._of_rings(threaded)] = 0.0
+            share[at.of_rings()] = 0.0
             before = sum(each.round.evaluations for each in done)
-            done.append(self._round(x, share, strengths, before, bool(threaded)))
+            done.append(self._round(at.x, share, strengths, before, bool(at.rings)))
             last = done[-1]
-            x = last.x
+            at = last.wrong
             if not len(last.concerned) or len(done) == most:
                 return done
             # As weak as springs in series: those of other programs lead to the end of the round before.
@@ -173,7 +176,7 @@ class Relaxer:
             less = np.where(self._near(last.concerned), np.where(share == 1.0, _WEAKER, 0.0), share)
             # Where that did not help, what lies against them is in the way.
             still_wrong = last.concerned[share[last.concerned] < 1.0]
-            less[self._touching(still_wrong, x) & (less == 1.0)] = _WEAKER
+            less[self._touching(still_wrong, at.x) & (less == 1.0)] = _WEAKER
             still = last.stop in _FINAL or not any(strengths[0])
             if still or (less == share).all():
                 return done
@@ -196,19 +199,14 @@ class Relaxer:
             walked = self._walked(plan, x, before + freed)
         else:
             walked = replace(free, restraint=self.restraint(springs[-1]), n_iterations=0, n_evaluations=0)
-        x = walked.x
-        found, pairs = violations(structure, x), overlapping(structure, x)[0]
-        wrong = mendable(structure, found)
-        wrong[self._of_rings(threaded_rings(structure, x))] = True
-        wrong[structure.atom_residue[pairs]] = True
-        wrong[structure.atom_residue[self.hands.wrong(x)]] = True
-        if self.strength.planar:
-            wrong[structure.atom_residue[self.peptides.wrong(x)]] = True
-        wrong &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
-        let_go, n_violations = int((share < 1.0).sum()), len(found.residues)
-        n_evaluations, seconds = freed + walked.n_evaluations, perf_counter() - began
-        told = Round(let_go, n_violations, len(pairs), walked.n_iterations, n_evaluations, seconds)
-        return Ended(read_only(x), walked.stop, _tethers(walked.restraint), np.flatnonzero(wrong), told)
+        wrong = Wrong.at(structure, read_only(walked.x))
+        concerned = wrong.residues(self.strength.planar)
+        concerned &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
+        told = Round(
+            int((share < 1.0).sum()), len(wrong.violations.residues), len(wrong.overlaps),
+            walked.n_iterations, freed + walked.n_evaluations, perf_counter() - began,
+        )  # fmt: skip
+        return Ended(wrong, walked.stop, _tethers(walked.restraint), np.flatnonzero(concerned), told)
 
     def _walked(self, plan: Sequence[Stage], x: Floats, before: int) -> Outcome:
         """Walk through stages from x, within the iterations allowed."""
@@ -324,10 +322,6 @@ class Relaxer:
         """Atoms that may move, with the springs of their bonds."""
         return Cartesian(self.structure, self._mobile, near_terms(self.energy))
 
-    def _of_rings(self, threaded: Sequence[ThreadedRing]) -> list[int]:
-        """Residues of rings and of the bonds that go through them."""
-        return [int(self.structure.atom_residue[i]) for ring in threaded for i in (*ring.atoms, *ring.bond)]
-
     def _springs(self, share: Floats, backbone: float, side_chains: float) -> Tethers:
         """Springs of the heavy atoms; each residue (nr,) has its share of their strength."""
         structure = self.structure
@@ -362,20 +356,6 @@ def _tethers(restraint: Force | None) -> Tethers:
     springs = restraint.parts[0] if isinstance(restraint, Sum) else restraint
     assert isinstance(springs, Tethers)
     return springs
-
-
-def mendable(structure: Structure, found: Violations) -> NDArray[np.bool_]:
-    """(nr,) bool: residues with violations but those of a peptide bond that a broken chain does not have."""
-    n, of = structure.n_atoms, structure.atom_residue
-    bonded = np.sort(structure.bonds, axis=1) @ [n, 1]
-    at_breaks, elsewhere = np.zeros((2, structure.n_residues), dtype=bool)
-    joints = (found.bonds, (0, 1)), (found.angles_ca_c_n, (1, 2)), (found.angles_c_n_ca, (0, 1))
-    for atoms, ends in joints:
-        is_bond = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded)
-        at_breaks[of[atoms[~is_bond]]] = elsewhere[of[atoms[is_bond]]] = True
-    for atoms in (found.clashes, found.within):
-        elsewhere[of[atoms]] = True
-    return np.asarray(found.per_residue & ~(at_breaks & ~elsewhere))
 
 
 def fewest_left(done: Sequence[Ended]) -> Ended:

@@ -14,6 +14,7 @@ from protochain.relaxation.api import _lost, left_in_words
 from protochain.relaxation.peptides import PeptideBonds, _slopes
 from protochain.relaxation.presets import PRESETS, PROTOCOLS
 from protochain.relaxation.rounds import Relaxer
+from protochain.relaxation.wrong import Wrong
 from protochain.validation.layout import dihedrals
 from protochain.validation.omega import isomerised_bonds, omegas, twisted_bonds
 
@@ -124,10 +125,11 @@ def test_what_is_left_or_lost_is_named_in_message_and_status(bent):
     r = pc.relax(bent, threads=1, protocol="alphafold", max_iterations=1)
     assert r.status == "budget" and "twisted peptide bonds: " + name in r.message
     s = load("1l2y.pdb")
-    assert left_in_words(s, bent.positions) == []  # -75: it went to the other side, and is lost.
-    half = with_omega(s, 12, 120.0).positions
-    assert left_in_words(s, half)[0].startswith("twisted peptide bonds: " + name)
-    assert _lost(s, half).tolist() == [] and _lost(s, bent.positions).tolist() == [bond_before(s, 12)[2]]
+    other = Wrong.at(s, bent.positions)
+    assert left_in_words(other) == []  # -75: it went to the other side, and is lost.
+    half = Wrong.at(s, with_omega(s, 12, 120.0).positions)
+    assert left_in_words(half)[0].startswith("twisted peptide bonds: " + name)
+    assert _lost(half).tolist() == [] and _lost(other).tolist() == [bond_before(s, 12)[2]]
 
 
 def test_minimise_names_a_bond_that_turned(bent):

@@ -14,7 +14,8 @@ from protochain.minimisers.stages import Outcome
 from protochain.relaxation import rounds
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.presets import PRESETS
-from protochain.relaxation.rounds import Ended, Relaxer, Round, mendable
+from protochain.relaxation.rounds import Ended, Relaxer, Round
+from protochain.relaxation.wrong import Wrong
 from protochain.validation import measures, threaded_rings, violations
 
 
@@ -69,7 +70,11 @@ def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monke
         begins.append(x)
         told = Round(0, 1, 0, 1, 1, 0.0)
         return Ended(
-            x + 0.1, Stop.TOLERANCE, self._springs(share, *strengths[0]), np.array([4 + len(seen)]), told
+            Wrong.at(s, x + 0.1),
+            Stop.TOLERANCE,
+            self._springs(share, *strengths[0]),
+            np.array([4 + len(seen)]),
+            told,
         )
 
     monkeypatch.setattr(Relaxer, "_round", as_it_was)
@@ -144,10 +149,11 @@ def test_a_bond_that_a_broken_chain_does_not_have_holds_up_nothing_and_is_report
     assert r.start.n_chains == 2 and len(r.rounds) == 1 and r.rounds[0].violations == 2
     assert r.status == "converged" and r.measures_end["violations"] == 2
     assert "2 residues with violations at breaks of the chain" in r.message
-    found = violations(r.start, r.x)
-    assert found.per_residue.sum() == 2 and not mendable(r.start, found).any()
-    whole = violations(s, torn.positions)
-    assert np.array_equal(mendable(s, whole), whole.per_residue) and whole.per_residue.sum() >= 2
+    found = Wrong.at(r.start, r.x)
+    assert found.violations.per_residue.sum() == 2 and not found.mendable().any()
+    whole = Wrong.at(s, torn.positions)
+    per_residue = whole.violations.per_residue
+    assert np.array_equal(whole.mendable(), per_residue) and per_residue.sum() >= 2
 
 
 def away_from(structure, before, after):

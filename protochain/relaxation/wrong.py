@@ -1,0 +1,72 @@
+"""What is wrong with a structure while it is relaxed, found once at each set of positions."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.contacts import overlapping
+from protochain.core.arrays import Floats, Integers
+from protochain.relaxation.chirality_restraint import Hands
+from protochain.relaxation.peptides import PeptideBonds
+from protochain.structure import Structure
+from protochain.validation import threaded_rings, violations
+from protochain.validation.rings import ThreadedRing
+from protochain.validation.violations import Violations
+
+
+@dataclass(frozen=True, eq=False)
+class Wrong:
+    """What is wrong at positions x (na, 3), nm.
+
+    overlaps (n, 2) int: Pairs of atoms.
+    hands (n,) int: Inverted stereocentres.
+    peptides, reversed (n,) int: Nitrogens of twisted peptide bonds, and of those nearer to the other form.
+    """
+
+    structure: Structure
+    x: Floats
+    overlaps: Integers
+    rings: list[ThreadedRing]
+    hands: Integers
+    peptides: Integers
+    reversed: Integers
+
+    @classmethod
+    def at(cls, s: Structure, x: Floats) -> "Wrong":
+        """Find it."""
+        bonds, rings = PeptideBonds.of(s), threaded_rings(s, x)
+        turned = Hands.of(s).wrong(x), bonds.wrong(x), bonds.reversed(x)
+        return cls(s, x, overlapping(s, x)[0], rings, *turned)
+
+    @cached_property
+    def violations(self) -> Violations:
+        """Bonds, angles and distances that AlphaFold would not have; of a start nobody asks."""
+        return violations(self.structure, self.x)
+
+    def of_rings(self) -> list[int]:
+        """Residues of rings and of the bonds that go through them."""
+        return [int(self.structure.atom_residue[i]) for ring in self.rings for i in (*ring.atoms, *ring.bond)]
+
+    def mendable(self) -> NDArray[np.bool_]:
+        """(nr,) bool: residues with violations but those of a bond that a broken chain does not have."""
+        structure, found = self.structure, self.violations
+        n, of = structure.n_atoms, structure.atom_residue
+        bonded = np.sort(structure.bonds, axis=1) @ [n, 1]
+        at_breaks, elsewhere = np.zeros((2, structure.n_residues), dtype=bool)
+        joints = (found.bonds, (0, 1)), (found.angles_ca_c_n, (1, 2)), (found.angles_c_n_ca, (0, 1))
+        for atoms, ends in joints:
+            is_bond = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded)
+            at_breaks[of[atoms[~is_bond]]] = elsewhere[of[atoms[is_bond]]] = True
+        for atoms in (found.clashes, found.within):
+            elsewhere[of[atoms]] = True
+        return np.asarray(found.per_residue & ~(at_breaks & ~elsewhere))
+
+    def residues(self, planar: bool) -> NDArray[np.bool_]:
+        """(nr,) bool: residues with anything to mend, twisted bonds where they are to be ``planar``."""
+        wrong, of = self.mendable(), self.structure.atom_residue
+        wrong[self.of_rings()] = True
+        for atoms in (self.overlaps, self.hands, *([self.peptides] if planar else [])):
+            wrong[of[atoms]] = True
+        return wrong
