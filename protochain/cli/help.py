@@ -5,8 +5,8 @@ from typing import Any
 from typer.core import TyperCommand
 
 _FIRST = (
-    "output", "method", "methods", "preset", "interface", "reference", "by", "ligands", "report", "trajectory",
-    "frames", "resume",
+    "output", "method", "methods", "preset", "interface", "reference", "by", "ligands", "report",
+    "trajectory", "frames", "resume",
 )  # fmt: skip
 """What people type most, in this order."""
 _FEW = 5
