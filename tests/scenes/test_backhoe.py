@@ -5,27 +5,20 @@ import pytest
 from fixtures.tolerances import DIFFERENCE
 
 from bench.scenes import run
-from bench.scenes.backhoe import oracle
-from bench.scenes.backhoe.checks import OUT, Turning, flat
-from bench.scenes.backhoe.cycle import working
-from bench.scenes.backhoe.machine import ARM, CYLINDERS, DESIGNS, hold, mesh, posture, vehicle
-from bench.scenes.backhoe.stability import centre, force_angle, inside_by, loads
+from bench.scenes.backhoe.checks import Turning
+from bench.scenes.backhoe.machine import CYLINDERS, DESIGNS, hold, posture, vehicle
+from bench.scenes.backhoe.stability import force_angle
 from bench.scenes.backhoe.track import (
-    APART,
-    PITCH,
     SEATS,
-    SHOES,
-    TEETH,
     TIGHT,
     Teeth,
     Wheel,
     crawler,
-    loop,
 )  # fmt: skip
 from bench.scenes.bucket.backhoe import EDGE
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanisms import Mechanism, Plane
+from protochain.mechanisms import Mechanism
 
 SQUARE = np.array([(1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0)])
 DOWN = np.array([0.0, 0.0, -10.0])
@@ -64,89 +57,6 @@ def test_cylinders_bring_the_edge_where_it_is_sent_and_have_their_lengths():
         assert state.point(f"{name} rod") == pytest.approx(state.point(cylinder.child, eye), abs=1e-12)
 
 
-def test_forces_of_cylinders_are_mujocos():
-    """MuJoCo has the open tree, and virtual work of each angle makes forces of its torques."""
-    mujoco = pytest.importorskip("mujoco")
-    path = flat(working(0.06))
-    model = vehicle(DESIGNS[0], path, None).build()
-    moved = model.simulate(0.5, 0.01)
-    parts = {name: model.bodies.number(name) for name in model.bodies.names}
-    spec, made = mujoco.MjSpec(), {}
-    spec.option.gravity = [0, 0, -9.81]
-    built = vehicle(DESIGNS[0], path, None)
-    for name, b in parts.items():
-        body, hinge = built._bodies[name], next(h for h in built._hinges.values() if h.child == name)
-        parent = made.get(hinge.parent, spec.worldbody)
-        quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, hinge.rotation.ravel())
-        # As in the tree: a slide's origin is its child's, which moves along.
-        own = parent.add_body(name=name, pos=hinge.at, quat=quat, mass=body.mass, ipos=body.com,
-                              inertia=np.diag(body.inertia), explicitinertial=True)  # fmt: skip
-        made[name] = own
-        if hinge.kind != "fixed":
-            kind = mujoco.mjtJoint.mjJNT_SLIDE if hinge.kind == "prismatic" else mujoco.mjtJoint.mjJNT_HINGE
-            own.add_joint(name=hinge.name, type=kind, axis=hinge.rotation.T @ hinge.axis)
-        assert b == len(made) - 1
-    theirs = spec.compile()
-    data = mujoco.MjData(theirs)
-    names = [theirs.joint(k).name for k in range(theirs.njnt)]
-    places = [model.bodies.freedom(name) for name in names]
-    motion = moved.motion
-    for row in (10, 25, 40):
-        at = model.system.at(moved.q[row], moved.qd[row], float(moved.time[row]))
-        qdd, _ = model.system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)
-        data.qpos[:], data.qvel[:] = at.q[[q for q, _ in places]], at.qd[[v for _, v in places]]
-        data.qacc[:] = qdd[[v for _, v in places]]
-        mujoco.mj_inverse(theirs, data)
-        angles = path(at.time)[0][1:]
-        for k, name in enumerate(ARM):
-            # How all joints follow one angle: from two closed mechanisms, by differences.
-            ends = []
-            for sign in (1, -1):
-                turned = hold(np.append(0.0, angles + sign * 1e-5 * np.eye(3)[k]))
-                other = vehicle(DESIGNS[0], turned, None).build()
-                # Barrels turn from where each was built.
-                state = other.state()
-                for each in ARM:
-                    line = state.rotation(f"{each} barrel")[:, 0]
-                    base = state.rotation(CYLINDERS[each].parent)
-                    ends.append(-np.arctan2(base[:, 2] @ line, base[:, 0] @ line))
-            barrels = dict(zip(ARM, (np.array(ends[:3]) - ends[3:]) / 2e-5, strict=True))
-            along = {name: 1.0} | {f"{each} barrel": barrels[each] for each in ARM}
-            work = sum(float(data.qfrc_inverse[names.index(joint)]) * rate for joint, rate in along.items())
-            # Slides as far as they follow: their axial torques are the rods' own, which the cylinder has too.
-            length = CYLINDERS[name].lever(float(angles[k]))
-            rod = float(data.qfrc_inverse[names.index(f"{name} cylinder")])
-            assert work / length + rod == pytest.approx(
-                motion[f"{name} cylinder drive"][row], rel=1e-6, abs=1e-5
-            )
-
-
-def test_the_plane_oracle_has_the_centre_of_mass_of_the_bodies():
-    for design in DESIGNS:
-        angles = posture((0.8, 0.3), 0.1, 0.7)
-        state = vehicle(design, hold(angles), None).build().state()
-        assert centre(state) - state.point("tracks") == pytest.approx(
-            oracle.middle(design, angles), abs=1e-12
-        )
-
-
-def test_loads_of_the_feet_are_the_forces_of_the_contact():
-    triangles = mesh((-0.6, -0.5), (0.4, 0.5), 0.1)
-    for ground in (Plane(), triangles):
-        model = vehicle(DESIGNS[0], hold(OUT), ground, grip=None).build()
-        at = model.simulate(0.05, 1e-3).end
-        root = int(model.tree.v_start[model.bodies.number("tracks")]) + 5
-        force = at.torque[root] + DESIGNS[0].mass * 9.81
-        assert loads(model.state(at), DESIGNS[0]).sum() == pytest.approx(force, rel=1e-9)
-
-
-def test_the_distance_inside_a_polygon_is_that_to_its_edges():
-    found = inside_by(np.array([0.5, -0.25]), SQUARE[:, :2])
-    assert found == pytest.approx([0.5, 1.25, 1.5, 0.75])
-    assert inside_by(np.array([1.5, 0.0]), SQUARE[:, :2]).min() == pytest.approx(-0.5)
-
-
 def test_the_force_angle_measure_of_a_cart():
     """A square of half width 1, its centre of mass at a height of 2: atan(1/2) on all sides."""
     at = np.array([0.0, 0.0, 2.0])
@@ -162,18 +72,6 @@ def test_the_force_angle_measure_of_a_cart():
         for force, moment in (((5 * share, 0, 0), (0, 0, 0)), ((0, 0, 0), (0, 10 * share, 0))):
             angle, _ = force_angle(SQUARE, at, DOWN + force, np.array(moment, float))
             assert (angle[0] > 0.0) == (share < 1.0) and angle[2] > 0.0
-
-
-def test_the_chain_has_shoes_of_one_pitch_and_pins_in_the_seats():
-    pins = loop()
-    assert len(pins) == SHOES
-    assert np.linalg.norm(np.roll(pins, -1, axis=0) - pins, axis=1) == pytest.approx(np.full(SHOES, PITCH))
-    for side in (-1, 1):
-        off = pins - [0.5 * side * APART, 0.0]
-        seated = np.isclose(np.linalg.norm(off, axis=1), SEATS)
-        assert seated.sum() == TEETH // 2 + 1
-        angles = np.arctan2(*off[seated].T[::-1]) * TEETH / (2 * np.pi)
-        assert angles == pytest.approx(np.round(angles), abs=1e-9)
 
 
 def pins_on_a_wheel():

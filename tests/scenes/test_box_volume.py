@@ -7,7 +7,7 @@ from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
 from scipy.spatial.transform import Rotation
 
 from bench.soil.box_volume import WHOLE, box_in_box, overlap
-from bench.soil.parts import Law, Motion, Plates
+from bench.soil.parts import Law
 from bench.soil.pile import Pile
 from protochain.core.errors import MechanicsError
 
@@ -97,25 +97,6 @@ def test_forces_are_the_gradient_of_the_energy():
     assert met > 20
 
 
-def test_faces_that_lie_flat_press_as_springs():
-    """Exactly parallel, also where sides lie in one plane: depth d of stiffness 1."""
-    half, depth = np.full(3, 0.5), 0.01
-    for shift in np.array([(0.0, 0.0), (0.2, -0.1), (0.3, 0.0)]):
-        other = np.array([*shift, 1.0 - depth])
-        number, found, normal = box_in_box(
-            *box(np.zeros(3), np.eye(3), half), *box(other, np.eye(3), half), *SPACE
-        )
-        area = (1.0 - abs(shift[0])) * (1.0 - abs(shift[1]))
-        points = SPACE[2][:number]
-        push = np.sum((points[:, 3] * points[:, 4])[:, None] * points[:, 5:], axis=0)
-        assert push[2] == pytest.approx(depth * area**2, rel=1e-12)
-        # Beside each other they push each other off: the volume would shrink.
-        strips = depth * area * depth * (1.0 - np.abs(shift[::-1])) * np.sign(shift)
-        assert push[:2] == pytest.approx(strips, abs=1e-12)
-        assert found == pytest.approx(depth * area)
-        assert normal == pytest.approx(push / np.linalg.norm(push), abs=1e-9)
-
-
 def test_boxes_that_touch_do_not_press_and_one_within_another_has_no_way_out():
     half = np.full(3, 0.5)
     one = box(np.zeros(3), np.eye(3), half)
@@ -157,26 +138,3 @@ def test_two_hundred_impacts_without_loss_keep_the_energy():
     assert fine < 1e-3 and fine < 0.25 * rough
     # By points the energy changes whatever the step: which is why there are two.
     assert np.max(np.abs(impacts(Law(1e6, 0.0, 0.0), 1.0, 0.125, 100))) > 0.01
-
-
-def test_a_cube_rests_slides_and_sticks_on_a_plate_by_volume_as_by_points():
-    plate = Plates([0], [[0, 0, -0.01]], [np.eye(3)], [[0.3, 0.3, 0.01]])
-    for friction, tilt, rests in ((0.5, 0.3, True), (0.2, 0.3, False)):
-        gravity = 9.81 * np.array([np.sin(tilt), 0.0, -np.cos(tilt)])
-        scene = Pile([EDGE], [MASS], Law(1e5, friction, by="volume"), gravity, plates=plate)
-        steps = round(0.3 / scene.longest_step)
-        still = Motion(
-            np.zeros((steps + 1, 1, 3)), np.tile(np.eye(3), (steps + 1, 1, 1, 1)), np.zeros((steps + 1, 1, 6))
-        )
-        start = scene.start(
-            [[0, 0, 0.5 * EDGE - MASS * 9.81 / 1e5]], motion=Motion(*(each[:1] for each in still))
-        )
-        after, reaction = scene.advance(start, steps, scene.longest_step, still)
-        slide = 0.0 if rests else 9.81 * (np.sin(tilt) - friction * np.cos(tilt)) * scene.longest_step * steps
-        assert after.velocity[0, 0] == pytest.approx(slide, abs=0.01)
-        assert reaction[-50:, 0, 5].mean() == pytest.approx(-MASS * 9.81 * np.cos(tilt), rel=0.02)
-
-
-def test_what_presses_is_points_or_volume():
-    with pytest.raises(MechanicsError, match="by 'corners': give points or volume"):
-        Law(1e5, 0.5, by="corners")

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from fixtures.touching import Box, touch_boxes, touch_plane
-from scipy.optimize import lsq_linear
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -14,8 +13,6 @@ from protochain.mechanisms.checks import check_boxes
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 EXACT = 1e-12
 """Relative to boxes of size one: some fifty rounded operations."""
-DISTANCE = 1e-7
-"""Of the quadratic program: its solver stops at residuals of 1e-15, whose root is 3e-8."""
 
 
 def corners(box: Box) -> np.ndarray:
@@ -38,16 +35,6 @@ def depth_by_hull(a: Box, b: Box) -> float:
     return float(-np.max(ConvexHull(difference).equations[:, 3]))
 
 
-def distance(a: Box, b: Box) -> float:
-    """Of the nearest two points, by least squares in their coordinates, each within its box."""
-    reach = np.concatenate([a.half, b.half])
-    directions = np.hstack([a.rotation, -np.array(b.rotation)])
-    found = lsq_linear(
-        directions, np.array(b.centre) - np.array(a.centre), (-reach, reach), method="bvls", tol=1e-15
-    )
-    return float(np.linalg.norm(found.fun))
-
-
 def within(box: Box, points: np.ndarray) -> np.ndarray:
     """How far points are from the middle, in half edges: 1 on the surface."""
     return np.max(np.abs((points - box.centre) @ np.array(box.rotation)) / box.half, axis=1)
@@ -62,71 +49,6 @@ def test_depth_is_that_of_the_hull_of_differences_and_every_axis_occurs():
             assert touch.depth == pytest.approx(depth, abs=EXACT)
             axes.add(touch.axis)
     assert axes == set(range(15))
-
-
-def test_gap_is_a_bound_on_the_distance_and_mostly_the_distance():
-    exact, apart = 0, 0
-    for a, b in pairs(300, 1.6, 2):
-        touch, between = touch_boxes(a, b), distance(a, b)
-        assert (touch.depth > 0.0) == (between < DISTANCE)
-        if touch.depth <= 0.0:
-            assert not len(touch.points)
-            assert -touch.depth <= between + DISTANCE
-            apart, exact = apart + 1, exact + (abs(between + touch.depth) < DISTANCE)
-    assert apart > 100 and exact > apart // 3
-
-
-def test_moved_apart_by_depth_along_the_normal_they_just_touch():
-    for a, b in pairs(100, 0.8, 3):
-        touch = touch_boxes(a, b)
-        if touch.depth > 0.0:
-            for more, wanted in ((-1e-3, 0.0), (1e-3, 1e-3)):
-                moved = b._replace(centre=b.centre + (touch.depth + more) * touch.normal)
-                assert distance(a, moved) == pytest.approx(wanted, abs=DISTANCE)
-
-
-def test_mujoco_finds_the_same_distances():
-    mujoco = pytest.importorskip("mujoco")
-    spec = mujoco.MjSpec()
-    for _ in range(2):
-        body = spec.worldbody.add_body()
-        body.add_freejoint()
-        body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[1, 1, 1])
-    model = spec.compile()
-    model.opt.ccd_tolerance, model.opt.ccd_iterations = 1e-12, 200
-    data, both = mujoco.MjData(model), 0
-    for boxes in pairs(300, 1.2, 4):
-        for k, box in enumerate(boxes):
-            model.geom_size[k], data.qpos[7 * k : 7 * k + 3] = box.half, box.centre
-            data.qpos[7 * k + 3 : 7 * k + 7] = np.roll(Rotation.from_matrix(box.rotation).as_quat(), 1)
-        # Its bounding spheres are those of the boxes it was compiled with; without any it tests all.
-        model.geom_rbound[:] = 0.0
-        mujoco.mj_kinematics(model, data)
-        theirs = mujoco.mj_geomDistance(model, data, 0, 1, 10.0, np.zeros(6))
-        touch = touch_boxes(*boxes)
-        if touch.depth > 0.0:
-            assert -theirs == pytest.approx(touch.depth, abs=1e-10)
-            both += 1
-        else:
-            assert theirs >= -touch.depth - 1e-10
-    assert both > 100
-
-
-def test_points_lie_between_the_two_surfaces_and_stand_for_at_most_a_face():
-    kinds = set()
-    for a, b in pairs(300, 0.9, 5):
-        touch = touch_boxes(a, b)
-        if touch.depth <= 0.0:
-            continue
-        kinds.add((touch.axis // 3 > 1, len(touch.points)))
-        half = 0.5 * touch.depths[:, None] * touch.normal
-        # The first reaches out beyond the middle along the normal, the second against it.
-        own, other = within(a, touch.points + half), within(b, touch.points - half)
-        np.testing.assert_allclose(own, 1.0, atol=EXACT)
-        np.testing.assert_allclose(other, 1.0, atol=EXACT)
-        assert np.all(touch.depths > 0.0) and np.all(touch.depths <= touch.depth + EXACT)
-        assert len(touch.points) and np.sum(touch.shares) <= 1.0 + EXACT
-    assert {(True, 1), (False, 1), (False, 2), (False, 3)} <= kinds
 
 
 def test_forces_at_the_points_are_the_gradients_of_their_depths():
@@ -145,15 +67,6 @@ def test_forces_at_the_points_are_the_gradients_of_their_depths():
                 slope = (moved.depths - touch.depths) / step
                 np.testing.assert_allclose(slope, -touch.pushes @ direction, atol=1e-4)
     assert clipped > 50
-
-
-def test_the_other_way_round_it_is_the_same_contact_turned_over():
-    for a, b in pairs(100, 0.9, 6):
-        touch, back = touch_boxes(a, b), touch_boxes(b, a)
-        assert back.depth == pytest.approx(touch.depth, abs=EXACT)
-        if touch.depth > 0.0:
-            np.testing.assert_allclose(back.normal, -touch.normal, atol=EXACT)
-            assert sorted(back.depths) == pytest.approx(sorted(touch.depths), abs=EXACT)
 
 
 def test_a_whole_face_a_crossing_and_an_octagon():
@@ -176,16 +89,6 @@ def test_a_whole_face_a_crossing_and_an_octagon():
     edges = touch_boxes(Box((0, 0, 0), roof, cube), Box((0.3, 0.2, 2.8), keel, cube))
     assert edges.axis >= FACES and edges.depth == pytest.approx(2 * np.sqrt(2) - 2.8)
     assert edges.points[0] == pytest.approx([0, 0.2, 1.4]) or edges.points[0] == pytest.approx([0.3, 0, 1.4])
-
-
-def test_faces_are_preferred_where_edges_are_hardly_shallower():
-    low = Box((0, 0, 0), np.eye(3), (1, 1, 1))
-    lean = Rotation.from_euler("xyz", [2e-3, 1e-3, 0.7]).as_matrix()
-    over = Box((0, 0, 2.0), lean, (1, 1, 1))
-    assert touch_boxes(low, over, prefer_faces=0.01).axis < FACES
-    crossed = Box((0, 0, 2.8), Rotation.from_euler("x", np.pi / 4).as_matrix(), (1, 1, 1))
-    roof = low._replace(rotation=Rotation.from_euler("y", np.pi / 4).as_matrix())
-    assert touch_boxes(roof, crossed, prefer_faces=0.01).axis >= FACES
 
 
 def test_a_plane_is_touched_by_the_corners_below_it():

@@ -7,13 +7,9 @@ from scipy.spatial import cKDTree
 
 from bench.scenes import run
 from bench.scenes.gear import started
-from bench.scenes.gear.geometry import GearPair, outer, overlap
+from bench.scenes.gear.geometry import GearPair, overlap
 from bench.scenes.gear.mesh import Gear, gears, meshing_of
-from bench.scenes.gear.oracle import corner_place
-from bench.scenes.gear.quasi import at_rest, lag_of
-from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.mechanics.motion import System
-from protochain.mechanics.multibody import kinetic_energy, pose
 
 DRAWN = 3e-8
 """m. Of gaps of 50 um between curves of points 2 um apart."""
@@ -89,62 +85,6 @@ def test_gaps_of_back_flanks_are_those_of_drawn_teeth(pair):
         assert back[:, 1].max() == pytest.approx(-8e-5, rel=1e-9)
 
 
-def test_the_back_of_a_tooth_meets_the_tooth_behind_it():
-    gear = Gear(backlash=2e-5)
-    model = gears(gear)
-    q, torques = np.zeros(model.tree.n_q), np.zeros(model.tree.n_v)
-    # Tooth 0 of the driven wheel is ahead of tooth 0 of the driving one, tooth 39 behind it.
-    q[model.bodies.freedom("tooth 1 39")[0]] = 3e-5 / gear.pair.wheels[1].base
-    energy = meshing_of(model).add(q, model.start().factors.frames, None, torques)
-    assert energy == pytest.approx(0.4 * 1e12 * 1e-5**2.5, rel=1e-6)
-    names = {name for name in model.bodies.hinges if torques[model.bodies.freedom(name)[1]]}
-    assert names == {"wheel 0", "tooth 0 0", "wheel 1", "tooth 1 39"}
-    assert torques[model.bodies.freedom("wheel 0")[1]] == pytest.approx(
-        1e12 * 1e-5**1.5 * 37.588e-3, rel=1e-4
-    )
-
-
-def test_the_slope_of_a_gap_and_its_other_derivation():
-    pair = GearPair()
-    for corner, own, other in ((pair.corners[0], 1, 0), (pair.corners[1], 0, 1)):
-        wheels = pair.wheels[own], pair.wheels[other]
-        for place in (-0.015, -0.0111, 0.002):
-            value, slope = outer(place, corner)
-            ahead, behind = (outer(place + h, corner)[0] for h in (1e-7, -1e-7))
-            assert slope == pytest.approx((ahead - behind) / 2e-7, rel=1e-7)
-            assert corner_place(place, *wheels) == pytest.approx((value, slope), rel=1e-12)
-
-
-def test_numbers_of_the_pair():
-    pair = GearPair()
-    assert pair.contact_ratio == pytest.approx(1.635, abs=5e-4)
-    assert [wheel.base for wheel in pair.wheels] == pytest.approx([37.588e-3, 75.175e-3], abs=1e-6)
-    gear = Gear()
-    assert gear.error(1) == pytest.approx(100.0 / (37.588e-3**2 * 14e9 * 20e-3), rel=1e-4)
-    # Of a disc of steel, with its teeth.
-    assert gear.inertias[0][0] == pytest.approx(0.5 * 7850 * np.pi * 0.04**2 * 0.02 * 0.04**2)
-    with pytest.raises(MechanicsError, match="8 teeth is undercut by one of 40"):
-        GearPair((40, 8))
-    with pytest.raises(ProtochainError, match=r"teeth 20\.5: give a whole number"):
-        GearPair((20.5, 40))
-    with pytest.raises(ProtochainError, match="torque 'high': give a number"):
-        Gear(torque="high")
-    with pytest.raises(MechanicsError, match="torque -100: give one above 0"):
-        at_rest(Gear(torque=-100.0), 0.0)
-
-
-def test_all_wheels_and_teeth_together_have_the_inertia_of_discs():
-    gear = Gear()
-    for model in (gears(gear), gears(gear, rigid=True), gears(gear, (range(-3, 2), range(38, 43)))):
-        qd = np.zeros(model.tree.n_v)
-        qd[model.bodies.freedom("wheel 0")[1]], qd[model.bodies.freedom("wheel 1")[1]] = 3.0, 2.0
-        energy = kinetic_energy(model.tree, pose(model.tree, model.q), qd)
-        assert energy == pytest.approx(
-            0.5 * (9.0 * gear.inertias[0][0] + 4.0 * gear.inertias[1][0]), rel=1e-12
-        )
-    assert model.tree.n_bodies == 12
-
-
 def test_flanks_push_with_the_gradient_of_their_energy():
     model = started(Gear(), 1e-3)
     flanks = meshing_of(model)
@@ -177,13 +117,6 @@ def test_damping_of_flanks_opposes_their_approach_and_never_pulls():
         # a v of Lankarani and Nikravesh, with e = 0.8 at 0.1 m/s; at most all of the force is taken away.
         wanted = -1.0 if factor is None else factor * 0.75 * 0.36 / 0.1 * 37.588e-3
         assert share == pytest.approx(wanted, rel=1e-4)
-
-
-def test_the_ratio_does_not_depend_on_which_teeth_have_come_round():
-    """Over a whole turn of the driven wheel numbers of teeth wrap."""
-    gear = Gear()
-    lags = [lag_of(*at_rest(gear, 1e-3 + n * gear.pair.base_pitch), gear) for n in (0, 1, 19, 20, 40, -3)]
-    assert np.ptp(lags) < 1e-12
 
 
 @pytest.fixture(scope="module")

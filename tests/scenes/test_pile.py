@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from bench.soil.parts import Heap, Law, Motion, Plates, Sleep
 from bench.soil.pile import Pile
-from protochain.core.errors import MechanicsError, ProtochainError
+from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion.system import StepTooLargeError
 
 EDGE, MASS, STIFFNESS, GRAVITY = 0.02, 0.016, 1e5, 9.81
@@ -100,34 +100,6 @@ def test_it_leaves_an_impact_at_the_speed_of_a_damped_oscillator(damping):
     assert heap.dissipated == pytest.approx(0.5 * MASS * (1.0 - end**2), abs=2e-3 * MASS)
 
 
-def test_without_loss_a_tumbling_cube_keeps_its_energy_better_with_shorter_steps():
-    scene = pile(law=Law(STIFFNESS, 0.0, 0.0), **GROUND)
-    rotation = Rotation.from_euler("xyz", [0.3, 0.5, 0.7]).as_matrix()[None]
-    start = scene.start([[0.0, 0.0, 0.05]], rotation, spin=[[3.0, -2.0, 1.0]])
-    errors = []
-    for split in (1, 4):
-        heap, off = start, 0.0
-        for _ in range(20):
-            heap, _ = scene.advance(heap, 200 * split, scene.longest_step / split)
-            off = max(off, abs(scene.total(heap) - scene.total(start)))
-        errors.append(off / (MASS * GRAVITY * 0.05))
-    assert np.linalg.norm(heap.spin) > 5.0, "it has bounced"
-    assert errors[0] < 1e-2 and errors[1] < errors[0] / 8.0
-
-
-def test_what_friction_takes_in_an_oblique_blow_is_counted():
-    """Its bound rises and falls within the blow: work is of the mean of both ends of a step."""
-    law, off = Law(STIFFNESS, 0.3, damping=0.0), []
-    for part in (0.2, 0.1):
-        scene = pile(law=law, gravity=(0, 0, 0), **GROUND)
-        start = scene.start([[0, 0, 0.501 * EDGE]], velocity=[[2.0, 0.3, -1.0]])
-        end, _ = scene.advance(start, round(0.01 / (part * scene.longest_step)), part * scene.longest_step)
-        assert end.dissipated > 0.1 * scene.kinetic(start)
-        off.append(abs(scene.total(end) - scene.total(start)) / end.dissipated)
-    # Ten times less than of the end of a step alone.
-    assert max(off) < 3e-4
-
-
 def test_two_cubes_keep_momentum_and_spin_in_an_impact():
     scene = pile(2, gravity=(0, 0, 0))
     rotation = Rotation.from_euler("xyz", [[0.3, 0.5, 0.7], [1.0, -0.4, 0.2]]).as_matrix()
@@ -146,38 +118,6 @@ def test_two_cubes_keep_momentum_and_spin_in_an_impact():
     assert np.sum(heap.velocity, axis=0) == pytest.approx(np.sum(start.velocity, axis=0), abs=1e-12)
     assert spin(heap) == pytest.approx(spin(start), abs=1e-12 * MASS)
     assert scene.total(heap) == pytest.approx(scene.total(start), rel=0.02)
-
-
-def test_a_spinning_cube_is_slowed_by_friction_at_its_corners():
-    scene = pile(**GROUND)
-    h = scene.longest_step
-    settled, _ = scene.advance(scene.start([[0, 0, 0.5 * EDGE]]), 2000, h)
-    start = scene.start(settled.position, settled.rotation, spin=[[0.0, 0.0, 30.0]])
-    early, _ = scene.advance(start, 200, h)
-    late, _ = scene.advance(early, 200, h)
-    # Four corners at half a diagonal, each with a quarter of the weight; inertia m edge^2 / 6.
-    torque = 0.5 * MASS * GRAVITY * EDGE / np.sqrt(2.0)
-    slowed = (late.spin - early.spin)[0, 2] / (200 * h)
-    assert slowed == pytest.approx(-torque / (MASS * EDGE**2 / 6.0), rel=1e-3)
-
-
-@pytest.mark.parametrize("rate", [6.0, 8.0])
-def test_on_a_turntable_it_stays_where_friction_holds_it(rate):
-    scene, steps, radius = pile(plates=floor()), 6000, 0.1
-    t = scene.longest_step * np.arange(steps + 1)
-    turned = Rotation.from_rotvec(np.outer(t, [0, 0, rate])).as_matrix()
-    twist = np.tile([0, 0, rate, 0, 0, 0], (steps + 1, 1)).astype(float)
-    motion = frames(np.zeros((steps + 1, 3)), turned, twist)
-    start = scene.start(
-        [[radius, 0, 0.5 * EDGE]], velocity=[[0, rate * radius, 0]], spin=[[0, 0, rate]], motion=resting(0)
-    )
-    heap, _ = scene.advance(start, steps, scene.longest_step, motion)
-    seen = turned[-1].T @ heap.position[0]
-    if rate**2 * radius < 0.5 * GRAVITY:
-        # It gives way by the stretch of the spring.
-        assert seen[:2] == pytest.approx([radius, 0.0], abs=3.0 * MASS * rate**2 * radius / (0.5 * STIFFNESS))
-    else:
-        assert np.hypot(*seen[:2]) > radius + 0.005
 
 
 def test_a_lift_does_work_that_is_found_again():
@@ -263,43 +203,6 @@ def test_cubes_fall_asleep_lie_still_and_wake():
     assert not after.asleep[:3].any()
 
 
-def test_sleep_leaves_the_same_heap():
-    scene, _, end, _ = dropped()
-    _, _, slept, _ = dropped(Sleep.under(GRAVITY, EDGE))
-    steps = int(0.4 / scene.longest_step)
-    slept, _ = dropped(Sleep.under(GRAVITY, EDGE))[0].advance(
-        slept, steps, scene.longest_step, resting(steps)
-    )
-    assert np.mean(slept.asleep) > 0.8
-    moved = np.linalg.norm(slept.position - end.position, axis=1)
-    assert np.median(moved) < 0.05 * EDGE
-    assert np.mean(slept.position[:, 2]) == pytest.approx(np.mean(end.position[:, 2]), abs=0.05 * EDGE)
-
-
-@pytest.mark.parametrize("stiffness", [1.0, 1e3, 1e8, 1e12])
-@pytest.mark.parametrize("mass", [1e-9, 1.0])
-def test_stiff_and_light_cubes_rest_at_the_right_depth_or_are_refused(stiffness, mass):
-    scene = Pile([EDGE], [mass], Law(stiffness, 0.5), np.array([0, 0, -GRAVITY]), **GROUND)
-    depth = mass * GRAVITY / stiffness
-    # Dropped, it would sink twice as deep first.
-    start = scene.start([[0.0, 0.0, 0.5 * EDGE - (depth if depth < 0.5 * EDGE else 0.0)]])
-    if depth > 0.5 * EDGE:
-        with pytest.raises(ProtochainError, match="more than half of its edge"):
-            scene.advance(start, 3000, scene.longest_step)
-    else:
-        heap, _ = scene.advance(start, 3000, scene.longest_step)
-        # Positions are rounded, and so are depths.
-        assert 0.5 * EDGE - heap.position[0, 2] == pytest.approx(depth, rel=1e-6, abs=1e-17)
-
-
-@pytest.mark.parametrize(("friction", "slides"), [(0.0, True), (10.0, False)])
-def test_no_friction_and_much(friction, slides):
-    scene = pile(law=Law(STIFFNESS, friction), gravity=tilted(0.5), **GROUND)
-    heap, _ = scene.advance(scene.start([[0, 0, 0.5 * EDGE]]), 4000, scene.longest_step)
-    fallen = 0.5 * GRAVITY * np.sin(0.5) * heap.time**2 if slides else 0.0
-    assert heap.position[0, 0] == pytest.approx(fallen, rel=1e-3, abs=1e-5)
-
-
 def test_what_cannot_be_is_refused_in_one_line():
     for wrong in ({"stiffness": 0.0}, {"friction": -0.1}, {"damping": np.nan}):
         with pytest.raises(MechanicsError, match=next(iter(wrong))):
@@ -317,20 +220,3 @@ def test_what_cannot_be_is_refused_in_one_line():
         scene.advance(scene.start([[0, 0, 1]]), 1, 1.0)
     with pytest.raises(StepTooLargeError, match="cube 0 moves by more than half"):
         scene.advance(scene.start([[0, 0, 1]], velocity=[[1e6, 0, 0]]), 1, scene.longest_step)
-
-
-def test_misuse_is_refused_in_one_line():
-    scene = pile()
-    start = scene.start([[0, 0, 1]])
-    h = 0.5 * scene.longest_step
-    for call, words in (
-        (lambda: scene.advance(start, -5, h), "steps -5: give 0 or more"),
-        (lambda: scene.advance(start, 2.5, h), r"steps 2\.5: give a whole number"),
-        (lambda: scene.advance(start, 5, "short"), "time_step 'short': give a number"),
-        (lambda: scene.advance(None, 5, h), "heap None: give one, as start"),
-        (lambda: Pile([0.1], [1.0], "hertz", np.zeros(3)), "law 'hertz': give one of pile_parts"),
-        (lambda: Law("stiff", 0.5), "stiffness 'stiff': give a number"),
-    ):
-        with pytest.raises(ProtochainError, match=words) as refused:
-            call()
-        assert len(str(refused.value).splitlines()) == 1

@@ -22,7 +22,6 @@ from bench.fits import exponent, extrapolated, order
 from bench.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
 from bench.scenes.beam.extremes import REFUSED
 from protochain.core.errors import Argument, Fault, MechanicsError, ProtochainError
-from protochain.mechanics.multibody import kinetic_energy, pose
 
 
 def some(checks=(), extremes=(), left=()):
@@ -188,14 +187,6 @@ def test_what_is_wrong_fails_the_command(parts, scenes, tmp_path, capsys):
     assert "odd one" in capsys.readouterr().err
 
 
-def test_many_extremes_are_counted_and_the_wrong_ones_listed(scenes, tmp_path, capsys):
-    many = tuple(Extreme(f"case {k}", "wrong" if k == 33 else "right", "so") for k in range(40))
-    scenes(some=lambda quick: some(extremes=many))
-    assert main(["some", "-o", str(tmp_path)]) == 1
-    out = capsys.readouterr().out
-    assert "40 extremes" in out and "case 33" in out and "case 32" not in out
-
-
 def test_an_unknown_scene_is_refused():
     with pytest.raises(ProtochainError, match="choose from"):
         run("odd")
@@ -232,16 +223,6 @@ def test_scenes_load_nothing_of_proteins():
     done = subprocess.run([sys.executable, "-c", code], env=path, capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
     assert not loaded & {"openmm", "gemmi", "MDAnalysis", "protochain.structure", "protochain.chain"}
-
-
-def test_rods_have_the_kinetic_energy_and_weight_of_rods():
-    tree, rate = serial.rods(3, 1.5, 6.0), np.array([2.0, 0.0, 0.0])
-    straight = pose(tree, np.array([0.3, 0.0, 0.0]))
-    # One rod of 1.5 m and 6 kg about its end.
-    assert kinetic_energy(tree, straight, rate) == pytest.approx(0.5 * 6.0 * 1.5**2 / 3.0 * 4.0, rel=1e-14)
-    energy, torque = serial.weight(tree, straight)
-    assert energy == pytest.approx(6.0 * 9.81 * 0.75 * np.sin(0.3), rel=1e-14)
-    assert torque[0] == pytest.approx(-6.0 * 9.81 * 0.75 * np.cos(0.3), rel=1e-14)
 
 
 def test_serial_chains_are_right():

@@ -7,7 +7,6 @@ from scipy.spatial.transform import Rotation
 from bench.soil.parts import Law, Motion, Plates
 from bench.soil.pile import Pile
 from bench.soil.soil import Soil, between
-from protochain.core.errors import MechanicsError
 from protochain.mechanisms import Mechanism
 
 EDGE, MASS = 0.02, 0.016
@@ -106,18 +105,3 @@ def test_the_motion_between_two_moments_meets_both_and_has_its_derivatives_as_tw
     turned = found.rotation[2:] @ found.rotation[:-2].swapaxes(2, 3)
     spin = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(n - 1, 2, 3) / (2 * h)
     assert found.twist[1:-1, :, :3] == pytest.approx(spin, abs=1e-3)
-
-
-def test_soil_on_bodies_that_are_not_there_is_refused():
-    plate = Plates(np.array([1]), np.zeros((1, 3)), np.eye(3)[None], np.full((1, 3), 0.1))
-    pile = Pile(np.full(1, EDGE), np.full(1, MASS), Law(1e4, 0.5), np.zeros(3), plates=plate)
-    heap = pile.start([[1.0, 0, 0]], motion=still(2))
-    with pytest.raises(MechanicsError, match='soil "s": a plate is on body 1, but 1 are named'):
-        Soil("s", ["world"], pile, heap)
-    with pytest.raises(MechanicsError, match="least 0"):
-        Soil("s", ["world", "a"], pile, heap, least=0)
-    m = Mechanism()
-    m.body("a", 1.0, inertia=1.0)
-    m.add(Soil("s", ["world", "b"], pile, heap))
-    with pytest.raises(MechanicsError, match='soil "s": there is no body "b"'):
-        m.build()
