@@ -1,4 +1,4 @@
-"""Verdicts, and judgements by hand."""
+"""Verdicts word for word; judgements by hand."""
 
 from dataclasses import replace
 from threading import current_thread, main_thread
@@ -15,18 +15,33 @@ from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import ALL_PAIRS, Status, judge, judge_of, rebuilt, rejected, verdict
 from protochain.validation.findings import remains
 
-STATUSES = {Stop.BUDGET: "budget", Stop.NON_FINITE: "non-finite", Stop.INTERRUPTED: "interrupted"}
-"""Of the endings that are not called stalled where the tolerance is not met."""
+MESSAGES = {
+    Stop.TOLERANCE: ("stalled", "stalled: the tolerance was met only above the lowest energy: so far"),
+    Stop.NO_DESCENT: ("stalled", "stalled: no step lowers the energy any further: so far"),
+    Stop.CIRCLING: ("stalled", "stalled: the energy has found no new low for a long time: so far"),
+    Stop.BUDGET: ("budget", "budget: 7 evaluations used: so far"),
+    Stop.NON_FINITE: (
+        "non-finite",
+        "non-finite: the energy or a torque is not a number; the last structure before it is kept: so far",
+    ),
+    Stop.STRAINED: (
+        "stalled",
+        "stalled: bonds, angles and contacts are strained beyond what turning bonds can relieve without "
+        "unfolding the chain; relax moves all atoms and keeps the fold: so far",
+    ),
+    Stop.SADDLE: ("stalled", "stalled: the energy falls on both sides of where the torques vanish: so far"),
+    Stop.INTERRUPTED: ("interrupted", "interrupted after 7 evaluations: so far"),
+}
 
 
 @pytest.mark.parametrize("stop", Stop)
 def test_a_verdict_is_of_the_reason_and_of_what_the_judge_measured(stop):
     s = load("ala10.pdb")
-    status, message = verdict(stop, False, "so far", s, s.positions, 7)
-    assert status == STATUSES.get(stop, "stalled") and "so far" in message
-    assert ("7 evaluations" in message) == (stop in (Stop.BUDGET, Stop.INTERRUPTED))
-    met = Status.SADDLE if stop is Stop.SADDLE else Status.CONVERGED
-    assert verdict(stop, True, "so far", s, s.positions, 7)[0] == met
+    assert verdict(stop, False, "so far", s, s.positions, 7) == MESSAGES[stop]
+    met = (Status.CONVERGED, "converged: so far")
+    if stop is Stop.SADDLE:
+        met = (Status.SADDLE, "saddle: the energy falls on both sides of where the torques vanish: so far")
+    assert verdict(stop, True, "so far", s, s.positions, 7) == met
 
 
 @pytest.mark.parametrize("met", [True, False])
@@ -36,9 +51,10 @@ def test_an_overlap_is_a_clash_whatever_else(stop, met):
     x = s.positions.copy()
     x[-1] = x[0] + [0.03, 0.0, 0.0]
     worst, *others = overlaps(s, x)
-    status, message = verdict(stop, met, "so far", s, x, 7)
-    assert others and status == ("interrupted" if stop is Stop.INTERRUPTED else "clash")
-    assert status == "interrupted" or (str(worst) in message and f"{len(others)} more" in message)
+    expected = "clash", f"clash: {worst}, and {len(others)} more; so far"
+    assert others
+    interrupted = MESSAGES[Stop.INTERRUPTED]
+    assert verdict(stop, met, "so far", s, x, 7) == (interrupted if stop is Stop.INTERRUPTED else expected)
 
 
 def test_a_judgement_is_of_the_reference_with_restraints_in_the_residuals_only():
