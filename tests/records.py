@@ -327,16 +327,14 @@ def _of_frames(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def same(column: str, old: str, new: str) -> bool:
-    """Whether the words of two cells are equal: numbers within tolerance, all else exactly."""
+    """Whether the words of two cells are equal: numbers within tolerance, counts and all else exactly."""
     before, after = old.split(), new.split()
     return len(before) == len(after) and all(map(lambda a, b: _same(column, a, b), before, after))
 
 
 def _same(column: str, old: str, new: str) -> bool:
-    if old == new:
-        return True
-    if old.lstrip("-").isdigit() and new.lstrip("-").isdigit():
-        return False  # Counts are exact.
+    if old == new or (old.isdigit() and new.isdigit()):  # Counts are exact.
+        return old == new
     try:
         a, b = float(old), float(new)
     except ValueError:

@@ -123,7 +123,7 @@ def _changes(reference: Path | None, result: "Validation") -> "Differences":
 
 
 def _row(result: "Validation", between: "Differences | None") -> dict[str, Any]:
-    """What JSON has of a structure, and in what a table cannot hold."""
+    """What JSON has of a structure; the lists in it are not in its table."""
     row = {
         **result.record(), "added": result.added, "findings": result.listing(), "message": "",
         "ligands": [each.record() for each in result.ligands],
