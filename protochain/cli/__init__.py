@@ -96,7 +96,7 @@ def about(
 
 def as_said(error: ProtochainError) -> str:
     """Message of an error in the words of the command line, where some command has the option."""
-    commands = get_command(app).commands.values()  # type: ignore[attr-defined]  # a group
+    commands = map(_command, _COMMANDS)
     named = {param.name for each in commands for param in each.params if isinstance(param, TyperOption)}
     known = {*named, *(name for name, option in RENAMED.items() if option in named)}
     return error.told(

@@ -188,7 +188,7 @@ def test_many_starts_are_explored(options, spread, asked, tmp_path, monkeypatch,
     [
         *((("--starts", 2, f"--{name}", "c.dcd"), name) for name in ("checkpoint", "resume", "trajectory")),
         *((("--model", "1-3", f"--{name}", "c.html"), name) for name in ("trace", "checkpoint", "report")),
-        (("--hop", 300), "n_starts"), (("--hop", 0), "n_starts"), (("--trajectory", "t.avi"), "t.avi"),
+        (("--trajectory", "t.avi"), "t.avi"),
         (("-o", "a.xyz"), "a.xyz"), (("-o", "t.pdb", "--trace", "t.pdb"), "t.pdb"),
         (("-o", "in.pdb"), "in.pdb"),
         (("--method", "odd"), "cartesian"), (("--tolerance", -1), "tolerance -1"),

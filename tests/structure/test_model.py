@@ -13,7 +13,7 @@ import protochain as pc
 from protochain.structure import build as build_module
 from protochain.structure.draft import Draft, Member, Part, atom
 from protochain.structure.model import Tie, at_positions
-from protochain.structure.prepare import _bonds, _indices, _refuse_coincident, _remoteness, user_files
+from protochain.structure.prepare import _bonds, _indices, _refuse_coincident, user_files
 from protochain.structure.select import select
 from protochain.structure.sites import Link
 from protochain.structure.superpose import ca_rmsd, motion, rmsd, rmsd_angstrom, superpose
@@ -244,9 +244,6 @@ def test_bonds_are_of_templates_chains_rings_strands_and_disulfides():
     ]  # fmt: skip
     parts[0].cyclic = True
     assert [0, 4] in _bonds(Draft("x", "x", parts), done, [], [], at).tolist()
-    outward = [("CB", "CA"), ("CB", "CG"), ("CG", "CD1"), ("CA", "N"), ("CA", "C")]
-    assert sorted(outward, key=_remoteness) == outward
-    assert [_remoteness(("CA", f"C{letter}")) for letter in "ABGDEZH"] == list(range(7))
 
 
 def test_bonded_atoms_in_one_place_are_named():
