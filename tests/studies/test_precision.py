@@ -13,6 +13,7 @@ from scipy.special import i0
 
 import protochain as pc
 from bench.__main__ import main
+from bench.cases import CURVES, Point
 from bench.studies import precision
 from bench.studies.precision import (
     closures,
@@ -94,13 +95,13 @@ def test_lists_have_their_margin_back():
         raise ZeroDivisionError
     assert usual == neighbours.SKIN
     points = list(energies._margins("GAGAG", (0.02, 0.2)))
-    assert {point.parameter for point in points} == {"margin 0.02 nm", "margin 0.2 nm"}
+    assert {point.setting for point in points} == {"margin 0.02 nm", "margin 0.2 nm"}
     assert max(point.error for point in points) < 1e-9
 
 
 def test_cutoffs_err_less_the_longer_they_are_and_not_at_all_against_the_same():
     table = curves.points_of("e", energies._cutoffs("GAGAGAG", "vacuum", (0.8, 1.5)))
-    own = table[table["method"] == "native"].set_index(["case", "parameter"])["error"]
+    own = table[table["method"] == "native"].set_index(["case", "setting"])["error"]
     every, same = own["vacuum, against all pairs"], own["vacuum, against the same cutoff"]
     assert every["0.8 nm"] > every["1.5 nm"] > 1e-3 > 1e-9 > every["all pairs"]
     assert (same < 1e-9).all()
@@ -204,18 +205,18 @@ def test_minimisers_are_points_of_the_same_table():
 def test_a_sentence_and_a_page_say_what_the_numbers_are(tmp_path, monkeypatch):
     evil = "<b>x</b>"
     points = [
-        curves.Point(evil, "slow", "h", 1e-9, "rad", "theory", 2.0, 40, 5),
-        curves.Point(evil, "fast", "2 h", 3e-4, "rad", "theory", 0.5, 1, 5),
-        curves.Point(evil, "none", "", np.nan, "rad", "theory", np.nan, np.nan, 5),
-        curves.Point("sizes", "a", "small", 0.1, "1", "theory", 0.1, np.nan, 2),
-        curves.Point("sizes", "a", "large", 0.2, "1", "theory", 0.2, np.nan, 9),
+        Point("slow", "h", 2.0, 1e-9, evil, "rad", "theory", 40, 5),
+        Point("fast", "2 h", 0.5, 3e-4, evil, "rad", "theory", 1, 5),
+        Point("none", "", np.nan, np.nan, evil, "rad", "theory", np.nan, 5),
+        Point("a", "small", 0.1, 0.1, "sizes", "1", "theory", np.nan, 2),
+        Point("a", "large", 0.2, 0.2, "sizes", "1", "theory", np.nan, 9),
     ]
     kind = curves.Kind("A kind", "What is measured.", lambda quick: points if quick else [])
     monkeypatch.setattr(precision, "KINDS", {"own": kind})
     (shown,) = precision.run(tmp_path, quick=True, only=["own"])
     assert len(shown) == 5
     table = pd.read_csv(tmp_path / "curves.csv")
-    assert list(table.columns) == ["kind", *curves.Point.__annotations__]
+    assert list(table.columns) == ["kind", *CURVES]
     assert table["kind"].unique().tolist() == ["own"]
     assert (tmp_path / "own.png").stat().st_size > 10_000
     said = curves.said(table)
@@ -226,7 +227,7 @@ def test_a_sentence_and_a_page_say_what_the_numbers_are(tmp_path, monkeypatch):
     )
     assert said[1].startswith("sizes, the largest: of 1 setting of 1 method, a (large) comes closest")
     page = (tmp_path / "report.html").read_text()
-    assert evil not in page and html.escape(said[0]) in page and page.count("<details>") == 1
+    assert evil not in page and html.escape(said[0]) in page and page.count("<details") == 1
     for name in ("machine", "threads", "versions", "commit"):
         assert f"<dt>{name}</dt><dd>" in page
     assert f"numba {__import__('numba').__version__}" in page and "data:image/png" in page
@@ -249,4 +250,4 @@ def test_all_kinds_are_on_the_page_of_a_quick_run(tmp_path):
     } <= {path.name for path in tmp_path.iterdir()}  # fmt: skip
     page = (tmp_path / "report.html").read_text()
     assert page.count("data:image/png") == len(precision.KINDS) and "gave no finite error" not in page
-    assert table.groupby("kind")["held_against"].nunique().min() >= 1
+    assert table.groupby("kind")["source"].nunique().min() >= 1

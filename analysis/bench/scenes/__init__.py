@@ -9,11 +9,11 @@ from importlib import import_module
 
 from threadpoolctl import threadpool_limits
 
-from bench.cases import Check, Extreme, LeftOut, Scene, plot_work
+from bench.cases import Found, Point, Scene, plot_work
 from bench.discovery import modules
 from protochain.core.errors import ProtochainError
 
-__all__ = ["SCENES", "Check", "Extreme", "LeftOut", "Scene", "plot_work", "run"]
+__all__ = ["SCENES", "Found", "Point", "Scene", "plot_work", "run"]
 
 SCENES = modules(__path__)
 """One line on each, by name; their modules are imported on use."""
