@@ -21,7 +21,7 @@ import pandas as pd
 from scipy.linalg import eigh
 from scipy.special import jn_zeros
 
-from bench.cases import CURVES, Found, Point, Scene, check, left_out, table, vanishes
+from bench.cases import Found, Point, Scene, check, left_out, vanishes
 from bench.cost import timed
 from bench.fits import exponent
 from bench.studies.precision import solvers as precise
@@ -85,10 +85,7 @@ def run(quick: bool = False) -> Scene:
         "serial", "serial chains of revolute hinges: x = M^-1 tau",
         tuple(_checks(10 if quick else 20, determinants)), _work(points), tuple(_extremes(quick)),
         tuple(_left_out(100 if quick else 1000)),
-        {
-            "points": table(points, CURVES), "lengths": lengths, "exponents": _exponents(lengths),
-            "determinants": determinants,
-        },
+        {"lengths": lengths, "exponents": _exponents(lengths), "determinants": determinants},
         "relative error of x",
     )  # fmt: skip
 

@@ -10,17 +10,7 @@ from scipy.integrate import simpson, trapezoid
 from bench.cases import Found, check, vanishes
 from bench.scenes.backhoe import oracle
 from bench.scenes.backhoe.cycle import Worked, soil_table, working
-from bench.scenes.backhoe.machine import (
-    ARM,
-    DESIGNS,
-    LOWER,
-    Design,
-    G,
-    Path,
-    hold,
-    posture,
-    vehicle,
-)  # fmt: skip
+from bench.scenes.backhoe.machine import ARM, DESIGNS, LOWER, Design, G, Path, hold, posture, vehicle
 from bench.scenes.backhoe.stability import inside_by, loads, traced
 from bench.scenes.backhoe.track import ROLLING, TEETH, crawler
 from protochain.core.arrays import Floats

@@ -14,18 +14,7 @@ from bench.cases import Found, Scene, check, left_out, vanishes
 from bench.fits import exponent
 from bench.scenes.bucket import joints, trials
 from bench.scenes.bucket.backhoe import backhoe, motion_of
-from bench.scenes.bucket.dig import (
-    NARROW,
-    SIDE,
-    WIDE,
-    Dug,
-    Settled,
-    Site,
-    away,
-    dig,
-    settle,
-    soil,
-)  # fmt: skip
+from bench.scenes.bucket.dig import NARROW, SIDE, WIDE, Dug, Settled, Site, away, dig, settle, soil
 from bench.soil.parts import Motion, Sleep
 from protochain.core.arrays import Floats
 

@@ -12,18 +12,7 @@ from bench.scenes.helicopter import landing, resonance
 from bench.scenes.helicopter.checks import LINEAR, RIGID, THIN, exactly, frequencies_about
 from bench.scenes.helicopter.ground import take_off
 from bench.scenes.helicopter.legs import Legs
-from bench.scenes.helicopter.parts import (
-    BLADE,
-    FLAP,
-    GRAVITY,
-    LAG,
-    LEGS,
-    RATE,
-    WEIGHT,
-    Given,
-    build,
-    settled,
-)  # fmt: skip
+from bench.scenes.helicopter.parts import BLADE, FLAP, GRAVITY, LAG, LEGS, RATE, WEIGHT, Given, build, settled
 from bench.scenes.helicopter.safety import landed
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault

@@ -7,13 +7,7 @@ import numpy as np
 
 from bench.cases import Point
 from bench.studies.precision.peptides import Peptide, peptide
-from protochain.dynamics import (
-    DormandPrince,
-    ImplicitMidpoint,
-    Leapfrog,
-    RungeKutta4,
-    StepTooLargeError,
-)  # fmt: skip
+from protochain.dynamics import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4, StepTooLargeError
 from protochain.mechanics.motion.lobatto import drift as lobatto_drift
 from protochain.mechanics.motion.system import Integrator
 
