@@ -1,13 +1,12 @@
 """What calls cost: seconds, taken in turn."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
 from time import perf_counter, process_time
 from typing import Any, TypeVar
 
-import pandas as pd
 from threadpoolctl import threadpool_limits
 
 _Result = TypeVar("_Result")
@@ -84,12 +83,3 @@ def cpu_seconds() -> float:
     """CPU time of this process and of those that it has waited for."""
     spent = os.times()
     return process_time() + spent.children_user + spent.children_system
-
-
-Work = tuple[str, str, float, float]
-"""Point of error against run time: method (a line of the picture), setting, processor seconds, error."""
-
-
-def work_table(rows: Iterable[Work]) -> pd.DataFrame:
-    """Points of error against run time as the table of a scene."""
-    return pd.DataFrame(list(rows), columns=["method", "setting", "seconds", "error"])

@@ -1,8 +1,12 @@
 """Scenes and studies are found by their files: a new one is a module, and no line anywhere else."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
+from typing import Any
+
+from protochain.core.errors import ProtochainError
 
 
 def modules(folders: Iterable[str]) -> dict[str, str]:
@@ -13,6 +17,13 @@ def modules(folders: Iterable[str]) -> dict[str, str]:
         for _, name, is_package in iter_modules([folder])
         if "_" not in name
     }
+
+
+def module(kind: str, known: Mapping[str, str], name: str) -> Any:
+    """Module of a scene or study; ProtochainError, which lists all, if none has this name."""
+    if name not in known:
+        raise ProtochainError(f"there is no {kind} {name!r}; choose from {', '.join(known)}")
+    return import_module(f"bench.{'scenes' if kind == 'scene' else 'studies'}.{name}")
 
 
 def _first_line(path: Path) -> str:

@@ -24,7 +24,7 @@ TABLES = ("checks", "work", "left_out")
 def row(scene: Scene, seconds: float) -> dict[str, Any]:
     """How a scene ended."""
     nearest = max(scene.checks, key=lambda check: check.error / check.bound if check.bound else 0.0)
-    outcomes = Counter(each.outcome for each in scene.extremes)
+    outcomes = Counter(each.verdict for each in scene.extremes)
     return {
         "scene": scene.name, "title": scene.title, "seconds": round(seconds, 1), "checks": len(scene.checks),
         "nearest": nearest.name, "error": nearest.error, "bound": nearest.bound,

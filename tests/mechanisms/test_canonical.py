@@ -76,7 +76,7 @@ def test_what_has_no_momenta_is_refused():
 def test_the_scene_is_right():
     found = run("canonical", quick=True)
     assert found.wrong == () and len(found.checks) == 8
-    assert [each.name for each in found.extremes if each.outcome == "refused"] == ["a driven hinge"]
+    assert [each.name for each in found.extremes if each.verdict == "refused"] == ["a driven hinge"]
     assert {"accelerations", "momenta, articulated", "momenta, blocks", "momenta, dense"} == set(
         found.work["method"]
     )

@@ -28,7 +28,7 @@ DOWN = np.array([0.0, 0.0, -10.0])
 def test_a_backhoe_is_right():
     found = run("backhoe", quick=True)
     assert found.wrong == () and len(found.checks) == 14
-    assert {each.outcome for each in found.extremes} == {"right", "refused"} and len(found.extremes) == 11
+    assert {each.verdict for each in found.extremes} == {"right", "refused"} and len(found.extremes) == 11
     assert all(each.ratio > 1.0 for each in found.left_out)
     assert found.tables["designs"]["least_angle_deg"].item() > 0.0
 

@@ -11,7 +11,7 @@ from bench.scenes.bucket.backhoe import EDGE, backhoe, reach
 def test_a_bucket_in_soil_is_right():
     found = run("bucket", quick=True)
     assert found.wrong == () and len(found.checks) == 9
-    outcomes = {each.outcome for each in found.extremes}
+    outcomes = {each.verdict for each in found.extremes}
     assert outcomes == {"right", "refused"} and len(found.extremes) == 17
     soil = found.tables["soil"]
     assert soil["work"].iloc[-1] > 0.0 and np.all(np.diff(soil["dissipated"]) >= 0.0)

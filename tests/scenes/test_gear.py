@@ -127,7 +127,7 @@ def scene():
 def test_the_scene_is_right(scene):
     assert scene.wrong == ()
     assert len(scene.checks) >= 14
-    assert {each.outcome for each in scene.extremes} == {"right", "refused"}
+    assert {each.verdict for each in scene.extremes} == {"right", "refused"}
 
 
 def test_teeth_on_springs_give_way_more_than_rigid_ones(scene):

@@ -22,7 +22,7 @@ def test_a_gun_is_right(scene):
     assert scene.wrong == () and len(scene.left_out) == 2
     names = [each.name for each in scene.checks]
     assert len(set(names)) == len(names) > 30
-    refused = {each.name for each in scene.extremes if each.outcome == "refused"}
+    refused = {each.name for each in scene.extremes if each.verdict == "refused"}
     assert refused == {"tube 1e6 times as stiff, explicit steps", *(name for name, *_ in REFUSED)}
     assert set(scene.tables) == {"isolation", "claim", "search", "flexible", "decks", "cells", "bursts"}
     assert set(scene.work["method"]) == {"Kutta", "Dormand-Prince", "midpoint", "Rosenbrock"}

@@ -149,7 +149,7 @@ def test_in_some_modes_energy_and_work_balance_and_the_rest_is_held():
 def test_a_helicopter_is_right():
     found = run("helicopter", quick=True)
     assert found.wrong == () and len(found.checks) == 41
-    outcomes = {each.name: each.outcome for each in found.extremes}
+    outcomes = {each.name: each.verdict for each in found.extremes}
     assert {name for name, outcome in outcomes.items() if outcome == "refused"} == {
         "EI times 1e6, explicit",
         "blade struck by 20 kN s at touchdown",

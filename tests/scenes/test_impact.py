@@ -18,7 +18,7 @@ def scene():
 
 def test_impacts_are_right(scene):
     assert scene.wrong == ()
-    assert sum(each.outcome == "refused" for each in scene.extremes) == 4
+    assert sum(each.verdict == "refused" for each in scene.extremes) == 4
     names = [each.name for each in scene.checks]
     assert len(set(names)) == len(names) > 25
     assert set(scene.tables) == {"gains", "bounces", "paths", "cradles"}

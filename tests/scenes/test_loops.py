@@ -9,7 +9,7 @@ from bench.scenes.loops import by_lagrange, period
 def test_loops_are_right():
     found = run("loops", quick=True)
     assert found.wrong == ()
-    assert {each.outcome for each in found.extremes} == {"right", "refused"}
+    assert {each.verdict for each in found.extremes} == {"right", "refused"}
     assert len(found.tables["costs"]) == 3
 
 

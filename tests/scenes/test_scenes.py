@@ -15,17 +15,39 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import bench.scenes
 from bench.__main__ import main
-from bench.cases import check, extreme, left_out, tried, vanishes
-from bench.cost import in_turn, timed, work_table
+from bench.cases import (
+    CHECKS,
+    Found,
+    Outcome,
+    Point,
+    Scene,
+    check,
+    judged,
+    left_out,
+    plot_work,
+    table,
+    tried,
+    vanishes,
+)
+from bench.cost import in_turn, timed
 from bench.discovery import modules
 from bench.fits import exponent, extrapolated, order
-from bench.scenes import SCENES, Check, Extreme, LeftOut, Scene, plot_work, run, serial
+from bench.scenes import SCENES, run, serial
 from bench.scenes.beam.extremes import REFUSED
 from protochain.core.errors import Argument, Fault, MechanicsError, ProtochainError
+from protochain.mechanics.multibody import kinetic_energy, pose
+
+
+def ended(name, outcome):
+    return Found(name=name, outcome=Outcome(outcome))
+
+
+def less(name, ratio, error, bound):
+    return Found(error, bound, name=name, seconds=1.0, whole=ratio)
 
 
 def some(checks=(), extremes=(), left=()):
-    work = work_table([("a", "h", 0.1, 1e-3), ("a", "h/2", 0.2, 1e-4)])
+    work = [Point("a", "h", 0.1, 1e-3), Point("a", "h/2", 0.2, 1e-4)]
     return Scene("some", "a scene", checks, work, extremes, left, {"trace": pd.DataFrame({"t": [0.0, 1.0]})})
 
 
@@ -49,17 +71,21 @@ def test_an_extreme_is_right_refused_as_expected_or_wrong():
     def of(value):
         return lambda: check("k", value, 1.0, 0.1, "one")
 
-    assert extreme("e", of(1.05)) == Extreme("e", "right", "relative error 0.05, bound 0.1: one")
-    assert extreme("e", of(1.2)).outcome == "wrong"
-    assert extreme("e", lambda: of(np.float64(1.0) / np.zeros(1)[0])()).outcome == "wrong"
+    right = judged("e", of(1.05))
+    assert (right.name, right.verdict, right.right) == ("e", "right", True) and right.seconds >= 0.0
+    assert right.detail == "relative error 0.05, bound 0.1: one"
+    assert judged("e", of(1.2)).verdict == "wrong"
+    assert judged("e", lambda: of(np.float64(1.0) / np.zeros(1)[0])()).verdict == "wrong"
     for expected in (Fault.STEP, Argument("step")):
-        assert extreme("e", refuses(" 2 s"), expected) == Extreme("e", "refused", "step 2 s")
+        refused = judged("e", refuses(" 2 s"), expected)
+        assert refused.verdict == "refused" and refused.right and refused.detail == "step 2 s"
     for expected in (None, Fault.NO_INERTIA, Argument("steps")):
-        assert extreme("e", refuses(" 2 s"), expected).outcome == "wrong"
-    assert extreme("e", refuses(" 2 s\nreally"), Fault.STEP).outcome == "wrong"
-    assert extreme("e", of(1.0), Fault.STEP).outcome == "wrong"
-    broken = extreme("e", lambda: {}["k"], Fault.STEP)
-    assert broken.outcome == "wrong" and broken.detail == "KeyError: 'k'"
+        assert judged("e", refuses(" 2 s"), expected).verdict == "wrong"
+    assert judged("e", refuses(" 2 s\nreally"), Fault.STEP).verdict == "wrong"
+    answered = judged("e", of(1.0), Fault.STEP)
+    assert answered.verdict == "wrong" and answered.error == 0.0
+    broken = judged("e", lambda: {}["k"], Fault.STEP)
+    assert broken.verdict == "wrong" and broken.detail == "KeyError: 'k'"
 
 
 def test_what_is_left_out_must_leave_the_answer():
@@ -69,11 +95,11 @@ def test_what_is_left_out_must_leave_the_answer():
         return np.array([1.0, 2.0])
 
     found = left_out("the rest", slow, lambda: np.array([1.0, 2.0 + 1e-6]), 1e-6, repeats=2)
-    assert found.right and found.difference == pytest.approx(5e-7, rel=1e-6)
+    assert found.right and found.error == pytest.approx(5e-7, rel=1e-6)
     assert not left_out("the rest", slow, lambda: np.array([1.0, 2.1]), 1e-6, 1).right
     assert not left_out("the rest", slow, lambda: np.array([1.0, np.nan]), np.inf, 1).right
     assert not left_out("the rest", slow, lambda: 1.0, 1e-6, 1).right
-    assert left_out("the rest", lambda: 0.0, lambda: 0.0, 0.0, 1).difference == 0.0
+    assert left_out("the rest", lambda: 0.0, lambda: 0.0, 0.0, 1).error == 0.0
 
 
 def test_the_least_time_and_the_exponent_of_a_line():
@@ -103,8 +129,8 @@ def test_a_scene_names_what_is_wrong_and_has_a_table_for_each_file():
     good, bad = check("good", 1.0, 1.0, 0.1, "one"), check("bad", 2.0, 1.0, 0.1, "one")
     of = some(
         (good, bad),
-        (Extreme("odd", "refused", "no"), Extreme("worse", "wrong", "nan")),
-        (LeftOut("all", 2.0, 0.0, 0.0), LeftOut("too much", 9.0, 1.0, 0.5)),
+        (ended("odd", "refused"), ended("worse", "wrong")),
+        (less("all", 2.0, 0.0, 0.0), less("too much", 9.0, 1.0, 0.5)),
     )
     assert of.wrong == ("bad", "worse", "too much")
     frames = of.frames()
@@ -112,21 +138,19 @@ def test_a_scene_names_what_is_wrong_and_has_a_table_for_each_file():
     assert frames["checks"]["verdict"].tolist() == ["right", "wrong"]
     assert frames["left_out"]["verdict"].tolist() == ["right", "wrong"]
     assert frames["extremes"]["outcome"].tolist() == ["refused", "wrong"]
-    assert some().wrong == () and list(some().frames()["checks"].columns) == [
-        *Check.__annotations__,
-        "verdict",
-    ]
+    assert some().wrong == () and tuple(some().frames()["checks"].columns) == CHECKS
 
 
 def test_a_point_of_work_has_its_error_and_what_is_refused_an_infinite_one():
     def refuses():
         raise MechanicsError("too long")
 
-    method, setting, seconds, error = tried("a", "h", lambda: 2.0, lambda found: found - 1.5)
-    assert (method, setting, error) == ("a", "h", 0.5) and 0.0 <= seconds < np.inf
-    _, _, seconds, error = tried("a", "h", refuses, float)
-    assert np.isnan(seconds) and error == np.inf
-    assert vanishes("k", -1e-3, 1e-2, "one") == Check("k", -1e-3, 0.0, 1e-3, 1e-2, "one", "absolute")
+    point = tried("a", "h", lambda: 2.0, lambda found: found - 1.5)
+    assert (point.method, point.setting, point.error) == ("a", "h", 0.5) and 0.0 <= point.seconds < np.inf
+    refused = tried("a", "h", refuses, float)
+    assert np.isnan(refused.seconds) and refused.error == np.inf
+    (row,) = table([vanishes("k", -1e-3, 1e-2, "one")], CHECKS).to_numpy().tolist()
+    assert row == ["k", -1e-3, 0.0, 1e-3, 1e-2, "one", "absolute", "right"]
 
 
 @pytest.fixture
@@ -155,8 +179,8 @@ def test_every_scene_is_found_with_its_line(tmp_path):
 
 def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeypatch):
     asked = []
-    left = (LeftOut("half of it", 2.0, 0.0, 0.0),)
-    found = some((check("k", 1.0, 1.0, 0.1, "one"),), (Extreme("odd", "refused", "no"),), left)
+    left = (less("half of it", 2.0, 0.0, 0.0),)
+    found = some((check("k", 1.0, 1.0, 0.1, "one"),), (ended("odd", "refused"),), left)
     scenes(some=lambda quick: asked.append(quick) or found)
     monkeypatch.chdir(tmp_path)
     assert main(["some"]) == 0 and main(["some", "--quick", "-o", "there"]) == 0
@@ -167,6 +191,8 @@ def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeyp
         assert pd.read_csv(folder / "checks.csv")["verdict"].tolist() == ["right"]
         assert pd.read_csv(folder / "work.csv")["error"].tolist() == [1e-3, 1e-4]
         assert (folder / "work.png").stat().st_size > 5000
+        page = (folder / "report.html").read_text()
+        assert page.count("data:image/png") == 1 and "half of it" in page and '<td class="refused">' in page
         record = json.loads((folder / "made.json").read_text())
         assert set(record) == {"machine", "threads", "versions", "commit"} and "numba" in record["versions"]
     out = capsys.readouterr().out
@@ -177,14 +203,22 @@ def test_the_command_writes_what_a_scene_finds(scenes, tmp_path, capsys, monkeyp
     "parts",
     [
         ((check("odd one", np.nan, 1.0, 0.1, "one"),),),
-        ((), (Extreme("odd one", "wrong", "no"),)),
-        ((), (), (LeftOut("odd one", 2.0, 1.0, 0.1),)),
+        ((), (ended("odd one", "wrong"),)),
+        ((), (), (less("odd one", 2.0, 1.0, 0.1),)),
     ],
 )
 def test_what_is_wrong_fails_the_command(parts, scenes, tmp_path, capsys):
     scenes(some=lambda quick: some(*parts))
     assert main(["some", "--quick", "-o", str(tmp_path)]) == 1
     assert "odd one" in capsys.readouterr().err
+
+
+def test_many_extremes_are_counted_and_the_wrong_ones_listed(scenes, tmp_path, capsys):
+    many = tuple(ended(f"case {k}", "wrong" if k == 33 else "right") for k in range(40))
+    scenes(some=lambda quick: some(extremes=many))
+    assert main(["some", "-o", str(tmp_path)]) == 1
+    out = capsys.readouterr().out
+    assert "40 extremes" in out and "case 33" in out and "case 32" not in out
 
 
 def test_an_unknown_scene_is_refused():
@@ -194,12 +228,12 @@ def test_an_unknown_scene_is_refused():
 
 def test_a_picture_has_a_line_for_each_method_with_its_finite_errors():
     rows = [("a", "1", 0.1, 1e-3), ("a", "2", 0.2, np.inf), ("a", "3", 0.4, 0.0), ("b", "1", 0.1, 1e-2)]
-    of = Scene("some", "a scene", (), work_table(rows), error_of="error, rad")
+    of = Scene("some", "a scene", (), [Point(*row) for row in rows], error_of="error, rad")
     (ax,) = plot_work(of).axes
     assert [line.get_label() for line in ax.lines] == ["a", "b"]
     np.testing.assert_array_equal(ax.lines[0].get_xydata(), [[0.1, 1e-3], [0.4, 1e-17]])
     assert (ax.get_xscale(), ax.get_yscale(), ax.get_ylabel()) == ("log", "log", "error, rad")
-    assert plot_work(Scene("some", "none", (), work_table([]))).axes[0].lines[:] == []
+    assert plot_work(Scene("some", "none", (), ())).axes[0].lines[:] == []
 
 
 def test_commands_for_proteins_load_no_scene(tmp_path):
@@ -225,12 +259,22 @@ def test_scenes_load_nothing_of_proteins():
     assert not loaded & {"openmm", "gemmi", "MDAnalysis", "protochain.structure", "protochain.chain"}
 
 
+def test_rods_have_the_kinetic_energy_and_weight_of_rods():
+    tree, rate = serial.rods(3, 1.5, 6.0), np.array([2.0, 0.0, 0.0])
+    straight = pose(tree, np.array([0.3, 0.0, 0.0]))
+    # One rod of 1.5 m and 6 kg about its end.
+    assert kinetic_energy(tree, straight, rate) == pytest.approx(0.5 * 6.0 * 1.5**2 / 3.0 * 4.0, rel=1e-14)
+    energy, torque = serial.weight(tree, straight)
+    assert energy == pytest.approx(6.0 * 9.81 * 0.75 * np.sin(0.3), rel=1e-14)
+    assert torque[0] == pytest.approx(-6.0 * 9.81 * 0.75 * np.cos(0.3), rel=1e-14)
+
+
 def test_serial_chains_are_right():
     found = run("serial", quick=True)
     assert found.wrong == () and len(found.checks) == 10
     names = {each.name.partition(":")[0] for each in found.extremes}
     assert names == set(serial.SERIAL)
-    assert {each.outcome for each in found.extremes} == {"right", "refused"}
+    assert {each.verdict for each in found.extremes} == {"right", "refused"}
     assert {"articulated", "Fixman", "dense Cholesky", "conjugate gradients"} <= set(found.work["method"])
     assert found.work["setting"].str.len().min() > 0 and np.isfinite(found.work["error"]).all()
     assert len(found.left_out) == 2
@@ -239,7 +283,7 @@ def test_serial_chains_are_right():
 def test_a_beam_is_right():
     found = run("beam", quick=True)
     assert found.wrong == () and len(found.checks) == 33
-    outcomes = {each.name: each.outcome for each in found.extremes}
+    outcomes = {each.name: each.verdict for each in found.extremes}
     assert {name for name, outcome in outcomes.items() if outcome == "refused"} == {
         "steps three times too long", *(name for name, *_ in REFUSED)
     }  # fmt: skip
@@ -249,7 +293,7 @@ def test_a_beam_is_right():
 def test_a_manipulator_is_right():
     found = run("manipulator", quick=True)
     assert found.wrong == () and len(found.checks) == 8
-    refused = [each.name for each in found.extremes if each.outcome == "refused"]
+    refused = [each.name for each in found.extremes if each.verdict == "refused"]
     assert len(refused) == 2 and "explicit steps of 1.1 of" in refused[0]
     assert refused[1] == "steps three times too long for Kutta's method"
     assert {"cells", "rigid_ends", "motion", "dampers"} == set(found.tables)

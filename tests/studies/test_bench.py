@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 
-from bench import cases, cost, scenes, studies
+from bench import cases, scenes, studies
 from bench.__main__ import main
 
 
@@ -22,8 +22,8 @@ def ran(monkeypatch):
 
     for name in ("one", "two"):
         module("studies", name, [pd.DataFrame({"a": [1], "b": ["x"]})])
-    bad = cases.Extreme("odd", cases.Outcome.WRONG, "so")
-    module("scenes", "three", cases.Scene("three", "a scene", (), cost.work_table([]), (bad,)))
+    bad = cases.Found(name="odd")
+    module("scenes", "three", cases.Scene("three", "a scene", (), (), (bad,)))
     monkeypatch.setattr(studies, "STUDIES", {"one": "first", "two": "second"})
     monkeypatch.setattr(scenes, "SCENES", {"three": "third"})
     return calls

@@ -1,19 +1,28 @@
 """The studies of ``python analysis/bench``, cut short: what they measure, and what they write."""
 
+import subprocess
 import sys
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
 import pytest
+from fixtures.samples import ROOT
 from scipy.linalg import eigh
 
+import protochain as pc
 from bench import studies
 from bench.__main__ import main
+from bench.cases import Found
+from bench.studies import stability, study
 from bench.studies.precision import minimisers
 from bench.studies.precision import solvers as precise
-from bench.studies.stability import cells, dynamics, solvers
+from bench.studies.stability import cells, dynamics, mechanics, page, solvers
+from protochain.core.errors import Fault
+from protochain.core.processors import processors
 from protochain.mechanics.multibody import HingeKind, mass_matrix, pose, random_tree
+from protochain.results import provenance
 
 
 def test_precision_counts_what_it_took(tmp_path, monkeypatch):
@@ -39,6 +48,59 @@ def test_precision_counts_what_it_took(tmp_path, monkeypatch):
     assert (tmp_path / "precision.png").stat().st_size > 20_000
 
 
+def test_the_grid_counts_what_it_found(tmp_path, monkeypatch):
+    def fails(threads):
+        raise RuntimeError("out of order")
+
+    def refuses(threads):
+        raise pc.ProtochainError("give another number", fault=Fault.SHAPE)
+
+    def two_lines(threads):
+        raise pc.ProtochainError("give\nanother", fault=Fault.SHAPE)
+
+    table = (
+        cells.Case("sums", "good", lambda threads: Found(1e-16, 1e-15, "by hand")),
+        cells.Case("sums", "bad", lambda threads: Found(1e-14, 1e-15, "by hand")),
+        cells.Case("sums", "NaN", lambda threads: Found(np.nan, 1e-15, "by hand")),
+        cells.Case("sums", "raises", fails),
+        cells.Case("sums", "two lines", two_lines, refusal=Fault.SHAPE),
+        cells.Case("limits", "refuses", refuses, refusal=Fault.SHAPE),
+        cells.Case("limits", "refuses unasked", refuses),
+        cells.Case("limits", "refuses otherwise", refuses, refusal=Fault.STEP),
+        cells.Case("limits", "answers", lambda threads: Found(0, 0, ""), refusal=Fault.SHAPE),
+        cells.Case("threads", "a bit", lambda threads: Found(0.25 * threads, 1, "by hand")),
+        cells.Case("threads", "NaN both", lambda threads: Found(0, np.nan, "by hand")),
+        cells.Case("threads", "a word", lambda threads: Found(0, 1, "by hand", str(threads))),
+        cells.case("threads", "has none", lambda: Found(0, 1, "by hand")),
+        cells.Case("limits", "long", lambda threads: Found(0, 0, ""), cells.Part.FULL),
+    )
+    monkeypatch.setattr(mechanics, "CASES", table)
+    run = cells.ordered(cells.run_cells(["mechanics"], cells.Part.QUICK, (1, 2)))
+    verdicts = ["right", *["wrong"] * 4, "refused", *["wrong"] * 6, "right"]
+    assert run["verdict"].tolist() == verdicts
+    messages = run["message"].tolist()
+    assert messages[3] == "RuntimeError: out of order" and messages[5] == "give another number"
+    assert messages[6:8] == [
+        "refused where an answer is expected: give another number",
+        "refused, not for Fault.STEP: give another number",
+    ]
+    assert messages[8].startswith("an answer where a refusal is expected") and not messages[10]
+    assert "2 threads: right, error 0.5," in messages[9] and messages[11].startswith("not the same by")
+    assert run["threads"].tolist() == [*["1 2"] * 12, "1"]
+    monkeypatch.setattr(cells, "ROWS", ("mechanics",))
+    monkeypatch.setattr(stability, "processors", lambda: 1)
+    asked = ["stability", "--quick", "--rows", "mechanics", "-o", str(tmp_path)]
+    assert main(asked) == 1
+    assert len(pd.read_csv(tmp_path / "cells.csv")) == 13
+    text = (tmp_path / "report.html").read_text()
+    assert text.count('<td class="wrong">') == 10 and text.count('<td class="refused">') == 1
+    monkeypatch.undo()
+    with pytest.raises(pc.ProtochainError, match="give no files"):
+        next(stability.run(tmp_path, [tmp_path / "x.pdb"]))
+    with pytest.raises(pc.ProtochainError, match="no row 'springy'; choose from mechanics, springs"):
+        next(stability.run(tmp_path, rows=["springy"]))
+
+
 def test_the_whole_grid_has_an_oracle_for_each_of_its_cells():
     named = [(row, each.name, each.parameters) for row in cells.ROWS for _, each in cells.cases_of(row)]
     assert len(named) >= 300 and len(set(named)) == len(named)
@@ -49,7 +111,7 @@ def test_the_smallest_part_of_the_grid_has_no_wrong_cell(row):
     found = list(cells.run_cells([row], cells.Part.TESTED, (1, 2)))
     assert not [cell for cell in found if cell.verdict == "wrong"]
     right = [cell for cell in found if cell.verdict == "right"]
-    assert len(right) >= 2 and all(cell.oracle and cell.error <= cell.bound for cell in right)
+    assert len(right) >= 2 and all(cell.source and cell.error <= cell.bound for cell in right)
 
 
 def test_a_temperature_off_by_three_per_cent_is_noticed():
@@ -62,7 +124,7 @@ def test_a_temperature_off_by_three_per_cent_is_noticed():
         assert off.error > off.bound
     # The right mean, and another distribution: that of twice the freedoms.
     narrow = dynamics._canonical(random.gamma(60.0, size=n) / 4, 30)
-    assert narrow.error > narrow.bound and "Kolmogorov" in narrow.oracle
+    assert narrow.error > narrow.bound and "Kolmogorov" in narrow.source
     assert np.isnan(dynamics._canonical(shares[:500], 30).error)
 
 
@@ -74,6 +136,17 @@ def test_samples_that_follow_one_another_count_for_less():
     # Of an autoregression of order one.
     assert dynamics._inefficiency(x) == pytest.approx((1 + keep) / (1 - keep), rel=0.1)
     assert dynamics._inefficiency(random.normal(size=10_000)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_picture_has_a_dot_for_each_cell():
+    made = [("a", "right", 0.5, 1.0), ("a", "right", 0.0, 0.0), ("b", "refused", np.nan, np.nan)]
+    made.append(("b", "wrong", np.nan, 1.0))
+    table = pd.DataFrame(made, columns=["case", "verdict", "error", "bound"]).assign(row="mechanics")
+    (ax,) = page.picture(table).axes
+    right, refused, wrong = (np.asarray(dots.get_offsets()) for dots in ax.collections)
+    assert right.tolist() == [[0.5, 0], [page._LEAST, 0]]
+    assert refused.tolist() == [[10.0, 1]] and wrong.tolist() == [[10.0, 1]]
+    assert [text.get_text() for text in ax.texts] == ["1"]
 
 
 def test_solvers_are_timed_with_their_errors(tmp_path, monkeypatch):
@@ -98,9 +171,31 @@ def test_the_norm_and_the_error_are_those_of_the_dense_matrix():
     assert measured == pytest.approx(expected, rel=0.1)
 
 
+def test_a_study_that_is_not_there_is_named():
+    with pytest.raises(
+        pc.ProtochainError,
+        match="there is no study 'speed'; choose from kcm, omissions, precision, stability",
+    ):
+        study("speed")
+
+
 def test_a_study_is_a_module_and_its_name(tmp_path, monkeypatch, capsys):
     mine = SimpleNamespace(run=lambda output, inputs: iter([pd.DataFrame({"measured": [len(inputs)]})]))
     monkeypatch.setitem(sys.modules, "bench.studies.mine", mine)
     monkeypatch.setitem(studies.STUDIES, "mine", "one's own")
     assert main(["mine", "a.pdb", "-o", str(tmp_path)]) == 0
     assert capsys.readouterr().out.split()[:2] == ["measured", "1"]
+
+
+def test_pages_say_how_they_were_made(monkeypatch):
+    said = provenance.made("2, which must agree")
+    assert list(said) == ["machine", "threads", "versions", "commit"]
+    assert said["threads"] == "2, which must agree" and f"{processors()} processors" in said["machine"]
+    assert f"numpy {np.__version__}" in said["versions"] and "protochain " in said["versions"]
+    head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+    if (ROOT / ".git").exists():
+        assert said["commit"].removesuffix(" and changes") == head.stdout.strip()
+    monkeypatch.setattr(provenance.subprocess, "run", Mock(side_effect=FileNotFoundError))
+    assert provenance.made("1")["commit"] in ("unknown: git is not installed", "none: an installed package")
+    monkeypatch.setattr(provenance, "__file__", str(ROOT / "tests" / "protochain" / "lab" / "provenance.py"))
+    assert provenance.made("1")["commit"] == "none: an installed package"

@@ -22,8 +22,8 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
-from bench.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
-from bench.cost import timed, work_table
+from bench.cases import Found, Point, Scene, check, judged, left_out, tried, vanishes
+from bench.cost import timed
 from bench.fits import exponent
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault, MechanicsError
@@ -149,7 +149,7 @@ def run(quick: bool = False) -> Scene:
     )  # fmt: skip
 
 
-def _motion(until: float) -> Iterator[Check]:
+def _motion(until: float) -> Iterator[Found]:
     two = chain(2, 1)
     q, qd = started(two, 1, 3.0)
     start = np.concatenate([q, qd])
@@ -205,7 +205,7 @@ def _costs(sizes: tuple[int, ...]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["links", "route", "seconds", "error_eps"])
 
 
-def _agreement(costs: pd.DataFrame, sizes: tuple[int, ...]) -> Iterator[Check]:
+def _agreement(costs: pd.DataFrame, sizes: tuple[int, ...]) -> Iterator[Found]:
     for route in ROUTES:
         worst = float(costs.loc[costs["route"] == route, "error_eps"].max())
         name = f"rates of momenta, {route}: backward error in eps, up to {sizes[-1]} links"
@@ -216,7 +216,7 @@ def _agreement(costs: pd.DataFrame, sizes: tuple[int, ...]) -> Iterator[Check]:
         yield check("seconds, leaf to root, as a power of the links", grown, 1.0, 0.25, "O(n)", "absolute")
 
 
-def _work(until: float) -> pd.DataFrame:
+def _work(until: float) -> list[Point]:
     flexible = chain(3)
     q, qd = started(flexible)
     n = flexible.n_v
@@ -229,10 +229,10 @@ def _work(until: float) -> pd.DataFrame:
         for tolerance in (1e-4, 1e-6, 1e-8, 1e-10):
             end = partial(end_of, rates, np.concatenate([q, other]), until, tolerance)
             rows.append(tried(said, f"{tolerance:g}", end, lambda at: np.abs(at[:n] - exact).max()))
-    return work_table(rows)
+    return rows
 
 
-def _both(flexible: Flexible, until: float, bound: float, quick: float = 1.0) -> Check:
+def _both(flexible: Flexible, until: float, bound: float, quick: float = 1.0) -> Found:
     """Both forms against each other."""
     q, qd = started(flexible, quick=quick)
     n = flexible.n_v
@@ -245,7 +245,7 @@ def _both(flexible: Flexible, until: float, bound: float, quick: float = 1.0) ->
     return vanishes("q", off, bound, "accelerations against momenta")
 
 
-def _rigid(factor: float) -> Check:
+def _rigid(factor: float) -> Found:
     """Links so stiff that they are rigid, for a moment, against hinges alone."""
     off = []
     for flexible in (chain(2, 1, factor * STIFFNESS), chain(2, 0)):
@@ -255,28 +255,28 @@ def _rigid(factor: float) -> Check:
     return vanishes("angles", error, 10.0 / factor, "rigid links")
 
 
-def _driven() -> Check:
+def _driven() -> Found:
     flexible = chain(2, 1)
     held = replace(flexible, tree=replace(flexible.tree, driven=np.array([True, False])))
     rates_of(held, bend(flexible, np.zeros(4)), np.zeros(4))
     return check("rates", 1.0, 0.0, 0.0, "a refusal")
 
 
-def _extremes(quick: bool) -> Iterator[Extreme]:
-    yield extreme("EI a thousandth", partial(_both, chain(3, 2, 1e-3 * STIFFNESS), 0.1, 1e-7))
+def _extremes(quick: bool) -> Iterator[Found]:
+    yield judged("EI a thousandth", partial(_both, chain(3, 2, 1e-3 * STIFFNESS), 0.1, 1e-7))
     for factor in (1e3,) if quick else (1e3, 1e6):
-        yield extreme(f"EI times {factor:g}", partial(_rigid, factor))
-    yield extreme(
+        yield judged(f"EI times {factor:g}", partial(_rigid, factor))
+    yield judged(
         "a million times the links' mass at the end", partial(_both, chain(2, 1, tip=1e6), 0.1, 1e-6)
     )
-    yield extreme("a rate of 50 rad/s", partial(_both, chain(2, 1), 0.02, 1e-7, 50.0))
-    yield extreme("at rest", partial(_both, chain(3), 0.1, 1e-14, 0.0))
+    yield judged("a rate of 50 rad/s", partial(_both, chain(2, 1), 0.02, 1e-7, 50.0))
+    yield judged("at rest", partial(_both, chain(3), 0.1, 1e-14, 0.0))
     if not quick:
-        yield extreme("300 links", partial(_both, chain(300, 1), 0.005, 1e-7))
-    yield extreme("a driven hinge", _driven, Fault.DRIVEN)
+        yield judged("300 links", partial(_both, chain(300, 1), 0.005, 1e-7))
+    yield judged("a driven hinge", _driven, Fault.DRIVEN)
 
 
-def _left_out(n: int) -> Iterator[LeftOut]:
+def _left_out(n: int) -> Iterator[Found]:
     """Shapes out of the plane, which nothing excites."""
 
     def angles(flap: int) -> Floats:

@@ -11,8 +11,8 @@ import pandas as pd
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
 
-from bench.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
-from bench.cost import least_seconds, work_table
+from bench.cases import Found, Point, Scene, check, judged, left_out, tried, vanishes
+from bench.cost import least_seconds
 from bench.fits import exponent
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
@@ -154,12 +154,12 @@ def run(quick: bool = False) -> Scene:
     costs = _costs(sizes)
     return Scene(
         "loops", "closed loops: joints beside stiff bushings", tuple(_checks(quick)),
-        work_table(_work(quick)), tuple(_extremes()), tuple(_left_out()), {"costs": costs},
+        tuple(_work(quick)), tuple(_extremes()), tuple(_left_out()), {"costs": costs},
         "error of angles after a second, rad",
     )  # fmt: skip
 
 
-def _checks(quick: bool) -> Iterator[Check]:
+def _checks(quick: bool) -> Iterator[Found]:
     moved = four_bar().build().simulate(UNTIL, UNTIL, PRECISE)
     oracle, source = by_lagrange(UNTIL), "its Lagrangian, one angle, DOP853"
     yield check("crank of the four-bar after a second, rad", moved.q[-1, 0], oracle, 1e-8, source)
@@ -182,7 +182,7 @@ def _checks(quick: bool) -> Iterator[Check]:
     yield from _kept(f"row of {n} loops", moved, 1e-8)
 
 
-def _kept(name: str, moved: Run, bound: float) -> Iterator[Check]:
+def _kept(name: str, moved: Run, bound: float) -> Iterator[Found]:
     """Energy and loops of a run."""
     audit = moved.audit()
     yield vanishes(f"{name}: energy that is no work", audit.energy, bound, "audit")
@@ -190,7 +190,7 @@ def _kept(name: str, moved: Run, bound: float) -> Iterator[Check]:
     yield vanishes(f"{name}: rate of the gap, of the fastest", audit.parting or 0.0, 1e-11, "audit")
 
 
-def _work(quick: bool) -> Iterator[tuple[str, str, float, float]]:
+def _work(quick: bool) -> Iterator[Point]:
     """Of the four-bar, the largest error of an angle after a second."""
     closed, sprung = four_bar().build(), four_bar(close=False).build()
     exact = closed.simulate(UNTIL, UNTIL, DormandPrince(1e-12)).q[-1]
@@ -227,33 +227,33 @@ def _costs(sizes: tuple[int, ...]) -> pd.DataFrame:
     return found.assign(exponent=exponent(long["loops"], long["seconds"]))
 
 
-def _extremes() -> Iterator[Extreme]:
+def _extremes() -> Iterator[Found]:
     twice = four_bar()
     twice.close("C again", *ENDS, "revolute", axis=Y)
-    yield extreme("a joint twice", lambda: _as_once(twice))
+    yield judged("a joint twice", lambda: _as_once(twice))
     for mass in (1.5e-6, 1.5e6):
-        yield extreme(f"a rocker of {mass:g} kg", partial(_energy, four_bar(rocker=mass).build()))
-    yield extreme("a rhombus that turns over, past poses where all bars are in line", _turned_over)
+        yield judged(f"a rocker of {mass:g} kg", partial(_energy, four_bar(rocker=mass).build()))
+    yield judged("a rhombus that turns over, past poses where all bars are in line", _turned_over)
     far = four_bar()
     far.close("far", ("crank", (0, 0, 1.0)), ("world", (9.0, 0, 0)), "spherical")
-    yield extreme("a loop out of reach", lambda: _energy(far.build()), Fault.OPEN)
+    yield judged("a loop out of reach", lambda: _energy(far.build()), Fault.OPEN)
     for damping in (0.0, 20.0):
         model = four_bar(close=False, damping=damping).build()
         name = f"a bushing of {STIFFNESS:g} N/m, damper {damping:g} N s/m, Rosenbrock, 2 ms"
         call = partial(_energy, model, Rosenbrock(), 2e-3)
-        yield extreme(name, call, Fault.STEP)
+        yield judged(name, call, Fault.STEP)
 
 
-def _as_once(twice: Mechanism) -> Check:
+def _as_once(twice: Mechanism) -> Found:
     once, more = (m.build().simulate(UNTIL, UNTIL, PRECISE).q[-1] for m in (four_bar(), twice))
     return vanishes("", float(np.max(np.abs(more - once))), 1e-9, "the joint once")
 
 
-def _energy(model: Model, integrator: Integrator = PRECISE, step: float = UNTIL) -> Check:
+def _energy(model: Model, integrator: Integrator = PRECISE, step: float = UNTIL) -> Found:
     return vanishes("", model.simulate(UNTIL, step, integrator).audit().energy, 1e-7, "audit")
 
 
-def _turned_over() -> Check:
+def _turned_over() -> Found:
     """Past a pose with all bars in line a rhombus has three ways on, by rounding: loop and energy stay."""
     moved = row(1, 0.0, 8.0).simulate(UNTIL, 0.01, PRECISE)
     audit = moved.audit()
@@ -261,7 +261,7 @@ def _turned_over() -> Check:
     return vanishes("", audit.energy, 1e-7, "audit")
 
 
-def _left_out() -> Iterator[LeftOut]:
+def _left_out() -> Iterator[Found]:
     model = four_bar().build()
     joints = model.bodies.joints
     assert joints is not None

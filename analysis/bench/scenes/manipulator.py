@@ -21,8 +21,8 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
-from bench.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, tried, vanishes
-from bench.cost import timed, work_table
+from bench.cases import WORK, Found, Point, Scene, check, judged, left_out, table, tried, vanishes
+from bench.cost import timed
 from bench.fits import extrapolated, order
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
@@ -137,7 +137,7 @@ def run(quick: bool = False) -> Scene:
     )  # fmt: skip
 
 
-def _checks(ends: dict[int, Floats], exact: Floats, quick: bool) -> Iterator[Check]:
+def _checks(ends: dict[int, Floats], exact: Floats, quick: bool) -> Iterator[Found]:
     a, b, c = list(ends.values())[-3:]
     numbers = list(ends)[-3:]
     name = "order of the error in cells, {}, {} and {}".format(*numbers)
@@ -159,7 +159,7 @@ def _checks(ends: dict[int, Floats], exact: Floats, quick: bool) -> Iterator[Che
     yield vanishes("energy that is no work of the motors", error, 1e-8, "their work")
 
 
-def _by_share(shares: tuple[float, ...]) -> tuple[pd.DataFrame, list[Check]]:
+def _by_share(shares: tuple[float, ...]) -> tuple[pd.DataFrame, list[Found]]:
     """End of the arm by the share of the links that is rigid, and the order with the largest."""
     rows: list[tuple[float, ...]] = []
     for share in shares:
@@ -186,7 +186,7 @@ def _motion(cells: int) -> pd.DataFrame:
     return pd.concat(parts, ignore_index=True)
 
 
-def _work(exact: Floats, quick: bool) -> pd.DataFrame:
+def _work(exact: Floats, quick: bool) -> list[Point]:
     apart = partial(_apart, exact)
     numbers = (1, 2, 4) if quick else (1, 2, 4, 8)
     rows = [tried("Kutta, longest step", _said(n), partial(explicit, n, 0.86), apart) for n in numbers]
@@ -197,7 +197,7 @@ def _work(exact: Floats, quick: bool) -> pd.DataFrame:
             for h in steps:
                 end = partial(end_of, model, tip, integrator, h)
                 rows.append(tried(f"{said}, {_said(n)}", f"{1e3 * h:g} ms", end, apart))
-    return work_table(rows)
+    return rows
 
 
 def _apart(exact: Floats, at: Floats) -> float:
@@ -218,22 +218,22 @@ def _dampers(until: float) -> pd.DataFrame:
     model, tip = arm(4, damping=DAMPING)
     step = 0.9 * _damped_limit(4)
     exact, seconds = timed(partial(end_of, model, tip, RungeKutta4(), step, until))
-    rows = [("Kutta, longest step", f"{1e3 * step:.2g} ms", seconds, 0.0)]
+    rows = [Point("Kutta, longest step", f"{1e3 * step:.2g} ms", seconds, 0.0)]
     for said, integrator in IMPLICIT.items():
         for h in (0.01, 0.005, 0.0025):
             end = partial(end_of, model, tip, integrator, h, until)
             rows.append(tried(said, f"{1e3 * h:g} ms", end, partial(_apart, exact)))
-    return work_table(rows)
+    return table(rows, WORK)
 
 
-def _damped(share: float) -> Check:
+def _damped(share: float) -> Found:
     """Run of Kutta's method with dampers and a step of this share of the longest."""
     model, _ = arm(3, damping=DAMPING)
     run = model.simulate(0.05, share * _damped_limit(3), RungeKutta4())
     return vanishes("energy", run.audit().energy, 1e-2, "work and dissipation")
 
 
-def _stiff(factor: float) -> Check:
+def _stiff(factor: float) -> Found:
     """Arm so stiff that it is rigid, by an L-stable method: its bend is that of EI over the factor."""
     model, tip = arm(2, factor=factor)
     at = end_of(model, tip, Rosenbrock(), 0.001)
@@ -242,21 +242,21 @@ def _stiff(factor: float) -> Check:
     return vanishes("end, m", off, 0.05 / factor + 1e-5, "rigid links, DOP853")
 
 
-def _heavy(payload: float) -> Check:
+def _heavy(payload: float) -> Found:
     """Arm with a payload that hardly moves, against the motors' work."""
     model, _ = arm(1, payload=payload)
     error = model.simulate(0.2, 0.01, DormandPrince(1e-9)).audit().energy
     return vanishes("energy", error, 1e-7, "work of the motors")
 
 
-def _unmoved() -> Check:
+def _unmoved() -> Found:
     model, tip = arm(4, torque=0.0)
     start = model.state().point(*tip)[:2]
     off = float(np.linalg.norm(end_of(model, tip, ImplicitMidpoint(), 0.01, 0.1) - start))
     return vanishes("end, m", off, 1e-12, "the start")
 
 
-def _many(cells: int) -> Check:
+def _many(cells: int) -> Found:
     """Arm of many cells for a moment, by steps that are far too long for an explicit method."""
     model, tip = arm(cells)
     at = end_of(model, tip, Rosenbrock(), 0.002, 0.02)
@@ -265,27 +265,27 @@ def _many(cells: int) -> Check:
     return vanishes("end, m", float(np.linalg.norm(at - other)), 1e-5, "four cells")
 
 
-def _too_long() -> Check:
+def _too_long() -> Found:
     model, _ = arm(2)
     run = model.simulate(UNTIL, 3.0 * STABLE / frequencies(model)[-1], RungeKutta4())
     return vanishes("energy", run.audit().energy, 1e-2, "work")
 
 
-def _extremes(quick: bool) -> Iterator[Extreme]:
+def _extremes(quick: bool) -> Iterator[Found]:
     for factor in (1e6,) if quick else (1e2, 1e6):
-        yield extreme(f"{factor:g} times as stiff, 1 ms steps", partial(_stiff, factor))
+        yield judged(f"{factor:g} times as stiff, 1 ms steps", partial(_stiff, factor))
     for payload in (1e-6, 1e6):
-        yield extreme(f"payload of {payload:g} kg", partial(_heavy, payload))
-    yield extreme("no torque", _unmoved)
+        yield judged(f"payload of {payload:g} kg", partial(_heavy, payload))
+    yield judged("no torque", _unmoved)
     cells = 16 if quick else 64
-    yield extreme(f"{cells} cells a link, 2 ms steps", partial(_many, cells))
+    yield judged(f"{cells} cells a link, 2 ms steps", partial(_many, cells))
     name = f"dampers of {1e3 * DAMPING:g} ms, explicit steps of {{}} of the longest"
-    yield extreme(name.format("0.9"), partial(_damped, 0.9))
-    yield extreme(name.format("1.1"), partial(_damped, 1.1), Fault.STEP)
-    yield extreme("steps three times too long for Kutta's method", _too_long, Fault.STEP)
+    yield judged(name.format("0.9"), partial(_damped, 0.9))
+    yield judged(name.format("1.1"), partial(_damped, 1.1), Fault.STEP)
+    yield judged("steps three times too long for Kutta's method", _too_long, Fault.STEP)
 
 
-def _left_out(until: float) -> Iterator[LeftOut]:
+def _left_out(until: float) -> Iterator[Found]:
     """Bending out of the plane and twist, and the springs of links that may as well be rigid."""
 
     def moved(bends: str) -> Floats:

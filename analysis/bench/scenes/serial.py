@@ -13,6 +13,7 @@ Left out: its own arms, which are not known; random and extreme chains take thei
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -20,8 +21,8 @@ import pandas as pd
 from scipy.linalg import eigh
 from scipy.special import jn_zeros
 
-from bench.cases import Check, Extreme, LeftOut, Scene, check, left_out, vanishes
-from bench.cost import timed, work_table
+from bench.cases import Found, Point, Scene, check, left_out, vanishes
+from bench.cost import timed
 from bench.fits import exponent
 from bench.studies.precision import solvers as precise
 from bench.studies.precision.extended import DIGITS, wide_mass
@@ -77,22 +78,19 @@ def weight(tree: Tree, frames: Frames) -> tuple[float, Floats]:
 
 def run(quick: bool = False) -> Scene:
     """Run the scene; quick: short chains only: some seconds."""
-    points = pd.DataFrame([vars(point) for point in precise.measure(quick)])
+    points = list(precise.measure(quick))
     sizes = [n for n in (10, 100, 1000, 10_000, MOST_BODIES) if n <= 1000 or not quick]
     lengths, determinants = _lengths(sizes), _determinants((10, 30) if quick else (10, 30, 100, 300))
     return Scene(
         "serial", "serial chains of revolute hinges: x = M^-1 tau",
         tuple(_checks(10 if quick else 20, determinants)), _work(points), tuple(_extremes(quick)),
         tuple(_left_out(100 if quick else 1000)),
-        {
-            "points": points, "lengths": lengths, "exponents": _exponents(lengths),
-            "determinants": determinants,
-        },
+        {"lengths": lengths, "exponents": _exponents(lengths), "determinants": determinants},
         "relative error of x",
     )  # fmt: skip
 
 
-def _checks(n: int, determinants: pd.DataFrame) -> Iterator[Check]:
+def _checks(n: int, determinants: pd.DataFrame) -> Iterator[Found]:
     two = rods(2, 2.0, 2.0)
     frames = pose(two, np.zeros(2))
     first, second = solve_mass(two, frames, weight(two, frames)[1])
@@ -126,7 +124,7 @@ def _frequencies(n: int) -> Floats:
     return np.sqrt(eigh(0.5 * (stiffness + stiffness.T), mass, eigvals_only=True)[:3])
 
 
-def _energy(n: int) -> Check:
+def _energy(n: int) -> Found:
     """Largest change of the energy of a chain that falls from the horizontal for half a second."""
     tree = rods(n, 1.0)
 
@@ -143,7 +141,7 @@ def _energy(n: int) -> Check:
     return vanishes(name, drift / size, 1e-8, "the start")
 
 
-def _round_trip(n: int) -> Check:
+def _round_trip(n: int) -> Found:
     tree, _, tau = precise.posed(n, HingeKind.REVOLUTE)
     rng = np.random.default_rng(n)
     q, qd = rng.uniform(-3, 3, tree.n_q), rng.normal(size=tree.n_v)
@@ -170,13 +168,10 @@ def _determinants(sizes: tuple[int, ...]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _work(points: pd.DataFrame) -> pd.DataFrame:
+def _work(points: list[Point]) -> list[Point]:
     """Points of the longest chain that is compared in extended precision."""
-    case = points.loc[points["case"] != "long chains", "case"].iloc[-1]
-    own = points[points["case"] == case]
-    settings = own["parameter"].where(own["parameter"] != "", str(case))
-    rows = zip(own["method"], settings, own["seconds"], own["error"], strict=True)
-    return work_table(rows)
+    case = [point.case for point in points if point.case != "long chains"][-1]
+    return [replace(each, setting=each.setting or case) for each in points if each.case == case]
 
 
 def _lengths(sizes: list[int]) -> pd.DataFrame:
@@ -203,18 +198,16 @@ def _exponents(lengths: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["route", "exponent"])
 
 
-def _extremes(quick: bool) -> Iterator[Extreme]:
+def _extremes(quick: bool) -> Iterator[Found]:
     """Cases of ``bench stability`` with serial trees."""
     for _, case in cases_of("mechanics", Part.QUICK if quick else Part.FULL):
         dear = case.name in ("chain", "root, positions") and case.part > Part.TESTED
         if case.name not in SERIAL or case.parameters.startswith("1000000 ") or (quick and dear):
             continue
-        cell = run_case("mechanics", case)
-        detail = cell.message or f"error {cell.error:.3g}, bound {cell.bound:.3g}: {cell.oracle}"
-        yield Extreme(f"{case.name}: {case.parameters}", cell.verdict, detail)
+        yield replace(run_case("mechanics", case), name=f"{case.name}: {case.parameters}")
 
 
-def _left_out(n: int) -> Iterator[LeftOut]:
+def _left_out(n: int) -> Iterator[Found]:
     """What M^-1 tau does without, with the bounds of ``bench stability``: errors by eps and the condition."""
     tree, frames, tau = precise.posed(n, HingeKind.REVOLUTE)
     mass = mass_matrix(tree, frames)

@@ -19,7 +19,7 @@ USED = (
     ("fixman", "its gradient, {n} freedoms", "gradient of ln det M, 100", "O(n) gradient", ""),
     ("hessians", "product with the Hessian, as `newton` takes it", "YGGFM, obc2", "one-sided", "1e-05 rad"),
 )
-"""Kind, how it is named, how its case begins, method, and parameter: the last of several by default."""
+"""Kind, how it is named, how its case begins, method, and setting: the last of several by default."""
 
 
 def _shown(error: float, unit: str) -> str:
@@ -29,25 +29,25 @@ def _shown(error: float, unit: str) -> str:
 @table("curves-short", "precision_curves.csv")
 def curves_short(points: pd.DataFrame) -> str:
     """Errors of what is used by default."""
-    points, rows = points.fillna({"parameter": ""}), []
-    for kind, named, case, method, parameter in USED:
+    points, rows = points.fillna({"setting": ""}), []
+    for kind, named, case, method, setting in USED:
         of = points[(points["kind"] == kind) & points["case"].str.startswith(case)]
         of = of[of["method"] == method]
-        point = of[of["parameter"] == parameter].iloc[-1] if parameter is not None else of.iloc[-1]
+        point = of[of["setting"] == setting].iloc[-1] if setting is not None else of.iloc[-1]
         shown = _shown(point["error"], point["unit"])
-        rows.append([named.format(**point), f"`{kind}`", shown, point["held_against"]])
+        rows.append([named.format(**point), f"`{kind}`", shown, point["source"]])
     return markdown(("what", "kind", "error", "compared with"), rows)
 
 
 @table("curves", "precision_curves.csv")
 def curves(points: pd.DataFrame) -> str:
     """Least error of each method, by case."""
-    points, rows = points.fillna({"parameter": ""}), []
+    points, rows = points.fillna({"setting": ""}), []
     for (kind, case), of in points.groupby(["kind", "case"], sort=False):
         largest = of[of["n"] == of["n"].max()]
         least = largest.loc[largest.groupby("method", sort=False)["error"].idxmin()]
         cell = "; ".join(
-            f"{r['method']} {r['error']:.1e}" + (f" ({r['parameter']})" if r["parameter"] else "")
+            f"{r['method']} {r['error']:.1e}" + (f" ({r['setting']})" if r["setting"] else "")
             for _, r in least.iterrows()
         )
         unit = "relative" if of["unit"].iloc[0] == "1" else of["unit"].iloc[0]

@@ -24,8 +24,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, Scene, check, tried
-from bench.cost import work_table
+from bench.cases import Found, Point, Scene, check, tried
 from bench.scenes.backhoe import checks
 from bench.scenes.backhoe.cycle import (
     END,
@@ -61,7 +60,7 @@ def run(quick: bool = False) -> Scene:
     traces = [traced(each, 4).assign(design=each.design.name) for each in cycles]
     rates = {SLOW: 1.1} if quick else {SLOW: 1.75, 2.0: 1.2}
     driven = {rate: checks.driven(rate, time) for rate, time in rates.items()}
-    found: list[Check] = [
+    found: list[Found] = [
         *checks.statics(designs), *checks.arm(), *checks.excavation(cycles[0]),
         *checks.track(driven[SLOW], 0.03 if quick else 0.02),
     ]  # fmt: skip
@@ -96,7 +95,7 @@ def _designs(cycles: list[Worked], traces: list[pd.DataFrame]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _work(ground: Ground, quick: bool) -> pd.DataFrame:
+def _work(ground: Ground, quick: bool) -> list[Point]:
     """Energy that does not balance by step: of machine and soil together, and of the machine held."""
     until = 0.2 if quick else 0.3
     path = checks.flat(working(ground.level))
@@ -123,4 +122,4 @@ def _work(ground: Ground, quick: bool) -> pd.DataFrame:
     for tolerance in (1e-6, 1e-8, 1e-10):
         call = partial(alone, DormandPrince(tolerance), 0.05)
         rows.append(tried("machine held, Dormand-Prince", f"{tolerance:g}", call, lost, 2))
-    return work_table(rows)
+    return rows

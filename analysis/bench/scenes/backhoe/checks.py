@@ -7,20 +7,10 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import simpson, trapezoid
 
-from bench.cases import Check, check, vanishes
+from bench.cases import Found, check, vanishes
 from bench.scenes.backhoe import oracle
 from bench.scenes.backhoe.cycle import Worked, soil_table, working
-from bench.scenes.backhoe.machine import (
-    ARM,
-    DESIGNS,
-    LOWER,
-    Design,
-    G,
-    Path,
-    hold,
-    posture,
-    vehicle,
-)  # fmt: skip
+from bench.scenes.backhoe.machine import ARM, DESIGNS, LOWER, Design, G, Path, hold, posture, vehicle
 from bench.scenes.backhoe.stability import inside_by, loads, traced
 from bench.scenes.backhoe.track import ROLLING, TEETH, crawler
 from protochain.core.arrays import Floats
@@ -40,7 +30,7 @@ def standing(design: Design, angles: Floats = OUT, until: float = 0.4) -> tuple[
     return model.state(run.end), run
 
 
-def statics(designs: tuple[Design, ...]) -> Iterator[Check]:
+def statics(designs: tuple[Design, ...]) -> Iterator[Found]:
     """Loads of the feet, and both measures of stability, against moments about edges."""
     for design in designs:
         state, run = standing(design)
@@ -68,7 +58,7 @@ def flat(path: Path) -> Path:
     return lambda t: tuple(np.append(0.0, each[1:]) for each in path(t))  # type: ignore[return-value]  # mypy does not count them
 
 
-def arm(until: float = 1.2) -> Iterator[Check]:
+def arm(until: float = 1.2) -> Iterator[Found]:
     """Forces of the cylinders and their power, of the machine held, while it goes through a cycle."""
     path = flat(working(0.06))
     run = vehicle(DESIGNS[0], path, None).build().simulate(until, 5e-3)
@@ -135,7 +125,7 @@ def balance(worked: Worked) -> Balance:
     )  # fmt: skip
 
 
-def excavation(worked: Worked) -> Iterator[Check]:
+def excavation(worked: Worked) -> Iterator[Found]:
     """Energy and momentum of machine and soil together."""
     found = balance(worked)
     spent = found.machine + found.soil + found.ground
@@ -181,7 +171,7 @@ def advance(run: Run) -> tuple[float, float]:
     return float(way[-1]) - begin, teeth * tooth
 
 
-def track(run: Run, bound: float) -> Iterator[Check]:
+def track(run: Run, bound: float) -> Iterator[Found]:
     """The track rolls; by how much it may creep, and its pins move in their seats, in few teeth.
 
     It creeps on the ground, not on its wheels: all pads that lie there move on together, by half a millimetre

@@ -8,14 +8,7 @@ import pandas as pd
 
 from bench.scenes.backhoe.machine import Design, Path, posture, through, vehicle
 from bench.scenes.bucket.backhoe import EDGE, GRAVITY, bucket_shape
-from bench.scenes.bucket.dig import (
-    DENSITY,
-    FRICTION,
-    SIDE,
-    Site,
-    before_the_fall,
-    bin_plates,
-)  # fmt: skip
+from bench.scenes.bucket.dig import DENSITY, FRICTION, SIDE, Site, before_the_fall, bin_plates
 from bench.soil.parts import Heap, Motion, Plates
 from bench.soil.parts import Law as CubeLaw
 from bench.soil.pile import Pile

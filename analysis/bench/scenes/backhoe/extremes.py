@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from bench.cases import Check, Extreme, LeftOut, check, extreme, left_out, vanishes
+from bench.cases import Found, check, judged, left_out, vanishes
 from bench.scenes.backhoe import oracle
 from bench.scenes.backhoe.checks import COARSE, OUT, Turning, advance, driven
 from bench.scenes.backhoe.cycle import SMALL, settled, work, working
@@ -81,12 +81,12 @@ def tips_at(design: Design, halvings: int = 4) -> float:
     return 0.5 * (low + high) * exact
 
 
-def _overloaded(design: Design, share: float) -> Check:
+def _overloaded(design: Design, share: float) -> Found:
     tilt = tilted_by(design, share * tipping_load(design))
     return _whether(tilt, share > 1.0, "moments about the front edge")
 
 
-def _whether(tilt: float, tips: bool, source: str) -> Check:
+def _whether(tilt: float, tips: bool, source: str) -> Found:
     return check("whether it tips", float(tilt > TIPPED), float(tips), 0.5, source, "absolute")
 
 
@@ -97,7 +97,7 @@ def _on_slope(degrees: float, friction: float, downhill: bool) -> Mechanism:
     return vehicle(DESIGNS[0], hold(OUT), Plane(), HARD, grip, gravity)
 
 
-def _slides(degrees: float, friction: float = GRIP.coefficient) -> Check:
+def _slides(degrees: float, friction: float = GRIP.coefficient) -> Found:
     """How it slides backward, uphill as it looks."""
     model, angle = _on_slope(degrees, friction, False).build(), np.deg2rad(degrees)
     early = model.simulate(0.4, COARSE, every=100).end
@@ -108,7 +108,7 @@ def _slides(degrees: float, friction: float = GRIP.coefficient) -> Check:
                  "g (sin - mu cos), or at rest", "absolute")  # fmt: skip
 
 
-def _tips_on_slope(off: float) -> Check:
+def _tips_on_slope(off: float) -> Found:
     """Whether it tips where it cannot slide, looking downhill, at degrees beyond the angle of its edge."""
     middle = oracle.middle(DESIGNS[0], OUT)
     edge = np.degrees(np.arctan2(0.5 * DESIGNS[0].length - middle[0], middle[2]))
@@ -116,7 +116,7 @@ def _tips_on_slope(off: float) -> Check:
     return _whether(tilt, off > 0.0, "way to the edge over height")
 
 
-def _stiff(factor: float, step: float, until: float) -> Check:
+def _stiff(factor: float, step: float, until: float) -> Found:
     law = Law(factor * GROUND.stiffness, 1.0, GROUND.damping)
     design = DESIGNS[0]
     model = vehicle(design, hold(OUT), Plane(), law).build()
@@ -125,7 +125,7 @@ def _stiff(factor: float, step: float, until: float) -> Check:
                  "weight")  # fmt: skip
 
 
-def _without_soil() -> Check:
+def _without_soil() -> Found:
     """No cubes: the same motion, to the last bit, as without soil."""
     empty = settled(Site(SMALL.low, SMALL.high, 0))
     machine = vehicle(DESIGNS[0], working(empty.level), Plane()).build()
@@ -133,14 +133,14 @@ def _without_soil() -> Check:
     return vanishes("motion", float(np.max(np.abs(found[0] - found[1]))), 0.0, "without soil")
 
 
-def _crushed() -> Check:
+def _crushed() -> Found:
     """The bucket is driven into the floor of the bin."""
     ground = settled(SMALL)
     work(DESIGNS[0], ground, 0.4, path=working(ground.level, 1.6))
     return vanishes("nothing", np.nan, 0.0, "")
 
 
-def _stretched() -> Check:
+def _stretched() -> Found:
     """A cylinder is longer than boom and foot allow."""
     m = Mechanism()
     m.body("house", HOUSE, HOUSE_AT, 0.3)
@@ -149,48 +149,48 @@ def _stretched() -> Check:
     return vanishes("nothing", np.nan, 0.0, "")
 
 
-def _spins(until: float) -> Check:
+def _spins(until: float) -> Found:
     """Without friction nothing from outside moves it along, however the track turns."""
     run = driven(2.0, until, grip=0.0)
     size = float(np.max(np.abs(run.motion["sprocket rate"]))) * ROLLING * 20.0
     return vanishes("momentum", float(np.max(np.abs(run.momenta[:, 0, 0]))) / size, 1e-3, "no force")
 
 
-def _climbs(degrees: float, until: float) -> Check:
+def _climbs(degrees: float, until: float) -> Found:
     way, angle = advance(driven(2.0, until, np.deg2rad(degrees)))
     return check("way", way / angle / ROLLING, 1.0, 0.05, "a pitch to a tooth")
 
 
-def limits(quick: bool) -> Iterator[Extreme]:
+def limits(quick: bool) -> Iterator[Found]:
     """Vehicles that are loaded, on slopes, on stiff ground, without grip, or make no sense."""
     for design in DESIGNS[:1] if quick else DESIGNS[1:]:
         for share in (1.0 - NEAR, 1.0 + NEAR):
             said = f"{design.name}: {share:g} of the load that tips it"
-            yield extreme(said, partial(_overloaded, design, share))
+            yield judged(said, partial(_overloaded, design, share))
     for degrees in (30.0, 32.0) if quick else (10.0, 30.0, 32.0, 45.0):
         said = f"slope of {degrees:g} degrees, friction {GRIP.coefficient:g}"
-        yield extreme(said, partial(_slides, degrees))
+        yield judged(said, partial(_slides, degrees))
     if not quick:
-        yield extreme("slope of 10 degrees without friction", partial(_slides, 10.0, 0.0))
+        yield judged("slope of 10 degrees without friction", partial(_slides, 10.0, 0.0))
         for off in (-2.0, 2.0):
             said = f"rough slope, {off:+g} degrees from the one that tips it"
-            yield extreme(said, partial(_tips_on_slope, off))
-        yield extreme("a track climbs 10 degrees", partial(_climbs, 10.0, 0.8))
-    yield extreme("ground 100 times as stiff", partial(_stiff, 100.0, 1e-3, 0.05))
-    yield extreme("ground 1000 times as stiff", partial(_stiff, 1e3, 1e-3, 0.05), Fault.STEP)
-    yield extreme("no soil", _without_soil)
-    yield extreme("the bucket is driven into the floor", _crushed, Fault.OVERLAP)
-    yield extreme("a cylinder longer than it can be", _stretched, Fault.OPEN)
-    yield extreme("a track without grip", partial(_spins, 0.1 if quick else 0.4))
-    yield extreme("teeth without stiffness", _toothless, Fault.NO_STIFFNESS)
+            yield judged(said, partial(_tips_on_slope, off))
+        yield judged("a track climbs 10 degrees", partial(_climbs, 10.0, 0.8))
+    yield judged("ground 100 times as stiff", partial(_stiff, 100.0, 1e-3, 0.05))
+    yield judged("ground 1000 times as stiff", partial(_stiff, 1e3, 1e-3, 0.05), Fault.STEP)
+    yield judged("no soil", _without_soil)
+    yield judged("the bucket is driven into the floor", _crushed, Fault.OVERLAP)
+    yield judged("a cylinder longer than it can be", _stretched, Fault.OPEN)
+    yield judged("a track without grip", partial(_spins, 0.1 if quick else 0.4))
+    yield judged("teeth without stiffness", _toothless, Fault.NO_STIFFNESS)
 
 
-def _toothless() -> Check:
+def _toothless() -> Found:
     crawler(Turning(2.0), stiffness=0.0)
     return vanishes("nothing", np.nan, 0.0, "")
 
 
-def without(quick: bool) -> Iterator[LeftOut]:
+def without(quick: bool) -> Iterator[Found]:
     """Triangles of flat ground; the shoes of a track that does not slip."""
     until = 0.05 if quick else 0.2
 

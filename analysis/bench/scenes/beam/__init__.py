@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from bench.cases import Scene
-from bench.cost import timed, work_table
+from bench.cases import Point, Scene
+from bench.cost import timed
 from bench.fits import exponent, extrapolated
 from bench.scenes.beam import checks
 from bench.scenes.beam.extremes import limits, without
@@ -38,7 +38,7 @@ def run(quick: bool = False) -> Scene:
     )  # fmt: skip
 
 
-def _work(numbers: tuple[int, ...]) -> pd.DataFrame:
+def _work(numbers: tuple[int, ...]) -> list[Point]:
     """Error of the first three frequencies by the number of cells."""
     rows = []
     for lumped in (False, True):
@@ -48,13 +48,13 @@ def _work(numbers: tuple[int, ...]) -> pd.DataFrame:
             found, seconds = timed(partial(at_rest, beam, n), 3)
             found = found[:3]
             error = float(np.max(np.abs(found / ROOTS**2 - 1.0)))
-            rows.append(("lumped" if lumped else "consistent", f"{n} cells", seconds, error))
+            rows.append(Point("lumped" if lumped else "consistent", f"{n} cells", seconds, error))
             if before is not None:
                 error = float(np.max(np.abs(extrapolated(before[0], found) / ROOTS**2 - 1.0)))
                 said = "lumped, extrapolated" if lumped else "consistent, extrapolated"
-                rows.append((said, f"{n // 2} and {n} cells", seconds + before[1], error))
+                rows.append(Point(said, f"{n // 2} and {n} cells", seconds + before[1], error))
             before = found, seconds
-    return work_table(rows)
+    return rows
 
 
 def _lengths(numbers: tuple[int, ...]) -> pd.DataFrame:

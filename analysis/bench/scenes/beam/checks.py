@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, check, vanishes
+from bench.cases import Found, check, vanishes
 from bench.fits import extrapolated
 from bench.scenes.beam.parts import (
     EULER,
@@ -35,7 +35,7 @@ ROTATING = {0.0: 3.5160, 1.0: 3.6816, 2.0: 4.1373, 4.0: 5.5850, 6.0: 7.3604, 12.
 WRIGHT = "Wright et al., 1982"
 
 
-def still() -> Iterator[Check]:
+def still() -> Iterator[Found]:
     """Frequencies of the clamped beam, consistent and lumped."""
     for said, errors, lumped, bound in (
         ("consistent", CONSISTENT, False, 0.005), ("lumped", LUMPED, True, 0.01),
@@ -52,7 +52,7 @@ def still() -> Iterator[Check]:
         yield check(f"order of frequency {k + 1}, 32 to 64 cells", order, 2.0, 0.02, "1/n^2", "absolute")
 
 
-def rigid_ends() -> Iterator[Check]:
+def rigid_ends() -> Iterator[Found]:
     """Rigid ends multiply all three frequencies."""
     for share, factor in TIPS.items():
         beam = Beam(1.0, 1.0, 1.0, rigid=share)
@@ -74,7 +74,7 @@ def rotation(rates: tuple[float, ...]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["rate", "flap", "lag", "table", "ritz"])
 
 
-def against_table(rotating: pd.DataFrame) -> Iterator[Check]:
+def against_table(rotating: pd.DataFrame) -> Iterator[Found]:
     """Hold the frequencies in rotation against the table and a Ritz solution."""
     for row in rotating.to_dict("records"):
         rate, flap = row["rate"], row["flap"]
@@ -84,7 +84,7 @@ def against_table(rotating: pd.DataFrame) -> Iterator[Check]:
         yield check(f"frequency in plane at rate {rate:g}", row["lag"], lag, 5e-4, f"w^2 - W^2, {WRIGHT}")
 
 
-def spun_up(cells: int) -> tuple[pd.DataFrame, list[Check]]:
+def spun_up(cells: int) -> tuple[pd.DataFrame, list[Found]]:
     """Deflection of the tip while the root is spun up and afterwards, and the frequency of its swings."""
     model, top = spun(SPUN, cells, spin_up, "z"), at_rest(SPUN, cells)[-1]
     run = model.simulate(30.0, 2.4 / top, RungeKutta4(), every=max(1, int(0.02 * top / 2.4)))
@@ -111,7 +111,7 @@ def spun_up(cells: int) -> tuple[pd.DataFrame, list[Check]]:
     ]
 
 
-def twist() -> Check:
+def twist() -> Found:
     """Frequency of a shaft that twists, all other bending allowed."""
     shaft = Beam(1.0, 1.0, (4.0, 9.0), twist=1.0, polar=0.01)
     lowest = []
@@ -122,7 +122,7 @@ def twist() -> Check:
     return check("first frequency in twist, with bending", value, 5.0 * np.pi, 1e-5, "pi/2 sqrt(GJ/I l^2)")
 
 
-def energy(cells: int) -> Check:
+def energy(cells: int) -> Found:
     """Energy of a beam that is let go bent."""
     model = built(UNIT, cells)
     system = model.system

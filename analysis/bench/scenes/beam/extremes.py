@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from bench.cases import Check, Extreme, LeftOut, check, extreme, left_out
+from bench.cases import Found, check, judged, left_out
 from bench.fits import extrapolated
 from bench.scenes.beam.parts import (
     EULER,
@@ -37,7 +37,7 @@ REFUSED: tuple[tuple[str, dict[str, Any], str, Fault], ...] = (
 """Name, fields of the beam, axes, and refusal."""
 
 
-def _with_mass(ratio: float) -> Check:
+def _with_mass(ratio: float) -> Found:
     """Cantilever with a point at its tip, so many times as heavy as the beam."""
     found = [at_rest(UNIT, cells, ratio)[:1] for cells in (8, 16)]
 
@@ -50,7 +50,7 @@ def _with_mass(ratio: float) -> Check:
     return check("frequency", value, root**2, 1e-5, "transcendental equation of the beam with a point")
 
 
-def _implicit(stiffness: float, force: float) -> Check:
+def _implicit(stiffness: float, force: float) -> Found:
     """Deflection by a small force at the tip, by Rosenbrock, whose steps are far beyond stable others."""
     beam, cells = Beam(1.0, 1.0, stiffness), 8
     unit = ROOTS[0] ** 2 * np.sqrt(stiffness)
@@ -67,7 +67,7 @@ def _implicit(stiffness: float, force: float) -> Check:
     return check("deflection", tip, oracle, 1e-5, "F l^3 / 3 EI, as a sum over 8 cells")
 
 
-def _creep() -> Check:
+def _creep() -> Found:
     """Beam with dampers so strong that it only creeps: its angles fall by e in their time constant."""
     time, cells = 1e3, 4
     model = built(UNIT, cells, damping=time)
@@ -77,17 +77,17 @@ def _creep() -> Check:
     return check("angle", at.q[-1] / 1e-3, np.exp(-1.0), 1e-3, "exp(-1)")
 
 
-def _fast(rate: float) -> Check:
+def _fast(rate: float) -> Found:
     found = [frequencies(spun(UNIT, n, steady(rate), "y"))[:1] for n in (32, 64)]
     return check("flap frequency", float(extrapolated(*found)[0]), ritz(rate)[0], 1e-3, "Ritz")
 
 
-def _scaled(factor: float) -> Check:
+def _scaled(factor: float) -> Found:
     found = frequencies(built(Beam(1.0, 1.0, factor), 16))[0] / np.sqrt(factor)
     return check("frequency / sqrt EI", found, at_rest(UNIT, 16)[0], 1e-7, "EI = 1")
 
 
-def _too_long() -> Check:
+def _too_long() -> Found:
     """Explicit steps of three times the length that is stable."""
     model = built(UNIT, 4)
     start = model.system.at(np.full(4, 1e-3), np.zeros(4))
@@ -95,36 +95,36 @@ def _too_long() -> Check:
     return check("energy", run.total[-1], run.total[0], 1e-2, "the start")
 
 
-def limits(quick: bool) -> Iterator[Extreme]:
+def limits(quick: bool) -> Iterator[Found]:
     """Beams that are stiff, long, heavy at the tip, quick, damped, or make no sense."""
     for factor in (1e-3, 1e6):
-        yield extreme(f"EI times {factor:g}, frequency", partial(_scaled, factor))
-        yield extreme(f"EI times {factor:g}, implicit", partial(_implicit, factor, 1e-4 * factor))
+        yield judged(f"EI times {factor:g}, frequency", partial(_scaled, factor))
+        yield judged(f"EI times {factor:g}, implicit", partial(_implicit, factor, 1e-4 * factor))
     for n in (1, 2, 1000) if quick else (1, 2, 1000, 10_000):
 
-        def first(n: int = n) -> Check:
+        def first(n: int = n) -> Found:
             # Error of the first frequency: a fifth of 1/n^2, seen above; rounding of n small angles.
             return check("frequency", lowest(UNIT, n), ROOTS[0] ** 2, 0.5 / n**2 + 1e-10, EULER)
 
-        yield extreme(f"cells: {n}", first)
+        yield judged(f"cells: {n}", first)
     for ratio in (1e-6, 1.0, 1e6):
-        yield extreme(f"tip {ratio:g} times as heavy as the beam", partial(_with_mass, ratio))
+        yield judged(f"tip {ratio:g} times as heavy as the beam", partial(_with_mass, ratio))
     if not quick:
-        yield extreme("rate 50", partial(_fast, 50.0))
-    yield extreme("dampers that let it only creep", _creep)
-    yield extreme("steps three times too long", _too_long, Fault.STEP)
+        yield judged("rate 50", partial(_fast, 50.0))
+    yield judged("dampers that let it only creep", _creep)
+    yield judged("steps three times too long", _too_long, Fault.STEP)
 
     for name, fields, bends, words in REFUSED:
         beam: dict[str, Any] = {"length": 1.0, "mass": 1.0, "bending": 1.0, **fields}
-        yield extreme(name, partial(_freedoms, beam, bends), words)
+        yield judged(name, partial(_freedoms, beam, bends), words)
 
 
-def _freedoms(beam: dict[str, Any], bends: str) -> Check:
+def _freedoms(beam: dict[str, Any], bends: str) -> Found:
     model = built(Beam(**beam), 4, bends=bends)
     return check("freedoms", model.tree.n_v, 4, 0.0, "one axis")
 
 
-def without() -> Iterator[LeftOut]:
+def without() -> Iterator[Found]:
     """Axes about which nothing turns, and rigid ends that are not made stiff."""
 
     def swing(bends: str) -> Floats:

@@ -10,23 +10,11 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, LeftOut, Scene, check, left_out, vanishes
-from bench.cost import work_table
+from bench.cases import Found, Scene, check, left_out, vanishes
 from bench.fits import exponent
 from bench.scenes.bucket import joints, trials
 from bench.scenes.bucket.backhoe import backhoe, motion_of
-from bench.scenes.bucket.dig import (
-    NARROW,
-    SIDE,
-    WIDE,
-    Dug,
-    Settled,
-    Site,
-    away,
-    dig,
-    settle,
-    soil,
-)  # fmt: skip
+from bench.scenes.bucket.dig import NARROW, SIDE, WIDE, Dug, Settled, Site, away, dig, settle, soil
 from bench.soil.parts import Motion, Sleep
 from protochain.core.arrays import Floats
 
@@ -62,14 +50,14 @@ def run(quick: bool = False) -> Scene:
     return Scene(
         "bucket", "a backhoe's bucket in a soil of cubes",
         tuple(_checks(settled, dug, bushings, found, kept, quick)),
-        work_table(work), tuple(trials.extremes()), (_sleep(settled if quick else settle(NARROW, 0.5)),),
+        work, tuple(trials.extremes()), (_sleep(settled if quick else settle(NARROW, 0.5)),),
         tables, "distance of the cutting edge from that of the machine on hinges, m",
     )  # fmt: skip
 
 
 def _checks(
     settled: Settled, dug: Dug, bushings: pd.DataFrame, found: pd.DataFrame, kept: pd.DataFrame, quick: bool
-) -> Iterator[Check]:
+) -> Iterator[Found]:
     yield from trials.checks(kept)
     weight = settled.site.cubes * trials.MASS * trials.FREE_FALL
     yield check("force on the bin, N", settled.carried, weight, 1e-3, "the weight of the cubes")
@@ -88,7 +76,7 @@ def _checks(
         yield check("exponent of the cost of search", max(cost, 1.0), 1.0, 0.1, "cells", "absolute")
 
 
-def _sleep(settled: Settled, duration: float = 0.1) -> LeftOut:
+def _sleep(settled: Settled, duration: float = 0.1) -> Found:
     """Cubes that sleep are left out: the heap stays the same."""
     model = backhoe(away).build()
     awake = soil(settled.site, model)

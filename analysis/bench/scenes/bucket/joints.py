@@ -6,7 +6,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from bench.cost import Work, timed
+from bench.cases import Point
+from bench.cost import timed
 from bench.scenes.bucket.backhoe import BODIES, EDGE, GRAVITY, HINGES, backhoe
 from protochain.core.arrays import Floats
 from protochain.mechanics.motion import StepTooLargeError
@@ -62,20 +63,20 @@ def edge_of(model: Model, step: float, rows: int = 20) -> Floats:
     return np.array(places)
 
 
-def compare(stiffnesses: tuple[float, ...]) -> tuple[pd.DataFrame, list[Work]]:
+def compare(stiffnesses: tuple[float, ...]) -> tuple[pd.DataFrame, list[Point]]:
     """Distance of the edge from the hinged machine's, and the longest stable step, by stiffness."""
     hinged = backhoe(angles=ANGLES).build()
     exact = edge_of(hinged, 1e-4)
     rows, work = [], []
     for h in (1e-2, 5e-3, 2.5e-3):
         found, seconds = timed(partial(edge_of, hinged, h))
-        work.append(("hinges", f"{1e3 * h:g} ms", seconds, _apart(found, exact)))
+        work.append(Point("hinges", f"{1e3 * h:g} ms", seconds, _apart(found, exact)))
     for k in stiffnesses:
         model = on_bushings(k).build()
         step = SHORTEST_ARC / fastest(k)
         found, seconds = timed(partial(edge_of, model, step))
         error = _apart(found, exact)
-        work.append(("bushings", f"{k:g} N/m", seconds, error))
+        work.append(Point("bushings", f"{k:g} N/m", seconds, error))
         rows.append({"stiffness": k, "error": error, "step": longest_step(model, step), "seconds": seconds})
     return pd.DataFrame(rows), work
 

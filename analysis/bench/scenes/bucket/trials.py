@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
-from bench.cases import Check, Extreme, check, extreme, vanishes
+from bench.cases import Found, check, judged, vanishes
 from bench.cost import timed
 from bench.scenes.bucket.dig import DENSITY, FRICTION, PITCH, SIDE, STIFFNESS
 from bench.soil.parts import Heap, Law
@@ -41,7 +41,7 @@ def acceleration(pile: Pile) -> float:
     return float((late.velocity - early.velocity)[0, 0]) / (late.time - early.time)
 
 
-def checks(kept: pd.DataFrame) -> Iterator[Check]:
+def checks(kept: pd.DataFrame) -> Iterator[Found]:
     """Slopes, impacts; ``kept`` is of :func:`energies`."""
     for degrees in (20.0, 30.0, 60.0):
         angle = np.deg2rad(degrees)
@@ -71,7 +71,7 @@ def restitution(part: float) -> float:
     return float(heap.velocity[0, 2])
 
 
-def sunk(law: Law, mass: float) -> Check:
+def sunk(law: Law, mass: float) -> Found:
     """Depth at which a cube rests."""
     pile = alone(law, mass=mass)
     depth = mass * FREE_FALL / law.stiffness
@@ -82,52 +82,52 @@ def sunk(law: Law, mass: float) -> Check:
     return check("depth", found, depth, 1e-6 + 1e-17 / depth, "m g / k")
 
 
-def slid(friction: float, angle: float) -> Check:
+def slid(friction: float, angle: float) -> Found:
     """How a cube slides on a slope."""
     wanted = max(FREE_FALL * (np.sin(angle) - friction * np.cos(angle)), 0.0)
     found = acceleration(alone(Law(STIFFNESS, friction), angle))
     return check("acceleration", found, wanted, 1e-5, "g (sin - mu cos), or at rest", "absolute")
 
 
-def _apart(gap: float, by: By = "points") -> Check:
+def _apart(gap: float, by: By = "points") -> Found:
     pile = Pile(np.full(2, SIDE), np.full(2, MASS), Law(STIFFNESS, FRICTION, by=by), np.zeros(3))
     heap = pile.start([[0.0, 0.0, 0.0], [gap, 0.0, 0.0]])
     return check("force", MASS * float(np.linalg.norm(heap.acceleration[0, :3])), STIFFNESS * (SIDE - gap),
                  1e-9, "k d")  # fmt: skip
 
 
-def _kept(speed: float, part: float) -> Check:
+def _kept(speed: float, part: float) -> Found:
     found = impacts(Law(STIFFNESS, 0.0, 0.0, by="volume"), part, speed=speed)
     return vanishes("energy", float(np.max(np.abs(found))), KEPT, "the energy before")
 
 
-def _thrown(speed: float, step: float) -> Check:
+def _thrown(speed: float, step: float) -> Found:
     pile = alone()
     start = pile.start([[0.0, 0.0, 1.0]], velocity=[[speed, 0.0, 0.0]])
     heap, _ = pile.advance(start, 10, step * pile.longest_step)
     return check("place", float(heap.position[0, 0]), speed * heap.time, 1e-12, "v t")
 
 
-def extremes() -> Iterator[Extreme]:
+def extremes() -> Iterator[Found]:
     """What is deep, stiff, light, slippery, rough or fast."""
     for gap, refusal in ((0.9, None), (0.55, None), (0.4, Fault.OVERLAP), (0.0, Fault.OVERLAP)):
         for by in WAYS:
             name = f"two cubes, centres {gap:g} edges apart, by {by}"
-            yield extreme(name, partial(_apart, gap * SIDE, by), refusal)
+            yield judged(name, partial(_apart, gap * SIDE, by), refusal)
     for speed, part in ((1e-3, 1.0), (0.1, 1.0), (10.0, 0.125)):
         name = f"200 impacts by volume at {speed:g} m/s, {part:g} of the longest step"
-        yield extreme(name, partial(_kept, speed, part))
+        yield judged(name, partial(_kept, speed, part))
     for k in (1.0, 1e3, 1e6, 1e9, 1e12):
         refusal = Fault.OVERLAP if MASS * FREE_FALL / k > 0.5 * SIDE else None
-        yield extreme(f"stiffness {k:g} N/m", partial(sunk, Law(k, FRICTION), MASS), refusal)
+        yield judged(f"stiffness {k:g} N/m", partial(sunk, Law(k, FRICTION), MASS), refusal)
     for mass in (1e-9, 1e-3, 1e3):
         refusal = Fault.OVERLAP if mass * FREE_FALL / STIFFNESS > 0.5 * SIDE else None
-        yield extreme(f"mass {mass:g} kg", partial(sunk, Law(STIFFNESS, FRICTION), mass), refusal)
+        yield judged(f"mass {mass:g} kg", partial(sunk, Law(STIFFNESS, FRICTION), mass), refusal)
     for friction in (0.0, 10.0):
-        yield extreme(f"friction {friction:g} at 30 degrees", partial(slid, friction, np.pi / 6.0))
-    yield extreme("step beyond the longest", partial(_thrown, 1.0, 1.5), Fault.STEP)
-    yield extreme("100 m/s", partial(_thrown, 100.0, 1.0))
-    yield extreme("1e6 m/s", partial(_thrown, 1e6, 1.0), Fault.STEP)
+        yield judged(f"friction {friction:g} at 30 degrees", partial(slid, friction, np.pi / 6.0))
+    yield judged("step beyond the longest", partial(_thrown, 1.0, 1.5), Fault.STEP)
+    yield judged("100 m/s", partial(_thrown, 100.0, 1.0))
+    yield judged("1e6 m/s", partial(_thrown, 1e6, 1.0), Fault.STEP)
 
 
 def impacts(law: Law, part: float, number: int = 200, speed: float = 1.0, seed: int = 0) -> Floats:

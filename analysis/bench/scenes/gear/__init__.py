@@ -22,8 +22,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, Extreme, LeftOut, Scene, check, extreme, left_out, vanishes
-from bench.cost import timed, work_table
+from bench.cases import Found, Point, Scene, check, judged, left_out, vanishes
+from bench.cost import timed
 from bench.fits import exponent
 from bench.scenes.gear import rattle
 from bench.scenes.gear.geometry import GearPair
@@ -147,7 +147,7 @@ def _summary(trace: pd.DataFrame, gear: Gear) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _checks(gear: Gear) -> Iterator[Check]:
+def _checks(gear: Gear) -> Iterator[Found]:
     """Gears at rest and their vibrations."""
     yield check("contact ratio", gear.pair.contact_ratio, 1.635, 5e-4, PUBLISHED)
     light = replace(gear, torque=1e-6 * gear.torque)
@@ -184,7 +184,7 @@ def _touching(gear: Gear) -> float:
 
 def _moving(
     gear: Gear, traces: dict[str, pd.DataFrame], sweep: pd.DataFrame, pitches: int
-) -> Iterator[Check]:
+) -> Iterator[Found]:
     """Gears that turn, damped, against those at rest."""
     for name, trace in traces.items():
         audit = float(trace["audit"].iloc[0])
@@ -227,14 +227,14 @@ def _stiffness(gear: Gear) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["stiffness", "ratio", "excess"])
 
 
-def _ratios(stiffness: pd.DataFrame) -> Iterator[Check]:
+def _ratios(stiffness: pd.DataFrame) -> Iterator[Found]:
     source = "numbers of teeth"
     yield check("ratio of angles, teeth 1e4 times as stiff", stiffness["ratio"].iloc[-1], 2.0, 1e-6, source)
     order = exponent(stiffness["stiffness"], -stiffness["excess"])
     yield check("its excess goes with the stiffness to the power", order, -1.0, 1e-3, "linear teeth")
 
 
-def _work(gear: Gear, until: float, quick: bool) -> tuple[pd.DataFrame, list[Check]]:
+def _work(gear: Gear, until: float, quick: bool) -> tuple[list[Point], list[Found]]:
     """Error of all angles at the end against seconds."""
     model = started(gear, until)
     live = passing(gear, until)
@@ -258,11 +258,11 @@ def _work(gear: Gear, until: float, quick: bool) -> tuple[pd.DataFrame, list[Che
         ("Dormand-Prince", f"{t:g}", DormandPrince(t), 5e-5) for t in (1e-6, 1e-8, 1e-10, 1e-12)
     ]  # fmt: skip
     settings += [("ROS2", f"{h:g} s", Rosenbrock(), h) for h in (4e-6, 2e-6, 1e-6)[: 1 if quick else 3]]
-    rows = [(method, setting, *error(integrator, h)) for method, setting, integrator, h in settings]
-    best = min(error for *_, error in rows)
+    rows = [Point(method, setting, *error(integrator, h)) for method, setting, integrator, h in settings]
+    best = min(row.error for row in rows)
     source = "scipy's DOP853 at 1e-12, without trees or kernels"
     found = vanishes("angles at the end, of the error at rest", best, 1e-6, source)
-    return work_table([*rows, ("DOP853", "1e-12", seconds, np.nan)]), [found]
+    return [*rows, Point("DOP853", "1e-12", seconds, np.nan)], [found]
 
 
 def _light(gear: Gear, quick: bool) -> pd.DataFrame:
@@ -289,7 +289,7 @@ def _light(gear: Gear, quick: bool) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["method", "tooth", "step", "evaluations", "seconds", "error"])
 
 
-def _left_out(gear: Gear, until: float) -> Iterator[LeftOut]:
+def _left_out(gear: Gear, until: float) -> Iterator[Found]:
     """Teeth that do not come near the mesh, as parts of their wheels."""
 
     def answer(everything: bool, integrator: Integrator, time: float) -> Floats:
@@ -302,52 +302,52 @@ def _left_out(gear: Gear, until: float) -> Iterator[LeftOut]:
         )  # fmt: skip
 
 
-def _extremes(gear: Gear) -> Iterator[Extreme]:
+def _extremes(gear: Gear) -> Iterator[Found]:
     short = 1e-4
 
     def end(of: Gear, step: float = STEP, integrator: Integrator | None = None) -> Run:
         return started(of, short).simulate(short, step, integrator)
 
-    def audit(of: Gear, step: float = STEP) -> Check:
+    def audit(of: Gear, step: float = STEP) -> Found:
         return vanishes("audit", end(of, step).audit().energy, 1e-6, "energy less work is kept")
 
-    def swing(of: Gear, step: float = STEP, integrator: Integrator | None = None) -> Check:
+    def swing(of: Gear, step: float = STEP, integrator: Integrator | None = None) -> Found:
         source = "teeth of steel, whose inertia changes little here"
         value, oracle = (lags(each, gear)[-1] for each in (end(of, step, integrator), end(gear)))
         return check("lag at the end", value, oracle, 0.03, source)
 
-    def rest(of: Gear) -> Check:
+    def rest(of: Gear) -> Found:
         model, q = at_rest(of, ONE)
         return check("error at rest", lag_of(model, q, of), of.error(1), 2e-5, "T/(r_b^2 c' b)")
 
     # A damping that stops what comes in is stiff for the light teeth.
     for restitution, step in ((0.0, 0.1 * STEP), (1.0, STEP)):
         flank = lankarani_nikravesh(gear.flank.stiffness, restitution, 0.1)
-        yield extreme(f"restitution {restitution:g}", partial(audit, replace(gear, flank=flank), step))
+        yield judged(f"restitution {restitution:g}", partial(audit, replace(gear, flank=flank), step))
     for factor in (1e-6, 1e-3, 1e3, 1e6):
         stiff = stiff_flanks(
             replace(gear, stiffness=gear.stiffness * factor, torque=gear.torque * min(1.0, factor))
         )
-        yield extreme(f"teeth {factor:g} times as stiff", partial(rest, stiff))
-    yield extreme("torque turned round", partial(_parted, gear, short))
-    yield extreme("step of three radians", lambda: swing(gear, 5e-6), Fault.STEP)
+        yield judged(f"teeth {factor:g} times as stiff", partial(rest, stiff))
+    yield judged("torque turned round", partial(_parted, gear, short))
+    yield judged("step of three radians", lambda: swing(gear, 5e-6), Fault.STEP)
     light = replace(gear, tooth=1e-6)
-    yield extreme("teeth of a millionth, explicit", lambda: swing(light), Fault.STEP)
-    yield extreme("teeth of a millionth, implicit", lambda: swing(light, STEP, Rosenbrock()))
-    yield extreme("teeth without inertia", lambda: audit(replace(gear, tooth=0.0)), Fault.NO_INERTIA)
+    yield judged("teeth of a millionth, explicit", lambda: swing(light), Fault.STEP)
+    yield judged("teeth of a millionth, implicit", lambda: swing(light, STEP, Rosenbrock()))
+    yield judged("teeth without inertia", lambda: audit(replace(gear, tooth=0.0)), Fault.NO_INERTIA)
     for said, shift, fault in (
         ("8 teeth: undercut", 0.0, Fault.UNDERCUT), ("8 teeth, shifted by half a module", 0.5, None),
         ("8 teeth, shifted by 0.7 modules: pointed", 0.7, Fault.POINTED),
     ):  # fmt: skip
-        yield extreme(said, partial(_shifted, shift), fault)
+        yield judged(said, partial(_shifted, shift), fault)
 
 
-def _shifted(shift: float) -> Check:
+def _shifted(shift: float) -> Found:
     """Contact ratio of 8 shifted teeth on 40."""
     return check("contact ratio", GearPair((8, 40), shift=shift).contact_ratio, 1.3531, 1e-4, PUBLISHED)
 
 
-def _parted(gear: Gear, until: float) -> Check:
+def _parted(gear: Gear, until: float) -> Found:
     """Flanks that part: both wheels turn freely, as their torques say."""
     back = replace(gear, torque=-gear.torque)
     moved = gears(back, rigid=True, start={"wheel 1": 1e-7}).simulate(until, STEP)

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
 
-from bench.cases import Check, check
+from bench.cases import Found, check
 from bench.scenes.gear.mesh import Gear, gears, meshing_of
 from bench.scenes.gear.quasi import near
 from protochain.core.arrays import Floats
@@ -114,7 +114,7 @@ def flying(restitution: float, periods: int) -> tuple[Run, float]:
     return shaken(gear, AMPLITUDE, periods, phase + 0.1, 0.0, step=5e-4), speed
 
 
-def checks(quick: bool) -> Iterator[Check]:
+def checks(quick: bool) -> Iterator[Found]:
     """Where flanks part, and the motion of two blows a period."""
     yield check("amplitude at which gears part, m", parts_at(), threshold(), 0.01, "T r / (I w^2)")
     run, speed = flying(0.4, 3 if quick else 12)

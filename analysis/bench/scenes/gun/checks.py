@@ -7,8 +7,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, check, tried, vanishes
-from bench.cost import work_table
+from bench.cases import Found, Point, check, tried, vanishes
 from bench.fits import exponent, order
 from bench.scenes.gun import search, study
 from bench.scenes.gun.oracle import Planar
@@ -24,7 +23,7 @@ FLOATING = Gun()
 UNITS = ("x, m", "z, m", "elevation, rad")
 
 
-def against_equations(quick: bool) -> Iterator[Check]:
+def against_equations(quick: bool) -> Iterator[Found]:
     """Muzzle in large motion against equations of another kind."""
     cases: tuple[tuple[str, Gun, float], ...] = (
         ("rigid, two shots", Gun(deck=1e7, axle=1e6, shots=2), 0.1 if quick else 0.7),
@@ -43,7 +42,7 @@ def against_equations(quick: bool) -> Iterator[Check]:
             yield check(f"muzzle after {until:g} s, {said}: {unit}", value, oracle, 2e-8, EXACT, "absolute")
 
 
-def against_modes(cells: int, charges: tuple[float, ...] = (1e-2, 3e-3, 1e-3)) -> Iterator[Check]:
+def against_modes(cells: int, charges: tuple[float, ...] = (1e-2, 3e-3, 1e-3)) -> Iterator[Found]:
     """Small motions, without dampers, against the sum of modes."""
     times, errors = np.array([0.01, 0.03, 0.06, 0.1]), []
     for charge in charges:
@@ -65,7 +64,7 @@ def against_modes(cells: int, charges: tuple[float, ...] = (1e-2, 3e-3, 1e-3)) -
     yield check(f"order of that error in the charge, {said}", order, 1.0, 0.02, "small motions", "absolute")
 
 
-def against_fixed_deck() -> tuple[pd.DataFrame, list[Check]]:
+def against_fixed_deck() -> tuple[pd.DataFrame, list[Found]]:
     """Muzzle on ever stiffer decks against that without a deck: the error falls as 1/k_d."""
     until = 0.03
     fixed = built(Gun(deck=np.inf)).end(DormandPrince(1e-12), 0.005, until)
@@ -85,7 +84,7 @@ def against_fixed_deck() -> tuple[pd.DataFrame, list[Check]]:
     return table, found
 
 
-def energies(quick: bool) -> Iterator[Check]:
+def energies(quick: bool) -> Iterator[Found]:
     """Energy with and without dampers; without, the gun is let go from where it does not stand."""
     for cells in (0,) if quick else (0, 4):
         still = built(Gun(deck=1e7, damped=0.0, charge=0.0, cells=cells, axle=1e6))
@@ -100,7 +99,7 @@ def energies(quick: bool) -> Iterator[Check]:
         yield vanishes(f"energy that is no work, one shot, {said}", shot, 1e-8, "work")
 
 
-def of_search(table: pd.DataFrame) -> Iterator[Check]:
+def of_search(table: pd.DataFrame) -> Iterator[Found]:
     """Largest way of the muzzle with the best axle that the search found, by the other equations."""
     times = np.linspace(0.0, study.EXIT, 6)[1:]
     early = table[table["when"] == search.EARLY].to_dict("records")
@@ -116,7 +115,7 @@ def of_search(table: pd.DataFrame) -> Iterator[Check]:
         yield check(name, best["muzzle_mm"], 1e3 * float(np.max(np.abs(aside))), 5e-3, EXACT)
 
 
-def by_cells(numbers: tuple[int, ...]) -> tuple[pd.DataFrame, list[Check]]:
+def by_cells(numbers: tuple[int, ...]) -> tuple[pd.DataFrame, list[Found]]:
     """Droop of the muzzle, and frequency of the tube's second bending, by ever more cells."""
     rows = []
     for cells in numbers:
@@ -132,7 +131,7 @@ def by_cells(numbers: tuple[int, ...]) -> tuple[pd.DataFrame, list[Check]]:
     return table, found
 
 
-def work(quick: bool) -> pd.DataFrame:
+def work(quick: bool) -> list[Point]:
     """Error of the muzzle's place after a twentieth of a second, by integrators and their steps."""
     until, rows = 0.05, []
     guns = [("", Gun(cells=4 if quick else 8))]
@@ -154,7 +153,7 @@ def work(quick: bool) -> pd.DataFrame:
         for method, integrator, setting, h in settings:
             end = partial(found.end, integrator, h, until)
             rows.append(tried(method + said, setting, end, partial(_apart, exact)))
-    return work_table(rows)
+    return rows
 
 
 def _apart(a: Floats, b: Floats) -> float:

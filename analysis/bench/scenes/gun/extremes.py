@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from bench.cases import Check, Extreme, LeftOut, check, extreme, left_out, vanishes
+from bench.cases import Found, check, judged, left_out, vanishes
 from bench.scenes.gun.oracle import Planar
 from bench.scenes.gun.parts import Gun, built
 from protochain.core.arrays import Floats
@@ -31,13 +31,13 @@ def _end(gun: Gun, integrator: Integrator = EXPLICIT, step: float = 5e-3, until:
 
 def _beside(
     gun: Gun, other: Gun, bound: float, source: str, integrator: Integrator = EXPLICIT, step: float = 5e-3
-) -> Check:
+) -> Found:
     """Muzzle of a gun beside that of another, by the same integrator."""
     off = np.linalg.norm((_end(gun, integrator, step) - _end(other, integrator, step))[:2])
     return vanishes("muzzle, m", float(off), bound, source)
 
 
-def _bent() -> Check:
+def _bent() -> Found:
     """Tube so soft that it hangs: by other equations."""
     gun, until = Gun(cells=8, bending=1e-3), 0.02
     found = _end(gun, DormandPrince(1e-10), until=until)
@@ -45,52 +45,50 @@ def _bent() -> Check:
     return vanishes("muzzle, m", float(off), 1e-8, "equations in absolute angles, DOP853")
 
 
-def _undamped() -> Check:
+def _undamped() -> Found:
     error = built(Gun(damped=0.0)).run(0.1, 1e-10).audit().energy
     return vanishes("energy", error, 1e-8, "work of the powder")
 
 
-def _unfired() -> Check:
+def _unfired() -> Found:
     found = built(Gun(charge=0.0))
     off = found.end(EXPLICIT, 0.01, 0.1) - found.muzzle_at(found.start)
     return vanishes("muzzle, m", float(np.max(np.abs(off))), 1e-10, "where it stood")
 
 
-def _too_long() -> Check:
+def _too_long() -> Found:
     """Steps that are stable for the tube as it is, for one that is a million times as stiff."""
     found = built(Gun(cells=8, bending=1e6))
     run = found.model.simulate(0.05, 2e-4, RungeKutta4(), start=found.start)
     return vanishes("energy", run.audit().energy, 1e-2, "work")
 
 
-def _freedoms(gun: Gun) -> Check:
+def _freedoms(gun: Gun) -> Found:
     return check("freedoms", built(gun).model.tree.n_v, 4, 0.0, "deck, axle, slide")
 
 
-def limits(quick: bool) -> Iterator[Extreme]:
+def limits(quick: bool) -> Iterator[Found]:
     """Yield the extreme cases."""
     fixed = Gun(deck=np.inf)
     # Quasi-static: some 2e5 N over k_d, and what the trunnion's height makes of it.
-    yield extreme("deck 1e12 N/m", partial(_beside, Gun(deck=1e12), fixed, 1e-6, "no deck, 1/k_d"))
+    yield judged("deck 1e12 N/m", partial(_beside, Gun(deck=1e12), fixed, 1e-6, "no deck, 1/k_d"))
     hard = IMPLICIT, 1e-3
-    yield extreme(
-        "deck 1e16 N/m, 1 ms steps", partial(_beside, Gun(deck=1e16), fixed, 1e-8, "no deck", *hard)
-    )
-    yield extreme("no dampers, no brake", _undamped)
-    yield extreme("no charge", _unfired)
-    yield extreme("tube a thousandth as stiff, which hangs by a radian", _bent)
+    yield judged("deck 1e16 N/m, 1 ms steps", partial(_beside, Gun(deck=1e16), fixed, 1e-8, "no deck", *hard))
+    yield judged("no dampers, no brake", _undamped)
+    yield judged("no charge", _unfired)
+    yield judged("tube a thousandth as stiff, which hangs by a radian", _bent)
     for factor in (1e6,) if quick else (1e3, 1e6):
         # What bends for the steel itself is some millimetres.
         case = partial(
             _beside, Gun(cells=8, bending=factor), Gun(), 0.01 / factor + 1e-8, "rigid barrel", *hard
         )
-        yield extreme(f"tube {factor:g} times as stiff, 1 ms steps", case)
-    yield extreme("tube 1e6 times as stiff, explicit steps", _too_long, Fault.STEP)
+        yield judged(f"tube {factor:g} times as stiff, 1 ms steps", case)
+    yield judged("tube 1e6 times as stiff, explicit steps", _too_long, Fault.STEP)
     for name, gun, words in REFUSED:
-        yield extreme(name, partial(_freedoms, gun), words)
+        yield judged(name, partial(_freedoms, gun), words)
 
 
-def without(quick: bool) -> Iterator[LeftOut]:
+def without(quick: bool) -> Iterator[Found]:
     """Yield rigid parts that are left out of the coordinates, not made stiff."""
     until = 0.02 if quick else 0.1
     deck = partial(_end, integrator=DormandPrince(1e-8), until=until)

@@ -23,8 +23,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, Scene, tried
-from bench.cost import work_table
+from bench.cases import Found, Point, Scene, tried
 from bench.fits import extrapolated
 from bench.scenes.beam.parts import at_rest
 from bench.scenes.helicopter import checks, ground, landing, safety
@@ -59,7 +58,7 @@ def run(quick: bool = False) -> Scene:
     )  # fmt: skip
 
 
-def _cases(quick: bool) -> tuple[dict[str, pd.DataFrame], list[Check]]:
+def _cases(quick: bool) -> tuple[dict[str, pd.DataFrame], list[Found]]:
     """Traces of all cases, and the balance of their energies."""
     tables, found, until = {}, [], 0.3 if quick else 1.5
     traces = []
@@ -81,7 +80,7 @@ def _cases(quick: bool) -> tuple[dict[str, pd.DataFrame], list[Check]]:
     return tables, found
 
 
-def _work(quick: bool) -> pd.DataFrame:
+def _work(quick: bool) -> list[Point]:
     """Error of the flap of a tip by cells and steps, of segments and modes, explicit and implicit.
 
     After a step of the pitch, since at a touch forces jump, and only the error there would be seen.
@@ -110,10 +109,10 @@ def _work(quick: bool) -> pd.DataFrame:
         plans.append(("modes, Runge-Kutta", replace(bending, modes=True), 2e-3, RungeKutta4()))
         if cells < (4 if quick else 8):
             plans.append(("segments, Rosenbrock", bending, 2e-3, Rosenbrock()))
-    return work_table(
+    return [
         tried(
             method, f"{given.cells} cells, {1e3 * h:g} ms", partial(flap, given, h, integrator),
             lambda value: np.max(np.abs(value - exact)), 1 if quick else 2,
         )
         for method, given, h, integrator in plans
-    )  # fmt: skip
+    ]  # fmt: skip

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, check, vanishes
+from bench.cases import Found, check, vanishes
 from bench.fits import extrapolated
 from bench.scenes.beam.parts import ritz
 from bench.scenes.helicopter import landing, resonance
@@ -28,7 +28,7 @@ THIN = replace(BLADE, polar=1e-5 * BLADE.polar, twist=1e-5 * BLADE.twist)
 """With the frequency of torsion, but next to no rotary inertia in bending, as Euler and Bernoulli have it."""
 
 
-def ground_resonance(rates: tuple[float, ...], turns: int = 12) -> tuple[pd.DataFrame, list[Check]]:
+def ground_resonance(rates: tuple[float, ...], turns: int = 12) -> tuple[pd.DataFrame, list[Found]]:
     """Growth of the least stable motion by the rate of the shaft (rpm), in closed form and simulated.
 
     The growth of that motion alone is followed over some turns.
@@ -60,7 +60,7 @@ def ground_resonance(rates: tuple[float, ...], turns: int = 12) -> tuple[pd.Data
     return table, found
 
 
-def rigid_landing(sinks: tuple[float, ...]) -> Iterator[Check]:
+def rigid_landing(sinks: tuple[float, ...]) -> Iterator[Found]:
     """Forces of linear legs under rigid blades, against the oscillator, until they leave the ground."""
     for sink in sinks:
         helicopter, run = landing.touchdown(RIGID, sink, 0.3, 1e-3)
@@ -76,7 +76,7 @@ def rigid_landing(sinks: tuple[float, ...]) -> Iterator[Check]:
     yield from _alike(said, legs, exact, 1e-5, "two masses, by the exponential of their matrix")
 
 
-def _alike(said: str, found: Floats, exact: Floats, bound: float, source: str) -> Iterator[Check]:
+def _alike(said: str, found: Floats, exact: Floats, bound: float, source: str) -> Iterator[Found]:
     left = np.flatnonzero(exact[1:] <= 0.0)
     on = slice(0, left[0] if len(left) else None)
     most = float(np.max(exact[on]))
@@ -85,7 +85,7 @@ def _alike(said: str, found: Floats, exact: Floats, bound: float, source: str) -
     yield vanishes(f"{said}: force over time, of the largest", worst, bound, source)
 
 
-def flight() -> Iterator[Check]:
+def flight() -> Iterator[Found]:
     """Speed after a gust and after a step of the pitch, of a helicopter with rigid blades."""
     for name, wind, change in (("gust", landing.gust, None), ("step of pitch", None, landing.step)):
         helicopter, run = landing.hovering(landing.RIGID, 1.0, 2e-3, wind=wind, change=change)
@@ -162,7 +162,7 @@ def _assumed(rate: float) -> Floats:
     return np.sort(found[found > 0.0])
 
 
-def blades(cells: int) -> Iterator[Check]:
+def blades(cells: int) -> Iterator[Found]:
     """Frequencies of blades at 45 rad/s."""
     names = ("first flap", "second flap", "lag", "torsion")
     found, exact = without_end(THIN, RATE, cells), exactly(THIN, RATE)
@@ -179,6 +179,6 @@ def blades(cells: int) -> Iterator[Check]:
         yield check(f"{said} assumed of one body", assumed[k], full[k], 0.03, "segments, n to infinity")
 
 
-def balance(name: str, run: Run, bound: float) -> Check:
+def balance(name: str, run: Run, bound: float) -> Found:
     """Energy less work, which must not change."""
     return vanishes(f"energy that is no work, {name}", run.audit().energy, bound, "the work")

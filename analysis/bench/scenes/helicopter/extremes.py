@@ -7,23 +7,12 @@ from functools import partial
 import numpy as np
 from scipy.integrate import simpson
 
-from bench.cases import Check, Extreme, LeftOut, check, extreme, left_out, vanishes
+from bench.cases import Found, check, judged, left_out, vanishes
 from bench.scenes.helicopter import landing, resonance
 from bench.scenes.helicopter.checks import LINEAR, RIGID, THIN, exactly, frequencies_about
 from bench.scenes.helicopter.ground import take_off
 from bench.scenes.helicopter.legs import Legs
-from bench.scenes.helicopter.parts import (
-    BLADE,
-    FLAP,
-    GRAVITY,
-    LAG,
-    LEGS,
-    RATE,
-    WEIGHT,
-    Given,
-    build,
-    settled,
-)  # fmt: skip
+from bench.scenes.helicopter.parts import BLADE, FLAP, GRAVITY, LAG, LEGS, RATE, WEIGHT, Given, build, settled
 from bench.scenes.helicopter.safety import landed
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
@@ -40,7 +29,7 @@ def stiffer(factor: float) -> Beam:
     return replace(BLADE, bending=(FLAP * factor, LAG * factor), twist=BLADE.twist * factor)
 
 
-def _turning(factor: float, rate: float, cells: int, bound: float = 1e-3) -> Check:
+def _turning(factor: float, rate: float, cells: int, bound: float = 1e-3) -> Found:
     thin = replace(THIN, bending=(FLAP * factor, LAG * factor), twist=THIN.twist * factor)
     exact = exactly(thin, rate)
     found = [frequencies_about(thin, rate, cells, axis) for axis in "yyzx"]
@@ -55,7 +44,7 @@ def _climb(given: Given, until: float, h: float, integrator: Integrator | None) 
     return landing.traced(helicopter, run)["climb"].to_numpy()
 
 
-def _with_stiff_blades(integrator: Integrator | None) -> Check:
+def _with_stiff_blades(integrator: Integrator | None) -> Found:
     """A step of the pitch with blades a million times as stiff: it climbs as with rigid ones."""
     given = replace(landing.RIGID, cells=2, modes=False, beam=stiffer(1e6))
     found, exact = (_climb(each, 0.1, 2e-3, integrator) for each in (given, landing.RIGID))
@@ -68,7 +57,7 @@ def _legs(given: Given, sink: float, until: float, h: float) -> Floats:
     return landing.traced(helicopter, run)["legs"].to_numpy()
 
 
-def _bare(legs: Legs, sink: float, until: float, h: float) -> Check:
+def _bare(legs: Legs, sink: float, until: float, h: float) -> Found:
     """Rigid landing with the rotor at rest, without lift, against the oscillator."""
     given = replace(RIGID, speed=0.0, legs=legs)
     helicopter, run = landing.touchdown(given, sink, until, h, share=0.0)
@@ -81,7 +70,7 @@ def _bare(legs: Legs, sink: float, until: float, h: float) -> Check:
     return vanishes("legs", worst, 1e-4, "damped oscillator")
 
 
-def _rebounds() -> Check:
+def _rebounds() -> Found:
     """Without dampers it leaves the ground as quickly as it came."""
     given = replace(RIGID, speed=0.0, legs=replace(LINEAR, damping=0.0))
     helicopter, run = landing.touchdown(given, 2.0, 0.6, 1e-3, share=0.0)
@@ -107,7 +96,7 @@ def _blown(given: Given, impulse: float) -> Given:
     return replace(given, loads=({"name": "blow", "body": body, "at": at, "force": blow},))
 
 
-def _struck(impulse: float) -> Check:
+def _struck(impulse: float) -> Found:
     """A blade is struck as the feet touch: all forces from outside must add up to the change of momentum."""
     given = _blown(Given(cells=4), impulse)
     helicopter, run = landing.touchdown(given, 1.0, 0.05, 2e-4, DormandPrince(1e-9))
@@ -121,14 +110,14 @@ def _struck(impulse: float) -> Check:
     return check("momentum", change, float(simpson(up, x=run.time)), 1e-6, "sum of the forces from outside")
 
 
-def _struck_in_space(impulse: float) -> Check:
+def _struck_in_space(impulse: float) -> Found:
     """The same where nothing else acts: the blow is the change of momentum."""
     helicopter = build(_blown(Given(cells=4, legs=None, speed=0.0, gravity=0.0), impulse))
     run = helicopter.model.simulate(0.02, 2e-4)
     return check("momentum", run.momenta[-1, 0, 2], impulse, 1e-7, "the impulse")
 
 
-def _standing(speed: float, until: float) -> Check:
+def _standing(speed: float, until: float) -> Found:
     """Standing on the ground while the rotor turns, a blade pushed aside: the motion dies out."""
     helicopter = build(Given(cells=4, speed=speed, damping=2e-3))
     model = helicopter.model
@@ -143,13 +132,13 @@ def _standing(speed: float, until: float) -> Check:
     return vanishes("lag", grown, 0.9, "decay")
 
 
-def _hard(sink: float) -> Check:
+def _hard(sink: float) -> Found:
     """Legs straight down bear most at the touch, by their dampers."""
     exact = LEGS.damping * sink + LEGS.squared * sink**2
     return check("leg", landed(sink, 0.1).leg, exact, 1e-9, "c v + c2 v^2")
 
 
-def _takes_off(factor: float) -> Check:
+def _takes_off(factor: float) -> Found:
     """Height after a take-off with stiff blades, and rigid ones."""
     stiff = Given(cells=2, mounts=False, beam=stiffer(factor))
     found, exact = (
@@ -159,47 +148,47 @@ def _takes_off(factor: float) -> Check:
     return check("height", found, exact, 1e-3, "rigid blades", "absolute")
 
 
-def limits(quick: bool) -> Iterator[Extreme]:
+def limits(quick: bool) -> Iterator[Found]:
     """Helicopters that are stiff, soft, quick, struck, undamped, or make no sense."""
     cells = 8 if quick else 12
     for factor in (1.0, 1e6) if quick else (1e-3, 1.0, 1e3, 1e6):
         # The softer, the shorter the part at the root that bends.
         n, bound = (80, 0.005) if factor < 0.1 else (cells, 1e-3)
         said = f"EI times {factor:g}: frequencies of blades at 45 rad/s"
-        yield extreme(said, partial(_turning, factor, RATE, n, bound))
+        yield judged(said, partial(_turning, factor, RATE, n, bound))
     for rate in (50.0,) if quick else (0.1, 10.0, 50.0):
-        yield extreme(f"W {rate:g} rad/s: frequencies of blades", partial(_turning, 1.0, rate, cells))
-    yield extreme("EI times 1e6, explicit", partial(_with_stiff_blades, None), Fault.STEP)
-    yield extreme("EI times 1e6, implicit", partial(_with_stiff_blades, Rosenbrock()))
-    yield extreme(
+        yield judged(f"W {rate:g} rad/s: frequencies of blades", partial(_turning, 1.0, rate, cells))
+    yield judged("EI times 1e6, explicit", partial(_with_stiff_blades, None), Fault.STEP)
+    yield judged("EI times 1e6, implicit", partial(_with_stiff_blades, Rosenbrock()))
+    yield judged(
         "W 50 rad/s, standing, a blade pushed aside", partial(_standing, 50.0, 0.6 if quick else 1.0)
     )
-    yield extreme("blade struck by 200 N s, in space", partial(_struck_in_space, 200.0))
-    yield extreme("blade struck by 200 N s at touchdown", partial(_struck, 200.0))
-    yield extreme("blade struck by 20 kN s at touchdown", partial(_struck, 2e4), Fault.HALF_TURN)
-    yield extreme("legs without dampers: rebound", _rebounds)
+    yield judged("blade struck by 200 N s, in space", partial(_struck_in_space, 200.0))
+    yield judged("blade struck by 200 N s at touchdown", partial(_struck, 200.0))
+    yield judged("blade struck by 20 kN s at touchdown", partial(_struck, 2e4), Fault.HALF_TURN)
+    yield judged("legs without dampers: rebound", _rebounds)
     undamped, thick = replace(LINEAR, damping=0.0), replace(LINEAR, damping=1e6)
-    yield extreme("legs without dampers: force", partial(_bare, undamped, 2.0, 0.2, 1e-3))
-    yield extreme("legs damped 300 times more, explicit", partial(_bare, thick, 1.0, 0.02, 1e-3), Fault.STEP)
-    yield extreme("legs damped 300 times more, short steps", partial(_bare, thick, 1.0, 0.005, 1e-5))
-    yield extreme("sink 20 m/s", partial(_bare, LINEAR, 20.0, 0.1, 5e-4))
-    yield extreme(
+    yield judged("legs without dampers: force", partial(_bare, undamped, 2.0, 0.2, 1e-3))
+    yield judged("legs damped 300 times more, explicit", partial(_bare, thick, 1.0, 0.02, 1e-3), Fault.STEP)
+    yield judged("legs damped 300 times more, short steps", partial(_bare, thick, 1.0, 0.005, 1e-5))
+    yield judged("sink 20 m/s", partial(_bare, LINEAR, 20.0, 0.1, 5e-4))
+    yield judged(
         "legs without stiffness", lambda: _bare(replace(LEGS, stiffness=0.0), 1.0, 0.1, 1e-3),
         Fault.NO_STIFFNESS,
     )  # fmt: skip
-    yield extreme("sink 20 m/s, blades that bend", partial(_hard, 20.0))
-    yield extreme("take-off with blades a hundred times as stiff", partial(_takes_off, 1e2))
+    yield judged("sink 20 m/s, blades that bend", partial(_hard, 20.0))
+    yield judged("take-off with blades a hundred times as stiff", partial(_takes_off, 1e2))
     bare = replace(resonance.HAMMOND, lag_damping=0.0, hub_damping=(0.0, 0.0))
-    yield extreme("ground resonance without any damper", partial(_undamped_growth, bare))
+    yield judged("ground resonance without any damper", partial(_undamped_growth, bare))
 
 
-def _undamped_growth(rotor: resonance.Rotor) -> Check:
+def _undamped_growth(rotor: resonance.Rotor) -> Found:
     rate = 258.0 * resonance.RPM
     exact = float(np.max(resonance.eigenvalues(rotor, rate)[0].real))
     return check("growth", resonance.growth(resonance.simulated(rotor, rate, 6)), exact, 0.01, "eigenvalue")
 
 
-def without(quick: bool) -> Iterator[LeftOut]:
+def without(quick: bool) -> Iterator[Found]:
     """Rigid blades left out of the coordinates instead of made stiff; high modes of blades."""
     rigid, implicit = landing.RIGID, Rosenbrock()
     stiff = replace(rigid, cells=2, modes=False, beam=stiffer(1e6))

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
-from bench.cases import Check, check, vanishes
+from bench.cases import Found, check, vanishes
 from bench.scenes.helicopter import landing
 from bench.scenes.helicopter.checks import LINEAR, balance
 from bench.scenes.helicopter.landing import LIFT, MASS, gust, spun_up, step, traced
@@ -95,7 +95,7 @@ def heave(helicopter: Helicopter, times: Floats) -> tuple[Floats, Floats]:
     return found[0], np.array([force(z, climb) for z, climb in found.T])
 
 
-def against_heave(quick: bool) -> Iterator[Check]:
+def against_heave(quick: bool) -> Iterator[Found]:
     """Rigid blades and linear legs: their force over time, and the rate at which they leave the ground."""
     rigid = replace(landing.RIGID, legs=LINEAR)
     up = 2.0 if quick else 4.0
@@ -133,7 +133,7 @@ def cases(quick: bool) -> tuple[Case, ...]:
     )
 
 
-def leg_loads(given: Given, quick: bool) -> tuple[dict[str, pd.DataFrame], pd.DataFrame, list[Check]]:
+def leg_loads(given: Given, quick: bool) -> tuple[dict[str, pd.DataFrame], pd.DataFrame, list[Found]]:
     """Traces of the cases, what a leg bears in each, with blades that bend and rigid ones, and energy."""
     traces, rows, found = {}, [], []
     for name, case in cases(quick):

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, check
+from bench.cases import Found, check
 from bench.scenes.helicopter import landing
 from bench.scenes.helicopter.landing import LIFT, touchdown, traced
 from bench.scenes.helicopter.parts import (
@@ -171,7 +171,7 @@ def standing_growth(rate: float) -> float:
     return float(np.max(of_small_motions(*standing(rate))[0].real))
 
 
-def against_eigenvalues(quick: bool, rate: float = 55.0, size: float = 1e-5) -> Iterator[Check]:
+def against_eigenvalues(quick: bool, rate: float = 55.0, size: float = 1e-5) -> Iterator[Found]:
     """The motion that grows fastest, followed in time, against its eigenvalue."""
     helicopter, at = standing(rate)
     model, (values, vectors) = helicopter.model, of_small_motions(helicopter, at)
@@ -213,7 +213,7 @@ def _displacement(model: Model, q: Floats, at: Floats) -> Floats:
     return out
 
 
-def largest_sink(table: pd.DataFrame) -> Check:
+def largest_sink(table: pd.DataFrame) -> Found:
     """Largest sink straight down: dampers alone bear the touch, c v + c2 v^2 = what a leg may bear."""
     c, squared = LEGS.damping, LEGS.squared
     wanted = (np.sqrt(c * c + 4.0 * squared * OVERLOAD) - c) / (2.0 * squared)
@@ -221,7 +221,7 @@ def largest_sink(table: pd.DataFrame) -> Check:
     return check("largest sink, m/s", float(table["sink"].iloc[-1]), wanted, 0.13, source, "absolute")
 
 
-def on_a_slope(slope: float = 20.0, until: float = 3.0) -> Iterator[Check]:
+def on_a_slope(slope: float = 20.0, until: float = 3.0) -> Iterator[Found]:
     """Legs uphill and downhill of a rigid helicopter at rest, its rotor stopped, against statics."""
     stiff = replace(LEGS, stiffness=100.0 * LEGS.stiffness, damping=10.0 * LEGS.damping, squared=0.0)
     legs = replace(stiff, slope=float(np.radians(slope)))

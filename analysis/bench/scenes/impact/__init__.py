@@ -19,8 +19,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bench.cases import LeftOut, Scene, left_out
-from bench.cost import work_table
+from bench.cases import Found, Scene, left_out
 from bench.scenes.impact import bounces, checks
 from bench.scenes.impact.extremes import extremes
 from bench.scenes.impact.paths import path_checks, traces, work
@@ -45,13 +44,13 @@ def run(quick: bool = False) -> Scene:
     )  # fmt: skip
     return Scene(
         "impact", "impacts with friction: impulses on trees, with and without loops", found,
-        work_table(work(quick)), tuple(extremes(quick)), tuple(_left_out(100 if quick else 1000)),
+        tuple(work(quick)), tuple(extremes(quick)), tuple(_left_out(100 if quick else 1000)),
         {"gains": gains, "bounces": bounced, "paths": traces(), "cradles": checks.cradle_table()},
         "error of the velocities after",
     )  # fmt: skip
 
 
-def _left_out(n: int) -> Iterator[LeftOut]:
+def _left_out(n: int) -> Iterator[Found]:
     """What an impact of a chain does without."""
     factors, qd, wall = chain(n)
     tree, frames = factors.tree, factors.frames

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, check, vanishes
+from bench.cases import Found, check, vanishes
 from bench.scenes.impact.systems import Blow, G, dropped
 from protochain.mechanics.motion import DormandPrince, Phase, System
 from protochain.mechanisms import Model
@@ -41,7 +41,7 @@ def bounce(model: Model, ends: bool, until: float = 9.0) -> tuple[pd.DataFrame, 
     return pd.DataFrame(rows), rest[0]
 
 
-def bounce_checks(table: pd.DataFrame, end: float) -> Iterator[Check]:
+def bounce_checks(table: pd.DataFrame, end: float) -> Iterator[Found]:
     """Times of the bounces and of their end against the geometric series."""
     fall = np.sqrt(2.0 * HEIGHT / G)
     source = "geometric series"

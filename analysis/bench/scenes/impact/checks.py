@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from bench.cases import Check, check, vanishes
+from bench.cases import Found, check, vanishes
 from bench.scenes.impact.study import LAWS, random_points, random_pose
 from bench.scenes.impact.systems import ball, cradle, rods, struck
 from protochain.core.arrays import Floats
@@ -22,14 +22,14 @@ RODS = {
 """Kinetic energy after, relative to that before, by friction and law, restitution 0.5."""
 
 
-def known() -> Iterator[Check]:
+def known() -> Iterator[Found]:
     """Rods, cradles, a ball with spin."""
     yield from _rods()
     yield from _cradles()
     yield from _ball()
 
 
-def _rods() -> Iterator[Check]:
+def _rods() -> Iterator[Found]:
     for friction, kept in RODS.items():
         model, blow = rods(friction)
         for law in LAWS:
@@ -39,7 +39,7 @@ def _rods() -> Iterator[Check]:
             yield check(name, ratio, kept[law], 5e-5, "after Kane, Levinson (1985), to 4 digits", "absolute")
 
 
-def _cradles() -> Iterator[Check]:
+def _cradles() -> Iterator[Found]:
     source = "each blow passes (1 + e)/2 on"
     for e in (1.0, 0.8):
         model, blows = cradle((1.0,) * 5, (1.0, 0.0, 0.0, 0.0, 0.0), e)
@@ -68,7 +68,7 @@ def cradle_table() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def _ball() -> Iterator[Check]:
+def _ball() -> Iterator[Found]:
     """A ball with spin: it slips through the impact, or grips."""
     spin, velocity, e = np.array([3.0, 20.0, 6.0]), np.array([0.5, 0.3, -2.0]), 0.6
     slip = velocity[:2] + np.cross(spin, [0.0, 0.0, -0.1])[:2]
@@ -81,7 +81,7 @@ def _ball() -> Iterator[Check]:
         yield vanishes(f"a ball with spin {name}, m/s", worst, 1e-13, "Coulomb, by hand")
 
 
-def random_checks(n: int) -> Iterator[Check]:
+def random_checks(n: int) -> Iterator[Found]:
     """Random trees against their matrices: W with loops, laws without friction, loops that close."""
     rng = np.random.default_rng(2)
     dense, apart, closed = 0.0, 0.0, 0.0
@@ -111,7 +111,7 @@ def _apart(x: Floats, y: Floats) -> float:
     return float(np.abs(x - y).max() / np.abs(y).max())
 
 
-def gain_checks(gains: pd.DataFrame) -> Iterator[Check]:
+def gain_checks(gains: pd.DataFrame) -> Iterator[Found]:
     """No law but Newton's ever adds energy."""
     own = {law: gains[(gains["law"] == law) & (gains["points"] == 1)] for law in LAWS}
     for law in ("poisson", "stronge"):

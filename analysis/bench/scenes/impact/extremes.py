@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from bench.cases import Check, Extreme, check, extreme, vanishes
+from bench.cases import Found, check, judged, vanishes
 from bench.scenes.impact import bounces
 from bench.scenes.impact.paths import point_of
 from bench.scenes.impact.study import LAWS, Kind, random_points, random_pose
@@ -28,9 +28,9 @@ LIGHT = 1e-9
 """kg, against 1 kg."""
 
 
-def extremes(quick: bool) -> Iterator[Extreme]:
+def extremes(quick: bool) -> Iterator[Found]:
     """All of them."""
-    cases: list[tuple[str, Callable[[], Check], Fault | None]] = []
+    cases: list[tuple[str, Callable[[], Found], Fault | None]] = []
     for law in LAWS:
         cases += [
             (f"e = 0, rods, {law}", partial(_leaves, law, 0.0, 0.7), None),
@@ -56,28 +56,28 @@ def extremes(quick: bool) -> Iterator[Extreme]:
         ("three points that friction jams", _too_rough, Fault.FRICTION),
     ]
     for name, call, refusal in cases:
-        yield extreme(name, call, refusal)
+        yield judged(name, call, refusal)
 
 
-def _leaves(law: Law, e: float, mu: float) -> Check:
+def _leaves(law: Law, e: float, mu: float) -> Found:
     model, blow = rods(mu, e)
     after, _ = struck(model, [blow], law)
     return vanishes("normal velocity after", after.after[0, 2], 1e-15, "it stays")
 
 
-def _keeps(law: Law) -> Check:
+def _keeps(law: Law) -> Found:
     model, blow = rods(0.0, 1.0)
     after, before = struck(model, [blow], law)
     return vanishes("change of energy", after.work / before, 1e-14, "none is lost")
 
 
-def _grips(law: Law) -> Check:
+def _grips(law: Law) -> Found:
     model, blow = rods(10.0)
     after, _ = struck(model, [blow], law)
     return vanishes("slip after", after.after[0, 0], 1e-14, "it sticks")
 
 
-def _light_rod(law: Law) -> Check:
+def _light_rod(law: Law) -> Found:
     """Change of the energy, from velocities after, against what impulses do."""
     model, blow = rods(0.7, 0.5, LIGHT)
     after, before = struck(model, [blow], law)
@@ -95,27 +95,27 @@ def _light_rod(law: Law) -> Check:
     return vanishes("W and energy", max(apart, abs(energy)), 1e-12, "double pendulum by hand")
 
 
-def _two_balls(law: Law, first: float, second: float) -> Check:
+def _two_balls(law: Law, first: float, second: float) -> Found:
     model, blows = cradle((first, second), (1.0, 0.0), 0.5)
     after, _ = struck(model, blows, law)
     return check("second after, m/s", after.qd[1], 1.5 * first / (first + second), 1e-14, "momentum")
 
 
-def _grazing(law: Law) -> Check:
+def _grazing(law: Law) -> Found:
     model, blow = ball((0.0, 0.0, 0.0), (1.0, 0.0, -1e-9), 0.3, 0.5)
     after, _ = struck(model, [blow], law)
     # A ball slips on; friction takes mu (1 + e) times the speed of approach.
     return check("loss of speed, m/s", 1.0 - after.qd[3], 0.3 * 1.5e-9, 1e-6, "Coulomb")
 
 
-def _spin(mu: float) -> Check:
+def _spin(mu: float) -> Found:
     model, blow = ball((0.0, 50.0, 0.0), (0.0, 0.0, -2.0), mu, 0.8)
     after, _ = struck(model, [blow])
     # The lowest point moves towards -x at 5 m/s; gripped, 2/7 of it goes into the motion.
     return check("sideways after, m/s", after.qd[3], 0.0 if mu == 0.0 else 2.0 / 7.0 * 5.0, 1e-14, "by hand")
 
 
-def _flat(side: int, mu: float) -> Check:
+def _flat(side: int, mu: float) -> Found:
     model, blows = box((0.2, -0.1, 0.0), side, mu)
     after, _ = struck(model, blows)
     expected = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.6])
@@ -123,7 +123,7 @@ def _flat(side: int, mu: float) -> Check:
     return vanishes("velocities after", worst, 1e-9, "a flat fall goes straight up")
 
 
-def _in_turn_without_end() -> Check:
+def _in_turn_without_end() -> Found:
     masses = (1.0, LIGHT, LIGHT, 1.0)
     model, blows = cradle(masses, (1.0, 0.0, 0.0, 0.0), 0.0)
     after, _ = struck(model, blows, "stronge", "in turn")
@@ -132,7 +132,7 @@ def _in_turn_without_end() -> Check:
     return check("last ball after, m/s", after.qd[-1], oracle, 1e-6, "momentum of all")
 
 
-def _long(quick: bool) -> Check:
+def _long(quick: bool) -> Found:
     factors, qd, wall = chain(100 if quick else 1000)
     found = impact(factors, qd, [wall], "poisson")
     rows = point_rows(factors.frames, wall.bodies, np.stack([wall.point, wall.point]))
@@ -142,11 +142,11 @@ def _long(quick: bool) -> Check:
     return vanishes("velocities after", worst, 1e-7, "the mass matrix, as a matrix")
 
 
-def _ended() -> Check:
+def _ended() -> Found:
     return next(bounces.bounce_checks(*bounces.bounce(bounces.ball(), ends=True)))
 
 
-def _endless() -> Check:
+def _endless() -> Found:
     bounces.bounce(bounces.ball(), ends=False)
     return check("never", np.nan, 0.0, 0.0, "")
 
@@ -158,21 +158,21 @@ def _slider(driven: bool) -> Tree:
     )  # fmt: skip
 
 
-def _jammed(law: Law) -> Check:
+def _jammed(law: Law) -> Found:
     tree = _slider(driven=False)
     point = ContactPoint("slope", (-1, 0), np.zeros(3), np.array([1.0, 0.0, 1.0]), 2.0, 0.5)
     after = impact(articulate(tree, pose(tree, np.zeros(1))), np.array([-1.0]), [point], law)
     return vanishes("velocity after", after.qd[0], 1e-14, "it sticks and can go nowhere")
 
 
-def _piston() -> Check:
+def _piston() -> Found:
     tree = _slider(driven=True)
     point = ContactPoint("floor", (-1, 0), np.zeros(3), np.array(UP))
     impact(articulate(tree, pose(tree, np.zeros(1))), np.array([-1.0]), [point])
     return check("never", np.nan, 0.0, 0.0, "")
 
 
-def _too_rough() -> Check:
+def _too_rough() -> Found:
     """The first of random plane trees that three points with friction up to 2 jam."""
     rng, kind = np.random.default_rng(0), Kind(True, 3, "poisson", "together", 1.0)
     for _ in range(1000):

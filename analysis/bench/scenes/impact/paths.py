@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 from scipy.integrate import solve_ivp
 
-from bench.cases import Check, check, tried
-from bench.cost import Work
+from bench.cases import Found, Point, check, tried
 from bench.scenes.impact.systems import TIP, UP, Blow, brick, rods, two_rods
 from protochain.core.arrays import Floats
 from protochain.mechanisms import Ball, Model, Plane, flores, real_restitution
@@ -22,18 +21,18 @@ STIFF = (1e5, 1e7, 1e9, 1e11)
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 KEPT = 1e-13
 """Tolerance of the reference."""
-Point = tuple[Floats, Floats, float, float]
+Local = tuple[Floats, Floats, float, float]
 """Inverse inertia, velocities (normal, two tangential), friction and restitution."""
 
 
-def point_of(model: Model, blow: Blow) -> Point:
-    """Point of a blow to a mechanism as it starts."""
+def point_of(model: Model, blow: Blow) -> Local:
+    """Local of a blow to a mechanism as it starts."""
     state = model.state()
     of = Struck.of(state.factors, state.qd, [blow.point(state)], None)
     return of.w, of.u, blow.friction, blow.restitution
 
 
-def along(point: Point, tolerance: float) -> Floats:
+def along(point: Local, tolerance: float) -> Floats:
     """(3,) float: velocities after, by Poisson's law, along the path as the library follows it."""
     w, u, mu, e = point
     out = np.empty(8)
@@ -41,7 +40,7 @@ def along(point: Point, tolerance: float) -> Floats:
     return np.asarray(u + w @ out[:3])
 
 
-def integrated(point: Point, tolerance: float, smooth: float = 0.0) -> tuple[Floats, Floats, Floats]:
+def integrated(point: Local, tolerance: float, smooth: float = 0.0) -> tuple[Floats, Floats, Floats]:
     """Integrate du/dp = W (1, t) by scipy, t = -mu u_t/|u_t|, to the end by Poisson's law.
 
     -> (3,): Velocities after; normal impulses and velocities on the way.
@@ -88,12 +87,12 @@ def rods_by_hand() -> Floats:
     return np.array([normal + fast * stopped + steep * (1.5 * compressed - stopped), 0.0], dtype=float)
 
 
-def velocities(point: Point, tolerance: float, smooth: float = 0.0) -> Floats:
+def velocities(point: Local, tolerance: float, smooth: float = 0.0) -> Floats:
     """(3,) float: velocities after, as :func:`integrated` finds them."""
     return integrated(point, tolerance, smooth)[0]
 
 
-def work(quick: bool) -> Iterator[Work]:
+def work(quick: bool) -> Iterator[Point]:
     """Error of the velocities after, relative to those before, against seconds."""
     plane, space = point_of(*rods(0.7)), point_of(*brick())
     exact, reference = rods_by_hand(), integrated(space, KEPT)[0]
@@ -138,7 +137,7 @@ def soft_floor(stiffness: float, steps: int) -> tuple[float, float]:
     return after, -u * real_restitution(law.damping * -u)
 
 
-def path_checks() -> Iterator[Check]:
+def path_checks() -> Iterator[Found]:
     """Both problems of the work against their references."""
     after = along(point_of(*rods(0.7)), 1e-10)
     yield check(

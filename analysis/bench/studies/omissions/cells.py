@@ -7,7 +7,7 @@ and by the calls into the mechanics of trees.
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from math import ceil
 from pathlib import Path
@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.cases import Outcome, within
-from bench.cost import cpu_seconds, in_turn
+from bench.cases import Found, judged, left_out
+from bench.cost import cpu_seconds
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError
 from protochain.energies import Energy, energy
@@ -97,51 +97,30 @@ class Omission:
     in_quick: bool = True
 
 
-@dataclass(frozen=True)
-class Row:
-    """A line of ``omissions.csv``."""
-
-    scene: str
-    against: str
-    structure: str
-    atoms: int
-    verdict: Outcome
-    error: float = np.nan
-    bound: float = SAME
-    proof: str = ""
-    everything_ms: float = field(default=np.nan, compare=False)
-    left_out_ms: float = field(default=np.nan, compare=False)
-    ratio: float = field(default=np.nan, compare=False)
-    terms: int = 0
-    pairs: int = 0
-    bodies: int = 0
-    sweeps: int = 0
-    lists: int = 0
-    imports: int = 0
-    message: str = ""
+COLUMNS = (
+    "scene", "against", "structure", "atoms", "verdict", "error", "bound", "proof", "everything_ms",
+    "left_out_ms", "ratio", *COUNTS, "message",
+)  # fmt: skip
+"""Of ``omissions.csv``."""
 
 
-def run_omission(omission: Omission, material: Material, seconds: float) -> Row | None:
+def run_omission(omission: Omission, material: Material, seconds: float) -> Found | None:
     """Compute both ways, compare, count and time; None if the material has not what it takes."""
-    named: dict[str, Any] = {
+    made: list[Both | None] = []
+
+    def case() -> Found:
+        made.append(omission.make(material))
+        return _compared(made[0], seconds) if made[0] else Found()
+
+    found = judged(omission.name, case)
+    if made == [None]:
+        return None
+    more = {
         "scene": omission.name, "against": omission.against, "structure": material.structure.name,
-        "atoms": material.structure.n_atoms,
+        "atoms": material.structure.n_atoms, "proof": found.source, "everything_ms": 1e3 * found.whole,
+        "left_out_ms": 1e3 * found.seconds, **dict.fromkeys(COUNTS, 0), **found.more,
     }  # fmt: skip
-    try:
-        both = omission.make(material)
-        if both is None:
-            return None
-        error, counted = _compared(both)
-        ways = [partial(call, both.points[0]) for call in (both.everything, both.less)]
-        # Some in a row, as runs do: after the other call, caches hold what that one used.
-        all_of_it, less = in_turn(ways, seconds, min(ceil(1 + seconds), 3), 4, cpu_seconds)
-    except Exception as failure:  # whatever it is, the cell is wrong and the others go on
-        return Row(**named, verdict=Outcome.WRONG, message=f"{type(failure).__name__}: {failure}")
-    proof = "bits" if error == 0.0 else f"{SAME:g} at {len(both.points)} point{'s' * (len(both.points) > 1)}"
-    return Row(
-        **named, verdict=within(error, SAME), error=error, proof=proof, everything_ms=1e3 * all_of_it.least,
-        left_out_ms=1e3 * less.least, ratio=all_of_it.least / less.least, **counted, message=both.what,
-    )  # fmt: skip
+    return replace(found, bound=SAME, more=more)
 
 
 def difference(a: Answer, b: Answer, sizes: Sequence[float]) -> float:
@@ -155,7 +134,7 @@ def difference(a: Answer, b: Answer, sizes: Sequence[float]) -> float:
     return float(np.max(each))
 
 
-def _compared(both: Both) -> tuple[float, dict[str, Any]]:
+def _compared(both: Both, seconds: float) -> Found:
     """Largest error at all points; counts of everything minus those with things left out, at the first."""
     first, counted, answers = both.points[0], [], []
     for call, count in zip((both.everything, both.less), both.counts, strict=True):
@@ -165,9 +144,17 @@ def _compared(both: Both) -> tuple[float, dict[str, Any]]:
         counted.append({"sweeps": sweeps, **count()})
     errors = [difference(answers[0], answers[1], both.sizes(first))]
     errors += [difference(both.everything(at), both.less(at), both.sizes(at)) for at in both.points[1:]]
-    more, fewer = counted
     # Not max of Python, which may pass over NaN.
-    return float(np.max(errors)), {name: more.get(name, 0) - fewer.get(name, 0) for name in COUNTS}
+    error = float(np.max(errors))
+    # Some in a row, as runs do: after the other call, caches hold what that one used.
+    found = left_out(
+        "", partial(both.everything, first), partial(both.less, first), SAME,
+        min(ceil(1 + seconds), 3), lambda *_: error, seconds, 4, cpu_seconds,
+    )  # fmt: skip
+    proof = "bits" if error == 0.0 else f"{SAME:g} at {len(both.points)} point{'s' * (len(both.points) > 1)}"
+    more, fewer = counted
+    counts = {name: more.get(name, 0) - fewer.get(name, 0) for name in COUNTS}
+    return replace(found, source=proof, message=both.what, more=counts)
 
 
 def calls_of(package: str, call: Callable[[], object]) -> int:

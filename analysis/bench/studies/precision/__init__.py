@@ -4,14 +4,13 @@ Each kind is a file with ``measure``, which yields the points of its curve, and 
 tables, pictures and page are common. Minimisers have tables and a picture of their own besides.
 """
 
-from base64 import b64encode
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from bench.page import render
+from bench.page import Section, write_report
 from bench.studies.precision import (
     closures,
     energies,
@@ -95,23 +94,16 @@ def run(
             # BLAS on one thread, as in runs.
             with threadpool_limits(1, "blas"):
                 tables[name] = points_of(name, kind.measure(quick))
-            yield tables[name].drop(columns=["kind", "held_against", "n"])
+            yield tables[name].drop(columns=["kind", "source", "n"])
             save(output, {f"{name}.png": plot(tables[name], kind.title)})
         every = pd.concat(tables.values(), ignore_index=True)
-        save(output, {f"{name}.csv": tables[name], "curves.csv": every, "report.html": _page(output, tables)})
-
-
-def _page(folder: Path, tables: Mapping[str, pd.DataFrame]) -> str:
-    """Page of the curves: each with its picture, with what it says, and with its points."""
-    parts = [
-        {
-            "name": name, "kind": KINDS[name], "said": said(points), "points": points.to_dict("records"),
-            "picture": _data_url(folder / f"{'precision' if name == 'minimisers' else name}.png"),
-        }
-        for name, points in tables.items()
-    ]  # fmt: skip
-    return render("curves.html", parts=parts, made=made(f"1, of minimisers {processors()}"))
-
-
-def _data_url(path: Path) -> str:
-    return f"data:image/png;base64,{b64encode(path.read_bytes()).decode()}" if path.exists() else ""
+        save(output, {f"{name}.csv": tables[name], "curves.csv": every})
+        parts = [
+            Section(
+                KINDS[each].title, {"points": points.drop(columns="kind")},
+                (KINDS[each].measured, *said(points)),
+                "precision.png" if each == "minimisers" else f"{each}.png",
+            )
+            for each, points in tables.items()
+        ]  # fmt: skip
+        write_report(output, "Error against run time", parts, made(f"1, of minimisers {processors()}"))

@@ -6,8 +6,8 @@ from time import process_time
 
 import numpy as np
 
+from bench.cases import Point
 from bench.cost import least_seconds
-from bench.studies.precision.curves import Point
 from bench.studies.precision.extended import DIGITS, WIDE, wide_cholesky, wide_mass, wide_solve
 from bench.studies.precision.peptides import KT
 from protochain.articulate import build_chain
@@ -111,7 +111,7 @@ def _iterations(closure: Closure, at: Phase, fs: float) -> Iterator[Point]:
     where = f"distances after one step, {len(closure.length)} of {len(at.qd)} freedoms"
     for k, (error, cost) in enumerate(zip(errors, seconds, strict=True)):
         against = "the distances at the start"
-        yield Point(where, f"{fs:g} fs", f"{k} corrections", error, "nm", against, cost, k + 1, len(at.qd))
+        yield Point(f"{fs:g} fs", f"{k} corrections", cost, error, where, "nm", against, k + 1, len(at.qd))
 
 
 def _accelerations(n: int) -> Iterator[Point]:
@@ -126,7 +126,7 @@ def _accelerations(n: int) -> Iterator[Point]:
         error = float(np.linalg.norm(route(*given) - exact) / np.linalg.norm(exact))
         seconds = least_seconds(partial(route, *given), 0.05)
         against = f"dense matrices in extended precision ({DIGITS})"
-        yield Point("accelerations", name, f"{n} residues", error, "1", against, seconds, np.nan, chain.n_v)
+        yield Point(name, f"{n} residues", seconds, error, "accelerations", "1", against, np.nan, chain.n_v)
 
 
 def _run(system: System, closure: Closure, at: Phase, steps: int, fs: float) -> Iterator[Point]:
@@ -138,4 +138,4 @@ def _run(system: System, closure: Closure, at: Phase, steps: int, fs: float) -> 
         if k in (steps // 100, steps // 10, steps):
             case, against = "distances in the course of a run", "the distances at the start"
             cost = process_time() - began
-            yield Point(case, f"{fs:g} fs", f"{k} steps", largest, "nm", against, cost, np.nan, len(at.qd))
+            yield Point(f"{fs:g} fs", f"{k} steps", cost, largest, case, "nm", against, np.nan, len(at.qd))

@@ -7,36 +7,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.ticker import NullFormatter
 
+from bench.cases import CURVES, Point, table
 from protochain.results.figures import Figure, draw_lines
-from protochain.results.tables import table_of
 
 _LEAST = 1e-21
 """Where an error of nothing is drawn, on a logarithmic axis."""
-
-
-@dataclass(frozen=True)
-class Point:
-    """One setting of one method: what it costs, and how far off it is.
-
-    case: System or quantity: a panel of the picture.
-    method, parameter: A line of the panel, and a place on it.
-    error: In the unit.
-    unit: Unit of the error; ``1`` where it is relative.
-    held_against: What the result was compared with.
-    seconds: Processor seconds, on one thread.
-    evaluations: Of the energy, or of whatever the method counts; NaN where there is nothing to count.
-    n: Size of the system: bodies, freedoms or atoms.
-    """
-
-    case: str
-    method: str
-    parameter: str
-    error: float
-    unit: str
-    held_against: str
-    seconds: float
-    evaluations: float
-    n: int
 
 
 @dataclass(frozen=True)
@@ -55,14 +30,14 @@ class Kind:
 
 def points_of(name: str, points: Iterable[Point]) -> pd.DataFrame:
     """Points of a kind as a table."""
-    table = table_of(points, Point)
-    table.insert(0, "kind", name)
-    return table
+    own = table(points, CURVES)
+    own.insert(0, "kind", name)
+    return own
 
 
-def said(table: pd.DataFrame) -> list[str]:
+def said(points: pd.DataFrame) -> list[str]:
     """What each case of a kind says: which setting comes closest, which is quickest, and how errors fall."""
-    return [_said(str(case), points) for case, points in table.groupby("case", sort=False)]
+    return [_said(str(case), own) for case, own in points.groupby("case", sort=False)]
 
 
 def _said(case: str, points: pd.DataFrame) -> str:
@@ -75,7 +50,7 @@ def _said(case: str, points: pd.DataFrame) -> str:
     # Of equal errors the cheaper.
     closest = sound.sort_values(["error", "seconds"], kind="stable").iloc[0]
     quickest = sound.sort_values(["seconds", "error"], kind="stable").iloc[0]
-    against = ", ".join(dict.fromkeys(sound["held_against"]))
+    against = ", ".join(dict.fromkeys(sound["source"]))
     text = (
         f"{case}: of {_number(len(points), 'setting')} of {_number(points['method'].nunique(), 'method')}, "
     )
@@ -92,7 +67,7 @@ def _number(n: int, what: str) -> str:
 
 
 def _setting(point: pd.Series) -> str:
-    return f"{point['method']} ({point['parameter']})" if point["parameter"] else str(point["method"])
+    return f"{point['method']} ({point['setting']})" if point["setting"] else str(point["method"])
 
 
 def _error(point: pd.Series) -> str:
@@ -106,20 +81,20 @@ def _cost(point: pd.Series) -> str:
     )
 
 
-def plot(table: pd.DataFrame, title: str) -> Figure:
+def plot(points: pd.DataFrame, title: str) -> Figure:
     """Error against seconds, and against evaluations where they differ: a row of panels for each case."""
-    cases: Sequence[tuple[object, pd.DataFrame]] = list(table.groupby("case", sort=False))
-    counted = [case for case, points in cases if _counts(points)]
+    cases: Sequence[tuple[object, pd.DataFrame]] = list(points.groupby("case", sort=False))
+    counted = [case for case, own in cases if _counts(own)]
     costs = ["seconds"] + (["evaluations"] if counted else [])
     figure = Figure(figsize=(5.5 * len(costs), 0.4 + 3.6 * len(cases)), layout="constrained")
     grid = figure.subplots(len(cases), len(costs), squeeze=False)
-    for row, (case, points) in zip(grid, cases, strict=True):
+    for row, (case, own) in zip(grid, cases, strict=True):
         for ax, cost in zip(row, costs, strict=True):
             if cost == "evaluations" and case not in counted:
                 ax.set_visible(False)
                 continue
-            draw_lines(ax, points, cost, least=_LEAST)
-            unit = points["unit"].iloc[0]
+            draw_lines(ax, own, cost, least=_LEAST)
+            unit = own["unit"].iloc[0]
             ax.set(title=str(case), ylabel="relative error" if unit == "1" else f"error, {unit}")
             ax.xaxis.set_minor_formatter(NullFormatter())
     figure.suptitle(title)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from bench.cases import Point
 from bench.cost import least_seconds
-from bench.studies.precision.curves import Point
 from protochain.articulate import build_chain
 from protochain.chain import pose
 from protochain.core.arrays import Floats
@@ -97,7 +97,7 @@ def _digits(sequence: str) -> Iterator[Point]:
         against = "a sum of 40 decimal digits"
         error = rms(engine(x)[1] - exact)
         yield Point(
-            f"pairs of {sequence}", name, "", error, "kJ/mol/nm", against, seconds, 1, structure.n_atoms
+            name, "", seconds, error, f"pairs of {sequence}", "kJ/mol/nm", against, 1, structure.n_atoms
         )
 
 
@@ -120,7 +120,7 @@ def _cutoffs(sequence: str, solvent: str, cutoffs: tuple[float, ...]) -> Iterato
                 ("against the same cutoff", "Reference, the same cutoff", reference),
             ):
                 yield Point(
-                    f"{solvent}, {case}", name, where, rms(forces - held), "kJ/mol/nm", against, seconds, 1, n
+                    name, where, seconds, rms(forces - held), f"{solvent}, {case}", "kJ/mol/nm", against, 1, n
                 )
 
 
@@ -152,6 +152,6 @@ def _margins(sequence: str, margins: tuple[float, ...]) -> Iterator[Point]:
         where = f"obc2 at 1.2 nm on a way of {_FRAMES} positions"
         against = "Reference, the same cutoff"
         yield Point(
-            where, "native", f"margin {margin:g} nm", error, "kJ/mol/nm", against, seconds, 1,
+            "native", f"margin {margin:g} nm", seconds, error, where, "kJ/mol/nm", against, 1,
             structure.n_atoms,
         )  # fmt: skip

@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
+from bench.cases import Point
 from bench.cost import least_seconds
-from bench.studies.precision.curves import Point
 from bench.studies.precision.differences import extrapolated
 from bench.studies.precision.extended import DIGITS, WIDE, wide_frames, wide_mass
 from protochain.core.arrays import Floats
@@ -52,7 +52,7 @@ def measure(quick: bool) -> Iterator[Point]:
             seconds = least_seconds(partial(value, tree, q), 0.05)
             against = f"dense matrix in extended precision ({DIGITS})"
             error = abs(float(value(tree, q) - exact))
-            yield Point("ln det M", name, f"{n} bodies", error, "1", against, seconds, np.nan, tree.n_v)
+            yield Point(name, f"{n} bodies", seconds, error, "ln det M", "1", against, np.nan, tree.n_v)
     for n in (10,) if quick else (10, 100):
         yield from _gradients(n, quick)
 
@@ -72,7 +72,7 @@ def _gradients(n: int, quick: bool) -> Iterator[Point]:
 
     seconds = least_seconds(lambda: log_det_gradient(tree, pose(tree, q)), 0.05)
     ours = log_det_gradient(tree, pose(tree, q))[tree.v_start[hinges]]
-    yield Point(case, "O(n) gradient", "", off(ours), "1", against, seconds, 1, tree.n_v)
+    yield Point("O(n) gradient", "", seconds, off(ours), case, "1", against, 1, tree.n_v)
     each = least_seconds(partial(articulated, tree, q), 0.05)
     for h in 10.0 ** -np.arange(1, 8, 2 if quick else 1, dtype=float):
         by_differences = np.array([_difference(tree, q, k, h) for k in places])
@@ -80,7 +80,7 @@ def _gradients(n: int, quick: bool) -> Iterator[Point]:
         # Of all hinges, though only some are compared.
         cost = each * evaluations
         yield Point(
-            case, "central differences", f"{h:g} rad", error, "1", against, cost, evaluations, tree.n_v
+            "central differences", f"{h:g} rad", cost, error, case, "1", against, evaluations, tree.n_v
         )
 
 

@@ -5,8 +5,8 @@ from functools import partial
 
 import numpy as np
 
+from bench.cases import Point
 from bench.cost import least_seconds
-from bench.studies.precision.curves import Point
 from bench.studies.precision.differences import extrapolated
 from bench.studies.precision.peptides import Peptide, peptide
 from protochain.core.arrays import Floats
@@ -63,5 +63,5 @@ def measure(quick: bool) -> Iterator[Point]:
                 error = float(np.linalg.norm(rule(torque, here, h) - exact)) / size
                 seconds = least_seconds(partial(rule, torque, here, h), 0.02)
                 yield Point(
-                    of.name, name, f"{h:g} rad", error, "1", against, seconds, evaluations, of.chain.n_v
+                    name, f"{h:g} rad", seconds, error, of.name, "1", against, evaluations, of.chain.n_v
                 )

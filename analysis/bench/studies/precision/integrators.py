@@ -5,15 +5,9 @@ from time import process_time
 
 import numpy as np
 
-from bench.studies.precision.curves import Point
+from bench.cases import Point
 from bench.studies.precision.peptides import Peptide, peptide
-from protochain.dynamics import (
-    DormandPrince,
-    ImplicitMidpoint,
-    Leapfrog,
-    RungeKutta4,
-    StepTooLargeError,
-)  # fmt: skip
+from protochain.dynamics import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4, StepTooLargeError
 from protochain.mechanics.motion.lobatto import drift as lobatto_drift
 from protochain.mechanics.motion.system import Integrator
 
@@ -49,9 +43,9 @@ def _points(
         angle, energy, seconds, count = np.inf, np.inf, np.nan, np.nan
     where, n_v = f"{of.name}, {1000 * time:g} fs at 300 K", of.chain.n_v
     against = "Dormand-Prince at a tolerance of 1e-12"
-    yield Point(f"angles, {where}", name, parameter, angle, "rad", against, seconds, count, n_v)
+    yield Point(name, parameter, seconds, angle, f"angles, {where}", "rad", against, count, n_v)
     against = "its own start"
-    yield Point(f"total energy, {where}", name, parameter, energy, "kJ/mol", against, seconds, count, n_v)
+    yield Point(name, parameter, seconds, energy, f"total energy, {where}", "kJ/mol", against, count, n_v)
 
 
 def _run(of: Peptide, integrator: Integrator, time: float, n: int) -> tuple[np.ndarray, float, float, float]:

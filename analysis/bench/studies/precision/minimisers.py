@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bench.studies.precision.curves import Point
+from bench.cases import Point
 from protochain.articulate import build_chain
 from protochain.core import defaults
 from protochain.energies import energy
@@ -100,7 +100,7 @@ def points(needed: pd.DataFrame, structures: int) -> Iterator[Point]:
             seconds, evaluations = (float(costs[cost, method, above]) for cost in ("seconds", "evaluations"))
             came = np.isfinite(seconds)
             error, parameter = (above, f"within {above:g}") if came else (np.inf, f"not within {above:g}")
-            yield Point(case, method, parameter, error, unit, against, seconds, evaluations, structures)
+            yield Point(method, parameter, seconds, error, case, unit, against, evaluations, structures)
 
 
 def plot(traces: pd.DataFrame, ends: pd.DataFrame) -> Figure:

@@ -6,7 +6,7 @@ from time import process_time
 
 import numpy as np
 
-from bench.studies.precision.curves import Point
+from bench.cases import Point
 from bench.studies.precision.peptides import KT, Peptide, peptide
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import (
@@ -72,7 +72,9 @@ def measure(quick: bool) -> Iterator[Point]:
             ):
                 error = float(np.sqrt(np.mean(errors**2)))
                 where = f"{case}, {of.name}, two hinges"
-                yield Point(where, name, f"{mark} steps", error, unit, against, *cost, of.chain.n_v)
+                yield Point(
+                    name, f"{mark} steps", cost[0], error, where, unit, against, cost[1], of.chain.n_v
+                )
 
 
 def _run(

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from bench.cases import Point
 from bench.cost import least_seconds
-from bench.studies.precision.curves import Point
 from bench.studies.precision.extended import DIGITS, wide_mass
 from protochain.core.arrays import Floats
 from protochain.mechanics.multibody import (
@@ -115,7 +115,7 @@ def measure(quick: bool) -> Iterator[Point]:
             off = np.asarray(solver(tree, frames, tau) - exact, float)
             error = float(np.linalg.norm(off) / np.linalg.norm(exact.astype(float)))
             seconds = least_seconds(partial(solver, tree, frames, tau), 0.05)
-            yield Point(f"{n} bodies", name, parameter, error, "1", against, seconds, products, tree.n_v)
+            yield Point(name, parameter, seconds, error, f"{n} bodies", "1", against, products, tree.n_v)
     for n in (1000,) if quick else (1000, 10_000, 100_000):
         tree, frames, tau = posed(n)
         for name in ("articulated", "Fixman"):
@@ -124,5 +124,5 @@ def measure(quick: bool) -> Iterator[Point]:
             seconds = least_seconds(partial(solver, tree, frames, tau), 0.05)
             against = "M x by Newton-Euler"
             yield Point(
-                "long chains", name, f"{n} bodies", error, "eps, backward", against, seconds, np.nan, tree.n_v
+                name, f"{n} bodies", seconds, error, "long chains", "eps, backward", against, np.nan, tree.n_v
             )

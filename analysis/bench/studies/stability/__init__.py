@@ -9,12 +9,19 @@ from pathlib import Path
 
 import pandas as pd
 
+from bench.page import Section, write_report
 from bench.studies.stability.cells import ROWS, Part, cases_of, ordered, run_cells
-from bench.studies.stability.page import counts, picture, rendered
+from bench.studies.stability.page import counts, picture
 from bench.studies.stability.solvers import write_solvers
 from protochain.core.errors import ProtochainError
 from protochain.core.processors import processors
+from protochain.results.provenance import made
 from protochain.results.tables import save
+
+READING = (
+    "Right: the error is within what theory allows. Refused: with one line that says why, where no answer is "
+    "expected. Wrong: anything else."
+)
 
 
 def run(
@@ -35,7 +42,13 @@ def run(
     for row in rows:
         cases_of(row, part)
     table = ordered(run_cells(rows, part, counted, workers or processors()))
-    save(output, {"cells.csv": table, "grid.png": picture(table), "report.html": rendered(table, counted)})
+    save(output, {"cells.csv": table, "grid.png": picture(table)})
+    parts = [
+        Section("Cells by row", {"rows": counts(table)}, (READING,), "grid.png"),
+        *(Section(str(row), {"cells": own}) for row, own in table.groupby("row", sort=False)),
+    ]
+    by_threads = f"{', '.join(map(str, counted))}, which must agree"
+    write_report(output, "Stiff and extreme cases", parts, made(by_threads))
     yield counts(table)
     yield table.loc[
         table["verdict"] == "wrong", ["row", "case", "parameters", "verdict", "error", "bound", "message"]

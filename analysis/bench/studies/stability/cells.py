@@ -1,26 +1,25 @@
 """Cells of the grid: what a case is, how it is run, and its verdict.
 
 A new case is one line in the table of its row. Its check computes an error and says what it was held against
-and how large it may be; the line says whether an answer is expected or a refusal, and about what. The
-runner does the rest, with every number of threads that it is given.
+and how large it may be; the line says whether an answer is expected or a refusal, and about what.
+:func:`bench.cases.judged` does the rest, with every number of threads that is given.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import partial
 from importlib import import_module
 from multiprocessing import get_context
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from bench.cases import Outcome, Refusal, judged
+from bench.cases import Found, Outcome, Refusal, judged, table
 from protochain.core.errors import ProtochainError
-from protochain.results.tables import table_of
 
 EPS = float(np.finfo(float).eps)
 ROWS = ("mechanics", "springs", "energies", "minimisers", "dynamics")
@@ -32,22 +31,6 @@ class Part(IntEnum):
     TESTED = 0
     QUICK = 1
     FULL = 2
-
-
-@dataclass(frozen=True)
-class Found:
-    """What a check found.
-
-    error: Size of the error; NaN is wrong.
-    bound: Largest error that theory allows.
-    oracle: What the result was held against.
-    message: Anything else worth a line.
-    """
-
-    error: float
-    bound: float
-    oracle: str
-    message: str = ""
 
 
 @dataclass(frozen=True)
@@ -81,51 +64,35 @@ def case(
     return Case(name, parameters, lambda threads: check(*given), part, refusal, threaded=False)
 
 
-@dataclass(frozen=True)
-class Cell:
-    """Result of a case: a line of ``cells.csv``."""
-
-    row: str
-    case: str
-    parameters: str
-    verdict: Outcome
-    error: float = np.nan
-    bound: float = np.nan
-    oracle: str = ""
-    message: str = ""
-    threads: str = field(default="1", compare=False)
-    seconds: float = field(default=np.nan, compare=False)
+COLUMNS = (
+    "row", "case", "parameters", "verdict", "error", "bound", "source", "message", "threads", "seconds",
+)  # fmt: skip
+"""Of ``cells.csv``."""
 
 
-def run_case(row: str, case: Case, threads: Sequence[int] = (1,)) -> Cell:
+def run_case(row: str, case: Case, threads: Sequence[int] = (1,)) -> Found:
     """Run a case with each number of threads, once if it has none, and judge it.
 
-    Wrong are errors above the bound, NaN, a refusal where an answer is expected, an answer or another refusal
-    where one is, exceptions of any other kind, and a result that depends in any bit on the number of threads.
+    A result that depends in any bit on the number of threads is wrong, too.
     """
-    began, used = perf_counter(), tuple(threads) if case.threaded else (1,)
-    cells = [_judged(row, case, n) for n in used]
+    used = tuple(threads) if case.threaded else (1,)
+    cells = [judged(case.name, partial(case.check, n), case.refusal) for n in used]
+    seconds, found = sum(cell.seconds for cell in cells), cells[0]
     # By what they print as, for NaN is not itself.
-    other = next((cell for cell in cells if repr(_plain(cell)) != repr(_plain(cells[0]))), None)
-    found = cells[0]
-    if other is not None:
-        both = "; ".join(
+    if len({repr(replace(cell, seconds=0.0)) for cell in cells}) > 1:
+        each = "; ".join(
             f"{n} threads: {cell.verdict}, error {cell.error:.17g}, {cell.message}"
             for n, cell in zip(used, cells, strict=True)
         )
-        found = replace(found, verdict=Outcome.WRONG, message=f"not the same by threads: {both}")
-    return replace(found, threads=" ".join(map(str, used)), seconds=perf_counter() - began)
+        found = replace(found, outcome=Outcome.WRONG, message=f"not the same by threads: {each}")
+    return replace(found, seconds=seconds, more=_place(row, case, used))
 
 
-def _plain(cell: Cell) -> dict[str, Any]:
-    return asdict(replace(cell, seconds=0.0))
-
-
-def _judged(row: str, case: Case, threads: int) -> Cell:
-    verdict, found, said = judged(lambda: case.check(threads), case.refusal)
-    told = asdict(found) if found else {}
-    message = "; ".join(filter(None, (said, told.pop("message", ""))))
-    return Cell(row, case.name, case.parameters, verdict, **told, message=message)
+def _place(row: str, case: Case, threads: Sequence[int] = (1,)) -> dict[str, str]:
+    """Columns of a cell beside what it found."""
+    return {
+        "row": row, "case": case.name, "parameters": case.parameters, "threads": " ".join(map(str, threads)),
+    }  # fmt: skip
 
 
 def cases_of(row: str, part: Part = Part.FULL) -> list[tuple[int, Case]]:
@@ -138,7 +105,7 @@ def cases_of(row: str, part: Part = Part.FULL) -> list[tuple[int, Case]]:
 
 def run_cells(
     rows: Iterable[str], part: Part = Part.FULL, threads: Sequence[int] = (1,), workers: int = 1
-) -> Iterator[Cell]:
+) -> Iterator[Found]:
     """Run the cases of some rows in processes of their own, by each number of threads; yield as they end."""
     listed = [(row, i, case.part) for row in rows for i, case in cases_of(row, part)]
     # The long ones first, so that none is waited for at the end.
@@ -148,7 +115,7 @@ def run_cells(
         return
     # Fresh processes: forked ones would share the state of threads that they do not have.
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        futures: Mapping[Future[Cell], tuple[str, int]] = {
+        futures: Mapping[Future[Found], tuple[str, int]] = {
             pool.submit(_run, row, i, threads): (row, i) for row, i in todo
         }
         for future in as_completed(futures):
@@ -156,18 +123,22 @@ def run_cells(
                 yield future.result()
             except BrokenProcessPool:
                 row, i = futures[future]
-                lost = import_module(f"{__package__}.{row}").CASES[i]
                 message = f"its process died, or another's; run it again by itself: --rows {row}"
-                yield Cell(row, lost.name, lost.parameters, Outcome.WRONG, message=message)
+                place = _place(row, import_module(f"{__package__}.{row}").CASES[i])
+                yield Found(message=message, more=place)
 
 
-def _run(row: str, i: int, threads: Sequence[int]) -> Cell:
+def _run(row: str, i: int, threads: Sequence[int]) -> Found:
     return run_case(row, import_module(f"{__package__}.{row}").CASES[i], threads)
 
 
-def ordered(cells: Iterable[Cell]) -> pd.DataFrame:
+def ordered(cells: Iterable[Found]) -> pd.DataFrame:
     """Cells as a table, in the order of the tables of cases whatever order they ended in."""
-    order = {
-        (row, each.name, each.parameters): (k, i) for k, row in enumerate(ROWS) for i, each in cases_of(row)
-    }
-    return table_of(sorted(cells, key=lambda cell: order[cell.row, cell.case, cell.parameters]), Cell)
+    listed = [(row, each.name, each.parameters) for row in ROWS for _, each in cases_of(row)]
+    order = {place: k for k, place in enumerate(listed)}
+
+    def place(cell: Found) -> int:
+        return order[cell.more["row"], cell.more["case"], cell.more["parameters"]]
+
+    in_order = sorted(cells, key=place)
+    return table(in_order, COLUMNS)

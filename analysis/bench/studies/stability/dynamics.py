@@ -10,7 +10,8 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.stats import gamma, kstest
 
-from bench.studies.stability.cells import EPS, Case, Found, Part, case
+from bench.cases import Found
+from bench.studies.stability.cells import EPS, Case, Part, case
 from bench.studies.stability.energies import peptide
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose, pull_back

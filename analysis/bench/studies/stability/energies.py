@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.cases import Refusal
-from bench.studies.stability.cells import EPS, Case, Found, Part
+from bench.cases import Found, Refusal
+from bench.studies.stability.cells import EPS, Case, Part
 from protochain.articulate import build_chain
 from protochain.chain import Pose, pose, pull_back
 from protochain.core.arrays import Floats

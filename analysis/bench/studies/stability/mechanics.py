@@ -5,11 +5,11 @@ from functools import partial
 
 import numpy as np
 
-from bench.cases import Refusal
+from bench.cases import Found, Refusal
 from bench.studies.precision.extended import wide_frames
 from bench.studies.precision.solvers import backward_error, norm_of_mass
 from bench.studies.stability import trees
-from bench.studies.stability.cells import EPS, Case, Found, Part, case
+from bench.studies.stability.cells import EPS, Case, Part, case
 from bench.studies.stability.energies import on_a_line, peptide
 from bench.studies.stability.solvers import ROUTES
 from protochain.articulate import build_chain

@@ -9,7 +9,8 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench.studies.stability.cells import Case, Found, Part, case
+from bench.cases import Found
+from bench.studies.stability.cells import Case, Part, case
 from bench.studies.stability.energies import atom, copies, peptide
 from protochain.articulate import build_chain
 from protochain.chain import Chain, pose, pull_back

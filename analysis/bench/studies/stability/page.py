@@ -1,14 +1,10 @@
-"""Page of the grid: cells coloured by verdict, with what each was held against; and its picture."""
-
-from collections.abc import Sequence
+"""Counts of the cells of the grid, and its picture."""
 
 import numpy as np
 import pandas as pd
 
 from bench.cases import Outcome
-from bench.page import render
 from protochain.results.figures import Figure
-from protochain.results.provenance import made
 
 
 def counts(table: pd.DataFrame) -> pd.DataFrame:
@@ -20,18 +16,6 @@ def counts(table: pd.DataFrame) -> pd.DataFrame:
         for row, cells in table.groupby("row", sort=False)
     ]
     return pd.DataFrame(rows)
-
-
-def rendered(table: pd.DataFrame, threads: Sequence[int]) -> str:
-    """Return the page: one square for each cell, in the rows of the grid, and all cells as a table."""
-    grid = [
-        (row, [(name, cells.to_dict("records")) for name, cells in own.groupby("case", sort=False)])
-        for row, own in table.groupby("row", sort=False)
-    ]
-    must_agree = f"{', '.join(map(str, threads))}, which must agree"
-    return render(
-        "grid.html", grid=grid, counts=counts(table), cells=table.to_dict("records"), made=made(must_agree)
-    )
 
 
 _STYLES = {

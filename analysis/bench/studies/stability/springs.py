@@ -12,7 +12,8 @@ from time import process_time
 import numpy as np
 from scipy.linalg import eigh
 
-from bench.studies.stability.cells import Case, Found, Part, case
+from bench.cases import Found
+from bench.studies.stability.cells import Case, Part, case
 from protochain.articulate import build_chain
 from protochain.core.arrays import Floats
 from protochain.dynamics import (
