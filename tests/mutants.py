@@ -45,7 +45,7 @@ FOLDERS = {
     "write": ([f"structure/{name}.py" for name in ("write", "header", "records", "springs")], []),
     "relaxation": (["relaxation"], ["repack"]),
     "mechanics": (
-        ["mechanics/multibody", "chain.py"],
+        ["mechanics/multibody", "chains/chain.py"],
         ["multibody", "mass", "chain", "massless"],
     ),
     "motion": (["mechanics/motion"], ["motion", "driven"]),

@@ -59,9 +59,9 @@ told = {"first": first, "second": second, "run": seconds, "all": perf_counter() 
 print(json.dumps(told), file=sys.__stdout__)
 """
 FUNCTIONS = {
-    "reading": "protochain.setup:Setup.load",
-    "system": "protochain.setup:Setup.energy",
-    "chain": "protochain.setup:Setup.chain",
+    "reading": "protochain.chains.setup:Setup.load",
+    "system": "protochain.chains.setup:Setup.energy",
+    "chain": "protochain.chains.setup:Setup.chain",
     "judging": "protochain.minimisers.verdict:judge",
     "loop": "protochain.minimisers.stages:walk",
     "evaluations": "protochain.minimisers.problem:Problem.evaluate",

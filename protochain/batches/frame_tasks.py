@@ -8,6 +8,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
 
+from protochain.chains.setup import Setup
 from protochain.core.arrays import Floats, Value
 from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
@@ -18,7 +19,6 @@ from protochain.relaxation.api import relax_structure
 from protochain.relaxation.record import INTERFACE_COLUMNS, OF_FRAMES
 from protochain.relaxation.settings import RelaxSettings
 from protochain.results.columns import Column, flat, record
-from protochain.setup import Setup
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.frames import Frame, Reading, open_frames

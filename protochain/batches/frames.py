@@ -14,13 +14,13 @@ from typing import Any
 from protochain.batches.cluster import Processes, at_work
 from protochain.batches.frame_tasks import FrameJob, FrameRow, RelaxFrames, Task, row_of
 from protochain.batches.supervise import supervise
+from protochain.chains.setup import Setup
 from protochain.core.arrays import Value
 from protochain.core.checks import at_least, checked, optional
 from protochain.energies import Energy
 from protochain.energies.factory import has_energy
 from protochain.energies.shared import shared_energy
 from protochain.relaxation.settings import named, split
-from protochain.setup import Setup
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.frames import Frame, Frames, open_frames

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from protochain.batches.naming import Earlier, Wanted, absolute, named_apart
+from protochain.chains.setup import ALL_MODELS, Setup, models_asked
 from protochain.core import defaults
 from protochain.core.checks import (
     MOLECULE_SUFFIXES,
@@ -33,7 +34,6 @@ from protochain.minimisers.starts import refuse_held
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.settings import NAMES as OF_RELAXING
 from protochain.relaxation.settings import WITHOUT, RelaxSettings
-from protochain.setup import ALL_MODELS, Setup, models_asked
 from protochain.structure.files import format_of
 from protochain.structure.ligand_files import are_several, poses
 from protochain.structure.prepare import user_files

@@ -7,9 +7,9 @@ from typing import Any
 from protochain.batches.api import Batch, BatchProgress, run_batch
 from protochain.batches.cluster import Processes
 from protochain.batches.jobs import BatchSettings
+from protochain.chains.setup import Setup
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.settings import RelaxSettings
-from protochain.setup import Setup
 
 NAME = "relaxed"
 

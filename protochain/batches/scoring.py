@@ -8,8 +8,8 @@ from typing import Any
 
 from protochain.batches.cluster import Processes, at_work
 from protochain.batches.supervise import supervise
+from protochain.chains.setup import Setup
 from protochain.core.errors import ProtochainError
-from protochain.setup import Setup
 from protochain.structure.confidences import confidence_files, confidence_in
 from protochain.structure.select import sides, sides_named, touching_chains
 from protochain.validation.interface import Interface, native, scored

@@ -10,17 +10,17 @@ from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
 from protochain.batches.naming import output_stem, poses_name
 from protochain.batches.page import write_page
 from protochain.batches.thinning import thinned
+from protochain.chains.setup import Setup
 from protochain.core.errors import ProtochainError, WriteError
 from protochain.core.storage import regular
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.setup import Setup
 from protochain.structure.confidences import copy_confidences
 from protochain.structure.files import suffix_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from protochain.chain import Chain
+    from protochain.chains.chain import Chain
     from protochain.core.arrays import Floats
     from protochain.energies import Energy
     from protochain.minimisers import Solution

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli.options import (
     CONVERGED,
     AsJson,
@@ -24,7 +25,6 @@ from protochain.core import defaults
 from protochain.core.checks import words
 from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.relaxation.settings import RelaxSettings
-from protochain.setup import Setup
 
 Inputs = Annotated[
     list[str] | None,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli.options import (
     AsJson,
     Input,
@@ -28,7 +29,6 @@ from protochain.core.checks import words
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers.settings import MinimiseSettings
-from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from protochain.core.arrays import Watcher

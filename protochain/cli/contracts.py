@@ -7,6 +7,7 @@ from typing import Any, NotRequired, get_type_hints
 from protochain.batches import relaxed, table
 from protochain.batches.frame_files import FIRST
 from protochain.batches.frame_tasks import EnergyFrames
+from protochain.chains.setup import Setup
 from protochain.comparison import folder as of_comparison
 from protochain.comparison import modes_folder as of_modes
 from protochain.comparison.deviation import RmsdFrames
@@ -23,7 +24,6 @@ from protochain.relaxation.rounds import Round
 from protochain.results.columns import Column, Kind, kind_of, number
 from protochain.results.schema import OTHERS, Contract, cell
 from protochain.searching.settings import SearchSettings
-from protochain.setup import Setup
 from protochain.validation import MEASURES
 from protochain.validation.findings import RESIDUE_COLUMNS
 from protochain.validation.interface import CONFIDENCES, SCORES

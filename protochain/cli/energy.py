@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import (
@@ -18,7 +19,6 @@ from protochain.cli.options import (
     with_settings,
 )
 from protochain.core.errors import ProtochainError
-from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from pandas import DataFrame

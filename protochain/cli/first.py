@@ -6,7 +6,7 @@ from protochain.cli.terminal import foretell, run_progress, typical_evaluations
 from protochain.core import defaults
 
 if TYPE_CHECKING:
-    from protochain.chain import Chain
+    from protochain.chains.chain import Chain
     from protochain.energies import Energy
     from protochain.minimisers import Solution
 

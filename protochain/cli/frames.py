@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from protochain.batches.frame_files import FramesRun, Watch
     from protochain.batches.frame_tasks import Task
     from protochain.batches.frames import FrameResult
-    from protochain.setup import Setup
+    from protochain.chains.setup import Setup
     from protochain.structure.ensemble import Ensemble
     from protochain.structure.frames import Frames
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli.options import (
     STANDARD_OUTPUT,
     AsJson,
@@ -22,7 +23,6 @@ from protochain.cli.options import (
 )
 from protochain.core.checks import force_field_parts
 from protochain.core.markup import counted
-from protochain.setup import Setup
 
 
 @with_settings(setup="engine move rigid_protein terms solvent cutoff accuracy threads")
@@ -38,8 +38,8 @@ def info(
     """Show the contents of a file, the repairs to its structure, and its rigid bodies and hinges."""
     began = perf_counter()
     # Loaded here, so that the other times are those of the work alone.
-    import_module("protochain.articulate")
-    from protochain.contacts import overlaps
+    import_module("protochain.chains.articulate")
+    from protochain.chains.contacts import overlaps
     from protochain.energies.factory import checked_files
     from protochain.structure.losses import lost_atoms
 

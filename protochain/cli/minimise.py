@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
+from protochain.chains.setup import ALL_MODELS, Setup, models_asked
 from protochain.cli.options import (
     CONVERGED,
     STANDARD_OUTPUT,
@@ -50,10 +51,9 @@ from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers.settings import CheckpointSettings, MinimiseSettings, StartSettings
-from protochain.setup import ALL_MODELS, Setup, models_asked
 
 if TYPE_CHECKING:
-    from protochain.chain import Chain
+    from protochain.chains.chain import Chain
     from protochain.energies import Energy
     from protochain.minimisers import Recipe, Solution
     from protochain.structure import Structure

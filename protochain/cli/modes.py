@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli.first import METHOD, foretell_both, minimised_first
 from protochain.cli.options import (
     CONVERGED,
@@ -24,10 +25,9 @@ from protochain.cli.terminal import print_outlook
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
-from protochain.setup import Setup
 
 if TYPE_CHECKING:
-    from protochain.chain import Chain
+    from protochain.chains.chain import Chain
     from protochain.comparison.modes import NormalModes
     from protochain.core.arrays import Floats
     from protochain.energies import Energy

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
 from protochain.core.markup import counted
@@ -22,11 +23,10 @@ from protochain.dynamics.settings import RunSettings, SimulationSettings
 from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.relaxation.settings import RelaxSettings
 from protochain.searching.settings import SearchRunSettings, SearchSettings
-from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from protochain.batches import Batch
-    from protochain.chain import Chain
+    from protochain.chains.chain import Chain
     from protochain.energies import Energy
     from protochain.structure import Structure
 
@@ -201,7 +201,7 @@ def named_after(source: Path) -> tuple[str, str]:
 
 def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
     """Prepare a file; report changes and overlaps on standard error. Return also the seconds taken."""
-    from protochain.contacts import overlaps
+    from protochain.chains.contacts import overlaps
 
     began = perf_counter()
     structure, chain, energy = setup.prepare(source)
@@ -218,7 +218,7 @@ def prepare(source: Path, setup: Setup) -> tuple["Chain", "Energy", float]:
 
 def said_of_move(structure: "Structure", move: str, chain: "Chain | None" = None) -> list[str]:
     """Say what a selection moves: atoms and residues, and the hinges of a chain; nothing of all."""
-    from protochain.articulate import turned_atoms
+    from protochain.chains.articulate import turned_atoms
     from protochain.structure.select import moving
 
     if move == defaults.MOVE:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Trajectory
 from protochain.cli.options import (
@@ -40,7 +41,6 @@ from protochain.cli.options import (
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
 from protochain.relaxation.settings import RelaxSettings
-from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from protochain.batches.frame_tasks import RelaxFrames

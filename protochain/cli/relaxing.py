@@ -34,7 +34,7 @@ _SHOW_FROM = 5.0
 
 def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str = defaults.MOVE) -> float:
     """Say what will be done to a file, and how long it may take; return that in seconds."""
-    from protochain.contacts import overlaps
+    from protochain.chains.contacts import overlaps
     from protochain.validation import threaded_rings, violations
 
     print_changes(source, structure)

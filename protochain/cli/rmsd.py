@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import AsJson, check_outputs
 from protochain.cli.rows import Rows, conclude, print_rows, refused
-from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from protochain.batches.frame_tasks import Task

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli.options import (
     AsJson,
     check_outputs,
@@ -17,7 +18,6 @@ from protochain.cli.options import (
 )
 from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.checks import refuse_unknown
-from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from protochain.validation import Interface

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from protochain.chains.setup import OF_ENERGY, Setup
 from protochain.cli.options import (
     CONVERGED,
     INTERRUPTED,
@@ -24,7 +25,6 @@ from protochain.cli.terminal import print_search, search_progress
 from protochain.core.processors import processors
 from protochain.core.settings import settings_of
 from protochain.searching.settings import SearchRunSettings, SearchSettings
-from protochain.setup import OF_ENERGY, Setup
 
 Source = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, or a sequence of one-letter codes.")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli.first import METHOD, foretell_both, minimised_first
 from protochain.cli.options import (
     CONVERGED,
@@ -29,10 +30,9 @@ from protochain.cli.terminal import (
 )
 from protochain.core.interrupts import held_interrupts
 from protochain.dynamics.settings import Pull, RunSettings, SimulationSettings
-from protochain.setup import Setup
 
 if TYPE_CHECKING:
-    from protochain.chain import Chain
+    from protochain.chains.chain import Chain
     from protochain.core.arrays import Floats
     from protochain.dynamics import Simulation
     from protochain.energies import Energy

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from protochain.batches.api import BatchProgress
     from protochain.batches.jobs import Job
-    from protochain.chain import Chain
+    from protochain.chains.chain import Chain
     from protochain.core.arrays import Watcher
     from protochain.energies import Energy
     from protochain.minimisers import Recipe

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
 from protochain.cli.options import (
@@ -19,7 +20,6 @@ from protochain.cli.options import (
 from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.errors import ProtochainError
 from protochain.core.markup import counted
-from protochain.setup import Setup
 
 if TYPE_CHECKING:
     from pandas import DataFrame

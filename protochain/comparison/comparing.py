@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from protochain.articulate import with_energy
+from protochain.chains.articulate import with_energy
 from protochain.comparison.comparison import Comparison
 from protochain.core import defaults
 from protochain.core.arrays import Watcher

@@ -5,14 +5,14 @@ from typing import Any
 import pandas as pd
 from MDAnalysis.analysis.base import AnalysisBase
 
-from protochain.chain import pose
+from protochain.chains.chain import pose
+from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
 from protochain.energies.shared import shared_energy
 from protochain.minimisers import minimise, recipe_of
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.verdict import Judgement, judge
-from protochain.setup import Setup
 
 
 class EveryFrame(AnalysisBase):

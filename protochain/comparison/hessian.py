@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from protochain.articulate import with_energy
-from protochain.chain import Chain, pose, pull_back
+from protochain.chains.articulate import with_energy
+from protochain.chains.chain import Chain, pose, pull_back
 from protochain.comparison.pair_hessian import applies, colours, pair_hessian
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import checked

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.special import xlogy
 
-from protochain.chain import Chain, pose
+from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats, Value
 from protochain.core.checks import quantity
 from protochain.core.errors import Argument, ProtochainError, refused

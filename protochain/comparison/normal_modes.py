@@ -21,15 +21,15 @@ from scipy.linalg.blas import dsymv
 from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh, lobpcg
 
-from protochain.articulate import transferred, with_energy, with_free_root
-from protochain.chain import Chain, Pose, mass_matrix, pose
+from protochain.chains.articulate import transferred, with_energy, with_free_root
+from protochain.chains.chain import Chain, Pose, mass_matrix, pose
+from protochain.chains.frame import frame_of
 from protochain.comparison.hessian import Torques, torques_at
 from protochain.comparison.modes import NormalModes
 from protochain.comparison.pair_hessian import applies
 from protochain.core.arrays import Floats, floats, read_only
 from protochain.core.checks import at_least, checked, text
 from protochain.core.errors import Fault, ProtochainError, refused
-from protochain.frame import frame_of
 from protochain.mechanics import multibody
 from protochain.minimisers import curvature, springs
 from protochain.minimisers.spaces import motions_of_whole

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg.blas import dgemm
 from scipy.sparse import csr_array
 
-from protochain.chain import Chain, Pose
+from protochain.chains.chain import Chain, Pose
 from protochain.comparison import pair_kernels
 from protochain.core.arrays import Floats, Integers
 from protochain.energies import Energy, NativeEnergy

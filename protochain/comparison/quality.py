@@ -6,8 +6,8 @@ import mdtraj
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.chain import Chain
-from protochain.contacts import overlaps
+from protochain.chains.chain import Chain
+from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import checked, instance
 from protochain.core.units import ANGSTROM_PER_NM

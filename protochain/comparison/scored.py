@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from protochain.chains.setup import Setup
 from protochain.results.page import write_page
 from protochain.results.viewer import library
-from protochain.setup import Setup
 from protochain.structure.model import Structure
 from protochain.structure.select import sides
 from protochain.structure.write import as_text, common_suffix

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.articulate import transferred, with_energy, with_free_root
-from protochain.chain import Chain, place_atoms
+from protochain.chains.articulate import transferred, with_energy, with_free_root
+from protochain.chains.chain import Chain, place_atoms
+from protochain.chains.frame import Frame, frame_of
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats
 from protochain.core.checks import WATCHER, checked, optional, path
@@ -38,7 +39,6 @@ from protochain.dynamics.simulation import Simulation, said_of
 from protochain.dynamics.thermostats import THERMOSTATS, build_thermostat
 from protochain.energies import Energy
 from protochain.energies.custom import EnergyFunction
-from protochain.frame import Frame, frame_of
 from protochain.mechanics.motion.system import Phase, StepTooLargeError, System, total
 from protochain.structure.chirality import changed_hands
 from protochain.structure.superpose import rmsd_angstrom

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 
-from protochain.chain import Chain, pose
+from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import ChainError, Fault
 from protochain.mechanics.motion.system import Drift, Drifted, Phase, StepTooLargeError

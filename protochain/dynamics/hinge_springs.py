@@ -6,11 +6,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from protochain.chain import Chain
+from protochain.chains.chain import Chain
+from protochain.chains.hinges import Hinge
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import ChainError
 from protochain.dynamics.settings import HingeSpring
-from protochain.hinges import Hinge
 from protochain.mechanics.motion.system import Phase, System
 from protochain.mechanics.multibody.articulated import Articulated, solve
 

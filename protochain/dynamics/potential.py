@@ -1,6 +1,6 @@
 """Potentials of a chain, as integrators see them: its force field, and what corrects for rigid bonds."""
 
-from protochain.chain import Chain, Pose, place_atoms, pull_back
+from protochain.chains.chain import Chain, Pose, place_atoms, pull_back
 from protochain.core.arrays import Floats
 from protochain.dynamics.closure import Closure
 from protochain.energies.protocol import Energy

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from protochain.chain import Chain, pose
+from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import ChainError
 from protochain.dynamics.settings import Pull

@@ -137,7 +137,7 @@ class HingeSpring:
     damping: float = 0.0
 
     def __post_init__(self) -> None:
-        from protochain.hinges import HINGES
+        from protochain.chains.hinges import HINGES
 
         unit = "kilojoule_per_mole/radian/radian"
         check_fields(self, kind=text, stiffness=quantity(unit), damping=number)

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.chain import Chain, place_atoms
-from protochain.contacts import overlaps
+from protochain.chains.chain import Chain, place_atoms
+from protochain.chains.contacts import overlaps
+from protochain.chains.frame import Frame
 from protochain.core.arrays import Floats
 from protochain.core.markup import counted
 from protochain.dynamics.loop import Ending, State
 from protochain.dynamics.settings import SimulationSettings
 from protochain.dynamics.thermostats import THERMOSTATS
 from protochain.energies.protocol import Energy
-from protochain.frame import Frame
 from protochain.results.columns import Column, of_energy, of_losses
 from protochain.structure import Structure, save
 

@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from protochain.core.arrays import Integers
 from protochain.core.errors import ForceFieldError
 from protochain.energies.native.terms import TIES
-from protochain.structure.linkage import is_metal
+from protochain.structure.links import is_metal
 from protochain.structure.model import BoundLigand, Structure, Tie
 from protochain.structure.sugars import GLYCOSYLATED
 from protochain.structure.templates import HAS_GLYCAM, PHOSPHATE_END

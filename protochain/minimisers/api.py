@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from protochain.articulate import with_energy
-from protochain.chain import Pose, pose
+from protochain.chains.articulate import with_energy
+from protochain.chains.chain import Pose, pose
+from protochain.chains.frame import Frame, frame_of, knows_places
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
@@ -23,7 +24,6 @@ from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import taken
-from protochain.frame import Frame, frame_of, knows_places
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import minimise_by_openmm

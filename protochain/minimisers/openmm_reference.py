@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import openmm
 
-from protochain.chain import Chain
+from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats
 from protochain.core.interrupts import held_interrupts
 from protochain.energies import Energy, OpenMMEnergy, constrain_hydrogens

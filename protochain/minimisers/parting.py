@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.contacts import near_pairs, overlaps
+from protochain.chains.contacts import near_pairs, overlaps
 from protochain.core.arrays import Floats, read_only
 from protochain.energies.bonded import bonded_part
 from protochain.energies.protocol import Energy

@@ -17,7 +17,7 @@ class BudgetSpentError(Exception):
 
 
 class Placement(Protocol):
-    """Coordinates and the positions they stand for: a :class:`protochain.chain.Pose`, or free atoms."""
+    """Coordinates and the positions they stand for: a pose of a chain, or free atoms."""
 
     @property
     def q(self) -> Floats:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from protochain.chain import Chain
-from protochain.contacts import overlaps
+from protochain.chains.chain import Chain
+from protochain.chains.contacts import overlaps
 from protochain.core import defaults
 from protochain.core.arrays import Floats
 from protochain.core.checks import number

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.articulate import turned_atoms
+from protochain.chains.articulate import turned_atoms
 from protochain.core import defaults
 from protochain.energies.decomposed import TERMS
 from protochain.minimisers.verdict import Status

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from protochain.contacts import near_pairs
+from protochain.chains.contacts import near_pairs
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import refused
 from protochain.core.units import ANGSTROM_PER_NM

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.chain import Chain
+from protochain.chains.chain import Chain
+from protochain.chains.frame import Frame
 from protochain.core.arrays import Floats, Integers, Value, Watcher
 from protochain.core.errors import StrayWarning
 from protochain.core.markup import facts
 from protochain.energies.decomposed import TermsAtEnds
 from protochain.energies.protocol import Energy
-from protochain.frame import Frame
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.record import COLUMNS
 from protochain.minimisers.restraints import Hold

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from protochain.chain import Chain, Pose, pose, pull_back, solve_mass
+from protochain.chains.chain import Chain, Pose, pose, pull_back, solve_mass
 from protochain.core.arrays import Floats, Integers
 from protochain.core.interrupts import answering
 from protochain.mechanics import multibody

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-from protochain.chain import Chain, Pose
-from protochain.contacts import joined, near_pairs
+from protochain.chains.chain import Chain, Pose
+from protochain.chains.contacts import joined, near_pairs
 from protochain.core.arrays import Floats, Integers
 from protochain.minimisers.torsion_kernels import stiffness_in_torsions
 from protochain.structure.model import Structure, of_atoms

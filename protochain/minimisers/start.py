@@ -5,8 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from protochain.articulate import with_free_root
-from protochain.chain import Chain, Pose, pose
+from protochain.chains.articulate import with_free_root
+from protochain.chains.chain import Chain, Pose, pose
 from protochain.energies.protocol import Energy
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.problem import Evaluation, Problem, evaluate

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.contacts import overlaps
+from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
 from protochain.core.markup import counted
 from protochain.minimisers.recipes import Recipe

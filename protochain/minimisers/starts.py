@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.articulate import with_energy
-from protochain.chain import Chain, pose
+from protochain.chains.articulate import with_energy
+from protochain.chains.chain import Chain, pose
 from protochain.core import defaults
 from protochain.core.arrays import read_only
 from protochain.core.checks import WATCHER, checked, function, integer, number, quantity

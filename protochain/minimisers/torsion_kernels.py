@@ -8,7 +8,7 @@ summed from the leaves inward for every body; O(nb^2) in all, whatever the numbe
 
 import numpy as np
 
-from protochain.chain import Chain, Pose
+from protochain.chains.chain import Chain, Pose
 from protochain.core.arrays import Floats, Integers, cross
 from protochain.mechanics.multibody import velocities
 from protochain.mechanics.multibody.algebra import kernel

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 
-from protochain.articulate import build_chain
-from protochain.chain import Chain, Pose
-from protochain.contacts import overlaps
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Chain, Pose
+from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
 from protochain.core.interrupts import answering
 from protochain.core.markup import listed

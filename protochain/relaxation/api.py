@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
+from protochain.chains.frame import Frame
 from protochain.core import defaults
 from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
 from protochain.core.interrupts import answering, held_interrupts
 from protochain.core.markup import counted, listed
 from protochain.energies import Energy, NativeEnergy
-from protochain.frame import Frame
 from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.recipes import check_dihedrals
 from protochain.minimisers.spaces import Cartesian

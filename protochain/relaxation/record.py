@@ -5,7 +5,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from protochain.contacts import overlaps
+from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
 from protochain.energies.decomposed import TERMS
 from protochain.minimisers.verdict import Status

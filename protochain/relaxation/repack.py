@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.contacts import near_pairs
+from protochain.chains.contacts import near_pairs
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import StructureError
 from protochain.energies import Energy, NativeEnergy, UnsupportedForceError

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from protochain.chains.frame import Frame
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
 from protochain.core.markup import counted, facts
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies.decomposed import TermsAtEnds
 from protochain.energies.protocol import Energy
-from protochain.frame import Frame
 from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.chirality_restraint import Hands

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.contacts import near_pairs, overlapping
+from protochain.chains.contacts import near_pairs, overlapping
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.graph import both_ways
 from protochain.energies import Energy

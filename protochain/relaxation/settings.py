@@ -5,13 +5,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.settings import Settings, setting
 from protochain.minimisers.settings import TOLERANCE
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
-from protochain.setup import Setup
 
 
 @dataclass(frozen=True)

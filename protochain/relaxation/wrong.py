@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.contacts import overlapping
+from protochain.chains.contacts import overlapping
 from protochain.core.arrays import Floats, Integers
 from protochain.relaxation.chirality_restraint import Hands
 from protochain.relaxation.peptides import PeptideBonds

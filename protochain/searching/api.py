@@ -14,9 +14,9 @@ from queue import Empty, SimpleQueue
 from time import perf_counter
 from typing import Any
 
-from protochain.articulate import with_energy
 from protochain.batches.cluster import Processes, at_work
 from protochain.batches.supervise import supervise
+from protochain.chains.articulate import with_energy
 from protochain.core import defaults
 from protochain.core.checks import at_least, checked, function, optional, path, text
 from protochain.core.errors import Argument, ProtochainError

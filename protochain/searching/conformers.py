@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.chain import Chain
+from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats
 from protochain.searching.moves import NONE, Moves
 from protochain.structure.build import PROLINE_PHI

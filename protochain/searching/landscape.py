@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from protochain.articulate import build_chain
-from protochain.chain import Chain, pose
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats, Value
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.units import MOLAR_GAS

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
-from protochain.chain import Chain
+from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import MOLAR_GAS
 from protochain.structure.superpose import rmsd_angstrom
 
 if TYPE_CHECKING:
-    from protochain.hinges import Hinge
+    from protochain.chains.hinges import Hinge
 
 SAME_ENERGY, SAME_TORSION = 0.5, 0.2
 """kJ/mol, and rad of the torsion that differs most, within which two minima are one: a descent ends where

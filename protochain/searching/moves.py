@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from protochain.chain import Chain
+from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.structure.sidechains.rotamers import BACKBONE, rotamers
 from protochain.validation.ramachandran import CLASSES, FAVOURED, tables
 
 if TYPE_CHECKING:
-    from protochain.hinges import Hinge
+    from protochain.chains.hinges import Hinge
 
 JITTER = np.deg2rad(10.0)
 """Standard deviation of a side chain's dihedral about that of its rotamer: about as wide as their peaks."""

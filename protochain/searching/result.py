@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.articulate import build_chain, transferred
-from protochain.chain import log_det_mass, pose
+from protochain.chains.articulate import build_chain, transferred
+from protochain.chains.chain import log_det_mass, pose
 from protochain.comparison.hessian import hessian
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import integer

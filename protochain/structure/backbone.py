@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult, least_squares
 
 from protochain.core.arrays import Floats
-from protochain.structure.draft import Member, atom
+from protochain.structure.member import Member, atom
 from protochain.structure.residues import BACKBONE
 
 _BONDS = {

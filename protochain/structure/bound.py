@@ -26,8 +26,9 @@ from protochain.ligands.matching import Placed, named_as, placed
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import Charged, at_metal, at_ph, with_hydrogens
 from protochain.ligands.sources import of_residue
-from protochain.structure.draft import Draft, Member, Part, atom
-from protochain.structure.linkage import Link, is_metal
+from protochain.structure.draft import Draft, Part
+from protochain.structure.links import Link, is_metal
+from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind
 from protochain.structure.residues import STANDARD
 from protochain.structure.templates import HAS_GLYCAM, HAS_SAGE, Template

@@ -6,7 +6,8 @@ from scipy.spatial import KDTree
 
 from protochain.core.checks import NO_BONDS, Bond
 from protochain.core.errors import Argument, StructureError
-from protochain.structure.draft import Draft, Member
+from protochain.structure.draft import Draft
+from protochain.structure.member import Member
 from protochain.structure.repairs import Kind
 
 DISULFIDE = 3.0

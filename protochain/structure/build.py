@@ -3,7 +3,8 @@
 from protochain.core.checks import text
 from protochain.core.errors import StructureError
 from protochain.structure import residues
-from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.draft import Draft, Part
+from protochain.structure.member import Member, atom
 from protochain.structure.model import Structure
 from protochain.structure.prepare import prepare
 

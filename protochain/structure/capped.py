@@ -22,8 +22,9 @@ from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import at_ph
 from protochain.structure.bonding import Graph
 from protochain.structure.bound import Chemist
-from protochain.structure.draft import Fragment, Member, Part
-from protochain.structure.linkage import Link, usual_length
+from protochain.structure.draft import Fragment, Part
+from protochain.structure.links import Link, usual_length
+from protochain.structure.member import Member
 from protochain.structure.residues import NUCLEOTIDES, OF_ALANINE
 from protochain.structure.templates import PHOSPHATE_END
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from protochain.core.arrays import Floats, Integers, cross
 from protochain.core.graph import neighbours
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.draft import Member
+from protochain.structure.member import Member
 from protochain.structure.model import BoundLigand, Structure, of_atoms
 from protochain.structure.residues import NUCLEOTIDES, Atom
 from protochain.structure.sugars import letters_of, sugar_centres

@@ -9,7 +9,8 @@ from protochain.core.arrays import Floats
 from protochain.core.errors import StructureError
 from protochain.structure import residues
 from protochain.structure.chirality import centres, hand, wrong_hands
-from protochain.structure.draft import Draft, Member, Part, atom, losses
+from protochain.structure.draft import Draft, Part, losses
+from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind, Renamed, Why
 from protochain.structure.sidechains.ideal import Places, bridged, dihedral, ideal, placed, unit
 from protochain.structure.sidechains.sites import Site

@@ -16,7 +16,7 @@ from protochain.core.errors import StructureError
 from protochain.core.extras import library
 from protochain.core.markup import excerpt
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.draft import atom
+from protochain.structure.member import atom
 
 _POSITIONS = {
     ".prmtop": (".inpcrd", ".rst7", ".crd"), ".parm7": (".inpcrd", ".rst7", ".crd"),

@@ -16,9 +16,11 @@ from protochain.core.markup import listed
 from protochain.structure.bonding import Graph
 from protochain.structure.bound import Chemist, template_of
 from protochain.structure.capped import Maker, Place
-from protochain.structure.draft import Draft, Fragment, Member, Part, losses
+from protochain.structure.draft import Draft, Fragment, Part, losses
 from protochain.structure.kept import cut
-from protochain.structure.linkage import SHORTEST, STATED_SLACK, Link
+from protochain.structure.linkage import SHORTEST, STATED_SLACK
+from protochain.structure.links import Link
+from protochain.structure.member import Member
 from protochain.structure.parents import to_parent
 from protochain.structure.repairs import Kind, Loss, Why
 from protochain.structure.residues import Atom

@@ -16,8 +16,10 @@ from scipy.spatial import KDTree
 
 from protochain.core.graph import components
 from protochain.structure.chirality import volume
-from protochain.structure.draft import Address, Draft, Member, Part, losses
-from protochain.structure.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, Link, is_metal, is_usual
+from protochain.structure.draft import Draft, Part, losses
+from protochain.structure.linkage import COVALENT_SLACK, SHORTEST, STATED_SLACK, is_usual
+from protochain.structure.links import Link, is_metal
+from protochain.structure.member import Address, Member
 from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import Atom
 from protochain.structure.sugars import (

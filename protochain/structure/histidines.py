@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats
-from protochain.structure.draft import Member
+from protochain.structure.member import Member
 from protochain.structure.templates import Template
 
 _HYDROGEN_BOND = 3.5

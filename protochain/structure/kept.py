@@ -17,9 +17,11 @@ from protochain.core.graph import components
 from protochain.core.markup import counted
 from protochain.structure import glycans, residues
 from protochain.structure.bound import AS_KNOWN, Chemistry
-from protochain.structure.draft import Draft, Member, Part, losses
+from protochain.structure.draft import Draft, Part, losses
 from protochain.structure.ions import is_known
-from protochain.structure.linkage import STATED, Link, is_metal
+from protochain.structure.linkage import STATED
+from protochain.structure.links import Link, is_metal
+from protochain.structure.member import Member
 from protochain.structure.recognise import by_element, recognised
 from protochain.structure.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
 from protochain.structure.templates import Template

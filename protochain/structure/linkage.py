@@ -14,8 +14,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats
-from protochain.structure.draft import Draft, Member
-from protochain.structure.residues import Atom
+from protochain.structure.draft import Draft
+from protochain.structure.links import Link, usual_length
+from protochain.structure.member import Member
 
 COVALENT_SLACK = 0.3
 """Angstrom by which atoms that are bonded may be nearer, or further apart, than the sum of their covalent
@@ -61,88 +62,8 @@ _HYDROGENS_LEFT = {"ND2": 1, "NZ": 2, "N": 1}
 """Hydrogens that an atom of the protein may have beside such a bond; others have none."""
 _MOST = {"C": 4, "N": 4, "O": 2, "P": 5, "S": 4, "Se": 4, "B": 4, "Si": 4}
 """Neighbours at most of an atom beside the protein; one of the protein gets one such bond."""
-_OXYGEN_DISTANCE = {
-    "Na": 2.38, "Mg": 2.07, "K": 2.74, "Ca": 2.36, "Mn": 2.15, "Fe": 2.04, "Co": 2.05, "Ni": 2.06,
-    "Cu": 1.99, "Zn": 1.99,
-}  # fmt: skip
-"""Angstrom, usual distance of oxygen in proteins: Harding, Acta Cryst. D62:678 (2006); Ni by its radius."""
-_OTHER_METAL = 2.3
-"""Angstrom: of metals that are not in the table."""
-_SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
-"""Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
-_TOO_NEAR = 0.6
-"""Angstrom by which a donor may be nearer to a metal than usual; nearer ones lie on it."""
 _REACH = 2.8
 """Angstrom: no bond between atoms that are no metals is longer."""
-
-
-@dataclass(frozen=True, eq=False)
-class Link:
-    """Atom of the protein and one kept beside it: a bond, or a pair that may be one.
-
-    other: Kept beside the protein.
-    stated: Whether the file states a bond.
-    """
-
-    member: Member
-    atom: gemmi.Atom
-    other: Member
-    other_atom: gemmi.Atom
-    stated: bool = False
-
-    def __str__(self) -> str:
-        return " and ".join(map(str, self.atoms))
-
-    @property
-    def atoms(self) -> tuple[Atom, Atom]:
-        """What a file calls the atoms."""
-        return Atom(self.atom.name, self.member.residue), Atom(self.other_atom.name, self.other.residue)
-
-    @property
-    def is_metal(self) -> bool:
-        """Whether a metal is bonded."""
-        return is_metal(self.other_atom.element.name)
-
-    @property
-    def is_coordinated(self) -> bool:
-        """Whether an atom holds a metal: it is a donor at a usual distance, or the file says so."""
-        usual = _OXYGEN_DISTANCE.get(self.other_atom.element.name, _OTHER_METAL)
-        if self.stated or self.length < usual - _TOO_NEAR:
-            return self.length >= usual - _TOO_NEAR
-        slack = _SLACK.get(self.atom.element.name)
-        # An amide nitrogen of the chain has no free pair of electrons.
-        is_amide = self.atom.name == "N" and bool(self.member.atom("CA"))
-        return slack is not None and not is_amide and self.length <= usual + slack
-
-    @property
-    def length(self) -> float:
-        """Distance, angstrom."""
-        return float(self.atom.pos.dist(self.other_atom.pos))
-
-    @property
-    def excess(self) -> float:
-        """Distance beyond the usual one of a covalent bond, angstrom."""
-        return self.length - usual_length(self.atom.element.name, self.other_atom.element.name)
-
-    @property
-    def ends(self) -> tuple[int, int]:
-        """``id`` of the atoms."""
-        return id(self.atom), id(self.other_atom)
-
-    @property
-    def owners(self) -> tuple[int, int]:
-        """``id`` of the residues."""
-        return id(self.member), id(self.other)
-
-
-def is_metal(symbol: str) -> bool:
-    """Whether an element is a metal."""
-    return bool(gemmi.Element(symbol).is_metal)
-
-
-def usual_length(first: str, second: str) -> float:
-    """Sum of the covalent radii of two elements, angstrom."""
-    return float(gemmi.Element(first).covalent_r + gemmi.Element(second).covalent_r)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 import gemmi
 
 from protochain.structure.chirality import WELL_FORMED, hand
-from protochain.structure.draft import Draft, Member, losses
+from protochain.structure.draft import Draft, losses
+from protochain.structure.member import Member
 from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import name_in_file
 from protochain.structure.templates import Template, archive_parent, other_names

@@ -14,7 +14,8 @@ import gemmi
 from protochain.core import defaults
 from protochain.core.errors import StructureError
 from protochain.core.extras import library
-from protochain.structure.draft import Draft, Member
+from protochain.structure.draft import Draft
+from protochain.structure.member import Member
 
 _PER_CHAIN = 9000
 """Residues that a chain of a PDB file may number, and the names of its chains."""

@@ -28,10 +28,11 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.bound import Chemistry, put_hydrogens, take_up
 from protochain.structure.bridges import Bridge, disulfides
 from protochain.structure.complete import add_heavy_atoms
-from protochain.structure.draft import Draft, Fragment, Member, Part
+from protochain.structure.draft import Draft, Fragment, Part
 from protochain.structure.files import place_in_file
 from protochain.structure.hydrogens import place_hydrogens
-from protochain.structure.linkage import Link
+from protochain.structure.links import Link
+from protochain.structure.member import Member
 from protochain.structure.model import BoundLigand, Origin, Structure
 from protochain.structure.pka import by_propka, value_of
 from protochain.structure.protonate import protonate

@@ -6,8 +6,9 @@ import gemmi
 import numpy as np
 
 from protochain.structure import residues
-from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.draft import Draft, Part
 from protochain.structure.histidines import settled
+from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind
 from protochain.structure.templates import Template, rename
 

@@ -36,10 +36,11 @@ from protochain.structure.conformation import (
     without_deuterium,
     without_nan,
 )
-from protochain.structure.draft import Address, Draft, Member, Part, losses
+from protochain.structure.draft import Draft, Part, losses
 from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, place_in_file, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, note_unresolved, report, water_named
+from protochain.structure.member import Address, Member
 from protochain.structure.repairs import EVERYTHING, Kind, Repair, Why
 from protochain.structure.sites import find_links
 from protochain.structure.springs import springs

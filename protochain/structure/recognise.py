@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.structure.draft import Member
+from protochain.structure.member import Member
 from protochain.structure.templates import Template
 
 _BOND_SLACK, _BOND_SHORTEST = 0.4, 0.5

@@ -14,16 +14,11 @@ from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import neighbours
-from protochain.structure.draft import Address, Draft, Member, Part
+from protochain.structure.draft import Draft, Part
 from protochain.structure.kept import JOINED
-from protochain.structure.linkage import (
-    COVALENT_SLACK,
-    STATED,
-    Link,
-    is_metal,
-    told_apart,
-    usual_length,
-)
+from protochain.structure.linkage import COVALENT_SLACK, STATED, told_apart
+from protochain.structure.links import Link, is_metal, usual_length
+from protochain.structure.member import Address, Member
 from protochain.structure.model import Tie
 from protochain.structure.repairs import Apart, Count, Kind
 from protochain.structure.springs import DIGITS

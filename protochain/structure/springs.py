@@ -10,7 +10,7 @@ import gemmi
 import numpy as np
 
 from protochain.core.graph import components
-from protochain.structure.draft import Address
+from protochain.structure.member import Address
 from protochain.structure.model import Structure
 
 CATEGORY = "_protochain_tie."

@@ -25,7 +25,7 @@ from protochain.ligands.tables import ORDERS, rows
 from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.header import NO_LABEL, Label, settle, with_header
-from protochain.structure.linkage import is_metal
+from protochain.structure.links import is_metal
 from protochain.structure.model import Structure
 from protochain.structure.records import Rows, cif_rows, orders, pdb_lines, put, with_names
 from protochain.structure.residues import NUCLEOTIDES

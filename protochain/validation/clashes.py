@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.contacts import joined
+from protochain.chains.contacts import joined
 from protochain.core.arrays import Floats, Integers, Value, cross, read_only
 from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM

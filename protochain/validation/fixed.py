@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.contacts import radii
+from protochain.chains.contacts import radii
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, joined
 from protochain.core.markup import counted, listed

@@ -14,8 +14,8 @@ from fixtures.command_line import is_held, refusal, run
 
 import protochain as pc
 from protochain.batches import BatchSettings
+from protochain.chains.setup import Setup
 from protochain.relaxation import RelaxSettings
-from protochain.setup import Setup
 
 pytestmark = pytest.mark.usefixtures("interruptible")
 SIMULATE, FIRST, BATCH = (

@@ -18,9 +18,9 @@ from fixtures.repairs import noted
 from fixtures.samples import STRUCTURES, chain, load
 
 import protochain as pc
+from protochain.chains.setup import Setup
 from protochain.cli import app, main, options
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.setup import Setup
 from protochain.structure.repairs import EVERYTHING, Kind, Repair
 from protochain.structure.residues import Residue
 from protochain.structure.write import as_text
@@ -132,7 +132,8 @@ def test_changes_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
     structure = SimpleNamespace(repairs=repairs, positions="x")
     found = [Overlap(k=k, remedy=f"mend {k}") for k in range(n)]
     monkeypatch.setattr(
-        "protochain.contacts.overlaps", lambda s, x, c: found if (s, x, c) == (structure, "x", "c") else 1
+        "protochain.chains.contacts.overlaps",
+        lambda s, x, c: found if (s, x, c) == (structure, "x", "c") else 1,
     )
     monkeypatch.setattr(options, "perf_counter", iter([1.0, 3.5]).__next__)
     setup = SimpleNamespace(
@@ -208,7 +209,7 @@ def info(monkeypatch):
     monkeypatch.setattr(Setup, "energy", energy)
     near = SimpleNamespace(remedy="mend")
     monkeypatch.setattr(
-        "protochain.contacts.overlaps", lambda *given: [near] if given == (s, s.positions, c) else []
+        "protochain.chains.contacts.overlaps", lambda *given: [near] if given == (s, s.positions, c) else []
     )
     command = importlib.import_module("protochain.cli.inspect")
     monkeypatch.setattr(command, "perf_counter", iter([0.0, 1.0, 3.0, 6.0, 6.0, 10.0]).__next__)

@@ -19,11 +19,11 @@ from typer.exceptions import TyperException
 import protochain as pc
 from protochain.batches import cluster
 from protochain.batches.child import _rows
+from protochain.chains.setup import Setup
 from protochain.cli import as_said
 from protochain.cli.options import BAD_INPUT
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import settings_of
-from protochain.setup import Setup
 from protochain.structure.trajectory import TrajectoryFile
 
 pytestmark = [pytest.mark.usefixtures("interruptible"), pytest.mark.slow]

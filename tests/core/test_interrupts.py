@@ -170,7 +170,7 @@ def test_an_untouched_start_is_not_written(tmp_path):
 
 
 def test_an_interrupt_before_a_run_is_a_line_and_status_130(monkeypatch, capsys):
-    setup = importlib.import_module("protochain.setup")
+    setup = importlib.import_module("protochain.chains.setup")
 
     def load(*_):
         raise KeyboardInterrupt
@@ -203,12 +203,12 @@ def at_stage(self, name, evaluations):
         tell(name)
     before(self, name, evaluations)
 solution.Recorder.at_stage = at_stage
-import protochain.setup
-load = protochain.setup.Setup.load
+import protochain.chains.setup
+load = protochain.chains.setup.Setup.load
 def loading(self, *given):
     tell("preparation")
     return load(self, *given)
-protochain.setup.Setup.load = loading
+protochain.chains.setup.Setup.load = loading
 from protochain.cli import main
 main()
 """

@@ -18,7 +18,7 @@ from fixtures.waiting import HANG, until
 from scipy.stats import kstest
 
 import protochain as pc
-from protochain.contacts import overlaps
+from protochain.chains.contacts import overlaps
 from protochain.core.settings import settings_of
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Leapfrog, Simulation, StepTooLargeError, System, closure_of, simulate

@@ -10,9 +10,9 @@ from fixtures.tolerances import NATIVE_ENERGY, NATIVE_FORCE
 from openmm import app, unit
 
 import protochain as pc
+from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
-from protochain.setup import Setup
 
 
 def by_openmm(s, solvent, cutoff):

@@ -17,7 +17,7 @@ from scipy.integrate import quad
 from scipy.spatial.distance import pdist
 
 import protochain as pc
-from protochain.chain import pose, pull_back
+from protochain.chains.chain import pose, pull_back
 from protochain.energies import NativeEnergy, OpenMMEnergy, UnsupportedForceError
 from protochain.energies.native import born, neighbours, series
 from protochain.energies.native.evaluate import Layout

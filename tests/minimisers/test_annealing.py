@@ -5,7 +5,7 @@ import pytest
 from fixtures.samples import chain
 
 import protochain as pc
-from protochain.chain import pose
+from protochain.chains.chain import pose
 from protochain.mechanics import multibody
 from protochain.mechanics.motion.leapfrog import Leapfrog
 from protochain.mechanics.motion.system import Phase, StepTooLargeError, System

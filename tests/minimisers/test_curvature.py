@@ -9,7 +9,7 @@ from fixtures.samples import chain, energy, load
 from scipy.spatial.distance import cdist
 
 import protochain as pc
-from protochain.chain import pose
+from protochain.chains.chain import pose
 from protochain.energies.native.terms import compile_system
 from protochain.mechanics import multibody
 from protochain.minimisers import curvature

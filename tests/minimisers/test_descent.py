@@ -12,8 +12,8 @@ from scipy.optimize import minimize
 from scipy.sparse.csgraph import shortest_path
 
 import protochain as pc
-from protochain.chain import pose
-from protochain.contacts import joined, near_pairs, radii
+from protochain.chains.chain import pose
+from protochain.chains.contacts import joined, near_pairs, radii
 from protochain.mechanics import multibody
 from protochain.minimisers import KCM, LBFGS, RECIPES, Descent, Fire, Newton, StrongWolfe, springs
 from protochain.minimisers.kcm import by_largest, by_length, by_sign

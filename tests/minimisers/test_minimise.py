@@ -10,8 +10,8 @@ from fixtures.samples import SAMPLES, STRUCTURES, chain, energy, load
 from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, TRACED_FORCE
 
 import protochain as pc
+from protochain.chains.contacts import overlaps
 from protochain.cli import main
-from protochain.contacts import overlaps
 from protochain.minimisers import KCM, LBFGS, METHODS, Descent, Status, StrongWolfe
 from protochain.minimisers.lbfgs import quasi_newton
 from protochain.minimisers.loop import Stop, run

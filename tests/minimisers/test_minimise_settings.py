@@ -10,9 +10,9 @@ from fixtures.samples import chain
 from fixtures.told_energy import FORCES, told
 
 import protochain as pc
-from protochain.chain import pose
+from protochain.chains.chain import pose
+from protochain.chains.frame import Frame
 from protochain.core import defaults
-from protochain.frame import Frame
 from protochain.minimisers import RECIPES, Solution, Status, api
 from protochain.minimisers.api import Minimisation
 from protochain.minimisers.loop import Stop

@@ -7,7 +7,7 @@ import pytest
 from fixtures.samples import chain, energy, load, shared, still
 
 import protochain as pc
-from protochain.articulate import turned_atoms
+from protochain.chains.articulate import turned_atoms
 from protochain.relaxation.repack import repacked
 from protochain.structure.select import moving, select
 

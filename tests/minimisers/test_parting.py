@@ -11,7 +11,7 @@ from fixtures.samples import chain, energy, load
 from fixtures.tolerances import GEOMETRY_NM
 
 import protochain as pc
-from protochain.contacts import overlaps
+from protochain.chains.contacts import overlaps
 from protochain.core.errors import StrayWarning
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers import RECIPES, Stop, springs, verdict

@@ -11,8 +11,8 @@ from fixtures.repairs import sentences
 from fixtures.samples import chain
 from scipy.spatial.transform import Rotation
 
+from protochain.chains.frame import Frame
 from protochain.energies.decomposed import TERMS
-from protochain.frame import Frame
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.record import COLUMNS, SHOWN
 from protochain.minimisers.restraints import Hold

@@ -5,7 +5,7 @@ import pytest
 from fixtures.samples import load
 
 import protochain as pc
-from protochain.contacts import radii
+from protochain.chains.contacts import radii
 from protochain.minimisers.restraints import Given, Hold, Leash, SoftRepulsion, Sum, Tethers
 
 

@@ -10,7 +10,7 @@ from fixtures.samples import STRUCTURES, chain, energy, load
 from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM
 
 import protochain as pc
-from protochain.contacts import OVERLAP, overlaps
+from protochain.chains.contacts import OVERLAP, overlaps
 from protochain.minimisers import LBFGS, BudgetSpentError, Descent, Run, Status, StrongWolfe
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Ending, Snapshot, Stop, Unstarted

@@ -7,7 +7,7 @@ import pytest
 from fixtures.samples import chain, load
 
 import protochain as pc
-from protochain.chain import pose, pull_back
+from protochain.chains.chain import pose, pull_back
 from protochain.mechanics import multibody
 from protochain.minimisers import RECIPES, springs
 from protochain.minimisers.annealing import Annealing

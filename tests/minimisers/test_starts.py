@@ -10,9 +10,9 @@ from fixtures.molecules import crowded
 from fixtures.samples import chain, energy, load
 
 import protochain as pc
-from protochain.chain import pose
-from protochain.contacts import overlaps
-from protochain.frame import Frame
+from protochain.chains.chain import pose
+from protochain.chains.contacts import overlaps
+from protochain.chains.frame import Frame
 from protochain.minimisers import Starts, Status, starts
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.starts import _home, parted, perturbed

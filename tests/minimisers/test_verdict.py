@@ -9,8 +9,8 @@ import pytest
 from fixtures.samples import STRUCTURES, chain, load, shared
 
 import protochain as pc
-from protochain.chain import pose, pull_back
-from protochain.contacts import overlaps
+from protochain.chains.chain import pose, pull_back
+from protochain.chains.contacts import overlaps
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import ALL_PAIRS, Status, judge, judge_of, rebuilt, rejected, verdict
 from protochain.validation.findings import remains

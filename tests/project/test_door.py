@@ -17,9 +17,9 @@ from fixtures.tolerances import RMSD_ANGSTROM
 from openmm import app, unit
 
 import protochain as pc
+from protochain.chains.frame import Frame
 from protochain.comparison.deviation import deviation
 from protochain.energies import NativeEnergy
-from protochain.frame import Frame
 from protochain.minimisers import KCM, Descent, Fixed
 from protochain.minimisers.solution import N_FRAMES, Recorder
 from protochain.validation import MEASURES

@@ -15,7 +15,7 @@ from fixtures.samples import energy, load, shared
 from fixtures.tolerances import NATIVE_ENERGY, NATIVE_FORCE, SPRING_ENERGY
 
 import protochain as pc
-from protochain.contacts import joined, overlaps
+from protochain.chains.contacts import joined, overlaps
 from protochain.core.interrupts import held_interrupts
 from protochain.energies import OpenMMEnergy, build_system
 from protochain.minimisers.loop import Stop

@@ -8,7 +8,7 @@ from fixtures.repairs import sentences
 from fixtures.samples import load
 
 import protochain as pc
-from protochain.contacts import overlaps
+from protochain.chains.contacts import overlaps
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.stages import Outcome
 from protochain.relaxation import rounds

@@ -10,8 +10,8 @@ from fixtures.repairs import sentences
 from fixtures.samples import load, shared
 
 import protochain as pc
+from protochain.chains.contacts import OVERLAP, near_pairs
 from protochain.cli import app
-from protochain.contacts import OVERLAP, near_pairs
 from protochain.core.errors import StructureError
 from protochain.core.units import COULOMB
 from protochain.relaxation.repack import repacked, troubled

@@ -256,7 +256,7 @@ def test_scenes_load_nothing_of_proteins():
     path = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "analysis")))}
     done = subprocess.run([sys.executable, "-c", code], env=path, capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    assert not loaded & {"openmm", "gemmi", "MDAnalysis", "protochain.structure", "protochain.chain"}
+    assert not loaded & {"openmm", "gemmi", "MDAnalysis", "protochain.structure", "protochain.chains.chain"}
 
 
 def test_rods_have_the_kinetic_energy_and_weight_of_rods():

@@ -11,9 +11,10 @@ import protochain as pc
 from protochain.structure import fragments
 from protochain.structure.bridges import disulfides
 from protochain.structure.conformation import likeliest, same_place
-from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.draft import Draft, Part
 from protochain.structure.kept import Candidate, check_words, choose, report, water_named
-from protochain.structure.linkage import is_metal
+from protochain.structure.links import is_metal
+from protochain.structure.member import Member, atom
 from protochain.structure.recognise import by_element
 from protochain.structure.repairs import Kind
 from protochain.structure.sites import find_links, measure, moves, ties

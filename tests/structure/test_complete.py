@@ -6,11 +6,12 @@ from fixtures.repairs import sentences
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
-from protochain.contacts import overlaps
+from protochain.chains.contacts import overlaps
 from protochain.structure import complete as module
 from protochain.structure import residues
 from protochain.structure.complete import add_heavy_atoms
-from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.draft import Draft, Part
+from protochain.structure.member import Member, atom
 from protochain.structure.sidechains.ideal import dihedral
 from protochain.structure.sidechains.sites import Site
 from protochain.structure.templates import templates

@@ -98,8 +98,8 @@ def test_configurations_are_those_of_the_chemical_component_dictionary(name):
 
 @pytest.mark.parametrize("name", SUGARS)
 def test_heavy_atoms_and_hydrogens_are_named_as_in_the_dictionary(name):
-    from protochain.structure.draft import Member
     from protochain.structure.glycans import _template
+    from protochain.structure.member import Member
 
     template = _template(Member(name, "1", "", "S", []), f"0{SUGARS[name]}")
     own = set(info.residue(name).atom_name.tolist())

@@ -10,7 +10,7 @@ from fixtures.repairs import sentences
 from fixtures.samples import MORE_STRUCTURES, STRUCTURES, load, shared
 
 import protochain as pc
-from protochain.contacts import near_pairs
+from protochain.chains.contacts import near_pairs
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import Status, verdict
 from protochain.structure import residues

@@ -6,8 +6,8 @@ import pytest
 from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
-from protochain.structure.draft import Member, atom
 from protochain.structure.histidines import settled
+from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind
 from protochain.structure.templates import templates
 

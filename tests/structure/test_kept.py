@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.contacts import overlaps
+from protochain.chains.contacts import overlaps
 from protochain.energies.elements import lennard_jones
 from protochain.mechanics.multibody import HingeKind
 from protochain.structure.files import parse

@@ -11,8 +11,8 @@ from protochain.batches.api import _finish
 from protochain.batches.jobs import BatchSettings, find_jobs
 from protochain.batches.table import Tables, read_table
 from protochain.batches.task import run as run_job
+from protochain.chains.setup import Setup
 from protochain.cli.relaxing import print_folder
-from protochain.setup import Setup
 from protochain.structure.losses import told
 from protochain.structure.repairs import Loss, Why
 from protochain.structure.write import as_text

@@ -11,7 +11,7 @@ from fixtures.tolerances import NATIVE_FORCE
 import protochain as pc
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.mechanics.multibody import HingeKind
-from protochain.structure.draft import Member
+from protochain.structure.member import Member
 from protochain.structure.recognise import recognised
 from protochain.structure.templates import Template
 

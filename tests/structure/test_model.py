@@ -11,7 +11,8 @@ from openmm import app
 
 import protochain as pc
 from protochain.structure import build as build_module
-from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.draft import Draft, Part
+from protochain.structure.member import Member, atom
 from protochain.structure.model import Tie, at_positions
 from protochain.structure.prepare import _bonds, _indices, _refuse_coincident, user_files
 from protochain.structure.select import select

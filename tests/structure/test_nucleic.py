@@ -10,8 +10,8 @@ from fixtures.oracles import assert_equals_reference
 from fixtures.samples import ROOT, STRUCTURES
 
 import protochain as pc
+from protochain.chains.contacts import overlaps
 from protochain.cli.relaxing import _breaks
-from protochain.contacts import overlaps
 from protochain.energies.factory import build_system
 from protochain.structure.chirality import chiral_atoms, volume
 from protochain.structure.repairs import Kind

@@ -8,7 +8,7 @@ import pytest
 from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
-from protochain.structure.draft import Member, atom
+from protochain.structure.member import Member, atom
 from protochain.structure.protonate import _at_ph
 from protochain.structure.repairs import Kind
 

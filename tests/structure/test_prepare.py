@@ -12,7 +12,8 @@ import protochain as pc
 from protochain.cli.options import as_option
 from protochain.structure.bridges import disulfides
 from protochain.structure.conformation import likeliest, same_place
-from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.draft import Draft, Part
+from protochain.structure.member import Member, atom
 from protochain.structure.protonate import protonate
 from protochain.structure.repairs import EVERYTHING, Kind, Repair, summarised
 from protochain.structure.residues import Residue

@@ -7,7 +7,8 @@ from fixtures.repairs import sentences
 import protochain as pc
 from protochain.core.checks import acidity
 from protochain.structure import protonate as module
-from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.draft import Draft, Part
+from protochain.structure.member import Member, atom
 from protochain.structure.protonate import protonate
 from protochain.structure.repairs import Kind
 from protochain.structure.templates import Template, templates

@@ -9,8 +9,9 @@ from fixtures.samples import STRUCTURES, load
 import protochain as pc
 from protochain.structure import read as module
 from protochain.structure.apart import _copies
-from protochain.structure.draft import Draft, atom
+from protochain.structure.draft import Draft
 from protochain.structure.header import settle
+from protochain.structure.member import atom
 from protochain.structure.read import Reading, read, read_structure
 from protochain.structure.templates import archive_parent
 

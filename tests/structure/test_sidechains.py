@@ -11,7 +11,7 @@ import protochain as pc
 from protochain.core.markup import listed
 from protochain.structure import residues
 from protochain.structure.chirality import centres, changed_hands, hand, volume, wrong_hands
-from protochain.structure.draft import Member, atom
+from protochain.structure.member import Member, atom
 from protochain.structure.read import read
 from protochain.structure.sidechains import arms, packing
 from protochain.structure.sidechains.arms import wrapped

@@ -6,7 +6,7 @@ from fixtures.samples import STRUCTURES, load, shared
 from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
-from protochain.chain import dihedral
+from protochain.chains.chain import dihedral
 from protochain.core.errors import WriteError
 from protochain.core.storage import write_atomically
 from protochain.core.units import ANGSTROM_PER_NM

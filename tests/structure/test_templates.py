@@ -3,7 +3,8 @@
 import pytest
 
 import protochain as pc
-from protochain.structure.draft import Draft, Member, Part, atom
+from protochain.structure.draft import Draft, Part
+from protochain.structure.member import Member, atom
 from protochain.structure.recognise import _matched
 from protochain.structure.templates import (
     Template,

@@ -9,7 +9,7 @@ from fixtures.samples import load, shared, still
 from openmm import app
 
 import protochain as pc
-from protochain.contacts import joined
+from protochain.chains.contacts import joined
 from protochain.validation.clashes import _at_clouds, _kinds, clashes
 
 # Pairs with the radii, hydrogen bonds and excluded neighbours of this library, by the DotScorer of Probe 2

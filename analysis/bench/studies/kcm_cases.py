@@ -21,8 +21,8 @@ from typing import Any
 import gemmi
 import numpy as np
 
-from protochain.articulate import build_chain
-from protochain.chain import Chain, pose
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError, StrayWarning
 from protochain.energies import energy

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.structure.draft import Member
+from protochain.structure.member import Member
 from protochain.structure.sidechains.ideal import Places, dihedral
 from protochain.structure.sidechains.rotamers import BACKBONE
 

@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 
 from bench.studies.omissions.cells import Answer, Both, Counted, Material, Omission, native
-from protochain.articulate import build_chain
-from protochain.chain import Chain, pose, pull_back
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Chain, pose, pull_back
 from protochain.core.arrays import Floats, Integers
 from protochain.energies import NativeEnergy, energy
 from protochain.energies.native.evaluate import Layout, lists_of

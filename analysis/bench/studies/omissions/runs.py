@@ -13,8 +13,8 @@ import numpy as np
 from bench.studies.omissions.cells import Answer, Both, Material, Omission
 from bench.studies.omissions.energies import chains, counted, sizes_of, turned
 from bench.studies.stability.energies import copies
-from protochain.articulate import build_chain
-from protochain.chain import Chain, pose
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError
 from protochain.core.subprocesses import own_python

@@ -10,8 +10,8 @@ from bench.cases import Point
 from bench.cost import least_seconds
 from bench.studies.precision.extended import DIGITS, WIDE, wide_cholesky, wide_mass, wide_solve
 from bench.studies.precision.peptides import KT
-from protochain.articulate import build_chain
-from protochain.chain import Chain, pose
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats
 from protochain.dynamics import Closure, Leapfrog, Phase, StepTooLargeError, System
 from protochain.mechanics.motion.system import Drifted

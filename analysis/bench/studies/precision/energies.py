@@ -11,8 +11,8 @@ import numpy as np
 
 from bench.cases import Point
 from bench.cost import least_seconds
-from protochain.articulate import build_chain
-from protochain.chain import pose
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import pose
 from protochain.core.arrays import Floats
 from protochain.energies import Energy, NativeEnergy, OpenMMEnergy, build_system, energy
 from protochain.energies.native import neighbours

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from bench.cases import Point
-from protochain.articulate import build_chain
+from protochain.chains.articulate import build_chain
 from protochain.core import defaults
 from protochain.energies import energy
 from protochain.minimisers import RECIPES, minimise

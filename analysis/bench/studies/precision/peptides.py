@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.articulate import build_chain
-from protochain.chain import Chain
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import System, chain_potential

@@ -13,8 +13,8 @@ from scipy.stats import gamma, kstest
 from bench.cases import Found
 from bench.studies.stability.cells import EPS, Case, Part, case
 from bench.studies.stability.energies import peptide
-from protochain.articulate import build_chain
-from protochain.chain import Chain, pose, pull_back
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Chain, pose, pull_back
 from protochain.core.arrays import Floats
 from protochain.core.errors import Argument, Fault, ProtochainError
 from protochain.core.units import MOLAR_GAS

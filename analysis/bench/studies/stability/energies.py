@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from bench.cases import Found, Refusal
 from bench.studies.stability.cells import EPS, Case, Part
-from protochain.articulate import build_chain
-from protochain.chain import Pose, pose, pull_back
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Pose, pose, pull_back
 from protochain.core.arrays import Floats
 from protochain.core.errors import Argument, Fault, OnlyAlphaError
 from protochain.dynamics import simulate

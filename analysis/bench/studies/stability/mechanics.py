@@ -12,9 +12,9 @@ from bench.studies.stability import trees
 from bench.studies.stability.cells import EPS, Case, Part, case
 from bench.studies.stability.energies import on_a_line, peptide
 from bench.studies.stability.solvers import ROUTES
-from protochain.articulate import build_chain
-from protochain.chain import dihedral
-from protochain.chain import pose as pose_of_chain
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import dihedral
+from protochain.chains.chain import pose as pose_of_chain
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
 from protochain.mechanics.multibody import (

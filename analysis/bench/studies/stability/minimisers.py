@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from bench.cases import Found
 from bench.studies.stability.cells import Case, Part, case
 from bench.studies.stability.energies import atom, copies, peptide
-from protochain.articulate import build_chain
-from protochain.chain import Chain, pose, pull_back
+from protochain.chains.articulate import build_chain
+from protochain.chains.chain import Chain, pose, pull_back
 from protochain.core.arrays import Floats
 from protochain.energies import Energy, energy
 from protochain.minimisers import Solution, Status, minimise

@@ -14,7 +14,7 @@ from scipy.linalg import eigh
 
 from bench.cases import Found
 from bench.studies.stability.cells import Case, Part, case
-from protochain.articulate import build_chain
+from protochain.chains.articulate import build_chain
 from protochain.core.arrays import Floats
 from protochain.dynamics import (
     DormandPrince,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from protochain.chain import Chain
+from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, frozen
 from protochain.energies.protocol import Energy
 from protochain.structure.model import Structure

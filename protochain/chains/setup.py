@@ -32,7 +32,7 @@ from protochain.core.errors import Argument, ProtochainError, refused
 from protochain.core.settings import Settings, setting
 
 if TYPE_CHECKING:
-    from protochain.chain import Chain
+    from protochain.chains.chain import Chain
     from protochain.energies import Energy
     from protochain.structure import Structure
 
@@ -271,7 +271,7 @@ class Setup(Settings):
 
     def chain(self, structure: "Structure") -> "Chain":
         """Cut a structure into rigid bodies."""
-        from protochain.articulate import build_chain
+        from protochain.chains.articulate import build_chain
 
         return build_chain(structure, self.hinges, self.root, move=self.move)
 

@@ -6,7 +6,7 @@ from fixtures.tolerances import DIFFERENCE, GEOMETRY_NM, GEOMETRY_RAD, RIGID_MOT
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.chain import dihedral
+from protochain.chains.chain import dihedral
 from protochain.mechanics.multibody import HingeKind, integrate
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.spaces import ROOT_LEVER, Torsions

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from protochain.chain import Chain, dihedrals
+from protochain.chains.chain import Chain, dihedrals
+from protochain.chains.hinges import HINGES, Hinge, cross_links, find_hinges, turning_hinges
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, cross, dots, read_only
 from protochain.core.checks import checked, kinds, quantity, selection, text
@@ -17,7 +18,6 @@ from protochain.core.errors import Argument, ChainError
 from protochain.core.graph import components, grouped
 from protochain.core.settings import inheriting
 from protochain.energies import Energy, as_energy
-from protochain.hinges import HINGES, Hinge, cross_links, find_hinges, turning_hinges
 from protochain.mechanics.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.chain import Chain
+from protochain.chains.chain import Chain
 from protochain.core import graph
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.linkage import COVALENT_SLACK, is_metal, usual_length
+from protochain.structure.linkage import COVALENT_SLACK
+from protochain.structure.links import is_metal, usual_length
 from protochain.structure.model import Structure, at_positions, of_atoms
 from protochain.structure.residues import VAN_DER_WAALS
 

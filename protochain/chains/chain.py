@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from protochain.chains.hinges import Hinge
 from protochain.core.arrays import Floats, Integers, Value, dots, floats, frozen, read_only
 from protochain.core.arrays import cross as vector_product
 from protochain.core.checks import instance
-from protochain.hinges import Hinge
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.algebra import (

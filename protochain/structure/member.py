@@ -1,0 +1,77 @@
+"""A residue in one conformation, while a file is prepared."""
+
+from dataclasses import dataclass, field
+
+import gemmi
+
+from protochain.structure import residues
+from protochain.structure.header import NO_LABEL, Label
+from protochain.structure.templates import Template
+
+Address = tuple[str, str, str]
+"""Chain id, number with insertion code, and atom name in the file."""
+
+
+@dataclass(eq=False)
+class Member:
+    """A residue in one conformation, under its standard name.
+
+    atoms: Positions in angstrom.
+    state: Protonation state that its name in the file implies; empty if none.
+    is_d: Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
+    own: Made from its own atoms, for a molecule that is kept as it is.
+    links, metals: Its atoms that are bonded to a molecule kept beside the protein, and to a metal.
+    label: Label ids of the file.
+    given: Its name in the file, where another.
+    odd: Whether it is an amino acid, or a nucleotide of a strand, that no force field has.
+    parent: Standard amino acid that such a one becomes without parameters; empty if there is none.
+    """
+
+    name: str
+    number: str
+    insertion_code: str
+    chain_id: str
+    atoms: list[gemmi.Atom]
+    state: str = ""
+    is_d: bool = False
+    own: Template | None = None
+    links: list[gemmi.Atom] = field(default_factory=list)
+    metals: list[gemmi.Atom] = field(default_factory=list)
+    label: Label = NO_LABEL
+    given: str = ""
+    odd: bool = False
+    parent: str = ""
+
+    def __str__(self) -> str:
+        return str(self.residue)
+
+    @property
+    def residue(self) -> residues.Residue:
+        """What a file calls it."""
+        return residues.Residue(self.chain_id, self.seqid, residues.name_in_file(self.name, self.is_d))
+
+    @property
+    def is_cap(self) -> bool:
+        """Whether it is a terminal cap."""
+        return self.name in residues.CAPS
+
+    @property
+    def seqid(self) -> str:
+        """Number and insertion code."""
+        return self.number + self.insertion_code
+
+    def address(self, name: str) -> Address:
+        """Where the file has one of its atoms."""
+        return self.chain_id, self.seqid, name
+
+    def atom(self, name: str) -> gemmi.Atom | None:
+        """Return the atom of that name, if there is one."""
+        return next((atom for atom in self.atoms if atom.name == name), None)
+
+
+def atom(name: str, element: str, position: list[float], b_iso: float = 0.0) -> gemmi.Atom:
+    """Make an atom (angstrom)."""
+    made = gemmi.Atom()
+    made.name, made.element, made.b_iso = name, gemmi.Element(element), b_iso
+    made.pos = gemmi.Position(*position)
+    return made
