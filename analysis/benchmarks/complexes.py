@@ -12,7 +12,7 @@ same prepared structure, on two threads; seconds are from the file to the end, o
 
 models: predictions and crystal structures with ligands, DNA, RNA and glycans, each by one `protochain relax`;
 clashes of 0.4 angstrom and more per 1000 atoms, base pairs (N1 to N3 within 3.3 angstrom, at the end 3.5),
-motion of P atoms and of ligands, stereocentres of the wrong hand.
+motion of P atoms and of ligands, inverted stereocentres.
 
 FOLDER/../complexes has astex/NAME_protein.pdb, astex/NAME_moved*.sdf, ligands/NAME.sdf and models/.
 """

@@ -18,7 +18,7 @@ def protochain_relax(selection="all", name="", options="", quiet=0, _self=cmd):
     """
     DESCRIPTION
 
-        Relax a model: overlaps, broken bonds, twisted peptides and wrong hands gone, the fold kept.
+        Relax a model: overlaps, broken bonds, twisted peptides, inverted stereocentres; the fold kept.
 
     USAGE
 

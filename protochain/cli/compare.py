@@ -93,7 +93,7 @@ def compare(
     else:
         print_table(summary["results"])
         print_lost(summary["results"])
-        print(f"written: {page} and the tables, plots and structures beside it")
+        print(f"written: {page} with tables, plots and structures in its folder")
     if not any(solution.is_usable for solution in comparison.solutions):
         raise SystemExit(fail(f"{source}: no method gave a usable structure; {page} says why"))
     statuses = [str(solution.status) for solution in comparison.solutions]

@@ -49,7 +49,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
         f"{counted(structure.n_protein_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}",
         *said_of_move(structure, move),
         f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}"
-        + (f", {beside} of them with molecules beside the protein" if beside else ""),
+        + (f", {beside} of them with molecules kept with the protein" if beside else ""),
         str(violations(structure, x)),
         *(["threaded rings, to be freed first: " + ", ".join(map(str, rings))] if rings else []),
         *_wrong_hands(structure),
@@ -62,14 +62,14 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
 
 
 def _wrong_hands(structure: "Structure") -> list[str]:
-    """What will become of chiral atoms of the wrong hand, in words."""
+    """What will become of inverted stereocentres, in words."""
     from protochain.relaxation.chirality_restraint import Hands
 
     wrong = Hands.of(structure).wrong(structure.positions)
     n = len(wrong)
     are_named = structure.mirrored[structure.atom_residue[wrong]].all()
     advice = "" if are_named else " (name D-amino acids as DAL ...)"
-    return [f"{n} chiral atom{'s' * (n > 1)} of the wrong hand, to be turned right{advice}"] if n else []
+    return [f"{n} inverted stereocentre{'s' * (n > 1)}, to be corrected{advice}"] if n else []
 
 
 def _twisted(structure: "Structure") -> list[str]:
@@ -154,7 +154,7 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
             for row in near.head(_SHOWN).itertuples()
         ]
         more = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
-        what = "structures overlapped with molecules beside the protein"
+        what = "structures overlapped with molecules kept with the protein"
         print(f"{len(near)} of {len(table)} {what}: {', '.join(told)}{more}")
     left = table[table["status"] != "converged"]
     for row in left.head(_SHOWN).itertuples():
@@ -162,4 +162,4 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
     if len(left) > _SHOWN:
         print(f"and {len(left) - _SHOWN} more, in the table")
     print_lost(table.to_dict("records"))
-    print(f"written: {folder / 'relaxed.csv'}, the structures, and report.html beside them")
+    print(f"written: {folder / 'relaxed.csv'}, the structures, and report.html in one folder")

@@ -399,7 +399,7 @@ def print_batch(table: "DataFrame", report: str) -> None:
     if len(failed) > _SHOWN_FAILURES:
         console.print(f"and {len(failed) - _SHOWN_FAILURES} more, in the table")
     print_lost(table.to_dict("records"))
-    console.print(f"written: {report} and the tables, structures and pages beside it", soft_wrap=True)
+    console.print(f"written: {report} with tables, structures and pages in its folder", soft_wrap=True)
 
 
 def print_distribution(summary: dict[str, float]) -> None:

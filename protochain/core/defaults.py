@@ -22,7 +22,7 @@ LIGAND = "ligand"  # what moves in a rigid protein
 PH = 7.0
 LIGAND_CHARGES = "nagl"  # what Sage 2.3.0, the force field of ligands, was fitted with
 KEEP = ("near",)
-"""Molecules kept beside the protein as fixed obstacles: all but waters, if an atom is near the protein."""
+"""Molecules kept with the protein as fixed obstacles: all but waters, if an atom is near the protein."""
 KEEP_WITHIN = 5.0  # angstrom from a heavy atom of the protein
 
 METHOD = "cartesian"  # ends near its start

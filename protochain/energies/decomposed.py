@@ -49,7 +49,7 @@ TERMS = (
     "surface",
     "ties",
 )
-"""Terms of the energy; ``ties`` hold bonds to molecules beside the protein."""
+"""Terms of the energy; ``ties`` hold bonds to molecules kept with the protein."""
 BY = ("term", "residue", "pair")
 _NONBONDED = slice(5, 8)
 _CHUNKS = 16

@@ -483,7 +483,7 @@ def _variant(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -
     ]
     if not fitting:
         raise ForceFieldError(
-            f"residue {residue.name} is bonded to a molecule kept beside the protein, and the force field "
+            f"residue {residue.name} is bonded to a molecule kept with the protein, and the force field "
             "has no template for it; leave the molecule out: keep none, or the names of others"
         )
     # CYS before CYM: the bond takes the place of the hydrogen.

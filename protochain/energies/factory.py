@@ -73,7 +73,7 @@ _BESIDE = {
     "amber99sbildn": ("tip3p.xml",),
     "charmm36": ("charmm36/water.xml",),
 }
-"""Parameters of waters, ions and nucleic acids, used where molecules are kept beside the protein; of others,
+"""Parameters of waters, ions and nucleic acids, used where molecules are kept with the protein; of others,
 as of those that a force field does not know, by element."""
 
 ENGINES = ("auto", "native", "openmm")

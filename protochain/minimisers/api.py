@@ -104,7 +104,7 @@ def minimise(
         those of an uninterrupted run, bit for bit.
     watch : callable, optional
         Called with every trace row and its positions (in the frame of the start), to show progress or write a
-        trajectory. Its method ``at_stage``, if it has one, is called with the stage (``parting overlaps``,
+        trajectory. Its method ``at_stage``, if it has one, is called with the stage (``resolving clashes``,
         ``held by springs``, ``interrupted`` ...) and the evaluations so far; ``at_warning`` with
         a line once a run from a start with overlaps is 2 angstrom (C-alpha RMSD) away, or else
         ``errors.StrayWarning`` says so. The message of a result that far away always does.

@@ -167,7 +167,7 @@ def _soft(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage
     structure = _structure(space)
     method = Descent(LBFGS(Held(soft_tethers(structure), True)), StrongWolfe())
     return Stage(
-        space, method, gentle, tolerance, recorded=False, patience=_PATIENCE, name="parting overlaps"
+        space, method, gentle, tolerance, recorded=False, patience=_PATIENCE, name="resolving clashes"
     )
 
 

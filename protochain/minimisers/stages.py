@@ -87,7 +87,8 @@ def parting(space: Torsions) -> Stage:
     structure = space.chain.structure
     tethers = Tethers(structure.positions, np.full(structure.n_atoms, SOFT_TETHER))
     gentle = Sum([SoftRepulsion(structure), tethers])
-    return Stage(space, Descent(LBFGS(), StrongWolfe()), gentle, 1.0, recorded=False, name="parting overlaps")
+    descent = Descent(LBFGS(), StrongWolfe())
+    return Stage(space, descent, gentle, 1.0, recorded=False, name="resolving clashes")
 
 
 def with_reference(stage: Stage) -> list[Stage]:

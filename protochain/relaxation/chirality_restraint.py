@@ -37,7 +37,7 @@ class Hands:
         return _hands(structure)
 
     def wrong(self, x: Floats) -> Integers:
-        """(n,) int: chiral atoms of the wrong hand at positions x (na, 3), nm."""
+        """(n,) int: inverted stereocentres at positions x (na, 3), nm."""
         heavy = self.atoms[self.least == _HEAVY]
         return np.unique(heavy[volume(x[heavy]) < 0.0, 0])
 

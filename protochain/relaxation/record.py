@@ -143,7 +143,7 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Return what is compared in words, before and after; measures that are 0 in both are left out."""
     rows = [(measure.what, record[f"{key}_start"], record[f"{key}_end"]) for key, measure in MEASURES.items()]
     rows.append(
-        ("overlaps with molecules beside the protein", record["overlaps_beside_start"],
+        ("overlaps with molecules kept with the protein", record["overlaps_beside_start"],
          record["overlaps_beside_end"])
     )  # fmt: skip
     before, after = (record.get(f"ligand_strain_{when}_kj_mol") for when in ("start", "end"))

@@ -120,7 +120,7 @@ class Relaxation(TermsAtEnds, Value):
 
     @cached_property
     def hands_turned(self) -> tuple[Repair, ...]:
-        """Chiral atoms that were of the wrong hand, and are right at the end."""
+        """Stereocentres that were inverted, and are right at the end."""
         s, hands = self.start, Hands.of(self.start)
         right = np.setdiff1d(hands.wrong(s.positions), hands.wrong(self.x))
         residues = s.atom_residue[right]

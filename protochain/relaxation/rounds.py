@@ -117,7 +117,7 @@ class Ended:
 
     wrong: What is wrong there.
     springs: Those of its last stage.
-    concerned (n,) int: Residues with violations, overlaps, threaded rings, chiral atoms of the wrong hand or
+    concerned (n,) int: Residues with violations, overlaps, threaded rings, inverted stereocentres or
         twisted peptide bonds.
     """
 
@@ -270,7 +270,7 @@ class Relaxer:
         return Stage(
             self._space, self._method(springs, is_soft), energy, tolerance,
             Sum([springs, self.shapes, self.peptides]),
-            recorded=False, patience=patience, name="parting overlaps", ends=(Stop.INTERRUPTED,),
+            recorded=False, patience=patience, name="resolving clashes", ends=(Stop.INTERRUPTED,),
         )  # fmt: skip
 
     def _whole(self, springs: Tethers) -> list[Stage]:

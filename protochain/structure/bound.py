@@ -1,4 +1,4 @@
-"""Ligands that move: chemistry of the molecules beside the protein, with hydrogens and parameters.
+"""Ligands that move: chemistry of the molecules kept with the protein, with hydrogens and parameters.
 
 Orders of bonds and charges are never taken from distances. A molecule whose chemistry no source has, or to
 which the force field of small molecules has no parameters, stays in place, and its repair says why.
@@ -45,7 +45,7 @@ Charging = tuple[Molecule, tuple[Charged, ...]]
 
 @dataclass(frozen=True)
 class Chemistry:
-    """Where the chemistry of molecules beside the protein comes from.
+    """Where the chemistry of molecules kept with the protein comes from.
 
     sources: What the user gives: the name of a residue, or none for a pose that is added; SMILES, or a path.
     charges: As for :func:`protochain.ligand`.

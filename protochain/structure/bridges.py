@@ -96,7 +96,7 @@ def _asked(
     held = next((name for name in pair if any(a.name == "SG" for a in at[name].links + at[name].metals)), "")
     if held:
         raise StructureError(
-            f"{bond}: {held} is bonded to a molecule beside the protein; leave one of them out"
+            f"{bond}: {held} is bonded to a molecule kept with the protein; leave one of them out"
         )
     first, second = (at[name] for name in pair)
     apart = _apart(first, second)

@@ -18,9 +18,9 @@ from protochain.structure.templates import PHOSPHATE_END, Template, template_nam
 
 @dataclass(eq=False)
 class Part:
-    """Unbroken chain, or a molecule kept beside the protein.
+    """Unbroken chain, or a molecule kept with the protein.
 
-    obstacle: Whether it is kept beside the protein: fixed, unless it is mobile.
+    obstacle: Whether it is kept with the protein: fixed, unless it is mobile.
     mobile: Whether it moves: the user's force field has its parameters, or it is a ligand of known chemistry.
     ligand: Chemistry and parameters of such a ligand, under the names of its atoms.
     inverted: Its stereocentres, and double bonds, that the file has the other way round.
@@ -97,7 +97,7 @@ class Draft:
     left_out: Molecules and atoms left out, by kind.
     glycosidic: Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
     links: Bonds of the protein to molecules beside it that springs hold.
-    springs: Springs that the file says hold the bonds to molecules beside the protein: rest, nm or rad, and
+    springs: Those that the file says hold the bonds to molecules kept with the protein: rest, nm or rad, and
         stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
     absent: The molecules left out.
     header: What the file says beside its atoms, as mmCIF text.
@@ -137,16 +137,16 @@ class Draft:
         return (first, second) in self.stated or (second, first) in self.stated
 
     def says_of(self, member: Member) -> bool:
-        """Whether the file says which springs hold a molecule beside the protein, or that none does."""
+        """Whether the file says which springs hold a molecule kept with the protein, or that none does."""
         return (member.chain_id, member.seqid) in self._held
 
     def says_stays(self, member: Member) -> bool:
-        """Whether the file says that a molecule beside the protein stays in place."""
+        """Whether the file says that a molecule kept with the protein stays in place."""
         return 1 in self._held.get((member.chain_id, member.seqid), ())
 
     @cached_property
     def _held(self) -> Mapping[tuple[str, str], set[int]]:
-        """Numbers of atoms, one or two, of what the file says of each molecule beside the protein."""
+        """Numbers of atoms, one or two, of what the file says of each molecule kept with the protein."""
         found: dict[tuple[str, str], set[int]] = {}
         for atoms in self.springs:
             if len(atoms) < 3:

@@ -108,7 +108,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
 
 
 def _between(draft: Draft) -> Iterator[Link]:
-    """Bonds that the file states between molecules beside the protein, but of metals and known glycans.
+    """Bonds that the file states between molecules kept with the protein, but of metals and known glycans.
 
     Those that are too long are reported.
     """

@@ -1,4 +1,4 @@
-"""Molecules kept beside the protein: ligands, cofactors, glycans, ions, nucleic acids, waters."""
+"""Molecules kept with the protein: ligands, cofactors, glycans, ions, nucleic acids, waters."""
 
 import re
 from collections import Counter
@@ -160,7 +160,7 @@ def _refuse_unknown_names(
         there = [f"{n} {name}" if name else counted(n, "water") for name, n in count.most_common(_NAMED)]
         more = f" and {counted(len(count) - _NAMED, 'more kind')}" if len(count) > _NAMED else ""
         raise StructureError(
-            f"{draft.source}: {why}{unknown}: no molecule beside the protein has this name; those there: "
+            f"{draft.source}: {why}{unknown}: no molecule kept with the protein has this name; those there: "
             f"{', '.join(there) or 'none'}{more}"
         )
 

@@ -20,7 +20,7 @@ class Member:
     state: Protonation state that its name in the file implies; empty if none.
     is_d: Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
     own: Made from its own atoms, for a molecule that is kept as it is.
-    links, metals: Its atoms that are bonded to a molecule kept beside the protein, and to a metal.
+    links, metals: Its atoms that are bonded to a molecule kept with the protein, and to a metal.
     label: Label ids of the file.
     given: Its name in the file, where another.
     odd: Whether it is an amino acid, or a nucleotide of a strand, that no force field has.

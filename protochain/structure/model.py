@@ -36,7 +36,7 @@ class Tie:
 
 @dataclass(frozen=True, eq=False)
 class BoundLigand(Value):
-    """A small molecule beside the protein that moves, or residues that no template fits: of known chemistry.
+    """A small molecule that moves with the protein, or residues that no template fits: of known chemistry.
 
     ligand: Its chemistry and parameters; names and positions are those of the file.
     atoms (n,) int: The structure's atom of each atom of the molecule, hydrogens included.
@@ -115,7 +115,7 @@ class Structure(Value):
     b_factor : (na,) float, angstrom^2
         B factors of the file, NaN where it has none; an added atom has its neighbour's.
     obstacle : (na,) bool
-        Atoms held fixed: ligands, ions and other molecules beside the protein.
+        Atoms held fixed: ligands, ions and other molecules kept with the protein.
     occupancy : (na,) float
         Occupancies of the file; an added hydrogen has its parent's, any other added atom 1.
     residue_label : tuple of Label
@@ -127,7 +127,7 @@ class Structure(Value):
     ties : tuple of Tie
         Springs between the protein and these molecules, part of every energy.
     mobile : (na,) bool
-        Atoms of molecules beside the protein that move: the user's force field has their parameters, or they
+        Atoms of molecules that move with the protein: the user's force field has their parameters, or they
         are ligands of known chemistry.
     links : (n, 2) int
         Bonds, coordinated metals included, of the protein to atoms beside it, the protein's atom first; then
@@ -138,7 +138,7 @@ class Structure(Value):
     built : (na,) bool
         Heavy atoms that the file lacks.
     ligands : tuple of BoundLigand
-        Small molecules beside the protein that move with parameters of their own.
+        Small molecules kept with the protein that move with parameters of their own.
     fragments : tuple of BoundLigand
         Residues that no template fits, with the force field of small molecules: modified, cross-linked, or
         bonded to the protein; atoms of the molecule that cap it are those of its neighbours, or -1.

@@ -103,11 +103,11 @@ def load(
         Refuse chain breaks and incomplete backbones.
     forcefield : path-like, optional
         Force-field file whose residues are kept unmodified, or several with commas between, among names of
-        bundled ones. A molecule beside the protein whose parameters it has moves.
+        bundled ones. A molecule kept with the protein whose parameters it has moves.
     chains : str or sequence of str
         Chains to take, as ``"A,B"`` or ``("A", "B")``; all by default.
     ligands : mapping of str to path-like or str, or sequence
-        Chemistry of molecules beside the protein by the name of their residue: an SDF or MOL2 file, or
+        Chemistry of molecules kept with the protein by the name of their residue: an SDF or MOL2 file, or
         SMILES. ``"NAME=FILE"`` is taken, too, and a list of such; a file without a name is a pose, which is
         added (``"FILE.sdf#2"`` its second molecule). Others have the bonds that the file states
         (``_chem_comp_bond``, CONECT records with orders), or those of the Chemical Component Dictionary.

@@ -195,7 +195,7 @@ def _nothing_told(beside: Iterable[Candidate]) -> tuple[object, ...]:
 
 
 def _counted(kind: str, count: int) -> str:
-    """Molecules beside the protein in words: waters, or residues of a name."""
+    """Molecules kept with the protein in words: waters, or residues of a name."""
     return counted(count, "water") if kind == "waters" else f"{counted(count, 'residue')} {kind}"
 
 

@@ -58,7 +58,7 @@ class Kind(Enum):
     )
     NO_ENDMDL = Words("{count:n model} without an ENDMDL record, taken to end where the next begins")
     CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
-    MOLECULES_TOLD_APART = Words("molecules that share number and name told apart: {count} more")
+    MOLECULES_TOLD_APART = Words("molecules that share number and name renumbered: {count} more")
     ATOMS_NUMBERED = Words("atoms that share a name numbered in {count:n molecule}")
     ASSEMBLY = Words("assembly {name} built of {before:n chain}: chains {chains:8}")
     BLOCKS_LEFT_OUT = Words(
@@ -130,9 +130,9 @@ class Kind(Enum):
         "{count:n water} left out: the solvent is implicit; {remedy} keeps everything", rank=Rank.LEFT_OUT
     )
     LEFT_OUT = Words("{counts} left out; {remedy} keeps everything", rank=Rank.LEFT_OUT)
-    KEPT = Words("{counts:8} kept beside the protein")
+    KEPT = Words("{counts:8} kept with the protein")
     KEPT_BY_ELEMENT = Words(
-        "{counts:8} kept beside the protein ({bare:8} by element, unless the force field has parameters)"
+        "{counts:8} kept with the protein ({bare:8} by element, unless the force field has parameters)"
     )
     PHOSPHATE = Words(
         "{residue}: phosphate of a lone nucleotide left out: the force fields do not have it", rank=Rank.LOSS
@@ -193,7 +193,7 @@ class Kind(Enum):
     )
     # Heavy atoms.
     ATOMS_RENAMED = Words("atoms renamed: {changes:4}")
-    WRONG_HAND = Words("of the wrong hand in the file: {atoms:6}")
+    WRONG_HAND = Words("inverted stereocentres in the file: {atoms:6}")
     INNER_OXT = Words("{residue}: OXT left out: the chain continues", rank=Rank.LOSS)
     OXT_ADDED = Words("{residue}: missing OXT added")
     ATOMS_ADDED = Words("{residue}: missing {atoms} added", "missing atoms added")
@@ -236,7 +236,7 @@ class Kind(Enum):
         "side chains turned into good rotamers, perhaps not the best: there are too many to try"
     )
     HAND_TURNED = Words(
-        "{residue}: {atoms:and} of the wrong hand turned right", "chiral atoms of the wrong hand turned right"
+        "{residue}: inverted stereocentre {atoms:and} corrected", "inverted stereocentres corrected"
     )
     TURNED_TRANS = Words("{residue}: twisted peptide bond before it turned to trans")
     TURNED_CIS = Words("{residue}: twisted peptide bond before it turned to cis")

@@ -159,7 +159,7 @@ def glycosidic(draft: Draft) -> list[Link]:
 
 
 def stated_beside(draft: Draft) -> list[Link]:
-    """Bonds between residues kept beside the protein that the file states, and that are short enough."""
+    """Bonds between residues kept with the protein that the file states, and that are short enough."""
     there = {
         member.address(atom.name): (member, atom)
         for part in draft.parts if part.obstacle for member in part.members for atom in member.atoms
@@ -216,7 +216,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
 
 
 def beside_of(draft: Draft) -> list[tuple[Part, Member, gemmi.Atom]]:
-    """Heavy atoms of the molecules beside the protein."""
+    """Heavy atoms of the molecules kept with the protein."""
     return [(part, m, a) for part in draft.parts if part.obstacle for m in part.members for a in _heavy(m)]
 
 

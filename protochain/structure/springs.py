@@ -1,4 +1,4 @@
-"""Springs of the bonds to molecules beside the protein, from file to file: read again, they pull as before.
+"""Springs of bonds to molecules kept with the protein, from file to file: read again, they pull as before.
 
 mmCIF has them in a category of its own, a PDB file in the columns of a remark.
 """
@@ -42,7 +42,7 @@ def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
 
 
 def of_structure(structure: Structure) -> list[Spring]:
-    """Return the springs of a structure, and an atom of each molecule beside the protein that stays in place.
+    """Springs of a structure, and an atom of each molecule kept with the protein that stays in place.
 
     Or that no spring holds; of waters nothing is said, nor of sugars that the protein bears: where these have
     no parameters, springs are to hold them.

@@ -418,7 +418,7 @@ def _pdb(
 def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
     """Give CONECT records to bonds of components that programs need not know, and between residues.
 
-    These are molecules beside the protein, waters excepted, modified residues and caps.
+    These are molecules kept with the protein, waters excepted, modified residues and caps.
     """
     out.assign_serial_numbers(numbered_ter=True)
     residues = [residue for chain in out[0] for residue in chain]

@@ -131,7 +131,7 @@ class Found(Value):
             if twisted or (cis and not proline):
                 yield int(r), f"{'cis' if cis else 'twisted'} peptide bond before it (omega {omega:.0f})"
         for atom in self.wrong_hands.tolist():
-            yield int(of[atom]), f"{s.atom_name[atom]} of the wrong hand"
+            yield int(of[atom]), f"{s.atom_name[atom]} inverted"
         for pair in self.double_bonds:
             yield int(of[pair[0]]), f"{'='.join(s.atom_name[pair])} has the other E/Z than its chemistry"
         for what, atoms in (("bond", self.strain.bonds), ("angle", self.strain.angles)):
@@ -221,7 +221,7 @@ MEASURES = {
     "twisted_peptides": Measure(
         "twisted peptide bonds", "twist", lambda f: int(f.peptides.twisted.sum())
     ),
-    "wrong_hands": Measure("chiral atoms of the wrong hand", "hand", lambda f: len(f.wrong_hands)),
+    "wrong_hands": Measure("inverted stereocentres", "hand", lambda f: len(f.wrong_hands)),
     "other_double_bonds": Measure(
         "double bonds of ligands with the other E/Z", "", lambda f: len(f.double_bonds)
     ),
@@ -242,7 +242,7 @@ MEASURES = {
         "clashes of ligands with the protein", "", lambda f: sum(each.clashes for each in f.ligands)
     ),
     "fixed_broken_bonds": Measure(
-        "broken bonds beside the protein", "", lambda f: len(f.fixed.bonds)
+        "broken bonds outside the protein", "", lambda f: len(f.fixed.bonds)
     ),
     "fixed_clashes": Measure(
         "overlaps of what is fixed, by 1.5 angstrom", "", lambda f: len(f.fixed.clashes)

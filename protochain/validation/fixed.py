@@ -31,7 +31,7 @@ _BOND_SLACK = 0.3
 
 
 class FixedFaults(NamedTuple):
-    """What is wrong with molecules beside the protein.
+    """What is wrong with molecules kept with the protein.
 
     bonds (n, 2) int: Atoms of their broken bonds: far longer or shorter than usual, or, of a molecule in
         pieces, the nearest ones.

@@ -98,7 +98,7 @@ def places(structure: Structure) -> tuple[Integers, Integers]:
 
     (nr, 14) int: Atom in each place of each residue, -1 if there is none; a terminus' second oxygen has no
         place.
-    (nr,) int: Type of each residue; -1 for caps and molecules beside the protein.
+    (nr,) int: Type of each residue; -1 for caps and molecules kept with the protein.
     """
     names = [STATE_PARENT.get(name, (name, ""))[0] for name in structure.residue_name.tolist()]
     kind = np.array([TYPES.index(name) if name in STANDARD else -1 for name in names], dtype=np.int64)

@@ -17,7 +17,7 @@ NONE = -1
 class Layout(NamedTuple):
     """Amino acids of a structure, their atoms and neighbours.
 
-    amino (nr,) bool: What has a backbone: no caps, and nothing that is kept beside the protein.
+    amino (nr,) bool: What has a backbone: no caps, and nothing that is kept with the protein.
     atom: Index of the atom of that name in each amino acid, -1 where there is none.
     before, after (nr,) int: Amino acids that a peptide bond joins to N and to C, -1 where there is none.
     """

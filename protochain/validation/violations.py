@@ -134,7 +134,7 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
     """Find the structural violations that AlphaFold counts.
 
     Heavy atoms of the 20 amino acids alone, without the second oxygen of a terminus, are looked at; caps
-    and molecules beside the protein are not. Residues are neighbours if they are bonded, or follow one
+    and molecules kept with the protein are not. Residues are neighbours if they are bonded, or follow one
     another in a chain with consecutive numbers: a chain that was split where its C-N bond is far too long
     violates that bond.
 

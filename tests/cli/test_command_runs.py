@@ -302,7 +302,7 @@ def test_compare_hands_its_options_on(compared, asked, capsys):
     assert asked.foretold[1] == (sum(typical_evaluations(method, 5000) for method in ("md", "kcm")), 10_000)
     told = capsys.readouterr()
     assert told.err == "" and told.out == (
-        "table [{'r': 2}]\nwritten: a-comparison/page and the tables, plots and structures beside it\n"
+        "table [{'r': 2}]\nwritten: a-comparison/page with tables, plots and structures in its folder\n"
     )
 
 

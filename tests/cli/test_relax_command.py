@@ -329,9 +329,9 @@ def test_hands_are_announced_and_told(monkeypatch, tmp_path, capsys):
     wrong = s.with_positions(x)
     tell_plan(tmp_path / "x.pdb", wrong, pc.energy(wrong, solvent="vacuum"))
     said = capsys.readouterr().err
-    assert "; 1 chiral atom of the wrong hand, to be turned right (name D-amino acids as DAL ...); " in said
+    assert "; 1 inverted stereocentre, to be corrected (name D-amino acids as DAL ...); " in said
     tell_plan(tmp_path / "x.pdb", s, pc.energy(s, solvent="vacuum"))
-    assert "of the wrong hand" not in capsys.readouterr().err
+    assert "inverted" not in capsys.readouterr().err
     r = pc.relax(wrong, threads=1, solvent="vacuum")
     print_relaxed(r, r.record() | {"output": "x.pdb"})
-    assert "residue 4 ALA of chain A: CA of the wrong hand turned right\n" in capsys.readouterr().out
+    assert "residue 4 ALA of chain A: inverted stereocentre CA corrected\n" in capsys.readouterr().out

@@ -234,9 +234,9 @@ def test_on_a_terminal_the_bar_names_the_stage_and_the_time_left(clock, monkeypa
 
         pc.minimise(c, energy("1l2y.pdb"), "hybrid", tolerance=200.0, watch=Both())
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue())
-    for stage in ("parting overlaps", "held by springs", "all atoms", "judging the end"):
+    for stage in ("resolving clashes", "held by springs", "all atoms", "judging the end"):
         assert f"hybrid: {stage}" in plain, stage
-    assert re.search(r"parting overlaps .* \d+ evaluations .* \d+ (s|min)", plain)
+    assert re.search(r"resolving clashes .* \d+ evaluations .* \d+ (s|min)", plain)
     assert re.search(r"held by springs .* kJ/mol .* \d+ (s|min)", plain)
 
 

@@ -76,7 +76,7 @@ def test_overlaps_being_parted_are_interrupted_and_told(signals):
             interrupt()
 
     done = walk([parting(Torsions(c))], c.structure.positions, 500, None, record)
-    assert [name for name, _ in told] == ["parting overlaps"] * 2 and done.n_evaluations == told[-1][1]
+    assert [name for name, _ in told] == ["resolving clashes"] * 2 and done.n_evaluations == told[-1][1]
 
 
 def test_a_watcher_that_asks_is_told_every_stage():
@@ -93,7 +93,7 @@ def test_a_watcher_that_asks_is_told_every_stage():
     r = pc.minimise(c, energy("1l2y.pdb"), "hybrid", tolerance=50.0, watch=Watch())
     names = list(dict.fromkeys(each[0] for each in seen if each))
     assert [name for name in names if name != "torsions"] == [
-        "parting overlaps", "held by springs", "all atoms", "judging the end",
+        "resolving clashes", "held by springs", "all atoms", "judging the end",
     ]  # fmt: skip
     assert sum(each is None for each in seen) == len(r.trace)
     counts = [each[1] for each in seen if each]
@@ -187,7 +187,7 @@ def test_an_interrupt_before_a_run_is_a_line_and_status_130(monkeypatch, capsys)
     assert capsys.readouterr().err == "protochain: interrupted before there was a result\n"
 
 
-STAGES = ("preparation", "parting overlaps", "held by springs", "torsions", "all atoms", "OpenMM")
+STAGES = ("preparation", "resolving clashes", "held by springs", "torsions", "all atoms", "OpenMM")
 
 TELLER = """
 import sys

@@ -140,7 +140,7 @@ def test_a_threaded_ring_is_freed_and_the_fold_kept(planted):
         lambda at, stage, n: told.append(stage.name),
     )  # fmt: skip
     assert threaded_rings(planted) and not threaded_rings(planted, done.x)
-    assert list(dict.fromkeys(told)) == ["freeing threaded rings", "parting overlaps", "held by springs"]
+    assert list(dict.fromkeys(told)) == ["freeing threaded rings", "resolving clashes", "held by springs"]
     assert not overlaps(planted, done.x) and not changed_hands(planted, done.x, planted.positions)
     assert moved(planted, done.x) < 0.5
     lengths = [

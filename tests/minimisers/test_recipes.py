@@ -190,7 +190,7 @@ def test_overlaps_are_parted_in_torsions_and_springs_let_go_one_after_the_other(
     c = crowded()
     s, (torsions, _) = c.structure, spaces(c)
     soft, *held, free = plan_of(RECIPES["lbfgs"], c)
-    assert [stage.name for stage in (soft, free)] == ["parting overlaps", "torsions"]
+    assert [stage.name for stage in (soft, free)] == ["resolving clashes", "torsions"]
     assert [stage.name for stage in held] == ["held by springs"] * 3
     assert all(stage.space is torsions for stage in (soft, *held, free))
     assert not soft.recorded and all(stage.recorded for stage in (*held, free))
@@ -246,7 +246,7 @@ def test_all_atoms_are_parted_near_their_start_and_then_all_go():
     atoms = spaces(c, near_terms(e))[1]
     *parting, free = RECIPES["cartesian"].plan(c, e, e, 5.0, Hold(), 0)
     names = [stage.name for stage in parting]
-    assert names == ["parting overlaps", *["held by springs"] * 3] and free.name == "all atoms"
+    assert names == ["resolving clashes", *["held by springs"] * 3] and free.name == "all atoms"
     assert all(stage.space is atoms for stage in (*parting, free)) and free.tolerance == 5.0
     # Without overlaps all atoms go at once, however large the torques: they have no levers.
     for torque in (0.0, 1e9, np.inf):

@@ -95,8 +95,8 @@ def test_well_formed_residues_of_the_wrong_hand_become_right():
     assert (r.measures_start["wrong_hands"], r.measures_end["wrong_hands"]) == (2, 0)
     assert r.status == "converged" and r.measures_end["violations"] == 0 and r.ca_rmsd_angstrom < 0.2
     said = [
-        f"{threonine}: CB of the wrong hand turned right",
-        f"{leucine}: CA of the wrong hand turned right",
+        f"{threonine}: inverted stereocentre CB corrected",
+        f"{leucine}: inverted stereocentre CA corrected",
     ]
     assert r.hands_turned == r.structure.repairs[-2:] and sentences(r.structure)[-2:] == said
     assert r.record()["hands_turned"] == said

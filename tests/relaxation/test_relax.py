@@ -206,7 +206,7 @@ def test_design_goes_through_three_stages_and_ends_free(damaged):
             stages.append(name)
 
     r = pc.relax(damaged, "design", threads=1, watch=Watch())
-    assert stages[0] == "parting overlaps" and stages[-1] == "all atoms"
+    assert stages[0] == "resolving clashes" and stages[-1] == "all atoms"
     assert len(r.rounds) == 1 and r.frame.held_by == "" and "springs included" not in r.message
     assert not overlaps(damaged, r.x) and r.ca_rmsd_angstrom < 2.0
     superposed, as_filed = r.frame.ca_rmsds(r.x)

@@ -116,7 +116,7 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
             disulfides(drafted(*members), bonds)
         assert str(refused.value) == f"x: {why}"
     c.metals = [c.atom("SG")]
-    with pytest.raises(pc.ProtochainError, match="A:3 is bonded to a molecule beside the protein"):
+    with pytest.raises(pc.ProtochainError, match="A:3 is bonded to a molecule kept with the protein"):
         disulfides(drafted(a, c), [("A:1", "A:3")])
 
 
@@ -169,7 +169,8 @@ def test_molecules_are_kept_by_kind_or_by_either_name(residue, kind):
     near = {"near"} if kind != "water" else set()
     assert {word for word in every if kept(word)} == {"all", kind, residue.name, "OLD", *near}
     told = re.escape(
-        f"x: keep QWK: no molecule beside the protein has this name; those there: 1 {_told(kind).rstrip('s')}"
+        "x: keep QWK: no molecule kept with the protein has this name; those there: "
+        f"1 {_told(kind).rstrip('s')}"
     )
     for words in (("QWK",), ("OLD", "QWK"), ("near", "QWK")):
         with pytest.raises(pc.ProtochainError, match=f"^{told}$"):
@@ -232,7 +233,7 @@ def test_what_is_left_out_is_said_first_and_then_what_is_kept():
     assert sentences(draft) == [
         "2 LIG (it is further than 5 angstrom from the protein), 1 waters, 1 UNX (its element is unknown), "
         '1 DUM (a dummy atom of a membrane) left out; keep="all" keeps everything',
-        "2 BIG, 1 LIG kept beside the protein (BIG, LIG by element, unless the force field has parameters)",
+        "2 BIG, 1 LIG kept with the protein (BIG, LIG by element, unless the force field has parameters)",
         str(noted("earlier")),
     ]
     assert draft.left_out == {"LIG": 2, "waters": 1, "UNX": 1, "DUM": 1}
@@ -245,7 +246,7 @@ def test_what_is_left_out_is_said_first_and_then_what_is_kept():
     report(many)
     names = [f"L{k}" for k in range(8)]
     assert sentences(many) == [
-        f"{', '.join('1 ' + name for name in names)} and 1 more kept beside the protein "
+        f"{', '.join('1 ' + name for name in names)} and 1 more kept with the protein "
         f"({', '.join(names)} and 1 more by element, unless the force field has parameters)"
     ]
     silent = drafted(glycine())
@@ -299,7 +300,7 @@ def test_bonded_nucleotides_are_a_strand_and_others_stand_alone(far, bonded):
         "residue {} DA of chain B: phosphate of a lone nucleotide left out: the force fields do not have it"
     )
     assert sentences(draft) == [
-        "2 DA, 2 LIG kept beside the protein",
+        "2 DA, 2 LIG kept with the protein",
         *([] if bonded else [said.format(k) for k in (1, 2)]),
     ]  # fmt: skip
     assert all((each.atom("P") is not None) is bonded for each in (first, second))
@@ -361,7 +362,7 @@ def test_all_of_a_phosphate_is_left_out_of_the_first_nucleotide_only():
     clean.parts = choose(clean, [Candidate(member("DG", 1, ("O5'", 0.0)), "DG")], ("all",), known)
     report(clean)
     assert len(clean.parts) == 1
-    assert sentences(clean) == ["1 DG kept beside the protein"]
+    assert sentences(clean) == ["1 DG kept with the protein"]
 
 
 def test_molecules_by_element_have_bonds_by_distance():

@@ -274,7 +274,7 @@ def test_waters_and_ions_stay_where_they_are(tmp_path):
         assert r.end.energy < r.start.energy
     pc.save(s, tmp_path / "out.pdb")
     again = pc.load(tmp_path / "out.pdb", keep=("all",))
-    assert sentences(again)[0] == "30 waters, 1 CA kept beside the protein"
+    assert sentences(again)[0] == "30 waters, 1 CA kept with the protein"
     assert (
         len(again.repairs) == 2 and "CA of residue 73 CA of chain A is coordinated by" in sentences(again)[1]
     )

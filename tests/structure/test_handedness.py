@@ -202,7 +202,7 @@ def test_a_wrong_hand_of_the_file_is_kept_and_said_in_one_line():
     was = places(inverted(draft, 36, "CB", "CG1", "CG2"))
     lines = [line for line in sentences(prepare(draft)) if "hand" in line]
     assert lines == [
-        "of the wrong hand in the file: CB of residue 9 THR of chain A, CB of residue 36 ILE of chain A"
+        "inverted stereocentres in the file: CB of residue 9 THR of chain A, CB of residue 36 ILE of chain A"
     ]
     assert was["CG1"].tolist() == draft.members[35].atom("CG1").pos.tolist()
     assert not any("hand" in line for line in sentences(load("1ubq.pdb")))
@@ -213,7 +213,7 @@ def test_what_hangs_on_an_atom_of_the_wrong_hand_is_built_all_the_same():
     member = inverted(draft, 36, "CB", "CG1", "CG2")
     member.atoms = [a for a in member.atoms if a.name != "CD1"]
     structure = prepare(draft)
-    assert "of the wrong hand in the file: CB of residue 36 ILE of chain A" in sentences(structure)
+    assert "inverted stereocentres in the file: CB of residue 36 ILE of chain A" in sentences(structure)
     at = places(member)
     assert np.linalg.norm(at["CD1"] - at["CG1"]) == pytest.approx(1.51, abs=0.02)
 
@@ -228,7 +228,7 @@ def test_a_side_chain_goes_on_from_the_atoms_of_the_file_even_if_these_are_of_th
     lysine.atoms = [a for a in lysine.atoms if a.name in (*BACKBONE, "CB")]
     lysine.atom("CB").pos = gemmi.Position(*mirror.tolist())
     structure = prepare(draft)
-    assert any("wrong hand in the file: CA of residue 6 LYS" in line for line in sentences(structure))
+    assert any("in the file: CA of residue 6 LYS" in line for line in sentences(structure))
     assert spins("LYS", places(lysine))[0] == -1 and "NZ" in places(lysine)
     assert places(lysine)["CB"] == pytest.approx(mirror)
 

@@ -1,4 +1,4 @@
-"""Molecules beside the protein: what is kept and said, how it is held, and metal sites."""
+"""Molecules kept with the protein: what is kept and said, how it is held, and metal sites."""
 
 import importlib.util
 from pathlib import Path

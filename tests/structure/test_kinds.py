@@ -51,7 +51,7 @@ def test_what_shares_its_ids_is_told_apart_and_said(tmp_path):
     chains = load("chains-that-share-an-id")
     assert {*chains.residue_chain} == {"A", "B"} and any("A called B" in line for line in sentences(chains))
     ions = load("ions-that-share-a-number")
-    assert (ions.residue_name == "NA").sum() == 2 and any("told apart: 1" in line for line in sentences(ions))
+    assert (ions.residue_name == "NA").sum() == 2 and any("renumbered: 1" in line for line in sentences(ions))
     ligand = load("ligand-atoms-that-share-a-name")
     names = ligand.atom_name[(ligand.residue_name == "LIG")[ligand.atom_residue]]
     assert len({*names}) == len(names) == 9 and any(

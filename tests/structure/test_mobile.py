@@ -1,4 +1,4 @@
-"""Molecules beside the protein that move, because a force field of the user's has their parameters."""
+"""Molecules kept with the protein that move, because a force field of the user's has their parameters."""
 
 import gemmi
 import numpy as np

@@ -217,7 +217,7 @@ def d_arginine(tmp_path, is_d, alone=False):
     ("is_d", "alone", "said"),
     [
         (True, False, "residue 42 DAR of chain A: D-amino acid, with the parameters of its mirror image"),
-        (False, False, "of the wrong hand in the file: CA of residue 42 DAR of chain A"),
+        (False, False, "inverted stereocentres in the file: CA of residue 42 DAR of chain A"),
         (True, True, "residue 1 DAR of chain I: no part of a chain: it is bonded to no other residue"),
         (False, True, "residue 1 DAR of chain I: no part of a chain: it is bonded to no other residue"),
     ],
@@ -235,7 +235,7 @@ def test_one_line_tells_of_a_d_arginine(is_d, alone, said, tmp_path):
 def test_only_residues_under_names_of_l_are_advised_to_be_named(tmp_path):
     from protochain.cli.relaxing import _wrong_hands
 
-    said = "1 chiral atom of the wrong hand, to be turned right"
+    said = "1 inverted stereocentre, to be corrected"
     assert _wrong_hands(pc.load(d_arginine(tmp_path, is_d=False))) == [said]
     text = (tmp_path / "x.pdb").read_text()
     d_arginine(tmp_path, is_d=True)

@@ -222,13 +222,13 @@ def test_what_is_kept_is_said_and_what_has_no_element_is_left_out():
     unknown = '1 XQR (its element is unknown) left out; keep="all" keeps everything'
     named = taken(*alanines(2), *beside, keep=("XQQ",))
     assert names(named) == [["ALA1", "ALA2"], ["XQQ9"]] and dict(named.left_out) == {"waters": 1, "XQR": 1}
-    assert sentences(named) == [f"1 waters, {unknown}", f"1 XQQ kept beside the protein {bare}"]
+    assert sentences(named) == [f"1 waters, {unknown}", f"1 XQQ kept with the protein {bare}"]
     kept = taken(*alanines(2), *beside, keep=("all",))
     assert names(kept) == [["ALA1", "ALA2"], ["HOH9"], ["XQQ9"]] and dict(kept.left_out) == {"XQR": 1}
     assert [part.obstacle for part in kept.parts] == [False, True, True]
     assert [member.own is not None for member in kept.members] == [False, False, False, True]
     assert kept.members[-1].own.element == {"S": "S"}
-    assert sentences(kept) == [unknown, f"1 waters, 1 XQQ kept beside the protein {bare}"]
+    assert sentences(kept) == [unknown, f"1 waters, 1 XQQ kept with the protein {bare}"]
     assert refused(*alanines(2), keep=("XQQ", "salt")) == (
         "keep 'salt' is not known; give none, near, all, water, ions, nucleic, ligands or names of residues"
     )
@@ -395,7 +395,7 @@ def test_a_name_comes_from_the_file_and_an_end_is_missed(tmp_path, monkeypatch):
     place = tmp_path / "x.pdb"
     place.write_text(unended + water)
     assert sentences(read(place, Reading(keep=("water",)))) == [
-        "1 waters kept beside the protein",
+        "1 waters kept with the protein",
         "the file ends at residue 3 ALA of chain A without an END record or a terminal oxygen: "
         "check that it is complete",
     ]

@@ -85,7 +85,7 @@ def test_what_is_wrong_is_said_of_each_residue(spoilt):
     of = {line.partition(":")[0]: line for line in lines}
     assert len(of) == len(lines)
     assert "cis peptide bond before it (omega " in of["residue 6 TRP of chain A"]
-    assert "CA of the wrong hand" in of["residue 8 LYS of chain A"]
+    assert "CA inverted" in of["residue 8 LYS of chain A"]
     assert "C-beta 0." in of["residue 14 SER of chain A"]
     numbers = [int(line.split()[1]) for line in lines]
     assert numbers == sorted(numbers)
@@ -109,7 +109,7 @@ def test_the_result_of_a_run_is_validated_at_its_end(spoilt):
 
 def test_a_validation_shows_itself_and_is_a_value(spoilt):
     v = pc.validate(spoilt)
-    assert repr(v).startswith("<Validation of 1l2y: ") and "1 chiral atoms of the wrong hand" in repr(v)
+    assert repr(v).startswith("<Validation of 1l2y: ") and "1 inverted stereocentres" in repr(v)
     assert repr(pc.validate(pc.from_sequence("GG"))).endswith(": nothing wrong>")
     html = v._repr_html_()
     assert html.startswith("<table><caption>Validation of 1l2y</caption>")

@@ -65,7 +65,7 @@ def relax_many(r: pd.DataFrame, rates: pd.DataFrame) -> str:
     return paragraph(
         f"Of {len(r)} models, {', '.join(f'{k} end `{name}`' for name, k in ended.items())}. Residues with",
         f"violations fall from {of['violations']}, overlaps from {of['overlaps']}, threaded rings from",
-        f"{of['threaded_rings']}, chiral atoms of the wrong hand from {of['wrong_hands']}.",
+        f"{of['threaded_rings']}, inverted stereocentres from {of['wrong_hands']}.",
         f"It took {rate['seconds_relax']:.0f} s, {rate['models_an_hour_relax']:.0f} models an hour; OpenMM's",
         f"protocol in two processes of one thread, estimated from {rate['sample_openmm']:.0f} of them,",
         f"{rate['models_an_hour_openmm']:.0f} an hour: a ratio of {rate['times_sooner']:.1f}.",
