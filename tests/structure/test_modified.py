@@ -7,10 +7,10 @@ from fixtures import covalent
 from fixtures.modified import component, modified
 
 import protochain as pc
+from protochain.core import extras
 from protochain.core.errors import StructureError
 from protochain.core.graph import bond_angles
 from protochain.energies.factory import build_system
-from protochain.ligands import molecule
 from protochain.ligands.protonation import Charged, at_ph
 from protochain.ligands.sources import from_dictionary
 from protochain.structure.chirality import chiral_atoms
@@ -195,7 +195,7 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     from protochain.structure import capped
 
     capped._parametrised.cache_clear()
-    monkeypatch.setattr(molecule.importlib, "import_module", absent)
+    monkeypatch.setattr(extras.importlib, "import_module", absent)
     s = made("M3L", tmp_path)
     assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]
 
