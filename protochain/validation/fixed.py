@@ -57,7 +57,7 @@ class FixedFaults(NamedTuple):
         ]
         if not counts:
             return ""
-        return f"{' and '.join(counts)} beside the protein: {listed(self.lines(structure, x))}"
+        return f"{' and '.join(counts)} outside the protein: {listed(self.lines(structure, x))}"
 
 
 def fixed_counts(structure: Structure) -> dict[str, int]:
