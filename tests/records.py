@@ -125,7 +125,10 @@ def run(record: Record) -> Cells:
         for path in made:
             of_a_kind[path.parent, path.suffix] += 1
             few = of_a_kind[path.parent, path.suffix] <= 2
-            found |= {f"{path}/{column}": value for column, value in (_file(path) if few else _THERE)}
+            found |= {
+                f"{str(path).replace('/', ':')}:{column}": value
+                for column, value in (_file(path) if few else _THERE)
+            }
         return found
 
 
@@ -167,7 +170,7 @@ def _command(words: list[str]) -> Cells:
     gc.set_threshold(*before[1])
     text = printed.buffer.getvalue().decode()
     told = json.loads(text) if "--json" in words and text else {}
-    return dict(_cells("", {"status": status, **seen})) | dict(_cells("json/", told))
+    return dict(_cells("", {"status": status, **seen})) | dict(_cells("json:", told))
 
 
 # ---- What is recorded of a value ---------------------------------------------------------------------------
@@ -175,13 +178,13 @@ def _command(words: list[str]) -> Cells:
 
 def _cells(at: str, value: Any) -> Iterator[tuple[str, str]]:
     """Columns of a value, whose name begins with ``at``, and their words."""
-    name = at.rstrip("/").rsplit("/", 1)[-1]
+    name = at.rstrip(":").rsplit(":", 1)[-1]
     if LEFT_OUT.search(name):
         return
     if isinstance(value, Enum):
         value = value.name
     if value is None or isinstance(value, str | bool | int | float | np.generic):
-        yield at.rstrip("/") or "value", _word(name, value)
+        yield at.rstrip(":") or "value", _word(name, value)
     elif isinstance(value, pd.DataFrame):
         yield from _rows(at, value)
     elif isinstance(value, pc.Structure):
@@ -191,7 +194,7 @@ def _cells(at: str, value: Any) -> Iterator[tuple[str, str]]:
         yield from _cells(at, record() if callable(record) else record)
     elif isinstance(value, Mapping):
         for key, each in value.items():
-            yield from _cells(f"{at}{key}/", each)
+            yield from _cells(f"{at}{key}:", each)
     elif is_dataclass(value):
         yield from _cells(at, {field.name: getattr(value, field.name) for field in fields(value)})
     elif isinstance(value, np.ndarray) and not 0 < value.size < 7:
@@ -206,10 +209,10 @@ def _cells(at: str, value: Any) -> Iterator[tuple[str, str]]:
         words = " ".join(_word(name, each) for each in value).split()
         if any(" of " in str(each) for each in value):  # Places, of which only names and numbers count.
             words = [word for word in words if re.search("[A-Z0-9]", word)]
-        yield at.rstrip("/") or "value", " ".join(words)
+        yield at.rstrip(":") or "value", " ".join(words)
     else:
         for k, each in enumerate(value):
-            yield from _cells(f"{at}{k}/", each)
+            yield from _cells(f"{at}{k}:", each)
 
 
 def _word(name: str, value: Any) -> str:
@@ -320,7 +323,7 @@ def _of_frames(path: Path) -> Iterator[tuple[str, str]]:
     yield "n_frames", str(len(frames))
     for k in (len(frames) // 4, len(frames) - 1):
         x = frames[k].xyz if path.suffix == ".dcd" else 10.0 * frames[k].x
-        yield from _atoms(f"frame_{k}/", range(len(x)), x)
+        yield from _atoms(f"frame_{k}:", range(len(x)), x)
 
 
 # ---- Comparing and writing ---------------------------------------------------------------------------------
@@ -339,7 +342,7 @@ def _same(column: str, old: str, new: str) -> bool:
         a, b = float(old), float(new)
     except ValueError:
         return False
-    return bool(abs(a - b) <= _tolerance(column.rsplit("/", 1)[-1], a))
+    return bool(abs(a - b) <= _tolerance(column.rsplit(":", 1)[-1], a))
 
 
 def _tolerance(name: str, value: float) -> float:

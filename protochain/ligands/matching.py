@@ -24,7 +24,7 @@ _SHORTER = {1.0: 1.0, 1.5: 0.92, 2.0: 0.87, 3.0: 0.78}
 """Length of a bond by its order, of the sum of covalent radii: those of 74 ligands of the archive, to 0.1
 angstrom RMS in each."""
 _ALIKE = 0.02
-"""Angstrom RMS: matches whose lengths fit as well as the best but for this are told apart by stereo."""
+"""Angstrom RMS: matches whose lengths fit as well as the best but for this are distinguished by stereo."""
 _WORST = 0.25
 """Angstrom RMS between lengths of bonds; crystal ligands have up to 0.1."""
 _OTHER_RING = 0.09

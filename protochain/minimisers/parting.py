@@ -99,7 +99,7 @@ def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
 def parting_in_torsions(
     space: Torsions, energy: Energy, tolerance: float, restraint: Force | None, overlap: bool
 ) -> list[Stage]:
-    """Stages that part overlaps in torsions, then let the force field take over by and by."""
+    """Stages that resolve clashes in torsions, then turn the force field on in steps."""
     structure = space.chain.structure
     plan: list[Stage] = []
     if overlap:

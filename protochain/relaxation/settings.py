@@ -22,7 +22,7 @@ class RelaxSettings(Settings):
     ----------
     preset : str
         ``predicted`` for models: springs from all heavy atoms to the input; ``crystal``: weaker ones on side
-        chains; ``design``: on the backbone alone, let go in three stages, after soft repulsion.
+        chains; ``design``: on the backbone alone, weakened and removed in three stages, after soft repulsion.
     protocol : str
         ``alphafold`` for AlphaFold's force field, solvent, springs and tolerance, to compare like with like:
         amber99sb in vacuum. Bonds to hydrogen are not constrained here, as they are there. Empty for none.

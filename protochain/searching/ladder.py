@@ -6,7 +6,7 @@ from scipy.special import erfcinv
 from protochain.core.arrays import Floats
 
 _RAREST, _MOST_FREQUENT = 1e-3, 0.999
-"""Acceptances that are told apart from 0 and 1: more need more trials than a pilot has."""
+"""Acceptances that are distinguished from 0 and 1: more need more trials than a pilot has."""
 
 
 def geometric(low: float, high: float, n: int) -> Floats:

@@ -68,7 +68,7 @@ _REACH = 2.8
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Close pairs of atoms, told apart.
+    """Close pairs of atoms, by kind.
 
     bonded: In the order given.
     refused: Bonds that the file states and that cannot be, and why.

@@ -139,7 +139,7 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
     violates that bond.
 
     AlphaFold goes by the number alone, in a file of several chains too: it compares no two residues of one
-    number, and spares C and N of consecutive numbers in any chains. Here residues are told apart by what they
+    number, and spares C and N of consecutive numbers in any chains. Here residues are known by what they
     are, so that all contacts between chains are seen; in a single chain the counts are AlphaFold's.
 
     Parameters

@@ -95,7 +95,7 @@ def test_one_file_with_several_settings_and_models():
     assert len(names([], manifest=Path("work.csv"))) == 4
     # One file under two paths is one job.
     assert names(["x.pdb", Path("x.pdb").absolute(), "./x.pdb"]) == ["x"]
-    # What has one key under several paths is told apart all the same.
+    # What has one key under several paths has a name of its own all the same.
     twice = [Wanted(Path("/in/x.pdb"), Path("/in"), None, "abc", ("relax",)) for _ in range(2)]
     assert named_apart(twice) == ["x-abc-0", "x-abc-1"] and named_apart([]) == []
 

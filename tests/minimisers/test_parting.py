@@ -159,7 +159,7 @@ def test_overlaps_are_parted_near_the_start(method):
     if method == "lbfgs":
         plan, limit = parting_in_torsions(torsions, e, 10.0, None, True), 1.0
     else:
-        # Before the side chains are let go.
+        # Before the restraints of side chains are removed.
         plan, limit = parting_in_all_atoms(torsions, atoms, e, 10.0, None, True)[:-2], 0.6
     done = walk(plan, c.structure.positions, 3000, None, lambda *_: None)
     assert not overlaps(s, done.x) and moved(s, done.x) < limit

@@ -18,26 +18,26 @@ def test_each_record_is_expected_and_compared_once():
 @pytest.mark.parametrize(
     ("column", "old", "new", "is_same"),
     [
-        ("json/energy_end_kj_mol", "-1234.567890", "-1234.567899", True),
-        ("json/energy_end_kj_mol", "-1234.567890", "-1234.569890", False),
-        ("json/energy_cmap_end_kj_mol", "0", "9e-07", True),
+        ("json:energy_end_kj_mol", "-1234.567890", "-1234.567899", True),
+        ("json:energy_end_kj_mol", "-1234.567890", "-1234.569890", False),
+        ("json:energy_cmap_end_kj_mol", "0", "9e-07", True),
         (
-            "end.pdb/atom_10_angstrom",
+            "end.pdb:atom_10_angstrom",
             "A:2:TYR:N 1.00000 2.00000 3.00000",
             "A:2:TYR:N 1.00009 2.00000 3.00000",
             True,
         ),
         (
-            "end.pdb/atom_10_angstrom",
+            "end.pdb:atom_10_angstrom",
             "A:2:TYR:N 1.00000 2.00000 3.00000",
             "A:2:TYR:N 1.00020 2.00000 3.00000",
             False,
         ),
-        ("end.pdb/atom_10_angstrom", "A:2:TYR:N 1 2 3", "A:2:TYR:CA 1 2 3", False),
-        ("json/evaluations", "12000000", "12000001", False),
-        ("json/status", "budget", "converged", False),
-        ("json/inverted", "2 ALA A", "", False),
-        ("rows.csv/median", "2 1", "nan 1", False),
+        ("end.pdb:atom_10_angstrom", "A:2:TYR:N 1 2 3", "A:2:TYR:CA 1 2 3", False),
+        ("json:evaluations", "12000000", "12000001", False),
+        ("json:status", "budget", "converged", False),
+        ("json:inverted", "2 ALA A", "", False),
+        ("rows.csv:median", "2 1", "nan 1", False),
     ],
 )
 def test_cells_are_compared_by_kind(column, old, new, is_same):

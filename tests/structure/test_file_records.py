@@ -339,7 +339,7 @@ def test_every_model_has_its_own_coordinates_repairs_and_cis_peptides(tmp_path):
     assert [each.model_num for each in read.cispeps] == [2]
     assert len(set(rows(cif, "atom_site", "pdbx_PDB_model_num"))) == 2
     assert rows(cif, "struct_mon_prot_cis", "pdbx_PDB_model_num") == [("2",)]
-    # Models that are not told apart are numbered, and all are without hydrogens.
+    # Models of one number are numbered, and all are without hydrogens.
     alike = as_text([first, replace(second, model_number=first.model_number)], ".cif", hydrogens=False)
     written = rows(alike, "atom_site", "pdbx_PDB_model_num", "type_symbol")
     assert {number for number, _ in written} == {"1", "2"} and "H" not in {element for _, element in written}
