@@ -49,7 +49,8 @@ def relax(
 
     All atoms move, the heavy ones held by springs to the input. While violations (as AlphaFold counts them)
     or overlaps are left, restraints of the residues concerned and their neighbours are weakened, then
-    removed, and all is minimised again; the springs of the others lead to the first input always, so that drift cannot add up.
+    removed, and all is minimised again; the springs of the others lead to the first input always, so that
+    drift cannot add up.
 
     Parameters
     ----------

@@ -245,7 +245,7 @@ class Relaxer:
         return evaluate(self._space, self.energy, at.q).residual > _HIGH
 
     def _right(self, springs: Tethers) -> list[Stage]:
-        """Stages for folded or flat atoms, inverted stereocentres, reversed peptide bonds, where there are any.
+        """Stages for folded or flat atoms, inverted stereocentres, reversed peptide bonds, if there are any.
 
         Bonds that are only twisted are turned by the stages that follow. One goes on where a centre of a
         ligand or sugar is half turned: the mean force of a large protein does not tell.

@@ -171,7 +171,7 @@ class Kind(Enum):
     LINKED = Words("{atoms:and} are bonded ({length:.2f} angstrom): kept, in the place of {gone}")
     NO_PARAMETERS = Words("the bond between {atoms:and} has no parameters: {why}")
     CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
-    INVERTED = Words("{residue}: of the other hand than in its source: {atoms}", rank=Rank.LOSS)
+    INVERTED = Words("{residue}: of another configuration than in its source: {atoms}", rank=Rank.LOSS)
     MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
     STRAND = Words(
         "strand of {count:n nucleotide}, {first} to {last}: free to move, in torsions as a rigid body"
@@ -187,7 +187,7 @@ class Kind(Enum):
     OTHER_ANOMER = Words(
         "{residue}: by its atoms the other anomer than by its name: it stays so, with the parameters of that"
     )
-    SUGAR_INVERTED = Words("{residue}: of the other hand than its name says: {atoms}", rank=Rank.LOSS)
+    SUGAR_INVERTED = Words("{residue}: of another configuration than its name says: {atoms}", rank=Rank.LOSS)
     NUCLEOTIDES_STAY = Words(
         "{count:n nucleotide} of a strand without parameters: {residues:6}; in place, the rest tied to them"
     )

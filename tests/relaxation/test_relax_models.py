@@ -1,4 +1,4 @@
-"""Relaxation of damaged models: threaded rings, torn bonds, inverted stereocentres, and springs of later rounds."""
+"""Relaxation of damaged models: threaded rings, torn bonds, inverted stereocentres; springs."""
 
 import numpy as np
 import pytest
