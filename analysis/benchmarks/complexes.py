@@ -209,8 +209,8 @@ def models(options: argparse.Namespace) -> pd.DataFrame:
                 "base_pairs_kept": len(pairs & base_pairs(start, x, 0.35)),
                 "p_moved_median_angstrom": np.median(moved[phosphorus]) if phosphorus.any() else np.nan,
                 "ligand_moved_median_angstrom": np.median(moved[np.concatenate(heavy)]) if heavy else np.nan,
-                "wrong_hands_start": record["wrong_hands_start"],
-                "wrong_hands_end": record["wrong_hands_end"],
+                "inverted_stereocentres_start": record["inverted_stereocentres_start"],
+                "inverted_stereocentres_end": record["inverted_stereocentres_end"],
             }
         )  # fmt: skip
         print(rows[-1], flush=True)

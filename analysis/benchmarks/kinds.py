@@ -57,7 +57,7 @@ def row(name: str) -> dict[str, object]:
     out |= {
         "bonds_beside": told("-".join("/".join(place) for place in pair) for pair in found.links),
         "metal_bonds": len(found.metal), "bonds_odd": told(found.strange),
-        "bonds_not_made": told(found.unmade), "hands_changed": told(found.hands),
+        "bonds_not_made": told(found.unmade), "stereocentres_changed": told(found.hands),
         "cis_in": found.cis[0], "cis_out": found.cis[1], "twisted_in": found.twisted[0],
         "twisted_out": found.twisted[1], "peptides_turned": told(found.turned),
         "ids_lost": told(found.ids), "energy_kj_mol": found.stated or None,

@@ -43,7 +43,8 @@ MADE_OF = ("1hel", "1ubq", "4pti")
 MANY_OF = ("1l2y", "1vii", "1ejg", "3i40", "4pti", "1ubq", "1hel")
 KEPT = (
     "structure", "status", "message", "n_residues", "violations_start", "violations_end", "overlaps_start",
-    "overlaps_end", "wrong_hands_start", "wrong_hands_end", "threaded_rings_start", "threaded_rings_end",
+    "overlaps_end", "inverted_stereocentres_start", "inverted_stereocentres_end",
+    "threaded_rings_start", "threaded_rings_end",
     "ca_rmsd_angstrom", "n_rounds", "evaluations",
 )  # fmt: skip
 """Columns of a folder's relaxed.csv that are kept."""

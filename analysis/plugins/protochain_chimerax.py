@@ -30,7 +30,7 @@ def relax(session, structure, options=""):
     opened.position = structure.position
     record = json.loads(done.stdout)
     session.logger.info(record["message"])
-    for key in ("violations", "overlaps", "twisted_peptides", "wrong_hands"):
+    for key in ("violations", "overlaps", "twisted_peptides", "inverted_stereocentres"):
         found = f"{record[f'{key}_start']} before, {record[f'{key}_end']} after"
         session.logger.info(f"{key.replace('_', ' ')}: {found}")
     return opened

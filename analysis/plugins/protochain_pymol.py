@@ -48,7 +48,7 @@ def protochain_relax(selection="all", name="", options="", quiet=0, _self=cmd):
     record = json.loads(done.stdout)
     if not int(quiet):
         print(f" protochain: {name}: {record['message']}")
-        for key in ("violations", "overlaps", "twisted_peptides", "wrong_hands"):
+        for key in ("violations", "overlaps", "twisted_peptides", "inverted_stereocentres"):
             print(f" {key.replace('_', ' ')}: {record[f'{key}_start']} before, {record[f'{key}_end']} after")
     return record
 

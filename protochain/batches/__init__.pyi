@@ -1,6 +1,6 @@
-from .api import Batch as Batch
-from .api import BatchProgress as BatchProgress
-from .api import batch as batch
+from .batch_structures import Batch as Batch
+from .batch_structures import BatchProgress as BatchProgress
+from .batch_structures import batch as batch
 from .cluster import Processes as Processes
 from .jobs import BatchSettings as BatchSettings
 from .jobs import Job as Job

@@ -44,7 +44,7 @@ def quartiles(numbers: pd.DataFrame) -> pd.DataFrame:
     """Quartiles of each column, a row each."""
     at = {"lowest": 0.0, "first quartile": 0.25, "median": 0.5, "third quartile": 0.75, "highest": 1.0}
     rows = [
-        {"quantity": heading(name), **{said: values.quantile(q) for said, q in at.items()}}
+        {"quantity": heading(name), **{stated: values.quantile(q) for stated, q in at.items()}}
         for name, values in ((str(name), numbers[name]) for name in numbers)
     ]
     return pd.DataFrame(rows, columns=["quantity", *at])

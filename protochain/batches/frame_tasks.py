@@ -15,9 +15,9 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies import Energy
 from protochain.energies.decomposed import TERMS, energy_terms
 from protochain.minimisers.verdict import Status
-from protochain.relaxation.api import relax_structure
 from protochain.relaxation.record import INTERFACE_COLUMNS, OF_FRAMES
-from protochain.relaxation.settings import RelaxSettings
+from protochain.relaxation.relax_settings import RelaxSettings
+from protochain.relaxation.relax_structure import relax_structure
 from protochain.results.columns import Column, flat, record
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble

@@ -20,7 +20,7 @@ from protochain.core.checks import at_least, checked, optional
 from protochain.energies import Energy
 from protochain.energies.factory import has_energy
 from protochain.energies.shared import shared_energy
-from protochain.relaxation.settings import named, split
+from protochain.relaxation.relax_settings import named, split
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.frames import Frame, Frames, open_frames

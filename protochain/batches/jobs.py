@@ -27,13 +27,13 @@ from protochain.core.checks import (
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.settings import Setting, setting, settings_of
 from protochain.core.storage import regular
-from protochain.minimisers.api import Minimisation
+from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
+from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.recipes import recipe_of
-from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.minimisers.starts import refuse_held
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.relaxation.settings import NAMES as OF_RELAXING
-from protochain.relaxation.settings import WITHOUT, RelaxSettings
+from protochain.relaxation.relax_settings import NAMES as OF_RELAXING
+from protochain.relaxation.relax_settings import WITHOUT, RelaxSettings
 from protochain.structure.files import format_of
 from protochain.structure.ligand_files import are_several, poses
 from protochain.structure.prepare import user_files

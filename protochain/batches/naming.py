@@ -102,7 +102,7 @@ def named_apart(wanted: Sequence[Wanted], earlier: Sequence[Earlier] = ()) -> li
         return []
     folders = [folder for each in wanted for folder in (absolute(each.root), each.place.parent)]
     home = Path(os.path.commonpath(folders))
-    kept, taken = _kept(wanted, earlier)
+    kept, used = _kept(wanted, earlier)
     levels = [0] * len(wanted)
     while True:
         names = [
@@ -113,7 +113,7 @@ def named_apart(wanted: Sequence[Wanted], earlier: Sequence[Earlier] = ()) -> li
             {name, *(output_stem(name, method) for method in each.methods)}
             for name, each in zip(names, wanted, strict=True)
         ]
-        count = taken + Counter(claim for each in claims for claim in each)
+        count = used + Counter(claim for each in claims for claim in each)
         clashing = [
             k for k, each in enumerate(claims)
             if not kept[k] and levels[k] < _LAST and any(count[claim] > 1 for claim in each)

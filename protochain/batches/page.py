@@ -14,7 +14,7 @@ from protochain.relaxation.record import METHOD as RELAX
 from protochain.results.page import write_page as fill
 from protochain.results.terms import energies_by_term
 from protochain.structure import Structure
-from protochain.structure.losses import told
+from protochain.structure.losses import loss_lines
 from protochain.structure.repairs import Repair
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def write_page(
         repairs=repairs,
         changes=_changes(ends),
         terms=energies_by_term({row.record["method"]: row.record for row in rows}),
-        lost=told(row.record for row in rows),
+        lost=loss_lines(row.record for row in rows),
         curves=curves(rows),
         width=WIDTH,
         height=HEIGHT,

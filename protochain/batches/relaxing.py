@@ -4,12 +4,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from protochain.batches.api import Batch, BatchProgress, run_batch
+from protochain.batches.batch_structures import Batch, BatchProgress, run_batch
 from protochain.batches.cluster import Processes
 from protochain.batches.jobs import BatchSettings
 from protochain.chains.setup import Setup
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.relaxation.settings import RelaxSettings
+from protochain.relaxation.relax_settings import RelaxSettings
 
 NAME = "relaxed"
 

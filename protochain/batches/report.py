@@ -11,7 +11,7 @@ from protochain.core.storage import write_atomically
 from protochain.results.columns import heading
 from protochain.results.figures import COLOURS, data_url, panels, plain
 from protochain.results.page import write_page
-from protochain.structure.losses import told
+from protochain.structure.losses import loss_lines
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,7 +39,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
         folder / "report.html",
         "batch.html",
         summary=summary,
-        lost=told(table.to_dict("records")),
+        lost=loss_lines(table.to_dict("records")),
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
         statistics=quartiles.assign(quantity=quartiles["quantity"].map(heading)),
         rows=rows.head(WORST).to_dict("records"),
@@ -80,7 +80,7 @@ def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
         for name, values in columns.items():
             there = values[own.index].astype(float).dropna()
             if len(there):
-                row = {said: there.quantile(at) for said, at in quantiles.items()}
+                row = {stated: there.quantile(at) for stated, at in quantiles.items()}
                 rows.append({"method": method, "quantity": name, **row})
     return pd.DataFrame(rows, columns=["method", "quantity", *quantiles])
 

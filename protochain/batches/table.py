@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, get_origin
 from filelock import FileLock, Timeout
 
 from protochain.batches import relaxed
+from protochain.batches.batch_settings import NAME as SETTINGS
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
-from protochain.batches.settings import NAME as SETTINGS
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.storage import check_writable, write_text, writing
 from protochain.minimisers import record

@@ -114,7 +114,7 @@ def _relax(structure: "Structure", energy: "Energy", s: BatchSettings) -> tuple[
     """Relax a structure; return the result, and its trace as a table."""
     import pandas as pd
 
-    from protochain.relaxation.api import relax_structure
+    from protochain.relaxation.relax_structure import relax_structure
     from protochain.relaxation.result import TRACE_COLUMNS
 
     result = relax_structure(structure, energy, s.relaxing, move=s.setup.move)

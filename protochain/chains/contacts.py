@@ -30,7 +30,7 @@ class Overlap:
     share: Distance as a fraction of the sum of the van der Waals radii.
     remedy: Methods that can separate them.
     atoms: Their indices.
-    beside: Whether one of them is of the protein and the other of a molecule kept beside it.
+    beside: Whether one of them is of the protein and the other of a molecule kept with it.
     """
 
     first: str
@@ -91,7 +91,7 @@ def joined(structure: Structure, bonds: int) -> Integers:
 def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
     """Find the nonbonded pairs of atoms that overlap, as :func:`near_pairs` returns them.
 
-    Beside those nearer than ``OVERLAP`` these are heavy atoms of the protein and of a molecule kept beside it
+    Beside those nearer than ``OVERLAP`` these are heavy atoms of the protein and of a molecule kept with it
     that are as near as bonded ones, and are not bonded.
     """
     if not structure.kept.any():

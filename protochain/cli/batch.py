@@ -23,8 +23,8 @@ from protochain.cli.options import (
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
 from protochain.core import defaults
 from protochain.core.checks import words
-from protochain.minimisers.settings import MinimiseSettings, StartSettings
-from protochain.relaxation.settings import RelaxSettings
+from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
+from protochain.relaxation.relax_settings import RelaxSettings
 
 Inputs = Annotated[
     list[str] | None,

@@ -28,7 +28,7 @@ from protochain.core import defaults
 from protochain.core.checks import words
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.minimisers.settings import MinimiseSettings
+from protochain.minimisers.minimise_settings import MinimiseSettings
 
 if TYPE_CHECKING:
     from protochain.core.arrays import Watcher
@@ -102,7 +102,7 @@ def compare(
 
 def _chosen(methods: str, tolerance: float, max_evaluations: int) -> tuple[str, ...]:
     """Names of methods, each once; settings that make no sense for one of them are refused."""
-    from protochain.minimisers.api import Minimisation
+    from protochain.minimisers.minimise_structure import Minimisation
     from protochain.minimisers.recipes import recipe_of
 
     chosen = tuple(dict.fromkeys(words(methods)))

@@ -14,7 +14,7 @@ from protochain.comparison.deviation import RmsdFrames
 from protochain.comparison.differences import TORSIONS
 from protochain.comparison.work import WITHIN
 from protochain.dynamics import simulation
-from protochain.dynamics.settings import SimulationSettings
+from protochain.dynamics.simulate_settings import SimulationSettings
 from protochain.energies.decomposed import TERMS
 from protochain.minimisers import record as of_minimising
 from protochain.minimisers.solution import TRACE_COLUMNS
@@ -23,7 +23,7 @@ from protochain.relaxation import record as of_relaxing
 from protochain.relaxation.rounds import Round
 from protochain.results.columns import Column, Kind, kind_of, number
 from protochain.results.schema import OTHERS, Contract, cell
-from protochain.searching.settings import SearchSettings
+from protochain.searching.search_settings import SearchSettings
 from protochain.validation import MEASURES
 from protochain.validation.findings import RESIDUE_COLUMNS
 from protochain.validation.interface import CONFIDENCES, SCORES

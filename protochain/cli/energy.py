@@ -52,7 +52,7 @@ def energy(
 ) -> None:
     """Tell what the energy is made of: by term, by residue or by pair, of all or between two parts.
 
-    Structures are taken as they are, with what they lack added; minimise or relax them first.
+    Structures are read as they are, with what they lack added; minimise or relax them first.
     Of frames, a row for each goes to a CSV, by term.
     """
     from protochain.core.storage import write_atomically

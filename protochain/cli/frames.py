@@ -124,8 +124,8 @@ def opened(
     if trajectory is None and str(source) == "-":
         raise ProtochainError("frames: standard input is read once; give a file")
     ensemble, chosen = ensemble_of(source, trajectory, frames, setup)
-    told = [each for each in ensemble.structure.repairs if each.kind is not Kind.MODELS_LEFT_OUT]
-    print_changes(source, replace(ensemble.structure, repairs=tuple(told)))
+    noted = [each for each in ensemble.structure.repairs if each.kind is not Kind.MODELS_LEFT_OUT]
+    print_changes(source, replace(ensemble.structure, repairs=tuple(noted)))
     return ensemble, chosen
 
 
@@ -188,15 +188,18 @@ def _progress(name: str, total: int) -> "Iterator[Watch]":
     """A bar on a terminal, or a line a minute; the first frames that cannot be used, by name."""
     from protochain.cli.terminal import frames_progress
 
-    told = 0
+    n_failed = 0
     with frames_progress(name, total) as (show, say):
 
         def watch(done: int, failed: int, last: "FrameResult") -> None:
-            nonlocal told
+            nonlocal n_failed
             if last.structure is None:
-                told += 1
-                if told <= _SHOWN:
-                    say(str(last.record["message"]) + ("; more are in the table" if told == _SHOWN else ""))
+                n_failed += 1
+                if n_failed <= _SHOWN:
+                    say(
+                        str(last.record["message"])
+                        + ("; more are in the table" if n_failed == _SHOWN else "")
+                    )
             show(done, f"{done} of {total} frames, {failed} failed")
 
         yield watch

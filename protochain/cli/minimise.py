@@ -50,7 +50,7 @@ from protochain.cli.terminal import (
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts
-from protochain.minimisers.settings import CheckpointSettings, MinimiseSettings, StartSettings
+from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings, StartSettings
 
 if TYPE_CHECKING:
     from protochain.chains.chain import Chain
@@ -94,7 +94,7 @@ def minimise(
     setup: Setup,
 ) -> None:
     """Minimise the energy of one structure."""
-    from protochain.minimisers.api import Minimisation
+    from protochain.minimisers.minimise_structure import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
     from protochain.minimisers.starts import refuse_held
     from protochain.structure.trajectory import check_trajectory
@@ -190,8 +190,10 @@ class _Writer:
         """Write all that is done, even if a later model failed."""
         if self.one_file and self.done:
             models = [solution.structure for solution in self.done]
-            told = (f"MODEL {s.structure.model_number}: {line}" for s in self.done for line in s.provenance())
-            write_models(models, self.output, self.suffix, told)
+            noted = (
+                f"MODEL {s.structure.model_number}: {line}" for s in self.done for line in s.provenance()
+            )
+            write_models(models, self.output, self.suffix, noted)
 
 
 def _solved(
@@ -218,12 +220,12 @@ def _solved(
     typical, most = lengths
     foretell(source, chain, energy, min(most, (TROUBLED if troubled else 1) * typical), most)
     context.with_resource(held_interrupts())
-    solution, told = solve(chain, energy)
+    solution, noted = solve(chain, energy)
     refuse_unusable(source, solution)
     write(solution, output)
     model = {} if setup.model is None else {"model": setup.model}
     origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
-    record = solution.record() | told | model | origin
+    record = solution.record() | noted | model | origin
     write_beside(solution, record, setup, _write_page, **beside)
     return record
 

@@ -89,11 +89,11 @@ def modes(
         q, first = _relaxed(source, chain, energy) if relax else (chain.q0, "not minimised first")
         with open_to_interrupts():
             found = normal_modes(chain, energy, q, modes, method=method)
-    told = {
+    noted = {
         "input": str(source), "output": str(output), "first": first, "seconds_preparation": preparation,
     }  # fmt: skip
     record = write_modes(
-        found, output, told, temperature, suffix=suffix, trajectory=trajectory, amplitude=amplitude,
+        found, output, noted, temperature, suffix=suffix, trajectory=trajectory, amplitude=amplitude,
         other=other,
     )  # fmt: skip
     if as_json:
@@ -111,11 +111,11 @@ def _relaxed(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", 
     if torques_at(chain, energy, None).largest <= FLAT:
         return chain.q0, "a minimum as it is: not minimised first"
     print_outlook(source, chain.structure, METHOD)
-    relaxed, said = minimised_first(chain, energy, _RELAXED)
+    relaxed, stated = minimised_first(chain, energy, _RELAXED)
     if not relaxed.is_usable:
         raise ProtochainError(f"{source}: {relaxed.message}")
-    print(f"{source}: {said}", file=sys.stderr)
-    return relaxed.q, said
+    print(f"{source}: {stated}", file=sys.stderr)
+    return relaxed.q, stated
 
 
 def _print(found: "NormalModes", record: dict[str, Any]) -> None:

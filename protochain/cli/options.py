@@ -19,10 +19,10 @@ from protochain.core import defaults
 from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
 from protochain.core.markup import counted
 from protochain.core.settings import Made, Setting, settings_of
-from protochain.dynamics.settings import RunSettings, SimulationSettings
-from protochain.minimisers.settings import MinimiseSettings, StartSettings
-from protochain.relaxation.settings import RelaxSettings
-from protochain.searching.settings import SearchRunSettings, SearchSettings
+from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
+from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
+from protochain.relaxation.relax_settings import RelaxSettings
+from protochain.searching.search_settings import SearchRunSettings, SearchSettings
 
 if TYPE_CHECKING:
     from protochain.batches import Batch
@@ -97,8 +97,8 @@ def _options(of: Field[Any]) -> Iterator[inspect.Parameter]:
     usual = (not its.turns_off and of.default) if is_plain else None
     yield _option(of.name, its.kind if is_plain else its.kind | None, usual, its.names(of.name), its)
     if its.word:
-        name, told, _ = its.word
-        yield _option(name, bool, False, [f"--{name.replace('_', '-')}"], Setting(its.check, told))
+        name, noted, _ = its.word
+        yield _option(name, bool, False, [f"--{name.replace('_', '-')}"], Setting(its.check, noted))
 
 
 def _option(name: str, kind: Any, usual: Any, names: list[str], its: Setting) -> inspect.Parameter:
@@ -250,9 +250,9 @@ def print_changes(source: Path, structure: "Structure") -> None:
 
 def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
     """Print what the structures of records, or of rows of a table, lost."""
-    from protochain.structure.losses import told
+    from protochain.structure.losses import loss_lines
 
-    for line in told(rows, as_option):
+    for line in loss_lines(rows, as_option):
         print(line)
 
 

@@ -40,7 +40,7 @@ from protochain.cli.options import (
 )
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
-from protochain.relaxation.settings import RelaxSettings
+from protochain.relaxation.relax_settings import RelaxSettings
 
 if TYPE_CHECKING:
     from protochain.batches.frame_tasks import RelaxFrames
@@ -158,8 +158,8 @@ def _one(
     """Relax one file; return the exit status."""
     from protochain.cli.relaxing import print_relaxed, progress, tell_plan
     from protochain.core.interrupts import held_interrupts
-    from protochain.relaxation.api import relax_structure
     from protochain.relaxation.names import relaxed_name
+    from protochain.relaxation.relax_structure import relax_structure
     from protochain.structure.files import suffix_of
     from protochain.structure.ligand_files import check_ligands
     from protochain.structure.write import check_fits

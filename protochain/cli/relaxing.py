@@ -45,7 +45,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     seconds = _EVALUATIONS * (monotonic() - began)
     found, rings = overlaps(structure, x), threaded_rings(structure)
     beside = sum(each.beside for each in found)
-    said = [
+    stated = [
         f"{counted(structure.n_protein_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}",
         *said_of_move(structure, move),
         f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}"
@@ -57,15 +57,15 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
         *_breaks(structure),
         f"about {max(seconds, 1.0):.0f} s",
     ]
-    print(f"{source}: {'; '.join(said)}", file=sys.stderr)
+    print(f"{source}: {'; '.join(stated)}", file=sys.stderr)
     return seconds
 
 
 def _wrong_hands(structure: "Structure") -> list[str]:
     """What will become of inverted stereocentres, in words."""
-    from protochain.relaxation.chirality_restraint import Hands
+    from protochain.relaxation.chirality_restraint import ChiralityRestraint
 
-    wrong = Hands.of(structure).wrong(structure.positions)
+    wrong = ChiralityRestraint.of(structure).wrong(structure.positions)
     n = len(wrong)
     are_named = structure.mirrored[structure.atom_residue[wrong]].all()
     advice = "" if are_named else " (name D-amino acids as DAL ...)"
@@ -122,14 +122,14 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         f"{rounds} round{'s' * (rounds > 1)}, {record['evaluations']} evaluations, {record['seconds']:.1f} s"
     )
     moved = moved if rmsd is None else f"C-alpha RMSD to the input {rmsd:.2f} angstrom, {moved}"
-    said = [moved, record["message"]]
+    stated = [moved, record["message"]]
     if record["repacked"]:
-        told = summarised(result.turned) or ("no side chain is better turned",)
-        said.insert(1, f"repacked first: {'; '.join(told)}")
-    if turned := (*result.hands_turned, *result.peptides_turned):
-        said.insert(1, "; ".join(summarised(turned)))
-    said += remains_in_words(record)
-    print("\n".join(line for each in said for line in textwrap.wrap(each, _WIDTH)))
+        noted = summarised(result.turned) or ("no side chain is better turned",)
+        stated.insert(1, f"repacked first: {'; '.join(noted)}")
+    if turned := (*result.stereocentres_corrected, *result.peptides_turned):
+        stated.insert(1, "; ".join(summarised(turned)))
+    stated += remains_in_words(record)
+    print("\n".join(line for each in stated for line in textwrap.wrap(each, _WIDTH)))
     print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
     print_files(*record.get("confidences", ()), record.get("ligands_written"), record.get("report"))
@@ -149,13 +149,13 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
         )
     near = usable[usable["overlaps_beside_start"] > 0]
     if len(near):
-        told = [
+        noted = [
             f"{row.structure} ({row.overlaps_beside_start:.0f} pairs, {row.overlaps_beside_end:.0f} left)"
             for row in near.head(_SHOWN).itertuples()
         ]
         more = f" and {len(near) - _SHOWN} more, in the table" if len(near) > _SHOWN else ""
         what = "structures overlapped with molecules kept with the protein"
-        print(f"{len(near)} of {len(table)} {what}: {', '.join(told)}{more}")
+        print(f"{len(near)} of {len(table)} {what}: {', '.join(noted)}{more}")
     left = table[table["status"] != "converged"]
     for row in left.head(_SHOWN).itertuples():
         print(f"{row.structure}: {row.message}")

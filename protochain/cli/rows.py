@@ -29,7 +29,7 @@ def conclude(
     show: Callable[[Rows], None],
     as_json: bool,
     files: Sequence[Path] = (),
-    **told: Any,
+    **noted: Any,
 ) -> None:
     """Write the tables that are asked for, print the rows or one object with what is ``told``, and exit."""
     from protochain.core.storage import write_atomically
@@ -40,7 +40,7 @@ def conclude(
     written = [*filter(None, tables), *files]
     done = [row for row in rows if not row["message"]]
     if as_json:
-        print_json({**told, "results": rows, "files": [*map(str, written)]})
+        print_json({**noted, "results": rows, "files": [*map(str, written)]})
     else:
         if done:
             show(done)

@@ -64,7 +64,7 @@ def score(
 ) -> None:
     """Score the interfaces of complexes: energy, area, bonds, fit of the surfaces, clashes, confidence.
 
-    Complexes are taken as they are, with what they lack added; relax them first.
+    Complexes are read as they are, with what they lack added; relax them first.
     """
     from protochain.batches.cluster import Processes
     from protochain.validation.interface import CONFIDENCES, SCORES
@@ -113,7 +113,7 @@ def _place(value: Any, better: int) -> tuple[bool, float]:
 
 def _print(rows: Rows) -> None:
     """Print a row for each interface."""
-    shown = {key: said for key, said in _SHOWN.items() if any(row[key] is not None for row in rows)}
+    shown = {key: stated for key, stated in _SHOWN.items() if any(row[key] is not None for row in rows)}
     cells = ([Path(row["file"]).name, row["interface"], *(row[key] for key in shown)] for row in rows)
     print_rows(["file", "sides", *shown.values()], cells, texts=2)
     print("energies in kJ/mol, areas in square angstrom; --csv and --json have all columns")

@@ -24,7 +24,7 @@ from protochain.cli.options import (
 from protochain.cli.terminal import print_search, search_progress
 from protochain.core.processors import processors
 from protochain.core.settings import settings_of
-from protochain.searching.settings import SearchRunSettings, SearchSettings
+from protochain.searching.search_settings import SearchRunSettings, SearchSettings
 
 Source = Annotated[
     Path, typer.Argument(metavar="IN", help="PDB or mmCIF file, or a sequence of one-letter codes.")
@@ -50,7 +50,7 @@ def search(
 ) -> None:
     """Search for low minima of one chain in torsions, or sample it at several temperatures."""
     from protochain.searching import search as run
-    from protochain.searching.api import check_folder
+    from protochain.searching.search_chain import check_folder
     from protochain.structure import from_sequence
 
     named = str(source) if is_sequence(source) else named_after(source)[0]

@@ -29,7 +29,7 @@ from protochain.cli.terminal import (
     simulation_progress,
 )
 from protochain.core.interrupts import held_interrupts
-from protochain.dynamics.settings import Pull, RunSettings, SimulationSettings
+from protochain.dynamics.simulate_settings import Pull, RunSettings, SimulationSettings
 
 if TYPE_CHECKING:
     from protochain.chains.chain import Chain
@@ -64,8 +64,8 @@ def simulate(
     Unlike pc.simulate it minimises first, since structures in files are strained; --no-relax omits this.
     """
     from protochain.dynamics import simulate as run
-    from protochain.dynamics.api import freed
     from protochain.dynamics.folder import check_folder, files_of
+    from protochain.dynamics.simulate_chain import freed
 
     simulation = replace(simulation, pull=pulling)
     output = output or Path(f"{named_after(source)[0]}-simulation")
@@ -101,8 +101,8 @@ def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
 
 def _relaxed(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
     """Minimise by turning hinges; report what it changed, and return the coordinates."""
-    relaxed, said = minimised_first(chain, energy, _RELAXED, simulation.seed)
+    relaxed, stated = minimised_first(chain, energy, _RELAXED, simulation.seed)
     # Without constraints: the force field holds the loops, and takes the strain from them, too.
     kept = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
-    print(f"{source}: {said}{kept}", file=sys.stderr)
+    print(f"{source}: {stated}{kept}", file=sys.stderr)
     return relaxed.q

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-    from protochain.batches.api import BatchProgress
+    from protochain.batches.batch_structures import BatchProgress
     from protochain.batches.jobs import Job
     from protochain.chains.chain import Chain
     from protochain.core.arrays import Watcher
@@ -253,10 +253,10 @@ def print_search(done: "Search", output: object) -> None:
     print(f"{done.chain.structure.name}: {done.energy:.2f} kJ/mol, the lowest of {len(done.q)} minima")
     for row in done.minima.head(_SHOWN_MINIMA).to_dict("records"):
         free = row["free_energy_kj_mol"]
-        told = "" if math.isnan(free) else f", free energy {free:+.2f}"
+        rest = "" if math.isnan(free) else f", free energy {free:+.2f}"
         named = f", {row['conformer']}" if row["conformer"] else ""
         print(
-            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{told}{named}, "
+            f"  {row['minimum']}: {row['above_lowest_kj_mol']:+.2f} kJ/mol{rest}{named}, "
             f"C-alpha RMSD {_distance(row['ca_rmsd_to_lowest_angstrom'])} angstrom"
         )
     for row in done.populations.to_dict("records"):
@@ -276,11 +276,11 @@ def batch_progress() -> Iterator["Callable[[BatchProgress], None]"]:
     columns = (BarColumn(), TextColumn("{task.fields[now]}"), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=None, now="starting workers")
-        told: list[str] = []
+        shown: list[str] = []
 
         def watch(so_far: "BatchProgress") -> None:
-            if so_far.dashboard and not told:
-                told.append(so_far.dashboard)
+            if so_far.dashboard and not shown:
+                shown.append(so_far.dashboard)
                 console.print(f"dashboard: {so_far.dashboard}", highlight=False)
             rate = 60.0 * so_far.done / so_far.seconds
             now = f"{so_far.skipped + so_far.done} of {so_far.total}, {so_far.failed} failed, {rate:.0f}/min"
@@ -387,9 +387,9 @@ def print_batch(table: "DataFrame", report: str) -> None:
         counts = ", ".join(f"{n} {status}" for status, n in rows["status"].value_counts().items())
         usable = rows[rows["output"].notna()]
         rmsd, seconds = usable["ca_rmsd_angstrom"].median(), usable["seconds"].median()
-        told = f"; medians: RMSD {rmsd:.2f} angstrom, {seconds:.2f} s" if rmsd == rmsd else ""
-        told = f"; {mended(usable)}{told}" if told and method == RELAX else told
-        console.print(f"{method}: {counts}{told}", markup=False, highlight=False)
+        rest = f"; medians: RMSD {rmsd:.2f} angstrom, {seconds:.2f} s" if rmsd == rmsd else ""
+        rest = f"; {mended(usable)}{rest}" if rest and method == RELAX else rest
+        console.print(f"{method}: {counts}{rest}", markup=False, highlight=False)
     unmended = table["method"].eq(RELAX) & table["status"].ne("converged")
     failed = table[table["output"].isna() | unmended].drop_duplicates("structure")
     for row in failed.head(_SHOWN_FAILURES).itertuples():

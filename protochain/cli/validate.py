@@ -101,8 +101,8 @@ def validate(
             continue
         between = _changes(reference, result) if changes else None
         rows.append({"file": name, **_row(result, between)})
-        said = (result.posebusters_missing, repr(between).strip("<>") if between else "")
-        notes[name] = [*map(str, result.ligands), *filter(None, said)]
+        stated = (result.posebusters_missing, repr(between).strip("<>") if between else "")
+        notes[name] = [*map(str, result.ligands), *filter(None, stated)]
         of: dict[str, Any] = {"file": name, "model": result.structure.model_number}
         if residues:
             of_residues.append(result.residues.assign(**of))
@@ -163,6 +163,6 @@ def _print(notes: Mapping[str, Sequence[str]], rows: Rows) -> None:
         more = f"and {counted(len(lines) - _SHOWN, 'more residue')}; --residues FILE lists all"
         mapping = row.get("chain_mapping") if row["n_chains"] > 1 else None
         chains = mapping and f"chains of the reference and their match: {mapping}"
-        told = [row["added"], chains, *notes[row["file"]], *lines[:_SHOWN], len(lines) > _SHOWN and more]
-        if any(told):
-            print(f"{row['file']}:", *filter(None, told), sep="\n  ")
+        noted = [row["added"], chains, *notes[row["file"]], *lines[:_SHOWN], len(lines) > _SHOWN and more]
+        if any(noted):
+            print(f"{row['file']}:", *filter(None, noted), sep="\n  ")

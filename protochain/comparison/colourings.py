@@ -55,10 +55,10 @@ def of_energies(shares: Mapping[str, Floats]) -> Iterator[Colouring]:
 def _of_residues(structure: Structure, changes: Differences, column: str) -> Floats:
     """(nr,) float: column of what changed, for all residues of its first structure; NaN of others."""
     of = changes.residues
-    told = dict(zip(zip(of["chain"], of["residue"], strict=True), of[column], strict=True))
+    noted = dict(zip(zip(of["chain"], of["residue"], strict=True), of[column], strict=True))
     number = np.char.add(structure.residue_number, structure.residue_insertion_code)
     named = zip(structure.residue_chain.tolist(), number.tolist(), strict=True)
-    return np.array([told.get(name, np.nan) for name in named], dtype=float)
+    return np.array([noted.get(name, np.nan) for name in named], dtype=float)
 
 
 def _mean_b_factor(structure: Structure) -> Floats:

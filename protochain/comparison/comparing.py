@@ -14,7 +14,7 @@ from protochain.core.checks import checked, function, integer, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
-from protochain.minimisers.api import Minimisation, minimise_from
+from protochain.minimisers.minimise_structure import Minimisation, minimise_from
 from protochain.minimisers.start import Start
 from protochain.structure import as_structure
 from protochain.structure.matching import match

@@ -31,7 +31,7 @@ from protochain.results.provenance import of_run
 from protochain.results.terms import energies_by_term
 from protochain.results.viewer import View, scene
 from protochain.structure import Structure, ca_rmsd, save
-from protochain.structure.losses import told
+from protochain.structure.losses import loss_lines
 from protochain.structure.superpose import displacements
 from protochain.structure.write import common_suffix
 from protochain.validation.ramachandran import ramachandran
@@ -364,7 +364,7 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: "dict[str, F
         message=comparison.message,
         shown=SHOWN,
         rows=comparison.table.to_dict("records"),
-        lost=told(summary["results"]),
+        lost=loss_lines(summary["results"]),
         rmsd=comparison.rmsd,
         quality=comparison.quality,
         changes=totals_of(comparison.differences),

@@ -1,7 +1,5 @@
 """Page of the energy of one structure: by term, by residue, and its residues coloured by any of these."""
 
-import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from protochain.energies.decomposed import TERMS, energy_terms
 from protochain.energies.protocol import Energy
 from protochain.results.columns import heading
 from protochain.results.page import write_page
+from protochain.results.provenance import command_line
 from protochain.results.viewer import scene
 from protochain.structure import Structure
 
@@ -34,7 +33,7 @@ def write_energies(
         energy=energy,
         terms=_with_units(terms[terms.any(axis=1)]).rename_axis("term").rename(heading).reset_index(),
         largest=_with_units(residues.loc[residues["total"].abs().nlargest(_SHOWN).index]),
-        command=shlex.join(sys.argv),
+        command=command_line(),
         **scene({structure.name: structure}, colourings, first.name),
     )
 

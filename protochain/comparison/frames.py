@@ -11,7 +11,7 @@ from protochain.core import defaults
 from protochain.core.errors import ProtochainError
 from protochain.energies.shared import shared_energy
 from protochain.minimisers import minimise, recipe_of
-from protochain.minimisers.api import Minimisation
+from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.verdict import Judgement, judge
 
 

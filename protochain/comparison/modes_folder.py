@@ -1,7 +1,5 @@
 """What `protochain modes` writes to a folder: tables, the structure, swings, and a page where modes move."""
 
-import shlex
-import sys
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -17,6 +15,7 @@ from protochain.core.storage import json_text, write_text
 from protochain.results.columns import Column, of_energy, of_losses, of_structure, record
 from protochain.results.figures import COLOURS, data_url, panels
 from protochain.results.page import write_page
+from protochain.results.provenance import command_line
 from protochain.results.tables import save
 from protochain.results.viewer import library
 from protochain.structure import save as save_structure
@@ -83,7 +82,7 @@ def record_of(modes: NormalModes, temperature: float) -> dict[str, Any]:
 def write_modes(
     modes: NormalModes,
     folder: Path,
-    told: Mapping[str, Any],
+    noted: Mapping[str, Any],
     temperature: float,
     *,
     suffix: str = ".pdb",
@@ -96,7 +95,7 @@ def write_modes(
     temperature K, amplitude angstrom.
     """
     table, tables = modes.table(), {}
-    found = record_of(modes, temperature) | dict(told)
+    found = record_of(modes, temperature) | dict(noted)
     if other is not None:
         table["overlap"], table["cumulative_overlap"] = modes.overlap(other), modes.cumulative_overlap(other)
         found |= {"other": other.name, "cumulative_overlap": float(table["cumulative_overlap"].iloc[-1])}
@@ -127,7 +126,7 @@ def write_modes(
         format=suffix.removeprefix("."),
         models=[text(each) for each in (structure, *ends)],
         amplitude=amplitude,
-        command=shlex.join(sys.argv),
+        command=command_line(),
         size=counted(structure.n_protein_residues, "residue"),
     )
     write_text(folder / "summary.json", json_text(found, 1) + "\n")

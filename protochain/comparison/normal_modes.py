@@ -31,7 +31,7 @@ from protochain.core.arrays import Floats, floats, read_only
 from protochain.core.checks import at_least, checked, text
 from protochain.core.errors import Fault, ProtochainError, refused
 from protochain.mechanics import multibody
-from protochain.minimisers import curvature, springs
+from protochain.minimisers import curvature, spring_model
 from protochain.minimisers.spaces import motions_of_whole
 
 METHODS = ("auto", "dense", "products")
@@ -42,7 +42,7 @@ products, whatever the number of freedoms."""
 
 MOST, ANALYTIC = 6000, 16000
 """Freedoms that are taken at all: with differences, and where the Hessian is analytic. Five matrices of 6000
-take 1.4 GB, the one of 16000 with what is beside it 3 GB and an hour."""
+take 1.4 GB, the one of 16000 with what is outside it 3 GB and an hour."""
 
 ALL = 2000
 """Freedoms up to which all eigenvalues of the whole Hessian are found, half a minute for as many."""
@@ -407,11 +407,11 @@ def _model(torques: Torques, inertia: Inertia) -> Floats:
     chain, at = inertia.chain, inertia.pose
     terms = curvature.near_terms(torques.energy)
     if terms is None:
-        matrix = springs.torsion_stiffness(chain, at)
+        matrix = spring_model.torsion_stiffness(chain, at)
     else:
         found = curvature.springs_of(terms, at.x, ~chain.structure.obstacle)
         angles = curvature.bonded_gradients(terms, at.x)
-        matrix = springs.torsion_stiffness(chain, at, lambda *_: found, None, angles)
+        matrix = spring_model.torsion_stiffness(chain, at, lambda *_: found, None, angles)
     matrix = matrix[np.ix_(inertia.freedoms, inertia.freedoms)]
     matrix[np.diag_indices_from(matrix)] += _FLOOR * torques.scale[inertia.freedoms] ** -2
     return matrix

@@ -302,8 +302,8 @@ def colours(chain: Chain, energy: NativeEnergy) -> tuple[csr_array, Integers]:
     seen = (coupled @ coupled).tocsr()
     colour = np.full(chain.n_v, -1)
     for v in range(chain.n_v):
-        taken = {*colour[seen.indices[seen.indptr[v] : seen.indptr[v + 1]]].tolist()}
-        colour[v] = next(k for k in range(chain.n_v + 1) if k not in taken)
+        used = {*colour[seen.indices[seen.indptr[v] : seen.indptr[v + 1]]].tolist()}
+        colour[v] = next(k for k in range(chain.n_v + 1) if k not in used)
     return coupled, colour
 
 

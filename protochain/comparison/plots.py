@@ -160,8 +160,8 @@ def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -
     panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     panel.legend(frameon=False, ncols=3)
     plain(panel)
-    said = "displacement from the start, superposed on all C-alphas"
-    return _titled(axes, ax, f"{_plain_text(title)}: {said}")
+    stated = "displacement from the start, superposed on all C-alphas"
+    return _titled(axes, ax, f"{_plain_text(title)}: {stated}")
 
 
 def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: Any = None) -> PlainFigure:
@@ -172,9 +172,9 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
     for name, of in changes.items():
         place = np.arange(1, len(of) + 1)
         if len(changes) == 1:
-            for names, colour, said in ((("phi", "psi"), 0, "phi, psi"), (_CHIS, 1, "side chain")):
+            for names, colour, stated in ((("phi", "psi"), 0, "phi, psi"), (_CHIS, 1, "side chain")):
                 largest = of[list(names)].abs().max(axis=1)
-                top.plot(place, largest, ".", ms=4, color=COLOURS[colour], label=f"{said}, largest")
+                top.plot(place, largest, ".", ms=4, color=COLOURS[colour], label=f"{stated}, largest")
         else:
             top.plot(place, of["torsions_degrees"], **styles[name])
         if len(axes) > 1:
@@ -231,8 +231,8 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
         if ax is not None or k % columns == 0:
             panel.set_ylabel("psi, degrees")
     if ax is None:
-        said = "phi and psi; dark grey favoured, light grey allowed, but for Gly, Pro, pre-Pro, Ile, Val"
-        return _titled(axes, ax, f"{_plain_text(title)}: {said}")
+        stated = "phi and psi; dark grey favoured, light grey allowed, but for Gly, Pro, pre-Pro, Ile, Val"
+        return _titled(axes, ax, f"{_plain_text(title)}: {stated}")
     figure: PlainFigure = axes[0].figure
     return figure
 

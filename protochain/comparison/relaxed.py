@@ -1,7 +1,5 @@
 """Page of a relaxation: before and after, both structures, the end coloured by how far each atom moved."""
 
-import shlex
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,9 +11,10 @@ from protochain.relaxation import Relaxation
 from protochain.relaxation.record import before_and_after
 from protochain.results.figures import data_url
 from protochain.results.page import write_page
+from protochain.results.provenance import command_line
 from protochain.results.terms import energies_by_term
 from protochain.results.viewer import DISPLACEMENT, pockets, scene
-from protochain.structure.losses import told
+from protochain.structure.losses import loss_lines
 
 
 def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path) -> None:
@@ -29,11 +28,11 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         record=record,
         rows=before_and_after(record),
         terms=energies_by_term({"end": record}),
-        lost=told([record]),
+        lost=loss_lines([record]),
         changes=totals_of(changes),
         bonds_changed=joined(changes, "bonds"),
         figure=data_url(figure),
-        command=shlex.join(sys.argv),
+        command=command_line(),
         name=strength.name,
         source=strength.source,
         pockets=pockets(relaxation.start, relaxation.start.positions, relaxation.x),

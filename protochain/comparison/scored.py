@@ -1,7 +1,5 @@
 """Page of scored interfaces: the table, and the two sides with residues coloured by their shares."""
 
-import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -11,6 +9,7 @@ import numpy as np
 
 from protochain.chains.setup import Setup
 from protochain.results.page import write_page
+from protochain.results.provenance import command_line
 from protochain.results.viewer import library
 from protochain.structure.model import Structure
 from protochain.structure.select import sides
@@ -38,7 +37,7 @@ def write_scored(
         models=[_model(each, row) for each, row in zip(interfaces[:_MOST], rows, strict=False)],
         full=_FULL,
         library=library(),
-        command=shlex.join(sys.argv),
+        command=command_line(),
         forcefield=setup.forcefield,
         solvent=setup.solvent,
         version=version("protochain"),

@@ -34,8 +34,8 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 bound = signature.bind(*args, **kwargs)
             except TypeError:
                 # A chain given twice, as the first argument and by name, is meant as a name of chains.
-                taken = signature.parameters.keys() - {*list(signature.parameters)[: len(args)]}
-                for name in kwargs.keys() - taken:
+                used = signature.parameters.keys() - {*list(signature.parameters)[: len(args)]}
+                for name in kwargs.keys() - used:
                     refuse_misplaced(function.__name__, name)
                 raise
             for given in (bound.arguments, bound.arguments.get(more, {})):
@@ -446,8 +446,8 @@ def _takes(value: Any, n: int) -> bool:
 
 def shown(value: Any) -> str:
     """Return a value as it is shown in a message: short, and on one line."""
-    said = " ".join(repr(value).split())
-    return said if len(said) <= 60 else f"of type {type(value).__name__}"
+    stated = " ".join(repr(value).split())
+    return stated if len(stated) <= 60 else f"of type {type(value).__name__}"
 
 
 def _instead(value: Any, wanted: str, name: str) -> tuple[object, ...]:

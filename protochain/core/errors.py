@@ -161,8 +161,8 @@ class BodyError(MechanicsError):
     said: What is wrong, and what to do.
     """
 
-    def __init__(self, body: int, said: str, fault: Fault | None = None) -> None:
-        super().__init__(int(body), said, fault=fault)
+    def __init__(self, body: int, stated: str, fault: Fault | None = None) -> None:
+        super().__init__(int(body), stated, fault=fault)
 
     @property
     def parts(self) -> tuple[object, ...]:
@@ -171,5 +171,5 @@ class BodyError(MechanicsError):
 
     def by_name(self, names: Sequence[str]) -> MechanicsError:
         """Return the same error with the name of the body in place of its number."""
-        body, said = self.args
-        return MechanicsError(f'body "{names[body]}": {said}', fault=self.fault)
+        body, stated = self.args
+        return MechanicsError(f'body "{names[body]}": {stated}', fault=self.fault)

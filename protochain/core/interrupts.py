@@ -65,7 +65,7 @@ def open_to_interrupts() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def answering(call: Callable[[], Result], held: bool = False) -> Result:
+def run_interruptible(call: Callable[[], Result], held: bool = False) -> Result:
     """Make a long call that lets other threads run, and let KeyboardInterrupt be raised meanwhile."""
     if current_thread() is not main_thread():
         return call()

@@ -71,7 +71,7 @@ def settings_of(kind: type) -> Iterator[tuple[str, Setting]]:
             yield each.name, each.metadata["setting"]
 
 
-def taken(kind: type[Made], given: Mapping[str, Any], **more: Any) -> Made:
+def settings_from(kind: type[Made], given: Mapping[str, Any], **more: Any) -> Made:
     """Settings of the arguments of a call, which bear their names; ``more`` are its other fields."""
     return kind(**{name: given[name] for name, _ in settings_of(kind)}, **more)
 

@@ -1,4 +1,3 @@
-from .api import simulate as simulate
 from .closure import Closure as Closure
 from .closure import closure_of as closure_of
 from .com_motion import remove_com_motion as remove_com_motion
@@ -18,8 +17,9 @@ from .loop import initial as initial
 from .loop import run as run
 from .potential import chain_potential as chain_potential
 from .potential import fixman as fixman
-from .settings import HingeSpring as HingeSpring
-from .settings import Pull as Pull
+from .simulate_chain import simulate as simulate
+from .simulate_settings import HingeSpring as HingeSpring
+from .simulate_settings import Pull as Pull
 from .simulation import Simulation as Simulation
 from .thermostats import HybridMonteCarlo as HybridMonteCarlo
 from .thermostats import Isolated as Isolated

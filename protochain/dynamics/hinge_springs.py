@@ -10,7 +10,7 @@ from protochain.chains.chain import Chain
 from protochain.chains.hinges import Hinge
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import ChainError
-from protochain.dynamics.settings import HingeSpring
+from protochain.dynamics.simulate_settings import HingeSpring
 from protochain.mechanics.motion.system import Phase, System
 from protochain.mechanics.multibody.articulated import Articulated, solve
 

@@ -7,7 +7,7 @@ import numpy as np
 from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import ChainError
-from protochain.dynamics.settings import Pull
+from protochain.dynamics.simulate_settings import Pull
 from protochain.mechanics import multibody
 from protochain.mechanics.motion.system import Applied, Load, Phase, System
 from protochain.mechanics.multibody import Frames, HingeKind, Tree

@@ -14,7 +14,7 @@ from protochain.chains.frame import Frame
 from protochain.core.arrays import Floats
 from protochain.core.markup import counted
 from protochain.dynamics.loop import Ending, State
-from protochain.dynamics.settings import SimulationSettings
+from protochain.dynamics.simulate_settings import SimulationSettings
 from protochain.dynamics.thermostats import THERMOSTATS
 from protochain.energies.protocol import Energy
 from protochain.results.columns import Column, of_energy, of_losses

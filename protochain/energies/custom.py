@@ -103,18 +103,18 @@ def check_forces(function: EnergyFunction, x: Floats, name: str) -> None:
     size = float(np.linalg.norm(forces))
     along = rng.normal(size=x.shape)
     along = (along if np.vdot(along, forces) >= 0.0 else -along) + (forces / size if size > 0.0 else 0.0)
-    told = -float(np.vdot(forces, along))
+    noted = -float(np.vdot(forces, along))
     slope = np.nan
     for step in _STEPS:
         (up, _), (down, _) = (answer(function, beside + sign * step * along, name) for sign in (1.0, -1.0))
         slope = (up - down) / (2.0 * step)
         rounded = _ROUNDED * (abs(value) + 1.0) / step
         # NaN is not larger: what is not finite is left to the run.
-        if not abs(slope - told) > _ALIKE * max(abs(slope), abs(told)) + rounded:
+        if not abs(slope - noted) > _ALIKE * max(abs(slope), abs(noted)) + rounded:
             return
     raise ProtochainError(
         f"{name}: its forces are not those of its energy, whose slope along a line is {slope:.4g} kJ/mol/nm "
-        f"where they say {told:.4g}; return forces -dE/dx, in kJ/mol/nm"
+        f"where they say {noted:.4g}; return forces -dE/dx, in kJ/mol/nm"
     )
 
 

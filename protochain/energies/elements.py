@@ -519,8 +519,8 @@ def _without(base: Any, have: Mapping[str, int]) -> Any:
             new = copy.copy(a)
             new.bondedTo, new.externalBonds, new.parameters = [], 0, dict(a.parameters)
             if "charge" in a.parameters:
-                taken = sum(base.atoms[k].parameters["charge"] for k, parent in gone.items() if parent == i)
-                new.parameters["charge"] += taken
+                used = sum(base.atoms[k].parameters["charge"] for k, parent in gone.items() if parent == i)
+                new.parameters["charge"] += used
             made.addAtom(new)
     for i, j in base.bonds:
         if i not in gone and j not in gone:

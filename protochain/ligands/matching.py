@@ -110,11 +110,11 @@ def named_as(molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], x:
             for match in found
         ]
         called = dict(zip(found[int(np.argmin(misfit))], names, strict=True))
-    taken = {*called.values()}
+    used = {*called.values()}
     for i, name in enumerate(molecule.names):
         if i not in called:
-            called[i] = next(each for n in count() if (each := name + n * "X") not in taken)
-            taken.add(called[i])
+            called[i] = next(each for n in count() if (each := name + n * "X") not in used)
+            used.add(called[i])
     return replace(molecule, names=tuple(called[i] for i in range(molecule.n_atoms)))
 
 
@@ -231,8 +231,8 @@ def _difference(here: Any, joined: Any, whole: Any, own: Any) -> str:
     )
     lacks = given - model or model - given
     word = "lacks" if given - model else "has more of"
-    told = ", ".join(f"{n} of {kind}" for kind, n in sorted(lacks.items()))
-    return f"it {word} bonds: {told}" if told else "other atoms of the same elements are joined"
+    noted = ", ".join(f"{n} of {kind}" for kind, n in sorted(lacks.items()))
+    return f"it {word} bonds: {noted}" if noted else "other atoms of the same elements are joined"
 
 
 def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:

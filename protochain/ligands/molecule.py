@@ -199,12 +199,12 @@ def _names(made: Any) -> tuple[str, ...]:
     """Names that the atoms have, if they are unique; made of element and number for the others."""
     given = [atom.GetProp("name") if atom.HasProp("name") else "" for atom in made.GetAtoms()]
     often = Counter(given)
-    taken = {name for name in given if name and often[name] == 1}
+    used = {name for name in given if name and often[name] == 1}
     names = []
     for name, atom in zip(given, made.GetAtoms(), strict=True):
-        if name not in taken:
+        if name not in used:
             made_up = (f"{atom.GetSymbol()}{number}" for number in count(1))
-            name = next(each for each in made_up if each not in taken)
-            taken.add(name)
+            name = next(each for each in made_up if each not in used)
+            used.add(name)
         names.append(name)
     return tuple(names)

@@ -237,5 +237,5 @@ def _unknown(name: str) -> StructureError:
 
 
 def _short(text: object) -> str:
-    said = ascii(str(text))
-    return said if len(said) <= 60 else f"{said[:57]}..."
+    stated = ascii(str(text))
+    return stated if len(stated) <= 60 else f"{stated[:57]}..."

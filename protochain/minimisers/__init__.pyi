@@ -1,5 +1,3 @@
-from .api import minimise as minimise
-from .api import minimize as minimize
 from .curvature import near_terms as near_terms
 from .descent import Descent as Descent
 from .descent import Direction as Direction
@@ -14,6 +12,8 @@ from .metrics import Euclidean as Euclidean
 from .metrics import Mass as Mass
 from .metrics import Preconditioner as Preconditioner
 from .metrics import Stiffness as Stiffness
+from .minimise_structure import minimise as minimise
+from .minimise_structure import minimize as minimize
 from .newton import Newton as Newton
 from .newton import PseudoTransient as PseudoTransient
 from .problem import BudgetSpentError as BudgetSpentError

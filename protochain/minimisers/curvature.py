@@ -23,7 +23,7 @@ from protochain.energies.native.terms import Bonded, Terms, compile_system
 from protochain.energies.protocol import Energy
 from protochain.minimisers import near_kernels as kernels
 from protochain.minimisers.cholesky import Factor, elimination_order, factorise
-from protochain.minimisers.springs import Gradients, Springs, on_moving
+from protochain.minimisers.spring_model import Gradients, Springs, on_moving
 
 REACH = 0.4
 """nm, longest Lennard-Jones pair. Those up to 0.5 nm, and Coulomb's forces, gain no evaluations."""

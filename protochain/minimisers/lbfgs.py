@@ -29,7 +29,7 @@ class LBFGS(Direction):
 
     The first estimate of the Hessian is a metric, scaled to the last pair: it may change from one iteration
     to the next. Free roots move on their rotation group: steps and torque changes of successive points are
-    taken as vectors of one space, which is right to first order in the step.
+    read as vectors of one space, which is right to first order in the step.
 
     Parameters
     ----------

@@ -65,7 +65,7 @@ class Mass:
 class Stiffness:
     """A model of the Hessian from the force field's near terms, or where these are not known from springs.
 
-    See :mod:`protochain.minimisers.curvature` and :mod:`protochain.minimisers.springs`.
+    See :mod:`protochain.minimisers.curvature` and :mod:`protochain.minimisers.spring_model`.
 
     Parameters
     ----------

@@ -18,6 +18,13 @@ from protochain.core.errors import ProtochainError
 from protochain.energies.factory import lacks_dihedrals
 from protochain.energies.protocol import Energy
 from protochain.minimisers.annealing import Annealing
+from protochain.minimisers.clash_resolution import (
+    UNUSUAL,
+    TetheredModel,
+    once_ordinary,
+    resolving_in_all_atoms,
+    resolving_in_torsions,
+)
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.fire import Fire
@@ -26,13 +33,6 @@ from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Method
 from protochain.minimisers.metrics import NEAR_REFRESH, Damped, Mass, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient
-from protochain.minimisers.parting import (
-    UNUSUAL,
-    Held,
-    once_ordinary,
-    parting_in_all_atoms,
-    parting_in_torsions,
-)
 from protochain.minimisers.problem import Force, Space
 from protochain.minimisers.restraints import Hold, tethers_in
 from protochain.minimisers.spaces import spaces
@@ -98,7 +98,7 @@ def _tethered(method: Any, tether: Floats | None) -> Method:
     known = isinstance(method, Descent) and isinstance(method.direction, LBFGS | Newton | KCM)
     if tether is None or not known or not isinstance(metric, Stiffness):
         return method
-    held = Held(tether, refresh_every=metric.refresh_every)
+    held = TetheredModel(tether, refresh_every=metric.refresh_every)
     return replace(method, direction=replace(method.direction, metric=held))
 
 
@@ -214,9 +214,9 @@ class Recipe:
             parts |= bool(threaded_rings(chain.structure))
         plan: list[Stage] = []
         if parts and self.keeps_geometry:
-            plan += parting_in_torsions(torsions, reduced, tolerance, restraints[0], overlap)
+            plan += resolving_in_torsions(torsions, reduced, tolerance, restraints[0], overlap)
         elif parts:
-            plan += parting_in_all_atoms(torsions, atoms, energy, tolerance, restraints[0], overlap)
+            plan += resolving_in_all_atoms(torsions, atoms, energy, tolerance, restraints[0], overlap)
         for run in self.runs:
             space, own = (torsions, reduced) if run.in_torsions else (atoms, energy)
             method: Any = run.by_springs if terms is None and run.by_springs else run.method

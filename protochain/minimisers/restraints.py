@@ -140,7 +140,7 @@ class SoftRepulsion:
 
 
 @dataclass(frozen=True)
-class Given:
+class UserRestraint:
     """Restraint of a caller.
 
     function: Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
@@ -225,8 +225,8 @@ class Hold:
         """Energy of each restraint in turn; None where nothing is restrained."""
         always: list[Force] = []
         if self.term is not None:
-            always.append(Given(self.term))
-            Given(self.term).check(structure.positions)
+            always.append(UserRestraint(self.term))
+            UserRestraint(self.term).check(structure.positions)
         if self.max_rmsd < np.inf:
             always.append(Leash(structure, self.max_rmsd))
         found: list[Force | None] = []

@@ -237,7 +237,7 @@ def with_curvature(plan: Sequence[Stage], floats: bool, share: float = np.inf) -
 
 
 def _looked(problem: Problem, ending: Ending, q: Floats) -> Floats:
-    """Point that was looked at, or the lower one beside it."""
+    """Point that was looked at, or the lower one outside it."""
     return ending.last.state.at.q
 
 

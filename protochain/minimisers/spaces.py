@@ -11,10 +11,10 @@ from scipy.linalg import cho_factor, cho_solve
 
 from protochain.chains.chain import Chain, Pose, pose, pull_back, solve_mass
 from protochain.core.arrays import Floats, Integers
-from protochain.core.interrupts import answering
+from protochain.core.interrupts import run_interruptible
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
-from protochain.minimisers import curvature, springs
+from protochain.minimisers import curvature, spring_model
 from protochain.minimisers.curvature import NearTerms
 from protochain.minimisers.problem import Evaluation, Placement
 from protochain.structure.model import Structure
@@ -102,7 +102,7 @@ class Torsions:
         return multibody.integrate(self.chain.tree, q, self.scale * step)
 
     def stiffness(
-        self, at: Evaluation, near_by: springs.Near | None = None, tether: Floats | None = None
+        self, at: Evaluation, near_by: spring_model.Near | None = None, tether: Floats | None = None
     ) -> Callable[[Floats], Floats]:
         """Solver for J^T C J, by Cholesky factorisation.
 
@@ -112,13 +112,13 @@ class Torsions:
         posed = _pose(at.pose)
 
         def stiffness() -> Floats:
-            near, floor = near_by or springs.contacts, springs.TORSION_FLOOR
-            angles: tuple[springs.Gradients, ...] = ()
+            near, floor = near_by or spring_model.contacts, spring_model.TORSION_FLOOR
+            angles: tuple[spring_model.Gradients, ...] = ()
             if self.terms is not None and near_by is None:
                 found = curvature.springs_of(self.terms, posed.x, ~self.chain.structure.obstacle)
                 angles = curvature.bonded_gradients(self.terms, posed.x)
                 near, floor = (lambda *_: found), curvature.TORSION_FLOOR
-            matrix = springs.torsion_stiffness(self.chain, posed, near, tether, angles)
+            matrix = spring_model.torsion_stiffness(self.chain, posed, near, tether, angles)
             matrix *= np.outer(self.scale, self.scale)
             matrix[np.diag_indices_from(matrix)] += floor
             return matrix
@@ -129,7 +129,7 @@ class Torsions:
         """Solver for the stiffness of contacts with nearly nothing added."""
 
         def stiffness() -> Floats:
-            matrix = springs.torsion_stiffness(self.chain, _pose(at.pose), _soft_springs)
+            matrix = spring_model.torsion_stiffness(self.chain, _pose(at.pose), _soft_springs)
             matrix *= np.outer(self.scale, self.scale)
             matrix[np.diag_indices_from(matrix)] += SOFT_TORSIONS
             return matrix
@@ -156,16 +156,16 @@ def solver(make: Callable[[], Floats], n: int) -> Callable[[Floats], Floats]:
         return cho_factor(make(), lower=True, check_finite=False)
 
     # Of a large protein it takes seconds.
-    factor = factorised() if n < _LARGE else answering(factorised, held=True)
+    factor = factorised() if n < _LARGE else run_interruptible(factorised, held=True)
     return lambda torque: np.asarray(cho_solve(factor, torque, check_finite=False))
 
 
-def _soft_springs(structure: Structure, x: Floats, bonds: int) -> springs.Springs:
+def _soft_springs(structure: Structure, x: Floats, bonds: int) -> spring_model.Springs:
     """Springs of contacts, and of bonds and angles: where a ring or disulfide closes, they are stretched."""
-    soft = springs.contacts(structure, x, bonds, SOFT_DECAY)
-    covalent = springs.covalent(structure)
-    firm = covalent.stiffness >= springs.ANGLE
-    return springs.Springs(
+    soft = spring_model.contacts(structure, x, bonds, SOFT_DECAY)
+    covalent = spring_model.covalent(structure)
+    firm = covalent.stiffness >= spring_model.ANGLE
+    return spring_model.Springs(
         np.concatenate([soft.pairs, covalent.pairs[firm]]),
         np.concatenate([soft.stiffness, covalent.stiffness[firm]]),
     )
@@ -234,8 +234,8 @@ class Cartesian:
     lever = ROOT_LEVER
 
     @cached_property
-    def _springs(self) -> springs.Springs:
-        return springs.covalent(self.structure)
+    def _springs(self) -> spring_model.Springs:
+        return spring_model.covalent(self.structure)
 
     @cached_property
     def _order(self) -> Integers:
@@ -273,7 +273,7 @@ class Cartesian:
         return np.asarray(q + step)
 
     def stiffness(
-        self, at: Evaluation, near_by: springs.Near | None = None, tether: Floats | None = None
+        self, at: Evaluation, near_by: spring_model.Near | None = None, tether: Floats | None = None
     ) -> Callable[[Floats], Floats]:
         """Solver for a sparse model of the Hessian.
 
@@ -281,19 +281,19 @@ class Cartesian:
         pairs; without, springs for bonds, angles, dihedrals and contacts. With those of tethers.
         """
         if self.terms is None:
-            near = near_by or springs.contacts
+            near = near_by or spring_model.contacts
             make = partial(
-                springs.cartesian_solver, self.structure, self._springs, at.x, self.moving, near, tether
+                spring_model.cartesian_solver, self.structure, self._springs, at.x, self.moving, near, tether
             )
         else:
             own = None if near_by is None else near_by(self.structure, at.x, 3)
             return curvature.near_solver(self.terms, at.x, self.moving, self._order, own, tether)
-        return make() if len(self.moving) < _LARGE else answering(make, held=True)
+        return make() if len(self.moving) < _LARGE else run_interruptible(make, held=True)
 
     def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the same model with all its pairs coupled, and nearly nothing added."""
         if self.terms is None:
-            return springs.cartesian_solver(
+            return spring_model.cartesian_solver(
                 self.structure, self._springs, at.x, self.moving, floor=SOFT_ATOMS
             )
         return curvature.soft_solver(self.terms, at.x, self.moving, SOFT_ATOMS)

@@ -15,9 +15,9 @@ from protochain.core.checks import WATCHER, checked, function, integer, number, 
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.energies import Energy
-from protochain.minimisers.api import minimise
+from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
+from protochain.minimisers.minimise_structure import minimise
 from protochain.minimisers.restraints import Hold
-from protochain.minimisers.settings import MinimiseSettings, StartSettings
 from protochain.minimisers.solution import Solution
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import parting, walk

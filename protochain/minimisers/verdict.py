@@ -9,20 +9,20 @@ from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
-from protochain.core.interrupts import answering
+from protochain.core.interrupts import run_interruptible
 from protochain.core.markup import listed
 from protochain.energies.native import NativeEnergy
 from protochain.energies.protocol import Energy
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
-from protochain.structure.chirality import atoms_named, changed_hands, mirror_images
+from protochain.structure.chirality import atoms_named, changed_stereocentres, mirror_images
 from protochain.structure.model import Structure
 from protochain.validation.fixed import chains_still, fixed_faults
-from protochain.validation.hands import inverted_stereocentres
 from protochain.validation.ligands import double_bonds_named, inverted_double_bonds
 from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
+from protochain.validation.stereocentres import inverted_stereocentres
 
 
 class Status(StrEnum):
@@ -71,7 +71,7 @@ def judge(chain: Chain, energy: Energy, at: Pose, restraint: Force | None = None
     """Judge a pose of a chain by an energy's reference; a restraint counts in the residuals only."""
     # OpenMM's Reference platform takes many seconds for a large protein. A callable may not like threads.
     evaluate = partial(energy.reference, at.x)
-    value, forces = evaluate() if energy.engine == "custom" else answering(evaluate)
+    value, forces = evaluate() if energy.engine == "custom" else run_interruptible(evaluate)
     if isinstance(energy, NativeEnergy):
         energy.note_error(at.x, forces)
     total = forces + restraint(at.x)[1] if restraint else forces
@@ -155,13 +155,13 @@ def _without_left(
     """Status and message from forces, overlaps, and what changed."""
     remedy = "build these residues anew first"
     if inverted is None:
-        inverted = changed_hands(structure, x, structure.positions)
-        remedy = "lbfgs keeps hands: it turns bonds only"
+        inverted = changed_stereocentres(structure, x, structure.positions)
+        remedy = "lbfgs keeps stereocentres: it turns bonds only"
     if isomerised is None:
         isomerised = isomerised_bonds(structure, x, structure.positions)
     lost: dict[Status, str] = {}
     if inverted:
-        lost[Status.INVERTED] = f"{listed(inverted)} changed hand; {remedy}"
+        lost[Status.INVERTED] = f"{listed(inverted)} inverted; {remedy}"
     if isomerised:
         bonds = f"the peptide bond{'s' * (len(isomerised) > 1)} {listed(isomerised)}"
         lost[Status.ISOMERISED] = f"{bonds} turned from trans to cis, or back; a restraint holds it"

@@ -1,4 +1,4 @@
-"""Hands of chiral atoms while a structure is relaxed: wrong ones are turned right, and none is lost."""
+"""Restraint on chiral atoms: inverted stereocentres are corrected, and none is lost."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -8,7 +8,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, cross
 from protochain.structure.chirality import volume
 from protochain.structure.model import Structure
-from protochain.validation.hands import expected_hands
+from protochain.validation.stereocentres import expected_stereocentres
 
 _STIFFNESS = 1e8
 """kJ/mol/nm^6. To turn a hand against it costs about 1000 kJ/mol, more than overlaps and springs give."""
@@ -18,8 +18,8 @@ with a hydrogen; in frames of dynamics they are above 1.6e-3 and 1.0e-3."""
 
 
 @dataclass(frozen=True, eq=False)
-class Hands:
-    """Push of chiral atoms to their hands: E = k/2 sum (v0 - v)^2 over the volumes v that are below v0.
+class ChiralityRestraint:
+    """Harmonic restraint on signed volumes: E = k/2 sum (v0 - v)^2 over the volumes v that are below v0.
 
     Volumes are those that three bonds of an atom span; all triples of its bonds count, so that its hydrogen
     comes to the right side too. An atom of usual shape feels nothing.
@@ -32,8 +32,8 @@ class Hands:
     least: Floats
 
     @classmethod
-    def of(cls, structure: Structure) -> "Hands":
-        """Find the chiral atoms of a protein and its ligands, and the hands that they should have."""
+    def of(cls, structure: Structure) -> "ChiralityRestraint":
+        """Find the chiral atoms of a protein and its ligands, and which sign their volumes should have."""
         return _hands(structure)
 
     def wrong(self, x: Floats) -> Integers:
@@ -59,12 +59,12 @@ class Hands:
 
 
 @lru_cache(maxsize=2)
-def _hands(structure: Structure) -> Hands:
+def _hands(structure: Structure) -> ChiralityRestraint:
     rows = list[tuple[int, ...]]()
-    for centre, a, b, c in expected_hands(structure).atoms.tolist():
+    for centre, a, b, c in expected_stereocentres(structure).atoms.tolist():
         rows.append((centre, a, b, c))
         for d in {*structure.neighbours[centre]} - {a, b, c}:
             rows += [(centre, b, a, d), (centre, c, b, d), (centre, a, c, d)]
     atoms = np.array(rows, dtype=np.int64).reshape(-1, 4)
     hydrogen = (structure.atom_element[atoms] == "H").any(axis=1)
-    return Hands(atoms, np.where(hydrogen, _WITH_HYDROGEN, _HEAVY))
+    return ChiralityRestraint(atoms, np.where(hydrogen, _WITH_HYDROGEN, _HEAVY))

@@ -85,7 +85,9 @@ COLUMNS = (
     Column("repacked", lambda r: r.settings.repack or bool(r.settings.repack_region), kind=bool),
     Column("repack_region", lambda r: r.settings.repack_region),
     Column("side_chains_turned", lambda r: [str(each) for each in r.turned], kind=list[str]),
-    Column("hands_turned", lambda r: [str(each) for each in r.hands_turned], kind=list[str]),
+    Column(
+        "stereocentres_corrected", lambda r: [str(each) for each in r.stereocentres_corrected], kind=list[str]
+    ),
     Column("peptides_turned", lambda r: [str(each) for each in r.peptides_turned], kind=list[str]),
     Column("fixed", lambda r: fixed_counts(r.start), kind=dict[str, int]),
     Column("left_out", lambda r: dict(r.start.left_out), kind=dict[str, int]),
@@ -130,7 +132,7 @@ INTERFACE_COLUMNS = (
 
 
 def _beside(relaxation: Any, x: Floats) -> int:
-    """Pairs of an atom of the protein and one beside it that overlap."""
+    """Pairs of an atom of the protein and one outside it that overlap."""
     return sum(each.beside for each in overlaps(relaxation.start, x))
 
 
@@ -151,12 +153,12 @@ def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     rows = [row for row in rows if not {row[1], row[2]} <= {0, None}]
     rows.append(("overlapping pairs of atoms", record["overlaps_start"], record["overlaps_end"]))
     rows.append(("energy, kJ/mol", record["energy_start_kj_mol"], record["energy_end_reference_kj_mol"]))
-    said = [(what, _said(before), _said(after)) for what, before, after in rows]
+    stated = [(what, _said(before), _said(after)) for what, before, after in rows]
     if "interface" in record:
         for key in _TOLD:
             before, after = (_exactly(record[interface_column(key, when)]) for when in ("start", "end"))
-            said.append((f"interface {record['interface']}: {heading(key)}", before, after))
-    return said
+            stated.append((f"interface {record['interface']}: {heading(key)}", before, after))
+    return stated
 
 
 _TOLD = (

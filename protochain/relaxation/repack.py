@@ -48,19 +48,19 @@ def repacked(
     Rotamers are those of the backbone: Shapovalov, Dunbrack, Structure 19:844 (2011).
     """
     chosen = troubled(structure) if residues is None else _checked(structure, residues)
-    x, told = structure.positions, tuple[Repair, ...]()
+    x, noted = structure.positions, tuple[Repair, ...]()
     terms = None
     for _ in range(_ROUNDS):
         turning = rotamers_of(structure, structure.positions, chosen.tolist(), moving)
         if not turning:
             return structure
         terms = terms or _terms(structure, energy)
-        x, told = _settled(structure, terms, turning)
+        x, noted = _settled(structure, terms, turning)
         more = np.union1d(chosen, _in_the_way(structure, x, chosen))
         if residues is not None or len(more) == len(chosen):
             break
         chosen = more
-    return replace(structure, positions=x, repairs=(*structure.repairs, *told)) if told else structure
+    return replace(structure, positions=x, repairs=(*structure.repairs, *noted)) if noted else structure
 
 
 def troubled(structure: Structure) -> Integers:
@@ -111,14 +111,14 @@ def _settled(
     x = np.array(structure.positions)
     felt = Interactions(terms, structure.positions, turning)
     found = best([felt.own(i) for i in range(len(turning))], felt.pairs())
-    told = []
+    noted = []
     for side_chain, state in zip(turning, found.states.tolist(), strict=True):
         if state:
             x[side_chain.atoms] = side_chain.x[state]
-            told.append(side_chain.repair(state, structure.residue(side_chain.residue)))
-    if told and not found.is_proven:
-        told.append(Repair(Kind.NOT_PROVEN))
-    return x, tuple(told)
+            noted.append(side_chain.repair(state, structure.residue(side_chain.residue)))
+    if noted and not found.is_proven:
+        noted.append(Repair(Kind.NOT_PROVEN))
+    return x, tuple(noted)
 
 
 def _in_the_way(structure: Structure, x: Floats, chosen: Integers) -> Integers:

@@ -18,11 +18,11 @@ from protochain.energies.decomposed import TermsAtEnds
 from protochain.energies.protocol import Energy
 from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
-from protochain.relaxation.chirality_restraint import Hands
+from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.record import COLUMNS, INTERFACE_COLUMNS, METHOD
+from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.rounds import Round
-from protochain.relaxation.settings import RelaxSettings
 from protochain.results.columns import record
 from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
@@ -115,13 +115,13 @@ class Relaxation(TermsAtEnds, Value):
     @cached_property
     def structure(self) -> Structure:
         """Structure at the end, with all its hydrogens; its repairs tell of all that was turned."""
-        told = (*self.start.repairs, *self.turned, *self.hands_turned, *self.peptides_turned)
-        return replace(self.start, positions=self.x, repairs=told)
+        noted = (*self.start.repairs, *self.turned, *self.stereocentres_corrected, *self.peptides_turned)
+        return replace(self.start, positions=self.x, repairs=noted)
 
     @cached_property
-    def hands_turned(self) -> tuple[Repair, ...]:
+    def stereocentres_corrected(self) -> tuple[Repair, ...]:
         """Stereocentres that were inverted, and are right at the end."""
-        s, hands = self.start, Hands.of(self.start)
+        s, hands = self.start, ChiralityRestraint.of(self.start)
         right = np.setdiff1d(hands.wrong(s.positions), hands.wrong(self.x))
         residues = s.atom_residue[right]
         return tuple(

@@ -14,18 +14,18 @@ from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.graph import both_ways
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
+from protochain.minimisers.clash_resolution import TetheredModel, unthreading
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import NEAR_REFRESH
-from protochain.minimisers.parting import Held, unthreading
 from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Placement, evaluate
 from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import PATIENCE, Outcome, Stage, walk, with_reference
 from protochain.minimisers.steps import StrongWolfe
-from protochain.relaxation.chirality_restraint import Hands
+from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.planarity_restraint import Planes
 from protochain.relaxation.presets import Preset
@@ -202,11 +202,11 @@ class Relaxer:
         wrong = Wrong.at(structure, read_only(walked.x))
         concerned = wrong.residues(self.strength.planar)
         concerned &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
-        told = Round(
+        noted = Round(
             int((share < 1.0).sum()), len(wrong.violations.residues), len(wrong.overlaps),
             walked.n_iterations, freed + walked.n_evaluations, perf_counter() - began,
         )  # fmt: skip
-        return Ended(wrong, walked.stop, _tethers(walked.restraint), np.flatnonzero(concerned), told)
+        return Ended(wrong, walked.stop, _tethers(walked.restraint), np.flatnonzero(concerned), noted)
 
     def _walked(self, plan: Sequence[Stage], x: Floats, before: int) -> Outcome:
         """Walk through stages from x, within the iterations allowed."""
@@ -284,9 +284,11 @@ class Relaxer:
 
     def _method(self, springs: Tethers, is_soft: bool = False) -> Descent:
         if self._space.terms is None:
-            direction = LBFGS(Held(springs.weight + _STIFFER, is_soft, _REFRESH), _MEMORY)
+            direction = LBFGS(TetheredModel(springs.weight + _STIFFER, is_soft, _REFRESH), _MEMORY)
         else:
-            direction = LBFGS(Held(springs.weight + _STIFFER_NEAR, is_soft, NEAR_REFRESH), NEAR_MEMORY)
+            direction = LBFGS(
+                TetheredModel(springs.weight + _STIFFER_NEAR, is_soft, NEAR_REFRESH), NEAR_MEMORY
+            )
         return Descent(direction, StrongWolfe())
 
     @cached_property
@@ -308,9 +310,9 @@ class Relaxer:
         return PeptideBonds.of(self.structure)
 
     @cached_property
-    def hands(self) -> Hands:
+    def hands(self) -> ChiralityRestraint:
         """Push of chiral atoms to the hands that they should have."""
-        return Hands.of(self.structure)
+        return ChiralityRestraint.of(self.structure)
 
     @cached_property
     def _mobile(self) -> NDArray[np.bool_]:

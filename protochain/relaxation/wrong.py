@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from protochain.chains.contacts import overlapping
 from protochain.core.arrays import Floats, Integers
-from protochain.relaxation.chirality_restraint import Hands
+from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.structure import Structure
 from protochain.validation import threaded_rings, violations
@@ -37,7 +37,7 @@ class Wrong:
     def at(cls, s: Structure, x: Floats) -> "Wrong":
         """Find it."""
         bonds, rings = PeptideBonds.of(s), threaded_rings(s, x)
-        turned = Hands.of(s).wrong(x), bonds.wrong(x), bonds.reversed(x)
+        turned = ChiralityRestraint.of(s).wrong(x), bonds.wrong(x), bonds.reversed(x)
         return cls(s, x, overlapping(s, x)[0], rings, *turned)
 
     @cached_property

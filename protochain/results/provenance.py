@@ -1,6 +1,7 @@
 """Where results come from: machine, threads, versions, command and commit, and how a file says so."""
 
 import platform
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Sequence
@@ -14,6 +15,11 @@ from protochain.core.processors import processors
 def versions(*libraries: str) -> dict[str, str]:
     """Versions of the package and of libraries, by name."""
     return {name: version(name) for name in ("protochain", *libraries)}
+
+
+def command_line() -> str:
+    """Command of this process, as a shell takes it."""
+    return shlex.join(sys.argv)
 
 
 def of_run(*libraries: str) -> dict[str, Any]:

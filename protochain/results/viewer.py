@@ -52,14 +52,14 @@ def scene(
         {"name": name, "format": suffix.removeprefix("."), "text": _text(each, suffix)}
         for name, each in texts.items()
     ]
-    said = [_of_atoms(first, away)] if ends else []
-    said += [_of_residues(each, tuple(shown)) for each in colourings]
+    stated = [_of_atoms(first, away)] if ends else []
+    stated += [_of_residues(each, tuple(shown)) for each in colourings]
     return {
         "models": models,
         "library": library(),
         "colours": ("#999999", *COLOURS),
-        "colourings": said,
-        "chosen": next((k for k, each in enumerate(said) if each["name"] == chosen), -1),
+        "colourings": stated,
+        "chosen": next((k for k, each in enumerate(stated) if each["name"] == chosen), -1),
         "residues": _residues(first, suffix),
     }
 

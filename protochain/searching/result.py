@@ -21,7 +21,7 @@ from protochain.searching import conformers
 from protochain.searching.landscape import Landscape
 from protochain.searching.minima import clusters, free_energy, unique
 from protochain.searching.pieces import Finding
-from protochain.searching.settings import SearchSettings
+from protochain.searching.search_settings import SearchSettings
 from protochain.searching.statistics import WARM_UP, blocked, mean_and_error, slope, warm
 from protochain.structure.superpose import rmsd_angstrom
 

@@ -26,21 +26,21 @@ atom has six. What is looked at later, as overlaps and who hides whom, grows wit
 _IDS = ascii_uppercase + ascii_lowercase + digits
 
 
-def chains_told_apart(structure: gemmi.Structure) -> list[Repair]:
+def separate_chains(structure: gemmi.Structure) -> list[Repair]:
     """Give chains whose ids and numbers are those of a chain before them ids of their own."""
     renamed = []
     for model in structure:
         _split_where_numbers_begin_again(model)
-        taken: dict[str, set[str]] = {}
+        used: dict[str, set[str]] = {}
         for part in model:
             numbers = {str(residue.seqid) for residue in part if _is_amino(residue)}
-            if numbers & taken.get(part.name, set()):
+            if numbers & used.get(part.name, set()):
                 names = {chain.name for chain in model}
                 name = next((each for each in _IDS if each not in names), part.name)
                 called = {"before": part.name.strip() or BLANK, "after": name}
                 renamed.append(Repair(Kind.CHAIN_RENAMED, called))
                 part.name = name
-            taken.setdefault(part.name, set()).update(numbers)
+            used.setdefault(part.name, set()).update(numbers)
     return list(dict.fromkeys(renamed))  # Each model may have them.
 
 
@@ -68,7 +68,7 @@ def _split_where_numbers_begin_again(model: gemmi.Model) -> None:
             model.add_chain(rest, k + 1)
 
 
-def caps_told_apart(structure: gemmi.Structure) -> None:
+def separate_caps(structure: gemmi.Structure) -> None:
     """Make residues of caps that CHARMM has within the first and last of a chain; changed in place."""
     for chain in (chain for model in structure for chain in model):
         for i in reversed(range(len(chain))):
@@ -133,7 +133,7 @@ def _is_amino(residue: gemmi.Residue) -> bool:
     return residue.get_ca() is not None
 
 
-def told_apart(structure: gemmi.Structure, source: str) -> list[Repair]:
+def separate_molecules(structure: gemmi.Structure, source: str) -> list[Repair]:
     """Split molecules that share number and name, and number atoms of a molecule that share a name.
 
     Atoms of alternate locations, and atoms of an amino acid given more than once, are left for later choice.
@@ -197,9 +197,9 @@ def _split(chain: gemmi.Chain, i: int, copies: list[dict[str, gemmi.Atom]]) -> N
 
 
 def _number(residue: gemmi.Residue, copies: list[dict[str, gemmi.Atom]]) -> None:
-    taken = {atom.name for atom in residue}
-    numbers = {name: count(2) for name in taken}
+    used = {atom.name for atom in residue}
+    numbers = {name: count(2) for name in used}
     for each in copies[1:]:
         for name, atom in each.items():
-            atom.name = next(new for k in numbers[name] if (new := f"{name}{k}") not in taken)
-            taken.add(atom.name)
+            atom.name = next(new for k in numbers[name] if (new := f"{name}{k}") not in used)
+            used.add(atom.name)

@@ -99,7 +99,7 @@ AS_KNOWN = Chemistry()
 
 
 def with_pose(chemistry: Chemistry, path: str, chains: set[str], names: set[str]) -> tuple[Chemistry, Member]:
-    """Return the molecule of a file as a residue beside the protein, and the chemistry with it."""
+    """Return the molecule of a file as a residue outside the protein, and the chemistry with it."""
     given = of_residue("", given=Path(path))
     if given.positions is None:
         raise StructureError(f"{path}: has no coordinates in space; dock it first")
@@ -271,12 +271,12 @@ def _hydrogens(member: Member) -> dict[str, list[gemmi.Atom]]:
 
 def _named_apart(molecule: Molecule) -> Molecule:
     """The molecule with names of hydrogens that no other atom has."""
-    taken = {molecule.names[i] for i in molecule.heavy}
+    used = {molecule.names[i] for i in molecule.heavy}
     names, number = list(molecule.names), 1
     for k in np.flatnonzero(molecule.elements == 1).tolist():
-        while names[k] in taken:
+        while names[k] in used:
             names[k], number = f"H{number}", number + 1
-        taken.add(names[k])
+        used.add(names[k])
     return replace(molecule, names=tuple(names))
 
 

@@ -40,7 +40,7 @@ def disulfides(draft: Draft, asked: Sequence[Bond] = ()) -> list[Bridge]:
 
 def _near(draft: Draft, cysteines: list[Member]) -> list[Bridge]:
     """Pair the sulphurs that are close, the nearest first."""
-    # Two that hold one metal may be near each other; one bonded to a molecule beside it has no valence left.
+    # Two that hold one metal may be near each other; one bonded to a molecule outside it has no valence left.
     sulphurs = [
         member
         for member in cysteines
@@ -61,9 +61,9 @@ def _near(draft: Draft, cysteines: list[Member]) -> list[Bridge]:
 def _report_ignored(draft: Draft, cysteines: list[Member], found: list[Bridge]) -> None:
     """Report bonds of the file that are too long."""
     at = {(m.chain_id, m.seqid, "SG"): m for m in cysteines if m.atom("SG") and not m.metals}
-    taken = [set(map(id, pair)) for pair in found]
+    used = [set(map(id, pair)) for pair in found]
     for first, second in [(at[a], at[b]) for a, b in draft.stated if a in at and b in at]:
-        if {id(first), id(second)} not in taken:
+        if {id(first), id(second)} not in used:
             draft.note(
                 Kind.BRIDGE_IGNORED, first=first.residue, second=second.residue,
                 length=_apart(first, second), remedy=Argument("disulfide"),

@@ -321,21 +321,21 @@ def _names(molecule: Molecule) -> tuple[str, ...]:
         (i, *names[i].split(":"), [j for j in near[i] if molecule.elements[j] == _H])
         for i in molecule.heavy.tolist()
     ]
-    taken = {names[i] for i in molecule.heavy}
+    used = {names[i] for i in molecule.heavy}
     done: set[int] = set()
     for _, prefix, own, light in parents:
-        if own in _CALLED and (own == "O5'" or f"{prefix}:C" in taken):
+        if own in _CALLED and (own == "O5'" or f"{prefix}:C" in used):
             for j, name in zip(light, _CALLED[own][len(light) > 1], strict=False):
                 names[j] = f"{prefix}:{name}"
-                taken.add(names[j])
+                used.add(names[j])
                 done.add(j)
     for _, prefix, own, light in parents:
         mark = own[-1] if own[-1] in "+-" else ""
         for j in (j for j in light if j not in done):
             short = names[j].split(":")[-1]
             tried = (f"{prefix}:{each}{mark}" for each in chain((short,), (f"H{k}" for k in count(1))))
-            names[j] = next(each for each in tried if each not in taken)
-            taken.add(names[j])
+            names[j] = next(each for each in tried if each not in used)
+            used.add(names[j])
     return tuple(names)
 
 

@@ -60,7 +60,7 @@ def hand(member: Member, centre: str = "CA", least: float = 0.0) -> int:
     return int(np.sign(size)) if abs(size) > least else 0
 
 
-def wrong_hands(members: Sequence[Member]) -> list[Atom]:
+def inverted_atoms(members: Sequence[Member]) -> list[Atom]:
     """Name the chiral atoms whose hand is not that of their residue's name."""
     return [
         Atom(centre, member.residue)
@@ -70,7 +70,7 @@ def wrong_hands(members: Sequence[Member]) -> list[Atom]:
     ]
 
 
-def changed_hands(structure: Structure, x: Floats, reference: Floats) -> list[str]:
+def changed_stereocentres(structure: Structure, x: Floats, reference: Floats) -> list[str]:
     """Name the chiral atoms whose hand differs between two sets of positions (na, 3), nm.
 
     As ``CA of residue 14 LYS of chain A``.
@@ -83,7 +83,7 @@ def changed_hands(structure: Structure, x: Floats, reference: Floats) -> list[st
 
 
 def atoms_named(structure: Structure, atoms: Integers) -> list[str]:
-    """Name atoms (n,) of a structure, as :func:`changed_hands` does."""
+    """Name atoms (n,) of a structure, as :func:`changed_stereocentres` does."""
     return [str(structure.atom(atom)) for atom in atoms.tolist()]
 
 

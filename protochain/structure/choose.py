@@ -47,10 +47,10 @@ def choose_chains(draft: Draft, model: gemmi.Model, names: Sequence[str]) -> lis
     if absent is not None:
         known = ", ".join(name or "(blank)" for name in dict.fromkeys(there))
         raise StructureError(f"{draft.source}: has no chain {absent}; its chains are {known}")
-    taken = [chain for chain in model if not names or chain.name in names]
-    refuse_copies(taken, draft.source)
-    draft.left_out["chains"] = len(there) - len(taken)
-    return taken
+    used = [chain for chain in model if not names or chain.name in names]
+    refuse_copies(used, draft.source)
+    draft.left_out["chains"] = len(there) - len(used)
+    return used
 
 
 def refuse_absent(source: str, numbers: Sequence[int], asked: Sequence[int]) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.errors import StructureError
 from protochain.structure import residues
-from protochain.structure.chirality import centres, hand, wrong_hands
+from protochain.structure.chirality import centres, hand, inverted_atoms
 from protochain.structure.draft import Draft, Part, losses
 from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind, Renamed, Why
@@ -62,7 +62,7 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
                 lacking.append((part, i, missing))
     if renamed:
         draft.note(Kind.ATOMS_RENAMED, changes=tuple(renamed))
-    inverted = wrong_hands([m for part in draft.parts if not part.obstacle for m in part.members])
+    inverted = inverted_atoms([m for part in draft.parts if not part.obstacle for m in part.members])
     if inverted:
         draft.note(Kind.WRONG_HAND, atoms=tuple(inverted))
     _rebuild(draft, lacking)

@@ -105,15 +105,15 @@ class Confidence(NamedTuple):
             return self.iptm if len(chains) == 2 else None
         chains = self.order or chains
         if isinstance(self.pairs, dict):
-            told = {tuple(re.findall(r"[^(),\s-]+", key)): value for key, value in self.pairs.items()}
+            noted = {tuple(re.findall(r"[^(),\s-]+", key)): value for key, value in self.pairs.items()}
         else:
-            told = {
+            noted = {
                 (a, b): value
                 for a, row in zip(chains, self.pairs, strict=False)
                 for b, value in zip(chains, row, strict=False)
             } if len(self.pairs) == len(chains) else {}  # fmt: skip
         both = [pair for a in one for b in other if a != b for pair in ((a, b), (b, a))]
-        values = [float(told[pair]) for pair in both if told.get(pair) is not None]
+        values = [float(noted[pair]) for pair in both if noted.get(pair) is not None]
         return sum(values) / len(values) if values else None
 
     def tokens(self, atoms: Sequence[str]) -> dict[tuple[str, str], int]:
@@ -140,11 +140,11 @@ def confidence_in(files: Sequence[Path]) -> Confidence | None:
     """Read the confidence files of a model; None without files. What cannot be read is left out."""
     if not files:
         return None
-    told: dict[str, Any] = {}
+    noted: dict[str, Any] = {}
     for path in files:
-        told = _read(path) | told
+        noted = _read(path) | noted
     try:
-        iptm, pairs = told.get("iptm"), next((told[name] for name in _OF_PAIRS if name in told), ())
+        iptm, pairs = noted.get("iptm"), next((noted[name] for name in _OF_PAIRS if name in noted), ())
         if isinstance(pairs, dict) and all(isinstance(row, dict) for row in pairs.values()):
             # Boltz tells places, not names.
             pairs = [[pairs[a][b] for b in sorted(pairs, key=int)] for a in sorted(pairs, key=int)]
@@ -153,11 +153,11 @@ def confidence_in(files: Sequence[Path]) -> Confidence | None:
             return Confidence(None)
         if not isinstance(pairs, dict) and any(len(row) != len(pairs) for row in pairs):
             return Confidence(None)
-        errors = next((told[name] for name in _OF_ERRORS if name in told), None)
+        errors = next((noted[name] for name in _OF_ERRORS if name in noted), None)
         pae = None if errors is None else np.array(errors, dtype=float)
         if pae is not None and pae.shape != (len(pae), len(pae)):
             return Confidence(None)
-        order = tuple(dict.fromkeys(map(str, told.get("token_chain_ids", ()))))
+        order = tuple(dict.fromkeys(map(str, noted.get("token_chain_ids", ()))))
         return Confidence(None if iptm is None else float(iptm), pairs, pae, order)
     except (ValueError, TypeError, KeyError, OverflowError):
         return Confidence(None)
@@ -170,9 +170,9 @@ def _read(path: Path) -> dict[str, Any]:
         if path.suffix == ".npz":
             with np.load(path) as file:
                 return {name: file[name].squeeze().tolist() for name in {*file} & {"iptm", *_OF_PAIRS, "pae"}}
-        told = json.loads(path.read_text(encoding="utf-8"))
-        told = told[0] if isinstance(told, list) and told else told
-        return told if isinstance(told, dict) else {}
+        noted = json.loads(path.read_text(encoding="utf-8"))
+        noted = noted[0] if isinstance(noted, list) and noted else noted
+        return noted if isinstance(noted, dict) else {}
     except (OSError, ValueError, TypeError, BadZipFile, RecursionError, MemoryError):
         return {}
 

@@ -56,7 +56,7 @@ class Part:
         if member.own is not None:
             return member.own
         name = state or {"HIS": "HIE"}.get(member.name, template_name(member.name))
-        # An end that is bonded to a molecule beside the chain is none.
+        # An end that is bonded to a molecule outside the chain is none.
         linked = {atom.name for atom in member.links}
         ends = (i == 0 and not linked & {"N", "P"}, i == len(self.members) - 1 and not linked & {"C", "O3'"})
         if ends == (True, False) and member.name in residues.NUCLEOTIDES and member.atom("P"):
@@ -96,7 +96,7 @@ class Draft:
     repairs: Changes made so far.
     left_out: Molecules and atoms left out, by kind.
     glycosidic: Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
-    links: Bonds of the protein to molecules beside it that springs hold.
+    links: Bonds of the protein to molecules outside it that springs hold.
     springs: Those that the file says hold the bonds to molecules kept with the protein: rest, nm or rad, and
         stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
     absent: The molecules left out.

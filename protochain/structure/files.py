@@ -20,7 +20,7 @@ from protochain.core.errors import StructureError
 from protochain.core.markup import excerpt
 from protochain.core.storage import regular
 from protochain.structure import foreign
-from protochain.structure.apart import caps_told_apart, chains_told_apart, told_apart
+from protochain.structure.apart import separate_caps, separate_chains, separate_molecules
 from protochain.structure.ions import name_ions
 from protochain.structure.records import of_cif, of_pdb
 from protochain.structure.repairs import Kind, Repair
@@ -122,12 +122,12 @@ def _settled(
     """Number atoms, and tell ions, chains and copies apart."""
     number_atoms(structure)
     name_ions(structure)
-    caps_told_apart(structure)
-    overlooked += chains_told_apart(structure)
+    separate_caps(structure)
+    overlooked += separate_chains(structure)
     structure.merge_chain_parts()
     _without_oddities(structure)
     check(structure, source)
-    overlooked += told_apart(structure, source)
+    overlooked += separate_molecules(structure, source)
     return structure, overlooked, ends, records
 
 

@@ -217,11 +217,11 @@ def _unknown_told(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) -> 
     """What residues have no parameters and why, what to do; other chains are offered if they hold none."""
     chains = dict.fromkeys(part.chain_id for part in draft.parts if not part.obstacle)
     free = [name for name in chains if name and name not in {member.chain_id for member, _ in unknown}]
-    said = "is an unknown amino acid" if len(unknown) == 1 else "are unknown amino acids"
+    stated = "is an unknown amino acid" if len(unknown) == 1 else "are unknown amino acids"
     it = "it" if len(unknown) == 1 else "them"
     others = (", or take only what has none: ", Argument("chains", ",".join(free))) if free else ()
     return (
-        f"{listed([str(member) for member, _ in unknown])} {said} without a standard parent (",
+        f"{listed([str(member) for member, _ in unknown])} {stated} without a standard parent (",
         *_parts(unknown[0][1]),
         f"); replace or remove {it}, or give a force field that defines {it}",
         *others,

@@ -124,13 +124,13 @@ def _polymer_type(residues: list[gemmi.Residue]) -> gemmi.PolymerType:
 
 
 def _name_apart(entities: list[gemmi.Entity]) -> None:
-    taken: set[str] = set()
+    used: set[str] = set()
     for entity in entities:
         name, n = entity.name, 1
-        while entity.name in taken:
+        while entity.name in used:
             n += 1
             entity.name = f"{name}{n}"
-        taken.add(entity.name)
+        used.add(entity.name)
 
 
 def _keep_annotations(out: gemmi.Structure) -> None:

@@ -1,4 +1,4 @@
-"""Which close pairs of atoms, one of the protein and one of a molecule kept beside it, are covalent bonds.
+"""Which close pairs of atoms, one of the protein and one of a molecule kept with it, are covalent bonds.
 
 A bond that the file states is believed if its length is one of bonds and no atom gets more than it can have.
 Any other has to be a known kind of link between atoms that lack a neighbour, at usual angles, of a residue
@@ -61,13 +61,13 @@ _AT_N, _AT_C = frozenset({"C"}), frozenset({"N"})
 _HYDROGENS_LEFT = {"ND2": 1, "NZ": 2, "N": 1}
 """Hydrogens that an atom of the protein may have beside such a bond; others have none."""
 _MOST = {"C": 4, "N": 4, "O": 2, "P": 5, "S": 4, "Se": 4, "B": 4, "Si": 4}
-"""Neighbours at most of an atom beside the protein; one of the protein gets one such bond."""
+"""Neighbours at most of an atom outside the protein; one of the protein gets one such bond."""
 _REACH = 2.8
 """Angstrom: no bond between atoms that are no metals is longer."""
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class ClosePairs:
     """Close pairs of atoms, by kind.
 
     bonded: In the order given.
@@ -80,7 +80,7 @@ class Told:
     overlapping: list[Link]
 
 
-def told_apart(draft: Draft, pairs: Sequence[Link]) -> Told:
+def bonds_and_overlaps(draft: Draft, pairs: Sequence[Link]) -> ClosePairs:
     """Tell bonds from overlaps: those of the file first, then those nearest to a usual length."""
     near = _Neighbourhood(draft)
     close = [pair for pair in pairs if pair.excess <= COVALENT_SLACK]
@@ -88,27 +88,27 @@ def told_apart(draft: Draft, pairs: Sequence[Link]) -> Told:
     likely = {pair for pair in close if not pair.stated and near.is_link(pair)}
     # Of a residue pushed into the protein, none of the close pairs is a bond; a heme may have two bonds.
     crowd -= Counter(id(pair.other) for pair in close if pair.stated or pair in likely)
-    taken: Counter[int] = Counter()
+    used: Counter[int] = Counter()
     bonded: list[Link] = []
     refused: list[tuple[Link, str]] = []
     for pair in sorted(pairs, key=lambda each: (not each.stated, abs(each.excess))):
         if pair.stated:
-            reason = near.why_not(pair, taken)
+            reason = near.why_not(pair, used)
             if reason:
                 refused.append((pair, reason))
                 continue
-        elif pair not in likely or crowd[id(pair.other)] or any(taken[end] for end in pair.ends):
+        elif pair not in likely or crowd[id(pair.other)] or any(used[end] for end in pair.ends):
             continue
-        taken.update(pair.ends)
+        used.update(pair.ends)
         bonded.append(pair)
     joined = {pair.owners for pair in bonded}
     # The neighbours of a bond may be near, too.
     overlapping = [
         pair
         for pair in close
-        if pair not in bonded and not (pair.owners in joined and any(taken[end] for end in pair.ends))
+        if pair not in bonded and not (pair.owners in joined and any(used[end] for end in pair.ends))
     ]
-    return Told([pair for pair in pairs if pair in bonded], refused, overlapping)
+    return ClosePairs([pair for pair in pairs if pair in bonded], refused, overlapping)
 
 
 class _Neighbourhood:
@@ -128,14 +128,14 @@ class _Neighbourhood:
         ]  # fmt: skip
         self.tree = KDTree([a.pos.tolist() for _, a in self.beside]) if self.beside else None
 
-    def why_not(self, pair: Link, taken: Mapping[int, int]) -> str:
+    def why_not(self, pair: Link, used: Mapping[int, int]) -> str:
         """Why a bond that the file states cannot be; empty if it can."""
         if pair.length < SHORTEST or pair.excess > STATED_SLACK:
             return f"it is {pair.length:.2f} angstrom long"
         heavy = sum(not a.is_hydrogen() for a in self._its(pair.other, pair.other_atom))
         free = _MOST.get(pair.other_atom.element.name, 1) - heavy
         for member, atom, left in ((pair.member, pair.atom, 1), (pair.other, pair.other_atom, free)):
-            if taken[id(atom)] >= left:
+            if used[id(atom)] >= left:
                 return f"{atom.name} of {member} has no valence left for it"
         return ""
 
@@ -173,7 +173,7 @@ class _Neighbourhood:
         return [a for a in near.values() if a is not atom and _are_bonded(a, atom)]
 
     def _its(self, member: Member, atom: gemmi.Atom) -> list[gemmi.Atom]:
-        """Neighbours of an atom beside the protein, in its molecule and in those bonded to it."""
+        """Neighbours of an atom outside the protein, in its molecule and in those bonded to it."""
         assert self.tree is not None
         names = member.own.neighbours(atom.name) if member.own else None
         near = (self.beside[k] for k in self.tree.query_ball_point(atom.pos.tolist(), _REACH))
@@ -192,7 +192,7 @@ def _are_bonded(first: gemmi.Atom, second: gemmi.Atom) -> bool:
 
 
 def _lacks_neighbour(atom: gemmi.Atom, its: Sequence[gemmi.Atom]) -> bool:
-    """Whether an atom beside the protein, with neighbours as they are in the file, can have one more."""
+    """Whether an atom outside the protein, with neighbours as they are in the file, can have one more."""
     element, x = atom.element.name, _places(its) - atom.pos.tolist()
     if element == "C" and len(its) == 3:
         across = np.cross(x[1] - x[0], x[2] - x[0])

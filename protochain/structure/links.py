@@ -22,7 +22,7 @@ _TOO_NEAR = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """Atom of the protein and one kept beside it: a bond, or a pair that may be one.
+    """Atom of the protein and one kept with it: a bond, or a pair that may be one.
 
     other: Kept beside the protein.
     stated: Whether the file states a bond.

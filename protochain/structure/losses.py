@@ -28,7 +28,7 @@ def far_molecules(losses: Iterable[Loss]) -> list[str]:
     return [str(loss) for loss in losses if loss.why is Why.FAR]
 
 
-def told(rows: Iterable[Mapping[Any, Any]], say: Say = str) -> list[str]:
+def loss_lines(rows: Iterable[Mapping[Any, Any]], say: Say = str) -> list[str]:
     """Tell at the end of a run what its structures lost."""
     of = {str(row.get("structure")): row for row in rows}
     lines = []
@@ -40,9 +40,9 @@ def told(rows: Iterable[Mapping[Any, Any]], say: Say = str) -> list[str]:
         if len(of) == 1 and lost:
             lines.append(f"{what}: {''.join(lost.values())}{remedy}")
         elif lost:
-            said = ", ".join(f"{name} ({text})" for name, text in [*lost.items()][:_SHOWN])
+            stated = ", ".join(f"{name} ({text})" for name, text in [*lost.items()][:_SHOWN])
             more = f" and {len(lost) - _SHOWN} more" if len(lost) > _SHOWN else ""
-            lines.append(f"{len(lost)} of {len(of)} structures {what}: {said}{more}{remedy}")
+            lines.append(f"{len(lost)} of {len(of)} structures {what}: {stated}{more}{remedy}")
     return lines
 
 

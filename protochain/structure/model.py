@@ -23,7 +23,7 @@ from protochain.structure.residues import Atom, Residue, name_in_file
 
 @dataclass(frozen=True)
 class Tie:
-    """Spring that holds a bond between the protein and a molecule kept beside it.
+    """Spring that holds a bond between the protein and a molecule kept with it.
 
     atoms: Two of a distance, or three of an angle at the second.
     stiffness: E = stiffness/2 (value - rest)^2.
@@ -130,8 +130,8 @@ class Structure(Value):
         Atoms of molecules that move with the protein: the user's force field has their parameters, or they
         are ligands of known chemistry.
     links : (n, 2) int
-        Bonds, coordinated metals included, of the protein to atoms beside it, the protein's atom first; then
-        those between residues beside it that the file states (LINK, CONECT, ``_struct_conn``). A metal among
+        Bonds, coordinated metals included, of the protein to atoms outside it, the protein's atom first; then
+        those between residues outside it that the file states (LINK, CONECT, ``_struct_conn``). A metal among
         the two tells the kind.
     mirrored : (nr,) bool
         D-amino acids, whose ``residue_name`` is that of their mirror image; files have their own.
@@ -205,7 +205,7 @@ class Structure(Value):
 
     @property
     def n_protein_residues(self) -> int:
-        """Residues of the protein, without molecules kept beside it."""
+        """Residues of the protein, without molecules kept with it."""
         return len(np.unique(self.atom_residue[~self.kept]))
 
     @property
@@ -296,14 +296,14 @@ class Structure(Value):
 
     @cached_property
     def kept(self) -> NDArray[np.bool_]:
-        """(na,) bool: atoms beside the protein: obstacles, mobile ones, ions that move with the protein."""
+        """(na,) bool: atoms outside the protein: obstacles, mobile ones, ions that move with the protein."""
         beside = self.obstacle | self.mobile
         beside[[tie.atoms[1] for tie in self.ties if len(tie.atoms) == 2]] = True
         return read_only(beside, np.bool_)
 
     @cached_property
     def formal_charge(self) -> Integers:
-        """(na,) int: charges that the file gives to atoms beside the protein; of ions and thiolates."""
+        """(na,) int: charges that the file gives to atoms outside the protein; of ions and thiolates."""
         return read_only([atom.formalCharge or 0 for atom in self.topology.atoms()], np.int64)
 
     @cached_property

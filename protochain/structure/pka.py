@@ -29,7 +29,7 @@ def value_of(ph: float | str) -> float:
 
 
 def by_propka(draft: Draft) -> Mapping[int, float]:
-    """Find the pKa of the acids and bases of a protein, with all that is kept beside it."""
+    """Find the pKa of the acids and bases of a protein, with all that is kept with it."""
     run = library("propka.run", "pka")
     members = draft.members
     if len(members) > _PER_CHAIN * len(_CHAINS):

@@ -70,7 +70,7 @@ def load(
 ) -> Structure:
     """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
 
-    Waters and other alternate locations are left out, molecules near the protein kept beside it;
+    Waters and other alternate locations are left out, molecules near the protein kept with it;
     chains are split at breaks, head-to-tail cyclic peptides closed; modified residues without parameters
     become their standard parents; missing side-chain atoms are built on rotamers, of the hand that the
     residue's name says; disulfides and metal sites are found by distance, missing hydrogens placed by
@@ -247,7 +247,7 @@ def _bound(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
 
 
 def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
-    """Bonds between the protein and what is kept beside it, or between such, as atoms."""
+    """Bonds between the protein and what is kept with it, or between such, as atoms."""
     return [(at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links]
 
 
@@ -319,7 +319,7 @@ def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Int
 
 
 def _formal_charge(atom: gemmi.Atom, member: Member, template: Template, beside: bool) -> int:
-    """Charge that the file gives to an atom beside the protein, an ion's own if it gives none; of a thiolate.
+    """Charge that the file gives an atom outside the protein, an ion's own if it gives none; of a thiolate.
 
     A cysteine without its hydrogen would else be read again as half of a disulfide.
     """

@@ -43,7 +43,6 @@ from protochain.structure.kept import Candidate, choose, note_unresolved, report
 from protochain.structure.member import Address, Member
 from protochain.structure.repairs import EVERYTHING, Kind, Repair, Why
 from protochain.structure.sites import find_links
-from protochain.structure.springs import springs
 from protochain.structure.templates import (
     archive_parent,
     named,
@@ -52,6 +51,7 @@ from protochain.structure.templates import (
     template_name,
     templates,
 )
+from protochain.structure.tie_records import springs
 
 PEPTIDE_BREAK = 2.0
 """Angstrom: C and N further apart than this are not bonded (a peptide bond is 1.33)."""
@@ -155,9 +155,9 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     beside.sort(key=lambda each: order.index(each.member.chain_id))
     chemistry = reading.chemistry
     for path in chemistry.poses:
-        taken = {(each.chain_id, each.number) for each in (*draft.members, *(b.member for b in beside))}
+        used = {(each.chain_id, each.number) for each in (*draft.members, *(b.member for b in beside))}
         names = {*chemistry.moving, *(each.given for each in beside)}
-        chemistry, member = with_pose(chemistry, path, {chain for chain, _ in taken}, names)
+        chemistry, member = with_pose(chemistry, path, {chain for chain, _ in used}, names)
         beside.append(Candidate(member, member.name))
     there = [*draft.members, *(each.member for each in beside)]
     refuse_crowds([atom for member in there for atom in member.atoms], draft.source)
@@ -238,7 +238,7 @@ class _Reader:
         self.unknown: set[int] = set()
 
     def take(self, chain_id: str, places: Iterable[tuple[list[gemmi.Residue], str]]) -> None:
-        """Take the protein of a chain, in pieces without a break, and the molecules beside it.
+        """Take the protein of a chain, in pieces without a break, and the molecules outside it.
 
         Of places in the file, each with the letter of its alternates.
         """

@@ -117,15 +117,15 @@ def _outward(beside: Mapping[str, set[str]]) -> Sequence[str]:
 
 def _renamed(template: Template, called: Mapping[str, str], seen: Template, name: str) -> Template:
     """Template under the molecule's names; hydrogens that the file lacks keep the template's, if free."""
-    names, taken = dict(called), {*seen.element}
+    names, used = dict(called), {*seen.element}
     for parent, hydrogens in template.hydrogens.items():
         there = list(seen.hydrogens.get(called[parent], ()))
         for hydrogen in hydrogens:
             new = there.pop(0) if there else hydrogen
             number = 1
-            while not new or (new in taken and new not in seen.hydrogens.get(called[parent], ())):
+            while not new or (new in used and new not in seen.hydrogens.get(called[parent], ())):
                 new, number = f"H{number}", number + 1
-            taken.add(new)
+            used.add(new)
             names[hydrogen] = new
     return Template(
         name,

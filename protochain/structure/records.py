@@ -11,7 +11,7 @@ import gemmi
 
 from protochain.ligands import tables
 from protochain.structure.header import Label
-from protochain.structure.springs import CATEGORY, of_remarks
+from protochain.structure.tie_records import CATEGORY, of_remarks
 
 Rows = list[dict[str, str]]
 """Rows of a category; values as the file has them, with their quotes."""
@@ -77,7 +77,7 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
     return _text(
         {
             "_chem_comp.": [
-                {"id": _quoted(name), "name": _quoted(_joined(said))} for name, said in names.items()
+                {"id": _quoted(name), "name": _quoted(_joined(stated))} for name, stated in names.items()
             ],
             "_chem_comp_bond.": list(_drawn(structure, tables.known(own))),
             tables.CATEGORY: own,
@@ -131,10 +131,10 @@ def pdb_lines(header: str, out: gemmi.Structure, ligands: Mapping[str, Rows]) ->
         line for row in found.get("_database_PDB_remark.", []) for line in _plain(row["text"]).split("\n")
     ]
     for row in found.get("_pdbx_data_usage.", []):
-        said = " ".join(
+        words = " ".join(
             _plain(row[item]) for item in ("type", "details", "url", "name") if _is_given(row, item)
         )
-        terms += textwrap.wrap(said, _REMARK_WIDTH)
+        terms += textwrap.wrap(words, _REMARK_WIDTH)
     het = {
         residue.name for model in out for chain in model for residue in chain
         if residue.entity_type == gemmi.EntityType.NonPolymer
@@ -152,8 +152,8 @@ def pdb_lines(header: str, out: gemmi.Structure, ligands: Mapping[str, Rows]) ->
 def orders(header: str, ligands: Mapping[str, Rows]) -> dict[tuple[str, str, str], int]:
     """Order of each bond of components, by component and its atoms in alphabetic order."""
     known = {name: order for order, name in _ORDERS.items()}
-    said = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
-    rows = _with(ligands, said).get("_chem_comp_bond.", [])
+    stated = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
+    rows = _with(ligands, stated).get("_chem_comp_bond.", [])
     found = {}
     for row in rows:
         first, second = sorted(_plain(row.get(f"atom_id_{k}", "")) for k in (1, 2))
@@ -281,7 +281,7 @@ def _journal(lines: Iterable[str]) -> dict[str, Rows]:
         given.setdefault(line[12:16].strip(), []).append(line[19:79].strip())
     if not given:
         return {}
-    text = {name: _joined(said) for name, said in given.items()}
+    text = {name: _joined(stated) for name, stated in given.items()}
     items = {
         "id": "primary",
         "title": text.get("TITL", ""),
@@ -311,7 +311,7 @@ def _cited(found: Mapping[str, Rows]) -> Iterator[tuple[str, str]]:
         ]  # fmt: skip
         journal = ("journal_full",) if _is_given(row, "journal_full") else (
             "journal_abbrev", "journal_volume", "page_first", "year")  # fmt: skip
-        said = {
+        stated = {
             "AUTH": ",".join(authors),
             "TITL": _plain(row["title"]) if _is_given(row, "title") else "",
             "REF": " ".join(_plain(row[item]) for item in journal if _is_given(row, item)),
@@ -321,7 +321,7 @@ def _cited(found: Mapping[str, Rows]) -> Iterator[tuple[str, str]]:
                 if _is_given(row, item)
             },
         }
-        yield from ((name, text) for name, text in said.items() if text)
+        yield from ((name, text) for name, text in stated.items() if text)
 
 
 def _categories(block: gemmi.cif.Block) -> dict[str, Rows]:

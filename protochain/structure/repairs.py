@@ -51,7 +51,7 @@ class Kind(Enum):
 
     # Of the file.
     LOWER_CASE = Words("{count:n atom record} in lower case read as upper case")
-    NOT_A_NUMBER = Words("occupancy of {count:n atom} is no number: taken as 0")
+    NOT_A_NUMBER = Words("occupancy of {count:n atom} is no number: read as 0")
     NO_ELEMENT = Words(
         "columns 77-78 of {count:n atom record}, from line {line} on, hold no element: elements derived from "
         "atom names"
@@ -71,7 +71,7 @@ class Kind(Enum):
         rank=Rank.LOSS,
     )
     # Of what is taken.
-    DEUTERIUM = Words("{count:n deuterium atom} taken as hydrogen")
+    DEUTERIUM = Words("{count:n deuterium atom} read as hydrogen")
     ALTERNATES = Words(
         "{residue}: alternate location {taken} kept (occupancy {occupancy:.2f}), {others} left out",
         "alternate locations left out",
@@ -90,9 +90,9 @@ class Kind(Enum):
         "atoms given more than once, the first of each kept",
     )
     UNRESOLVED = Words("{count:n atom} of zero occupancy kept, in {residues:1}")
-    RENAMED = Words("{residue}: taken as {name}")
-    STATE_NAMED = Words("{residue}: taken as {name} in protonation state {state}")
-    NO_PLACE = Words("{residue}: {atoms} at the origin or upon CA: taken as missing")
+    RENAMED = Words("{residue}: read as {name}")
+    STATE_NAMED = Words("{residue}: read as {name} in protonation state {state}")
+    NO_PLACE = Words("{residue}: {atoms} at the origin or upon CA: treated as missing")
     VIRTUAL = Words("{residue}: virtual atoms {atoms} left out", "virtual atoms left out")
     SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
     CONVERTED = Words(
@@ -213,13 +213,13 @@ class Kind(Enum):
     # Hydrogens.
     USUAL_STATE = Words("{residue}: kept in its usual state: the force field has no terminal {state}")
     NO_PARTNER = Words(
-        "{residue}: called {name} in the file, without a disulfide bond: taken as {residue.name}"
+        "{residue}: called {name} in the file, without a disulfide bond: read as {residue.name}"
     )
     RING_TURNED = Words(
         "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
     )
-    STATE_CHOSEN = Words("{residue} taken as {state}")
-    STATE_BY_PKA = Words("{residue} taken as {state}: its pKa is {pka:.1f} by PROPKA")
+    STATE_CHOSEN = Words("{residue} read as {state}")
+    STATE_BY_PKA = Words("{residue} read as {state}: its pKa is {pka:.1f} by PROPKA")
     STRANGE_HYDROGENS = Words(
         "{residue}: {count:n hydrogen} left out, not of its state",
         "hydrogens left out that do not belong to the state",

@@ -1,4 +1,4 @@
-"""Bonds between the protein and the molecules kept beside it: metal sites, glycans, covalent ligands.
+"""Bonds between the protein and the molecules kept with it: metal sites, glycans, covalent ligands.
 
 Force fields have no parameters for them. Each is held at the input's distance and angles by springs, and the
 atoms it joins do not repel one another.
@@ -16,12 +16,12 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import neighbours
 from protochain.structure.draft import Draft, Part
 from protochain.structure.kept import JOINED
-from protochain.structure.linkage import COVALENT_SLACK, STATED, told_apart
+from protochain.structure.linkage import COVALENT_SLACK, STATED, bonds_and_overlaps
 from protochain.structure.links import Link, is_metal, usual_length
 from protochain.structure.member import Address, Member
 from protochain.structure.model import Tie
 from protochain.structure.repairs import Apart, Count, Kind
-from protochain.structure.springs import DIGITS
+from protochain.structure.tie_records import DIGITS
 
 _BEYOND = 0.25
 """Angstrom: a covalent bond that is off by more is drawn to its usual length."""
@@ -51,13 +51,13 @@ def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) 
     free = {*draft.glycosidic}
     near = [link for link in _near(draft, protein, beside) if _ends(link) not in free]
     # A result says which bonds its molecules have.
-    said = {link for link in near if draft.says_of(link.other)}
-    sprung = {link for link in said if _ends(link) in draft.springs}
-    told = told_apart(draft, [link for link in near if not link.is_metal and link not in sprung])
-    refused = [*told.refused, *_far(draft, protein, beside)]
-    bonded = {*told.bonded} - said | sprung
+    words = {link for link in near if draft.says_of(link.other)}
+    sprung = {link for link in words if _ends(link) in draft.springs}
+    close = bonds_and_overlaps(draft, [link for link in near if not link.is_metal and link not in sprung])
+    refused = [*close.refused, *_far(draft, protein, beside)]
+    bonded = {*close.bonded} - words | sprung
     for link in near:
-        if link in said:
+        if link in words:
             continue
         if link.is_metal and link.is_coordinated:
             bonded.add(link)
@@ -81,8 +81,8 @@ def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) 
         draft.note(kind, atom=site[0].atoms[1], ends=ends)
     for link, why in refused:
         draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=why)
-    if told.overlapping:
-        pairs = tuple(Apart(link.atoms, link.length) for link in told.overlapping)
+    if close.overlapping:
+        pairs = tuple(Apart(link.atoms, link.length) for link in close.overlapping)
         draft.note(Kind.NEAR, count=len(pairs), pairs=pairs)
     return links
 
@@ -132,8 +132,8 @@ def note_unused(draft: Draft, used: Iterable[Link]) -> None:
     if not draft.stated:
         return
     there = {m.address(a.name): (m, a) for m in draft.members for a in m.atoms}
-    told = {frozenset(repair.facts["atoms"]) for repair in draft.repairs if repair.kind is Kind.BOND_IGNORED}
-    done = {frozenset(link.atoms) for link in used} | told
+    noted = {frozenset(repair.facts["atoms"]) for repair in draft.repairs if repair.kind is Kind.BOND_IGNORED}
+    done = {frozenset(link.atoms) for link in used} | noted
     gone = 0
     for first, second in dict.fromkeys((min(ends), max(ends)) for ends in draft.stated):
         if not {first, second} <= there.keys():

@@ -29,7 +29,7 @@ from protochain.structure.links import is_metal
 from protochain.structure.model import Structure
 from protochain.structure.records import Rows, cif_rows, orders, pdb_lines, put, with_names
 from protochain.structure.residues import NUCLEOTIDES
-from protochain.structure.springs import CATEGORY, Spring, as_remarks, as_rows, of_structure
+from protochain.structure.tie_records import CATEGORY, Spring, as_remarks, as_rows, of_structure
 
 _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999
@@ -286,7 +286,7 @@ def _place(end: gemmi.AtomAddress) -> tuple[str, str, str]:
 def _connections(structure: Structure, stated: Iterable[gemmi.Connection]) -> Iterator[gemmi.Connection]:
     """Bonds between residues, but not those along a chain, and what else the file states of its molecules.
 
-    Of two atoms of the protein, or of one and a molecule beside it, the structure knows all bonds.
+    Of two atoms of the protein, or of one and a molecule outside it, the structure knows all bonds.
     """
     at: dict[tuple[str, str, str], int] = {}
     for k, (r, name) in enumerate(zip(structure.atom_residue.tolist(), structure.atom_name, strict=True)):
@@ -467,8 +467,8 @@ def _standard_bonds(structure: Structure, known: Collection[str]) -> Iterator[di
             order = dict(zip(ends, made.orders.tolist(), strict=True))
             for _, *atoms in group:
                 first, second = map(gemmi.cif.quote, atoms)
-                said = ORDERS[order.get(frozenset(atoms), 1)]
-                yield {"comp_id": name, "atom_id_1": first, "atom_id_2": second, "value_order": said}
+                stated = ORDERS[order.get(frozenset(atoms), 1)]
+                yield {"comp_id": name, "atom_id_1": first, "atom_id_2": second, "value_order": stated}
 
 
 def _springs(models: Sequence[Structure]) -> list[Spring]:

@@ -1,6 +1,5 @@
 """What is wrong with a structure: violations, clashes, threaded rings, strain, statistical outliers."""
 
-from protochain.validation.api import measures, validate
 from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.findings import MEASURES
 from protochain.validation.interface import CONFIDENCES, SCORES, Interface, score_interface
@@ -9,6 +8,7 @@ from protochain.validation.likeness import LIKENESS, likeness
 from protochain.validation.result import Validation
 from protochain.validation.rings import ThreadedRing, threaded_rings
 from protochain.validation.strain import Strain, strain
+from protochain.validation.validate_structure import measures, validate
 from protochain.validation.violations import Violations, violations
 
 __all__ = [

@@ -84,7 +84,7 @@ def clashes(structure: Structure, x: Floats | None = None) -> Clashes:
 
     What differs: Probe covers all atoms with dots, here only contacts have some. MolProbity places
     hydrogens anew, and may turn amides and histidines, before it counts. Contacts within molecules held
-    fixed beside the protein are not counted here.
+    fixed outside the protein are not counted here.
 
     Parameters
     ----------
@@ -154,7 +154,7 @@ def _kinds(structure: Structure) -> _Kinds:
     radius = np.array([_RADIUS.get(symbol, _RADIUS_UNKNOWN) for symbol in element.tolist()])
     radius[(element == "C") & aromatic] = _AROMATIC
     radius[(element == "C") & carbonyl] = _CARBONYL
-    # A hydrogen has one bond; one without any, or a second, is taken as it is.
+    # A hydrogen has one bond; one without any, or a second, is read as it is.
     own = ends[is_h[ends[:, 0]] & ~is_h[ends[:, 1]]]
     hydrogens, first = np.unique(own[:, 0], return_index=True)
     parents = own[first, 1]

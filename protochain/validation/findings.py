@@ -16,7 +16,6 @@ from protochain.structure.model import Structure
 from protochain.validation.cbeta import cbeta_deviations
 from protochain.validation.clashes import clashes
 from protochain.validation.fixed import fixed_faults, fixed_residues
-from protochain.validation.hands import expected_hands, inverted_stereocentres
 from protochain.validation.ligands import (
     LigandFound,
     double_bonds_named,
@@ -28,6 +27,7 @@ from protochain.validation.omega import omegas
 from protochain.validation.ramachandran import CLASSES, REGIONS, ramachandran
 from protochain.validation.rings import threaded_rings
 from protochain.validation.rotamers import side_chains
+from protochain.validation.stereocentres import expected_stereocentres, inverted_stereocentres
 from protochain.validation.strain import strain
 from protochain.validation.violations import violations
 
@@ -59,7 +59,7 @@ class Found(Value):
     side_chains = _measured(side_chains)
     cbeta = _measured(cbeta_deviations)
     peptides = _measured(omegas)
-    wrong_hands = _measured(lambda structure, x: wrong_atoms(structure, x, structure.mirrored))
+    inverted_stereocentres = _measured(lambda structure, x: wrong_atoms(structure, x, structure.mirrored))
     rings = _measured(threaded_rings)
     fixed = _measured(fixed_faults)
     strain = _measured(strain)
@@ -130,7 +130,7 @@ class Found(Value):
         for r, omega, proline, cis, twisted in zip(*self.peptides, strict=True):
             if twisted or (cis and not proline):
                 yield int(r), f"{'cis' if cis else 'twisted'} peptide bond before it (omega {omega:.0f})"
-        for atom in self.wrong_hands.tolist():
+        for atom in self.inverted_stereocentres.tolist():
             yield int(of[atom]), f"{s.atom_name[atom]} inverted"
         for pair in self.double_bonds:
             yield int(of[pair[0]]), f"{'='.join(s.atom_name[pair])} has the other E/Z than its chemistry"
@@ -143,11 +143,14 @@ class Found(Value):
             yield int(sugars.residue[k]), f"sugar {sugars.pucker[k]} with delta {sugars.delta[k]:.0f}"
         for ring in self.rings:
             yield ring.residue, str(ring)
-        for said, pairs in (("broken", self.fixed.bonds), ("a clash", self.fixed.clashes)):
+        for stated, pairs in (("broken", self.fixed.bonds), ("a clash", self.fixed.clashes)):
             for i, j in pairs.tolist():
                 apart = ANGSTROM_PER_NM * np.linalg.norm(self.x[i] - self.x[j])
                 other = "" if of[i] == of[j] else f" of {s.describe_residue(int(of[j]))}"
-                yield int(of[i]), f"{s.atom_name[i]} to {s.atom_name[j]}{other} {said} ({apart:.2f} angstrom)"
+                yield (
+                    int(of[i]),
+                    f"{s.atom_name[i]} to {s.atom_name[j]}{other} {stated} ({apart:.2f} angstrom)",
+                )
 
 
 RESIDUE_COLUMNS: Mapping[str, Callable[[Found], Any]] = {
@@ -168,7 +171,7 @@ RESIDUE_COLUMNS: Mapping[str, Callable[[Found], Any]] = {
     "rotamer": lambda f: f.spread(f.side_chains.residue, f.side_chains.rotamer),
     "rotamer_outlier": lambda f: np.isin(np.arange(f.structure.n_residues), f.side_chains.outliers),
     "cbeta_deviation_angstrom": lambda f: f.spread(f.cbeta.residue, f.cbeta.deviation),
-    "wrong_hands": lambda f: f.per_residue(f.wrong_hands),
+    "inverted_stereocentres": lambda f: f.per_residue(f.inverted_stereocentres),
     "bond_outliers": lambda f: f.count(f.strain.bonds),
     "angle_outliers": lambda f: f.count(f.strain.angles),
     "threaded_rings": lambda f: np.bincount(
@@ -221,7 +224,9 @@ MEASURES = {
     "twisted_peptides": Measure(
         "twisted peptide bonds", "twist", lambda f: int(f.peptides.twisted.sum())
     ),
-    "wrong_hands": Measure("inverted stereocentres", "hand", lambda f: len(f.wrong_hands)),
+    "inverted_stereocentres": Measure(
+        "inverted stereocentres", "inverted", lambda f: len(f.inverted_stereocentres)
+    ),
     "other_double_bonds": Measure(
         "double bonds of ligands with the other E/Z", "", lambda f: len(f.double_bonds)
     ),
@@ -280,7 +285,7 @@ REMAINS = {
     ),
     "d_amino_acids_unnamed": Remaining(
         "D-amino acids by their coordinates, under names of L",
-        lambda f: _residues(f, expected_hands(f.structure).unnamed),
+        lambda f: _residues(f, expected_stereocentres(f.structure).unnamed),
     ),
     "inverted_double_bonds": Remaining(
         "double bonds of ligands with the other E/Z than their chemistry",

@@ -1,4 +1,4 @@
-"""Faults beside the protein: broken bonds of nucleotides and of what is fixed, and clashes of the latter."""
+"""Faults outside the protein: broken bonds of nucleotides and of what is fixed, and clashes of the latter."""
 
 from collections import Counter
 from typing import NamedTuple
@@ -23,7 +23,7 @@ _BROKEN = 0.03
 """nm from the usual length. In the crystal structures of DNA in the tests bonds are off by 0.011 at most."""
 _LONG, _SHORT = 0.45, 0.65
 """Angstrom beyond the sum of the covalent radii, and share of it, at which a bond of another molecule is
-broken. The first is a little more than what is taken as a bond by distance."""
+broken. The first is a little more than what is read as a bond by distance."""
 _CLASH = 0.15
 """nm of overlap of heavy atoms, as AlphaFold counts clashes between residues."""
 _BOND_SLACK = 0.3
@@ -61,12 +61,12 @@ class FixedFaults(NamedTuple):
 
 
 def fixed_counts(structure: Structure) -> dict[str, int]:
-    """Count the residues that stand still beside the protein, by name, the most frequent first."""
+    """Count the residues that stand still outside the protein, by name, the most frequent first."""
     return dict(Counter(structure.residue_name[_still(structure)].tolist()).most_common())
 
 
 def fixed_residues(structure: Structure) -> Integers:
-    """(n,) int: residues that stand still beside the protein, but waters."""
+    """(n,) int: residues that stand still outside the protein, but waters."""
     residues = _still(structure)
     return np.asarray(residues[structure.residue_name[residues] != "HOH"])
 

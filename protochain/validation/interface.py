@@ -178,7 +178,7 @@ def score_interface(
     energy: Energy | None = None,
     **settings: Any,
 ) -> Interface:
-    """Score the interface of two sides of a complex, which are taken as they are, and as rigid.
+    """Score the interface of two sides of a complex, which are read as they are, and as rigid.
 
     Parameters
     ----------

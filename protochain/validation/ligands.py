@@ -52,7 +52,7 @@ class LigandFound(Value):
         Stereocentres, and double bonds as ``C1=C2``, that are not those of the source.
     posebusters : mapping of str to bool, optional
         Whether it passes each test of PoseBusters' configuration ``dock`` (Buttenschoen et al., Chem. Sci.
-        15:3130, 2024) with everything beside it as the receptor; None if they were not run.
+        15:3130, 2024) with everything outside it as the receptor; None if they were not run.
     """
 
     residue: Residue
@@ -94,18 +94,18 @@ class LigandFound(Value):
         }
 
     def __str__(self) -> str:
-        said = [
+        stated = [
             "strain unknown" if self.strain_kj_mol is None else f"strain {self.strain_kj_mol:.0f} kJ/mol",
             f"{self.contacts} heavy atoms within {CONTACT:g} angstrom of the protein",
             f"{self.clashes} clashes with it",
         ]
         if self.inverted:
-            said.append(f"inverted: {', '.join(self.inverted)}")
+            stated.append(f"inverted: {', '.join(self.inverted)}")
         if self.failed is not None:
-            said.append(
+            stated.append(
                 f"PoseBusters fails {', '.join(self.failed)}" if self.failed else "PoseBusters passes"
             )
-        return f"{self.residue}: {', '.join(said)}"
+        return f"{self.residue}: {', '.join(stated)}"
 
 
 def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple[LigandFound, ...]:
@@ -180,9 +180,9 @@ def _receptor(structure: Structure, bound: BoundLigand, x: Floats) -> Any:
     there[bound.atoms] = False
     far = cKDTree(x[bound.atoms]).query(x)[0] * ANGSTROM_PER_NM > _RECEPTOR
     near = there & ~far
-    taken = np.flatnonzero(near if near.any() else there).tolist()
-    made, conformer = chem.RWMol(), chem.Conformer(len(taken))
-    for number, k in enumerate(taken):
+    used = np.flatnonzero(near if near.any() else there).tolist()
+    made, conformer = chem.RWMol(), chem.Conformer(len(used))
+    for number, k in enumerate(used):
         atom = chem.Atom(str(structure.atom_element[k]))
         name = str(structure.residue_name[structure.atom_residue[k]])
         is_hetero = bool(structure.kept[k])
@@ -218,11 +218,11 @@ def findings_of(
 
 def at_both_ends(start: LigandFound, end: LigandFound) -> dict[str, Any]:
     """Flat row of a ligand at the start and the end of a run."""
-    told = {key: value for key, value in start.record().items() if key not in start.measures()}
+    noted = {key: value for key, value in start.record().items() if key not in start.measures()}
     for key in start.measures():
         for when, found in (("start", start), ("end", end)):
-            told[_at(key, when)] = found.measures()[key]
-    return told
+            noted[_at(key, when)] = found.measures()[key]
+    return noted
 
 
 def _at(key: str, when: str) -> str:

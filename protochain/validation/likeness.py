@@ -164,11 +164,11 @@ def _named_alike(
     Only distances to atoms that have no twin count in this.
     """
     ambiguous = own != twin
-    told = pairs[ambiguous[pairs].sum(axis=1) == 1]
-    its = residue[np.where(ambiguous[told[:, 0]], told[:, 0], told[:, 1])]
+    noted = pairs[ambiguous[pairs].sum(axis=1) == 1]
+    its = residue[np.where(ambiguous[noted[:, 0]], noted[:, 0], noted[:, 1])]
     n = int(residue.max(initial=-1)) + 1
     as_named, exchanged = (
-        np.bincount(its, _kept(structure, place, told, names), minlength=n) for names in (own, twin)
+        np.bincount(its, _kept(structure, place, noted, names), minlength=n) for names in (own, twin)
     )
     return np.where((exchanged > as_named)[residue], twin, own)
 

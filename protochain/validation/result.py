@@ -36,7 +36,7 @@ class Validation(Value):
         ``violation``, ``clashes``, ``phi_degrees``, ``psi_degrees``, ``ramachandran_class``,
         ``ramachandran_percent`` (of the class are rarer), ``ramachandran`` (favoured, allowed, outlier),
         ``omega_degrees`` and ``peptide_bond`` (of the bond before it), ``rotamer`` (the nearest),
-        ``rotamer_outlier``, ``cbeta_deviation_angstrom``, ``wrong_hands``, ``bond_outliers``,
+        ``rotamer_outlier``, ``cbeta_deviation_angstrom``, ``inverted_stereocentres``, ``bond_outliers``,
         ``angle_outliers``, ``threaded_rings``, ``atoms_added`` (heavy atoms that the file lacks), with a
         reference ``lddt``.
     violations : Violations
@@ -99,12 +99,12 @@ class Validation(Value):
     def added(self) -> str:
         """What preparation added to the file, in words; empty if nothing."""
         heavy = self.residues["atoms_added"]
-        told = [str(each) for each in self.structure.repairs if each.kind is Kind.HYDROGENS_ADDED]
+        noted = [str(each) for each in self.structure.repairs if each.kind is Kind.HYDROGENS_ADDED]
         if heavy.any():
             atoms = counted(int(heavy.sum()), "heavy atom")
             residues = counted(int((heavy > 0).sum()), "residue")
-            told.insert(0, f"{atoms} added that the file lacks, in {residues}")
-        return "; ".join(told)
+            noted.insert(0, f"{atoms} added that the file lacks, in {residues}")
+        return "; ".join(noted)
 
     def record(self) -> dict[str, Any]:
         """Flat row: name, model and size, what was added, and the measures."""

@@ -52,7 +52,7 @@ def start_without_work(files, output, monkeypatch, **settings):
             tables.append([failure(job, method, "refused", "why") for method in job.settings.methods])
         return False
 
-    api = importlib.import_module("protochain.batches.api")
+    api = importlib.import_module("protochain.batches.batch_structures")
     monkeypatch.setattr(api, "_work", work)
     monkeypatch.setattr(api, "_finish", lambda *_: None)
     monkeypatch.setattr(api, "at_work", lambda processes: contextlib.nullcontext())
@@ -149,7 +149,7 @@ def test_a_changed_force_field_or_version_is_another_setting(tmp_path, monkeypat
     with pytest.raises(pc.ProtochainError, match="content of the force field"):
         start_without_work([STRUCTURES / "ala10.pdb"], tmp_path / "out", monkeypatch, resume=True, **usual)
     own.write_text("<ForceField/>")
-    kept = importlib.import_module("protochain.batches.settings")
+    kept = importlib.import_module("protochain.batches.batch_settings")
     monkeypatch.setattr(kept, "version", lambda name: "99")
     with pytest.raises(pc.ProtochainError, match=r"protochain .*, not 99"):
         start_without_work([STRUCTURES / "ala10.pdb"], tmp_path / "out", monkeypatch, resume=True, **usual)

@@ -15,10 +15,10 @@ from fixtures.waiting import HANG
 
 import protochain as pc
 from protochain.batches import BatchSettings, cluster, find_jobs, supervise
+from protochain.batches.batch_settings import keep_settings
 from protochain.batches.jobs import Row, failure, origin
 from protochain.batches.page import curves, write_page
 from protochain.batches.report import statistics, worst_first, write_report
-from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
 from protochain.batches.task import run

@@ -15,7 +15,7 @@ import pytest
 from fixtures.waiting import HANG
 
 import protochain as pc
-from protochain.batches import api, cluster
+from protochain.batches import batch_structures, cluster
 from protochain.batches.cluster import Processes, Workers, at_work
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import supervise
@@ -182,7 +182,7 @@ class Ending:
                 self.end(*self.running.pop(0))
                 return _.popleft()
 
-        monkeypatch.setattr(api, "SimpleQueue", Ended)
+        monkeypatch.setattr(batch_structures, "SimpleQueue", Ended)
 
     def submit(self, function, job, folder, threads, time_limit):
         assert function is supervise
@@ -212,10 +212,10 @@ def tables(tmp_path):
 def test_jobs_are_handed_out_a_few_ahead_and_counted_as_they_end(tables, tmp_path, monkeypatch):
     ending, seen = Ending(monkeypatch, failed_at=(1,), usable=(0, 2, 3, 4, 5)), []
     clock = iter(range(1000))
-    monkeypatch.setattr(api, "perf_counter", lambda: float(next(clock)))
+    monkeypatch.setattr(batch_structures, "perf_counter", lambda: float(next(clock)))
     todo = jobs_of(6, tmp_path)
     processes = Processes(threads=2, time_limit=9.0)
-    assert api._work(ending.workers, todo, tables, processes, 3, seen.append) is False
+    assert batch_structures._work(ending.workers, todo, tables, processes, 3, seen.append) is False
     assert ending.submitted == [(job, tmp_path, 2, 9.0) for job in todo] and ending.most == 4
     assert [(p.total, p.done, p.failed, p.skipped) for p in seen] == [
         (9, 1, 0, 3), (9, 2, 1, 3), (9, 3, 1, 3), (9, 4, 1, 3), (9, 5, 1, 3), (9, 6, 1, 3),
@@ -235,7 +235,7 @@ def test_jobs_are_handed_out_a_few_ahead_and_counted_as_they_end(tables, tmp_pat
 
 def test_a_scheduler_that_is_lost_ends_the_batch(tables, tmp_path, monkeypatch):
     workers = Ending(monkeypatch, lost_at=1).workers
-    assert api._work(workers, jobs_of(3, tmp_path), tables, Processes(), 0, None) is True
+    assert batch_structures._work(workers, jobs_of(3, tmp_path), tables, Processes(), 0, None) is True
     assert tables.read()["structure"].tolist() == ["s0", "s0"]
 
 
@@ -246,7 +246,7 @@ def test_an_interrupt_keeps_what_is_done_and_hands_out_no_more(tables, tmp_path,
         if progress.done == 2:
             raise KeyboardInterrupt
 
-    assert api._work(ending.workers, jobs_of(9, tmp_path), tables, Processes(), 0, watch) is True
+    assert batch_structures._work(ending.workers, jobs_of(9, tmp_path), tables, Processes(), 0, watch) is True
     assert tables.read()["structure"].nunique() == 2 and len(ending.submitted) == 5
 
 
@@ -258,7 +258,7 @@ def test_the_summary_of_a_batch(tmp_path, monkeypatch):
     made.finished([])
     for job, status in zip(jobs, ("budget", "refused"), strict=True):
         made.append([failure(job, "kcm", "budget", ""), failure(job, "lbfgs", status, "")])
-    api._finish(made, jobs)
+    batch_structures._finish(made, jobs)
     made.close()
     summary = json.loads((tmp_path / "summary.json").read_text())
     # JSON has no infinity.

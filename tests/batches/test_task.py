@@ -14,12 +14,12 @@ from fixtures.samples import STRUCTURES, load
 from fixtures.waiting import HANG
 
 import protochain as pc
-from protochain.batches import api, cluster, supervise, task
+from protochain.batches import batch_structures, cluster, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child, ChildError
 from protochain.batches.thinning import thinned
 from protochain.core.subprocesses import own_python
-from protochain.minimisers.api import minimise
+from protochain.minimisers.minimise_structure import minimise
 
 ALA = STRUCTURES / "ala10.pdb"
 
@@ -361,30 +361,32 @@ def test_a_child_that_is_started_while_its_crew_ends_is_ended_too(counted, tmp_p
 def test_a_window_is_of_four_jobs_a_worker_counted_again_after_a_while(monkeypatch):
     now, counted = [0.0], []
     workers = cluster.Workers(None, lambda: counted.append(now[0]) or 5)
-    monkeypatch.setattr(api, "perf_counter", lambda: now[0])
-    window = api._Window(workers)
+    monkeypatch.setattr(batch_structures, "perf_counter", lambda: now[0])
+    window = batch_structures._Window(workers)
     sizes = []
     for now[0] in (0.1, 5.1, 5.2, 9.0, 10.3):
         sizes.append(window.size())
     assert sizes == [20] * 5 and counted == [0.1, 5.2, 10.3]
-    assert api._Window(cluster.Workers(None, lambda: 0)).size() == 4
+    assert batch_structures._Window(cluster.Workers(None, lambda: 0)).size() == 4
 
 
 def test_what_a_worker_reports_is_the_row_of_each_method():
     job = job_of("kcm", "lbfgs")
     rows, ended, lost = [Row({"method": "kcm"}, [])], Future(), Future()
     ended.set_result(rows)
-    assert api._rows(ended, job) is rows
+    assert batch_structures._rows(ended, job) is rows
     lost.set_exception(ValueError("three times"))
     message = "no worker finished this structure: three times"
-    assert api._rows(lost, job) == [failure(job, method, "killed", message) for method in ("kcm", "lbfgs")]
+    assert batch_structures._rows(lost, job) == [
+        failure(job, method, "killed", message) for method in ("kcm", "lbfgs")
+    ]
 
 
 def test_a_batch_shows_itself(tmp_path):
     lines = ["structure,method,status,key", "a,kcm,budget,1", "a,lbfgs,converged,1", "007,kcm,budget,2"]
     (tmp_path / "summary.csv").write_text("\n".join(lines) + "\n")
     (tmp_path / "traces.csv").write_text("structure,energy_kj_mol\n007,1.5\n")
-    made = api.Batch(tmp_path)
+    made = batch_structures.Batch(tmp_path)
     assert made.counts() == {"budget": 2, "converged": 1} and not made.interrupted
     assert repr(made) == f"<Batch in {tmp_path}: 2 budget, 1 converged>"
     assert made.table["structure"].tolist() == ["a", "a", "007"]

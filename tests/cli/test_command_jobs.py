@@ -66,7 +66,7 @@ def simulated(monkeypatch, tmp_path):
 
     monkeypatch.setattr(SIMULATE, "prepare", prepare)
     monkeypatch.setattr(SIMULATE, "print_outlook", outlook)
-    module = importlib.import_module("protochain.dynamics.api")
+    module = importlib.import_module("protochain.dynamics.simulate_chain")
     monkeypatch.setattr(module, "freed", lambda chain, settings: seen.checked.append(settings))
     monkeypatch.setattr(FIRST, "foretell", foretell)
     monkeypatch.setattr(FIRST, "run_progress", progress)

@@ -10,8 +10,12 @@ WITHOUT = {
     "from protochain.cli import app; app(['info', '--help'], standalone_mode=False)": (
         "protochain.cli.relax", "protochain.cli.minimise", "numpy", "numba", "scipy", "openmm",
     ),
-    "import protochain.minimisers.api": ("protochain.dynamics.loop", "protochain.mechanics.motion", "pandas"),
-    "import protochain.batches.cluster": ("protochain.batches.api", "numpy", "numba", "distributed"),
+    "import protochain.minimisers.minimise_structure": (
+        "protochain.dynamics.loop", "protochain.mechanics.motion", "pandas",
+    ),
+    "import protochain.batches.cluster": (
+        "protochain.batches.batch_structures", "numpy", "numba", "distributed",
+    ),
     "import protochain.batches.frame_tasks": ("protochain.batches.page", "matplotlib", "pandas"),
 }  # fmt: skip
 

@@ -9,7 +9,7 @@ from fixtures.samples import STRUCTURES, load
 from rich.table import Table
 
 import protochain as pc
-from protochain.batches.api import BatchProgress
+from protochain.batches.batch_structures import BatchProgress
 from protochain.cli import main, terminal
 from protochain.cli.printable import Printable, printable, printer
 

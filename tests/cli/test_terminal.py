@@ -12,7 +12,7 @@ from fixtures.texts import numbers
 from rich.console import Console
 
 import protochain as pc
-from protochain.batches.api import BatchProgress
+from protochain.batches.batch_structures import BatchProgress
 from protochain.batches.jobs import BatchSettings, Row, failure, find_jobs
 from protochain.cli import terminal
 from protochain.minimisers import METHODS, recipe_of
@@ -292,7 +292,7 @@ def test_what_is_typical_is_within_what_is_allowed():
 
 
 def test_a_batch_says_a_line_for_each_structure(tmp_path, capsys):
-    api = importlib.import_module("protochain.batches.api")
+    api = importlib.import_module("protochain.batches.batch_structures")
     path = tmp_path / "a.pdb"
     path.write_text("nothing")
     (job,) = find_jobs([path], BatchSettings(("lbfgs", "kcm")))

@@ -15,7 +15,7 @@ from protochain.comparison import normal_modes
 from protochain.comparison.modes import share_moved
 from protochain.mechanics import multibody
 from protochain.minimisers.spaces import motions_of_whole
-from protochain.minimisers.springs import Springs, torsion_stiffness
+from protochain.minimisers.spring_model import Springs, torsion_stiffness
 
 WATER = {"threads": 1}
 

@@ -18,7 +18,7 @@ from fixtures.waiting import HANG, until
 
 import protochain as pc
 from protochain import cli
-from protochain.core.interrupts import answering, held_interrupts, open_to_interrupts
+from protochain.core.interrupts import held_interrupts, open_to_interrupts, run_interruptible
 from protochain.minimisers import Status
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.spaces import Torsions
@@ -130,9 +130,9 @@ def test_signals_held_come_through_where_nothing_is_at_stake(signals):
 
 
 def test_a_long_call_is_answered_meanwhile(signals):
-    assert answering(lambda: 5) == 5
+    assert run_interruptible(lambda: 5) == 5
     with pytest.raises(ZeroDivisionError):
-        answering(lambda: 1 / 0)
+        run_interruptible(lambda: 1 / 0)
     release, ended = threading.Event(), []
 
     def long():
@@ -140,7 +140,7 @@ def test_a_long_call_is_answered_meanwhile(signals):
         ended.append(release.wait(HANG))
 
     with pytest.raises(KeyboardInterrupt):
-        answering(long)
+        run_interruptible(long)
     assert not ended
     release.set()
 

@@ -22,7 +22,7 @@ from protochain.chains.contacts import overlaps
 from protochain.core.settings import settings_of
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics import Leapfrog, Simulation, StepTooLargeError, System, closure_of, simulate
-from protochain.dynamics.settings import RunSettings, SimulationSettings
+from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, random_tree
 from protochain.structure.superpose import rmsd

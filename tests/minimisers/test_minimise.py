@@ -20,7 +20,7 @@ from protochain.minimisers.solution import SIZES, TRACE_COLUMNS
 from protochain.minimisers.spaces import Positions, Torsions
 from protochain.minimisers.steps import Fixed
 from protochain.minimisers.verdict import verdict
-from protochain.structure.chirality import changed_hands
+from protochain.structure.chirality import changed_stereocentres
 from protochain.structure.superpose import superpose
 
 MAIN = ("kcm", "hybrid")
@@ -285,7 +285,7 @@ def test_a_signal_after_the_last_step_changes_nothing(signals, monkeypatch, tmp_
 
         return call
 
-    monkeypatch.setattr("protochain.minimisers.api.verdict", interrupted(verdict))
+    monkeypatch.setattr("protochain.minimisers.minimise_structure.verdict", interrupted(verdict))
     monkeypatch.setattr(pc.Solution, "save", interrupted(pc.Solution.save))
     source, output = str(STRUCTURES / "ala10.pdb"), tmp_path / "out.pdb"
     monkeypatch.setattr("sys.argv", ["protochain", "minimise", source, "-o", str(output)])
@@ -315,7 +315,7 @@ def test_atoms_on_top_of_one_another_give_no_nan_and_a_verdict_that_names_them(m
     assert np.isfinite(r.x).all() and r.end.energy <= r.start.energy
     # All atoms may move through one another: then the hand that changed is named first.
     assert (r.status in (Status.CLASH, Status.INVERTED)) == bool(overlaps(crowded, r.x))
-    assert (r.status == Status.INVERTED) == bool(changed_hands(crowded, r.x, crowded.positions))
+    assert (r.status == Status.INVERTED) == bool(changed_stereocentres(crowded, r.x, crowded.positions))
     at_once = pc.minimise(start, e, method, max_evaluations=1)
     assert at_once.status == Status.CLASH
     assert "angstrom apart" in at_once.message and "of residue" in at_once.message

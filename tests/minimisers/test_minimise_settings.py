@@ -13,9 +13,9 @@ import protochain as pc
 from protochain.chains.chain import pose
 from protochain.chains.frame import Frame
 from protochain.core import defaults
-from protochain.minimisers import RECIPES, Solution, Status, api
-from protochain.minimisers.api import Minimisation
+from protochain.minimisers import RECIPES, Solution, Status, minimise_structure
 from protochain.minimisers.loop import Stop
+from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import Outcome
@@ -83,7 +83,7 @@ def judged(done, energy=None, held="", **settings):
     frame = Frame(c.structure, held)
     recorded = {"rows": [{"evaluations": 3}], "alphas": [c.structure.positions[c.structure.alpha_carbons]]}
     record = SimpleNamespace(structure=c.structure, **recorded, frame=frame, kept=lambda: KEPT)
-    return api._judged(Start(c, energy or told()), Minimisation(LBFGS, **settings), done, record, 1.5)
+    return minimise_structure._judged(Start(c, energy or told()), Minimisation(LBFGS, **settings), done, record, 1.5)
 
 
 def test_an_outcome_in_torsions_is_judged_by_its_largest_torque():

@@ -15,16 +15,16 @@ from protochain.chains.contacts import overlaps
 from protochain.core.errors import StrayWarning
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers import RECIPES, Stop, springs, verdict
+from protochain.minimisers.clash_resolution import resolving_in_all_atoms, resolving_in_torsions
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.metrics import Damped
-from protochain.minimisers.parting import parting_in_all_atoms, parting_in_torsions
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.restraints import Bound, SoftRepulsion
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import walk
 from protochain.minimisers.start_warnings import FAR, Straying, how_far, is_crowded, outlook, strayed
 from protochain.minimisers.unthread import Push, push_of
-from protochain.structure.chirality import changed_hands
+from protochain.structure.chirality import changed_stereocentres
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.validation import threaded_rings
 
@@ -136,12 +136,12 @@ def test_a_threaded_ring_is_freed_and_the_fold_kept(planted):
     torsions, atoms = spaces(c)
     told = []
     done = walk(
-        parting_in_all_atoms(torsions, atoms, e, 10.0, None, True), planted.positions, 2000, None,
+        resolving_in_all_atoms(torsions, atoms, e, 10.0, None, True), planted.positions, 2000, None,
         lambda at, stage, n: told.append(stage.name),
     )  # fmt: skip
     assert threaded_rings(planted) and not threaded_rings(planted, done.x)
     assert list(dict.fromkeys(told)) == ["freeing threaded rings", "resolving clashes", "held by springs"]
-    assert not overlaps(planted, done.x) and not changed_hands(planted, done.x, planted.positions)
+    assert not overlaps(planted, done.x) and not changed_stereocentres(planted, done.x, planted.positions)
     assert moved(planted, done.x) < 0.5
     lengths = [
         np.linalg.norm(np.diff(x[planted.bonds], axis=1), axis=2)
@@ -157,10 +157,10 @@ def test_overlaps_are_parted_near_the_start(method):
     c, e = pc.build_chain(s), energy("1vii.pdb")
     torsions, atoms = spaces(c)
     if method == "lbfgs":
-        plan, limit = parting_in_torsions(torsions, e, 10.0, None, True), 1.0
+        plan, limit = resolving_in_torsions(torsions, e, 10.0, None, True), 1.0
     else:
         # Before the restraints of side chains are removed.
-        plan, limit = parting_in_all_atoms(torsions, atoms, e, 10.0, None, True)[:-2], 0.6
+        plan, limit = resolving_in_all_atoms(torsions, atoms, e, 10.0, None, True)[:-2], 0.6
     done = walk(plan, c.structure.positions, 3000, None, lambda *_: None)
     assert not overlaps(s, done.x) and moved(s, done.x) < limit
     lengths = [np.linalg.norm(np.diff(x[s.bonds], axis=1), axis=2) for x in (done.x, s.positions)]

@@ -11,6 +11,7 @@ from fixtures.samples import chain, energy
 import protochain as pc
 from protochain.minimisers import METHODS, RECIPES, Recipe, Run, recipe_of
 from protochain.minimisers.annealing import Annealing, AnnealingState
+from protochain.minimisers.clash_resolution import FIRM, once_ordinary
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent, DescentState
 from protochain.minimisers.fire import Fire, FireState
@@ -19,8 +20,7 @@ from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import Damped, Euclidean, Mass, Stiffness
 from protochain.minimisers.newton import Newton, PseudoTransient, PseudoTransientState
-from protochain.minimisers.parting import FIRM, once_ordinary
-from protochain.minimisers.restraints import SOFT_TETHER, Bound, Given, Hold, SoftRepulsion, Tethers
+from protochain.minimisers.restraints import SOFT_TETHER, Bound, Hold, SoftRepulsion, Tethers, UserRestraint
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import PATIENCE, Stage, last, lowest
 from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
@@ -208,7 +208,7 @@ def test_overlaps_are_parted_in_torsions_and_springs_let_go_one_after_the_other(
     assert [stage.fit(stage, x).restraint.parts[0].weight.max() for stage in held] == [4184.0, 400.0, 40.0]
     user = plan_of(RECIPES["lbfgs"], c, Hold(term=term))[1]
     springs, own = user.fit(user, x).restraint.parts
-    assert np.array_equal(springs.home, x) and own.parts == [Given(term)]
+    assert np.array_equal(springs.home, x) and own.parts == [UserRestraint(term)]
     assert not springs.weight[s.atom_element == "H"].any()
     assert len(plan_of(RECIPES["kcm"], c)) == 1 and len(plan_of(RECIPES["lbfgs"], chain("1l2y.pdb"))) == 1
 

@@ -77,7 +77,7 @@ def test_a_record_holds_each_value_under_its_name():
     assert moved["frame"] == "held by a spring"
     turned = c.structure.positions * [-1.0, 1.0, 1.0]
     mirrored = solution(x=turned).record()
-    assert mirrored["wrong_hands_start"] == 0 and mirrored["wrong_hands_end"] == 10
+    assert mirrored["inverted_stereocentres_start"] == 0 and mirrored["inverted_stereocentres_end"] == 10
     assert {key: mirrored[f"{key}_end"] for key in MEASURES} == measures(c.structure, turned)
     free = solution(recipe=RECIPES["hybrid"], hold=Hold(), end=Judgement(np.inf, np.nan, 4.0)).record()
     assert free["tolerance_unit"] == "kJ/mol/nm" and free["restraint_kj_mol_nm2"] == []

@@ -14,7 +14,7 @@ from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.recipes import Recipe, Run
 from protochain.minimisers.spaces import ROOT_LEVER, Cartesian, Positions, Torsions, spaces
-from protochain.minimisers.springs import Springs, _directions, _sparse
+from protochain.minimisers.spring_model import Springs, _directions, _sparse
 from protochain.minimisers.start import Start
 
 

@@ -14,12 +14,12 @@ from threadpoolctl import threadpool_info
 
 import protochain as pc
 from protochain.batches import Batch, BatchSettings, child
-from protochain.batches import api as batches
+from protochain.batches import batch_structures as batches
 from protochain.batches.cluster import Processes
 from protochain.batches.jobs import failure, find_jobs
 from protochain.minimisers import RECIPES, api
-from protochain.minimisers.api import Minimisation
 from protochain.minimisers.loop import Stop
+from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.saddle import ROUNDS, SHARE_OF_RUN, Curvature
 from protochain.minimisers.spaces import spaces
 from protochain.minimisers.start import Start

@@ -1,4 +1,4 @@
-"""Hands of chiral atoms in a relaxation: wrong ones become right, D-amino acids keep theirs, none is lost."""
+"""Restraint on chiral atoms in a relaxation: wrong ones become right, D-amino acids stay, none is lost."""
 
 import numpy as np
 import pandas as pd
@@ -10,7 +10,7 @@ from fixtures.repairs import sentences
 from fixtures.samples import SAMPLES, load, shared
 
 import protochain as pc
-from protochain.relaxation.chirality_restraint import Hands
+from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Relaxer
 from protochain.structure.chirality import chiral_atoms, mirror_images, wrong_atoms
@@ -55,13 +55,13 @@ def named_d(text, *numbers):
 @pytest.mark.parametrize("name", SAMPLES)
 def test_a_structure_of_usual_shape_feels_nothing(name):
     s = load(name)
-    energy, forces = Hands.of(s)(s.positions)
-    assert energy == 0.0 and not forces.any() and not len(Hands.of(s).wrong(s.positions))
+    energy, forces = ChiralityRestraint.of(s)(s.positions)
+    assert energy == 0.0 and not forces.any() and not len(ChiralityRestraint.of(s).wrong(s.positions))
 
 
 def test_forces_are_the_gradient_of_the_energy():
     s = models.shaken(load("1l2y.pdb"), 0.3, seed=3)
-    hands, x, step = Hands.of(s), s.positions, 1e-6
+    hands, x, step = ChiralityRestraint.of(s), s.positions, 1e-6
     energy, forces = hands(x)
     assert energy > 1.0
     for atom in np.flatnonzero(np.abs(forces).max(axis=1) > 1.0)[:12]:
@@ -76,7 +76,7 @@ def test_forces_are_the_gradient_of_the_energy():
 def test_every_triple_of_bonds_of_an_atom_counts():
     """Four triples for a C-alpha with its hydrogen, and they turn the atom in the mirror the other way."""
     s = load("ala10.pdb")
-    hands = Hands.of(s)
+    hands = ChiralityRestraint.of(s)
     assert len(hands.atoms) == 4 * 10 and (hands(s.positions)[0], len(hands.wrong(s.positions))) == (0.0, 0)
     mirror = s.positions * [1.0, 1.0, -1.0]
     assert hands.wrong(mirror).tolist() == np.flatnonzero(s.atom_name == "CA").tolist()
@@ -92,16 +92,16 @@ def test_well_formed_residues_of_the_wrong_hand_become_right():
     wrong = other_hand(other_hand(s, index(s, 7), about="CB", first="CA", second="HB"), index(s, 43))
     threonine, leucine = "residue 7 THR of chain A", "residue 43 LEU of chain A"
     r = pc.relax(wrong, threads=1)
-    assert (r.measures_start["wrong_hands"], r.measures_end["wrong_hands"]) == (2, 0)
+    assert (r.measures_start["inverted_stereocentres"], r.measures_end["inverted_stereocentres"]) == (2, 0)
     assert r.status == "converged" and r.measures_end["violations"] == 0 and r.ca_rmsd_angstrom < 0.2
     said = [
         f"{threonine}: inverted stereocentre CB corrected",
         f"{leucine}: inverted stereocentre CA corrected",
     ]
-    assert r.hands_turned == r.structure.repairs[-2:] and sentences(r.structure)[-2:] == said
-    assert r.record()["hands_turned"] == said
+    assert r.stereocentres_corrected == r.structure.repairs[-2:] and sentences(r.structure)[-2:] == said
+    assert r.record()["stereocentres_corrected"] == said
     assert r.rounds[0].let_go == 2
-    assert not Hands.of(s)(r.x)[0]
+    assert not ChiralityRestraint.of(s)(r.x)[0]
 
 
 @pytest.mark.parametrize(("name", "seed"), [("4pti.pdb", 34), ("3i40.pdb", 125)])
@@ -112,7 +112,7 @@ def test_noise_neither_leaves_nor_makes_a_wrong_hand(name, seed):
     assert len(before) == 2
     r = pc.relax(s, threads=1)
     assert r.status == "converged" and not len(wrong_atoms(s, r.x, s.mirrored))
-    assert len(r.hands_turned) == 2
+    assert len(r.stereocentres_corrected) == 2
 
 
 def test_a_residue_named_as_d_keeps_its_hand_and_gets_it_where_it_has_the_other(tmp_path):
@@ -122,14 +122,17 @@ def test_a_residue_named_as_d_keeps_its_hand_and_gets_it_where_it_has_the_other(
     (tmp_path / "two.pdb").write_text(text)
     two = pc.load(tmp_path / "two.pdb")
     assert np.flatnonzero(two.mirrored).tolist() == [3, 6]
-    assert two.describe(int(Hands.of(two).wrong(two.positions)[0])) == "atom CA of residue 7 DAL of chain A"
+    assert (
+        two.describe(int(ChiralityRestraint.of(two).wrong(two.positions)[0]))
+        == "atom CA of residue 7 DAL of chain A"
+    )
     r = pc.relax(two, threads=1)
-    (turned,) = r.hands_turned
+    (turned,) = r.stereocentres_corrected
     assert (turned.kind, turned.facts["atoms"]) == (Kind.HAND_TURNED, ("CA",))
     assert turned.facts["residue"] == Residue("A", "7", "DAL")
     alpha = np.flatnonzero(two.atom_name == "CA")
-    assert np.intersect1d(alpha, Hands.of(s).wrong(r.x)).tolist() == alpha[[3, 6]].tolist()
-    assert r.status == "converged" and r.measures_end["wrong_hands"] == 0
+    assert np.intersect1d(alpha, ChiralityRestraint.of(s).wrong(r.x)).tolist() == alpha[[3, 6]].tolist()
+    assert r.status == "converged" and r.measures_end["inverted_stereocentres"] == 0
 
 
 MIRROR = [1.0, 1.0, -1.0]
@@ -143,14 +146,19 @@ def test_a_chain_in_the_mirror_stays_so_and_is_a_violation_unless_it_is_meant(tm
         pc.relax(mirror, threads=1, mirror=True),
         pc.relax(s, threads=1),
     )
-    assert r.hands_turned == meant.hands_turned == () and np.array_equal(r.x, meant.x)
+    assert r.stereocentres_corrected == meant.stereocentres_corrected == () and np.array_equal(r.x, meant.x)
     assert r.energy_end == pytest.approx(usual.energy_end, abs=0.5)
     assert r.status == "violations" and "chain A is a mirror image" in r.message
     # 17 C-alphas, three glycines having none, and the C-beta of an isoleucine.
-    assert r.measures_end["wrong_hands"] == r.measures_start["wrong_hands"] == 18
+    assert r.measures_end["inverted_stereocentres"] == r.measures_start["inverted_stereocentres"] == 18
     # As D-amino acids they are measured as the usual ones are.
     assert meant.status == usual.status == "converged"
-    its = ("wrong_hands", "ramachandran_outliers", "ramachandran_favoured_percent", "cbeta_outliers")
+    its = (
+        "inverted_stereocentres",
+        "ramachandran_outliers",
+        "ramachandran_favoured_percent",
+        "cbeta_outliers",
+    )
     assert [meant.measures_end[name] for name in its] == [usual.measures_end[name] for name in its]
     pc.save(meant.structure, tmp_path / "d.pdb")
     again = pc.load(tmp_path / "d.pdb")
@@ -216,10 +224,10 @@ def test_d_amino_acids_under_names_of_l_stay_where_their_phi_is_theirs():
     s = pc.load(shared("1grm_gramicidin.pdb"))
     wrong = wrong_atoms(s, s.positions, s.mirrored)
     assert len(wrong) == 12 and not s.mirrored.any()
-    assert not len(Hands.of(s).wrong(s.positions))
+    assert not len(ChiralityRestraint.of(s).wrong(s.positions))
     r = pc.relax(s, threads=1, solvent="vacuum")
-    assert r.hands_turned == () and np.array_equal(wrong_atoms(s, r.x, s.mirrored), wrong)
+    assert r.stereocentres_corrected == () and np.array_equal(wrong_atoms(s, r.x, s.mirrored), wrong)
     flat = s.positions.copy()
     (around,) = (row[1:] for row in chiral_atoms(s) if row[0] == wrong[3])
     flat[wrong[3]] = s.positions[around].mean(axis=0)
-    assert Hands.of(s.with_positions(flat)).wrong(s.positions).tolist() == [wrong[3]]
+    assert ChiralityRestraint.of(s.with_positions(flat)).wrong(s.positions).tolist() == [wrong[3]]

@@ -8,9 +8,9 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.energies.native.evaluation import Evaluation
-from protochain.relaxation.api import relax_structure
+from protochain.relaxation.relax_settings import RelaxSettings
+from protochain.relaxation.relax_structure import relax_structure
 from protochain.relaxation.rounds import LastKnown
-from protochain.relaxation.settings import RelaxSettings
 
 
 class Counting:

@@ -10,9 +10,9 @@ import protochain as pc
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.restraints import Tethers
 from protochain.minimisers.verdict import verdict
-from protochain.relaxation.api import _lost, left_in_words
 from protochain.relaxation.peptides import PeptideBonds, _slopes
 from protochain.relaxation.presets import PRESETS, PROTOCOLS
+from protochain.relaxation.relax_structure import _lost, left_in_words
 from protochain.relaxation.rounds import Relaxer
 from protochain.relaxation.wrong import Wrong
 from protochain.validation.layout import dihedrals

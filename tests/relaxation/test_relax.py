@@ -18,12 +18,12 @@ import protochain as pc
 from protochain.chains.contacts import joined, overlaps
 from protochain.core.interrupts import held_interrupts
 from protochain.energies import OpenMMEnergy, build_system
+from protochain.minimisers.clash_resolution import unthreading
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.parting import unthreading
 from protochain.relaxation import PRESETS, PROTOCOLS, RelaxSettings, rounds, wrong
-from protochain.relaxation.api import _spoiled, relax_structure
 from protochain.relaxation.names import relaxed_name
 from protochain.relaxation.peptides import PeptideBonds
+from protochain.relaxation.relax_structure import _spoiled, relax_structure
 from protochain.relaxation.rounds import Relaxer
 from protochain.relaxation.wrong import Wrong
 from protochain.structure.chirality import wrong_atoms
@@ -324,7 +324,7 @@ def test_an_interrupt_keeps_the_best_so_far(monkeypatch):
         if len(taken) == 4:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr("protochain.relaxation.api._Trace.__call__", interrupted)
+    monkeypatch.setattr("protochain.relaxation.relax_structure._Trace.__call__", interrupted)
     r = relax_structure(s, energy("1l2y.pdb"), RelaxSettings())
     assert r.status is pc.Status.INTERRUPTED and len(r.rounds) == 1
     assert r.energy_end <= r.energy_start

@@ -12,7 +12,7 @@ from protochain.chains.contacts import overlaps
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.stages import Outcome
 from protochain.relaxation import rounds
-from protochain.relaxation.chirality_restraint import Hands
+from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Ended, Relaxer, Round
 from protochain.relaxation.wrong import Wrong
@@ -45,7 +45,7 @@ def test_a_torn_bond_of_a_file_is_closed(tmp_path):
 def test_a_hand_that_was_wrong_and_is_right_at_the_end_is_no_inversion():
     s = models.shaken(load("1l2y.pdb"), 0.25, seed=6)
     r = pc.relax(s)
-    assert (r.measures_start["wrong_hands"], r.measures_end["wrong_hands"]) == (1, 0)
+    assert (r.measures_start["inverted_stereocentres"], r.measures_end["inverted_stereocentres"]) == (1, 0)
     assert r.status == "converged"
 
 
@@ -132,7 +132,7 @@ def test_a_wrong_hand_weakens_springs_and_gives_none_to_an_excluded_residue(monk
         raise InterruptedError
 
     monkeypatch.setattr(Relaxer, "_round", begins)
-    monkeypatch.setattr(Hands, "wrong", lambda self, x: s.alpha_carbons[[4, 7]])
+    monkeypatch.setattr(ChiralityRestraint, "wrong", lambda self, x: s.alpha_carbons[[4, 7]])
     relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 1, lambda *_: None)
     with pytest.raises(InterruptedError):
         relaxer.rounds(s.positions, np.arange(s.n_residues) == 7, 1)

@@ -10,11 +10,11 @@ import pandas as pd
 import pytest
 
 import protochain as pc
-from protochain.searching import api, csa
+from protochain.searching import csa, search_chain
 from protochain.searching.hopping import ADAPTED, metropolis
 from protochain.searching.landscape import Descended, Landscape
 from protochain.searching.pieces import advance, read_piece, write_piece
-from protochain.searching.settings import SearchSettings
+from protochain.searching.search_settings import SearchSettings
 
 SMALL = {"n_walkers": 2, "seed": 3}
 
@@ -52,7 +52,9 @@ def options(method):
 def test_a_search_that_is_interrupted_and_resumed_finds_the_same_bits(
     method, peptide, whole, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(api, "SECONDS", 0.0)  # a piece a step, so that one is interrupted on any machine
+    monkeypatch.setattr(
+        search_chain, "SECONDS", 0.0
+    )  # a piece a step, so that one is interrupted on any machine
     evaluations, more = options(method)
     calls = []
 
@@ -70,7 +72,7 @@ def test_a_search_that_is_interrupted_and_resumed_finds_the_same_bits(
 
 
 def test_a_search_in_processes_that_fail_finds_the_same_bits(peptide, whole, tmp_path, monkeypatch):
-    failed, supervise = [], api.supervise
+    failed, supervise = [], search_chain.supervise
 
     def failing(job, folder, threads, limit):
         if len(failed) < 2:
@@ -78,7 +80,7 @@ def test_a_search_in_processes_that_fail_finds_the_same_bits(peptide, whole, tmp
             return job.lost([], "killed", "the process was ended by SIGKILL", 1.0)
         return supervise(job, folder, threads, limit)
 
-    monkeypatch.setattr(api, "supervise", failing)
+    monkeypatch.setattr(search_chain, "supervise", failing)
     found = pc.search(*peptide, "hopping", 1500, output=tmp_path, workers=2, **SMALL)
     assert len(failed) == 2 and same(found, whole["hopping"])
     assert not list(tmp_path.glob(".search-*"))
@@ -87,7 +89,9 @@ def test_a_search_in_processes_that_fail_finds_the_same_bits(peptide, whole, tmp
 def test_a_process_that_fails_again_and_again_ends_the_search_and_keeps_what_there_is(
     peptide, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(api, "supervise", lambda job, *_: job.lost([], "killed", "memory ran out", 1.0))
+    monkeypatch.setattr(
+        search_chain, "supervise", lambda job, *_: job.lost([], "killed", "memory ran out", 1.0)
+    )
     with pytest.raises(pc.ProtochainError, match=r"walker [01]: memory ran out; .*resume=True"):
         pc.search(*peptide, "hopping", 1500, output=tmp_path, workers=1, **SMALL)
 
@@ -119,7 +123,7 @@ def test_minima_are_minima_with_their_energies(peptide, whole):
 
 def test_the_size_of_turns_is_adapted_and_then_stays(peptide):
     landscape = Landscape.of(*peptide)
-    method = api.method_of(SearchSettings(method="hopping"), 0)
+    method = search_chain.method_of(SearchSettings(method="hopping"), 0)
     state, sizes = None, []
     while state is None or state.n_done < ADAPTED + 30:
         state, _ = method.begin(landscape) if state is None else method.step(landscape, state)
@@ -173,7 +177,7 @@ def test_random_minima_set_what_is_near_and_join_again_after_some_rounds():
 def test_a_bank_fills_with_random_minima_and_gets_lower(peptide, monkeypatch):
     monkeypatch.setattr(csa, "BANK", 6)
     landscape = Landscape.of(*peptide)
-    method = api.method_of(SearchSettings(method="csa"), 0)
+    method = search_chain.method_of(SearchSettings(method="csa"), 0)
     state, found = method.begin(landscape)
     state = replace(state, room=csa.BANK)
     for _ in range(csa.BANK - 1):
@@ -200,7 +204,7 @@ def test_metropolis_accepts_as_boltzmann_says():
 
 def test_pieces_are_read_as_they_were_written(peptide, tmp_path):
     landscape = Landscape.of(*peptide)
-    method = api.method_of(SearchSettings(method="tempering", n_replicas=2), 0)
+    method = search_chain.method_of(SearchSettings(method="tempering", n_replicas=2), 0)
     state, found = advance(landscape, method, None, 300, np.inf)
     write_piece(tmp_path / "a.npz", state, found, {"search": "tempering", "seed": 0})
     again, its = read_piece(tmp_path / "a.npz", method.state, {"search": "tempering", "seed": 0})
@@ -315,7 +319,7 @@ def test_what_a_killed_search_has_left_is_removed(peptide, tmp_path):
 
 def test_populations_are_of_walks_whose_pilot_is_over(whole):
     found = whole["tempering"]
-    pilot, nothing = api.method_of(found.settings, 0).begin(found.landscape)
+    pilot, nothing = search_chain.method_of(found.settings, 0).begin(found.landscape)
     for state in (None, pilot):
         late = replace(found, states=(state, found.states[1]), findings=(nothing, found.findings[1]))
         assert np.array_equal(late.temperatures, found.states[1].temperatures)

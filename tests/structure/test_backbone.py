@@ -6,7 +6,7 @@ import pytest
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.structure.apart import caps_told_apart
+from protochain.structure.apart import separate_caps
 from protochain.structure.repairs import Kind
 
 LINES = [line for line in (STRUCTURES / "1ubq.pdb").read_text().splitlines() if line[:4] == "ATOM"]
@@ -97,7 +97,7 @@ def test_caps_of_charmm_within_residues_are_residues_of_their_own():
         for k, name in enumerate(names)
     )
     structure = gemmi.read_pdb_string("\n".join([*lines, "END\n"]))
-    caps_told_apart(structure)
+    separate_caps(structure)
     found = [
         (residue.name, residue.seqid.num, [atom.name for atom in residue]) for residue in structure[0][0]
     ]

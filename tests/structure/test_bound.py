@@ -169,7 +169,7 @@ def test_a_mirrored_stereocentre_is_told_and_relax_turns_it_right(tmp_path):
     assert (str(s.atom_name[wrong]),) == bound.inverted
     relaxed = pc.relax(s)
     assert (volume(relaxed.x[mine]) > 0.0).all()
-    # Hands of the end, by RDKit from its positions.
+    # ChiralityRestraint of the end, by RDKit from its positions.
     pc.save_ligands(relaxed, tmp_path / "end.sdf")
     end = Chem.MolFromMolFile(str(tmp_path / "end.sdf"), removeHs=True)
     Chem.AssignStereochemistryFrom3D(end)

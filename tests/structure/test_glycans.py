@@ -15,7 +15,7 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.structure.chirality import changed_hands, chiral_atoms, volume
+from protochain.structure.chirality import changed_stereocentres, chiral_atoms, volume
 from protochain.structure.repairs import Kind
 from protochain.structure.sugars import SUGARS, anomeric_carbon, glycam_names, sugar_centres
 
@@ -227,7 +227,7 @@ def test_a_glycan_and_its_residue_have_a_whole_charge(fc):
 
 def test_a_glycan_is_relaxed_and_read_again_as_it_is(fc, tmp_path):
     result = pc.relax(fc, threads=1)
-    assert result.status == "converged" and not changed_hands(fc, result.x, fc.positions)
+    assert result.status == "converged" and not changed_stereocentres(fc, result.x, fc.positions)
     assert {*fc.glycans} <= {*fc.atom_residue[chiral_atoms(fc)[:, 0]].tolist()}
     for i, j in fc.links.tolist():
         assert 0.139 < np.linalg.norm(result.x[i] - result.x[j]) < 0.150
@@ -303,7 +303,7 @@ def test_a_sugar_of_another_hand_is_named_and_turned_right(tmp_path):
     (repair,) = told(s, Kind.SUGAR_INVERTED)
     assert repair.facts["atoms"] == ("C4",) and repair.facts["residue"].name == "NAG"
     result = pc.relax(s, threads=1)
-    assert any("C4 of residue 1 NAG" in each for each in changed_hands(s, result.x, s.positions))
+    assert any("C4 of residue 1 NAG" in each for each in changed_stereocentres(s, result.x, s.positions))
 
 
 def test_of_two_anomers_a_sugar_is_that_which_its_atoms_are(tmp_path):

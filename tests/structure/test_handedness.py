@@ -332,8 +332,10 @@ def test_a_minimum_of_the_other_hand_is_no_success_and_not_the_best_of_several()
 
 def test_a_simulation_in_which_a_hand_changes_is_not_sound(monkeypatch):
     """Rigid bodies keep hands; only the ending is made up here."""
-    module = import_module("protochain.dynamics.api")
-    monkeypatch.setattr(module, "changed_hands", lambda structure, x, reference: ["CA of residue 2 ALA"])
+    module = import_module("protochain.dynamics.simulate_chain")
+    monkeypatch.setattr(
+        module, "changed_stereocentres", lambda structure, x, reference: ["CA of residue 2 ALA"]
+    )
     done = pc.simulate(pc.from_sequence("AAA"), n_steps=2)
     assert not done.is_sound and "CA of residue 2 ALA changed hand" in done.message
 

@@ -7,13 +7,13 @@ import pytest
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.batches.api import _finish
+from protochain.batches.batch_structures import _finish
 from protochain.batches.jobs import BatchSettings, find_jobs
 from protochain.batches.table import Tables, read_table
 from protochain.batches.task import run as run_job
 from protochain.chains.setup import Setup
 from protochain.cli.relaxing import print_folder
-from protochain.structure.losses import told
+from protochain.structure.losses import loss_lines
 from protochain.structure.repairs import Loss, Why
 from protochain.structure.write import as_text
 
@@ -143,7 +143,7 @@ def test_what_is_far_what_is_broken_and_an_inner_end_are_lost_for_other_reasons(
     assert {loss.why for loss in pc.load(path, keep="none").losses} == {Why.INNER, Why.BACKBONE, Why.ELEMENT}
     record = pc.minimise(s, max_evaluations=1).record()
     assert record["far_molecules"] == ["B:1 SO4"] and record["n_lost_atoms"] == 4
-    assert told([record]) == [
+    assert loss_lines([record]) == [
         "lost atoms: D:1 QQQ; C:7 ALA; A:4 ALA OXT",
         'left out molecules further than 5 angstrom from the protein: B:1 SO4; keep="all" keeps them',
     ]
@@ -151,7 +151,7 @@ def test_what_is_far_what_is_broken_and_an_inner_end_are_lost_for_other_reasons(
 
 def test_many_losses_are_told_short():
     rows = [{"structure": f"s{k}", "lost_atoms": [f"A:{k} XXX {', '.join('C' * 150)}"]} for k in range(12)]
-    (line,) = told([*rows, *rows, {"structure": "refused"}, {"structure": "whole", "lost_atoms": []}])
+    (line,) = loss_lines([*rows, *rows, {"structure": "refused"}, {"structure": "whole", "lost_atoms": []}])
     assert line.startswith("12 of 14 structures lost atoms: s0 (A:0 XXX C, C,") and len(line) < 8 * 230
     assert line.endswith(" ...) and 4 more") and line.count(" ...)") == 8
-    assert told([{"structure": "whole", "lost_atoms": [], "far_molecules": ""}]) == []
+    assert loss_lines([{"structure": "whole", "lost_atoms": [], "far_molecules": ""}]) == []

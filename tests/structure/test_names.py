@@ -8,7 +8,7 @@ from fixtures.samples import STRUCTURES, load, shared
 from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
-from protochain.relaxation.chirality_restraint import Hands
+from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import D_NAMES
 from protochain.structure.write import as_text
@@ -137,14 +137,14 @@ def test_a_racemate_is_relaxed_with_the_hands_that_it_has_and_so_are_its_files(t
     d = s.residue_chain == "B"
     assert np.array_equal(s.mirrored, d & (s.residue_name != "GLY"))
     relaxed = pc.relax(s, threads=1, solvent="vacuum")
-    assert relaxed.hands_turned == () and relaxed.measures_end["wrong_hands"] == 0
+    assert relaxed.stereocentres_corrected == () and relaxed.measures_end["inverted_stereocentres"] == 0
     for name in ("out.pdb", "out.cif"):
         pc.save(relaxed.structure, tmp_path / name)
         named = gemmi.read_structure(str(tmp_path / name))[0]
         assert [r.name for r in named["B"]] == [D_NAMES.get(r.name, r.name) for r in named["A"]]
         again = pc.load(tmp_path / name)
         assert np.array_equal(again.mirrored, s.mirrored) and again.losses == ()
-        assert not len(Hands.of(again).wrong(again.positions))
+        assert not len(ChiralityRestraint.of(again).wrong(again.positions))
         assert again.positions == pytest.approx(relaxed.x, abs=2 * PDB_ROUNDING_NM)
         value = pc.energy(again, solvent="vacuum")(again.positions)[0]
         assert value == pytest.approx(relaxed.energy_end, abs=0.01 * abs(relaxed.energy_end))
@@ -228,7 +228,7 @@ def test_one_line_tells_of_a_d_arginine(is_d, alone, said, tmp_path):
     named = [str(each) for each in told if "DAR of" in str(each)]
     assert named == [said] and not any("ARG" in line for line in sentences(s))
     assert int(s.mirrored.sum()) == 1 and s.kept.any() == alone
-    wrong = [s.describe(int(k)) for k in Hands.of(s).wrong(s.positions)]
+    wrong = [s.describe(int(k)) for k in ChiralityRestraint.of(s).wrong(s.positions)]
     assert wrong == ([] if is_d or alone else ["atom CA of residue 42 DAR of chain A"])
 
 

@@ -230,7 +230,7 @@ def test_sugars_have_their_hands_and_a_mirrored_one_is_told_and_turned(duplex):
     )
     x[[hydrogen, carbon]] = x[[carbon, hydrogen]]
     wrong = duplex.with_positions(x)
-    assert pc.validate(wrong).measures["wrong_hands"] == 1
+    assert pc.validate(wrong).measures["inverted_stereocentres"] == 1
     relaxed = pc.relax(wrong)
     assert (volume(relaxed.x[centres]) > 0.0).all()
 

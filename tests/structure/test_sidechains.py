@@ -10,7 +10,7 @@ from fixtures.samples import STRUCTURES, load
 import protochain as pc
 from protochain.core.markup import listed
 from protochain.structure import residues
-from protochain.structure.chirality import centres, changed_hands, hand, volume, wrong_hands
+from protochain.structure.chirality import centres, changed_stereocentres, hand, inverted_atoms, volume
 from protochain.structure.member import Member, atom
 from protochain.structure.read import read
 from protochain.structure.sidechains import arms, packing
@@ -436,7 +436,7 @@ def test_rotation_adds_to_a_dihedral():
     assert turned[0, 0] == pytest.approx([-0.5, 0.5, 2.0])
 
 
-# --- Hands
+# --- ChiralityRestraint
 
 
 L_ALANINE = {"CA": ORIGIN, "N": [1.0, 0, 0], "C": [0, 1.0, 0], "CB": [0, 0, 1.0]}
@@ -463,7 +463,7 @@ def test_wrong_hands_are_those_that_a_name_does_not_say():
     left, right = made("ALA", L_ALANINE, 1), made("ALA", mirrored(L_ALANINE), 2)
     d_left, d_right = made("ALA", L_ALANINE, 3, is_d=True), made("ALA", mirrored(L_ALANINE), 4, is_d=True)
     glycine = made("GLY", {"CA": [0, 0, 0]}, 5)
-    assert [str(atom) for atom in wrong_hands([left, right, d_left, d_right, glycine])] == [
+    assert [str(atom) for atom in inverted_atoms([left, right, d_left, d_right, glycine])] == [
         "CA of residue 2 ALA of chain A", "CA of residue 3 DAL of chain A",
     ]  # fmt: skip
     assert listed([]) == "" and listed(list("abcdef")) == "a, b, c, d, e, f"
@@ -479,10 +479,10 @@ def test_changed_hands_are_found_atom_by_atom():
     x = s.positions.copy()
     for first, second in ((("9", "OG1"), ("9", "CG2")), (("17", "HA"), ("17", "CB"))):
         x[[at[first], at[second]]] = x[[at[second], at[first]]]
-    assert changed_hands(s, x, s.positions) == [
+    assert changed_stereocentres(s, x, s.positions) == [
         "CB of residue 9 THR of chain A", "CA of residue 17 VAL of chain A",
     ]  # fmt: skip
-    assert changed_hands(s, s.positions, s.positions) == [] and changed_hands(s, x, x) == []
-    assert len(changed_hands(s, s.positions * [1, 1, -1], s.positions)) == (76 - 6) + 7 + 7
+    assert changed_stereocentres(s, s.positions, s.positions) == [] and changed_stereocentres(s, x, x) == []
+    assert len(changed_stereocentres(s, s.positions * [1, 1, -1], s.positions)) == (76 - 6) + 7 + 7
     glycine = pc.from_sequence("GG")
-    assert changed_hands(glycine, -glycine.positions, glycine.positions) == []
+    assert changed_stereocentres(glycine, -glycine.positions, glycine.positions) == []

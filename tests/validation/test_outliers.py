@@ -224,10 +224,10 @@ def test_a_chain_that_ends_or_breaks_has_no_dihedral_there_and_a_ring_closes():
 def test_a_mirror_image_is_wrong_in_hand_and_c_beta_unless_it_is_named_so(tmp_path):
     s = load("1l2y.pdb")
     own = Found(s, s.positions).measures()
-    assert own["wrong_hands"] == 0
+    assert own["inverted_stereocentres"] == 0
     mirrored = Found(s, s.positions * [1.0, 1.0, -1.0])
     # Every residue but three glycines; isoleucine also at C-beta.
-    assert mirrored.measures()["wrong_hands"] == 17 + 1
+    assert mirrored.measures()["inverted_stereocentres"] == 17 + 1
     assert mirrored.measures()["cbeta_outliers"] == 17 and mirrored.cbeta.deviation.min() > 1.5
     named = {"LEU": "DLE", "TYR": "DTY", "ILE": "DIL", "GLN": "DGN", "TRP": "DTR", "LYS": "DLY", "ASP": "DAS",
              "SER": "DSN", "PRO": "DPR", "ARG": "DAR", "ASN": "DSG", "GLY": "GLY"}  # fmt: skip
@@ -246,7 +246,7 @@ def test_a_mirror_image_is_wrong_in_hand_and_c_beta_unless_it_is_named_so(tmp_pa
     kept = s.residue_name[again.ramachandran.residue] != "GLY"
     assert again.ramachandran.score[kept] == pytest.approx(ramachandran(s).score[kept], abs=1e-2)
     counts = again.measures()
-    for key in ("wrong_hands", "cbeta_outliers", "rotamer_outliers", "twisted_peptides"):
+    for key in ("inverted_stereocentres", "cbeta_outliers", "rotamer_outliers", "twisted_peptides"):
         assert counts[key] == own[key], key
     assert again.cbeta.deviation == pytest.approx(cbeta_deviations(s).deviation, abs=5e-3)
 

@@ -38,10 +38,10 @@ def test_measures_are_numbers_under_their_keys(spoilt):
         assert type(found[key]) is (int if measure.whole else float), key
     clean = measures(load("1l2y.pdb"))
     assert {key for key in MEASURES if clean[key] == 0} >= {
-        "violations", "ramachandran_outliers", "cis_peptides", "twisted_peptides", "wrong_hands",
+        "violations", "ramachandran_outliers", "cis_peptides", "twisted_peptides", "inverted_stereocentres",
         "threaded_rings",
     }  # fmt: skip
-    assert (found["cis_peptides"], found["wrong_hands"], found["cbeta_outliers"]) == (1, 1, 2)
+    assert (found["cis_peptides"], found["inverted_stereocentres"], found["cbeta_outliers"]) == (1, 1, 2)
     # At other positions of the same structure, and of a file.
     assert measures(load("1l2y.pdb"), spoilt.positions) == found
     assert measures(STRUCTURES / "1l2y.pdb") == clean
@@ -64,7 +64,8 @@ def test_the_table_adds_up_to_the_numbers(spoilt):
     )
     assert {
         "violations": t["violation"].sum(), "ramachandran_outliers": (t["ramachandran"] == "outlier").sum(),
-        "rotamer_outliers": t["rotamer_outlier"].sum(), "wrong_hands": t["wrong_hands"].sum(),
+        "rotamer_outliers": t["rotamer_outlier"].sum(),
+        "inverted_stereocentres": t["inverted_stereocentres"].sum(),
         "cbeta_outliers": (t["cbeta_deviation_angstrom"] >= 0.25).sum(),
         "cis_peptides": (t["peptide_bond"] == "cis").sum(),
         "twisted_peptides": (t["peptide_bond"] == "twisted").sum(),

@@ -29,9 +29,9 @@ from protochain.energies import energy
 from protochain.mechanics import multibody
 from protochain.minimisers import RECIPES, Recipe, Run, Solution, Status
 from protochain.minimisers.annealing import Annealing, AnnealingState
-from protochain.minimisers.api import Minimisation, minimise_from
 from protochain.minimisers.kcm import Proportional
 from protochain.minimisers.loop import Ending, Snapshot, Stop, run
+from protochain.minimisers.minimise_structure import Minimisation, minimise_from
 from protochain.minimisers.problem import Evaluation, Problem, Tally
 from protochain.minimisers.recipes import at_angle
 from protochain.minimisers.spaces import Torsions

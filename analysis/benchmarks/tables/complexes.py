@@ -57,7 +57,7 @@ table_of_rows(
     ("overlaps", "{overlaps_start}"), ("after", "{overlaps_end}"),
     ("base pairs kept", lambda r: f"{r['base_pairs_kept']} of {r['base_pairs']}" if r["base_pairs"] else "-"),
     ("P moved by", "{p_moved_median_angstrom:.2f}"), ("ligands by", "{ligand_moved_median_angstrom:.2f}"),
-    ("inverted stereocentres", "{wrong_hands_start}"), ("after", "{wrong_hands_end}"),
+    ("inverted stereocentres", "{inverted_stereocentres_start}"), ("after", "{inverted_stereocentres_end}"),
     ("seconds", "{seconds:.1f}"),
 )  # fmt: skip
 

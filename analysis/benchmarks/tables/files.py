@@ -63,7 +63,7 @@ def kinds_words(rows: pd.DataFrame) -> str:
     """What the kinds of file say in all."""
     made, taken = rows["origin"] == "made", rows["refusal"] == ""
     drift = pd.to_numeric(rows["metal_drift_angstrom"]).max()
-    turned = (rows["hands_changed"] != "").sum()
+    turned = (rows["stereocentres_changed"] != "").sum()
     return paragraph(
         f"{made.sum()} kinds made by recipes and {(~made).sum()} real files: {taken.sum()} accepted,",
         f"{(~taken).sum()} refused. Relative differences of energies read again are at most",

@@ -59,13 +59,13 @@ def relax_many(r: pd.DataFrame, rates: pd.DataFrame) -> str:
     """How many models of a folder ended, and the rate."""
     ended = r["status"].fillna("no result").value_counts()
     total = {name: (r[f"{name}_start"].sum(), r[f"{name}_end"].sum()) for name in
-             ("violations", "overlaps", "threaded_rings", "wrong_hands")}  # fmt: skip
+             ("violations", "overlaps", "threaded_rings", "inverted_stereocentres")}  # fmt: skip
     of = {name: f"{start:.0f} to {end:.0f}" for name, (start, end) in total.items()}
     rate = rates.iloc[0]
     return paragraph(
         f"Of {len(r)} models, {', '.join(f'{k} end `{name}`' for name, k in ended.items())}. Residues with",
         f"violations fall from {of['violations']}, overlaps from {of['overlaps']}, threaded rings from",
-        f"{of['threaded_rings']}, inverted stereocentres from {of['wrong_hands']}.",
+        f"{of['threaded_rings']}, inverted stereocentres from {of['inverted_stereocentres']}.",
         f"It took {rate['seconds_relax']:.0f} s, {rate['models_an_hour_relax']:.0f} models an hour; OpenMM's",
         f"protocol in two processes of one thread, estimated from {rate['sample_openmm']:.0f} of them,",
         f"{rate['models_an_hour_openmm']:.0f} an hour: a ratio of {rate['times_sooner']:.1f}.",

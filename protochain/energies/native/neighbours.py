@@ -99,7 +99,7 @@ def _swept(
 ) -> tuple[Integers, np.ndarray]:
     """Pairs of blocks within the cutoff; which are near, and which have necks, as two columns.
 
-    Along the axis on which they spread most, blocks are taken as they begin, and each is compared with those
+    Along the axis on which they spread most, blocks are read as they begin, and each is compared with those
     that begin before it ends, not with all: many atoms take little longer each where the cutoff is short.
     """
     n, room = len(low), 1024

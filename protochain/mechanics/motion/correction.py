@@ -53,7 +53,7 @@ def correct(
         if n_v == 1:
             _hinge_twists(rotation, bodies, twists, momenta, b, h, left, right, feel)
             u, y = column[b], row[b]
-            pivot, taken = 0.0, 0.0
+            pivot, used = 0.0, 0.0
             for i in range(6):
                 u[i] = h * feel[i]
                 y[i] = -h * feel[i]
@@ -61,10 +61,10 @@ def correct(
                     u[i] += p[i, j] * right[j]
                     y[i] += p[j, i] * left[j]
                 pivot += left[i] * u[i] - h * feel[i] * right[i]
-                taken += left[i] * z[i]
+                used += left[i] * z[i]
             for i in range(6):
                 y[i] /= pivot
-            x[k] = (x[k] - taken) / pivot
+            x[k] = (x[k] - used) / pivot
             for i in range(6):
                 for j in range(6):
                     p[i, j] -= u[i] * y[j]

@@ -120,9 +120,9 @@ class _Search:
 def _guessed(part: Part) -> _Found:
     """A good energy and its states; it spares most branches."""
     states = _descended(part.own, part.pairs)
-    taken = zip(part.sites, part.states, states.tolist(), strict=True)
+    used = zip(part.sites, part.states, states.tolist(), strict=True)
     energy = part.constant + _energy(part.own, part.pairs, states)
-    return energy, {site: int(its[state]) for site, its, state in taken}
+    return energy, {site: int(its[state]) for site, its, state in used}
 
 
 def _order(part: Part) -> tuple[list[int], int]:
@@ -161,10 +161,10 @@ def _eliminated(part: Part, order: Sequence[int]) -> _Found:
             factors.append((scope, total.min(axis=-1)))
         else:
             energy += float(total.min())
-    taken: dict[int, int] = {}
+    used: dict[int, int] = {}
     for k, scope, which in reversed(steps):
-        taken[k] = int(which[tuple(taken[site] for site in scope)])
-    return energy, {part.sites[k]: int(part.states[k][state]) for k, state in taken.items()}
+        used[k] = int(which[tuple(used[site] for site in scope)])
+    return energy, {part.sites[k]: int(part.states[k][state]) for k, state in used.items()}
 
 
 def _descended(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:

@@ -46,7 +46,7 @@ _ELEMENTS = {
     "C": _CARBON["CH2"], "N": _NITROGEN["polar"], "O": _OXYGEN["amide"], "S": _SULPHUR["SD"],
     "P": (2.0, 0.3), "F": (1.5, 0.2), "CL": (1.9, 0.3), "BR": (2.0, 0.3), "I": (2.1, 0.3),
 }  # fmt: skip
-"""Of atoms beside the protein."""
+"""Of atoms outside the protein."""
 _WEIGHTS = {
     "CYS": 5.5, "ASP": 2.0, "GLU": 1.0, "PHE": 1.5, "HIS": 3.0, "ILE": 1.0, "LYS": 2.0, "LEU": 2.0,
     "MET": 1.5, "ASN": 2.0, "PRO": 1.5, "GLN": 2.5, "ARG": 1.5, "SER": 1.5, "THR": 2.0, "VAL": 2.0,
@@ -64,7 +64,7 @@ def rarity(residue: str, frequency: Floats) -> Floats:
 
 
 def kind(residue: str, name: str, element: str = "") -> tuple[float, float]:
-    """Radius, angstrom, and depth of an atom of an amino acid; with an element, of one beside the protein."""
+    """Radius, angstrom, and depth of an amino acid's atom; with an element, of one outside the protein."""
     if element:
         return _ELEMENTS.get(element.upper(), _ION)
     if name in ("CA", "C"):
@@ -101,7 +101,7 @@ def donates_accepts(residue: str, name: str) -> tuple[bool, bool]:
 class Kinds:
     """Kinds of several atoms.
 
-    of: Residue, name, and element of those beside the protein, empty for amino acids.
+    of: Residue, name, and element of those outside the protein, empty for amino acids.
     """
 
     def __init__(self, of: Sequence[tuple[str, str, str]]) -> None:

@@ -28,12 +28,12 @@ from bench.fits import extrapolated
 from bench.scenes.beam.parts import at_rest
 from bench.scenes.helicopter import checks, ground, landing, safety
 from bench.scenes.helicopter.extremes import limits, without
-from bench.scenes.helicopter.parts import BLADE, Given
+from bench.scenes.helicopter.parts import BLADE, Design
 from protochain.core.arrays import Floats
 from protochain.mechanics.motion import Integrator, RungeKutta4
 from protochain.mechanisms import Rosenbrock
 
-FULL = Given(cells=6)
+FULL = Design(cells=6)
 
 
 def run(quick: bool = False) -> Scene:
@@ -87,13 +87,13 @@ def _work(quick: bool) -> list[Point]:
     """
     until, points = 0.1, 5
 
-    def flap(given: Given, h: float, integrator: Integrator) -> Floats:
+    def flap(given: Design, h: float, integrator: Integrator) -> Floats:
         every = max(1, round(until / (points * h)))
         flown = landing.hovering(given, until, h, every, change=landing.step, integrator=integrator)
         return landing.traced(*flown)["tip 1"].to_numpy()[1:]
 
-    def segments(cells: int) -> Given:
-        return Given(cells=cells, modes=False, damping=0.0)
+    def segments(cells: int) -> Design:
+        return Design(cells=cells, modes=False, damping=0.0)
 
     def stable(cells: int) -> float:
         """Explicit step, two thirds of the longest for the highest frequency of the segments, in lag."""
@@ -102,7 +102,7 @@ def _work(quick: bool) -> list[Point]:
     fine = 4 if quick else 12
     coarse, finer = (flap(segments(n), stable(n), RungeKutta4()) for n in (fine, 2 * fine))
     exact = extrapolated(coarse, finer)
-    plans: list[tuple[str, Given, float, Integrator]] = []
+    plans: list[tuple[str, Design, float, Integrator]] = []
     for cells in (2, 4) if quick else (2, 4, 8, 16):
         bending = segments(cells)
         plans.append(("segments, Runge-Kutta", bending, min(2e-3, stable(cells)), RungeKutta4()))

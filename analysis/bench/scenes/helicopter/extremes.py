@@ -12,7 +12,18 @@ from bench.scenes.helicopter import landing, resonance
 from bench.scenes.helicopter.checks import LINEAR, RIGID, THIN, exactly, frequencies_about
 from bench.scenes.helicopter.ground import take_off
 from bench.scenes.helicopter.legs import Legs
-from bench.scenes.helicopter.parts import BLADE, FLAP, GRAVITY, LAG, LEGS, RATE, WEIGHT, Given, build, settled
+from bench.scenes.helicopter.parts import (
+    BLADE,
+    FLAP,
+    GRAVITY,
+    LAG,
+    LEGS,
+    RATE,
+    WEIGHT,
+    Design,
+    build,
+    settled,
+)
 from bench.scenes.helicopter.safety import landed
 from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
@@ -38,7 +49,7 @@ def _turning(factor: float, rate: float, cells: int, bound: float = 1e-3) -> Fou
     return vanishes("frequencies", worst, bound, "Ritz")
 
 
-def _climb(given: Given, until: float, h: float, integrator: Integrator | None) -> Floats:
+def _climb(given: Design, until: float, h: float, integrator: Integrator | None) -> Floats:
     """Speed of climbing over time, after a step of the pitch."""
     helicopter, run = landing.hovering(given, until, h, change=landing.step, integrator=integrator)
     return landing.traced(helicopter, run)["climb"].to_numpy()
@@ -52,7 +63,7 @@ def _with_stiff_blades(integrator: Integrator | None) -> Found:
     return vanishes("climb", worst, 1e-4, "rigid blades")
 
 
-def _legs(given: Given, sink: float, until: float, h: float) -> Floats:
+def _legs(given: Design, sink: float, until: float, h: float) -> Floats:
     helicopter, run = landing.touchdown(given, sink, until, h)
     return landing.traced(helicopter, run)["legs"].to_numpy()
 
@@ -78,14 +89,14 @@ def _rebounds() -> Found:
     return check("speed", float(trace["climb"].max()), np.sqrt(4.0 + _push_off(given)), 1e-4, "energy")
 
 
-def _push_off(given: Given) -> float:
+def _push_off(given: Design) -> float:
     """Square of the speed gained by rising from the ground to where the weight is carried."""
     assert given.legs is not None
     # The speed is largest where the legs carry the weight: at v^2 + g^2 M / k.
     return GRAVITY * WEIGHT / (4.0 * given.legs.stiffness)
 
 
-def _blown(given: Given, impulse: float) -> Given:
+def _blown(given: Design, impulse: float) -> Design:
     """Let a blade be struck up at its tip, by an impulse that lasts a few milliseconds."""
 
     def blow(t: float) -> tuple[float, float, float]:
@@ -98,7 +109,7 @@ def _blown(given: Given, impulse: float) -> Given:
 
 def _struck(impulse: float) -> Found:
     """A blade is struck as the feet touch: all forces from outside must add up to the change of momentum."""
-    given = _blown(Given(cells=4), impulse)
+    given = _blown(Design(cells=4), impulse)
     helicopter, run = landing.touchdown(given, 1.0, 0.05, 2e-4, DormandPrince(1e-9))
     system, tree, up = helicopter.model.system, helicopter.model.tree, []
     roots = tree.v_start[:-1][tree.parent < 0] + 5
@@ -112,14 +123,14 @@ def _struck(impulse: float) -> Found:
 
 def _struck_in_space(impulse: float) -> Found:
     """The same where nothing else acts: the blow is the change of momentum."""
-    helicopter = build(_blown(Given(cells=4, legs=None, speed=0.0, gravity=0.0), impulse))
+    helicopter = build(_blown(Design(cells=4, legs=None, speed=0.0, gravity=0.0), impulse))
     run = helicopter.model.simulate(0.02, 2e-4)
     return check("momentum", run.momenta[-1, 0, 2], impulse, 1e-7, "the impulse")
 
 
 def _standing(speed: float, until: float) -> Found:
     """Standing on the ground while the rotor turns, a blade pushed aside: the motion dies out."""
-    helicopter = build(Given(cells=4, speed=speed, damping=2e-3))
+    helicopter = build(Design(cells=4, speed=speed, damping=2e-3))
     model = helicopter.model
     start = settled(model, (0.0, 0.0, 0.0), WEIGHT / (4.0 * LEGS.stiffness))
     places = [model.bodies.freedom(name) for name in helicopter.blades[0].hinges if name[-1] == "z"]
@@ -140,7 +151,7 @@ def _hard(sink: float) -> Found:
 
 def _takes_off(factor: float) -> Found:
     """Height after a take-off with stiff blades, and rigid ones."""
-    stiff = Given(cells=2, mounts=False, beam=stiffer(factor))
+    stiff = Design(cells=2, mounts=False, beam=stiffer(factor))
     found, exact = (
         float(helicopter.model.state(run.end).point("fuselage")[2])
         for helicopter, run in (take_off(each, 2.0, 2.0, 1e-3, 100) for each in (stiff, landing.RIGID))
@@ -199,7 +210,7 @@ def without(quick: bool) -> Iterator[Found]:
     )  # fmt: skip
     until = 0.05 if quick else 0.2
     cells, each = (8, 4) if quick else (12, 8)
-    free = Given(cells=cells, modes=False, mounts=False, legs=LINEAR, damping=0.0)
+    free = Design(cells=cells, modes=False, mounts=False, legs=LINEAR, damping=0.0)
 
     def all_modes() -> Floats:
         # So many cells ask for steps as short.

@@ -20,7 +20,7 @@ from bench.scenes.helicopter.parts import (
     RADIUS,
     RATE,
     WEIGHT,
-    Given,
+    Design,
     Helicopter,
     build,
     flying,
@@ -34,11 +34,11 @@ TAKE_OFF = 1.1
 ROTOR = BLADES * BLADE_MASS * RADIUS**2 / 3.0
 """kg m^2. Of straight blades about the shaft."""
 DOP853 = "heave on four legs, scipy's DOP853"
-Case = tuple[str, Callable[[Given], tuple[Helicopter, Run]]]
+Case = tuple[str, Callable[[Design], tuple[Helicopter, Run]]]
 
 
 def standing(
-    given: Given, until: float, time_step: float, every: int = 1,
+    given: Design, until: float, time_step: float, every: int = 1,
     wind: Motion | None = None, change: Motion | None = None, share: float = LIFT,
 ) -> tuple[Helicopter, Run]:  # fmt: skip
     """Stand on the ground, a share of the weight on the rotor, through a gust or a change of the pitch."""
@@ -50,7 +50,7 @@ def standing(
 
 
 def take_off(
-    given: Given, up: float, until: float, time_step: float, every: int = 1
+    given: Design, up: float, until: float, time_step: float, every: int = 1
 ) -> tuple[Helicopter, Run]:
     """Spin the rotor up with its pitch set, until the lift carries the weight and the feet leave the ground.
 
@@ -133,7 +133,7 @@ def cases(quick: bool) -> tuple[Case, ...]:
     )
 
 
-def leg_loads(given: Given, quick: bool) -> tuple[dict[str, pd.DataFrame], pd.DataFrame, list[Found]]:
+def leg_loads(given: Design, quick: bool) -> tuple[dict[str, pd.DataFrame], pd.DataFrame, list[Found]]:
     """Traces of the cases, what a leg bears in each, with blades that bend and rigid ones, and energy."""
     traces, rows, found = {}, [], []
     for name, case in cases(quick):

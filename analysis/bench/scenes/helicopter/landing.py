@@ -18,7 +18,7 @@ from bench.scenes.helicopter.parts import (
     RATE,
     TRANSMISSION,
     WEIGHT,
-    Given,
+    Design,
     Helicopter,
     build,
     flying,
@@ -30,13 +30,13 @@ from protochain.mechanics.motion import Integrator
 from protochain.mechanisms import Run, State
 
 MASS = WEIGHT / GRAVITY
-RIGID = Given(cells=0, mounts=False)
+RIGID = Design(cells=0, mounts=False)
 SINKS = (0.5, 1.0, 2.0, 3.0)
 LIFT = 2.0 / 3.0
 
 
 def touchdown(
-    given: Given, sink: float, until: float, time_step: float,
+    given: Design, sink: float, until: float, time_step: float,
     integrator: Integrator | None = None, drift: float = 0.0, every: int = 1, share: float = LIFT,
 ) -> tuple[Helicopter, Run]:  # fmt: skip
     """Let a helicopter touch the ground at time zero, at a rate of sinking, and drifting sideways.
@@ -148,7 +148,7 @@ def spun_up(until: float) -> Callable[[float], tuple[float, float, float]]:
     return motion
 
 
-def run_up(given: Given, until: float, time_step: float, every: int) -> tuple[Helicopter, Run]:
+def run_up(given: Design, until: float, time_step: float, every: int) -> tuple[Helicopter, Run]:
     """Spin the rotor up on the ground, without lift, smoothly to its rate."""
     helicopter = build(replace(given, motion=spun_up(until)))
     depth = WEIGHT / (4.0 * given.legs.stiffness) if given.legs else None
@@ -168,7 +168,7 @@ def step(time: float, size: float = 0.02, length: float = 0.1) -> float:
 
 
 def hovering(
-    given: Given, until: float, time_step: float, every: int = 1,
+    given: Design, until: float, time_step: float, every: int = 1,
     wind: Motion | None = None, change: Motion | None = None, integrator: Integrator | None = None,
 ) -> tuple[Helicopter, Run]:  # fmt: skip
     """Hover far from the ground, through a gust or a change of the pitch."""

@@ -40,7 +40,7 @@ LEGS = Legs(
 
 
 @dataclass(frozen=True)
-class Given:
+class Design:
     """What differs from case to case.
 
     cells: Cells of each blade; 0 for rigid ones.
@@ -78,10 +78,10 @@ class Helicopter:
     model: Model
     lift: Lift
     blades: tuple[Segments, ...]
-    given: Given
+    given: Design
 
 
-def build(given: Given) -> Helicopter:
+def build(given: Design) -> Helicopter:
     """Build a helicopter that stands with its feet at the height of the ground."""
     m = Mechanism(gravity=(0.0, 0.0, -given.gravity))
     m.body("fuselage", FUSELAGE, inertia=INERTIA, position=(0, 0, HEIGHT))
@@ -126,7 +126,7 @@ def groups(blades: tuple[Segments, ...]) -> list[tuple[list[str], int]]:
     ]
 
 
-def _add_blade(m: Mechanism, given: Given, k: int) -> Segments:
+def _add_blade(m: Mechanism, given: Design, k: int) -> Segments:
     c, s = np.cos(2.0 * np.pi * k / BLADES), np.sin(2.0 * np.pi * k / BLADES)
     joint: dict[str, Any] = {"kind": "fixed", "rotation": [[c, -s, 0], [s, c, 0], [0, 0, 1]]}
     name, beam = f"blade {k}", given.beam
@@ -138,7 +138,7 @@ def _add_blade(m: Mechanism, given: Given, k: int) -> Segments:
     return Segments((f"{name} 0",), (), (f"{name} 0", (beam.length, 0.0, 0.0)))
 
 
-def _strips(given: Given, k: int, least: int = 24) -> list[Strip]:
+def _strips(given: Design, k: int, least: int = 24) -> list[Strip]:
     """Strips of a blade: as many of each rod as give the number at least; places by Gauss's rule of two."""
     lengths = given.beam.lengths(given.cells) if given.cells else np.array([given.beam.length])
     out, start = [], 0.0
@@ -162,7 +162,7 @@ def trimmed(lift: Lift, wanted: float, climb: float) -> float:
     )
 
 
-def flying(given: Given, share: float, climb: float = 0.0, change: Motion = lambda t: 0.0) -> Helicopter:
+def flying(given: Design, share: float, climb: float = 0.0, change: Motion = lambda t: 0.0) -> Helicopter:
     """Build a helicopter whose straight blades lift a share of its weight, climbing at a speed.
 
     ``change`` is added to the pitch.

@@ -26,7 +26,7 @@ from bench.scenes.helicopter.parts import (
     RATE,
     TRANSMISSION,
     WEIGHT,
-    Given,
+    Design,
     Helicopter,
     flying,
     settled,
@@ -42,7 +42,7 @@ OVERLOAD = 12e3
 """N. What a leg bears: one and a half times its share of a level landing at 2 m/s."""
 GROWTH = 0.1
 """1/s. A motion that grows faster, tenfold in 23 s, is resonance."""
-ELASTIC = Given(cells=4)
+ELASTIC = Design(cells=4)
 """Blades in modes take steps of 2 ms with any number of cells."""
 STEP = 2e-3
 UNTIL = {"drift": 0.8, "slope": 1.5, "rate": 0.2, "sink": 0.2}
@@ -148,7 +148,7 @@ def _of_disc(model: Model, rate: float) -> tuple[Floats, Floats]:
     return change, np.block([[parts[1], still], [parts[2], parts[1]]])
 
 
-def standing(rate: float, given: Given = ELASTIC) -> tuple[Helicopter, Phase]:
+def standing(rate: float, given: Design = ELASTIC) -> tuple[Helicopter, Phase]:
     """Stand with the rotor turning, which lifts as in a landing."""
     legs = given.legs or LEGS
     helicopter = flying(replace(given, speed=rate, legs=legs), LIFT)

@@ -150,14 +150,14 @@ class HingeSpring:
                 raise ProtochainError(f"{name} {value:g}: give 0 or more")
 
     @classmethod
-    def read(cls, said: str, name: str = "hinge_springs") -> Self:
+    def read(cls, stated: str, name: str = "hinge_springs") -> Self:
         """Read ``omega 40 0.5``: kind, stiffness, and damping if there is any."""
-        kind, *rest = said.split() or [""]
+        kind, *rest = stated.split() or [""]
         try:
             return cls(kind, *(float(word) for word in rest))
         except (TypeError, ValueError) as error:
             why = error.parts if isinstance(error, ProtochainError) else ("give kind, stiffness, damping",)
-            raise ProtochainError(Argument(name), f" {said!r}: ", *why, ", as 'omega 40 0.5'") from None
+            raise ProtochainError(Argument(name), f" {stated!r}: ", *why, ", as 'omega 40 0.5'") from None
 
     @classmethod
     def several(cls, value: Any, name: str = "hinge_springs") -> tuple[Self, ...]:

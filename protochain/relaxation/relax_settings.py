@@ -10,7 +10,7 @@ from protochain.core import defaults
 from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.settings import Settings, setting
-from protochain.minimisers.settings import TOLERANCE
+from protochain.minimisers.minimise_settings import TOLERANCE
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
 
 

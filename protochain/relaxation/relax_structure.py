@@ -15,7 +15,7 @@ from protochain.chains.frame import Frame
 from protochain.core import defaults
 from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
-from protochain.core.interrupts import answering, held_interrupts
+from protochain.core.interrupts import held_interrupts, run_interruptible
 from protochain.core.markup import counted, listed
 from protochain.energies import Energy, NativeEnergy
 from protochain.minimisers.problem import Evaluation, Force
@@ -23,12 +23,12 @@ from protochain.minimisers.recipes import check_dihedrals
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import Stage
 from protochain.minimisers.verdict import Status, rejected, verdict
-from protochain.relaxation.chirality_restraint import Hands
+from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import IN_RIGID_PROTEIN
+from protochain.relaxation.relax_settings import RelaxSettings, named, split
 from protochain.relaxation.result import ITSELF, NATIVE, REFERENCE, Relaxation
 from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left
-from protochain.relaxation.settings import RelaxSettings, named, split
 from protochain.relaxation.wrong import Wrong
 from protochain.structure import Structure
 from protochain.structure.chirality import atoms_named, with_mirror_images
@@ -231,7 +231,7 @@ def _judged(
     """Energy without springs, kJ/mol, and RMS force with them, kJ/mol/nm."""
     energy = known.energy
     judge = _judge(energy)
-    value, forces = known(end.x) if judge is energy else answering(lambda: judge(end.x))
+    value, forces = known(end.x) if judge is energy else run_interruptible(lambda: judge(end.x))
     space = Cartesian(structure, mobile)
     if isinstance(energy, NativeEnergy):
         energy.note_error(end.x, forces)
@@ -261,7 +261,7 @@ def _verdict(
 def _spoiled(at: Wrong) -> list[str]:
     """Chiral atoms whose hand was right, and is wrong now; that others became right is as it should be."""
     s = at.structure
-    return atoms_named(s, np.setdiff1d(at.hands, Hands.of(s).wrong(s.positions)))
+    return atoms_named(s, np.setdiff1d(at.hands, ChiralityRestraint.of(s).wrong(s.positions)))
 
 
 def _lost(at: Wrong) -> Integers:

@@ -23,15 +23,15 @@ from protochain.core.checks import WATCHER, checked
 from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
-from protochain.core.settings import taken
+from protochain.core.settings import settings_from
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
+from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings
 from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.problem import Evaluation, Force
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.saddle import ALL_ATOMS_UP_TO, SHARE_OF_RUN, with_curvature
-from protochain.minimisers.settings import CheckpointSettings, MinimiseSettings
 from protochain.minimisers.solution import Recorder, Solution, trace_of
 from protochain.minimisers.spaces import Torsions, spaces
 from protochain.minimisers.stages import Outcome, Stage, walk
@@ -135,7 +135,7 @@ def minimise(
     >>> str(r.status), r.end.energy < r.start.energy
     ('converged', True)
     """
-    run = taken(Minimisation, locals(), recipe=recipe_of(method))
+    run = settings_from(Minimisation, locals(), recipe=recipe_of(method))
     return minimise_from(Start(*with_energy(chain, energy)), run, watch)
 
 

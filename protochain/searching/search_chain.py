@@ -21,7 +21,7 @@ from protochain.core import defaults
 from protochain.core.checks import at_least, checked, function, optional, path, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.settings import taken
+from protochain.core.settings import settings_from
 from protochain.core.storage import check_writable, claimed
 from protochain.searching.csa import Crossings
 from protochain.searching.hopping import Hops
@@ -37,7 +37,7 @@ from protochain.searching.pieces import (
     write_piece,
 )
 from protochain.searching.result import Search
-from protochain.searching.settings import SearchRunSettings, SearchSettings
+from protochain.searching.search_settings import SearchRunSettings, SearchSettings
 from protochain.searching.tempering import Replicas
 
 _ATTEMPTS = 3
@@ -156,7 +156,7 @@ def search(
     True
     """
     given = locals()
-    settings, running = taken(SearchSettings, given), taken(SearchRunSettings, given)
+    settings, running = settings_from(SearchSettings, given), settings_from(SearchRunSettings, given)
     folder = None if output is None else Path(output)
     if folder is None and resume:
         raise ProtochainError(Argument("resume", True), ": give the folder of the search as output")

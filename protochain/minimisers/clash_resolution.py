@@ -29,7 +29,7 @@ from protochain.minimisers.restraints import (
     Tethers,
 )
 from protochain.minimisers.spaces import Cartesian, Torsions
-from protochain.minimisers.springs import Springs
+from protochain.minimisers.spring_model import Springs
 from protochain.minimisers.stages import Stage
 from protochain.minimisers.steps import StrongWolfe
 from protochain.minimisers.unthread import freeing
@@ -73,7 +73,7 @@ _PATIENCE = 60
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class TetheredModel:
     """Model of the Hessian of tethered atoms, whose repulsion may be soft.
 
     tether (na,) kJ/mol/nm^2.
@@ -96,7 +96,7 @@ def _soft_springs(structure: Structure, x: Floats, bonds: int) -> Springs:
     return Springs(pairs, np.full(len(pairs), SOFT_STIFFNESS))
 
 
-def parting_in_torsions(
+def resolving_in_torsions(
     space: Torsions, energy: Energy, tolerance: float, restraint: Force | None, overlap: bool
 ) -> list[Stage]:
     """Stages that resolve clashes in torsions, then turn the force field on in steps."""
@@ -108,7 +108,7 @@ def parting_in_torsions(
     return plan + [_held(stage, strength) for strength in SPRINGS_IN_TORSIONS]
 
 
-def parting_in_all_atoms(
+def resolving_in_all_atoms(
     torsions: Torsions,
     space: Cartesian,
     energy: Energy,
@@ -165,7 +165,7 @@ def _leashes(structure: Structure) -> list[Force]:
 
 def _soft(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage:
     structure = _structure(space)
-    method = Descent(LBFGS(Held(soft_tethers(structure), True)), StrongWolfe())
+    method = Descent(LBFGS(TetheredModel(soft_tethers(structure), True)), StrongWolfe())
     return Stage(
         space, method, gentle, tolerance, recorded=False, patience=_PATIENCE, name="resolving clashes"
     )
@@ -184,9 +184,11 @@ def _hold(weight: Floats, stage: Stage, x: Floats) -> Stage:
     parts: list[Force] = [springs] if stage.restraint is None else [springs, stage.restraint]
     assert isinstance(stage.space, Torsions | Cartesian)
     if stage.space.terms is not None:
-        direction = LBFGS(Held(springs.weight, refresh_every=NEAR_REFRESH), NEAR_MEMORY)
+        direction = LBFGS(TetheredModel(springs.weight, refresh_every=NEAR_REFRESH), NEAR_MEMORY)
     else:
-        direction = LBFGS(Held(springs.weight, refresh_every=20 if isinstance(stage.space, Torsions) else 40))
+        direction = LBFGS(
+            TetheredModel(springs.weight, refresh_every=20 if isinstance(stage.space, Torsions) else 40)
+        )
     method = Descent(direction, StrongWolfe())
     return replace(stage, method=method, restraint=Sum(parts))
 

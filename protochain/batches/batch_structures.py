@@ -10,6 +10,7 @@ from queue import SimpleQueue
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from protochain.batches.batch_settings import keep_settings
 from protochain.batches.cluster import Processes, Workers, at_work
 from protochain.batches.jobs import (
     NAMES,
@@ -21,7 +22,6 @@ from protochain.batches.jobs import (
     refuse_unknown,
 )
 from protochain.batches.relaxed import OF_INTERFACE
-from protochain.batches.settings import keep_settings
 from protochain.batches.supervise import supervise
 from protochain.batches.table import SUMMARY, Tables, earlier_rows, read_table
 from protochain.core import defaults
@@ -266,7 +266,7 @@ def _work(
 
 def _line(rows: Sequence[Row]) -> str:
     """One line on a structure: how each method ended; the message of a failure, once."""
-    said: list[str] = []
+    lines: list[str] = []
     for record in (row.record for row in rows):
         if "output" in record:
             of_relaxed = "n_rounds" in record
@@ -274,16 +274,16 @@ def _line(rows: Sequence[Row]) -> str:
             mended = f"violations {before} to {after}, " if of_relaxed else ""
             rmsd = record["ca_rmsd_angstrom"]  # none without C-alphas, as of DNA
             moved = "" if rmsd is None else f"RMSD {rmsd:.2f} angstrom, "
-            told = (
+            line = (
                 f"{record['method']} {record['status']}, {mended}"
                 f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, {moved}{record['seconds']:.1f} s"
             )
             n = record.get("n_lost_atoms", 0)
-            told += f", lost {n} atom{'s' * (n > 1)}" if n else ""
+            line += f", lost {n} atom{'s' * (n > 1)}" if n else ""
         else:
-            told = f"{record['status']}: {record['message']}"
-        said += [] if told in said else [told]
-    return f"{rows[0].record['structure']}: {'; '.join(said)}"
+            line = f"{record['status']}: {record['message']}"
+        lines += [] if line in lines else [line]
+    return f"{rows[0].record['structure']}: {'; '.join(lines)}"
 
 
 class _Window:

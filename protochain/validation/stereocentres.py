@@ -27,7 +27,7 @@ class Expected(NamedTuple):
 
 
 @lru_cache(maxsize=2)
-def expected_hands(structure: Structure) -> Expected:
+def expected_stereocentres(structure: Structure) -> Expected:
     """Find the stereocentres of protein, sugars and ligands, as names of residues or sources say.
 
     D-amino acids under names of L keep what they have.
@@ -47,5 +47,5 @@ def expected_hands(structure: Structure) -> Expected:
 
 def inverted_stereocentres(structure: Structure, x: Floats) -> Integers:
     """(n,) int: stereocentres that at positions x (na, 3), nm, are not as expected of the structure."""
-    atoms = expected_hands(structure).atoms
+    atoms = expected_stereocentres(structure).atoms
     return np.unique(atoms[volume(x[atoms]) < 0.0, 0])

@@ -23,7 +23,7 @@ from protochain.core.checks import WATCHER, checked, optional, path
 from protochain.core.errors import Argument, Fault, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import listed
-from protochain.core.settings import taken
+from protochain.core.settings import settings_from
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
@@ -34,13 +34,13 @@ from protochain.dynamics.loop import Ending, Propagator, State, advance, initial
 from protochain.dynamics.loop import run as propagate
 from protochain.dynamics.potential import chain_potential, fixman
 from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring, refuse_kept
-from protochain.dynamics.settings import HingeSpring, Pull, RunSettings, SimulationSettings
+from protochain.dynamics.simulate_settings import HingeSpring, Pull, RunSettings, SimulationSettings
 from protochain.dynamics.simulation import Simulation, said_of
 from protochain.dynamics.thermostats import THERMOSTATS, build_thermostat
 from protochain.energies import Energy
 from protochain.energies.custom import EnergyFunction
 from protochain.mechanics.motion.system import Phase, StepTooLargeError, System, total
-from protochain.structure.chirality import changed_hands
+from protochain.structure.chirality import changed_stereocentres
 from protochain.structure.superpose import rmsd_angstrom
 
 
@@ -145,7 +145,7 @@ def simulate(
     ('completed', 12)
     """
     given = locals()
-    settings, running = taken(SimulationSettings, given), taken(RunSettings, given)
+    settings, running = settings_from(SimulationSettings, given), settings_from(RunSettings, given)
     if output is not None:
         check_folder(Path(output), trajectory, running.resume, running.force)
     elif running.resume:
@@ -336,7 +336,7 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
     state, ending, why = propagate(run.propagator, start, running.n_steps, every, report)
     seconds = perf_counter() - began
     end = place_atoms(run.chain, state.at.factors.frames)
-    inverted = changed_hands(structure, end, structure.positions)
+    inverted = changed_stereocentres(structure, end, structure.positions)
     if inverted and ending is not Ending.UNSTABLE:
         ending, why = Ending.UNSTABLE, f"{listed(inverted)} changed hand"
     if folder:
