@@ -338,7 +338,7 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
     end = place_atoms(run.chain, state.at.factors.frames)
     inverted = changed_stereocentres(structure, end, structure.positions)
     if inverted and ending is not Ending.UNSTABLE:
-        ending, why = Ending.UNSTABLE, f"{listed(inverted)} changed hand"
+        ending, why = Ending.UNSTABLE, f"{listed(inverted)} inverted"
     if folder:
         folder.store(state, run.varying.lists_at)
         folder.close(ending is not Ending.UNSTABLE)

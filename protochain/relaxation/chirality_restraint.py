@@ -11,7 +11,7 @@ from protochain.structure.model import Structure
 from protochain.validation.stereocentres import expected_stereocentres
 
 _STIFFNESS = 1e8
-"""kJ/mol/nm^6. To turn a hand against it costs about 1000 kJ/mol, more than overlaps and springs give."""
+"""kJ/mol/nm^6. To invert an atom against it costs about 1000 kJ/mol, more than overlaps and springs give."""
 _HEAVY, _WITH_HYDROGEN = 1.4e-3, 0.9e-3
 """nm^3, volumes below which an atom is pushed. Of heavy atoms they are 2.5e-3 in ideal residues, and 1.8e-3
 with a hydrogen; in frames of dynamics they are above 1.6e-3 and 1.0e-3."""
@@ -34,7 +34,7 @@ class ChiralityRestraint:
     @classmethod
     def of(cls, structure: Structure) -> "ChiralityRestraint":
         """Find the chiral atoms of a protein and its ligands, and which sign their volumes should have."""
-        return _hands(structure)
+        return _chirality(structure)
 
     def wrong(self, x: Floats) -> Integers:
         """(n,) int: inverted stereocentres at positions x (na, 3), nm."""
@@ -59,7 +59,7 @@ class ChiralityRestraint:
 
 
 @lru_cache(maxsize=2)
-def _hands(structure: Structure) -> ChiralityRestraint:
+def _chirality(structure: Structure) -> ChiralityRestraint:
     rows = list[tuple[int, ...]]()
     for centre, a, b, c in expected_stereocentres(structure).atoms.tolist():
         rows.append((centre, a, b, c))

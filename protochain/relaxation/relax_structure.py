@@ -259,9 +259,9 @@ def _verdict(
 
 
 def _spoiled(at: Wrong) -> list[str]:
-    """Chiral atoms whose hand was right, and is wrong now; that others became right is as it should be."""
+    """Stereocentres that were right and are inverted now; that others became right is as it should be."""
     s = at.structure
-    return atoms_named(s, np.setdiff1d(at.hands, ChiralityRestraint.of(s).wrong(s.positions)))
+    return atoms_named(s, np.setdiff1d(at.inverted, ChiralityRestraint.of(s).wrong(s.positions)))
 
 
 def _lost(at: Wrong) -> Integers:

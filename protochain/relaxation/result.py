@@ -121,8 +121,8 @@ class Relaxation(TermsAtEnds, Value):
     @cached_property
     def stereocentres_corrected(self) -> tuple[Repair, ...]:
         """Stereocentres that were inverted, and are right at the end."""
-        s, hands = self.start, ChiralityRestraint.of(self.start)
-        right = np.setdiff1d(hands.wrong(s.positions), hands.wrong(self.x))
+        s, chirality = self.start, ChiralityRestraint.of(self.start)
+        right = np.setdiff1d(chirality.wrong(s.positions), chirality.wrong(self.x))
         residues = s.atom_residue[right]
         return tuple(
             Repair(

@@ -157,7 +157,7 @@ class Relaxer:
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
         # Their places are wrong: springs to them would keep the C-beta, or the peptide's atoms, off.
         at = Wrong.at(self.structure, x)
-        turning = self.structure.atom_residue[[*at.hands, *at.reversed]]
+        turning = self.structure.atom_residue[[*at.inverted, *at.reversed]]
         share[turning] = np.minimum(share[turning], _WEAKER)
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
         strongest = strengths[-1:]
@@ -261,7 +261,9 @@ class Relaxer:
             sugars = np.flatnonzero(np.isin(s.atom_residue, [*s.glycans]))
             atoms = np.concatenate([sugars, *(each.atoms for each in s.ligands)])
             on = replace(stage, tolerance=_TURNED)
-            stages += [replace(on, ready=lambda _, at: bool(np.isin(atoms, self.hands.short(at.x)).any()))]
+            stages += [
+                replace(on, ready=lambda _, at: bool(np.isin(atoms, self.chirality.short(at.x)).any()))
+            ]
         return stages
 
     def _gentle(self, energy: Force, springs: Tethers, is_soft: bool = False) -> Stage:
@@ -293,8 +295,8 @@ class Relaxer:
 
     @cached_property
     def shapes(self) -> Sum:
-        """Push of chiral atoms to their hands, and of planar ones into the middle of their neighbours."""
-        return Sum([self.hands, Planes.of(self.structure)])
+        """Restraints on chiral atoms, and on planar ones towards the middle of their neighbours."""
+        return Sum([self.chirality, Planes.of(self.structure)])
 
     def restraint(self, springs: Tethers) -> Force:
         """What holds the last stage of a round, of whose minimum it is part.
@@ -310,8 +312,8 @@ class Relaxer:
         return PeptideBonds.of(self.structure)
 
     @cached_property
-    def hands(self) -> ChiralityRestraint:
-        """Push of chiral atoms to the hands that they should have."""
+    def chirality(self) -> ChiralityRestraint:
+        """Push of chiral atoms to the configurations that they should have."""
         return ChiralityRestraint.of(self.structure)
 
     @cached_property

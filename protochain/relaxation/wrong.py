@@ -21,7 +21,7 @@ class Wrong:
     """What is wrong at positions x (na, 3), nm.
 
     overlaps (n, 2) int: Pairs of atoms.
-    hands (n,) int: Inverted stereocentres.
+    inverted (n,) int: Inverted stereocentres.
     peptides, reversed (n,) int: Nitrogens of twisted peptide bonds, and of those nearer to the other form.
     """
 
@@ -29,7 +29,7 @@ class Wrong:
     x: Floats
     overlaps: Integers
     rings: list[ThreadedRing]
-    hands: Integers
+    inverted: Integers
     peptides: Integers
     reversed: Integers
 
@@ -67,6 +67,6 @@ class Wrong:
         """(nr,) bool: residues with anything to mend, twisted bonds where they are to be ``planar``."""
         wrong, of = self.mendable(), self.structure.atom_residue
         wrong[self.of_rings()] = True
-        for atoms in (self.overlaps, self.hands, *([self.peptides] if planar else [])):
+        for atoms in (self.overlaps, self.inverted, *([self.peptides] if planar else [])):
             wrong[of[atoms]] = True
         return wrong

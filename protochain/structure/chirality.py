@@ -16,7 +16,7 @@ from protochain.structure.residues import NUCLEOTIDES, Atom
 from protochain.structure.sugars import letters_of, sugar_centres
 
 WELL_FORMED = 2.2e-3
-"""nm^3. Volume at a C-alpha below which its hand may be noise; 2.5e-3 in ideal residues."""
+"""nm^3. Volume at a C-alpha below which its configuration may be noise; 2.5e-3 in ideal residues."""
 _BONDED = 0.22
 """nm: neighbours further away are not bonded; 0.25 where another atom is between."""
 _ALPHA = {"CA": ("N", "C", "CB")}
@@ -47,7 +47,7 @@ def volume(x: Floats) -> Floats:
     return np.asarray((arms[..., 0, :] * cross(arms[..., 1, :], arms[..., 2, :])).sum(-1))
 
 
-def hand(member: Member, centre: str = "CA", least: float = 0.0) -> int:
+def handedness(member: Member, centre: str = "CA", least: float = 0.0) -> int:
     """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in its mirror image, 0 if atoms are missing.
 
     Also 0 if it is flatter than ``least``, nm^3, or an atom is not bonded to it, as CB of a peptoid is not.
@@ -61,17 +61,17 @@ def hand(member: Member, centre: str = "CA", least: float = 0.0) -> int:
 
 
 def inverted_atoms(members: Sequence[Member]) -> list[Atom]:
-    """Name the chiral atoms whose hand is not that of their residue's name."""
+    """Name the chiral atoms whose configuration is not that of their residue's name."""
     return [
         Atom(centre, member.residue)
         for member in members
         for centre in centres(member.name)
-        if hand(member, centre) == (1 if member.is_d else -1)
+        if handedness(member, centre) == (1 if member.is_d else -1)
     ]
 
 
 def changed_stereocentres(structure: Structure, x: Floats, reference: Floats) -> list[str]:
-    """Name the chiral atoms whose hand differs between two sets of positions (na, 3), nm.
+    """Name the chiral atoms whose configuration differs between two sets of positions (na, 3), nm.
 
     As ``CA of residue 14 LYS of chain A``.
     """
@@ -88,7 +88,7 @@ def atoms_named(structure: Structure, atoms: Integers) -> list[str]:
 
 
 def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:
-    """Find the chiral atoms whose hand is not that of an L-amino acid, or of D where the residue is mirrored.
+    """Find the chiral atoms that are not as in an L-amino acid, or in D where the residue is mirrored.
 
     x (na, 3) nm, mirrored (nr,) bool -> (n,) int.
     """
@@ -120,7 +120,7 @@ def with_mirror_images(structure: Structure) -> Structure:
 def chiral_atoms(structure: Structure) -> Integers:
     """(n, 4) int: every chiral atom of protein, nucleotides, glycans and ligands, and three neighbours.
 
-    Those of a ligand are in the order that spans a positive volume if the hand is that of its source.
+    Those of a ligand are in the order that spans a positive volume if it is configured as its source says.
     """
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
     named = np.isin(structure.residue_name, [*NUCLEOTIDES])

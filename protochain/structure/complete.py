@@ -8,7 +8,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.errors import StructureError
 from protochain.structure import residues
-from protochain.structure.chirality import centres, hand, inverted_atoms
+from protochain.structure.chirality import centres, handedness, inverted_atoms
 from protochain.structure.draft import Draft, Part, losses
 from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind, Renamed, Why
@@ -30,7 +30,7 @@ _DECIMALS = 4
 def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
     """Rename atoms to their PDB names and add missing heavy atoms.
 
-    Side chains are built from ideal geometries of the hand that their names say, on rotamers.
+    Side chains are built from ideal geometries of the configuration that their names say, on rotamers.
     """
     renamed: list[Renamed] = []
     open_ended: list[Member] = []
@@ -139,10 +139,10 @@ def _pack(draft: Draft, sites: list[Site]) -> None:
 
 
 def _site(draft: Draft, part: Part, i: int) -> Site:
-    """The residue and its neighbours, of the hand that its CB has or that its name says."""
+    """The residue and its neighbours, of the configuration that its CB has or that its name says."""
     member = part.members[i]
-    sign = hand(member) or (-1 if member.is_d else 1)
-    if not hand(member) and not member.is_d and _is_misnamed(part, i):
+    sign = handedness(member) or (-1 if member.is_d else 1)
+    if not handedness(member) and not member.is_d and _is_misnamed(part, i):
         sign = -1
         draft.note(Kind.BUILT_AS_D, residue=member.residue)
     return Site(member, sign, *_neighbours(part, i))
@@ -159,7 +159,7 @@ def _is_misnamed(part: Part, i: int) -> bool:
     if _phi(part, i) <= 0.0:
         return False
     named_l = [k for k, member in enumerate(part.members) if not member.is_d and _phi(part, k) > 0.0]
-    return sum(hand(part.members[k]) for k in named_l) < 0
+    return sum(handedness(part.members[k]) for k in named_l) < 0
 
 
 def _phi(part: Part, i: int) -> float:
@@ -187,10 +187,10 @@ def _check_backbone(draft: Draft, member: Member) -> None:
 
 
 def _check_hand(draft: Draft, site: Site, added: set[str]) -> None:
-    """Refuse atoms of the file between which none of the right hand fits."""
+    """Refuse atoms of the file between which none of the right configuration fits."""
     member = site.member
     for centre, neighbours in centres(member.name).items():
-        if added & {centre, *neighbours} and hand(member, centre) == -site.sign:
+        if added & {centre, *neighbours} and handedness(member, centre) == -site.sign:
             raise StructureError(
                 f"{draft.source}: {member}: its atoms leave no place for those missing at {centre}; "
                 "correct the coordinates, or remove its side chain"

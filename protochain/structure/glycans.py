@@ -113,7 +113,7 @@ def _without_hydroxyl(draft: Draft, link: Link) -> None:
 
 
 def _tell_hands(draft: Draft, member: Member, letters: str, links: Sequence[Link]) -> None:
-    """Say where the hands of a sugar are not those of its name."""
+    """Say where the configurations of a sugar are not those of its name."""
     if letters != SUGARS[member.name]:
         draft.note(Kind.OTHER_ANOMER, residue=member.residue)
     if wrong := (*_wrong_hands(member, letters, links),):
@@ -121,7 +121,7 @@ def _tell_hands(draft: Draft, member: Member, letters: str, links: Sequence[Link
 
 
 def _wrong_hands(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:
-    """Name the chiral atoms of a sugar whose hand is not that of its letters."""
+    """Name the chiral atoms of a sugar whose configuration is not that of its letters."""
     acceptor = next((link.atom for link in links if link.other is member), _hydroxyl(member))
     for centre, ends in sugar_centres(letters).items():
         # The anomeric hydrogen may have no place yet; the link is on the other side.

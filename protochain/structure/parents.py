@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import gemmi
 
-from protochain.structure.chirality import WELL_FORMED, hand
+from protochain.structure.chirality import WELL_FORMED, handedness
 from protochain.structure.draft import Draft, losses
 from protochain.structure.member import Member
 from protochain.structure.repairs import Kind, Why
@@ -35,15 +35,15 @@ def to_parent(draft: Draft, known: Mapping[str, Template], member: Member, why: 
     gone = tuple(a.name for a in strange)
     lost = losses(member, strange, why)
     if gemmi.find_tabulated_residue(given).kind not in (gemmi.ResidueKind.AA, gemmi.ResidueKind.AAD):
-        # The table does not say of which hand it is.
-        member.is_d = hand(member, least=WELL_FORMED) < 0
+        # The table does not say of which configuration it is.
+        member.is_d = handedness(member, least=WELL_FORMED) < 0
     if given == "MSE":
         draft.note(Kind.SELENOMETHIONINE, lost, residue=residue)
     elif given != name_in_file(parent, member.is_d):
         cut, whole = _TO_D if member.is_d else _TO_PARENT
         name = name_in_file(parent, member.is_d)
         draft.note(cut if gone else whole, lost, residue=residue, name=name, atoms=gone)
-    elif gone or hand(member) < 1:  # One of the other hand is told with all that are.
+    elif gone or handedness(member) < 1:  # One of the other configuration is told with all that are.
         kind = Kind.MIRRORED_CUT if gone else Kind.MIRRORED
         draft.note(kind, lost, residue=residue, atoms=gone)
 

@@ -72,8 +72,8 @@ def load(
 
     Waters and other alternate locations are left out, molecules near the protein kept with it;
     chains are split at breaks, head-to-tail cyclic peptides closed; modified residues without parameters
-    become their standard parents; missing side-chain atoms are built on rotamers, of the hand that the
-    residue's name says; disulfides and metal sites are found by distance, missing hydrogens placed by
+    become their standard parents; missing side-chain atoms are built on rotamers, L or D as the residue's
+    name says; disulfides and metal sites are found by distance, missing hydrogens placed by
     geometry. The same file gives the same coordinates, bit for bit.
 
     Parameters

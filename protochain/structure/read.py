@@ -25,7 +25,7 @@ from protochain.structure import fragments, parents, residues
 from protochain.structure.apart import refuse_crowds
 from protochain.structure.backbone import complete_backbone
 from protochain.structure.bound import AS_KNOWN, Chemist, Chemistry, with_pose
-from protochain.structure.chirality import WELL_FORMED, hand
+from protochain.structure.chirality import WELL_FORMED, handedness
 from protochain.structure.choose import assemble, choose_chains, choose_model
 from protochain.structure.conformation import (
     Conformation,
@@ -328,7 +328,7 @@ class _Reader:
             label=(residue.subchain, residue.label_seq), given=given,
         )  # fmt: skip
         by_atoms = name in residues.STANDARD and standard_name(given)[0] != name
-        member.is_d = member.is_d or (by_atoms and hand(member) < 0)
+        member.is_d = member.is_d or (by_atoms and handedness(member) < 0)
         if state or by_atoms or (name in residues.STANDARD and given[-3:] in residues.LINKED):
             kind = Kind.STATE_NAMED if state else Kind.RENAMED
             self.draft.note(kind, residue=_in_file(self.chain_id, residue), name=name, state=state)
@@ -355,7 +355,7 @@ class _Reader:
             if self.reading.standard_residues:
                 return Why.ASKED
             there = {atom.name for atom in member.atoms if not atom.is_hydrogen()} - {"OXT"}
-            member.is_d = member.is_d or hand(member, least=WELL_FORMED) < 0
+            member.is_d = member.is_d or handedness(member, least=WELL_FORMED) < 0
             is_mirrored = member.is_d and there == {*self.known[parents.fullest(member.parent)].heavy}
             return Why.PARENT if member.name == "MSE" or is_mirrored else None
         if member.name not in residues.PHOSPHORYLATED:

@@ -15,7 +15,7 @@ import protochain as pc
 from protochain.chains.chain import pose
 from protochain.chains.contacts import joined, near_pairs, radii
 from protochain.mechanics import multibody
-from protochain.minimisers import KCM, LBFGS, RECIPES, Descent, Fire, Newton, StrongWolfe, springs
+from protochain.minimisers import KCM, LBFGS, RECIPES, Descent, Fire, Newton, StrongWolfe, spring_model
 from protochain.minimisers.kcm import by_largest, by_length, by_sign
 from protochain.minimisers.loop import Stop, run
 from protochain.minimisers.metrics import Euclidean, Mass, Stiffness
@@ -77,30 +77,30 @@ def test_near_pairs_are_those_of_all_distances():
 def test_stiffness_in_torsions_is_that_of_the_springs_between_atoms(name, hinges):
     c = chain(name, hinges)
     at, s = pose(c, c.q0), c.structure
-    near = springs.contacts(s, at.x, 2)
+    near = spring_model.contacts(s, at.x, 2)
     dense = spring_matrix(s.n_atoms, near.pairs, near.stiffness, at.x)
     twists = multibody.jacobian(c.tree, at.frames)[c.atom_body]
     arms = at.x - at.frames.origin[c.atom_body]
     moves = twists[:, 3:] + np.cross(twists[:, :3], arms[:, :, None], axis=1)
     jacobian = moves.reshape(3 * s.n_atoms, c.n_v)
     expected = jacobian.T @ dense @ jacobian
-    found = springs.torsion_stiffness(c, at)
+    found = spring_model.torsion_stiffness(c, at)
     assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
     assert np.linalg.eigvalsh(found).min() > -1e-9 * np.abs(expected).max()
 
 
 def test_a_spring_at_contact_is_as_stiff_as_a_lennard_jones_well_and_softens_outward():
     s = load("1l2y.pdb")
-    near = springs.contacts(s, s.positions, 3)
+    near = spring_model.contacts(s, s.positions, 3)
     distance = np.linalg.norm(np.diff(s.positions[near.pairs], axis=1)[:, 0], axis=1)
     touch = radii(s)[near.pairs].sum(axis=1)
     r, h = touch, 1e-5
 
     def well(r):
-        return springs.DEPTH * ((touch / r) ** 12 - 2 * (touch / r) ** 6)
+        return spring_model.DEPTH * ((touch / r) ** 12 - 2 * (touch / r) ** 6)
 
     curvature = (well(r + h) - 2 * well(r) + well(r - h)) / h**2
-    softer = np.exp(-springs.DECAY * (distance - touch) / touch)
+    softer = np.exp(-spring_model.DECAY * (distance - touch) / touch)
     assert near.stiffness == pytest.approx(curvature * softer, rel=1e-4)
     assert near.stiffness[distance > touch].max() < near.stiffness[distance < 0.9 * touch].max()
 
@@ -115,8 +115,8 @@ def test_metrics_solve_with_their_matrices(hinges):
     scaled = np.outer(space.scale, space.scale)
     mass = scaled * pc.mass_matrix(c, posed)
     assert mass @ Mass().at(space, at)(torque) == pytest.approx(torque, abs=1e-8)
-    stiff = scaled * springs.torsion_stiffness(c, posed)
-    stiff += springs.TORSION_FLOOR * np.eye(c.n_v)
+    stiff = scaled * spring_model.torsion_stiffness(c, posed)
+    stiff += spring_model.TORSION_FLOOR * np.eye(c.n_v)
     assert stiff @ Stiffness().at(space, at)(torque) == pytest.approx(torque, abs=1e-8)
     assert np.array_equal(Euclidean().at(space, at)(torque), torque)
 
@@ -126,11 +126,11 @@ def test_stiffness_of_free_atoms_is_that_of_springs_and_leaves_the_others_alone(
     moving = np.random.default_rng(0).random(s.n_atoms) < 0.6
     space = Cartesian(s, moving)
     at = Problem(space, energy("ala10.pdb"), 1).evaluate(s.positions.flatten())
-    bonded, near = springs.covalent(s), springs.contacts(s, s.positions, 3)
+    bonded, near = spring_model.covalent(s), spring_model.contacts(s, s.positions, 3)
     dense = spring_matrix(s.n_atoms, bonded.pairs, bonded.stiffness, s.positions)
     contact = spring_matrix(s.n_atoms, near.pairs, near.stiffness, s.positions)
     blocks = np.kron(np.eye(s.n_atoms), np.ones((3, 3)))
-    dense += blocks * contact + springs.CARTESIAN_FLOOR * np.eye(3 * s.n_atoms)
+    dense += blocks * contact + spring_model.CARTESIAN_FLOOR * np.eye(3 * s.n_atoms)
     free = np.repeat(moving, 3)
     step = space.stiffness(at)(at.torque)
     assert dense[np.ix_(free, free)] @ step[free] == pytest.approx(at.torque[free], rel=1e-9, abs=1e-7)
@@ -142,8 +142,8 @@ def test_bonds_are_stiffer_than_angles_and_these_than_dihedrals():
     graph = np.full((s.n_atoms, s.n_atoms), np.inf)
     graph[s.bonds[:, 0], s.bonds[:, 1]] = 1.0
     bonds = shortest_path(graph, directed=False)
-    found = springs.covalent(s)
-    expected = np.array([springs.BOND, springs.ANGLE, springs.DIHEDRAL])
+    found = spring_model.covalent(s)
+    expected = np.array([spring_model.BOND, spring_model.ANGLE, spring_model.DIHEDRAL])
     assert (np.diff(expected) < 0).all()
     assert np.array_equal(found.stiffness, expected[bonds[tuple(found.pairs.T)].astype(int) - 1])
 

@@ -83,7 +83,9 @@ def judged(done, energy=None, held="", **settings):
     frame = Frame(c.structure, held)
     recorded = {"rows": [{"evaluations": 3}], "alphas": [c.structure.positions[c.structure.alpha_carbons]]}
     record = SimpleNamespace(structure=c.structure, **recorded, frame=frame, kept=lambda: KEPT)
-    return minimise_structure._judged(Start(c, energy or told()), Minimisation(LBFGS, **settings), done, record, 1.5)
+    return minimise_structure._judged(
+        Start(c, energy or told()), Minimisation(LBFGS, **settings), done, record, 1.5
+    )
 
 
 def test_an_outcome_in_torsions_is_judged_by_its_largest_torque():

@@ -9,7 +9,7 @@ from fixtures.samples import chain, load
 import protochain as pc
 from protochain.chains.chain import pose, pull_back
 from protochain.mechanics import multibody
-from protochain.minimisers import RECIPES, springs
+from protochain.minimisers import RECIPES, spring_model
 from protochain.minimisers.annealing import Annealing
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.recipes import Recipe, Run
@@ -79,20 +79,26 @@ def test_free_atoms_are_their_positions():
 
 
 def test_springs_have_the_stiffness_of_their_bonds_and_distance():
-    constants = (springs.DEPTH, springs.DECAY, springs.REACH, springs.TORSION_FLOOR, springs.CARTESIAN_FLOOR)
+    constants = (
+        spring_model.DEPTH,
+        spring_model.DECAY,
+        spring_model.REACH,
+        spring_model.TORSION_FLOOR,
+        spring_model.CARTESIAN_FLOOR,
+    )
     assert constants == (0.4, 14.0, 1.3, 150.0, 8.0e3)
-    assert (springs.BOND, springs.ANGLE, springs.DIHEDRAL) == (2.5e5, 4.0e4, 2.0e3)
+    assert (spring_model.BOND, spring_model.ANGLE, spring_model.DIHEDRAL) == (2.5e5, 4.0e4, 2.0e3)
     s = load("ala10.pdb")
     x = 9.0 * np.arange(s.n_atoms)[:, None] * np.array([1.0, 0.0, 0.0])
     first, other = np.flatnonzero(s.atom_element == "C")[[0, -1]]
     # Carbon atoms touch at 0.34 nm; springs reach 1.3 times as far.
     for share, n in ((0.5, 1), (1.0, 1), (1.25, 1), (1.29, 1), (1.31, 0)):
         x[other] = x[first] + [0.0, 0.34 * share, 0.0]
-        found = springs.contacts(s, x, 3)
+        found = spring_model.contacts(s, x, 3)
         assert found.pairs.tolist() == [[first, other]] * n
         expected = 72.0 * 0.4 / 0.34**2 * np.exp(-14.0 * (share - 1.0))
         assert found.stiffness.tolist() == [pytest.approx(expected, rel=1e-9)] * n
-    joined = springs.covalent(s)
+    joined = spring_model.covalent(s)
     stiffness = {tuple(pair): k for pair, k in zip(joined.pairs.tolist(), joined.stiffness, strict=True)}
     place = {name: int(np.flatnonzero((s.atom_name == name) & (s.atom_residue == 4))[0]) for name in
              ("N", "CA", "C", "O", "CB")}  # fmt: skip
@@ -108,7 +114,9 @@ def test_springs_have_the_stiffness_of_their_bonds_and_distance():
 def test_contacts_leave_out_pairs_a_few_bonds_apart():
     s = load("ala10.pdb")
     x = s.positions
-    pairs = [{tuple(pair) for pair in springs.contacts(s, x, bonds).pairs.tolist()} for bonds in (1, 2, 3)]
+    pairs = [
+        {tuple(pair) for pair in spring_model.contacts(s, x, bonds).pairs.tolist()} for bonds in (1, 2, 3)
+    ]
     assert pairs[0] > pairs[1] > pairs[2]
 
 
@@ -132,7 +140,7 @@ def test_the_solver_of_free_atoms_moves_those_only():
     moving = np.zeros(s.n_atoms, dtype=bool)
     moving[2] = True
     x = 9.0 * np.arange(s.n_atoms)[:, None] * np.array([1.0, 0.0, 0.0])
-    solve = springs.cartesian_solver(s, Springs(np.array([[1, 2]]), np.array([2000.0])), x, moving)
+    solve = spring_model.cartesian_solver(s, Springs(np.array([[1, 2]]), np.array([2000.0])), x, moving)
     step = solve(np.full(3 * s.n_atoms, 1e4)).reshape(-1, 3)
     assert step[2] == pytest.approx([1.0, 1.25, 1.25]) and not np.delete(step, 2, axis=0).any()
 

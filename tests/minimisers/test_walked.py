@@ -17,7 +17,7 @@ from protochain.batches import Batch, BatchSettings, child
 from protochain.batches import batch_structures as batches
 from protochain.batches.cluster import Processes
 from protochain.batches.jobs import failure, find_jobs
-from protochain.minimisers import RECIPES, api
+from protochain.minimisers import RECIPES, minimise_structure
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.saddle import ROUNDS, SHARE_OF_RUN, Curvature
@@ -44,9 +44,9 @@ def noted(monkeypatch):
         return "the waypoint"
 
     seen.done = SimpleNamespace(waypoint=None)
-    monkeypatch.setattr(api, "walk", walk)
-    monkeypatch.setattr(api, "load_checkpoint", load)
-    monkeypatch.setattr(api, "save_checkpoint", lambda *given: seen.saved.append(given))
+    monkeypatch.setattr(minimise_structure, "walk", walk)
+    monkeypatch.setattr(minimise_structure, "load_checkpoint", load)
+    monkeypatch.setattr(minimise_structure, "save_checkpoint", lambda *given: seen.saved.append(given))
     return seen
 
 
@@ -67,7 +67,7 @@ class Noting:
 def walked(noted, method="lbfgs", **settings):
     start = Start(chain("ala10.pdb"), told())
     run = Minimisation(RECIPES[method], **settings)
-    assert api._walked(start, run, Noting(noted.rows, noted.stages)) is noted.done
+    assert minimise_structure._walked(start, run, Noting(noted.rows, noted.stages)) is noted.done
     return start, run
 
 
@@ -149,10 +149,10 @@ def test_openmms_minimiser_gets_the_settings_and_records_forces(monkeypatch):
         parts[-1](x, -5.0, 3, np.full(x.shape, 2.0))
         return "the outcome"
 
-    monkeypatch.setattr(api, "minimise_by_openmm", by_openmm)
+    monkeypatch.setattr(minimise_structure, "minimise_by_openmm", by_openmm)
     start = Start(chain("ala10.pdb"), told())
     run = Minimisation(RECIPES["openmm"], tolerance=2.0, max_evaluations=7, seed=3)
-    assert api._by_openmm(start, run, Noting(rows, stages)) == "the outcome"
+    assert minimise_structure._by_openmm(start, run, Noting(rows, stages)) == "the outcome"
     assert given == [(RECIPES["openmm"], start.chain, start.energy, 2.0, 7, 3)]
     (row,) = rows
     sizes = {"rms_force_kj_mol_nm": 2.0, "max_force_kj_mol_nm": 2.0 * np.sqrt(3.0)}
@@ -173,15 +173,15 @@ def test_a_run_is_warmed_up_before_its_clock_starts_and_judged_after_it_stops(me
         return "the solution"
 
     monkeypatch.setattr(Start, "warm", lambda self, recipe: log.append(("warm", recipe.name)))
-    monkeypatch.setattr(api, by, solved)
-    monkeypatch.setattr(api, "_judged", judged)
-    monkeypatch.setattr(api, "perf_counter", lambda: 12.5)
+    monkeypatch.setattr(minimise_structure, by, solved)
+    monkeypatch.setattr(minimise_structure, "_judged", judged)
+    monkeypatch.setattr(minimise_structure, "perf_counter", lambda: 12.5)
     start = Start(chain("ala10.pdb"), SimpleNamespace(system="some", atoms="amber14"))
-    assert api.minimise_from(start, Minimisation(RECIPES[method]), len) == "the solution"
+    assert minimise_structure.minimise_from(start, Minimisation(RECIPES[method]), len) == "the solution"
     # The clock began when the record was made, by the true clock.
     assert log == [("warm", method), "run", (outcome, pytest.approx(12.5), True, len)]
     with pytest.raises(pc.ProtochainError, match="needs an OpenMM System"):
-        api.minimise_from(
+        minimise_structure.minimise_from(
             Start(chain("ala10.pdb"), SimpleNamespace(system=None, atoms="")), Minimisation(RECIPES["openmm"])
         )
 

@@ -10,7 +10,7 @@ from fixtures.samples import STRUCTURES, load
 import protochain as pc
 from protochain.core.markup import listed
 from protochain.structure import residues
-from protochain.structure.chirality import centres, changed_stereocentres, hand, inverted_atoms, volume
+from protochain.structure.chirality import centres, changed_stereocentres, handedness, inverted_atoms, volume
 from protochain.structure.member import Member, atom
 from protochain.structure.read import read
 from protochain.structure.sidechains import arms, packing
@@ -449,13 +449,13 @@ def mirrored(at):
 def test_hands_are_signs_of_volumes():
     x = np.array(list(L_ALANINE.values()))
     assert volume(x) == 1.0 and volume(np.stack([x, x[[0, 2, 1, 3]], 2 * x + 7])).tolist() == [1, -1, 8]
-    assert hand(made("ALA", L_ALANINE)) == 1 and hand(made("ALA", mirrored(L_ALANINE))) == -1
-    assert hand(made("GLY", {n: L_ALANINE[n] for n in ("CA", "N", "C")})) == 0
+    assert handedness(made("ALA", L_ALANINE)) == 1 and handedness(made("ALA", mirrored(L_ALANINE))) == -1
+    assert handedness(made("GLY", {n: L_ALANINE[n] for n in ("CA", "N", "C")})) == 0
     threonine = L_ALANINE | {"OG1": [0, 1, 2], "CG2": [1, 0, 2]}
-    assert hand(made("THR", threonine), "CB") == int(
+    assert handedness(made("THR", threonine), "CB") == int(
         np.sign(np.linalg.det(np.array([[0, 0, -1.0], [0, 1, 1], [1, 0, 1]])))
     )
-    assert hand(made("SER", threonine), "CB") == 0
+    assert handedness(made("SER", threonine), "CB") == 0
     assert set(centres("THR")) == set(centres("ILE")) == {"CA", "CB"} and set(centres("VAL")) == {"CA"}
 
 

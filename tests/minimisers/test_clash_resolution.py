@@ -14,7 +14,7 @@ import protochain as pc
 from protochain.chains.contacts import overlaps
 from protochain.core.errors import StrayWarning
 from protochain.energies.bonded import bonded_part
-from protochain.minimisers import RECIPES, Stop, springs, verdict
+from protochain.minimisers import RECIPES, Stop, spring_model, verdict
 from protochain.minimisers.clash_resolution import resolving_in_all_atoms, resolving_in_torsions
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.metrics import Damped
@@ -60,7 +60,7 @@ def test_tethers_stiffen_torsions_and_atoms_as_their_second_derivatives():
     c = chain("ala10.pdb")
     at = spaces(c)[0].place(c.q0)
     weight = np.random.default_rng(1).uniform(1.0, 9.0, c.n_atoms)
-    with_them, without = (springs.torsion_stiffness(c, at, tether=each) for each in (weight, None))
+    with_them, without = (spring_model.torsion_stiffness(c, at, tether=each) for each in (weight, None))
     jacobian = np.empty((3 * c.n_atoms, c.n_v))
     for k, unit in enumerate(np.eye(c.n_v)):
         ahead, behind = (spaces(c)[0].place(spaces(c)[0].move(c.q0, d * unit)).x for d in (1e-5, -1e-5))
@@ -68,8 +68,8 @@ def test_tethers_stiffen_torsions_and_atoms_as_their_second_derivatives():
     expected = jacobian.T @ (np.repeat(weight, 3)[:, None] * jacobian)
     assert with_them - without == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
     x, moving = at.x, np.ones(c.n_atoms, dtype=bool)
-    bonded = springs.covalent(c.structure)
-    stiff = springs.cartesian_solver(c.structure, bonded, x, moving, tether=1e9 * np.ones(c.n_atoms))
+    bonded = spring_model.covalent(c.structure)
+    stiff = spring_model.cartesian_solver(c.structure, bonded, x, moving, tether=1e9 * np.ones(c.n_atoms))
     pull = np.random.default_rng(2).normal(size=3 * c.n_atoms)
     # Against so stiff tethers all else is a thousandth.
     assert stiff(pull) == pytest.approx(pull / 1e9, rel=0.02, abs=1e-11)
