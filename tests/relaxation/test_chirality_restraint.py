@@ -215,7 +215,7 @@ def test_a_hand_lost_in_a_round_is_turned_back_before_the_next():
     note = lambda stage, at, n: began.setdefault(stage.recorded, at.x)  # noqa: E731
     relaxer = Relaxer(s, pc.energy(s), PRESETS["predicted"], 500, note)
     relaxer._round(lost, np.ones(s.n_residues), [(400.0, 400.0)], 1, False)
-    hands = relaxer.hands
+    hands = relaxer.chirality
     assert len(hands.wrong(lost)) == 1 and len(began) == 2 and not len(hands.wrong(began[True]))
 
 
