@@ -6,11 +6,10 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from queue import SimpleQueue
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from protochain.batches.cluster import Processes, Workers, at_work
+from protochain.batches.cluster import Processes, Submitted, Workers, at_work
 from protochain.batches.jobs import (
     NAMES,
     BatchSettings,
@@ -22,7 +21,6 @@ from protochain.batches.jobs import (
 )
 from protochain.batches.relaxed import OF_INTERFACE
 from protochain.batches.settings import keep_settings
-from protochain.batches.supervise import supervise
 from protochain.batches.table import SUMMARY, Tables, earlier_rows, read_table
 from protochain.core import defaults
 from protochain.core.checks import checked, flag, function, number, path, several
@@ -227,26 +225,18 @@ def _work(
 ) -> bool:
     """Run the jobs and append their rows as they arrive. Return whether it was interrupted."""
     began = perf_counter()
-    folder = tables.folder.absolute()
-    waiting = iter(todo)
-    running: set[Any] = set()  # Dask gives up what nobody holds.
-    ended: SimpleQueue[tuple[Job, Any]] = SimpleQueue()
+    waiting, window = iter(todo), _Window(workers)
+    running = Submitted(workers, processes, tables.folder.absolute())
     done = failed = 0
-
-    def submit(count: int) -> None:
-        for job in islice(waiting, count):
-            future = workers.submit(supervise, job.anywhere, folder, processes.threads, processes.time_limit)
-            running.add(future)
-            future.add_done_callback(lambda future, job=job: ended.put((job, future)))
-
-    window = _Window(workers)
     try:
-        submit(window.size())
-        while running:
-            job, future = ended.get()
+        while True:
+            for job in islice(waiting, max(0, window.size() - len(running))):
+                running.submit(job.anywhere, job)
+            if not len(running):
+                return False
+            job, future = running.ended()
             if future.cancelled():
                 return True  # The connection to the scheduler is lost.
-            running.remove(future)
             with held_interrupts() as interrupts:
                 rows = _rows(future, job)
                 tables.append(rows)
@@ -258,10 +248,8 @@ def _work(
                 watch(BatchProgress(total, done, failed, skipped, seconds, workers.dashboard, _line(rows)))
             if interrupts:
                 raise KeyboardInterrupt
-            submit(max(0, window.size() - len(running)))
     except KeyboardInterrupt:
         return True
-    return False
 
 
 def _line(rows: Sequence[Row]) -> str:

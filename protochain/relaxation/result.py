@@ -142,10 +142,12 @@ class Relaxation(TermsAtEnds, Value):
     def peptides_turned(self) -> tuple[Repair, ...]:
         """Peptide bonds that were twisted, and are trans or cis at the end."""
         s, bonds = self.start, PeptideBonds.of(self.start)
-        right = np.isin(bonds.atoms[:, 2], np.setdiff1d(self.wrong_start.peptides, self.wrong_end.peptides))
-        kinds = np.where(bonds.cis[right], Kind.TURNED_CIS, Kind.TURNED_TRANS)
-        places = s.atom_residue[bonds.atoms[right, 2]].tolist()
-        return tuple(Repair(kind, {"residue": s.residue(at)}) for kind, at in zip(kinds, places, strict=True))
+        right = np.setdiff1d(self.wrong_start.peptides, self.wrong_end.peptides)
+        return tuple(
+            Repair(Kind.TURNED_CIS if cis else Kind.TURNED_TRANS, {"residue": s.residue(residue)})
+            for nitrogen, cis in zip(bonds.atoms[:, 2], bonds.cis, strict=True) if nitrogen in right
+            for residue in s.atom_residue[[nitrogen]].tolist()
+        )  # fmt: skip
 
     @property
     def _began(self) -> Structure:

@@ -220,7 +220,7 @@ class Relaxer:
             if first is None or plan[first].energy is not self.energy or interrupts:
                 return None
         at = self._at(q, plan[first].restraint)
-        return at and Waypoint(first, 0, Snapshot(Unstarted(at), at, Tally(1, at, 1), 0, None))
+        return Waypoint(first, 0, Snapshot(Unstarted(at), at, Tally(1, at, 1), 0, None)) if at else None
 
     def _evaluated(self, plan: Sequence[Stage], walked: Outcome) -> Evaluation | None:
         """Point where a walk ended, as it was evaluated; None if its last stage is not the force field's."""
