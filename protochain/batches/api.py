@@ -19,15 +19,16 @@ from protochain.batches.jobs import (
     find_jobs,
     refuse_unknown,
 )
-from protochain.batches.relaxed import OF_INTERFACE
 from protochain.batches.settings import keep_settings
-from protochain.batches.table import SUMMARY, Tables, earlier_rows, read_table
+from protochain.batches.table import OF_INTERFACE, SUMMARY, Tables, earlier_rows, read_table
+from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import checked, flag, function, number, path, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import json_text, write_atomically, write_text
 from protochain.relaxation.record import METHOD as RELAX
+from protochain.relaxation.settings import RelaxSettings
 from protochain.results.provenance import of_run
 
 if TYPE_CHECKING:
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 
 _AHEAD = 4
 """Jobs handed out for each that is done at a time: enough to keep all workers busy."""
+
+RELAXED = "relaxed"
+"""Stem of the name of the table of relaxed structures."""
 
 _RECOUNT = 5.0
 """s between counts of the workers: a cluster may grow."""
@@ -172,6 +176,59 @@ def batch(
     return run_batch(
         given, common, Path(output), Path(manifest) if manifest else None, resume, processes, watch
     )
+
+
+def relax_files(
+    inputs: Iterable[str | Path],
+    output: str | Path,
+    relaxing: RelaxSettings | None = None,
+    setup: Setup | None = None,
+    *,
+    manifest: str | Path | None = None,
+    resume: bool = False,
+    watch: Callable[[BatchProgress], None] | None = None,
+    **processes: Any,
+) -> Batch:
+    """Relax many structures: :func:`protochain.batch` with the method ``relax``, its table ``relaxed.csv``.
+
+    Parameters
+    ----------
+    inputs : iterable of path-like
+        Files, folders, patterns.
+    output : path-like
+        Folder for the structures, ``relaxed.csv`` with a row for each, and pages.
+    relaxing : RelaxSettings, optional
+        How firmly, and how far.
+    setup : Setup, optional
+        How structures are read, and their energy. Its threads are those of each structure; one by default.
+    manifest : path-like, optional
+        CSV with a column ``path`` and columns named after fields of ``relaxing`` and ``setup``.
+    resume : bool
+        Continue in a folder with the same settings: structures are skipped that are finished and unchanged.
+    watch : callable, optional
+        Called with a :class:`protochain.batches.BatchProgress` after each structure.
+    **processes
+        Fields of :class:`protochain.batches.Processes`: ``workers``, ``scheduler``, ``time_limit``.
+
+    Returns
+    -------
+    Batch
+        Its table is ``relaxed.csv``.
+
+    Raises
+    ------
+    ProtochainError
+        If there is nothing to do, settings differ from those of the folder to be resumed, or it cannot be
+        used.
+    """
+    setup = setup or Setup()
+    if setup.threads is not None:
+        processes = {"threads": setup.threads} | processes
+    settings = BatchSettings((RELAX,), setup=setup, relaxing=relaxing or RelaxSettings())
+    return run_batch(
+        list(inputs), settings, Path(output), Path(manifest) if manifest else None, resume,
+        Processes(**processes), watch, RELAXED,
+    )  # fmt: skip
 
 
 def run_batch(

@@ -5,14 +5,13 @@ import errno
 import io
 import os
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, get_origin
 
 from filelock import FileLock, Timeout
 
-from protochain.batches import relaxed
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.batches.settings import NAME as SETTINGS
@@ -32,6 +31,13 @@ COLUMNS = (
     "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``summary.csv``: those of a record of a minimisation, and those of a batch."""
+RELAXED_COLUMNS = (
+    *(column.key for column in OF_RELAXING if column.key not in ("rounds", "ligands")),
+    "seconds_preparation", "input", "model", "output", "confidences", "key",
+)  # fmt: skip
+"""Columns of ``relaxed.csv``."""
+OF_INTERFACE = tuple(column.key for column in INTERFACE_COLUMNS)
+"""And those of an interface that is scored."""
 
 _OWN = {"iteration": "Int64", "n_starts": "Int64", "n_within_1_kj_mol_of_lowest": "Int64", "model": "Int64"}
 _TYPES = dict.fromkeys(("structure", "message", "key", "output"), "string") | _OWN
@@ -105,13 +111,13 @@ class Tables:
                 " continues it, or give another folder",
             )
         minimised = COLUMNS if {*methods} != {RELAX} else ()
-        of_relaxed = relaxed.COLUMNS if RELAX in methods else ()
+        of_relaxed = RELAXED_COLUMNS if RELAX in methods else ()
         self.columns = tuple(dict.fromkeys((*minimised, *of_relaxed, *further)))
 
     def check(self) -> None:
         """Refuse damaged tables, before anything is written."""
         for path in (self.summary, self.traces):
-            for _ in _whole_lines(path):
+            for _ in _wholelines(path):
                 pass
 
     def finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
@@ -119,7 +125,7 @@ class Tables:
         of = {job.identity: job for job in jobs}
         names, sources = {job.name for job in jobs}, {_source(origin(job)) for job in jobs}
         groups = defaultdict(list)
-        for row in _whole_lines(self.summary):
+        for row in _wholelines(self.summary):
             groups[row["structure"], row["key"]].append(row)
         done, kept = set(), []
         for identity, rows in groups.items():
@@ -135,7 +141,7 @@ class Tables:
             kept += rows
         self.columns = tuple(dict.fromkeys((*self.columns, *(kept[0] if kept else ()))))
         whole = {(row["structure"], row["key"]) for row in kept}
-        traces = [row for row in _whole_lines(self.traces) if (row["structure"], row["key"]) in whole]
+        traces = [row for row in _wholelines(self.traces) if (row["structure"], row["key"]) in whole]
         _replace(self.summary, self.columns, kept)
         _replace(self.traces, TRACE_COLUMNS, traces)
         return done
@@ -145,8 +151,8 @@ class Tables:
         rows = list(rows)
         own = {name: rows[0].record[name] for name in ("structure", "key")}
         traces = [own | {"method": row.record["method"]} | point for row in rows for point in row.trace]
-        _append(self.traces, _lines(TRACE_COLUMNS, traces))
-        _append(self.summary, _lines(self.columns, [row.record for row in rows]))
+        _append(self.traces, lines(TRACE_COLUMNS, traces))
+        _append(self.summary, lines(self.columns, [row.record for row in rows]))
 
     def sort(self, jobs: Sequence[Job]) -> None:
         """Sort the rows by job and method: they were appended as they arrived."""
@@ -157,7 +163,7 @@ class Tables:
         }
         last = (len(jobs), 0)
         for path, columns in ((self.summary, self.columns), (self.traces, TRACE_COLUMNS)):
-            rows = list(_whole_lines(path))
+            rows = list(_wholelines(path))
             rows.sort(key=lambda row: order.get((row["structure"], row["key"], row["method"]), last))
             _replace(path, columns, rows)
 
@@ -167,7 +173,7 @@ class Tables:
 
     def abandon(self) -> None:
         """Remove a new batch without a row, which would keep the next one from the folder."""
-        if not self._is_new or next(iter(_whole_lines(self.summary)), None):
+        if not self._is_new or next(iter(_wholelines(self.summary)), None):
             return
         for file in (self.summary, self.traces, self.folder / SETTINGS, self.folder / ".lock"):
             file.unlink(missing_ok=True)
@@ -187,7 +193,7 @@ def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
             row["structure"], row["input"], row["model"], row["key"], row["output"],
             is_gone=not Path(row["input"]).exists(),
         )
-        for row in _whole_lines(folder / f"{name}.csv")
+        for row in _wholelines(folder / f"{name}.csv")
     ]  # fmt: skip
 
 
@@ -203,7 +209,20 @@ def read_table(path: Path) -> "pd.DataFrame":
     return table.copy()  # A block for each of a hundred columns, as read, would be slow, pandas warns.
 
 
-def _lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:
+@contextmanager
+def saved(path: Path, what: str) -> Iterator[None]:
+    """Say what is saved where the disk takes no more, and that the run can go on."""
+    try:
+        with writing(path):
+            yield
+    except WriteError as error:
+        raise error.with_saved(
+            what, "free space there, then continue with ", Argument("resume", True)
+        ) from error
+
+
+def lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:
+    """Text of rows, with a header if it is asked for."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     if header:
@@ -217,24 +236,22 @@ def _append(path: Path, text: str) -> None:
     # Names of files may be no UTF-8.
     whole, data = os.fstat(file).st_size, text.encode(errors="backslashreplace")
     try:
-        with writing(path):
+        with saved(path, "the structures done before"):
             if os.write(file, data) < len(data):  # On a full disk a part is written.
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    except WriteError as error:
+    except WriteError:
         os.ftruncate(file, whole)
-        raise error.with_saved(
-            "the structures done before", "free space there, then continue with ", Argument("resume", True)
-        ) from error
+        raise
     finally:
         os.close(file)
 
 
 def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
-    text = _lines(columns, rows, header=True)
+    text = lines(columns, rows, header=True)
     write_text(path, text)
 
 
-def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
+def _wholelines(path: Path) -> Iterable[dict[str, str]]:
     """Rows of a table, without an incomplete last line."""
     if not path.exists():
         return

@@ -229,8 +229,8 @@ def _several(
     resume: bool,
 ) -> None:
     """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
+    from protochain.batches.api import RELAXED, relax_files
     from protochain.batches.naming import poses_name
-    from protochain.batches.relaxing import NAME, relax_files
     from protochain.batches.table import files_of
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
@@ -243,7 +243,7 @@ def _several(
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
     for path in beside:
         check_ligand_file(path)
-    check_outputs(inputs_of(setup, manifest), [*files_of(folder, NAME), *beside])
+    check_outputs(inputs_of(setup, manifest), [*files_of(folder, RELAXED), *beside])
     _tell_frames(inputs)
     with batch_progress() as watch:
         done = relax_files(

@@ -2,8 +2,7 @@
 
 import sys
 import textwrap
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -85,16 +84,13 @@ def _breaks(structure: "Structure") -> list[str]:
     )
 
 
-@contextmanager
-def progress(seconds: float) -> Iterator["Watcher | None"]:
+def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
     """Show stage, energy and evaluations of a run that takes long."""
     if seconds < _SHOW_FROM:
-        yield None
-        return
+        return nullcontext()
     from protochain.cli.terminal import evaluations_progress
 
-    with evaluations_progress("relax", _EVALUATIONS) as watch:
-        yield watch
+    return evaluations_progress("relax", _EVALUATIONS)
 
 
 def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:

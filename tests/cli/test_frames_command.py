@@ -129,7 +129,7 @@ def test_a_stopped_run_is_not_replaced_by_chance(here, capsys, monkeypatch):
     with monkeypatch.context() as patched:
         from contextlib import contextmanager
 
-        patched.setattr(of_frames, "_progress", contextmanager(lambda name, total: (yield stop)))
+        patched.setattr(terminal, "frames_progress", contextmanager(lambda name, total: (yield stop)))
         assert run(*begun) == 130
     assert "--resume" in capsys.readouterr().err
     assert "resume" in refusal(*begun)
