@@ -15,7 +15,6 @@ from protochain.batches.jobs import (
     BatchSettings,
     Job,
     Row,
-    failure,
     find_jobs,
     refuse_unknown,
 )
@@ -346,11 +345,9 @@ class _Window:
 def _rows(future: Any, job: Job) -> list[Row]:
     """Return the rows of a job, or rows with the error of its worker."""
     error = future.exception()
-    if error is None:
-        rows: list[Row] = future.result()
-        return rows
-    message = f"no worker finished this structure: {error}"
-    return [failure(job, method, "killed", message) for method in job.settings.methods]
+    said = f"no worker finished this structure: {error}"
+    rows: list[Row] = job.lost([], "killed", said, 0.0) if error else future.result()
+    return rows
 
 
 def _texts(table: "pd.DataFrame", key: str) -> dict[str, str]:

@@ -6,17 +6,15 @@ import io
 import os
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, get_origin
-
-from filelock import FileLock, Timeout
 
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.batches.settings import NAME as SETTINGS
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.core.storage import check_writable, write_text, writing
+from protochain.core.storage import check_writable, claimed, write_text, writing
 from protochain.minimisers import record
 from protochain.relaxation.record import COLUMNS as OF_RELAXING
 from protochain.relaxation.record import INTERFACE_COLUMNS
@@ -93,18 +91,10 @@ class Tables:
         self.summary, self.traces = folder / f"{name}.csv", folder / "traces.csv"
         check_writable(self.summary)
         self._is_new = not self.summary.exists()
-        self._made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder = folder
-        self.lock = FileLock(folder / ".lock")
-        try:
-            self.lock.acquire(timeout=0)
-        except Timeout:
-            raise ProtochainError(
-                f"{folder}: another batch is writing to this folder; give another"
-            ) from None
+        self.folder, self._claim = folder, ExitStack()
+        self._claim.enter_context(claimed(folder, "batch"))
         if self.summary.exists() and not resume:
-            self.lock.release()
+            self.close()
             raise ProtochainError(
                 f"{self.summary}: holds a batch; ",
                 Argument("resume", True),
@@ -117,7 +107,7 @@ class Tables:
     def check(self) -> None:
         """Refuse damaged tables, before anything is written."""
         for path in (self.summary, self.traces):
-            for _ in _wholelines(path):
+            for _ in _whole_lines(path):
                 pass
 
     def finished(self, jobs: Sequence[Job]) -> set[tuple[str, str]]:
@@ -125,7 +115,7 @@ class Tables:
         of = {job.identity: job for job in jobs}
         names, sources = {job.name for job in jobs}, {_source(origin(job)) for job in jobs}
         groups = defaultdict(list)
-        for row in _wholelines(self.summary):
+        for row in _whole_lines(self.summary):
             groups[row["structure"], row["key"]].append(row)
         done, kept = set(), []
         for identity, rows in groups.items():
@@ -141,7 +131,7 @@ class Tables:
             kept += rows
         self.columns = tuple(dict.fromkeys((*self.columns, *(kept[0] if kept else ()))))
         whole = {(row["structure"], row["key"]) for row in kept}
-        traces = [row for row in _wholelines(self.traces) if (row["structure"], row["key"]) in whole]
+        traces = [row for row in _whole_lines(self.traces) if (row["structure"], row["key"]) in whole]
         _replace(self.summary, self.columns, kept)
         _replace(self.traces, TRACE_COLUMNS, traces)
         return done
@@ -163,7 +153,7 @@ class Tables:
         }
         last = (len(jobs), 0)
         for path, columns in ((self.summary, self.columns), (self.traces, TRACE_COLUMNS)):
-            rows = list(_wholelines(path))
+            rows = list(_whole_lines(path))
             rows.sort(key=lambda row: order.get((row["structure"], row["key"], row["method"]), last))
             _replace(path, columns, rows)
 
@@ -173,17 +163,14 @@ class Tables:
 
     def abandon(self) -> None:
         """Remove a new batch without a row, which would keep the next one from the folder."""
-        if not self._is_new or next(iter(_wholelines(self.summary)), None):
+        if not self._is_new or next(iter(_whole_lines(self.summary)), None):
             return
-        for file in (self.summary, self.traces, self.folder / SETTINGS, self.folder / ".lock"):
+        for file in (self.summary, self.traces, self.folder / SETTINGS):
             file.unlink(missing_ok=True)
-        with suppress(OSError):
-            for folder in self._made:
-                folder.rmdir()
 
     def close(self) -> None:
-        """Release the lock."""
-        self.lock.release()
+        """Let others have the folder."""
+        self._claim.close()
 
 
 def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
@@ -193,7 +180,7 @@ def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
             row["structure"], row["input"], row["model"], row["key"], row["output"],
             is_gone=not Path(row["input"]).exists(),
         )
-        for row in _wholelines(folder / f"{name}.csv")
+        for row in _whole_lines(folder / f"{name}.csv")
     ]  # fmt: skip
 
 
@@ -251,7 +238,7 @@ def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, obj
     write_text(path, text)
 
 
-def _wholelines(path: Path) -> Iterable[dict[str, str]]:
+def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
     """Rows of a table, without an incomplete last line."""
     if not path.exists():
         return

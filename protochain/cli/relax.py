@@ -139,10 +139,12 @@ def _beside(frames: Path) -> Path:
     """Name of the relaxed frames: in the format that they have, or DCD, which does not round."""
     from protochain.relaxation.names import relaxed_name, relaxed_stem
     from protochain.structure.files import format_of
+    from protochain.structure.trajectory import WRITTEN
 
     if format_of(frames):
         return Path(relaxed_name(frames))
-    return Path(f"{relaxed_stem(frames.stem)}{'.xtc' if frames.suffix.lower() == '.xtc' else '.dcd'}")
+    suffix = frames.suffix.lower()
+    return Path(f"{relaxed_stem(frames.stem)}{suffix if suffix in WRITTEN else WRITTEN[0]}")
 
 
 def _one(
