@@ -6,30 +6,28 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from queue import SimpleQueue
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 from protochain.batches.batch_settings import keep_settings
-from protochain.batches.cluster import Processes, Workers, at_work
+from protochain.batches.cluster import Processes, Submitted, Workers, at_work
 from protochain.batches.jobs import (
     NAMES,
     BatchSettings,
     Job,
     Row,
-    failure,
     find_jobs,
     refuse_unknown,
 )
-from protochain.batches.relaxed import OF_INTERFACE
-from protochain.batches.supervise import supervise
-from protochain.batches.table import SUMMARY, Tables, earlier_rows, read_table
+from protochain.batches.table import OF_INTERFACE, SUMMARY, Tables, earlier_rows, read_table
+from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import checked, flag, function, number, path, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import json_text, write_atomically, write_text
 from protochain.relaxation.record import METHOD as RELAX
+from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.results.provenance import of_run
 
 if TYPE_CHECKING:
@@ -37,6 +35,9 @@ if TYPE_CHECKING:
 
 _AHEAD = 4
 """Jobs handed out for each that is done at a time: enough to keep all workers busy."""
+
+RELAXED = "relaxed"
+"""Stem of the name of the table of relaxed structures."""
 
 _RECOUNT = 5.0
 """s between counts of the workers: a cluster may grow."""
@@ -176,6 +177,59 @@ def batch(
     )
 
 
+def relax_files(
+    inputs: Iterable[str | Path],
+    output: str | Path,
+    relaxing: RelaxSettings | None = None,
+    setup: Setup | None = None,
+    *,
+    manifest: str | Path | None = None,
+    resume: bool = False,
+    watch: Callable[[BatchProgress], None] | None = None,
+    **processes: Any,
+) -> Batch:
+    """Relax many structures: :func:`protochain.batch` with the method ``relax``, its table ``relaxed.csv``.
+
+    Parameters
+    ----------
+    inputs : iterable of path-like
+        Files, folders, patterns.
+    output : path-like
+        Folder for the structures, ``relaxed.csv`` with a row for each, and pages.
+    relaxing : RelaxSettings, optional
+        How firmly, and how far.
+    setup : Setup, optional
+        How structures are read, and their energy. Its threads are those of each structure; one by default.
+    manifest : path-like, optional
+        CSV with a column ``path`` and columns named after fields of ``relaxing`` and ``setup``.
+    resume : bool
+        Continue in a folder with the same settings: structures are skipped that are finished and unchanged.
+    watch : callable, optional
+        Called with a :class:`protochain.batches.BatchProgress` after each structure.
+    **processes
+        Fields of :class:`protochain.batches.Processes`: ``workers``, ``scheduler``, ``time_limit``.
+
+    Returns
+    -------
+    Batch
+        Its table is ``relaxed.csv``.
+
+    Raises
+    ------
+    ProtochainError
+        If there is nothing to do, settings differ from those of the folder to be resumed, or it cannot be
+        used.
+    """
+    setup = setup or Setup()
+    if setup.threads is not None:
+        processes = {"threads": setup.threads} | processes
+    settings = BatchSettings((RELAX,), setup=setup, relaxing=relaxing or RelaxSettings())
+    return run_batch(
+        list(inputs), settings, Path(output), Path(manifest) if manifest else None, resume,
+        Processes(**processes), watch, RELAXED,
+    )  # fmt: skip
+
+
 def run_batch(
     inputs: Sequence[str | Path],
     common: BatchSettings,
@@ -227,26 +281,18 @@ def _work(
 ) -> bool:
     """Run the jobs and append their rows as they arrive. Return whether it was interrupted."""
     began = perf_counter()
-    folder = tables.folder.absolute()
-    waiting = iter(todo)
-    running: set[Any] = set()  # Dask gives up what nobody holds.
-    ended: SimpleQueue[tuple[Job, Any]] = SimpleQueue()
+    waiting, window = iter(todo), _Window(workers)
+    running = Submitted(workers, processes, tables.folder.absolute())
     done = failed = 0
-
-    def submit(count: int) -> None:
-        for job in islice(waiting, count):
-            future = workers.submit(supervise, job.anywhere, folder, processes.threads, processes.time_limit)
-            running.add(future)
-            future.add_done_callback(lambda future, job=job: ended.put((job, future)))
-
-    window = _Window(workers)
     try:
-        submit(window.size())
-        while running:
-            job, future = ended.get()
+        while True:
+            for job in islice(waiting, max(0, window.size() - len(running))):
+                running.submit(job.anywhere, job)
+            if not len(running):
+                return False
+            job, future = running.ended()
             if future.cancelled():
                 return True  # The connection to the scheduler is lost.
-            running.remove(future)
             with held_interrupts() as interrupts:
                 rows = _rows(future, job)
                 tables.append(rows)
@@ -258,10 +304,8 @@ def _work(
                 watch(BatchProgress(total, done, failed, skipped, seconds, workers.dashboard, _line(rows)))
             if interrupts:
                 raise KeyboardInterrupt
-            submit(max(0, window.size() - len(running)))
     except KeyboardInterrupt:
         return True
-    return False
 
 
 def _line(rows: Sequence[Row]) -> str:
@@ -301,11 +345,9 @@ class _Window:
 def _rows(future: Any, job: Job) -> list[Row]:
     """Return the rows of a job, or rows with the error of its worker."""
     error = future.exception()
-    if error is None:
-        rows: list[Row] = future.result()
-        return rows
-    message = f"no worker finished this structure: {error}"
-    return [failure(job, method, "killed", message) for method in job.settings.methods]
+    said = f"no worker finished this structure: {error}"
+    rows: list[Row] = job.lost([], "killed", said, 0.0) if error else future.result()
+    return rows
 
 
 def _texts(table: "pd.DataFrame", key: str) -> dict[str, str]:

@@ -1,14 +1,19 @@
 """Who does the jobs of a batch: threads of this process, or a Dask cluster that is running already."""
 
 import logging
+import pickle
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
+from pathlib import Path
+from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any
 
-from protochain.batches.supervise import crew, started_early
+from protochain.batches.supervise import crew, started_early, supervise
 from protochain.core import defaults
 from protochain.core.checks import check_fields, integer, number, optional, text
 from protochain.core.errors import Argument, ProtochainError
@@ -21,6 +26,8 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 _PATIENCE = 10.0
 """s. Time for the scheduler to answer, and for the first worker before its absence is told."""
+_SHARED = ".protochain-"
+"""How the name begins of the folder of what all processes need."""
 
 
 @dataclass(frozen=True)
@@ -103,6 +110,54 @@ def at_work(processes: Processes) -> Iterator[Workers]:
                 lambda: sum(client.nthreads().values()),
                 client.dashboard_link,
             )
+
+
+class Submitted:
+    """Jobs that were handed to workers, in the order in which they end.
+
+    A job yields the rows of what it does by ``run(threads)``, and says by ``lost(done, status, message,
+    seconds)`` which rows stand for those that are missing where its process ended.
+
+    folder: For those that write files.
+    """
+
+    def __init__(self, workers: Workers, processes: Processes, folder: Path) -> None:
+        self.workers, self.given = workers, (folder, processes.threads, processes.time_limit)
+        self._ended: SimpleQueue[tuple[Any, Any]] = SimpleQueue()
+        self._running = set[Any]()  # Dask gives up what nobody holds.
+
+    def __len__(self) -> int:
+        return len(self._running)
+
+    def submit(self, job: Any, whose: Any = None) -> Any:
+        """Hand out a job, by which it is known when it ends, or by ``whose`` it is; return its future."""
+        future = self.workers.submit(supervise, job, *self.given)
+        self._running.add(future)
+        future.add_done_callback(lambda future: self._ended.put((whose or job, future)))
+        return future
+
+    def ended(self, timeout: float | None = None) -> tuple[Any, Any]:
+        """Wait for the next to end: whose it is, and its future; :class:`queue.Empty` after a timeout, s."""
+        whose, future = self._ended.get(timeout=timeout)
+        self._running.remove(future)
+        return whose, future
+
+
+@contextmanager
+def shared(values: tuple[Any, ...], folder: Path | None = None) -> Iterator[Path]:
+    """File, for as long as it is needed, of values that all processes read."""
+    for left in folder.glob(f"{_SHARED}*") if folder else ():
+        shutil.rmtree(left, ignore_errors=True)  # of a run that was killed
+    with tempfile.TemporaryDirectory(prefix=_SHARED, dir=folder) as own:
+        path = Path(own).absolute() / "task.pickle"
+        try:
+            path.write_bytes(pickle.dumps(values))
+        except (pickle.PicklingError, AttributeError, TypeError):
+            raise ProtochainError(
+                Argument("energy"), ": cannot be sent to processes; define it in a module, or leave out ",
+                Argument("workers"),
+            ) from None  # fmt: skip
+        yield path
 
 
 @contextmanager

@@ -1,12 +1,10 @@
 """Files of a run over frames: a row a frame as it is done, a trajectory, and where to go on after a kill."""
 
-import csv
-import io
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import version
@@ -17,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 from protochain.batches.cluster import Processes
 from protochain.batches.frame_tasks import GAP, Task
 from protochain.batches.frames import FrameResult, over_frames
-from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.batches.table import lines, saved
+from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import check_writable, read_arrays, write_arrays, writing
 from protochain.structure.ensemble import Ensemble
@@ -159,7 +158,7 @@ class _Files:
             self.file.truncate()
         self.told = monotonic()
         if not kept["rows"]:
-            self._write([dict(zip(self.columns, self.columns, strict=True))])
+            self._write(lines(self.columns, (), header=True))
         self.keep()
 
     def _kept(self, resume: bool, force: bool) -> Mapping[str, Any]:
@@ -188,35 +187,25 @@ class _Files:
             self.n_sound += 1
             if self.trajectory:
                 row["output_frame"] = self.trajectory.n_frames
-                with self._kept_if_full():
+                with self._saved():
                     self.trajectory.append(result.structure.positions)
-        self._write([row])
+        self._write(lines(self.columns, [row]))
         self.counts[str(row["status"])] += 1
         self.n_rows += 1
         if monotonic() - self.told > _KEEP_EVERY:
             self.keep()
 
-    def _write(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        text = io.StringIO()
-        csv.DictWriter(text, self.columns, extrasaction="ignore", lineterminator="\n").writerows(rows)
-        with self._kept_if_full():
-            self.file.write(text.getvalue().encode(errors="backslashreplace"))
+    def _write(self, text: str) -> None:
+        with self._saved():
+            self.file.write(text.encode(errors="backslashreplace"))
             self.file.flush()
 
-    @contextmanager
-    def _kept_if_full(self) -> Iterator[None]:
-        """Say what is kept where the disk takes no more."""
-        try:
-            with writing(self.table):
-                yield
-        except WriteError as error:
-            raise error.with_saved(
-                "the frames done before", "free space there, then continue with ", Argument("resume", True)
-            ) from error
+    def _saved(self) -> AbstractContextManager[None]:
+        return saved(self.table, "the frames done before")
 
     def keep(self) -> None:
         """Write all to the disk, and how far it is."""
-        with self._kept_if_full():
+        with self._saved():
             os.fsync(self.file.fileno())
             place = self.trajectory.stored() if self.trajectory else None
         kept = {

@@ -1,19 +1,13 @@
 """Every frame of an ensemble: relaxed or measured, here or by many processes, in their order."""
 
-import pickle
-import tempfile
 from collections import deque
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import islice
-from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
-from protochain.batches.cluster import Processes, at_work
+from protochain.batches.cluster import Processes, Submitted, at_work, shared
 from protochain.batches.frame_tasks import FrameJob, FrameRow, RelaxFrames, Task, row_of
-from protochain.batches.supervise import supervise
 from protochain.chains.setup import Setup
 from protochain.core.arrays import Value
 from protochain.core.checks import at_least, checked, optional
@@ -131,49 +125,32 @@ def over_frames(
         for frame in frames:
             yield _result(ensemble, task, frame.index, row_of(ensemble, act, frame))
         return
-    with _shared(ensemble, task, frames.path) as path, at_work(processes) as workers:
+    given = ensemble, task, frames.path and frames.path.absolute()
+    with shared(given) as path, at_work(processes) as workers:
         waiting: Iterator[Frame | int] = iter(frames if frames.path is None else frames.chosen)
         jobs = deque[FrameJob]()
         rows: dict[int, FrameRow] = {}
-        ended: SimpleQueue[tuple[FrameJob, Any]] = SimpleQueue()
-        running = set[Any]()
-        again = set[int]()
-
-        def submit(job: FrameJob) -> None:
-            future = workers.submit(supervise, job, path.parent, processes.threads, processes.time_limit)
-            running.add(future)
-            future.add_done_callback(lambda future, job=job: ended.put((job, future)))
-
+        running, again = Submitted(workers, processes, path.parent), set[int]()
         while True:
             # Counted from the oldest that is not done: results that wait for it do not pile up.
             while len(jobs) < _AHEAD * max(1, workers.count()) and (
                 some := [*islice(waiting, task.at_a_time)]
             ):
                 jobs.append(FrameJob(path, tuple(some)))
-                submit(jobs[-1])
+                running.submit(jobs[-1])
             if not jobs:
                 return
-            job, future = ended.get()
-            running.remove(future)
+            job, future = running.ended()
             done = future.result()
             # A damaged frame may spoil memory, so that the process ends at a sound one after it.
             if done[-1].ended and done[-1].index not in again:
                 again.add(done.pop().index)
             rows |= {row.index: row for row in done}
             if len(done) < len(job.frames):  # From or after the one at which the process ended.
-                submit(FrameJob(path, job.frames[len(done) :]))
+                running.submit(FrameJob(path, job.frames[len(done) :]))
             while jobs and all(index in rows for index in jobs[0].indices):
                 for index in jobs.popleft().indices:
                     yield _result(ensemble, task, index, rows.pop(index))
-
-
-@contextmanager
-def _shared(ensemble: Ensemble, task: Task, source: Path | None) -> Iterator[Path]:
-    """File of what all processes need, for as long as they do."""
-    with tempfile.TemporaryDirectory(prefix="protochain-") as folder:
-        path = Path(folder) / "task.pickle"
-        path.write_bytes(pickle.dumps((ensemble, task, source and source.absolute())))
-        yield path
 
 
 def _result(ensemble: Ensemble, task: Task, index: int, row: FrameRow) -> FrameResult:

@@ -90,14 +90,18 @@ class BatchSettings(StartSettings, MinimiseSettings):
             raise ProtochainError(
                 f"methods {', '.join(self.methods)}: two have one name; their files would too"
             )
-        minimising = {each.name: getattr(self, each.name) for each in fields(MinimiseSettings)}
         for recipe in recipes:
-            Minimisation(recipe, **minimising)
+            Minimisation(recipe, **self.minimising)
         if self.n_starts > 1:
             refuse_held(self.restraint, self.max_rmsd)
         object.__setattr__(self, "relaxing", replace(self.relaxing, tolerance=tolerance))
         if RELAX in self.methods:
             _ = self.of_relaxing  # It may be refused.
+
+    @property
+    def minimising(self) -> dict[str, Any]:
+        """Settings of a minimisation by name."""
+        return {each.name: getattr(self, each.name) for each in fields(MinimiseSettings)}
 
     @property
     def of_relaxing(self) -> Setup:

@@ -1,6 +1,7 @@
 """Page of one structure: results, energy curves, repairs. Small, as there may be thousands."""
 
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -8,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from protochain.batches.jobs import Job, Row
-from protochain.batches.relaxed import SHOWN_RELAXED
 from protochain.minimisers.record import SHOWN
 from protochain.relaxation.record import METHOD as RELAX
+from protochain.results.columns import Column
 from protochain.results.page import write_page as fill
 from protochain.results.terms import energies_by_term
 from protochain.structure import Structure
@@ -20,6 +21,16 @@ from protochain.structure.repairs import Repair
 if TYPE_CHECKING:
     import pandas as pd
 
+SHOWN_RELAXED = tuple(
+    Column(key, itemgetter(key), heading)
+    for key, heading in {
+        "status": "status", "violations_start": "residues with violations at start",
+        "violations_end": "at end", "overlaps_start": "overlaps at start", "overlaps_end": "at end",
+        "energy_start_kj_mol": "energy at start", "energy_end_reference_kj_mol": "energy at end",
+        "ca_rmsd_angstrom": "C-alpha RMSD", "n_rounds": "rounds", "seconds": "seconds",
+    }.items()
+)  # fmt: skip
+"""Columns of structures that are relaxed."""
 WIDTH, HEIGHT = 640, 240
 """Size of the drawing, in units of the SVG."""
 

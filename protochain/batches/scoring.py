@@ -1,13 +1,11 @@
 """Interfaces of many complexes, scored here or by many processes."""
 
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from protochain.batches.cluster import Processes, at_work
-from protochain.batches.supervise import supervise
+from protochain.batches.cluster import Processes, Submitted, at_work
 from protochain.chains.setup import Setup
 from protochain.core.errors import ProtochainError
 from protochain.structure.confidences import confidence_files, confidence_in
@@ -61,7 +59,7 @@ def score_files(jobs: Sequence[ScoreJob], processes: Processes | None) -> Iterat
         for job in jobs:
             yield from job.run(None)
         return
-    with tempfile.TemporaryDirectory(prefix="protochain-") as folder, at_work(processes) as workers:
-        given = Path(folder), processes.threads, processes.time_limit
-        for future in [workers.submit(supervise, job, *given) for job in jobs]:
+    with at_work(processes) as workers:
+        running = Submitted(workers, processes, Path())
+        for future in [running.submit(job) for job in jobs]:
             yield from future.result()

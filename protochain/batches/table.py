@@ -5,19 +5,16 @@ import errno
 import io
 import os
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, get_origin
 
-from filelock import FileLock, Timeout
-
-from protochain.batches import relaxed
 from protochain.batches.batch_settings import NAME as SETTINGS
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.core.storage import check_writable, write_text, writing
+from protochain.core.storage import check_writable, claimed, write_text, writing
 from protochain.minimisers import record
 from protochain.relaxation.record import COLUMNS as OF_RELAXING
 from protochain.relaxation.record import INTERFACE_COLUMNS
@@ -32,6 +29,13 @@ COLUMNS = (
     "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``summary.csv``: those of a record of a minimisation, and those of a batch."""
+RELAXED_COLUMNS = (
+    *(column.key for column in OF_RELAXING if column.key not in ("rounds", "ligands")),
+    "seconds_preparation", "input", "model", "output", "confidences", "key",
+)  # fmt: skip
+"""Columns of ``relaxed.csv``."""
+OF_INTERFACE = tuple(column.key for column in INTERFACE_COLUMNS)
+"""And those of an interface that is scored."""
 
 _OWN = {"iteration": "Int64", "n_starts": "Int64", "n_within_1_kj_mol_of_lowest": "Int64", "model": "Int64"}
 _TYPES = dict.fromkeys(("structure", "message", "key", "output"), "string") | _OWN
@@ -87,25 +91,17 @@ class Tables:
         self.summary, self.traces = folder / f"{name}.csv", folder / "traces.csv"
         check_writable(self.summary)
         self._is_new = not self.summary.exists()
-        self._made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder = folder
-        self.lock = FileLock(folder / ".lock")
-        try:
-            self.lock.acquire(timeout=0)
-        except Timeout:
-            raise ProtochainError(
-                f"{folder}: another batch is writing to this folder; give another"
-            ) from None
+        self.folder, self._claim = folder, ExitStack()
+        self._claim.enter_context(claimed(folder, "batch"))
         if self.summary.exists() and not resume:
-            self.lock.release()
+            self.close()
             raise ProtochainError(
                 f"{self.summary}: holds a batch; ",
                 Argument("resume", True),
                 " continues it, or give another folder",
             )
         minimised = COLUMNS if {*methods} != {RELAX} else ()
-        of_relaxed = relaxed.COLUMNS if RELAX in methods else ()
+        of_relaxed = RELAXED_COLUMNS if RELAX in methods else ()
         self.columns = tuple(dict.fromkeys((*minimised, *of_relaxed, *further)))
 
     def check(self) -> None:
@@ -145,8 +141,8 @@ class Tables:
         rows = list(rows)
         own = {name: rows[0].record[name] for name in ("structure", "key")}
         traces = [own | {"method": row.record["method"]} | point for row in rows for point in row.trace]
-        _append(self.traces, _lines(TRACE_COLUMNS, traces))
-        _append(self.summary, _lines(self.columns, [row.record for row in rows]))
+        _append(self.traces, lines(TRACE_COLUMNS, traces))
+        _append(self.summary, lines(self.columns, [row.record for row in rows]))
 
     def sort(self, jobs: Sequence[Job]) -> None:
         """Sort the rows by job and method: they were appended as they arrived."""
@@ -169,15 +165,12 @@ class Tables:
         """Remove a new batch without a row, which would keep the next one from the folder."""
         if not self._is_new or next(iter(_whole_lines(self.summary)), None):
             return
-        for file in (self.summary, self.traces, self.folder / SETTINGS, self.folder / ".lock"):
+        for file in (self.summary, self.traces, self.folder / SETTINGS):
             file.unlink(missing_ok=True)
-        with suppress(OSError):
-            for folder in self._made:
-                folder.rmdir()
 
     def close(self) -> None:
-        """Release the lock."""
-        self.lock.release()
+        """Let others have the folder."""
+        self._claim.close()
 
 
 def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
@@ -203,7 +196,20 @@ def read_table(path: Path) -> "pd.DataFrame":
     return table.copy()  # A block for each of a hundred columns, as read, would be slow, pandas warns.
 
 
-def _lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:
+@contextmanager
+def saved(path: Path, what: str) -> Iterator[None]:
+    """Say what is saved where the disk takes no more, and that the run can go on."""
+    try:
+        with writing(path):
+            yield
+    except WriteError as error:
+        raise error.with_saved(
+            what, "free space there, then continue with ", Argument("resume", True)
+        ) from error
+
+
+def lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:
+    """Text of rows, with a header if it is asked for."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
     if header:
@@ -217,20 +223,18 @@ def _append(path: Path, text: str) -> None:
     # Names of files may be no UTF-8.
     whole, data = os.fstat(file).st_size, text.encode(errors="backslashreplace")
     try:
-        with writing(path):
+        with saved(path, "the structures done before"):
             if os.write(file, data) < len(data):  # On a full disk a part is written.
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    except WriteError as error:
+    except WriteError:
         os.ftruncate(file, whole)
-        raise error.with_saved(
-            "the structures done before", "free space there, then continue with ", Argument("resume", True)
-        ) from error
+        raise
     finally:
         os.close(file)
 
 
 def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
-    text = _lines(columns, rows, header=True)
+    text = lines(columns, rows, header=True)
     write_text(path, text)
 
 

@@ -6,10 +6,11 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
+import numpy as np
+
+from protochain.batches.jobs import BatchSettings, Job, Row, origin
 from protochain.batches.naming import output_stem, poses_name
 from protochain.batches.page import write_page
-from protochain.batches.thinning import thinned
 from protochain.chains.setup import Setup
 from protochain.core.errors import ProtochainError, WriteError
 from protochain.core.storage import regular
@@ -28,6 +29,22 @@ if TYPE_CHECKING:
     from protochain.structure import Structure
 
 
+TRACE_POINTS = 50
+"""Rows kept of a trace: the first, the last, and others spaced evenly in the logarithm of their index."""
+
+
+def thinned(trace: "pd.DataFrame") -> list[dict[str, float]]:
+    """Return some rows of a trace, each without what it does not have."""
+    n = len(trace)
+    if n > TRACE_POINTS:
+        places = np.unique(np.geomspace(1, n, TRACE_POINTS).astype(int)) - 1
+        trace = trace.iloc[places]
+    return [
+        {str(key): value for key, value in row.items() if not np.isnan(value)}
+        for row in trace.to_dict("records")
+    ]
+
+
 def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
     """Minimise or relax a structure by all methods of a job; write its structures and its page."""
     began = perf_counter()
@@ -41,23 +58,16 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
             yield row
         write_page(folder, job, done, repairs, ends)
     except WriteError as error:  # With space it may be done: not what is wrong with this structure.
-        yield from _rest(job, done, "killed", str(error), perf_counter() - began)
+        yield from job.lost(done, "killed", str(error), perf_counter() - began)
     except ProtochainError as error:
-        yield from _rest(job, done, "refused", str(error), perf_counter() - began)
+        yield from job.lost(done, "refused", str(error), perf_counter() - began)
     except MemoryError:
-        yield from _rest(job, done, "killed", "out of memory", perf_counter() - began)
+        yield from job.lost(done, "killed", "out of memory", perf_counter() - began)
     except OSError as error:
         why = f"{error.filename or job.path}: {error.strerror or error}"
-        yield from _rest(job, done, "refused", why, perf_counter() - began)
+        yield from job.lost(done, "refused", why, perf_counter() - began)
     except Exception as error:  # A bug met by one structure must not stop the others.
-        yield from _rest(job, done, "error", f"{type(error).__name__}: {error}", perf_counter() - began)
-
-
-def _rest(job: Job, done: list[Row], status: str, message: str, seconds: float) -> Iterator[Row]:
-    finished = {row.record["method"] for row in done}
-    for method in job.settings.methods:
-        if method not in finished:
-            yield failure(job, method, status, message, seconds)
+        yield from job.lost(done, "error", f"{type(error).__name__}: {error}", perf_counter() - began)
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:
@@ -129,14 +139,7 @@ def _run(
     from protochain.minimisers import explore, minimise
 
     if s.n_starts == 1:
-        solution = minimise(
-            chain, energy, method, s.tolerance, s.max_evaluations, s.seed,
-            restraint=s.restraint, max_rmsd=s.max_rmsd, curvature=s.curvature,
-        )  # fmt: skip
-        return solution, {"n_starts": 1}
-    found = explore(
-        chain, energy, method, s.n_starts, seed=s.seed, spread=s.spread, tolerance=s.tolerance,
-        max_evaluations=s.max_evaluations, curvature=s.curvature,
-    )  # fmt: skip
+        return minimise(chain, energy, method, **s.minimising), {"n_starts": 1}
+    found = explore(chain, energy, method, s.n_starts, spread=s.spread, **s.minimising)
     overall = found.overall()
     return found.best, overall.pop("starts_summary") | overall

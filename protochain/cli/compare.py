@@ -34,7 +34,11 @@ if TYPE_CHECKING:
     from protochain.core.arrays import Watcher
 
 
-@with_settings(minimising="tolerance restraint max_rmsd", setup="move rigid_protein")
+_NOT_COMPARED = "tolerance restraint max_rmsd"
+"""Settings of a minimisation that a comparison does not have, or has a default of its own for."""
+
+
+@with_settings(minimising=_NOT_COMPARED, setup="move rigid_protein")
 def compare(
     context: typer.Context,
     source: Input,
@@ -79,8 +83,8 @@ def compare(
     context.with_resource(held_interrupts())
     with _one_bar_each(most) as watch:
         comparison = run(
-            chain, chosen, energy, tolerance, most, minimising.seed,
-            reference=known, repeats=repeats, watch=watch, curvature=minimising.curvature,
+            chain, chosen, energy, tolerance, reference=known, repeats=repeats, watch=watch,
+            **{name: value for name, value in vars(minimising).items() if name not in _NOT_COMPARED.split()},
         )  # fmt: skip
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
     page = comparison.report(output)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NotRequired, get_type_hints
 
-from protochain.batches import relaxed, table
+from protochain.batches import table
 from protochain.batches.frame_files import FIRST
 from protochain.batches.frame_tasks import EnergyFrames
 from protochain.chains.setup import Setup
@@ -149,8 +149,8 @@ def _of_batch(columns: Iterable[str], others: Iterable[str]) -> Kinds:
     return _cells(_row(columns), _optional(_row(others)))
 
 
-_BOTH = [name for name in table.COLUMNS if name in relaxed.COLUMNS]
-_ALL = dict.fromkeys((*table.COLUMNS, *relaxed.COLUMNS, *relaxed.OF_INTERFACE))
+_BOTH = [name for name in table.COLUMNS if name in table.RELAXED_COLUMNS]
+_ALL = dict.fromkeys((*table.COLUMNS, *table.RELAXED_COLUMNS, *table.OF_INTERFACE))
 _EITHER = [name for name in _ALL if name not in _BOTH]
 
 _QUALITY = {
@@ -282,7 +282,7 @@ CONTRACTS: Mapping[str, Contract] = {
     "relax": Contract(
         (_RELAXED, _FRAMES_TOLD, _BATCH),
         {
-            "relaxed.csv": (_of_batch(relaxed.COLUMNS, relaxed.OF_INTERFACE),), **_BATCH_TABLES,
+            "relaxed.csv": (_of_batch(table.RELAXED_COLUMNS, table.OF_INTERFACE),), **_BATCH_TABLES,
             "--trajectory": (_frames(of_relaxing.OF_FRAMES, of_relaxing.INTERFACE_COLUMNS),),
         },
         (*_names(table.files_of(Path(), "relaxed")), *_BATCH_FILES), _BATCH_MORE,

@@ -1,8 +1,8 @@
 """What ``--trajectory`` and ``--frames`` do, in every command that has them: a row a frame."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -28,9 +28,8 @@ from protochain.core.markup import counted
 
 if TYPE_CHECKING:
     from protochain.batches.cluster import Processes
-    from protochain.batches.frame_files import FramesRun, Watch
+    from protochain.batches.frame_files import FramesRun
     from protochain.batches.frame_tasks import Task
-    from protochain.batches.frames import FrameResult
     from protochain.chains.setup import Setup
     from protochain.structure.ensemble import Ensemble
     from protochain.structure.frames import Frames
@@ -51,8 +50,6 @@ Chosen = Annotated[
 ]  # fmt: skip
 Workers = Annotated[int | None, typer.Option(help="Of frames: processes [default: all cores].")]
 Resume = Annotated[bool, typer.Option("--resume", help="Of frames: continue where a run was stopped.")]
-_SHOWN = 10
-"""Frames that cannot be used that are listed; the table has all."""
 
 
 def are_asked(trajectory: Path | None, frames: str | None) -> bool:
@@ -152,13 +149,14 @@ def run(
     The exit status is that of a batch.
     """
     from protochain.batches.frame_files import files_of, run_frames
+    from protochain.cli.terminal import frames_progress
 
     processes = _processes(setup, workers, time_limit)
     outputs = [*files_of(table, output), *([report] if report else [])]
     check_outputs(inputs_of(setup, source, trajectory, *reads), outputs, force)
     check_page(report)
     ensemble, chosen = opened(source, trajectory, frames, setup)
-    with _progress(task.name, len(chosen)) as watch:
+    with frames_progress(task.name, len(chosen)) as watch:
         done = run_frames(
             ensemble, chosen, task, table, output, hydrogens=hydrogens, processes=processes, resume=resume,
             force=force, watch=watch,
@@ -181,28 +179,6 @@ def run(
         fail("interrupted; --resume does the rest")
     usable = bool(done.counts.get("measured") or done.counts.get("converged") or done.written)
     return exit_status(Counter(done.counts).elements(), usable=usable, interrupted=done.interrupted)
-
-
-@contextmanager
-def _progress(name: str, total: int) -> "Iterator[Watch]":
-    """A bar on a terminal, or a line a minute; the first frames that cannot be used, by name."""
-    from protochain.cli.terminal import frames_progress
-
-    n_failed = 0
-    with frames_progress(name, total) as (show, say):
-
-        def watch(done: int, failed: int, last: "FrameResult") -> None:
-            nonlocal n_failed
-            if last.structure is None:
-                n_failed += 1
-                if n_failed <= _SHOWN:
-                    say(
-                        str(last.record["message"])
-                        + ("; more are in the table" if n_failed == _SHOWN else "")
-                    )
-            show(done, f"{done} of {total} frames, {failed} failed")
-
-        yield watch
 
 
 def _print(done: "FramesRun", report: Path | None) -> None:

@@ -139,10 +139,12 @@ def _beside(frames: Path) -> Path:
     """Name of the relaxed frames: in the format that they have, or DCD, which does not round."""
     from protochain.relaxation.names import relaxed_name, relaxed_stem
     from protochain.structure.files import format_of
+    from protochain.structure.trajectory import WRITTEN
 
     if format_of(frames):
         return Path(relaxed_name(frames))
-    return Path(f"{relaxed_stem(frames.stem)}{'.xtc' if frames.suffix.lower() == '.xtc' else '.dcd'}")
+    suffix = frames.suffix.lower()
+    return Path(f"{relaxed_stem(frames.stem)}{suffix if suffix in WRITTEN else WRITTEN[0]}")
 
 
 def _one(
@@ -229,8 +231,8 @@ def _several(
     resume: bool,
 ) -> None:
     """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
+    from protochain.batches.batch_structures import RELAXED, relax_files
     from protochain.batches.naming import poses_name
-    from protochain.batches.relaxing import NAME, relax_files
     from protochain.batches.table import files_of
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
@@ -243,7 +245,7 @@ def _several(
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
     for path in beside:
         check_ligand_file(path)
-    check_outputs(inputs_of(setup, manifest), [*files_of(folder, NAME), *beside])
+    check_outputs(inputs_of(setup, manifest), [*files_of(folder, RELAXED), *beside])
     _tell_frames(inputs)
     with batch_progress() as watch:
         done = relax_files(

@@ -2,8 +2,7 @@
 
 import sys
 import textwrap
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from protochain.core.arrays import Watcher
     from protochain.energies import Energy
     from protochain.relaxation import Relaxation
+    from protochain.relaxation.wrong import Wrong
     from protochain.structure import Structure
 
 _EVALUATIONS = 90
@@ -34,8 +34,7 @@ _SHOW_FROM = 5.0
 
 def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str = defaults.MOVE) -> float:
     """Say what will be done to a file, and how long it may take; return that in seconds."""
-    from protochain.chains.contacts import overlaps
-    from protochain.validation import threaded_rings, violations
+    from protochain.relaxation.wrong import Wrong
 
     print_changes(source, structure)
     x = structure.positions
@@ -43,17 +42,17 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     began = monotonic()
     energy(x)
     seconds = _EVALUATIONS * (monotonic() - began)
-    found, rings = overlaps(structure, x), threaded_rings(structure)
-    beside = sum(each.beside for each in found)
+    at = Wrong(structure, x)
+    n, beside = len(at.overlaps), at.n_beside
     stated = [
         f"{counted(structure.n_protein_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}",
         *said_of_move(structure, move),
-        f"{len(found) or 'no'} pair{'s' * (len(found) != 1)} of atoms overlap{'s' * (len(found) == 1)}"
+        f"{n or 'no'} pair{'s' * (n != 1)} of atoms overlap{'s' * (n == 1)}"
         + (f", {beside} of them with molecules kept with the protein" if beside else ""),
-        str(violations(structure, x)),
-        *(["threaded rings, to be freed first: " + ", ".join(map(str, rings))] if rings else []),
-        *_wrong_hands(structure),
-        *_twisted(structure),
+        str(at.violations),
+        *(["threaded rings, to be freed first: " + ", ".join(map(str, at.rings))] if at.rings else []),
+        *_wrong_hands(at),
+        *_twisted(len(at.peptides)),
         *_breaks(structure),
         f"about {max(seconds, 1.0):.0f} s",
     ]
@@ -61,22 +60,15 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     return seconds
 
 
-def _wrong_hands(structure: "Structure") -> list[str]:
+def _wrong_hands(at: "Wrong") -> list[str]:
     """What will become of inverted stereocentres, in words."""
-    from protochain.relaxation.chirality_restraint import ChiralityRestraint
-
-    wrong = ChiralityRestraint.of(structure).wrong(structure.positions)
-    n = len(wrong)
-    are_named = structure.mirrored[structure.atom_residue[wrong]].all()
-    advice = "" if are_named else " (name D-amino acids as DAL ...)"
+    s, n = at.structure, len(at.inverted)
+    advice = "" if s.mirrored[s.atom_residue[at.inverted]].all() else " (name D-amino acids as DAL ...)"
     return [f"{n} inverted stereocentre{'s' * (n > 1)}, to be corrected{advice}"] if n else []
 
 
-def _twisted(structure: "Structure") -> list[str]:
+def _twisted(n: int) -> list[str]:
     """What will become of twisted peptide bonds, in words."""
-    from protochain.relaxation.peptides import PeptideBonds
-
-    n = len(PeptideBonds.of(structure).wrong(structure.positions))
     return [f"{n} twisted peptide bond{'s' * (n > 1)}, to be turned to trans or cis"] if n else []
 
 
@@ -92,16 +84,13 @@ def _breaks(structure: "Structure") -> list[str]:
     )
 
 
-@contextmanager
-def progress(seconds: float) -> Iterator["Watcher | None"]:
+def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
     """Show stage, energy and evaluations of a run that takes long."""
     if seconds < _SHOW_FROM:
-        yield None
-        return
+        return nullcontext()
     from protochain.cli.terminal import evaluations_progress
 
-    with evaluations_progress("relax", _EVALUATIONS) as watch:
-        yield watch
+    return evaluations_progress("relax", _EVALUATIONS)
 
 
 def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:

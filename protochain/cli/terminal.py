@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from protochain.batches.batch_structures import BatchProgress
+    from protochain.batches.frame_files import Watch
+    from protochain.batches.frames import FrameResult
     from protochain.batches.jobs import Job
     from protochain.chains.chain import Chain
     from protochain.core.arrays import Watcher
@@ -28,7 +30,7 @@ _WIDTH = 80
 """Characters of the narrowest terminal that holds the table of results."""
 
 _SHOWN_FAILURES = 10
-"""Structures without a result to list; the table and the page have all."""
+"""Structures or frames without a result to list; the table and the page have all."""
 
 _SHOWN_MINIMA = 5
 """Of a search, the lowest; the table and the page have more."""
@@ -223,13 +225,18 @@ def _clock(seconds: float) -> str:
 
 
 @contextmanager
-def frames_progress(
-    name: str, total: int
-) -> Iterator["tuple[Callable[[int, str], None], Callable[[str], None]]"]:
-    """Show how many frames are done, and the time left; also give what prints a line."""
-    progress = _Progress(name, total, total)
+def frames_progress(name: str, total: int) -> Iterator["Watch"]:
+    """Show how many frames are done, and the time left; the first that cannot be used, by name."""
+    progress, told = _Progress(name, total, total), list[str]()
+
+    def watch(done: int, failed: int, last: "FrameResult") -> None:
+        if last.structure is None and len(told) < _SHOWN_FAILURES:
+            told.append(str(last.record["message"]))
+            progress.say(told[-1] + ("; more are in the table" if len(told) == _SHOWN_FAILURES else ""))
+        progress.show(done, f"{done} of {total} frames, {failed} failed")
+
     with progress.bar:
-        yield progress.show, progress.say
+        yield watch
 
 
 @contextmanager

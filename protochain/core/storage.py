@@ -89,9 +89,10 @@ def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 @contextmanager
 def claimed(folder: Path, kind: str) -> Iterator[None]:
-    """Hold a folder, created if needed, for one process; a folder that stays empty is removed afterwards."""
+    """Hold a folder, created if needed, for one process; what was created and stays empty is removed."""
     from filelock import FileLock, Timeout
 
+    made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
     lock = FileLock(folder / ".lock")
@@ -105,7 +106,8 @@ def claimed(folder: Path, kind: str) -> Iterator[None]:
         (folder / ".lock").unlink(missing_ok=True)
         lock.release()
         with suppress(OSError):  # Results are there.
-            folder.rmdir()
+            for each in made:
+                each.rmdir()
 
 
 def write_arrays(

@@ -5,8 +5,6 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from protochain.chains.contacts import overlaps
-from protochain.core.arrays import Floats
 from protochain.energies.decomposed import TERMS
 from protochain.minimisers.verdict import Status
 from protochain.results.columns import (
@@ -51,10 +49,10 @@ COLUMNS = (
     *of_measures(MEASURES, "start"),
     *of_measures(MEASURES, "end"),
     *of_remains(REMAINS),
-    Column("overlaps_start", lambda r: len(overlaps(r.start, r.start.positions)), kind=int),
+    Column("overlaps_start", lambda r: len(r.wrong_start.overlaps), kind=int),
     Column("overlaps_end", lambda r: r.rounds[r.best].overlaps, kind=int),
-    Column("overlaps_beside_start", lambda r: _beside(r, r.start.positions), kind=int),
-    Column("overlaps_beside_end", lambda r: _beside(r, r.x), kind=int),
+    Column("overlaps_beside_start", lambda r: r.wrong_start.n_beside, kind=int),
+    Column("overlaps_beside_end", lambda r: r.wrong_end.n_beside, kind=int),
     Column("ligand_strain_start_kj_mol", lambda r: _strain(r.ligands_start)),
     Column("ligand_strain_end_kj_mol", lambda r: _strain(r.ligands_end)),
     Column("ligands", lambda r: list(map(at_both_ends, r.ligands_start, r.ligands_end))),
@@ -129,11 +127,6 @@ INTERFACE_COLUMNS = (
     ),
 )
 """Further columns, where an interface is scored."""
-
-
-def _beside(relaxation: Any, x: Floats) -> int:
-    """Pairs of an atom of the protein and one outside it that overlap."""
-    return sum(each.beside for each in overlaps(relaxation.start, x))
 
 
 def _strain(found: tuple[LigandFound, ...]) -> float | None:

@@ -28,7 +28,7 @@ from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import IN_RIGID_PROTEIN
 from protochain.relaxation.relax_settings import RelaxSettings, named, split
 from protochain.relaxation.result import ITSELF, NATIVE, REFERENCE, Relaxation
-from protochain.relaxation.rounds import Ended, LastKnown, Relaxer, fewest_left
+from protochain.relaxation.rounds import Ended, Relaxer, fewest_left
 from protochain.relaxation.wrong import Wrong
 from protochain.structure import Structure
 from protochain.structure.chirality import atoms_named, with_mirror_images
@@ -117,8 +117,7 @@ def relax_structure(
     check_dihedrals(energy, "relax")
     first = _repacked(structure, energy, mobile, settings)
     trace = _Trace(watch)
-    known: Any = LastKnown(energy)
-    relaxer = Relaxer(first, known, strength, settings.max_iterations, trace, mobile)
+    relaxer = Relaxer(first, energy, strength, settings.max_iterations, trace, mobile)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with _libraries().limit(limits=1, user_api="blas"):
         done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
@@ -126,9 +125,10 @@ def relax_structure(
     end = fewest_left(done)
     frame = Frame(structure, held_by)
     restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any()
-    value, force = _judged(structure, known, end, restraint, mobile)
-    status, message = _verdict(structure, energy, settings, end, force)
     judge = _judge(energy)
+    value, force = _judged(structure, energy, judge, end, restraint, mobile)
+    status, message = _verdict(structure, energy, settings, end, force)
+    known = judge is energy and first is structure
     return Relaxation(
         start=structure,
         turned=first.repairs[len(structure.repairs) :],
@@ -139,9 +139,7 @@ def relax_structure(
         best=done.index(end),
         status=status,
         message=message,
-        energy_start=known.at_first(structure.positions)
-        if judge is energy
-        else judge(structure.positions)[0],
+        energy_start=(relaxer.first if known else judge(structure.positions))[0],
         energy_end=value,
         rms_force=force,
         judge=_by(energy),
@@ -226,12 +224,17 @@ def _by(energy: Energy) -> str:
 
 
 def _judged(
-    structure: Structure, known: LastKnown, end: Ended, restraint: Force, mobile: NDArray[np.bool_]
+    structure: Structure,
+    energy: Energy,
+    judge: Energy,
+    end: Ended,
+    restraint: Force,
+    mobile: NDArray[np.bool_],
 ) -> tuple[float, float]:
     """Energy without springs, kJ/mol, and RMS force with them, kJ/mol/nm."""
-    energy = known.energy
-    judge = _judge(energy)
-    value, forces = known(end.x) if judge is energy else run_interruptible(lambda: judge(end.x))
+    if judge is energy and (at := end.evaluated):
+        return at.energy - at.restraint, at.residual
+    value, forces = run_interruptible(lambda: judge(end.x))
     space = Cartesian(structure, mobile)
     if isinstance(energy, NativeEnergy):
         energy.note_error(end.x, forces)

@@ -18,11 +18,11 @@ from protochain.energies.decomposed import TermsAtEnds
 from protochain.energies.protocol import Energy
 from protochain.minimisers.solution import alpha_residues
 from protochain.minimisers.verdict import Status
-from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.record import COLUMNS, INTERFACE_COLUMNS, METHOD
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.rounds import Round
+from protochain.relaxation.wrong import Wrong
 from protochain.results.columns import record
 from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
@@ -33,7 +33,6 @@ from protochain.validation import MEASURES, measures
 from protochain.validation.findings import remains
 from protochain.validation.interface import Interface, native, scored
 from protochain.validation.ligands import LigandFound, findings_of
-from protochain.validation.omega import PLANAR
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -119,34 +118,36 @@ class Relaxation(TermsAtEnds, Value):
         return replace(self.start, positions=self.x, repairs=noted)
 
     @cached_property
+    def wrong_start(self) -> Wrong:
+        """What is to be mended at the start."""
+        return Wrong(self.start, self.start.positions)
+
+    @cached_property
+    def wrong_end(self) -> Wrong:
+        """What is left of it at the end."""
+        return Wrong(self.start, self.x)
+
+    @cached_property
     def stereocentres_corrected(self) -> tuple[Repair, ...]:
         """Stereocentres that were inverted, and are right at the end."""
-        s, chirality = self.start, ChiralityRestraint.of(self.start)
-        right = np.setdiff1d(chirality.wrong(s.positions), chirality.wrong(self.x))
+        s, right = self.start, np.setdiff1d(self.wrong_start.inverted, self.wrong_end.inverted)
         residues = s.atom_residue[right]
+        names = {residue: s.atom_name[right[residues == residue]] for residue in np.unique(residues).tolist()}
         return tuple(
-            Repair(
-                Kind.HAND_TURNED,
-                {
-                    "residue": s.residue(residue),
-                    "atoms": (*s.atom_name[right[residues == residue]].tolist(),),
-                },
-            )
-            for residue in np.unique(residues).tolist()
+            Repair(Kind.HAND_TURNED, {"residue": s.residue(residue), "atoms": (*its.tolist(),)})
+            for residue, its in names.items()
         )
 
     @cached_property
     def peptides_turned(self) -> tuple[Repair, ...]:
         """Peptide bonds that were twisted, and are trans or cis at the end."""
         s, bonds = self.start, PeptideBonds.of(self.start)
-        right = (bonds.away(s.positions) > PLANAR) & (bonds.away(self.x) <= PLANAR)
+        right = np.setdiff1d(self.wrong_start.peptides, self.wrong_end.peptides)
         return tuple(
-            Repair(
-                Kind.TURNED_CIS if cis else Kind.TURNED_TRANS,
-                {"residue": s.residue(int(s.atom_residue[nitrogen]))},
-            )
-            for nitrogen, cis in zip(bonds.atoms[right, 2], bonds.cis[right], strict=True)
-        )
+            Repair(Kind.TURNED_CIS if cis else Kind.TURNED_TRANS, {"residue": s.residue(residue)})
+            for nitrogen, cis in zip(bonds.atoms[:, 2], bonds.cis, strict=True) if nitrogen in right
+            for residue in s.atom_residue[[nitrogen]].tolist()
+        )  # fmt: skip
 
     @property
     def _began(self) -> Structure:

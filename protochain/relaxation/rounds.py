@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +11,19 @@ from numpy.typing import NDArray
 from protochain.chains.contacts import near_pairs, overlapping
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.graph import both_ways
+from protochain.core.interrupts import held_interrupts
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers.clash_resolution import TetheredModel, unthreading
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
-from protochain.minimisers.loop import Stop
+from protochain.minimisers.loop import Snapshot, Stop, Unstarted
 from protochain.minimisers.metrics import NEAR_REFRESH
-from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Placement, evaluate
+from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Placement, Tally, evaluate
 from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
-from protochain.minimisers.stages import PATIENCE, Outcome, Stage, walk, with_reference
+from protochain.minimisers.stages import PATIENCE, Outcome, Stage, Waypoint, walk, with_reference
 from protochain.minimisers.steps import StrongWolfe
 from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
@@ -48,37 +48,6 @@ _HIGH = 1000.0
 _WEAKER = 0.1
 """Share of their springs that residues with violations keep at first; the next time they lose them all.
 Without any at once, more of the fold gives way than has to."""
-
-
-class LastKnown:
-    """An energy that knows its values at two points: a relaxation asks some of them again.
-
-    Only where the neighbour lists are those of the first time, so that no bit depends on it; of an energy
-    without lists nothing is known.
-    """
-
-    def __init__(self, energy: Energy) -> None:
-        self.energy = energy
-        self._known: list[tuple[Floats, Floats, tuple[float, Floats]]] = []
-        """First and last point: positions, those of the lists, energy and forces."""
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.energy, name)
-
-    def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
-        for at, lists_at, (value, forces) in self._known:
-            if lists_at is self.energy.lists_at and np.array_equal(at, x):
-                return value, forces.copy()
-        found = self.energy(x)
-        if self.energy.lists_at is not None:
-            self._known[1:] = [(x.copy(), self.energy.lists_at, (found[0], found[1].copy()))]
-        return found
-
-    def at_first(self, x: Floats) -> float:
-        """Energy at x (na, 3): if the first point was there, that which it had, with the lists of then."""
-        first = self._known[:1]
-        return first[0][2][0] if first and np.array_equal(first[0][0], x) else self(x)[0]
 
 
 Note = Callable[[Stage, Evaluation, int], None]
@@ -119,6 +88,7 @@ class Ended:
     springs: Those of its last stage.
     concerned (n,) int: Residues with violations, overlaps, threaded rings, inverted stereocentres or
         twisted peptide bonds.
+    evaluated: Its point, with the springs; None if the last stage was of another energy.
     """
 
     wrong: Wrong
@@ -126,6 +96,7 @@ class Ended:
     springs: Tethers
     concerned: Integers
     round: Round
+    evaluated: Evaluation | None = None
 
     @property
     def x(self) -> Floats:
@@ -156,7 +127,7 @@ class Relaxer:
         """
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
         # Their places are wrong: springs to them would keep the C-beta, or the peptide's atoms, off.
-        at = Wrong.at(self.structure, x)
+        at = Wrong(self.structure, x)
         turning = self.structure.atom_residue[[*at.inverted, *at.reversed]]
         share[turning] = np.minimum(share[turning], _WEAKER)
         strengths = list(zip(self.strength.backbone, self.strength.side_chains, strict=True))
@@ -199,14 +170,15 @@ class Relaxer:
             walked = self._walked(plan, x, before + freed)
         else:
             walked = replace(free, restraint=self.restraint(springs[-1]), n_iterations=0, n_evaluations=0)
-        wrong = Wrong.at(structure, read_only(walked.x))
+        wrong = Wrong(structure, read_only(walked.x))
         concerned = wrong.residues(self.strength.planar)
         concerned &= np.bincount(structure.atom_residue, self._mobile, structure.n_residues) > 0.0
         noted = Round(
             int((share < 1.0).sum()), len(wrong.violations.residues), len(wrong.overlaps),
             walked.n_iterations, freed + walked.n_evaluations, perf_counter() - began,
         )  # fmt: skip
-        return Ended(wrong, walked.stop, _tethers(walked.restraint), np.flatnonzero(concerned), noted)
+        springs_left, residues = _tethers(walked.restraint), np.flatnonzero(concerned)
+        return Ended(wrong, walked.stop, springs_left, residues, noted, self._evaluated(plan, walked))
 
     def _walked(self, plan: Sequence[Stage], x: Floats, before: int) -> Outcome:
         """Walk through stages from x, within the iterations allowed."""
@@ -221,10 +193,41 @@ class Relaxer:
             if 0 < self.max_iterations <= n_points - len(begun):
                 raise BudgetSpentError
 
-        walked = walk(plan, x, _ENDLESS, None, record, resumable=False)
+        walked = walk(plan, x, _ENDLESS, None, record, self._begun(plan, x), resumable=False)
         if not before + walked.n_evaluations:
             raise KeyboardInterrupt
         return walked
+
+    @cached_property
+    def first(self) -> tuple[float, Floats]:
+        """Energy and forces at the structure, where all begins."""
+        return self.energy(self.structure.positions)
+
+    def _at(self, q: Floats, restraint: Force | None = None) -> Evaluation | None:
+        """Point of the first round, from what is known there; None elsewhere."""
+        if not np.array_equal(self._space.place(q).x, self.structure.positions):
+            return None
+        return evaluate(self._space, lambda _: self.first, q, restraint)
+
+    def _begun(self, plan: Sequence[Stage], x: Floats) -> Waypoint | None:
+        """Stage that is the first to run at x, evaluated there; None if it is not the force field's."""
+        q = self._space.start(x)
+        begins = (
+            k for k, each in enumerate(plan) if not each.ready or each.ready(each, self._space.place(q))
+        )
+        first = next(begins, None)
+        with held_interrupts() as interrupts:
+            if first is None or plan[first].energy is not self.energy or interrupts:
+                return None
+        at = self._at(q, plan[first].restraint)
+        return Waypoint(first, 0, Snapshot(Unstarted(at), at, Tally(1, at, 1), 0, None)) if at else None
+
+    def _evaluated(self, plan: Sequence[Stage], walked: Outcome) -> Evaluation | None:
+        """Point where a walk ended, as it was evaluated; None if its last stage is not the force field's."""
+        if not plan or walked.waypoint is None or plan[walked.waypoint.stage].energy is not self.energy:
+            return None
+        last = walked.waypoint.last
+        return next((at for at in (last.state.at, last.tally.best) if at and at.q is walked.q), None)
 
     def _begin(self, springs: Tethers) -> list[Stage]:
         """Stages from whose end the force field takes over, each where it is needed."""
@@ -242,7 +245,7 @@ class Relaxer:
         return stages
 
     def _is_high(self, stage: Stage, at: Placement) -> bool:
-        return evaluate(self._space, self.energy, at.q).residual > _HIGH
+        return (self._at(at.q) or evaluate(self._space, self.energy, at.q)).residual > _HIGH
 
     def _right(self, springs: Tethers) -> list[Stage]:
         """Stages for folded or flat atoms, inverted stereocentres, reversed peptide bonds, if there are any.

@@ -18,31 +18,45 @@ from protochain.validation.violations import Violations
 
 @dataclass(frozen=True, eq=False)
 class Wrong:
-    """What is wrong at positions x (na, 3), nm.
-
-    overlaps (n, 2) int: Pairs of atoms.
-    inverted (n,) int: Inverted stereocentres.
-    peptides, reversed (n,) int: Nitrogens of twisted peptide bonds, and of those nearer to the other form.
-    """
+    """What is wrong at positions x (na, 3), nm; each is found when it is asked for first."""
 
     structure: Structure
     x: Floats
-    overlaps: Integers
-    rings: list[ThreadedRing]
-    inverted: Integers
-    peptides: Integers
-    reversed: Integers
 
-    @classmethod
-    def at(cls, s: Structure, x: Floats) -> "Wrong":
-        """Find it."""
-        bonds, rings = PeptideBonds.of(s), threaded_rings(s, x)
-        turned = ChiralityRestraint.of(s).wrong(x), bonds.wrong(x), bonds.reversed(x)
-        return cls(s, x, overlapping(s, x)[0], rings, *turned)
+    @cached_property
+    def overlaps(self) -> Integers:
+        """(n, 2) int: pairs of atoms."""
+        return overlapping(self.structure, self.x)[0]
+
+    @property
+    def n_beside(self) -> int:
+        """Pairs of an atom of the protein and one of a molecule kept with it, among those that overlap."""
+        kept = self.structure.kept[self.overlaps]
+        return int((kept[:, 0] != kept[:, 1]).sum())
+
+    @cached_property
+    def rings(self) -> list[ThreadedRing]:
+        """Rings with a bond through them."""
+        return threaded_rings(self.structure, self.x)
+
+    @cached_property
+    def inverted(self) -> Integers:
+        """(n,) int: inverted stereocentres."""
+        return ChiralityRestraint.of(self.structure).wrong(self.x)
+
+    @cached_property
+    def peptides(self) -> Integers:
+        """(n,) int: nitrogens of twisted peptide bonds."""
+        return PeptideBonds.of(self.structure).wrong(self.x)
+
+    @cached_property
+    def reversed(self) -> Integers:
+        """(n,) int: nitrogens of those of them that are nearer to the other form."""
+        return PeptideBonds.of(self.structure).reversed(self.x)
 
     @cached_property
     def violations(self) -> Violations:
-        """Bonds, angles and distances that AlphaFold would not have; of a start nobody asks."""
+        """Bonds, angles and distances that AlphaFold would not have."""
         return violations(self.structure, self.x)
 
     def of_rings(self) -> list[int]:

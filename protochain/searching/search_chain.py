@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import pickle
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import Empty
 from time import perf_counter
 from typing import Any
 
-from protochain.batches.cluster import Processes, at_work
-from protochain.batches.supervise import supervise
+from protochain.batches.cluster import Processes, Submitted, at_work, shared
 from protochain.chains.articulate import with_energy
 from protochain.core import defaults
 from protochain.core.checks import at_least, checked, function, optional, path, text
@@ -46,8 +42,6 @@ _POLL = 0.2
 """s between looks whether there was an interrupt."""
 _LONG = 600.0
 """s. Time for a piece, of which a single step may take long."""
-_SHARED = ".search-"
-"""How the name begins of the folder of what all processes need."""
 
 
 @dataclass(frozen=True)
@@ -323,43 +317,42 @@ def _work(
                     if interrupts:
                         return True
             return False
-        with _shared(walks.landscape, walks.methods, walks.folder) as task, at_work(processes) as crew:
-            return _hand_out(walks, task, crew, processes, share, left, take, interrupts)
+        given = walks.landscape, walks.methods
+        with shared(given, walks.folder) as task, at_work(processes) as workers:
+            pieces = Submitted(workers, processes, task.parent)
+            return _hand_out(walks, task, pieces, share, left, take, interrupts)
 
 
 def _hand_out(
     walks: _Walks,
     task: Path,
-    crew: Any,
-    processes: Processes,
+    running: Submitted,
     share: float,
     left: Callable[[], float],
     take: Callable[[int, Any, Finding], None],
     interrupts: Sequence[int],
 ) -> bool:
     """Let processes do the pieces, of each walker one after the other; return whether it was interrupted."""
-    ended: SimpleQueue[tuple[int, Any]] = SimpleQueue()
-    running: dict[int, Any] = {}
+    idle = {*range(len(walks.states))}
     failures = [0] * len(walks.states)
     while True:
-        for walker in range(len(walks.states)):
-            has_time = left() > 0.0 or not (running or walks.have_begun)
-            if walker not in running and walks.wants(walker, share) and has_time:
-                piece = Piece(task, walker, walks.states[walker], share, min(SECONDS, left()))
-                future = crew.submit(supervise, piece, task.parent, processes.threads, processes.time_limit)
-                running[walker] = future  # Dask gives up what nobody holds.
-                future.add_done_callback(lambda future, walker=walker: ended.put((walker, future)))
-        if not running:
+        for walker in sorted(idle):
+            has_time = left() > 0.0 or not (len(running) or walks.have_begun)
+            if walks.wants(walker, share) and has_time:
+                running.submit(Piece(task, walker, walks.states[walker], share, min(SECONDS, left())))
+                idle.remove(walker)
+        if not len(running):
             return False
         while True:
             if interrupts:
                 return True
             try:
-                walker, future = ended.get(timeout=_POLL)
+                piece, future = running.ended(_POLL)
                 break
             except Empty:
                 continue
-        del running[walker]
+        walker = piece.walker
+        idle.add(walker)
         rows: list[Done] = future.result()
         (done,) = rows
         if done.found is not None:
@@ -372,20 +365,3 @@ def _hand_out(
             )  # fmt: skip
         else:
             failures[walker] += 1
-
-
-@contextmanager
-def _shared(landscape: Landscape, methods: Sequence[Method], folder: Path | None) -> Iterator[Path]:
-    """File of what all processes need, for as long as they do."""
-    for left in folder.glob(f"{_SHARED}*") if folder is not None else ():
-        shutil.rmtree(left, ignore_errors=True)  # by a search that was killed
-    with tempfile.TemporaryDirectory(prefix=_SHARED, dir=folder) as own:
-        task = Path(own).absolute() / "task.pickle"
-        try:
-            task.write_bytes(pickle.dumps((landscape, tuple(methods))))
-        except (pickle.PicklingError, AttributeError, TypeError):
-            raise ProtochainError(
-                Argument("energy"), ": cannot be sent to processes; define it in a module, or leave out ",
-                Argument("workers"),
-            ) from None  # fmt: skip
-        yield task

@@ -34,15 +34,7 @@ def interval(value: Any, name: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings(Settings):
-    """Settings that define a search.
-
-    method: ``csa``, ``hopping`` or ``tempering``.
-    temperatures K: Lowest and highest.
-    n_walkers: Independent walks, which share the evaluations.
-    n_replicas: Temperatures of each walk of tempering.
-    pilot: Rounds in which tempering places its temperatures, before those that count.
-    seed: Of all random numbers.
-    """
+    """Settings that define a search; for the meanings see :func:`protochain.search`."""
 
     method: str = setting(
         defaults.SEARCH, "csa (conformational space annealing), hopping or tempering.", text

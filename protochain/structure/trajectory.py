@@ -25,10 +25,14 @@ _XTC_HEADER, _XTC_RAW, _XTC_FEW = 92, 56, 9
 coordinates that are not compressed; and the number of atoms up to which they are not."""
 
 
+WRITTEN = (".dcd", ".xtc")
+"""Suffixes of trajectories that are written."""
+
+
 def check_trajectory(path: Path) -> None:
     """Refuse an unknown trajectory suffix."""
-    if path.suffix.lower() not in (".dcd", ".xtc"):
-        raise StructureError(f"{path}: unknown trajectory suffix {path.suffix!r}; use .dcd or .xtc")
+    if path.suffix.lower() not in WRITTEN:
+        raise StructureError(f"{path}: unknown trajectory suffix {path.suffix!r}; use {' or '.join(WRITTEN)}")
 
 
 def _is_whole(path: Path, begin: int, n_atoms: int) -> bool:

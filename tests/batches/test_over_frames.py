@@ -16,7 +16,7 @@ from fixtures.samples import load
 from fixtures.waiting import until
 
 import protochain as pc
-from protochain.batches import Processes, frames
+from protochain.batches import Processes, cluster
 from protochain.batches.frame_files import run_frames
 from protochain.batches.frame_report import write_report
 from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ValidateFrames, begun, row_of
@@ -99,7 +99,7 @@ def in_this_process(monkeypatch, fate):
         return rows
 
     begun.cache_clear()
-    monkeypatch.setattr(frames, "supervise", supervise)
+    monkeypatch.setattr(cluster, "supervise", supervise)
     return began
 
 
@@ -132,7 +132,7 @@ def test_frames_of_a_file_are_read_where_they_are_done(monkeypatch, tmp_path, x)
         given.append(job.frames)
         return job.lost([], "killed", "", 0.0)
 
-    monkeypatch.setattr(frames, "supervise", supervise)
+    monkeypatch.setattr(cluster, "supervise", supervise)
     assert len([*over_frames(ensemble, chosen, RELAX, Processes(1))]) == 5
     # Each once more, in another process, before it is given up.
     assert sorted(given) == sorted([(0,), (1,), (2,), (3,), (4,)] * 2)

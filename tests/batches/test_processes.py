@@ -177,12 +177,12 @@ class Ending:
             def put(_, item):
                 _.append(item)
 
-            def get(_):
+            def get(_, timeout):
                 self.most = max(self.most, len(self.running))
                 self.end(*self.running.pop(0))
                 return _.popleft()
 
-        monkeypatch.setattr(batch_structures, "SimpleQueue", Ended)
+        monkeypatch.setattr(cluster, "SimpleQueue", Ended)
 
     def submit(self, function, job, folder, threads, time_limit):
         assert function is supervise

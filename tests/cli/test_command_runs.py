@@ -287,8 +287,8 @@ def test_compare_hands_its_options_on(compared, asked, capsys):
     options = ("--tolerance", 2, "--max-evaluations", 7, "--seed", 3, "--repeats", 5, "--reference", "r.pdb")
     options = (*options, "--no-curvature")
     assert run("compare", "in/a.pdb", "--methods", "md,kcm,md", *options, "--json", "-o", "out") == 0
-    more = {"reference": "loaded r.pdb", "repeats": 5, "curvature": False}
-    assert compared.given == [((asked.chain, ("md", "kcm"), "energy", 2.0, 7, 3), more)]
+    more = {"reference": "loaded r.pdb", "repeats": 5, "curvature": False, "max_evaluations": 7, "seed": 3}
+    assert compared.given == [((asked.chain, ("md", "kcm"), "energy", 2.0), more)]
     assert asked.foretold == [(14, 14)] and not list(Path().iterdir())
     assert asked.shown == [("one", 7, {}), ("two", 7, {})]
     assert json.loads(capsys.readouterr().out) == {
@@ -296,8 +296,8 @@ def test_compare_hands_its_options_on(compared, asked, capsys):
     }  # fmt: skip
     assert run("compare", "in/a.pdb.gz", "--methods", "md,kcm") == 0
     assert compared.given[1] == (
-        (asked.chain, ("md", "kcm"), "energy", 1.0, 5000, 0),
-        {"reference": None, "repeats": 3, "curvature": None},
+        (asked.chain, ("md", "kcm"), "energy", 1.0),
+        {"reference": None, "repeats": 3, "curvature": None, "max_evaluations": 5000, "seed": 0},
     )
     assert asked.foretold[1] == (sum(typical_evaluations(method, 5000) for method in ("md", "kcm")), 10_000)
     told = capsys.readouterr()

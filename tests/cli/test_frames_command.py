@@ -12,6 +12,7 @@ from fixtures.samples import load
 
 import protochain as pc
 from protochain.cli import frames as of_frames
+from protochain.cli import terminal
 from protochain.structure.frames import open_frames
 
 SMALL = "ala10.pdb"
@@ -129,7 +130,7 @@ def test_a_stopped_run_is_not_replaced_by_chance(here, capsys, monkeypatch):
     with monkeypatch.context() as patched:
         from contextlib import contextmanager
 
-        patched.setattr(of_frames, "_progress", contextmanager(lambda name, total: (yield stop)))
+        patched.setattr(terminal, "frames_progress", contextmanager(lambda name, total: (yield stop)))
         assert run(*begun) == 130
     assert "--resume" in capsys.readouterr().err
     assert "resume" in refusal(*begun)

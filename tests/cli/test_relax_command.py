@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.jobs import Job
-from protochain.batches.relaxed import COLUMNS as OF_RELAXED
-from protochain.batches.relaxed import SHOWN_RELAXED
+from protochain.batches.page import SHOWN_RELAXED
 from protochain.batches.table import COLUMNS as OF_MINIMISED
+from protochain.batches.table import RELAXED_COLUMNS as OF_RELAXED
 from protochain.batches.task import run as run_job
 from protochain.cli.relaxing import print_relaxed, tell_plan
 from protochain.comparison.relaxed import coloured, write_relaxed

@@ -125,9 +125,9 @@ def test_what_is_left_or_lost_is_named_in_message_and_status(bent):
     r = pc.relax(bent, threads=1, protocol="alphafold", max_iterations=1)
     assert r.status == "budget" and "twisted peptide bonds: " + name in r.message
     s = load("1l2y.pdb")
-    other = Wrong.at(s, bent.positions)
+    other = Wrong(s, bent.positions)
     assert left_in_words(other) == []  # -75: it went to the other side, and is lost.
-    half = Wrong.at(s, with_omega(s, 12, 120.0).positions)
+    half = Wrong(s, with_omega(s, 12, 120.0).positions)
     assert left_in_words(half)[0].startswith("twisted peptide bonds: " + name)
     assert _lost(half).tolist() == [] and _lost(other).tolist() == [bond_before(s, 12)[2]]
 

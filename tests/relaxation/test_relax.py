@@ -372,7 +372,7 @@ def test_only_hands_that_became_wrong_are_inverted():
     assert len(left) < len(wrong) and (r.status is pc.Status.INVERTED) == bool(set(left) - set(wrong))
     right = load("1l2y.pdb")
     mirror = right.positions * [1.0, 1.0, -1.0]
-    spoiled = _spoiled(Wrong.at(right, mirror))
+    spoiled = _spoiled(Wrong(right, mirror))
     assert len(spoiled) >= 16 and spoiled[0] == "CA of residue 1 ASN of chain A"
 
 

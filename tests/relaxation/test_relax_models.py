@@ -70,7 +70,7 @@ def test_springs_of_later_rounds_are_those_in_series_and_lead_to_the_input(monke
         begins.append(x)
         told = Round(0, 1, 0, 1, 1, 0.0)
         return Ended(
-            Wrong.at(s, x + 0.1),
+            Wrong(s, x + 0.1),
             Stop.TOLERANCE,
             self._springs(share, *strengths[0]),
             np.array([4 + len(seen)]),
@@ -149,9 +149,9 @@ def test_a_bond_that_a_broken_chain_does_not_have_holds_up_nothing_and_is_report
     assert r.start.n_chains == 2 and len(r.rounds) == 1 and r.rounds[0].violations == 2
     assert r.status == "converged" and r.measures_end["violations"] == 2
     assert "2 residues with violations at breaks of the chain" in r.message
-    found = Wrong.at(r.start, r.x)
+    found = Wrong(r.start, r.x)
     assert found.violations.per_residue.sum() == 2 and not found.mendable().any()
-    whole = Wrong.at(s, torn.positions)
+    whole = Wrong(s, torn.positions)
     per_residue = whole.violations.per_residue
     assert np.array_equal(whole.mendable(), per_residue) and per_residue.sum() >= 2
 

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import protochain as pc
+from protochain.batches import cluster
 from protochain.searching import csa, search_chain
 from protochain.searching.hopping import ADAPTED, metropolis
 from protochain.searching.landscape import Descended, Landscape
@@ -72,7 +73,7 @@ def test_a_search_that_is_interrupted_and_resumed_finds_the_same_bits(
 
 
 def test_a_search_in_processes_that_fail_finds_the_same_bits(peptide, whole, tmp_path, monkeypatch):
-    failed, supervise = [], search_chain.supervise
+    failed, supervise = [], cluster.supervise
 
     def failing(job, folder, threads, limit):
         if len(failed) < 2:
@@ -80,18 +81,16 @@ def test_a_search_in_processes_that_fail_finds_the_same_bits(peptide, whole, tmp
             return job.lost([], "killed", "the process was ended by SIGKILL", 1.0)
         return supervise(job, folder, threads, limit)
 
-    monkeypatch.setattr(search_chain, "supervise", failing)
+    monkeypatch.setattr(cluster, "supervise", failing)
     found = pc.search(*peptide, "hopping", 1500, output=tmp_path, workers=2, **SMALL)
     assert len(failed) == 2 and same(found, whole["hopping"])
-    assert not list(tmp_path.glob(".search-*"))
+    assert not list(tmp_path.glob(".protochain-*"))
 
 
 def test_a_process_that_fails_again_and_again_ends_the_search_and_keeps_what_there_is(
     peptide, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(
-        search_chain, "supervise", lambda job, *_: job.lost([], "killed", "memory ran out", 1.0)
-    )
+    monkeypatch.setattr(cluster, "supervise", lambda job, *_: job.lost([], "killed", "memory ran out", 1.0))
     with pytest.raises(pc.ProtochainError, match=r"walker [01]: memory ran out; .*resume=True"):
         pc.search(*peptide, "hopping", 1500, output=tmp_path, workers=1, **SMALL)
 
@@ -311,10 +310,10 @@ def test_however_short_the_time_a_walk_begins(workers, peptide):
 
 
 def test_what_a_killed_search_has_left_is_removed(peptide, tmp_path):
-    (tmp_path / ".search-killed").mkdir()
-    (tmp_path / ".search-killed" / "task.pickle").write_bytes(b"")
+    (tmp_path / ".protochain-killed").mkdir()
+    (tmp_path / ".protochain-killed" / "task.pickle").write_bytes(b"")
     pc.search(*peptide, "hopping", 100, output=tmp_path, workers=1, n_walkers=1)
-    assert not list(tmp_path.glob(".search-*"))
+    assert not list(tmp_path.glob(".protochain-*"))
 
 
 def test_populations_are_of_walks_whose_pilot_is_over(whole):

@@ -1,4 +1,4 @@
-"""What a relaxation knows of its energy is what the energy would say, bit for bit."""
+"""A relaxation evaluates its start and its end once, and judges by what it found there."""
 
 from itertools import pairwise
 
@@ -10,51 +10,6 @@ import protochain as pc
 from protochain.energies.native.evaluation import Evaluation
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.relax_structure import relax_structure
-from protochain.relaxation.rounds import LastKnown
-
-
-class Counting:
-    """An energy that counts its calls, with lists that may be made anew."""
-
-    def __init__(self, lists_at):
-        self.lists_at, self.calls, self.coarse = lists_at, 0, "rough"
-
-    def __call__(self, x):
-        self.calls += 1
-        return float(x.sum()) + self.calls, x.copy()
-
-
-def points():
-    return [np.full((2, 3), value) for value in (1.0, 2.0, 3.0)]
-
-
-def test_the_first_and_the_last_point_are_known():
-    energy = Counting(np.zeros(3))
-    known, (one, two, three) = LastKnown(energy), points()
-    first, forces = known(one)
-    forces[:] = np.nan  # Whoever gets them may change them.
-    last = known(two)[0], known(three)[0]
-    assert energy.calls == 3
-    assert known(one)[0] == first and known(three)[0] == last[1] and energy.calls == 3
-    known(one)[1][:] = np.nan
-    np.testing.assert_array_equal(known(one)[1], one)
-    assert known.coarse == "rough"
-    known(two)  # Between these, and forgotten.
-    assert energy.calls == 4
-
-
-def test_nothing_is_known_with_other_lists_or_without_lists():
-    energy = Counting(np.zeros(3))
-    known, (one, two, _) = LastKnown(energy), points()
-    first = known(one)[0]
-    energy.lists_at = np.zeros(3)
-    assert known(one)[0] != first and energy.calls == 2
-    assert known.at_first(one) == first and energy.calls == 2
-    assert known.at_first(two) != first and energy.calls == 3
-    without = Counting(None)
-    known = LastKnown(without)
-    known(one), known(one), known.at_first(one)
-    assert without.calls == 3
 
 
 def test_radii_of_the_last_point_are_those_computed_anew():
