@@ -1,6 +1,5 @@
 """``protochain minimise``."""
 
-import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -24,6 +23,7 @@ from protochain.cli.options import (
     beside_structure,
     check_names,
     check_outputs,
+    check_structure,
     exit_status,
     inputs_of,
     named_after,
@@ -32,10 +32,9 @@ from protochain.cli.options import (
     print_json,
     print_lost,
     refuse,
-    refuse_unusable,
     with_settings,
-    write_beside,
     write_models,
+    written,
 )
 from protochain.cli.terminal import (
     TROUBLED,
@@ -114,8 +113,8 @@ def minimise(
         refuse(context, single, "belongs to one model, and there may be several")
     runs = _runs(source, output, setup, one_file)
     more = [Path(path) for path in (trajectory, saving.checkpoint, *beside.values()) if path]
-    written = [*dict.fromkeys(path for _, path in runs), *more]
-    check_outputs(inputs_of(setup, source, saving.resume), written, force)
+    outputs = [*dict.fromkeys(path for _, path in runs), *more]
+    check_outputs(inputs_of(setup, source, saving.resume), outputs, force)
 
     settings: dict[str, Any] = {"method": chosen, **vars(minimising)}
     if starting.n_starts == 1:
@@ -208,26 +207,17 @@ def _solved(
     beside: dict[str, Path | None],
 ) -> dict[str, Any]:
     """Prepare and minimise one model, write it, and return its record."""
-    from protochain.structure.ligand_files import check_ligands
-    from protochain.structure.write import check_fits
-
     chain, energy, preparation = prepare(source, setup)
-    if beside["ligands"]:
-        check_ligands(chain.structure)
-    for line in check_fits(chain.structure, output):
-        print(line, file=sys.stderr)
+    check_structure(chain.structure, output, beside["ligands"])
     troubled = print_outlook(source, chain.structure, method)
     typical, most = lengths
     foretell(source, chain, energy, min(most, (TROUBLED if troubled else 1) * typical), most)
     context.with_resource(held_interrupts())
-    solution, noted = solve(chain, energy)
-    refuse_unusable(source, solution)
-    write(solution, output)
+    solution, told = solve(chain, energy)
     model = {} if setup.model is None else {"model": setup.model}
     origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
-    record = solution.record() | noted | model | origin
-    write_beside(solution, record, setup, _write_page, **beside)
-    return record
+    done = partial(write, solution, output)
+    return written(solution, told | model | origin, done, setup, _write_page, **beside)
 
 
 def _write_page(solution: "Solution", record: dict[str, Any], path: Path) -> None:

@@ -373,29 +373,40 @@ def write_models(
     sys.stdout.write(as_text(models, suffix, remarks, hydrogens=hydrogens))
 
 
-def refuse_unusable(source: Path, result: Any) -> None:
-    """End with a message if a run has no result that could be written."""
-    if not result.is_usable:
-        why = f"{source}: {result.message}; nothing is better than the start: nothing is written"
-        raise SystemExit(fail(why))
+def check_structure(structure: "Structure", output: Path, ligands: Path | None) -> None:
+    """Refuse outputs that cannot hold a structure; say what will be named otherwise."""
+    from protochain.structure.ligand_files import check_ligands
+    from protochain.structure.write import check_fits
+
+    if ligands:
+        check_ligands(structure)
+    for line in check_fits(structure, output):
+        print(line, file=sys.stderr)
 
 
-def write_beside(
+def written(
     result: Any,
-    record: dict[str, Any],
+    more: Mapping[str, Any],
+    write: Callable[[], object],
     setup: Setup,
     write_report: Callable[[Any, dict[str, Any], Path], object],
     report: Path | None,
     ligands: Path | None,
     trace: Path | None = None,
-) -> None:
-    """Write what was asked for beside a structure, and copy what a predictor wrote beside its input.
+) -> dict[str, Any]:
+    """Write a structure, what was asked for beside it, and what a predictor wrote beside its input.
 
-    The record gets their names. A full disk loses only what does not fit, which is said.
+    The record, with ``more`` and the names of all that is written, is returned. A run without a result that
+    could be written ends the command; a full disk loses only what does not fit, which is said.
     """
     from protochain.core.storage import write_atomically
     from protochain.structure.confidences import copy_confidences
 
+    if not result.is_usable:
+        why = f"{more['input']}: {result.message}; nothing is better than the start: nothing is written"
+        raise SystemExit(fail(why))
+    write()
+    record = {**result.record(), **more}
     try:
         if trace:
             write_atomically(trace, partial(result.trace.to_csv, index=False))
@@ -413,6 +424,7 @@ def write_beside(
         record.setdefault("not_written", []).append(str(error))
     for line in record.get("not_written", ()):
         fail(f"{line}; saved: {record['output']}")
+    return record
 
 
 def beside_structure(output: Path) -> AbstractContextManager[Any]:

@@ -25,6 +25,7 @@ from protochain.cli.options import (
     beside_structure,
     check_names,
     check_outputs,
+    check_structure,
     end_folder,
     exit_status,
     has_poses,
@@ -33,10 +34,9 @@ from protochain.cli.options import (
     print_files,
     print_json,
     refuse,
-    refuse_unusable,
     with_settings,
-    write_beside,
     write_models,
+    written,
 )
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
@@ -163,8 +163,6 @@ def _one(
     from protochain.relaxation.names import relaxed_name
     from protochain.relaxation.relax_structure import relax_structure
     from protochain.structure.files import suffix_of
-    from protochain.structure.ligand_files import check_ligands
-    from protochain.structure.write import check_fits
 
     if str(source) != "-" and not source.exists():
         raise ProtochainError(f"{source}: not found; check the name")
@@ -175,23 +173,20 @@ def _one(
     check_outputs(inputs_of(setup, source), [output, *(each for each in (report, ligand_out) if each)], force)
     began = perf_counter()
     structure = setup.load(source)
-    if ligand_out:
-        check_ligands(structure)
+    check_structure(structure, output, ligand_out)
     energy = setup.energy(structure)
-    for line in check_fits(structure, output):
-        print(line, file=sys.stderr)
     preparation = perf_counter() - began
     seconds = tell_plan(source, structure, energy, setup.move)
     with held_interrupts():
         with progress(seconds) as watch:
             result = relax_structure(structure, energy, relaxing, watch, setup.move)
-        refuse_unusable(source, result)
-        hydrogens = result.settings.keep_hydrogens
-        write_models([result.structure], output, suffix_of(source), result.provenance(), hydrogens)
-        record = result.record() | {
-            "input": str(source), "output": str(output), "seconds_preparation": preparation,
-        }  # fmt: skip
-        write_beside(result, record, setup, _write_page, report, ligand_out)
+        origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+
+        def write() -> None:
+            how = result.provenance(), relaxing.keep_hydrogens
+            write_models([result.structure], output, suffix_of(source), *how)
+
+        record = written(result, origin, write, setup, _write_page, report, ligand_out)
     if as_json:
         print_json(record)
     else:

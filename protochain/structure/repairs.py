@@ -218,8 +218,8 @@ class Kind(Enum):
     RING_TURNED = Words(
         "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
     )
-    STATE_CHOSEN = Words("{residue} read as {state}")
-    STATE_BY_PKA = Words("{residue} read as {state}: its pKa is {pka:.1f} by PROPKA")
+    STATE_CHOSEN = Words("{residue} modelled as {state}")
+    STATE_BY_PKA = Words("{residue} modelled as {state}: its pKa is {pka:.1f} by PROPKA")
     STRANGE_HYDROGENS = Words(
         "{residue}: {count:n hydrogen} left out, not of its state",
         "hydrogens left out that do not belong to the state",

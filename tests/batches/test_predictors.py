@@ -146,8 +146,8 @@ FOLDERS = {
 }  # fmt: skip
 REPORTED = {
     "Chai-1": ("LIG1 of chain B stays in place",),
-    "RFdiffusion3": ("virtual atoms V0", "residue 20 UNK of chain A: taken as ALA"),
-    "BoltzGen": ("CB, CG, OD1, ND2 at the origin or upon CA: taken as missing",),
+    "RFdiffusion3": ("virtual atoms V0", "residue 20 UNK of chain A: read as ALA"),
+    "BoltzGen": ("CB, CG, OD1, ND2 at the origin or upon CA: treated as missing",),
 }
 
 

@@ -199,7 +199,7 @@ def test_velocities_follow_from_impulses_through_the_dense_matrix(seed, law):
 
 
 def brute(w, u, mu, e, law):
-    """Integrate du/dp = W (1, t) by scipy until the law is met; slip that ends is taken as in theory.
+    """Integrate du/dp = W (1, t) by scipy until the law is met; slip that ends is read as in theory.
 
     Returns velocities, and whether the slip came to rest on the way.
     """

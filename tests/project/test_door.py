@@ -1,4 +1,4 @@
-"""Public calls: arguments are taken as users mean them, or refused in one line that names them."""
+"""Public calls: arguments are read as users mean them, or refused in one line that names them."""
 
 import copy
 import inspect

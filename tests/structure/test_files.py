@@ -330,7 +330,7 @@ def test_disulfides_can_be_asked_for_and_refused():
 )
 def test_protonation_follows_the_ph_and_is_said(ph, names):
     s = pc.load(STRUCTURES / "1hel.pdb", ph=ph)
-    said = [line.rsplit(" taken as ", 1)[1] for line in sentences(s) if " taken as " in line]
+    said = [line.rsplit(" modelled as ", 1)[1] for line in sentences(s) if " modelled as " in line]
     assert set(said) == names
     # One hydrogen more or less for each, but for histidine's two neutral states.
     more = sum({"HIP": 1, "ASH": 1, "GLH": 1, "LYN": -1}.get(name, 0) for name in said)

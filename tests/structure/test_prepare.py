@@ -126,7 +126,7 @@ def test_histidines_hydrogen_goes_where_an_acceptor_is_straight_ahead(degrees, b
 def test_changes_are_few_lines_losses_first_and_histidines_one(name, first, lines):
     s = pc.load(shared(name))
     assert s.changes[0].startswith(first) and len(s.changes) <= lines < len(s.repairs)
-    assert sum("taken as HI" in line or line.startswith("HIS states") for line in s.changes) == 1
+    assert sum("modelled as HI" in line or line.startswith("HIS states") for line in s.changes) == 1
     assert "hydrogens added" in s.changes[-1]
 
 
@@ -146,7 +146,7 @@ def test_histidines_are_told_by_state():
         ]
     )
     assert changes == (
-        "residue 5 ASP of chain A taken as ASH",
+        "residue 5 ASP of chain A modelled as ASH",
         "HIS states: HID A:5, 12A; HIE A:9; HIP B:4",
     )
 

@@ -158,8 +158,8 @@ def test_states_that_are_chosen_are_said_and_those_of_the_file_are_not():
         "CALA",
     ]
     assert sentences(draft)[:3] == [
-        "residue 1 HIS of chain A taken as HIP", "residue 2 ASP of chain A taken as ASH",
-        "residue 6 GLU of chain A taken as GLH",
+        "residue 1 HIS of chain A modelled as HIP", "residue 2 ASP of chain A modelled as ASH",
+        "residue 6 GLU of chain A modelled as GLH",
     ]  # fmt: skip
     assert sentences(draft)[3].endswith("hydrogens added at pH 4.4 (0 were in the file)")
     ends = [member("ASP", 1, ("CA", 0.0, 0.0, 0.0)), member("HIS", 2, ("CA", 9.0, 0.0, 0.0))]
@@ -168,7 +168,7 @@ def test_states_that_are_chosen_are_said_and_those_of_the_file_are_not():
     assert [template.name for _, template in done] == ["NASP", "CHIP"]
     assert sentences(draft)[:2] == [
         "residue 1 ASP of chain A: kept in its usual state: the force field has no terminal ASH",
-        "residue 2 HIS of chain A taken as HIP",
+        "residue 2 HIS of chain A modelled as HIP",
     ]
 
 

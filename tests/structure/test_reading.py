@@ -74,7 +74,7 @@ def test_bonded_residues_are_one_part_and_nothing_is_said():
     assert [(m.chain_id, m.number, m.insertion_code, m.state) for m in draft.members] == [
         ("A", "1", "", ""), ("A", "2", "B", "HIE"), ("A", "3", "", ""),
     ]  # fmt: skip
-    assert sentences(draft) == ["residue 2B HIE of chain A: taken as HIS in protonation state HIE"]
+    assert sentences(draft) == ["residue 2B HIE of chain A: modelled as HIS in protonation state HIE"]
     assert dict(draft.left_out) == {}
 
 
@@ -120,7 +120,7 @@ def test_a_file_without_a_protein_says_what_there_is():
     assert dict(draft.left_out) == {"waters": 3, "XQQ": 2}
     assert sentences(draft) == [
         '3 waters, 2 XQQ left out; keep="all" keeps everything',
-        "1 deuterium atom taken as hydrogen",
+        "1 deuterium atom read as hydrogen",
     ]
 
 
@@ -417,7 +417,7 @@ def test_an_occupancy_that_is_no_number_is_no_choice(tmp_path):
     (tmp_path / "x.pdb").write_text("\n".join([*lines, "END", ""]))
     s = pc.load(tmp_path / "x.pdb")
     assert s.residue_name[21] == "SER" and np.isfinite(s.occupancy).all()
-    assert f"occupancy of {len(own)} atoms is no number: taken as 0" in sentences(s)
+    assert f"occupancy of {len(own)} atoms is no number: read as 0" in sentences(s)
 
 
 def test_atoms_upon_one_another_beyond_measure_are_refused(tmp_path):

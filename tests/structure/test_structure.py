@@ -82,7 +82,7 @@ def test_every_change_is_said():
     # The file says them itself.
     assert "disulfide" not in repairs
     assert "379 hydrogens added at pH 7 (0 were in the file)" in repairs
-    assert "residue 5 HIS of chain B taken as" in repairs
+    assert "residue 5 HIS of chain B read as" in repairs
 
 
 def test_both_formats_of_one_entry_give_one_structure():
@@ -239,7 +239,7 @@ def test_a_name_of_a_protonation_state_is_taken_at_its_word(tmp_path):
     heavy = [line for line in text.splitlines(True) if line[76:78].strip() != "H"]
     path = written(tmp_path, "".join(heavy).replace("ASP A   9", "ASH A   9"))
     s = pc.load(path)
-    assert any(line.startswith("residue 9 ASH of chain A: taken as ASP") for line in sentences(s))
+    assert any(line.startswith("residue 9 ASH of chain A: read as ASP") for line in sentences(s))
     assert "HD2" in s.atom_name[s.atom_residue == 8] and s.n_atoms == load("1l2y.pdb").n_atoms + 1
 
 
