@@ -74,7 +74,7 @@ def test_bonded_residues_are_one_part_and_nothing_is_said():
     assert [(m.chain_id, m.number, m.insertion_code, m.state) for m in draft.members] == [
         ("A", "1", "", ""), ("A", "2", "B", "HIE"), ("A", "3", "", ""),
     ]  # fmt: skip
-    assert sentences(draft) == ["residue 2B HIE of chain A: modelled as HIS in protonation state HIE"]
+    assert sentences(draft) == ["residue 2B HIE of chain A: read as HIS in protonation state HIE"]
     assert dict(draft.left_out) == {}
 
 

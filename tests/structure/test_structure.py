@@ -82,7 +82,7 @@ def test_every_change_is_said():
     # The file says them itself.
     assert "disulfide" not in repairs
     assert "379 hydrogens added at pH 7 (0 were in the file)" in repairs
-    assert "residue 5 HIS of chain B read as" in repairs
+    assert "residue 5 HIS of chain B modelled as" in repairs
 
 
 def test_both_formats_of_one_entry_give_one_structure():
