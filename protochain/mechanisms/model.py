@@ -18,12 +18,10 @@ from protochain.mechanics.motion import (
 )
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.dissipated import WithDampers
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Gravity, damping, joined
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.march import march
-from protochain.mechanisms.rosenbrock import Rosenbrock
 
 if TYPE_CHECKING:
     pass
@@ -84,8 +82,8 @@ class Model(Assembly):
             Longest step.
         integrator : Integrator, optional
             By default ``motion.RungeKutta4``. ``DormandPrince()`` keeps a tolerance;
-            ``Rosenbrock()`` takes any damper, however stiff, and damps vibrations that its step does not
-            resolve; ``ImplicitMidpoint()`` keeps their energy, not their phase.
+            ``Rosenbrock()`` too, with any damper, however stiff, and damps vibrations smaller than that;
+            ``ImplicitMidpoint()`` keeps their energy, not their phase.
         every : int
             Steps from one row of the result to the next; events and the end have rows besides.
         start : Phase, optional
@@ -186,9 +184,6 @@ class _Simulation:
         self.model, self.start, self.integrator, self.time_step = model, start, integrator, time_step
         self.every, self.balance = every, balance
         self.remedy = integrator.remedy
-        taking = model.taking
-        if isinstance(integrator, Rosenbrock) and np.any(taking):
-            self.integrator = WithDampers(integrator, taking)
         self.rows: list[Row] = []
         self.kept: list[tuple[Any, ...]] = []
         self.happened: list[Happened] = []
