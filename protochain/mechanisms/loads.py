@@ -147,15 +147,25 @@ def _of_state(value: Any) -> tuple[Callable[..., Any], bool]:
 
 
 def _n_parameters(value: Callable[..., Any]) -> int:
-    """How many arguments a callable takes: two or, if it cannot, one, or none of these."""
+    """How many arguments a callable needs, one or two, or 0 if others; what has a default is not given."""
     try:
-        signature = inspect.signature(value)
+        parameters = inspect.signature(value).parameters.values()
     except (TypeError, ValueError):  # Some callables that are not of Python have no signature.
         return 1
-    for n in (2, 1):
-        try:
-            signature.bind(*[None] * n)
-        except TypeError:
-            continue
-        return n
-    return 0
+    kinds = [each.kind for each in parameters if each.default is each.empty]
+    if inspect.Parameter.KEYWORD_ONLY in kinds:
+        return 0
+    if inspect.Parameter.VAR_POSITIONAL in kinds:
+        return 2
+    needed = len([kind for kind in kinds if kind is not inspect.Parameter.VAR_KEYWORD])
+    # A default of the time itself is none that matters.
+    return needed if 1 <= needed <= 2 else int(not needed and _takes_one(value))
+
+
+def _takes_one(value: Callable[..., Any]) -> bool:
+    """Whether a callable can be called with the time."""
+    try:
+        inspect.signature(value).bind(None)
+    except TypeError:
+        return False
+    return True

@@ -200,6 +200,7 @@ class _Simulation:
                 watching = self.model.events or self.model.memories
                 end = self.with_events(until) if watching else self.without_events(until)
                 self.look()
+                self.look(self.worst)
             except UnbalancedError:
                 raise
             except StepTooLargeError as error:
@@ -231,10 +232,17 @@ class _Simulation:
         if len(self.rows) % _LOOK == 0:
             self.look()
 
-    def look(self) -> None:
-        """Look at the energy of the latest row."""
-        time, *_, potential, _, _ = self.rows[-1]
-        (_, before), (kinetic, after) = (self.unspent(self.rows[k]) for k in (0, -1))
+    @property
+    def worst(self) -> int:
+        """Row whose energy differs most from that of the start."""
+        run = Run(self.model, self.rows, (), self.start)
+        lack = run.total - np.sum(run.work, axis=1) - run.jumps
+        return int(np.argmax(np.abs(lack - lack[0])))
+
+    def look(self, row: int = -1) -> None:
+        """Look at the energy of a row, by default the latest."""
+        time, *_, potential, _, _ = self.rows[row]
+        (_, before), (kinetic, after) = (self.unspent(self.rows[k]) for k in (0, row))
         lack = after - before
         if abs(lack) <= self.balance * kinetic < np.inf:
             return

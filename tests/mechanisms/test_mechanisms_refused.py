@@ -550,3 +550,15 @@ def test_mechanisms_know_nothing_of_proteins():
     assert "openmm" not in loaded and "'pandas'" not in loaded
     for part in ("structure", "energies", "chain", "dynamics", "minimisers"):
         assert f"'protochain.{part}" not in loaded
+
+
+def test_defaults_of_functions_are_theirs():
+    """The usual way to keep the variable of a loop: only what has no default is given."""
+    m = Mechanism()
+    m.body("a", 1.0, inertia=1.0)
+    for name, on in (("first", False), ("second", True)):
+        m.load(name, "a", force=lambda t, on=on: (float(on), 0, 0))
+    m.load("third", "a", force=lambda t, s, by=2.0: (0, by, 0))
+    assert m.build().simulate(1.0, 0.1).qd[-1, 3:] == pytest.approx([1.0, 2.0, 0.0])
+    with pytest.raises(MechanicsError, match="callable of t, or of t and state"):
+        m.load("fourth", "a", force=lambda t, *, s: (0, 0, 0))
