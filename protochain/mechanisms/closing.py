@@ -111,8 +111,11 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
         return bodies
     parts = [each.bind(bodies) for each in closings]
     of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
-    joints = LoopJoints(*(np.concatenate([getattr(part, name) for part in parts])
-                          for name in ("body", "turns", "point", "along")))  # fmt: skip
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("body", "turns", "point", "along")
+    }
+    joints = LoopJoints(**columns)
     tree = bodies.tree
     given = _given(bodies)
     undriven = np.setdiff1d(np.arange(tree.n_v), tree.driven_v)

@@ -13,7 +13,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.checks import number, numbers
+from protochain.mechanisms.checks import answer, number, numbers
 from protochain.mechanisms.elements import Acting, Named
 
 
@@ -67,17 +67,24 @@ class AppliedForce(Named):
         force, by_force = _of_state(self.force)
         moment, by_moment = _of_state(self.moment)
 
+        def answered(what: str, function: Callable[..., Any], *given: Any) -> Floats:
+            return numbers(answer(f"{said} {what}", function, *given), (3,), f"{said} {what}")
+
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             def state() -> State:
                 return State(bodies, time, q, qd, frames)
 
             wrenches = np.zeros((bodies.tree.n_bodies, 6))
             if self.force is not None:
-                fx, fy, fz = numbers(force(time, state), (3,), f"{said} force").tolist()
+                fx, fy, fz = numbers(
+                    answer(f"{said} force", force, time, state), (3,), f"{said} force"
+                ).tolist()
                 x, y, z = (frames.rotation[b] @ point).tolist()
                 wrenches[b] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
             if self.moment is not None:
-                wrenches[b, :3] += numbers(moment(time, state), (3,), f"{said} moment")
+                wrenches[b, :3] += numbers(
+                    answer(f"{said} moment", moment, time, state), (3,), f"{said} moment"
+                )
             return Applied(wrenches)
 
         return Acting(load=Load(applied, by_force or by_moment))
@@ -121,7 +128,7 @@ class HingeTorque(Named):
 
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             torques = np.zeros(bodies.tree.n_v)
-            found = value(time, lambda: State(bodies, time, q, qd, frames))
+            found = answer(f"{self.said}: its value", value, time, lambda: State(bodies, time, q, qd, frames))
             torques[freedom] = number(found, f"{self.said}: its value")
             return Applied(torques=torques)
 

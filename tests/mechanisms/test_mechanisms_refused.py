@@ -562,3 +562,39 @@ def test_defaults_of_functions_are_theirs():
     assert m.build().simulate(1.0, 0.1).qd[-1, 3:] == pytest.approx([1.0, 2.0, 0.0])
     with pytest.raises(MechanicsError, match="callable of t, or of t and state"):
         m.load("fourth", "a", force=lambda t, *, s: (0, 0, 0))
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        (
+            lambda m: m.load("f", "rod", force=lambda t: (1 / 0, 0, 0)),
+            'load "f": its force fails: Zero',
+        ),
+        (lambda m: m.load("f", "rod", moment=lambda t, s: s.angel), 'load "f": its moment fails: Attribute'),
+        (lambda m: m.torque("f", "pin", lambda t: {}[t]), 'torque "f": its value fails: KeyError'),
+        (lambda m: m.on("f", lambda s: s.angle("pin"), lambda s: 1 / 0), 'event "f": its jump fails'),
+        (lambda m: m.on("f", lambda s: [][1], lambda s: None), 'event "f": its value fails: IndexError'),
+        (lambda m: m.drive("pin", lambda t: 1 / 0), 'drive of hinge "pin": its motion fails'),
+    ],
+)
+def test_what_fails_in_a_function_names_its_element(part, words):
+    m = pendulum()
+    with pytest.raises(MechanicsError, match=words):
+        part(m)
+        m.build().simulate(3.0, 0.1)
+
+
+def test_a_misspelt_argument_names_element_and_near_name():
+    m = pendulum()
+    with pytest.raises(MechanicsError, match='spring "s": there is no argument stifness; give stiffness'):
+        m.spring("s", ("rod", ORIGIN), ("world", ORIGIN), stifness=1.0)
+    with pytest.raises(MechanicsError, match='body "b": there is no argument xyz; give name, mass'):
+        m.body(name="b", xyz=1.0)
+
+
+def test_angles_of_more_than_a_turn_are_asked_about(caplog):
+    pendulum(q=3.0)
+    assert not caplog.records
+    pendulum(q=45.0)
+    assert 'hinge "pin": its q 45 is more than a turn: angles are radians' in caplog.text
