@@ -76,15 +76,11 @@ class AppliedForce(Named):
 
             wrenches = np.zeros((bodies.tree.n_bodies, 6))
             if self.force is not None:
-                fx, fy, fz = numbers(
-                    answer(f"{said} force", force, time, state), (3,), f"{said} force"
-                ).tolist()
+                fx, fy, fz = answered("force", force, time, state).tolist()
                 x, y, z = (frames.rotation[b] @ point).tolist()
                 wrenches[b] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
             if self.moment is not None:
-                wrenches[b, :3] += numbers(
-                    answer(f"{said} moment", moment, time, state), (3,), f"{said} moment"
-                )
+                wrenches[b, :3] += answered("moment", moment, time, state)
             return Applied(wrenches)
 
         return Acting(load=Load(applied, by_force or by_moment))
