@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from protochain.core.checks import plain
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Fault, ProtochainError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -67,6 +67,18 @@ def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "")
     if array.shape != shape:
         raise ProtochainError(f"{name} has shape {array.shape}, not {shape}")
     return frozen(array.view())
+
+
+def finite(values: ArrayLike, shape: tuple[int, ...], name: str) -> Floats:
+    """As :func:`floats`; raise if one is not finite."""
+    array = floats(values, shape, name)
+    if not np.isfinite(array).all():
+        at = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ProtochainError(
+            f"{name} has {array[at]} at {at[0] if len(at) == 1 else at}; give finite numbers",
+            fault=Fault.NOT_FINITE,
+        )
+    return array
 
 
 def cross(a: Floats, b: Floats) -> Floats:

@@ -296,7 +296,7 @@ def _announce(kept: bool) -> None:
     if compile_helpers.is_helper():
         return
     if kept:
-        _LOG.warning("compiling kernels for this machine; this happens once")
+        _LOG.warning("compiling kernels for this machine, which keeps them for later runs")
     else:
         _LOG.warning(
             "compiling kernels, as in every run: no folder can keep them; set NUMBA_CACHE_DIR to one that can"

@@ -59,7 +59,7 @@ CHECKPOINT_EVERY = 10
 PULL_STIFFNESS = 1000.0  # kJ/mol/nm^2
 PULL_SPEED = 0.01  # nm/ps
 
-BALANCE = 0.1
+BALANCE = 0.03
 """Energy that a motion of a mechanism may gain or lose by its integrator, of the largest in motion."""
 
 BATCH_THREADS = 1

@@ -1,5 +1,6 @@
 """Bodies and hinges by name -> a tree, each body with its frame along its hinge."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -24,6 +25,7 @@ KINDS = {
 }
 
 
+_LOG = logging.getLogger(__name__)
 NOWHERE = (0.0, 0.0, 0.0)
 _OF_FREE_BODIES = ("position", "rotation", "velocity", "spin")
 
@@ -95,6 +97,8 @@ class Hinge(Named):
             raise MechanicsError(f"{said} kind {shown(self.kind)}: give {', '.join(kinds)} or {last}")
         for name in ("q", "qd", "pitch"):
             self.fix(**{name: number(getattr(self, name), f"{said} {name}")})
+        if self.kind in ("revolute", "screw") and abs(self.q) > 2.0 * np.pi:
+            _LOG.warning("%s q %g is more than a turn: angles are radians; see np.radians", said, self.q)
         if (self.kind == "screw") != (self.pitch != 0.0):
             raise MechanicsError(
                 f"{said} pitch is zero; give a pitch, or kind revolute"

@@ -74,7 +74,8 @@ class Assembly:
         """The mechanism as integrators see it."""
         loads = tuple(each.load for each in self.loads)
         potential, joints = Sum(self.tree, self.conservative), self.bodies.joints
-        acts = Acts.of(self.conservative) if not loads and self.tree.is_plain else None
+        compiled = not loads and self.tree.is_plain and (joints is None or joints.rank is None)
+        acts = Acts.of(self.conservative) if compiled else None
         if acts is not None:
             if joints is None:
                 return CompiledSystem(self.tree, potential, acts=acts)

@@ -1,12 +1,13 @@
 """Arguments of elements, converted or refused in one line that names the element and the remedy."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
 from protochain.core.arrays import Floats
 from protochain.core.checks import shown
-from protochain.core.errors import Fault, MechanicsError
+from protochain.core.errors import Fault, MechanicsError, ProtochainError
 
 _KINDS = {
     (): "a number",
@@ -26,6 +27,16 @@ def numbers(value: Any, shape: tuple[int, ...], said: str) -> Floats:
     if array.shape != shape or not np.all(np.isfinite(array)) or isinstance(value, bool):
         raise MechanicsError(f"{said} {shown(value)}: give {_KINDS[shape]}, finite", fault=Fault.NOT_FINITE)
     return array
+
+
+def answer(said: str, function: Callable[..., Any], *given: Any) -> Any:
+    """What a function of the user's returns; its exceptions name the element."""
+    try:
+        return function(*given)
+    except ProtochainError:
+        raise
+    except Exception as error:
+        raise MechanicsError(f"{said} fails: {type(error).__name__}: {error}; mend the function") from error
 
 
 def number(value: Any, said: str) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg import lstsq
+from scipy.linalg import lstsq, null_space
 
 from protochain.core.arrays import Floats, read_only
 from protochain.core.checks import shown
@@ -33,6 +33,8 @@ _TURNS: dict[str, tuple[tuple[Floats, Floats], ...]] = {
 _ITERATIONS = 100
 _LONGEST = 0.3
 """Longest step of Newton's method towards closed loops, in radians and sizes of the tree."""
+_ASIDE, _MOST_RANKED = 0.05, 200
+"""How far one looks for another rank, in radians and sizes of the tree; equations up to which one does."""
 _CONTRADICTED = 1e-6
 """Rate of an open loop, of the largest given, that is more than rounding of what was given."""
 
@@ -109,8 +111,11 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
         return bodies
     parts = [each.bind(bodies) for each in closings]
     of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
-    joints = LoopJoints(*(np.concatenate([getattr(part, name) for part in parts])
-                          for name in ("body", "turns", "point", "along")))  # fmt: skip
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("body", "turns", "point", "along")
+    }
+    joints = LoopJoints(**columns)
     tree = bodies.tree
     given = _given(bodies)
     undriven = np.setdiff1d(np.arange(tree.n_v), tree.driven_v)
@@ -124,9 +129,41 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
             "nearer to where it closes",
             fault=Fault.OPEN,
         )
+    joints = replace(joints, rank=_constant_rank(bodies, joints, q, undriven))
     qd = _rates(bodies, joints, q, undriven, [each.said for each in closings], of)
     names = tuple(closings[k].name for k in of.tolist())
     return replace(bodies, q=read_only(q), qd=read_only(qd), joints=joints, joint_names=names)
+
+
+def _constant_rank(bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.ndarray) -> int | None:
+    """Rank where the loops are closed, if it is larger where they are not, as of Bennett's linkage."""
+    if not len(undriven) or len(joints.body) > _MOST_RANKED:
+        return None
+    tree, rng = bodies.tree, np.random.default_rng(0)
+
+    def rows(q: Floats) -> Floats:
+        frames = multibody.pose(tree, q)
+        return np.asarray(
+            (multibody.row_matrix(tree, frames, joints.rows(frames)[1]) * tree.units)[:, undriven]
+        )
+
+    def rank(q: Floats) -> int:
+        return int(np.linalg.matrix_rank(rows(q) / np.where(joints.turns, 1.0, tree.size)[:, None], 1e-6))
+
+    def moved(by: Floats) -> Floats:
+        step = np.zeros(tree.n_v)
+        step[undriven] = by
+        return multibody.integrate(tree, q, step * tree.units)
+
+    away = rng.normal(size=len(undriven))
+    if rank(open_ := moved(_ASIDE * away)) == rank(q):
+        return None
+    # Elsewhere on the loops: the start may be a dead point.
+    free = null_space(rows(q), rcond=1e-6)
+    elsewhere, _ = _assembled(replace(bodies, q=moved(_ASIDE * (free @ (free.T @ away)))), joints, undriven)
+    if elsewhere is None or rank(open_) == (closed_ := rank(elsewhere)):
+        return None
+    return closed_
 
 
 def _given(bodies: Bodies) -> np.ndarray:

@@ -52,6 +52,7 @@ class ContactForces:
         self.tree, self.finder, self.constants = tree, finder, constants
         self.anchors = NO_ANCHORS
         self._last: tuple[Frames, Touches] | None = None
+        self._settled: Frames | None = None
         self._ended: tuple[Phase | None, Anchors] = None, NO_ANCHORS
 
     @property
@@ -107,7 +108,7 @@ class ContactForces:
 
     def end(self, at: Phase | None) -> None:
         """End a run, after which forces are again those without a past."""
-        self._ended, self.anchors = (at, self.anchors), NO_ANCHORS
+        self._ended, self.anchors, self._settled = (at, self.anchors), NO_ANCHORS, None
 
     @property
     def kept(self) -> Anchors:
@@ -123,6 +124,9 @@ class ContactForces:
         frames = at.factors.frames
         touches = self.touches(frames)
         self.finder.refuse_depth(touches)
+        if self._settled is not None:
+            self.finder.refuse_passage(self._settled, frames)
+        self._settled = frames
         if not self.constants[FRICTION] or not len(touches.pair):
             self.anchors = NO_ANCHORS
             return

@@ -11,6 +11,7 @@ from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Drive
 from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.checks import answer
 from protochain.mechanisms.elements import Named
 
 
@@ -34,7 +35,7 @@ class Driven(Named):
 
     def at(self, time: float) -> tuple[float, float, float]:
         """Coordinate, rate and acceleration at a time."""
-        found = self.motion(time)
+        found = answer(f"{self.said}: its motion", self.motion, time)
         try:
             q, qd, qdd = (float(value) for value in found)
         except (TypeError, ValueError):

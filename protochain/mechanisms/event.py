@@ -9,6 +9,7 @@ import numpy as np
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Equations, Phase
 from protochain.mechanisms.bodies import State
+from protochain.mechanisms.checks import answer
 from protochain.mechanisms.elements import Named
 from protochain.mechanisms.march import Event as Watched
 
@@ -67,13 +68,13 @@ class Event(Named):
         """Return it for ``march``; when it happens, it is added to the list."""
 
         def value(at: Phase) -> float:
-            found = float(self.value(state_of(at)))
+            found = float(answer(f"{self.said}: its value", self.value, state_of(at)))
             if np.isnan(found):
                 raise MechanicsError(f"{self.said}: its value is not a number at time {at.time:g}")
             return found
 
         def jump(system: Equations, at: Phase) -> Phase:
-            qd = self.jump(state_of(at))
+            qd = answer(f"{self.said}: its jump", self.jump, state_of(at))
             after = at
             if qd is not None:
                 qd = np.array(qd, dtype=float)

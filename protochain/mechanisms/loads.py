@@ -13,7 +13,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.checks import number, numbers
+from protochain.mechanisms.checks import answer, number, numbers
 from protochain.mechanisms.elements import Acting, Named
 
 
@@ -67,17 +67,20 @@ class AppliedForce(Named):
         force, by_force = _of_state(self.force)
         moment, by_moment = _of_state(self.moment)
 
+        def answered(what: str, function: Callable[..., Any], *given: Any) -> Floats:
+            return numbers(answer(f"{said} {what}", function, *given), (3,), f"{said} {what}")
+
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             def state() -> State:
                 return State(bodies, time, q, qd, frames)
 
             wrenches = np.zeros((bodies.tree.n_bodies, 6))
             if self.force is not None:
-                fx, fy, fz = numbers(force(time, state), (3,), f"{said} force").tolist()
+                fx, fy, fz = answered("force", force, time, state).tolist()
                 x, y, z = (frames.rotation[b] @ point).tolist()
                 wrenches[b] = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx, fx, fy, fz
             if self.moment is not None:
-                wrenches[b, :3] += numbers(moment(time, state), (3,), f"{said} moment")
+                wrenches[b, :3] += answered("moment", moment, time, state)
             return Applied(wrenches)
 
         return Acting(load=Load(applied, by_force or by_moment))
@@ -121,7 +124,7 @@ class HingeTorque(Named):
 
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             torques = np.zeros(bodies.tree.n_v)
-            found = value(time, lambda: State(bodies, time, q, qd, frames))
+            found = answer(f"{self.said}: its value", value, time, lambda: State(bodies, time, q, qd, frames))
             torques[freedom] = number(found, f"{self.said}: its value")
             return Applied(torques=torques)
 
@@ -147,15 +150,25 @@ def _of_state(value: Any) -> tuple[Callable[..., Any], bool]:
 
 
 def _n_parameters(value: Callable[..., Any]) -> int:
-    """How many arguments a callable takes: two or, if it cannot, one, or none of these."""
+    """How many arguments a callable needs, one or two, or 0 if others; what has a default is not given."""
     try:
-        signature = inspect.signature(value)
+        parameters = inspect.signature(value).parameters.values()
     except (TypeError, ValueError):  # Some callables that are not of Python have no signature.
         return 1
-    for n in (2, 1):
-        try:
-            signature.bind(*[None] * n)
-        except TypeError:
-            continue
-        return n
-    return 0
+    kinds = [each.kind for each in parameters if each.default is each.empty]
+    if inspect.Parameter.KEYWORD_ONLY in kinds:
+        return 0
+    if inspect.Parameter.VAR_POSITIONAL in kinds:
+        return 2
+    needed = len([kind for kind in kinds if kind is not inspect.Parameter.VAR_KEYWORD])
+    # A default of the time itself is none that matters.
+    return needed if 1 <= needed <= 2 else int(not needed and _takes_one(value))
+
+
+def _takes_one(value: Callable[..., Any]) -> bool:
+    """Whether a callable can be called with the time."""
+    try:
+        inspect.signature(value).bind(None)
+    except TypeError:
+        return False
+    return True

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
+from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.algebra import (
     ZERO,
     Vector,
@@ -40,7 +41,9 @@ from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
 _PROXIMAL = 1e-7
 """e, beside a diagonal of one: far above rounding, so small that few iterations take it off."""
-_ITERATIONS = 30
+_ITERATIONS = 100
+_NOTHING = 1e-14
+"""Of what is left of an equation, and of the square of what changes none, beside what there was."""
 _IMMOVABLE = 1e-24
 """Square of what rounding leaves of an equation that no motion changes, by its size."""
 
@@ -57,12 +60,14 @@ class LoopJoints:
     turns (m,) bool: Whether the equation is a turn.
     point (m, 2, 3): Points, in the frames of their bodies.
     along (m, 2, 3): Directions, in the frames of their bodies; the second is not read of a slide.
+    rank: Number of independent equations where the loops are closed, if it is larger beside; else None.
     """
 
     body: Integers
     turns: np.ndarray
     point: Floats
     along: Floats
+    rank: int | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "body", read_only(self.body, np.int64))
@@ -95,6 +100,7 @@ class Held:
     scales (m,): What scales A = G M^-1 G^T to a diagonal of one.
     inverse, factor (m, m): A, scaled; Cholesky's factor of A + e, the upper.
     last (m,) int: One past the last number of each row of the factor that is not zero.
+    rank: As of :class:`LoopJoints`.
     """
 
     factors: Articulated
@@ -104,6 +110,7 @@ class Held:
     inverse: Floats
     factor: Floats
     last: Integers
+    rank: int | None
 
     def rates(self, qd: Floats) -> Floats:
         """(m,) float: rates of the errors at velocities (n_v,)."""
@@ -116,10 +123,27 @@ class Held:
 
         Those of joints that depend on others have the least norm.
 
-        x <- x + (A + e)^-1 (b - A x) until nothing is left: the proximal method of Parikh, Boyd, Found.
-        Trends Optim. 1:127 (2014), 4.1; of mechanisms: Carpentier, Budhiraja, Mansard, RSS (2021).
+        x <- x + (A + e)^-1 (b - A x) until nothing is left, the proximal method (of mechanisms: Carpentier,
+        Budhiraja, Mansard, RSS 2021), by conjugate gradients (Saad, Iterative Methods, 2003, algorithm 9.1),
+        which need no more iterations than A has eigenvalues below e. At constant rank by eigenvectors.
+
+        Raises
+        ------
+        MechanicsError
+            If A is too ill-conditioned.
         """
-        return self.scales * proximal(self.inverse, self.factor, self.last, self.scales * wanted)
+        if self.rank is not None:
+            values, vectors = (part[..., -self.rank :] for part in np.linalg.eigh(self.inverse))
+            return np.asarray(self.scales * (vectors @ (vectors.T @ (self.scales * wanted) / values)))
+        x = proximal(self.inverse, self.factor, self.last, self.scales * wanted)
+        if not np.all(np.isfinite(x)) and np.all(np.isfinite(wanted)):
+            values = np.linalg.eigvalsh(self.inverse)
+            worst = values[-1] / values[values > _NOTHING][0]
+            raise MechanicsError(
+                f"the forces of loops are not found: the condition number of their equations is {worst:.1g}; "
+                "shorten the chain of loops, or close some by bushings"
+            )
+        return np.asarray(self.scales * x)
 
     def wrenches(self, impulses: Floats) -> Floats:
         """Impulses of the joints (m,) as those on the bodies, (nb, 6)."""
@@ -137,8 +161,8 @@ def hold(factors: Articulated, joints: LoopJoints) -> Held:
     """Find what holds loop joints at one pose.
 
     With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], A = Y^T D^-1 Y, and the column y of a joint has but the
-    freedoms on the paths from its bodies to the root. O(n) for loops whose paths are short, in the order of
-    which neighbours share paths; at most O(m^2 n + m^3).
+    freedoms on the paths from its bodies to the root. A is dense, O(m^2); its factor, O(m^3) at most, is a
+    band where loops follow each other in the order of the tree.
     """
     tree, frames = factors.tree, factors.frames
     error, rows = joints.rows(frames)
@@ -146,7 +170,7 @@ def hold(factors: Articulated, joints: LoopJoints) -> Held:
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot,
         factors.root, rows.body, rows.wrench, tree.size,
     )  # fmt: skip
-    return Held(factors, error, rows, *found)
+    return Held(factors, error, rows, *found, joints.rank)
 
 
 @kernel
@@ -234,34 +258,48 @@ def _factorise(a: Floats, last: Integers) -> None:
 
 
 @kernel
+def _solve(factor: Floats, last: Integers, x: Floats) -> None:
+    """Overwrite x by what U^T U = factor makes it of."""
+    n = len(x)
+    for k in range(n):
+        x[k] /= factor[k, k]
+        for j in range(k + 1, last[k]):
+            x[j] -= factor[k, j] * x[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, last[k]):
+            x[k] -= factor[k, j] * x[j]
+        x[k] /= factor[k, k]
+
+
+@kernel
 def proximal(a: Floats, factor: Floats, last: Integers, b: Floats) -> Floats:
-    """Least x with a x = b, of which ``factor`` has that of a + e."""
+    """Least x with a x = b, of which ``factor`` has that of a + e; no numbers if it is not found."""
     n = len(b)
-    x, left = np.zeros(n), b.copy()
-    before = np.max(np.abs(left))
+    x, left, way, moved = np.zeros(n), b.copy(), np.zeros(n), np.empty(n)
+    before, largest = 1.0, np.max(np.abs(b))
     for _ in range(_ITERATIONS):
-        for k in range(n):
-            left[k] /= factor[k, k]
-            for j in range(k + 1, last[k]):
-                left[j] -= factor[k, j] * left[k]
-        for k in range(n - 1, -1, -1):
-            for j in range(k + 1, last[k]):
-                left[k] -= factor[k, j] * left[j]
-            left[k] /= factor[k, k]
-        x += left
+        step = left.copy()
+        _solve(factor, last, step)
+        now = np.dot(step, left)
+        way *= now / before
+        way += step
         # The factor has no fewer numbers than a.
-        left[:] = b
         for k in range(n):
-            left[k] -= a[k, k] * x[k]
+            moved[k] = a[k, k] * way[k]
+        for k in range(n):
             for j in range(k + 1, last[k]):
-                left[k] -= a[k, j] * x[j]
-                left[j] -= a[k, j] * x[k]
-        now = np.max(np.abs(left))
-        # What does not shrink is rounding, or a rate that no impulse changes.
-        if not now < 0.5 * before:
-            break
+                moved[k] += a[k, j] * way[j]
+                moved[j] += a[k, j] * way[k]
+        along = np.dot(way, moved)
+        # What is left is a rate that no impulse changes.
+        if not along > _NOTHING * np.dot(way, way):
+            return x
+        x += now / along * way
+        left -= now / along * moved
         before = now
-    return x
+        if np.max(np.abs(left)) <= _NOTHING * max(largest, np.max(np.abs(x))):
+            return x
+    return np.full(n, np.nan)
 
 
 @kernel

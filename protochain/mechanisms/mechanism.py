@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from difflib import get_close_matches
 from typing import Any, Concatenate, ParamSpec
 
 from numpy.typing import ArrayLike
@@ -30,6 +31,12 @@ def _adds(make: Callable[P, Named], doc: str) -> Callable[Concatenate["Mechanism
     """Method that makes a part of its arguments and adds it; documented as the part is."""
 
     def method(self: "Mechanism", *args: P.args, **kwargs: P.kwargs) -> None:
+        for name in kwargs.keys() - taken.parameters.keys():
+            near = get_close_matches(name, taken.parameters, 1)
+            named = kwargs.get("name", args[0] if args else "")
+            called = getattr(make, "called", "element")
+            remedy = near[0] if near else ", ".join(taken.parameters)
+            raise MechanicsError(f'{called} "{named}": there is no argument {name}; give {remedy}')
         self.add(make(*args, **kwargs))
 
     taken = inspect.signature(make)

@@ -18,12 +18,10 @@ from protochain.mechanics.motion import (
 )
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.dissipated import WithDampers
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Gravity, damping, joined
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.march import march
-from protochain.mechanisms.rosenbrock import Rosenbrock
 
 if TYPE_CHECKING:
     pass
@@ -84,8 +82,8 @@ class Model(Assembly):
             Longest step.
         integrator : Integrator, optional
             By default ``motion.RungeKutta4``. ``DormandPrince()`` keeps a tolerance;
-            ``Rosenbrock()`` takes any damper, however stiff, and damps vibrations that its step does not
-            resolve; ``ImplicitMidpoint()`` keeps their energy, not their phase.
+            ``Rosenbrock()`` too, with any damper, however stiff, and damps vibrations smaller than that;
+            ``ImplicitMidpoint()`` keeps their energy, not their phase.
         every : int
             Steps from one row of the result to the next; events and the end have rows besides.
         start : Phase, optional
@@ -186,9 +184,6 @@ class _Simulation:
         self.model, self.start, self.integrator, self.time_step = model, start, integrator, time_step
         self.every, self.balance = every, balance
         self.remedy = integrator.remedy
-        taking = model.taking
-        if isinstance(integrator, Rosenbrock) and np.any(taking):
-            self.integrator = WithDampers(integrator, taking)
         self.rows: list[Row] = []
         self.kept: list[tuple[Any, ...]] = []
         self.happened: list[Happened] = []
@@ -205,6 +200,7 @@ class _Simulation:
                 watching = self.model.events or self.model.memories
                 end = self.with_events(until) if watching else self.without_events(until)
                 self.look()
+                self.look(self.worst)
             except UnbalancedError:
                 raise
             except StepTooLargeError as error:
@@ -236,10 +232,17 @@ class _Simulation:
         if len(self.rows) % _LOOK == 0:
             self.look()
 
-    def look(self) -> None:
-        """Look at the energy of the latest row."""
-        time, *_, potential, _, _ = self.rows[-1]
-        (_, before), (kinetic, after) = (self.unspent(self.rows[k]) for k in (0, -1))
+    @property
+    def worst(self) -> int:
+        """Row whose energy differs most from that of the start."""
+        run = Run(self.model, self.rows, (), self.start)
+        lack = run.total - np.sum(run.work, axis=1) - run.jumps
+        return int(np.argmax(np.abs(lack - lack[0])))
+
+    def look(self, row: int = -1) -> None:
+        """Look at the energy of a row, by default the latest."""
+        time, *_, potential, _, _ = self.rows[row]
+        (_, before), (kinetic, after) = (self.unspent(self.rows[k]) for k in (0, row))
         lack = after - before
         if abs(lack) <= self.balance * kinetic < np.inf:
             return

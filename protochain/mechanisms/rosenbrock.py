@@ -6,24 +6,23 @@ import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
 from protochain.core.arrays import Floats
-from protochain.core.checks import check_fields, optional
-from protochain.core.errors import MechanicsError
+from protochain.core.checks import check_fields
 from protochain.mechanics.motion.substeps import TOLERANCE, Tried, in_substeps
 from protochain.mechanics.motion.system import NOTHING, Equations, Integrator, Phase, StepTooLargeError
 
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 """With it the method is L-stable: what is stiffer than the step resolves is damped at once."""
-_FOLLOWED = 1e-3
-"""Error of a step that is followed, relative to its largest displacement."""
-_FEW = 2000
-"""Substeps of such a step: ten times what a damper takes, and of vibrations up to a hundred periods."""
+_BALANCED = 1e-3
+"""What a substep may lose beside its work, of the energy that flows in it."""
+_LEAST, _MOST = 1e-15, 10_000
+"""Shortest substep, relative to the step: of what no step resolves; and most of a step."""
 _NUDGE = 1e-6
 """Displacement for the derivatives by differences, in radians and sizes of the tree."""
 
 
 @dataclass(frozen=True)
 class Rosenbrock(Integrator):
-    """ROS2: order two, L-stable; damps what a step does not resolve, so that energy is not conserved.
+    """ROS2: order two, L-stable, in substeps whose error is estimated by the method of order one within.
 
     With f the rates of displacement and velocity and J their derivatives, (1 - gamma h J) k1 = f(t, y) +
     gamma h f_t, (1 - gamma h J) k2 = f(t + h, y + h k1) - 2 k1 - gamma h f_t, and y + h (3 k1 + k2) / 2 is
@@ -33,58 +32,51 @@ class Rosenbrock(Integrator):
 
     Parameters
     ----------
-    tolerance : float, optional
+    tolerance : float
         Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree, that
-        substeps keep. Without it a step is one step.
+        substeps keep. What moves by less is damped.
     """
 
-    tolerance: float | None = None
+    tolerance: float = 1e-6
 
     def __post_init__(self) -> None:
-        check_fields(self, tolerance=optional(TOLERANCE))
+        check_fields(self, tolerance=TOLERANCE)
 
     @property
     def remedy(self) -> str:
         """What to take where a time step is too long."""
-        closer = "a shorter one" if self.tolerance is None else f"Rosenbrock({self.tolerance / 100:.1g})"
+        closer = f"a shorter one, Rosenbrock({self.tolerance / 100:.1g})"
         return f"take {closer}, or ImplicitMidpoint(), which keeps the energy of vibrations"
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
-        """Advance by one time step.
+        """Advance by one time step, in as many substeps as the tolerance requires.
 
         Raises
         ------
         StepTooLargeError
-            If no substep keeps the tolerance, or the step ends nowhere.
+            If no substep keeps the tolerance, or the balance of energy and work.
         """
 
         def substep(at: Phase, h: float) -> Tried:
-            return _advance(system, at, h)
+            after, moved, quickened = _advance(system, at, h)
+            _check_balance(system, at, after, self.tolerance / abs(time_step))
+            return after, moved, quickened
 
-        if self.tolerance is not None:
-            return in_substeps(substep, system, at, time_step, self.tolerance, order=2)
-        try:
-            after = substep(at, time_step)[0]
-        except MechanicsError as error:
-            raise StepTooLargeError(str(error), fault=error.fault) from None
-        if not after.is_finite:
-            raise StepTooLargeError("the time step ends nowhere")
-        return after
+        return in_substeps(substep, system, at, time_step, self.tolerance, 2, _LEAST, _MOST)
 
-    def follow(self, system: Equations, at: Phase, time_step: float) -> Phase:
-        """Advance by one time step, in substeps that resolve all that moves by much.
 
-        Raises
-        ------
-        StepTooLargeError
-            If that takes too many.
-        """
+def _check_balance(system: Equations, at: Phase, after: Phase, slow: float) -> None:
+    """Raise if the change of energy is not the work of the ends' powers, as of a damper that is not resolved.
 
-        def substep(at: Phase, h: float) -> Tried:
-            return _advance(system, at, h)
-
-        moved = float(np.max(np.abs(at.qd) / system.units, initial=0.0)) * abs(time_step)
-        return in_substeps(substep, system, at, time_step, _FOLLOWED * moved, 2, least=0.0, most=_FEW)
+    What moves no faster than ``slow``, in radians and sizes of the tree, may lose its energy.
+    """
+    work = after.work - at.work
+    flow = max(at.kinetic, after.kinetic) + abs(after.potential - at.potential) + np.sum(np.abs(work))
+    speed = slow * system.units
+    trace = 0.5 * float(system.momenta(after.factors, speed) @ speed)
+    lack = after.total - at.total - np.sum(work)
+    if abs(lack) > _BALANCED * flow + trace:
+        raise StepTooLargeError(f"it loses {-lack:.2g} of {flow:.2g} of energy in motion beside its work")
 
 
 def _advance(system: Equations, at: Phase, h: float) -> Tried:

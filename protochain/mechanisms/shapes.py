@@ -146,6 +146,9 @@ class OnPlane:
     def refuse_depth(self, touches: Touches) -> None:
         """Nothing: a half-space is right at any depth."""
 
+    def refuse_passage(self, before: Frames, after: Frames) -> None:
+        """Nothing: whatever is below is inside."""
+
 
 @dataclass(frozen=True, eq=False)
 class Among:
@@ -167,6 +170,25 @@ class Among:
         radius = self.balls.radius[touches.pair]
         _refuse(self.name, radius.sum(axis=1) - touches.depth < 0.5 * radius.max(axis=1), touches)
 
+    def refuse_passage(self, before: Frames, after: Frames) -> None:
+        """Raise if balls have passed through each other on the straight way from one step to the next."""
+        start, radius, body = self.balls.centres(before), self.balls.radius, self.balls.body
+        move = self.balls.centres(after) - start
+        way = np.linalg.norm(move, axis=1)
+        if not np.any(way > 0.25 * radius):
+            return
+        pair = touching(start + 0.5 * move, radius + 0.5 * way)
+        i, j = pair.T
+        other = (body[i] != body[j]) & ((self.first == 0) | ((i < self.first) & (j >= self.first)))
+        i, j = i[other], j[other]
+        apart, moved = start[i] - start[j], move[i] - move[j]
+        along = -np.sum(apart * moved, axis=1) / np.maximum(np.sum(moved**2, axis=1), np.finfo(float).tiny)
+        # At the ends of the way the depth is looked at as it is.
+        least = np.linalg.norm(apart + along[:, None] * moved, axis=1)
+        _refuse_passage(
+            self.name, i, (along > 0) & (along < 1) & (least < 0.5 * np.maximum(radius[i], radius[j]))
+        )
+
 
 @dataclass(frozen=True, eq=False)
 class OnSurface:
@@ -180,13 +202,8 @@ class OnSurface:
 
     def touches(self, frames: Frames) -> Touches:
         """Points of the surface within a ball that are nearer to its centre than those around them."""
-        radius, turn, at = self.balls.radius, np.eye(3), np.zeros(3)
-        if self.body >= 0:
-            turn, at = frames.rotation[self.body], frames.origin[self.body]
-        # In the frame of the surface.
-        centre = np.ascontiguousarray((self.balls.centres(frames) - at) @ turn)
-        near = overlapping(self.tree, centre - radius[:, None], centre + radius[:, None])
-        pair, point, distance = least_distances(near, centre, radius, self.corners)
+        radius, (turn, at), centre = self.balls.radius, self._seat(frames), self._centres(frames)
+        pair, point, distance = self._near(centre)
         i = pair[:, 0]
         normal = (centre[i] - point) / np.where(distance > 0.0, distance, 1.0)[:, None]
         depth = radius[i] - distance
@@ -198,6 +215,36 @@ class OnSurface:
         """Raise if a ball has all but passed through."""
         _refuse(self.name, touches.depth > 0.5 * self.balls.radius[touches.pair[:, 0]], touches)
 
+    def refuse_passage(self, before: Frames, after: Frames) -> None:
+        """Raise if a ball has passed through on the straight way from one step to the next."""
+        start, radius = self._centres(before), self.balls.radius
+        move = self._centres(after) - start
+        parts = int(np.ceil(2.0 * np.max(np.linalg.norm(move, axis=1) / radius)))
+        low, high = np.minimum(start, start + move), np.maximum(start, start + move)
+        if parts < 2 or not len(overlapping(self.tree, low - radius[:, None], high + radius[:, None])):
+            return
+        for part in np.arange(1, parts) / parts:
+            pair, _, distance = self._near(start + part * move)
+            _refuse_passage(self.name, pair[:, 0], distance < 0.5 * radius[pair[:, 0]])
+
+    def _seat(self, frames: Frames) -> tuple[Floats, Floats]:
+        """Axes and origin of the surface."""
+        if self.body < 0:
+            return np.eye(3), np.zeros(3)
+        return frames.rotation[self.body], frames.origin[self.body]
+
+    def _centres(self, frames: Frames) -> Floats:
+        """(n, 3) float: centres of the balls in the frame of the surface."""
+        turn, at = self._seat(frames)
+        return np.ascontiguousarray((self.balls.centres(frames) - at) @ turn)
+
+    def _near(self, centre: Floats) -> tuple[Integers, Floats, Floats]:
+        """Balls and triangles, the nearest points, and their distances."""
+        radius = self.balls.radius[:, None]
+        near = overlapping(self.tree, centre - radius, centre + radius)
+        found: tuple[Integers, Floats, Floats] = least_distances(near, centre, radius[:, 0], self.corners)
+        return found
+
 
 def _refuse(name: str, bad: np.ndarray, touches: Touches) -> None:
     if np.any(bad):
@@ -205,6 +252,14 @@ def _refuse(name: str, bad: np.ndarray, touches: Touches) -> None:
         raise MechanicsError(
             f"{name}: ball {touches.pair[k, 0]} is {touches.depth[k]:.3g} deep, beyond half a body; raise "
             "the stiffness or take shorter steps"
+        )
+
+
+def _refuse_passage(name: str, ball: Integers, bad: np.ndarray) -> None:
+    if np.any(bad):
+        raise MechanicsError(
+            f"{name}: ball {ball[int(np.argmax(bad))]} passes through what it touches within a step; "
+            "take shorter steps"
         )
 
 
@@ -224,6 +279,9 @@ class Finder(Protocol):
 
     def refuse_depth(self, touches: Touches) -> None:
         """Raise if one is so deep that its direction means nothing."""
+
+    def refuse_passage(self, before: Frames, after: Frames) -> None:
+        """Raise if a ball has passed through from one step to the next."""
 
 
 def finder(bodies: Bodies, balls: Sequence[Ball], other: Other, name: str) -> Finder:

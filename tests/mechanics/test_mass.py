@@ -14,6 +14,7 @@ from fixtures.slow_mechanics import (
 )
 from fixtures.tolerances import round_off
 from scipy import stats
+from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import MechanicsError, ProtochainError
 from protochain.mechanics.multibody import (
@@ -403,3 +404,41 @@ def test_an_unknown_method_is_refused():
     tree, frames, _ = at(2)
     with pytest.raises(MechanicsError, match="method 'magic' is not known; choose articulated or fixman"):
         solve_mass(tree, frames, np.zeros(tree.n_v), "magic")
+
+
+def ramp(e):
+    """A chain whose masses rise from 10^-e to 10^e, posed, with torques."""
+    rng, n = np.random.default_rng(0), 12
+    mass = np.logspace(-e, e, n)
+    tree = Tree(
+        np.arange(-1, n - 1), np.full(n, HingeKind.REVOLUTE), np.tile([1.0, 0, 0], (n, 1)),
+        Rotation.random(n, rng=rng).as_matrix(), mass, np.tile([0.5, 0, 0], (n, 1)),
+        np.diag([0.01, 0.1, 0.1]) * mass[:, None, None], np.zeros(n),
+    )  # fmt: skip
+    return tree, pose(tree, rng.normal(size=n)), rng.normal(size=n)
+
+
+@pytest.mark.parametrize("e", [4, 6, 7, 8, 10, 12])
+def test_fixman_s_method_is_right_or_refused_whatever_the_masses(e):
+    given = ramp(e)
+    wanted = solve_mass(*given)
+    if e < 7:
+        assert np.allclose(solve_mass(*given, "fixman"), wanted, rtol=1e-8)
+    else:
+        with pytest.raises(MechanicsError, match=r"Fixman's method is wrong by .* use method articulated"):
+            solve_mass(*given, "fixman")
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_not_finite_is_refused_by_name(bad):
+    tree, frames, tau = ramp(1)
+    q, wrong = np.zeros(12), np.where(np.arange(12) == 3, bad, tau)
+    calls = {
+        "tau": lambda: solve_mass(tree, frames, wrong),
+        "qd": lambda: forward_dynamics(tree, q, wrong, tau),
+        "tau ": lambda: forward_dynamics(tree, q, q, wrong),
+        "wrench": lambda: forward_dynamics(tree, q, q, tau, np.full((12, 6), bad)),
+    }  # fmt: skip
+    for name, call in calls.items():
+        with pytest.raises(ProtochainError, match=f"^{name.strip()} has {bad:g} at .*; give finite numbers"):
+            call()

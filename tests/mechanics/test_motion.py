@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fixtures.tolerances import ROUND_OFF
+from fixtures.tolerances import ONE_STEP, ROUND_OFF
 from scipy.integrate import solve_ivp
 
 from protochain.core.errors import MechanicsError
@@ -105,7 +105,7 @@ def error(at, wanted):
     [
         (RungeKutta4(), drive, 0.8, 4),
         (ImplicitMidpoint(1e-13), drive, 0.8, 2),
-        (Rosenbrock(), drive, 0.8, 2),
+        (Rosenbrock(ONE_STEP), drive, 0.8, 2),
         (Leapfrog(), shake, 0.0, 2),
     ],
     ids=["rk4", "midpoint", "rosenbrock", "leapfrog"],
@@ -143,7 +143,7 @@ def test_substeps_backwards_are_the_mirror_image():
         (DormandPrince(1e-12), 1e-9),
         (RungeKutta4(), 1e-7),
         (ImplicitMidpoint(1e-13), 1e-3),
-        (Rosenbrock(), 1e-2),
+        (Rosenbrock(ONE_STEP), 1e-2),
     ],
     ids=["dormand-prince", "rk4", "midpoint", "rosenbrock"],
 )  # fmt: skip
@@ -253,7 +253,8 @@ def test_rosenbrock_of_a_free_tree_is_of_order_two():
     start = system.at(q, rng.normal(size=tree.n_v))
     exactly = DormandPrince(1e-12).step(system, start, 0.5)
     errors = [
-        np.max(np.abs(steps(system, Rosenbrock(), start, n, 0.5 / n).q - exactly.q)) for n in (80, 160)
+        np.max(np.abs(steps(system, Rosenbrock(ONE_STEP), start, n, 0.5 / n).q - exactly.q))
+        for n in (80, 160)
     ]  # fmt: skip
     assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.3)
 

@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 from fixtures.tolerances import AUDITED
 from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4
-from protochain.mechanisms import Mechanism, Rosenbrock, frequencies
+from protochain.mechanisms import Mechanism, Rosenbrock, frequencies, loop_joints
 from protochain.mechanisms.impacts import ContactPoint, impact
 
 G = 9.81
@@ -164,7 +166,7 @@ def test_a_kind_leaves_as_many_freedoms_as_it_should_and_keeps_the_energy(kind, 
     m = Mechanism(gravity=(0, 0, -G))
     m.body("b", 2.0, com=(0.3, 0.2, 0.1), inertia=(0.1, 0.2, 0.25), position=(0.1, 0.2, 0.3))
     more = {"axis_b": (0, 1, 0)} if kind == "universal" else {}
-    m.close("joint", ("b", (0, 0, 0)), ("world", (0.1, 0.2, 0.3)), kind, axis=(1, 0, 0), **more)
+    m.close("joint", ("b", (0, 0, 0)), ("world", (0.1, 0.2, 0.3)), kind, axis=(1, 0, -0.5), **more)
     model = m.build()
     assert model.directions.shape == (6, freedoms)
     run = model.simulate(0.3, 0.1, PRECISE)
@@ -352,3 +354,89 @@ def test_integrators_of_accelerations_keep_loops_closed(integrator):
     precise = four_bar().build().simulate(0.5, 0.5, PRECISE)
     assert run.audit().gap < CLOSED and run.audit().parting < CLOSED
     assert np.allclose(run.q[-1], precise.q[-1], atol=1e-4)
+
+
+# --- Loops that are long, or move against their count of freedoms
+
+
+def scissor(n, angle=0.5):
+    """A lift of n stages, whose bars of 2 m cross at their centres, and its acceleration from rest."""
+    m, c, s = Mechanism(gravity=(0, 0, -9.81)), np.cos(angle), np.sin(angle)
+    m.body("a0", 1.0, com=(1.0, 0, 0), inertia=1 / 3)
+    m.hinge("ha0", "world", "a0", axis=(0, -1, 0), q=angle)
+    m.body("slide", 0.2, inertia=0.01)
+    m.hinge("hs", "world", "slide", kind="prismatic", axis=(1, 0, 0), q=2 * c)
+    m.body("b0", 1.0, com=(1.0, 0, 0), inertia=1 / 3)
+    m.hinge("hb0", "slide", "b0", axis=(0, -1, 0), q=np.pi - angle)
+    for k in range(n):
+        for one, other, q in (("a", "b", 2 * angle - np.pi), ("b", "a", np.pi - 2 * angle)) if k else ():
+            m.body(f"{one}{k}", 1.0, com=(1.0, 0, 0), inertia=1 / 3)
+            m.hinge(f"h{one}{k}", f"{other}{k - 1}", f"{one}{k}", at=(2, 0, 0), axis=(0, -1, 0), q=q)
+        m.close(f"m{k}", a=(f"a{k}", (1, 0, 0)), b=(f"b{k}", (1, 0, 0)), kind="revolute", axis=(0, 1, 0))
+    rise = (2 * np.arange(n) + 1.0) ** 2
+    inertia = 2.0 * np.sum(s * s + rise * c * c + 1 / 3) + 0.8 * s * s
+    return m.build(), -2.0 * 9.81 * n * n * c / inertia
+
+
+def accelerations(model):
+    at = model.start()
+    return model.system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)[0]
+
+
+@pytest.mark.parametrize("n", [10, 100, 150])
+def test_a_scissor_lift_of_any_length_falls_as_its_closed_form(n):
+    """At 150 stages the smallest eigenvalue that counts is 1e-8 of the largest, e a tenth of that."""
+    model, wanted = scissor(n)
+    assert accelerations(model)[model.bodies.freedom("ha0")[1]] == pytest.approx(wanted, rel=1e-7)
+    model.simulate(2e-3, 1e-3)
+
+
+def test_forces_of_loops_that_are_not_found_are_refused(monkeypatch):
+    model, _ = scissor(60)
+    monkeypatch.setattr(loop_joints, "proximal", lambda a, factor, last, b: np.full(len(b), np.nan))
+    with pytest.raises(MechanicsError, match=r"the condition number of their equations is \de\+0\d"):
+        accelerations(model)
+
+
+def turned(axis, angle):
+    return Rotation.from_rotvec(np.multiply(axis, angle)).as_matrix()
+
+
+def bennett(start, qd):
+    """Bennett's linkage: four hinges, in no plane and no sphere, that turn."""
+    twist = 0.5
+    lengths, twists = [1.0, 1.4] * 2, [twist, np.arcsin(1.4 * np.sin(twist))] * 2
+    xs, zs = (1, 0, 0), (0, 0, 1)
+
+    def gap(q):
+        turn, place = np.eye(3), np.zeros(3)
+        for angle, length, alpha in zip([start, *q], lengths, twists, strict=True):
+            turn = turn @ turned(zs, angle)
+            place = place + length * turn[:, 0]
+            turn = turn @ turned(xs, alpha)
+        return np.concatenate([place, (turn - np.eye(3)).ravel()])
+
+    near = [np.pi - 0.05, -start, 0.05 - np.pi]
+    q = [start, *least_squares(gap, near, xtol=1e-15, ftol=1e-15, gtol=1e-15).x]
+    m = Mechanism(gravity=(0, 0, -9.81))
+    for k in range(3):
+        m.body(f"l{k}", 1.0, com=(lengths[k] / 2, 0, 0), inertia=(0.01, 0.1, 0.1))
+    m.hinge("h0", "world", "l0", axis=zs, q=q[0], qd=qd)
+    for k in (1, 2):
+        at, twisted = (lengths[k - 1], 0, 0), turned(xs, twists[k - 1])
+        m.hinge(f"h{k}", f"l{k - 1}", f"l{k}", at=at, rotation=twisted, axis=twisted @ zs, q=q[k])
+    last = turned(zs, q[3])
+    end = -(last @ turned(xs, twists[3])).T @ last @ [lengths[3], 0, 0]
+    m.close("J", a=("l2", (lengths[2], 0, 0)), b=("world", end), axis=turned(xs, twists[2]) @ zs)
+    return m.build()
+
+
+@pytest.mark.parametrize(("start", "qd", "until"), [(0.9, 1.5, 2.0), (0.05, -2.5, 0.3)])
+def test_bennett_s_linkage_passes_the_pose_in_line(start, qd, until):
+    """Its equations depend on each other where the loop is closed, and nowhere else."""
+    model = bennett(start, qd)
+    run, other = model.simulate(until, 1e-3), model.simulate(until, 5e-3, DormandPrince(1e-10))
+    assert np.min(run.motion["h0"]) < -0.5
+    assert run.audit().energy < 1e-8 and other.audit().energy < 1e-8
+    assert np.allclose(run.q[-1], other.q[-1], atol=1e-8)
+    assert model.directions.shape[1] == 1

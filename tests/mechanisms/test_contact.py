@@ -8,7 +8,7 @@ from scipy.optimize import approx_fprime, minimize
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import DormandPrince
+from protochain.mechanics.motion import DormandPrince, RungeKutta4, StepTooLargeError
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.contact import (
     Contact,
@@ -430,3 +430,34 @@ def test_a_contact_is_an_element_of_its_own():
     m.body("ball", 1.0, inertia=0.1, position=(0, 0, 0.05))
     m.add(Contact("floor", [Ball("ball", 0.1)], Plane(), Law(1e3, 1.0)))
     assert m.build().start().torque[5] == pytest.approx(50.0)
+
+
+def flying(velocity, other, at=(0.01, 0.02, 1.0)):
+    m = Mechanism()
+    m.body("ball", 1.0, inertia=1e-3, position=at, velocity=(0, 0, -velocity))
+    if isinstance(other, list):
+        m.body("b", 1.0, inertia=1e-3)
+    m.contact("c", [Ball("ball", 0.05)], other, Law(1e8))
+    return m.build()
+
+
+@pytest.mark.parametrize("integrator", [DormandPrince(1e-8), RungeKutta4()])
+def test_no_ball_passes_through_a_surface_whatever_the_step(integrator):
+    """Steps of five radii, from twelve heights: it bounces, or the step is refused."""
+    corners = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+    wall, bounced, refused = Surface("world", corners, [(0, 1, 2), (0, 2, 3)]), 0, 0
+    for height in np.linspace(1.0, 1.25, 12):
+        try:
+            end = flying(5.0, wall, (0.01, 0.02, height)).simulate(0.5, 0.05, integrator).end
+        except (MechanicsError, StepTooLargeError):
+            refused += 1
+        else:
+            assert end.q[6] > 0.0
+            bounced += 1
+    assert refused > 0 and bounced + refused == 12
+    assert bounced > 0 or isinstance(integrator, RungeKutta4)
+
+
+def test_no_ball_passes_through_another_within_a_step():
+    with pytest.raises(MechanicsError, match=r'contact "c": ball 0 passes through .* take shorter steps'):
+        flying(50.0, [Ball("b", 0.05)], (0, 0, 0.7)).simulate(0.1, 0.04, RungeKutta4())

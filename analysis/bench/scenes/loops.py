@@ -240,8 +240,7 @@ def _extremes() -> Iterator[Found]:
     for damping in (0.0, 20.0):
         model = four_bar(close=False, damping=damping).build()
         name = f"a bushing of {STIFFNESS:g} N/m, damper {damping:g} N s/m, Rosenbrock, 2 ms"
-        call = partial(_energy, model, Rosenbrock(), 2e-3)
-        yield judged(name, call, Fault.STEP)
+        yield judged(name, partial(_energy, model, Rosenbrock(), 2e-3, 1e-4))
 
 
 def _as_once(twice: Mechanism) -> Found:
@@ -249,8 +248,10 @@ def _as_once(twice: Mechanism) -> Found:
     return vanishes("", float(np.max(np.abs(more - once))), 1e-9, "the joint once")
 
 
-def _energy(model: Model, integrator: Integrator = PRECISE, step: float = UNTIL) -> Found:
-    return vanishes("", model.simulate(UNTIL, step, integrator).audit().energy, 1e-7, "audit")
+def _energy(
+    model: Model, integrator: Integrator = PRECISE, step: float = UNTIL, bound: float = 1e-7
+) -> Found:
+    return vanishes("", model.simulate(UNTIL, step, integrator).audit().energy, bound, "audit")
 
 
 def _turned_over() -> Found:

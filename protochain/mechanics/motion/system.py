@@ -14,6 +14,7 @@ from protochain.core.errors import Fault, MechanicsError, ProtochainError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate, solve
+from protochain.mechanics.multibody.forward import accelerations
 from protochain.mechanics.multibody.hamilton import momenta
 from protochain.mechanics.multibody.rotations import displacement_rates
 from protochain.mechanics.tableaux import Tableau
@@ -368,7 +369,7 @@ class Equations:
 
     def forward_dynamics(self, q: Floats, qd: Floats, tau: Floats) -> Floats:
         """Accelerations (n_v,) under torques; of driven hinges those given in their place."""
-        return multibody.forward_dynamics(self.tree, q, qd, tau)
+        return accelerations(self.tree, q, qd, tau)
 
     def inverse_dynamics(self, q: Floats, qd: Floats, qdd: Floats) -> Floats:
         """Torques (n_v,) of accelerations."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, floats, frozen, read_only
-from protochain.core.errors import BodyError, Fault
+from protochain.core.errors import BodyError, Fault, MechanicsError
 from protochain.mechanics.multibody.algebra import (
     Vector,
     add,
@@ -39,6 +39,8 @@ TOO_THIN = 1e-10
 """Squared radius of gyration, in squared lengths of the mechanism: bodies of a hundred-thousandth of a bond.
 Each refinement gains about as many digits as eps over this leaves."""
 _REFINEMENTS = 5
+_REFINED = 1e-8
+"""Change by the last refinement, relative, up to which a solution is good: far above rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,15 +111,23 @@ def solve(factors: Eliminated, tau: Floats) -> Floats:
     A tau is the response of unconnected bodies, often far larger than that of the chain, so that digits
     cancel. Iterative refinement with M x from Newton-Euler recovers them (Higham, *Accuracy and Stability of
     Numerical Algorithms*, 2002, theorem 12.3): one step, and more for bodies that are almost lines or points.
+    Its last change is an estimate of the error, by which a mechanism is refused.
     """
     tree, frames = factors.tree, factors.frames
     tau = floats(tau, (tree.n_v,), "tau")
-    x = _solve_once(factors, tau)
+    x, change = _solve_once(factors, tau), 0.0
     for _ in range(_REFINEMENTS):
-        change = _solve_once(factors, tau - multiply_mass(tree, frames, x))
-        x = x + change
-        if np.linalg.norm(change) <= 4.0 * EPS * np.linalg.norm(x):
+        step = _solve_once(factors, tau - multiply_mass(tree, frames, x))
+        x = x + step
+        change = float(np.linalg.norm(step) / max(np.linalg.norm(x), np.finfo(float).tiny))
+        if change <= 4.0 * EPS:
             break
+    if not change <= _REFINED:
+        raise MechanicsError(
+            f"Fixman's method is wrong by {change:.1g} of the solution, as masses or inertias of the bodies "
+            "are too far apart; use method articulated",
+            fault=Fault.NO_INVERSE,
+        )
     return x
 
 

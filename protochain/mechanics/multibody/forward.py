@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, floats
+from protochain.core.arrays import Floats, Integers, finite, floats
 from protochain.mechanics.multibody.algebra import (
     MASSLESS,
     ZERO,
@@ -56,6 +56,8 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     ------
     MechanicsError
         If M is singular.
+    ProtochainError
+        If a number is not finite.
 
     Notes
     -----
@@ -72,6 +74,15 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     >>> bool(np.allclose(multibody.inverse_dynamics(tree, q, rest, qdd), tau))
     True
     """
+    for values, name in ((qd, "qd"), (tau, "tau")):
+        finite(values, (tree.n_v,), name)
+    if wrench is not None:
+        finite(wrench, (tree.n_bodies, 6), "wrench")
+    return accelerations(tree, q, qd, tau, wrench)
+
+
+def accelerations(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Floats | None = None) -> Floats:
+    """Accelerations (n_v,) as :func:`forward_dynamics`, of motions that may diverge."""
     if wrench is None:
         loads = np.zeros((tree.n_bodies, 6))
     else:

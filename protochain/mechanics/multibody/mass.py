@@ -4,7 +4,7 @@ from typing import Literal
 
 import numpy as np
 
-from protochain.core.arrays import Floats
+from protochain.core.arrays import Floats, finite
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import articulated, fixman
 from protochain.mechanics.multibody.kinematics import Frames
@@ -34,8 +34,10 @@ def solve_mass(tree: Tree, frames: Frames, tau: Floats, method: Method = "articu
     Raises
     ------
     MechanicsError
-        If M is singular, a body has no inverse inertia (``fixman``), or the method is unknown.
+        If M is singular, masses are too far apart or a body has no inverse inertia (``fixman``), or the
+        method is unknown.
     """
+    tau = finite(tau, (tree.n_v,), "tau")
     if checked(method) == "fixman":
         return fixman.solve(fixman.eliminate(tree, frames), tau)
     return articulated.solve_at_once(tree, frames, tau)

@@ -333,7 +333,7 @@ def _extremes(gear: Gear) -> Iterator[Found]:
     yield judged("step of three radians", lambda: swing(gear, 5e-6), Fault.STEP)
     light = replace(gear, tooth=1e-6)
     yield judged("teeth of a millionth, explicit", lambda: swing(light), Fault.STEP)
-    yield judged("teeth of a millionth, implicit", lambda: swing(light, STEP, Rosenbrock()))
+    yield judged("teeth of a millionth, implicit", lambda: swing(light, STEP, Rosenbrock(1e-4)))
     yield judged("teeth without inertia", lambda: audit(replace(gear, tooth=0.0)), Fault.NO_INERTIA)
     for said, shift, fault in (
         ("8 teeth: undercut", 0.0, Fault.UNDERCUT), ("8 teeth, shifted by half a module", 0.5, None),

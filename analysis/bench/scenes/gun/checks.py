@@ -148,7 +148,7 @@ def work(quick: bool) -> list[Point]:
             *(("Kutta", RungeKutta4(), *each) for each in explicit[:most]),
             *(("Dormand-Prince", DormandPrince(t), f"{t:g}", 0.01) for t in (1e-5, 1e-7, 1e-9)[:most]),
             *(("midpoint", ImplicitMidpoint(), *each) for each in implicit[:most]),
-            *(("Rosenbrock", Rosenbrock(), *each) for each in implicit[:most]),
+            *(("Rosenbrock", Rosenbrock(t), f"{t:g}", 2e-3) for t in (1e-3, 1e-5, 1e-7)[:most]),
         ]  # fmt: skip
         for method, integrator, setting, h in settings:
             end = partial(found.end, integrator, h, until)
