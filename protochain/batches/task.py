@@ -131,12 +131,12 @@ def _run(
     if s.n_starts == 1:
         solution = minimise(
             chain, energy, method, s.tolerance, s.max_evaluations, s.seed,
-            restraint=s.restraint, max_rmsd=s.max_rmsd, curvature=s.curvature,
+            restraint=s.restraint, max_rmsd=s.max_rmsd, curvature=s.curvature, judge=s.judge,
         )  # fmt: skip
         return solution, {"n_starts": 1}
     found = explore(
         chain, energy, method, s.n_starts, seed=s.seed, spread=s.spread, tolerance=s.tolerance,
-        max_evaluations=s.max_evaluations, curvature=s.curvature,
+        max_evaluations=s.max_evaluations, curvature=s.curvature, judge=s.judge,
     )  # fmt: skip
     overall = found.overall()
     return found.best, overall.pop("starts_summary") | overall

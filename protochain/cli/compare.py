@@ -81,6 +81,7 @@ def compare(
         comparison = run(
             chain, chosen, energy, tolerance, most, minimising.seed,
             reference=known, repeats=repeats, watch=watch, curvature=minimising.curvature,
+            judge=minimising.judge,
         )  # fmt: skip
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
     page = comparison.report(output)

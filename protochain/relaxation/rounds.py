@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,37 +47,6 @@ _HIGH = 1000.0
 _WEAKER = 0.1
 """Share of their springs that residues with violations keep at first; the next time they lose them all.
 Without any at once, more of the fold gives way than has to."""
-
-
-class LastKnown:
-    """An energy that knows its values at two points: a relaxation asks some of them again.
-
-    Only where the neighbour lists are those of the first time, so that no bit depends on it; of an energy
-    without lists nothing is known.
-    """
-
-    def __init__(self, energy: Energy) -> None:
-        self.energy = energy
-        self._known: list[tuple[Floats, Floats, tuple[float, Floats]]] = []
-        """First and last point: positions, those of the lists, energy and forces."""
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.energy, name)
-
-    def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
-        for at, lists_at, (value, forces) in self._known:
-            if lists_at is self.energy.lists_at and np.array_equal(at, x):
-                return value, forces.copy()
-        found = self.energy(x)
-        if self.energy.lists_at is not None:
-            self._known[1:] = [(x.copy(), self.energy.lists_at, (found[0], found[1].copy()))]
-        return found
-
-    def at_first(self, x: Floats) -> float:
-        """Energy at x (na, 3): if the first point was there, that which it had, with the lists of then."""
-        first = self._known[:1]
-        return first[0][2][0] if first and np.array_equal(first[0][0], x) else self(x)[0]
 
 
 Note = Callable[[Stage, Evaluation, int], None]

@@ -53,7 +53,7 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
     job = job_of("kcm", "openmm", "lbfgs", tolerance=2.0, max_evaluations=9, seed=4)
     first, *others = list(task.run(job, tmp_path, 1))
     assert [call[1] for call in given.calls] == ["openmm", "kcm", "lbfgs"]
-    more = {"restraint": "", "max_rmsd": np.inf, "curvature": None}
+    more = {"restraint": "", "max_rmsd": np.inf, "curvature": None, "judge": "auto"}
     assert all(call[0] == 1 and call[2:] == ((2.0, 9, 4), more) for call in given.calls)
     assert [row.record["method"] for row in others] == ["kcm", "lbfgs"]
     for row in (first, *others):
@@ -74,7 +74,7 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
 def test_a_result_without_a_number_has_a_row_but_no_file(given, tmp_path, monkeypatch):
     monkeypatch.setattr(pc.Solution, "is_usable", False)
     (row,) = task.run(job_of("cartesian", max_rmsd=7.0, restraint="50 0"), tmp_path, 1)
-    assert given.calls[0][3] == {"restraint": "50 0", "max_rmsd": 7.0, "curvature": None}
+    assert given.calls[0][3] == {"restraint": "50 0", "max_rmsd": 7.0, "curvature": None, "judge": "auto"}
     assert "output" not in row.record and [path.name for path in tmp_path.iterdir()] == ["pages"]
     assert row.record["message"] and row.trace[0]["iteration"] == 0
 

@@ -1,15 +1,18 @@
-"""What a relaxation knows of its energy is what the energy would say, bit for bit."""
+"""What a run knows of its energy is what the energy would say, bit for bit; and what judges it."""
 
 from itertools import pairwise
+from threading import current_thread, main_thread
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
+from protochain.core.errors import ProtochainError
 from protochain.energies.native.evaluation import Evaluation
+from protochain.minimisers.judging import Known
 from protochain.relaxation.api import relax_structure
-from protochain.relaxation.rounds import LastKnown
 from protochain.relaxation.settings import RelaxSettings
 
 
@@ -17,7 +20,10 @@ class Counting:
     """An energy that counts its calls, with lists that may be made anew."""
 
     def __init__(self, lists_at):
-        self.lists_at, self.calls, self.coarse = lists_at, 0, "rough"
+        self.lists_at, self.calls, self.coarse, self.exact = lists_at, 0, "rough", self
+
+    def list_at(self, x):
+        self.lists_at = None if self.lists_at is None else x
 
     def __call__(self, x):
         self.calls += 1
@@ -30,7 +36,7 @@ def points():
 
 def test_the_first_and_the_last_point_are_known():
     energy = Counting(np.zeros(3))
-    known, (one, two, three) = LastKnown(energy), points()
+    known, (one, two, three) = Known(energy), points()
     first, forces = known(one)
     forces[:] = np.nan  # Whoever gets them may change them.
     last = known(two)[0], known(three)[0]
@@ -45,14 +51,14 @@ def test_the_first_and_the_last_point_are_known():
 
 def test_nothing_is_known_with_other_lists_or_without_lists():
     energy = Counting(np.zeros(3))
-    known, (one, two, _) = LastKnown(energy), points()
+    known, (one, two, _) = Known(energy), points()
     first = known(one)[0]
     energy.lists_at = np.zeros(3)
     assert known(one)[0] != first and energy.calls == 2
-    assert known.at_first(one) == first and energy.calls == 2
-    assert known.at_first(two) != first and energy.calls == 3
+    assert known.at_first(one)[0] == first and energy.calls == 2
+    assert known.at_first(two)[0] != first and energy.lists_at is two and energy.calls == 3
     without = Counting(None)
-    known = LastKnown(without)
+    known = Known(without)
     known(one), known(one), known.at_first(one)
     assert without.calls == 3
 
@@ -98,6 +104,65 @@ def test_a_relaxation_evaluates_no_point_twice_in_a_row(monkeypatch):
     assert len(seen) == done.rounds[0].evaluations + 1
     for (_, one), (_, two) in pairwise(seen):
         assert not np.array_equal(one, two)
+
+
+def test_a_minimisation_evaluates_its_ends_once(monkeypatch):
+    seen = []
+    evaluate = Evaluation.__call__
+    monkeypatch.setattr(Evaluation, "__call__", lambda self, x: seen.append(x.copy()) or evaluate(self, x))
+    done = pc.minimise(STRUCTURES / "1l2y.pdb")
+    # Two warm it up; of the ends the run has the energies.
+    assert len(seen) == 2 + done.n_evaluations
+    np.testing.assert_array_equal(seen[2], done.chain.structure.positions)
+
+
+def test_judges_have_names_and_threads_of_their_own():
+    asked = []
+
+    def judge(engine):
+        def at(x):
+            asked.append(current_thread() is main_thread())
+            return -5.0, np.zeros((2, 3))
+
+        at.engine, at.list_at = engine, lambda x: None
+        return at
+
+    for engine, named in (("native", "native"), ("openmm", "OpenMM's Reference"), ("custom", "callable")):
+        known = Known(SimpleNamespace(exact=judge(engine), reference=judge("openmm")))
+        assert named in known.judge and known.judged(points()[0])[0] == -5.0
+    # So that an interrupt is heard; what judges itself is asked where it is.
+    assert asked == [False] * 3
+    itself = Counting(None)
+    assert Known(itself).judged(points()[0])[0] == 7.0
+    with pytest.raises(ProtochainError, match="choose from auto, reference"):
+        pc.minimise(STRUCTURES / "ala10.pdb", judge="me")
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "settings"),
+    [
+        ("ala10.pdb", "lbfgs", {"forcefield": "charmm36", "solvent": "vacuum"}),
+        ("1l2y.pdb", "cartesian", {"forcefield": "amber19", "solvent": "gbn2"}),
+        ("5awl.pdb", "hybrid", {"forcefield": "amber99sbildn", "solvent": "obc2"}),
+        ("1bna.pdb", "cartesian", {"forcefield": "amber14", "solvent": "gbn2"}),
+        ("1l2y.pdb", "cartesian", {"engine": "openmm"}),
+    ],
+)
+def test_the_judge_equals_the_reference_platform_and_no_bit_depends_on_threads(name, method, settings):
+    s = pc.load(STRUCTURES / name)
+    ends = [
+        pc.minimise(s, pc.energy(s, threads=n, **settings), method, max_evaluations=12, judge=judge)
+        for n, judge in ((1, "auto"), (2, "auto"), (2, "reference"))
+    ]
+    assert [("native" in r.judge) for r in ends] == [settings.get("engine") is None] * 2 + [False]
+    for r in ends:
+        assert r.record()["judge"] == r.judge and any(r.judge.upper() in line for line in r.provenance())
+        reference = r.energy_function.reference
+        for judged, x in ((r.start, s.positions), (r.end, r.x)):
+            assert judged.energy == pytest.approx(reference(x)[0], rel=1e-8)
+    if "engine" not in settings:
+        assert ends[0].end == ends[1].end and ends[0].start == ends[1].start
+        assert ends[2].end.rms_force == pytest.approx(ends[1].end.rms_force, rel=1e-6)
 
 
 def test_what_judges_sums_all_pairs():
