@@ -62,7 +62,7 @@ FUNCTIONS = {
     "reading": "protochain.chains.setup:Setup.load",
     "system": "protochain.chains.setup:Setup.energy",
     "chain": "protochain.chains.setup:Setup.chain",
-    "judging": "protochain.minimisers.verdict:judge",
+    "judging": "protochain.minimisers.judging:Known.judged",
     "loop": "protochain.minimisers.stages:walk",
     "evaluations": "protochain.minimisers.problem:Problem.evaluate",
     "metric": "protochain.minimisers.metrics:Preconditioner.first",

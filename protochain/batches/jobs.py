@@ -57,7 +57,7 @@ class BatchSettings(StartSettings, MinimiseSettings):
     tolerance : float, optional
         As in :func:`protochain.minimise`, :func:`protochain.relax`, or :func:`protochain.explore` of several
         starts; by default, that of each.
-    max_evaluations, seed, restraint, max_rmsd, curvature : int, int, str, float, bool
+    max_evaluations, seed, restraint, max_rmsd, curvature, judge : int, int, str, float, bool, str
         As in :func:`protochain.minimise`.
     n_starts, spread : int, float
         As in :func:`protochain.explore`, which runs each method if there are several starts; its best end is

@@ -70,7 +70,7 @@ def knows_places(energy: Energy, x: Floats) -> bool:
     """Whether the energy changes when all atoms move as one; force fields, which have atoms, know none."""
     if energy.atoms:
         return False
-    (value, forces), (moved, _) = energy.reference(x), energy.reference(x @ _MOVED[0].T + _MOVED[1])
+    (value, forces), (moved, _) = energy.exact(x), energy.exact(x @ _MOVED[0].T + _MOVED[1])
     # Terms much larger than their sum show in the forces.
     scale = abs(value) + float(np.linalg.norm(forces)) + 1.0
     return bool(abs(moved - value) > _UNCHANGED * scale)

@@ -33,6 +33,7 @@ def compare(
     repeats: int = defaults.REPEATS,
     reference: Any = None,
     curvature: bool | None = None,
+    judge: str = defaults.JUDGE,
     watch: Callable[[str], Watcher] | None = None,
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.
@@ -52,7 +53,7 @@ def compare(
         threads), with consecutive seeds. The first is shown; ``Comparison.spread`` covers all.
     reference : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
         Structure to measure the ends against, for example an experimental one.
-    curvature : bool, optional
+    curvature, judge : bool, str
         As in :func:`protochain.minimise`.
     watch : callable, optional
         Given a method's name, returns the ``watch`` of its run.
@@ -60,7 +61,7 @@ def compare(
     Returns
     -------
     Comparison
-        Every end judged by the OpenMM Reference platform in double precision. An interrupt ends the current
+        Every end judged by the same judge in double precision. An interrupt ends the current
         run and leaves out the rest.
 
     Raises
@@ -86,7 +87,12 @@ def compare(
         raise ProtochainError(f"repeats {repeats}: give at least 1")
     runs = [
         Minimisation(
-            recipe, tolerance=tolerance, max_evaluations=max_evaluations, seed=seed, curvature=curvature
+            recipe,
+            tolerance=tolerance,
+            max_evaluations=max_evaluations,
+            seed=seed,
+            curvature=curvature,
+            judge=judge,
         )
         for recipe in recipes.values()
     ]
@@ -96,7 +102,7 @@ def compare(
         match(known, chain.structure)  # What cannot be measured is said before the work.
     for run in runs:
         run.recipe.check(energy)
-    start = Start(chain, energy)
+    start = Start(chain, energy, judge)
     plan = [(run, k) for run in runs for k in range(1 if run.recipe.repeats_exactly(energy) else repeats)]
     solutions: list[Solution] = []
     further: list[Solution] = []

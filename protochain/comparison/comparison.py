@@ -23,7 +23,6 @@ from protochain.core.storage import json_text, write_atomically, write_text
 from protochain.minimisers import Solution
 from protochain.minimisers.record import SHOWN
 from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
-from protochain.minimisers.verdict import judge_of
 from protochain.results.columns import flat
 from protochain.results.figures import data_url
 from protochain.results.page import render
@@ -250,7 +249,7 @@ class Comparison:
             **self.origin,
             "engine_reason": e.reason,
             "system_sha256": e.fingerprint,
-            "judge": judge_of(e),
+            "judge": first.judge,
             "seed": first.seed,
             "threads": e.threads,
             **of_run(*_PACKAGES),

@@ -5,14 +5,14 @@ from typing import Any
 import pandas as pd
 from MDAnalysis.analysis.base import AnalysisBase
 
-from protochain.chains.chain import pose
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
 from protochain.energies.shared import shared_energy
 from protochain.minimisers import minimise, recipe_of
 from protochain.minimisers.minimise_structure import Minimisation
-from protochain.minimisers.verdict import Judgement, judge
+from protochain.minimisers.start import Start
+from protochain.minimisers.verdict import Judgement
 
 
 class EveryFrame(AnalysisBase):
@@ -37,8 +37,9 @@ class EveryFrame(AnalysisBase):
     results.table : pandas.DataFrame
         A row a frame: ``frame``, ``time_ps``, ``energy_start_kj_mol``, ``max_torque_start_kj_mol_rad``,
         ``rms_force_start_kj_mol_nm``; of a minimised one also ``energy_end_kj_mol``, ``ca_rmsd_angstrom``,
-        ``evaluations``, ``seconds``, ``status`` and ``message``. Energies are those of OpenMM's Reference
-        platform. A frame that cannot be used has only the ``message``, which gives the reason.
+        ``evaluations``, ``seconds``, ``status`` and ``message``. Energies are of the judge of
+        :func:`protochain.minimise`. A frame that cannot be used has only the ``message``, which gives the
+        reason.
     results.structures : list of Structure
         Final structure of each frame; None where a frame cannot be used.
     """
@@ -74,7 +75,7 @@ class EveryFrame(AnalysisBase):
             name = f"frame {self._ts.frame}"
             start, chain, energy = self.setup.prepare(self.atoms, name, shared_energy)
             if self.method is None:
-                row |= _measured(judge(chain, energy, pose(chain, chain.q0)))
+                row |= _measured(Start(chain, energy).judgement)
                 end = start
             else:
                 solution = minimise(chain, energy, self.method, **self.budget)

@@ -225,6 +225,16 @@ def refuse_unknown(value: str, name: str, known: Iterable[str]) -> None:
         raise ProtochainError(Argument(name), f" {value!r} is not known; choose from {', '.join(known)}")
 
 
+def one_of(known: Iterable[str]) -> Check:
+    """Check for one of some words."""
+
+    def check(value: Any, name: str) -> str:
+        refuse_unknown(text(value, name), name, known)
+        return str(value)
+
+    return check
+
+
 def selection(value: Any, name: str) -> str:
     """Return a text that selects atoms."""
     if text(value, name).strip():

@@ -5,9 +5,10 @@ from typing import Literal
 FORCEFIELD = "amber14"
 SOLVENT = "obc2"
 ENGINE = "auto"
+JUDGE = "auto"
 CUTOFF: Literal["auto"] = "auto"
 FULL_UP_TO = 20_000
-"""Atoms up to which engines without a tree sum all pairs in a solvent, and OpenMM's Reference judges."""
+"""Atoms up to which engines without a tree sum all pairs in a solvent."""
 LONG_CUTOFF = 2.0  # nm. Forces differ by 1 to 4 kJ/mol/nm RMS from those of all pairs.
 ACCURACY: Literal["auto"] = "auto"
 TREE_FROM = 5_000

@@ -39,7 +39,8 @@ class CustomEnergy:
     lists_at: Floats | None = None
 
     def __init__(self, function: EnergyFunction) -> None:
-        self.function, self.reference, self.name = function, self, name_of(function)
+        self.function, self.name = function, name_of(function)
+        self.reference = self.exact = self
         self.fingerprint = hashlib.sha256(self.name.encode()).hexdigest()
 
     def without_constants(self, groups: Integers, x: Floats) -> "CustomEnergy":

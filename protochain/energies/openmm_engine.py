@@ -95,6 +95,11 @@ class OpenMMEnergy:
             return self
         return OpenMMEnergy(self.system, "Reference", None, *self._names)
 
+    @property
+    def exact(self) -> "OpenMMEnergy":
+        """Its reference."""
+        return self.reference
+
     @cached_property
     def fingerprint(self) -> str:
         """SHA-256 of the System: energies with equal fingerprints are the same function."""

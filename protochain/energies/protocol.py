@@ -57,7 +57,11 @@ class Energy(Protocol):
 
     @property
     def reference(self) -> "Energy":
-        """Energy that judges every result: the same on OpenMM's Reference platform, in double precision."""
+        """The same energy on OpenMM's Reference platform, in double precision; of a callable, itself."""
+
+    @property
+    def exact(self) -> "Energy":
+        """The same energy in double precision, all pairs one by one: itself, or its reference."""
 
     @property
     def fingerprint(self) -> str:

@@ -6,9 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from protochain.core import defaults
-from protochain.core.checks import anything, at_least, flag, limited, number, optional, path
+from protochain.core.checks import anything, at_least, flag, limited, number, one_of, optional, path
 from protochain.core.errors import Angle, Argument, ProtochainError
 from protochain.core.settings import Settings, setting
+
+JUDGES = (defaults.JUDGE, "reference")
+"""Who judges: our kernels where they know the energy, or OpenMM's Reference platform in any case."""
 
 TOLERANCE = optional(limited(number, lambda force: 0 < force <= 1e6, "give a number above 0, at most 1e6"))
 """Check of a tolerance. A bond 2 nm too long pulls by 1e6 kJ/mol/nm: above it any start is an end."""
@@ -42,6 +45,12 @@ class MinimiseSettings(Settings):
         optional(flag),
         bool,
         "--curvature/--no-curvature",
+    )
+    judge: str = setting(
+        defaults.JUDGE,
+        "Of start and end: auto (our kernels, all pairs in double precision) or reference (OpenMM's "
+        "Reference platform).",
+        one_of(JUDGES),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -53,6 +53,7 @@ def minimise(
     restraint: Any = "",
     max_rmsd: float = np.inf,
     curvature: bool | None = None,
+    judge: str = defaults.JUDGE,
     checkpoint: str | Path | None = None,
     resume: str | Path | None = None,
     watch: Watcher | None = None,
@@ -97,6 +98,9 @@ def minimise(
         atoms, and to go on from a saddle point (:mod:`protochain.minimisers.saddle`): some dozen evaluations,
         in all atoms at most a fifth of those of the run, or ten. Default: where only hinges turn, and in all
         atoms at tolerances up to 1 kJ/mol/nm. OpenMM's methods do not.
+    judge : str
+        What judges start and end: ``auto``, the native engine with all pairs in double precision, or OpenMM's
+        Reference platform where that cannot compute the energy; ``reference``, the latter in any case.
     checkpoint : path-like, optional
         File (.npz) to write when the run ends, for ``resume``; a warning says why if it cannot be written.
     resume : path-like, optional
@@ -199,7 +203,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
 def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None) -> Solution:
     """Minimise from a start that other runs may share."""
     run.recipe.check(start.energy)
-    start = start.of(run.recipe)
+    start = start.of(run.recipe, run.judge)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with threadpool_limits(1, "blas"):
         with open_to_interrupts():
@@ -228,10 +232,10 @@ def _floats(start: Start, run: Minimisation, frame: Frame) -> bool:
 
 def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     """Walk through the stages of a recipe."""
-    chain, energy, hold = start.chain, start.energy, run.hold
+    chain, hold = start.chain, run.hold
     reduced = start.energy_of(run.recipe)
-    torque = start.judgement.max_torque
-    plan = run.recipe.plan(chain, energy, reduced, run.converged_at, hold, run.seed, torque)
+    torque = start.judgement.max_torque if run.recipe.in_torsions else 0.0
+    plan = run.recipe.plan(chain, start.known, reduced, run.converged_at, hold, run.seed, torque)
     if run.examines:
         share = np.inf if run.recipe.keeps_geometry else SHARE_OF_RUN
         plan = with_curvature(plan, _floats(start, run, record.frame), share)
@@ -303,7 +307,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         constant_terms=start.energy_of(run.recipe).left_out,
         q=at.q,
         x=x,
-        energy=energy(at.x)[0],
+        energy=start.known(at.x)[0],
         status=status,
         ended=ended,
         n_iterations=done.n_iterations,
@@ -312,6 +316,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         trace=trace,
         start=start.judgement,
         end=end,
+        judge=start.known.judge,
         frame=record.frame,
         ca_rmsd_angstrom=record.frame.ca_rmsds(x)[0],
         tolerance=run.converged_at,
@@ -337,10 +342,13 @@ def _better(start: Start, done: Outcome) -> tuple[Pose, Judgement]:
     else:
         chain = rebuilt(start.chain, read_only(done.x))
         at = pose(chain, chain.q0)
-    end = judge(chain, start.energy, at, done.restraint)
+    if np.array_equal(at.q, chain.q0):
+        # No digit is rounded anew: the energies are those of the run, or of the start.
+        at = replace(at, x=chain.structure.positions)
+    end = judge(chain, at, start.known.judged(at.x), done.restraint)
     if end.energy <= start.judgement.energy:
         return at, end
-    return start.pose, judge(start.chain, start.energy, start.pose, done.restraint)
+    return start.pose, judge(start.chain, start.pose, start.judged, done.restraint)
 
 
 def _measured(

@@ -32,6 +32,7 @@ COLUMNS = (
     Column("energy_start_kj_mol", lambda s: s.start.energy, "energy at start", "start"),
     Column("energy_end_kj_mol", lambda s: s.energy),
     Column("energy_end_reference_kj_mol", lambda s: s.end.energy, "energy at end", "end"),
+    Column("judge", lambda s: s.judge),
     Column("max_torque_end_kj_mol_rad", lambda s: s.end.max_torque, "largest torque", "torque", 6),
     Column("rms_force_end_kj_mol_nm", lambda s: s.end.rms_force, "RMS force", "force", 6),
     Column("lowest_eigenvalue_kj_mol_rad2", lambda s: s.lowest_eigenvalue if s.keeps_geometry else None),

@@ -180,6 +180,8 @@ class Solution(TermsAtEnds, Value):
         are included. A run converges by its largest torque or RMS force.
     start, end : Judgement
         Energy and residuals in double precision.
+    judge : str
+        What computed them.
     frame : Frame
         Says whether ``x`` was superposed on the start, and if not, what held the run in place.
     ca_rmsd_angstrom : float
@@ -218,6 +220,7 @@ class Solution(TermsAtEnds, Value):
         trace: Any = _Made()
     start: Judgement
     end: Judgement
+    judge: str
     frame: Frame
     ca_rmsd_angstrom: float
     tolerance: float
@@ -323,7 +326,7 @@ class Solution(TermsAtEnds, Value):
     def provenance(self) -> Iterable[str]:
         """Provenance of the structure, as remarks for its file."""
         return remarks(
-            self, self.method, (self.start.energy, self.end.energy), "the OpenMM Reference platform",
+            self, self.method, (self.start.energy, self.end.energy), self.judge,
             (self.ca_rmsd_angstrom, self.ca_rmsd_as_filed_angstrom),
         )  # fmt: skip
 

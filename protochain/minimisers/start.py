@@ -1,14 +1,17 @@
 """Common start of runs: one chain, one energy, judged and warmed up once for any number of methods."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from protochain.chains.articulate import with_free_root
 from protochain.chains.chain import Chain, Pose, pose
+from protochain.core import defaults
+from protochain.core.arrays import Floats
 from protochain.energies.protocol import Energy
 from protochain.minimisers.curvature import near_terms
+from protochain.minimisers.judging import Known
 from protochain.minimisers.problem import Evaluation, Problem, evaluate
 from protochain.minimisers.recipes import Recipe
 from protochain.minimisers.spaces import Cartesian, Torsions, spaces
@@ -21,15 +24,27 @@ class Start:
     """A chain and its energy, with all that follows from them for any method.
 
     energy: With all terms.
+    judge: One of ``settings.JUDGES``.
     """
 
     chain: Chain
     energy: Energy
+    judge: str = defaults.JUDGE
 
     @cached_property
     def pose(self) -> Pose:
-        """Pose of the chain at its start."""
-        return pose(self.chain, self.chain.q0)
+        """Pose of the chain at its start, with no digit of the positions rounded anew."""
+        return replace(pose(self.chain, self.chain.q0), x=self.chain.structure.positions)
+
+    @cached_property
+    def known(self) -> Known:
+        """The energy, as runs ask it and their judge does."""
+        return Known(self.energy, self.judge)
+
+    @cached_property
+    def judged(self) -> tuple[float, Floats]:
+        """Energy, kJ/mol, and forces (na, 3) of the start, by the judge."""
+        return self.known.judged(self.pose.x, first=True)
 
     @cached_property
     def is_crowded(self) -> bool:
@@ -39,16 +54,17 @@ class Start:
     @cached_property
     def judgement(self) -> Judgement:
         """Energy and residuals of the start in double precision."""
-        return judge(self.chain, self.energy, self.pose)
+        return judge(self.chain, self.pose, self.judged)
 
-    def of(self, recipe: Recipe) -> "Start":
-        """Start of a method: of one that moves masses, a root that ``auto`` has fixed is free."""
+    def of(self, recipe: Recipe, judge: str = defaults.JUDGE) -> "Start":
+        """Start of a method and a judge: of one that moves masses, a root that ``auto`` has fixed is free."""
+        own = self if judge == self.judge else replace(self, judge=judge)
         moves = recipe.moves_masses and self.chain.root == "auto"
-        return self._with_free_root if moves else self
+        return own._with_free_root if moves else own
 
     @cached_property
     def _with_free_root(self) -> "Start":
-        return Start(with_free_root(self.chain), self.energy)
+        return replace(self, chain=with_free_root(self.chain))
 
     @property
     def _spaces(self) -> tuple[Torsions, Cartesian]:
@@ -67,7 +83,9 @@ class Start:
         """Compile kernels and create contexts before the clock starts."""
         # The order of sums depends on the neighbour lists: build those of the start.
         self.energy.list_at(self.pose.x)
-        _ = self.judgement
+        # Elsewhere the run evaluates its start itself.
+        if recipe.in_torsions or self.known.judging is not self.energy:
+            _ = self.judgement
         if recipe.in_torsions:
             _ = self._warm_in_torsions
         if not recipe.keeps_geometry:

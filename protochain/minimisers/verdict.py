@@ -1,18 +1,14 @@
-"""Status of a result, from energy and forces recomputed on OpenMM's Reference platform."""
+"""Status of a result, from energy and forces of its judge."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import partial
 
 from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
-from protochain.core.interrupts import run_interruptible
 from protochain.core.markup import listed
-from protochain.energies.native import NativeEnergy
-from protochain.energies.protocol import Energy
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
@@ -67,33 +63,14 @@ class Judgement:
     sizes: Mapping[str, float] = field(default_factory=dict)
 
 
-def judge(chain: Chain, energy: Energy, at: Pose, restraint: Force | None = None) -> Judgement:
-    """Judge a pose of a chain by an energy's reference; a restraint counts in the residuals only."""
-    # OpenMM's Reference platform takes many seconds for a large protein. A callable may not like threads.
-    evaluate = partial(energy.reference, at.x)
-    value, forces = evaluate() if energy.engine == "custom" else run_interruptible(evaluate)
-    if isinstance(energy, NativeEnergy):
-        energy.note_error(at.x, forces)
+def judge(chain: Chain, at: Pose, judged: tuple[float, Floats], restraint: Force | None = None) -> Judgement:
+    """Judge a pose of a chain by energy and forces; a restraint counts in the residuals only."""
+    value, forces = judged
     total = forces + restraint(at.x)[1] if restraint else forces
     torsions, atoms = spaces(chain)
     torque, force = torsions.torque(at, total), atoms.torque(at, total)
     sizes = torsions.sizes(torque) | atoms.sizes(force)
     return Judgement(value, torsions.residual(torque), atoms.residual(force), sizes)
-
-
-def judge_of(energy: Energy) -> str:
-    """Name the judge of results on an energy."""
-    if energy.engine == "custom":
-        return "the callable itself"
-    return (
-        ALL_PAIRS
-        if energy.reference.engine == "native"
-        else "OpenMM's Reference platform, in double precision"
-    )
-
-
-ALL_PAIRS = "native kernels, in double precision, all pairs one by one"
-"""What judges where the Reference platform would take hours."""
 
 
 def rebuilt(chain: Chain, x: Floats) -> Chain:

@@ -15,10 +15,11 @@ from protochain.chains.frame import Frame
 from protochain.core import defaults
 from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
-from protochain.core.interrupts import held_interrupts, run_interruptible
+from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import counted, listed
-from protochain.energies import Energy, NativeEnergy
-from protochain.minimisers.problem import Evaluation, Force
+from protochain.energies import Energy
+from protochain.minimisers.judging import Known
+from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import check_dihedrals
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import Stage
@@ -27,7 +28,7 @@ from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import IN_RIGID_PROTEIN
 from protochain.relaxation.relax_settings import RelaxSettings, named, split
-from protochain.relaxation.result import ITSELF, NATIVE, REFERENCE, Relaxation
+from protochain.relaxation.result import Relaxation
 from protochain.relaxation.rounds import Ended, Relaxer, fewest_left
 from protochain.relaxation.wrong import Wrong
 from protochain.structure import Structure
@@ -117,7 +118,8 @@ def relax_structure(
     check_dihedrals(energy, "relax")
     first = _repacked(structure, energy, mobile, settings)
     trace = _Trace(watch)
-    relaxer = Relaxer(first, energy, strength, settings.max_iterations, trace, mobile)
+    known: Any = Known(energy)
+    relaxer = Relaxer(first, known, strength, settings.max_iterations, trace, mobile)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with _libraries().limit(limits=1, user_api="blas"):
         done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
@@ -125,10 +127,10 @@ def relax_structure(
     end = fewest_left(done)
     frame = Frame(structure, held_by)
     restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any()
-    judge = _judge(energy)
-    value, force = _judged(structure, energy, judge, end, restraint, mobile)
-    status, message = _verdict(structure, energy, settings, end, force)
-    known = judge is energy and first is structure
+    value, forces = known.judged(end.x)
+    space, total = Cartesian(structure, mobile), forces + restraint(end.x)[1]
+    force = space.residual(space.torque(space.place(space.start(end.x)), total))
+    status, message = _verdict(structure, known, settings, end, force)
     return Relaxation(
         start=structure,
         turned=first.repairs[len(structure.repairs) :],
@@ -139,10 +141,10 @@ def relax_structure(
         best=done.index(end),
         status=status,
         message=message,
-        energy_start=(relaxer.first if known else judge(structure.positions))[0],
+        energy_start=known.judged(structure.positions, first=True)[0],
         energy_end=value,
         rms_force=force,
-        judge=_by(energy),
+        judge=known.judge,
         frame=frame,
         seconds=seconds,
         trace=read_only(np.array(trace.rows).reshape(-1, 5)),
@@ -209,46 +211,12 @@ def _repacked(
     return repacked(structure, region, energy=energy, moving=mobile)
 
 
-def _judge(energy: Energy) -> Energy:
-    """What judges: the native engine, which equals OpenMM's Reference platform, or else that."""
-    if isinstance(energy, NativeEnergy):
-        return energy.exact
-    return energy if energy.is_exact else energy.reference
-
-
-def _by(energy: Energy) -> str:
-    """How what judges is called."""
-    if energy.engine == "custom":
-        return ITSELF
-    return NATIVE if energy.is_exact else REFERENCE
-
-
-def _judged(
-    structure: Structure,
-    energy: Energy,
-    judge: Energy,
-    end: Ended,
-    restraint: Force,
-    mobile: NDArray[np.bool_],
-) -> tuple[float, float]:
-    """Energy without springs, kJ/mol, and RMS force with them, kJ/mol/nm."""
-    if judge is energy and (at := end.evaluated):
-        return at.energy - at.restraint, at.residual
-    value, forces = run_interruptible(lambda: judge(end.x))
-    space = Cartesian(structure, mobile)
-    if isinstance(energy, NativeEnergy):
-        energy.note_error(end.x, forces)
-    total = forces + restraint(end.x)[1]
-    return value, space.residual(space.torque(space.place(space.start(end.x)), total))
-
-
 def _verdict(
-    structure: Structure, energy: Energy, settings: RelaxSettings, end: Ended, force: float
+    structure: Structure, known: Known, settings: RelaxSettings, end: Ended, force: float
 ) -> tuple[Status, str]:
     tolerance = settings.strength.tolerance
-    by = _by(energy)
     springs = ", springs included" if end.springs.weight.any() else ""
-    measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {by}"
+    measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {known.judge}"
     fixed = [f"{n} {name}" for name, n in fixed_counts(structure).items()]
     measured += f"; fixed, not relaxed: {listed(fixed)}" if fixed else ""
     at = end.wrong

@@ -37,13 +37,6 @@ from protochain.validation.ligands import LigandFound, findings_of
 if TYPE_CHECKING:
     import pandas as pd
 
-NATIVE, REFERENCE, ITSELF = (
-    "the native engine, in double precision",
-    "OpenMM's Reference platform, in double precision",
-    "the callable itself",
-)
-"""Who judges. The native engine equals the Reference platform to 1e-10 and is much faster."""
-
 TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", "rms_force_kj_mol_nm")
 
 

@@ -11,19 +11,18 @@ from numpy.typing import NDArray
 from protochain.chains.contacts import near_pairs, overlapping
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.graph import both_ways
-from protochain.core.interrupts import held_interrupts
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers.clash_resolution import TetheredModel, unthreading
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
-from protochain.minimisers.loop import Snapshot, Stop, Unstarted
+from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import NEAR_REFRESH
-from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Placement, Tally, evaluate
+from protochain.minimisers.problem import BudgetSpentError, Evaluation, Force, Placement, evaluate
 from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
-from protochain.minimisers.stages import PATIENCE, Outcome, Stage, Waypoint, walk, with_reference
+from protochain.minimisers.stages import PATIENCE, Outcome, Stage, walk, with_reference
 from protochain.minimisers.steps import StrongWolfe
 from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
@@ -88,7 +87,6 @@ class Ended:
     springs: Those of its last stage.
     concerned (n,) int: Residues with violations, overlaps, threaded rings, inverted stereocentres or
         twisted peptide bonds.
-    evaluated: Its point, with the springs; None if the last stage was of another energy.
     """
 
     wrong: Wrong
@@ -96,7 +94,6 @@ class Ended:
     springs: Tethers
     concerned: Integers
     round: Round
-    evaluated: Evaluation | None = None
 
     @property
     def x(self) -> Floats:
@@ -177,8 +174,7 @@ class Relaxer:
             int((share < 1.0).sum()), len(wrong.violations.residues), len(wrong.overlaps),
             walked.n_iterations, freed + walked.n_evaluations, perf_counter() - began,
         )  # fmt: skip
-        springs_left, residues = _tethers(walked.restraint), np.flatnonzero(concerned)
-        return Ended(wrong, walked.stop, springs_left, residues, noted, self._evaluated(plan, walked))
+        return Ended(wrong, walked.stop, _tethers(walked.restraint), np.flatnonzero(concerned), noted)
 
     def _walked(self, plan: Sequence[Stage], x: Floats, before: int) -> Outcome:
         """Walk through stages from x, within the iterations allowed."""
@@ -193,41 +189,10 @@ class Relaxer:
             if 0 < self.max_iterations <= n_points - len(begun):
                 raise BudgetSpentError
 
-        walked = walk(plan, x, _ENDLESS, None, record, self._begun(plan, x), resumable=False)
+        walked = walk(plan, x, _ENDLESS, None, record, resumable=False)
         if not before + walked.n_evaluations:
             raise KeyboardInterrupt
         return walked
-
-    @cached_property
-    def first(self) -> tuple[float, Floats]:
-        """Energy and forces at the structure, where all begins."""
-        return self.energy(self.structure.positions)
-
-    def _at(self, q: Floats, restraint: Force | None = None) -> Evaluation | None:
-        """Point of the first round, from what is known there; None elsewhere."""
-        if not np.array_equal(self._space.place(q).x, self.structure.positions):
-            return None
-        return evaluate(self._space, lambda _: self.first, q, restraint)
-
-    def _begun(self, plan: Sequence[Stage], x: Floats) -> Waypoint | None:
-        """Stage that is the first to run at x, evaluated there; None if it is not the force field's."""
-        q = self._space.start(x)
-        begins = (
-            k for k, each in enumerate(plan) if not each.ready or each.ready(each, self._space.place(q))
-        )
-        first = next(begins, None)
-        with held_interrupts() as interrupts:
-            if first is None or plan[first].energy is not self.energy or interrupts:
-                return None
-        at = self._at(q, plan[first].restraint)
-        return Waypoint(first, 0, Snapshot(Unstarted(at), at, Tally(1, at, 1), 0, None)) if at else None
-
-    def _evaluated(self, plan: Sequence[Stage], walked: Outcome) -> Evaluation | None:
-        """Point where a walk ended, as it was evaluated; None if its last stage is not the force field's."""
-        if not plan or walked.waypoint is None or plan[walked.waypoint.stage].energy is not self.energy:
-            return None
-        last = walked.waypoint.last
-        return next((at for at in (last.state.at, last.tally.best) if at and at.q is walked.q), None)
 
     def _begin(self, springs: Tethers) -> list[Stage]:
         """Stages from whose end the force field takes over, each where it is needed."""
@@ -245,7 +210,7 @@ class Relaxer:
         return stages
 
     def _is_high(self, stage: Stage, at: Placement) -> bool:
-        return (self._at(at.q) or evaluate(self._space, self.energy, at.q)).residual > _HIGH
+        return evaluate(self._space, self.energy, at.q).residual > _HIGH
 
     def _right(self, springs: Tethers) -> list[Stage]:
         """Stages for folded or flat atoms, inverted stereocentres, reversed peptide bonds, if there are any.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from protochain.core import defaults
-from protochain.core.checks import Check, at_least, flag, limited, number, optional, plain, shown, text
+from protochain.core.checks import Check, at_least, flag, limited, number, one_of, optional, plain, shown
 from protochain.core.errors import refused
 from protochain.core.settings import Settings, setting
 
@@ -37,7 +37,7 @@ class SearchSettings(Settings):
     """Settings that define a search; for the meanings see :func:`protochain.search`."""
 
     method: str = setting(
-        defaults.SEARCH, "csa (conformational space annealing), hopping or tempering.", text
+        defaults.SEARCH, "csa (conformational space annealing), hopping or tempering.", one_of(METHODS)
     )
     temperatures: tuple[float, float] = setting(
         defaults.SEARCH_TEMPERATURES,
@@ -63,12 +63,6 @@ class SearchSettings(Settings):
         int,
     )
     seed: int = setting(defaults.SEED, "Seed of all random numbers.", at_least(0), int)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        from protochain.core.checks import refuse_unknown
-
-        refuse_unknown(self.method, "method", METHODS)
 
 
 @dataclass(frozen=True, kw_only=True)

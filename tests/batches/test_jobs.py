@@ -20,7 +20,7 @@ from protochain.relaxation import RelaxSettings
 
 PLAIN = {
     "methods": ("cartesian",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000,
-    "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None,
+    "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None, "judge": "auto",
     "hinges": "phi psi chi", "root": "auto", "move": "all", "rigid_protein": False, "forcefield": "amber14",
     "solvent": "obc2", "engine": "auto", "terms": "all", "cutoff": "auto", "accuracy": "auto",
     "trust_forcefield": False,
@@ -39,7 +39,7 @@ OF_RELAX = {
 """Those of ``relax`` alone."""
 
 MINIMISING = {
-    "max_rmsd", "max_evaluations", "seed", "restraint", "n_starts", "spread", "curvature",
+    "max_rmsd", "max_evaluations", "seed", "restraint", "n_starts", "spread", "curvature", "judge",
     "hinges", "root",
 }  # fmt: skip
 """Those that ``relax`` does not have."""
@@ -58,7 +58,7 @@ def names(inputs, settings=None, **options):
 def test_settings_are_recorded_by_name_but_for_threads():
     assert BatchSettings().record() == PLAIN
     assert BatchSettings(setup=pc.Setup(threads=3)).record() == PLAIN
-    assert set(NAMES) == {*PLAIN, *OF_RELAX, "setup", "relaxing", "threads"} and NAMES[6] == "n_starts"
+    assert set(NAMES) == {*PLAIN, *OF_RELAX, "setup", "relaxing", "threads"} and NAMES[7] == "n_starts"
 
 
 def test_settings_that_results_do_not_depend_on_are_not_recorded():
@@ -164,7 +164,7 @@ def test_methods_of_one_name_are_refused():
 def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
     row = {
         "methods": "kcm, lbfgs", "tolerance": "2", "max_rmsd": " 0.5 ", "max_evaluations": "7", "seed": "3",
-        "restrain": "5 0", "curvature": "no",
+        "restrain": "5 0", "curvature": "no", "judge": "reference",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": "2.5", "accuracy": "1e-3", "rigid_protein": "no",
         "model": "2", "assembly": "1", "altloc": "B", "keep": "ZN,CA",
@@ -173,7 +173,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
     }  # fmt: skip
     assert BatchSettings().read(row).record() == {
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
-        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False,
+        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False, "judge": "reference",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
         "engine": "native", "cutoff": 2.5, "accuracy": 1e-3, "rigid_protein": False,
         "model": 2, "assembly": "1", "altloc": "B", "keep": ("ZN", "CA"),

@@ -53,7 +53,7 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
     job = job_of("kcm", "openmm", "lbfgs", tolerance=2.0, max_evaluations=9, seed=4)
     first, *others = list(task.run(job, tmp_path, 1))
     assert [call[1] for call in given.calls] == ["openmm", "kcm", "lbfgs"]
-    more = {"restraint": "", "max_rmsd": np.inf, "curvature": None}
+    more = {"restraint": "", "max_rmsd": np.inf, "curvature": None, "judge": "auto"}
     more |= {"tolerance": 2.0, "max_evaluations": 9, "seed": 4}
     assert all(call[0] == 1 and call[2:] == ((), more) for call in given.calls)
     assert [row.record["method"] for row in others] == ["kcm", "lbfgs"]

@@ -110,10 +110,10 @@ def test_before_a_run_has_begun_a_signal_ends_it_with_nothing(signals, monkeypat
 
     monkeypatch.setattr(start, "judge", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"))
+        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs")
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     with held_interrupts() as noted, pytest.raises(KeyboardInterrupt):
-        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"))
+        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs")
     assert noted == []
 
 

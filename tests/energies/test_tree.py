@@ -19,7 +19,8 @@ from protochain.energies.native.far import FAR_TERMS, Opening, openings
 from protochain.energies.native.lanes import LANES
 from protochain.energies.native.layout import CHUNKS, W
 from protochain.energies.native.tree import FIRST, LEFT, plant
-from protochain.minimisers.verdict import judge, judge_of
+from protochain.minimisers.judging import Known
+from protochain.minimisers.minimise_settings import JUDGES
 
 SAMPLE = "1ake.pdb.gz"
 NEAR = Opening(0.5, 6)
@@ -160,16 +161,15 @@ def test_few_atoms_are_summed_one_by_one_with_a_word():
     assert "one by one: no tree" in pc.energy(load(SAMPLE), accuracy=1e-9).reason
 
 
-def test_all_pairs_judge_where_the_reference_platform_would_take_long(monkeypatch):
-    s = load(SAMPLE)
+def test_all_pairs_judge_a_tree():
+    x = load(SAMPLE).positions
     tree = energy().by_tree(Opening(0.6, 4, 6.0))
-    assert tree.reference.engine == "openmm" and "OpenMM" in judge_of(tree)
-    monkeypatch.setattr(defaults, "FULL_UP_TO", s.n_atoms - 1)
-    chain = pc.build_chain(s)
-    judged = judge(chain, tree, pc.pose(chain, chain.q0))
-    assert judged.energy == pytest.approx(energy()(s.positions)[0], rel=ROUND_OFF)
-    assert abs(judged.energy - tree(s.positions)[0]) > 1e-3
-    assert "native" in judge_of(tree) and len(tree.errors) == 1 and "differ" in tree.reason
+    for judge in JUDGES:
+        known = Known(tree, judge)
+        value, _ = known.judged(x)
+        assert value == pytest.approx(energy()(x)[0], rel=ROUND_OFF if judge == "auto" else 1e-8)
+        assert abs(value - tree(x)[0]) > 1e-3 and ("native" in known.judge) is (judge == "auto")
+    assert len(tree.errors) == 2 and "differ" in tree.reason
 
 
 def test_a_tree_that_does_not_keep_the_accuracy_is_not_taken(monkeypatch):

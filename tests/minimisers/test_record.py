@@ -37,8 +37,8 @@ def solution(**changed):
         recipe=RECIPES["lbfgs"], chain=c, energy_function=ENERGY, constant_terms={"bonds": 3, "angles": 4},
         q=c.q0, x=c.structure.positions, energy=-12.25, status=Status.BUDGET, ended="budget: used",
         n_iterations=5, n_evaluations=6, seconds=1.5, trace=None, start=Judgement(-10.0, 300.0, 40.0),
-        end=Judgement(-12.5, 30.0, 4.0), frame=Frame(c.structure), ca_rmsd_angstrom=0.25, tolerance=1.0,
-        hold=Hold((100.0,), 0.5), seed=9, restraints=(0.5, 1.5), lowest_eigenvalue=7.5,
+        end=Judgement(-12.5, 30.0, 4.0), judge="a judge", frame=Frame(c.structure), ca_rmsd_angstrom=0.25,
+        tolerance=1.0, hold=Hold((100.0,), 0.5), seed=9, restraints=(0.5, 1.5), lowest_eigenvalue=7.5,
     )  # fmt: skip
     return replace(made, **changed)
 
@@ -49,6 +49,7 @@ def test_a_record_holds_each_value_under_its_name():
     expected = {
         "structure": "ala10", "method": "lbfgs", "status": "budget", "message": "budget: used",
         "energy_start_kj_mol": -10.0, "energy_end_kj_mol": -12.25, "energy_end_reference_kj_mol": -12.5,
+        "judge": "a judge",
         "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0,
         "lowest_eigenvalue_kj_mol_rad2": 7.5, "lowest_eigenvalue_kj_mol_nm2": None, "ca_rmsd_angstrom": 0.25,
         "ca_rmsd_as_filed_angstrom": 0.0, "frame": "superposed on the start",
@@ -169,7 +170,7 @@ def test_the_provenance_of_a_structure(tmp_path):
         f"WITH {', '.join(packages)}",
         "FORCE FIELD amber14, SOLVENT obc2, ENGINE native",
         "ENERGY -12.5000 KJ/MOL BEFORE ROUNDING, AT THE START -10.0000",
-        "ENERGIES BY THE OPENMM REFERENCE PLATFORM",
+        "ENERGIES BY A JUDGE",
         "C-ALPHA RMSD TO THE START 0.250 ANGSTROM, AS FILED 5.000, HELD BY A SPRING",
     ]
     s = solution(chain=c, x=start, frame=Frame(c.structure))

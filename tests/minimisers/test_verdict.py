@@ -1,8 +1,6 @@
 """Verdicts word for word; judgements by hand."""
 
 from dataclasses import replace
-from threading import current_thread, main_thread
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +10,7 @@ import protochain as pc
 from protochain.chains.chain import pose, pull_back
 from protochain.chains.contacts import overlaps
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.verdict import ALL_PAIRS, Status, judge, judge_of, rebuilt, rejected, verdict
+from protochain.minimisers.verdict import Status, judge, rebuilt, rejected, verdict
 from protochain.validation.findings import remains
 
 MESSAGES = {
@@ -57,34 +55,16 @@ def test_an_overlap_is_a_clash_whatever_else(stop, met):
     assert verdict(stop, met, "so far", s, x, 7) == (interrupted if stop is Stop.INTERRUPTED else expected)
 
 
-def test_a_judgement_is_of_the_reference_with_restraints_in_the_residuals_only():
+def test_restraints_count_in_the_residuals_of_a_judgement_only():
     c = chain("ala10.pdb")
     rng = np.random.default_rng(0)
     forces, pull = rng.normal(size=(2, c.structure.n_atoms, 3))
-    asked = []
-
-    def reference(x):
-        asked.append((x, current_thread() is main_thread()))
-        return -5.0, forces
-
     at = pose(c, c.q0)
-    energy = SimpleNamespace(reference=reference, engine="native")
     for restraint, total in ((None, forces), (lambda x: (3.0, pull), forces + pull)):
-        found = judge(c, energy, at, restraint)
+        found = judge(c, at, (-5.0, forces), restraint)
         assert found.energy == -5.0
         assert found.rms_force == pytest.approx(np.sqrt(np.mean(total**2)), rel=1e-12)
         assert found.max_torque == pytest.approx(np.abs(pull_back(c, at, total)).max(), rel=1e-12)
-    assert judge(c, SimpleNamespace(reference=reference, engine="custom"), at).energy == -5.0
-    # On a thread of its own, so that an interrupt is heard; callables may not like that.
-    assert [on_main for _, on_main in asked] == [False, False, True] and all(x is at.x for x, _ in asked)
-
-
-def test_the_judge_is_named():
-    assert judge_of(SimpleNamespace(engine="custom")) == "the callable itself"
-    reference, sums = SimpleNamespace(engine="openmm"), SimpleNamespace(engine="native")
-    small = SimpleNamespace(engine="native", reference=reference)
-    assert judge_of(small) == "OpenMM's Reference platform, in double precision"
-    assert judge_of(SimpleNamespace(engine="native", reference=sums)) == ALL_PAIRS
 
 
 def test_a_chain_rebuilt_elsewhere_has_the_same_hinges_root_and_selection():

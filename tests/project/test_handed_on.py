@@ -14,7 +14,7 @@ from openmm import app, unit
 
 import protochain as pc
 from protochain.energies import CustomEnergy
-from protochain.relaxation.result import ITSELF
+from protochain.minimisers.judging import NAMES
 
 OWN = {"forcefield": "amber99sb", "solvent": "vacuum", "threads": 1}
 FILES = {
@@ -278,7 +278,7 @@ def test_an_energy_without_names_is_brought_too():
     assert isinstance(more.energy_function, CustomEnergy)
     assert more.start.energy == pytest.approx(springs(pulled.x)[0], rel=RIGID_MOTION)
     done = pc.relax(pulled, threads=2, max_iterations=1, max_outer_iterations=1)
-    assert done.judge == ITSELF and done.energy_start == pytest.approx(springs(pulled.x)[0])
+    assert done.judge == NAMES["custom"] and done.energy_start == pytest.approx(springs(pulled.x)[0])
     with pytest.raises(pc.ProtochainError, match="told by the native engine alone"):
         pc.energy_terms(pulled)
 

@@ -10,7 +10,6 @@ from typing import Any
 import numba
 import numpy as np
 
-from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native.evaluate import Layout, in_order, lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace
@@ -121,9 +120,7 @@ class NativeEnergy:
 
     @property
     def reference(self) -> "Energy":
-        """The same energy on OpenMM's Reference platform; of very many atoms, all pairs by native kernels."""
-        if self.opening is not None and self._layout.terms.n_atoms > defaults.FULL_UP_TO:
-            return self.exact
+        """The same energy on OpenMM's Reference platform."""
         return self.by_openmm.reference
 
     @cached_property
@@ -155,17 +152,17 @@ class NativeEnergy:
             self._lists = self._evaluation = None
             for opening in openings(accuracy, terms.solvent is not None):
                 tree = self.by_tree(opening)
-                if tree.note_error(x, forces) <= accuracy:
+                if tree.note_error(tree(x)[1], forces) <= accuracy:
                     return tree
         note = f"all pairs one by one: {because}"
         self.by_openmm.note = f"{self.by_openmm.note}; {note}".removeprefix("; ")
         return self
 
-    def note_error(self, x: Floats, forces: Floats) -> float:
-        """RMS difference of the forces at x (na, 3) in nm from exact ones, which ``reason`` tells."""
+    def note_error(self, forces: Floats, exact: Floats) -> float:
+        """RMS difference of its forces (na, 3) from exact ones; if a tree sums them ``reason`` tells it."""
+        error = float(np.sqrt(((forces - exact) ** 2).sum(axis=1).mean()))
         if self.opening is None:
-            return 0.0
-        error = float(np.sqrt(((self(x)[1] - forces) ** 2).sum(axis=1).mean()))
+            return error
         self.errors = (*self.errors[:1], error)
         return error
 
@@ -347,7 +344,9 @@ class NativeEnergy:
 
     def list_at(self, x: Floats) -> None:
         """Build the neighbour lists at positions x (na, 3) in nm."""
-        self._lists = lists_of(self._layout, floats(x, (self._layout.terms.n_atoms, 3), "x"))
+        x = floats(x, (self._layout.terms.n_atoms, 3), "x")
+        if self._lists is None or not np.array_equal(self._lists.x, x):
+            self._lists = lists_of(self._layout, x)
 
     def _evaluation_at(self, x: Floats) -> Evaluation:
         """Evaluation with neighbour lists that are valid at x."""

@@ -1,0 +1,70 @@
+"""What judges a run: in double precision, all pairs one by one; and what is known of its ends already."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from protochain.core import defaults
+from protochain.core.arrays import Floats
+from protochain.core.interrupts import run_interruptible
+from protochain.energies.native import NativeEnergy
+from protochain.energies.protocol import Energy
+
+NAMES = {
+    "native": "the native engine, in double precision",
+    "openmm": "OpenMM's Reference platform, in double precision",
+    "custom": "the callable itself",
+}
+"""Names of judges by their engines. The native engine equals the Reference platform to 1e-10."""
+
+
+class Known:
+    """An energy that knows its values at two points, and what judges it: runs ask some of them again.
+
+    Only where the neighbour lists are those of the first time, so that no bit depends on it; of an energy
+    without lists nothing is known.
+    """
+
+    def __init__(self, energy: Energy, judge: str = defaults.JUDGE) -> None:
+        self.energy = energy
+        self.judging = energy.exact if judge == defaults.JUDGE else energy.reference
+        self._known: list[tuple[Floats, Floats, tuple[float, Floats]]] = []
+        """First and last point: positions, those of the lists, energy and forces."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.energy, name)
+
+    @property
+    def judge(self) -> str:
+        """Name of what judges."""
+        return NAMES[self.judging.engine]
+
+    def __call__(self, x: Floats) -> tuple[float, Floats]:
+        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
+        for at, lists_at, (value, forces) in self._known:
+            if lists_at is self.energy.lists_at and np.array_equal(at, x):
+                return value, forces.copy()
+        found = self.energy(x)
+        if self.energy.lists_at is not None:
+            self._known[1:] = [(x.copy(), self.energy.lists_at, (found[0], found[1].copy()))]
+        return found
+
+    def at_first(self, x: Floats) -> tuple[float, Floats]:
+        """Energy and forces at a start x (na, 3): those of the first point, if it is there."""
+        for at, _, found in self._known[:1]:
+            if np.array_equal(at, x):
+                return found
+        self.energy.list_at(x)
+        return self(x)
+
+    def judged(self, x: Floats, first: bool = False) -> tuple[float, Floats]:
+        """Energy, kJ/mol, and forces (na, 3) at a start or another point x (na, 3), nm, by what judges."""
+        if self.judging is self.energy:
+            return self.at_first(x) if first else self(x)
+        # The order of sums is that of the point. It may take many seconds for a large protein.
+        self.judging.list_at(x)
+        value, forces = run_interruptible(partial(self.judging, x))
+        if isinstance(self.energy, NativeEnergy) and not first:
+            self.energy.note_error(self(x)[1], forces)
+        return value, forces
