@@ -1,8 +1,14 @@
 """Figures that notebooks show."""
 
 import io
+from pathlib import Path
 
+import matplotlib
 from matplotlib.figure import Figure as PlainFigure
+
+if Path("matplotlibrc").exists():
+    # Settings of the folder of somebody's structures, which matplotlib reads, as to run LaTeX, are not wanted.
+    matplotlib.rcdefaults()
 
 
 class Figure(PlainFigure):

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -87,6 +88,10 @@ def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
+_TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}\.\w+")
+"""What :func:`_write_atomically` calls a file until it is whole."""
+
+
 @contextmanager
 def claimed(folder: Path, kind: str) -> Iterator[None]:
     """Hold a folder, created if needed, for one process; what was created and stays empty is removed."""
@@ -100,6 +105,9 @@ def claimed(folder: Path, kind: str) -> Iterator[None]:
         lock.acquire(timeout=0)
     except Timeout:
         raise ProtochainError(f"{folder}: another {kind} is writing to this folder; give another") from None
+    for path in folder.rglob(".*.????????.*"):
+        if _TEMPORARY.fullmatch(path.name) and path.is_file():  # A run that was killed left it.
+            path.unlink(missing_ok=True)
     try:
         yield
     finally:

@@ -60,8 +60,8 @@ def check_passive(path: Path, root: ElementTree.Element) -> None:
 
 
 _LONGEST, _DEEPEST, _LARGEST = 4000, 50, 400
-"""Of an expression: letters; brackets within brackets; parts, with what it defines put in. Lepton recurses, and
-takes time and memory in the third power of parts to differentiate: at these, seconds and 300 MB."""
+"""Of an expression: letters; brackets within brackets; parts, with what it defines put in. Lepton recurses,
+and takes time and memory in the third power of parts to differentiate: at these, seconds and 300 MB."""
 _WEIGHTS = {"(": 0, ")": 0, ",": 0, "*": 2, "/": 2, "^": 4}
 _TOKEN = re.compile(r"[A-Za-z_]\w*|[\d.]+(?:[eE][+-]?\d+)?|\S")
 

@@ -173,6 +173,14 @@ def read_piece(path: Path, kind: type, settings: Mapping[str, Any]) -> tuple[Any
     again = "search again with ", Argument("force", True)
     arrays, numbers = read_arrays(path, settings, "search", *again)
     with undamaged(path, *again):
+        known = {"int": (int,), "float": (int, float), "bool": (bool,)}
+        for field in fields(kind):
+            if type(numbers.get(field.name, 0)) not in known.get(
+                str(field.type), (type(numbers.get(field.name)),)
+            ):
+                raise ValueError(f"{field.name} is no {field.type}")
+        if any(a.dtype.kind not in "fiub" for a in arrays.values()) or arrays["minima"].ndim != 2:
+            raise ValueError("arrays of no numbers")
         state = kind(
             **{
                 name.removeprefix("state_"): read_only(value, value.dtype.type)

@@ -322,8 +322,8 @@ def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
 _XTC_HEAD, _XTC_RAW, _XTC_FEW = 92, 56, 9
 """Bytes of a frame before coordinates that are compressed, and others; atoms up to which they are not."""
 _XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
-"""Largest span of coordinates in units of the precision; bits that small differences may have; span from which
-axes are packed apart."""
+"""Largest span of coordinates in units of the precision; bits of small differences; span from which axes are
+packed apart."""
 
 
 def _trr_end(head: bytes, n_atoms: int) -> int:

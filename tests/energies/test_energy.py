@@ -236,7 +236,8 @@ DOUBLING = ";".join(["a0", *(f"a{i}=a{i + 1}*a{i + 1}" for i in range(19)), "a19
 
 
 @pytest.mark.parametrize(
-    "text", ["(" * 20000 + "r" + ")" * 20000, "r+" * 40000 + "r", DOUBLING, "r^" * 100 + "r", "foo(r)", "k*(r"],
+    "text",
+    ["(" * 20000 + "r" + ")" * 20000, "r+" * 40000 + "r", DOUBLING, "r^" * 100 + "r", "foo(r)", "k*(r"],
     ids=["deep", "long", "doubling", "powers", "function", "brackets"],
 )  # fmt: skip
 def test_an_expression_that_openmm_would_not_end_with_or_refuse_is_one_line(text, tmp_path):
