@@ -92,7 +92,7 @@ class Tables:
         check_writable(self.summary)
         self._is_new = not self.summary.exists()
         self.folder, self._claim = folder, ExitStack()
-        self._claim.enter_context(claimed(folder, "batch"))
+        self._claim.enter_context(claimed(folder, "batch", resume))
         if self.summary.exists() and not resume:
             self.close()
             raise ProtochainError(

@@ -7,7 +7,7 @@ import matplotlib
 from matplotlib.figure import Figure as PlainFigure
 
 if Path("matplotlibrc").exists():
-    # Settings of the folder of somebody's structures, which matplotlib reads, as to run LaTeX, are not wanted.
+    # What matplotlib has read of the folder of somebody's structures, as to run LaTeX, is not wanted.
     matplotlib.rcdefaults()
 
 

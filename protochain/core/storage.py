@@ -88,13 +88,16 @@ def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
-_TEMPORARY = re.compile(r"\..+\.[a-z0-9_]{8}\.\w+")
+_TEMPORARY = re.compile(r"\..+\.([a-z0-9_]{8})\.\w+")
 """What :func:`_write_atomically` calls a file until it is whole."""
 
 
 @contextmanager
-def claimed(folder: Path, kind: str) -> Iterator[None]:
-    """Hold a folder, created if needed, for one process; what was created and stays empty is removed."""
+def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
+    """Hold a folder, created if needed, for one process; what was created and stays empty is removed.
+
+    With ``resume``, so are temporary files that a killed run left.
+    """
     from filelock import FileLock, Timeout
 
     made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
@@ -105,8 +108,10 @@ def claimed(folder: Path, kind: str) -> Iterator[None]:
         lock.acquire(timeout=0)
     except Timeout:
         raise ProtochainError(f"{folder}: another {kind} is writing to this folder; give another") from None
-    for path in folder.rglob(".*.????????.*"):
-        if _TEMPORARY.fullmatch(path.name) and path.is_file():  # A run that was killed left it.
+    for path in folder.rglob(".*.????????.*") if resume else ():
+        found = _TEMPORARY.fullmatch(path.name)
+        # Of letters alone, as of .x.settings.json, only what is as private as mkstemp makes it.
+        if found and path.is_file() and (not found[1].isalpha() or path.stat().st_mode & 0o077 == 0):
             path.unlink(missing_ok=True)
     try:
         yield

@@ -57,7 +57,7 @@ _UNKNOWN = "UNL"
 """Name of the PDB for ligands of unknown kind; mmCIF has no empty names."""
 _NAMELESS = "X"
 """Name of atoms without one, as of an unknown element."""
-FARTHEST = 1e5
+_FARTHEST = 1e5
 """Angstrom. Larger coordinates are refused."""
 
 
@@ -531,11 +531,11 @@ def check(structure: gemmi.Structure, source: str) -> None:
                         f"give one of {_LONGEST_NAME} at most"
                     )
             x = place.atom.pos.tolist()
-            if not all(map(isfinite, x)) or max(map(abs, x)) > FARTHEST:
+            if not all(map(isfinite, x)) or max(map(abs, x)) > _FARTHEST:
                 where = (
                     f"atom {place.atom.name} of residue {place.residue.seqid} {place.residue.name} of chain"
                 )
                 raise StructureError(
                     f"{source}: the position of {where} {place.chain.name or '(blank)'} "
-                    f"is not a number or beyond {FARTHEST:g} angstrom; correct it"
+                    f"is not a number or beyond {_FARTHEST:g} angstrom; correct it"
                 )
