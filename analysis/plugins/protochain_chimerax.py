@@ -26,7 +26,8 @@ def relax(session, structure, options=""):
         done = subprocess.run(call, capture_output=True, text=True)
         if done.returncode not in (0, 3):
             raise UserError(done.stderr.strip().splitlines()[-1])
-        (opened,) = run(session, f'open "{relaxed}" format pdb name "{structure.name} relaxed"', log=False)
+        name = "".join(each for each in structure.name if each.isalnum() or each in " ._-#:")
+        (opened,) = run(session, f'open "{relaxed}" format pdb name "{name} relaxed"', log=False)
     opened.position = structure.position
     record = json.loads(done.stdout)
     session.logger.info(record["message"])

@@ -18,7 +18,7 @@ from protochain.batches.frames import FrameResult, over_frames
 from protochain.batches.table import lines, saved
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.storage import check_writable, read_arrays, write_arrays, writing
+from protochain.core.storage import check_writable, read_arrays, undamaged, write_arrays, writing
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.files import format_of
 from protochain.structure.frames import Frames, open_frames
@@ -166,10 +166,18 @@ class _Files:
         if self.checkpoint.exists() and resume:
             remedy = "give another output, or begin anew with ", Argument("force", True)
             kept: dict[str, Any] = read_arrays(self.checkpoint, self.settings, _KIND, *remedy)[1]
+            with undamaged(self.checkpoint, *remedy):
+                numbers = [kept["rows"], kept["sound"], kept["bytes"], *kept["counts"].values()]
+                if any(type(n) is not int or n < 0 for n in numbers) or sum(numbers[3:]) != kept["rows"]:
+                    raise ValueError("numbers that do not fit each other")
             if not kept["rows"]:
                 return _NOTHING
             if not self.table.exists() or self.table.stat().st_size < kept["bytes"]:
                 raise ProtochainError(f"{self.table}: has lost rows since its checkpoint; ", *remedy)
+            with self.table.open("rb") as file:
+                done = file.read(kept["bytes"])
+            if not done.endswith(b"\n") or done.count(b"\n") != kept["rows"] + 1:
+                raise ProtochainError(f"{self.table}: has other rows than its checkpoint; ", *remedy)
             return kept
         if self.checkpoint.exists() and not force:
             raise ProtochainError(

@@ -8,6 +8,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -405,10 +406,19 @@ def _is_structure(path: Path) -> bool:
     return bool(format_of(path)) and (path.is_file() or not path.exists())
 
 
+@contextmanager
+def _legible(manifest: Path) -> Iterator[None]:
+    """Refuse a file that is no CSV in UTF-8."""
+    try:
+        yield
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ProtochainError(f"{manifest}: cannot be read ({error}); write it as CSV in UTF-8") from None
+
+
 def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
     if not regular(manifest).exists():
         raise ProtochainError(f"{manifest}: not found; give a CSV file with a column 'path'")
-    with manifest.open(newline="", encoding="utf-8-sig") as file:
+    with manifest.open(newline="", encoding="utf-8-sig") as file, _legible(manifest):
         reader = csv.DictReader(file, restkey="", restval="")
         if "path" not in (reader.fieldnames or ()):
             raise ProtochainError(f"{manifest}: has no column 'path'")

@@ -92,7 +92,7 @@ class Tables:
         check_writable(self.summary)
         self._is_new = not self.summary.exists()
         self.folder, self._claim = folder, ExitStack()
-        self._claim.enter_context(claimed(folder, "batch"))
+        self._claim.enter_context(claimed(folder, "batch", resume))
         if self.summary.exists() and not resume:
             self.close()
             raise ProtochainError(
@@ -243,12 +243,13 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
     if not path.exists():
         return
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        columns: list[str] | None = None
+        columns, seen = None, set[tuple[str, ...]]()
         whole = (line for line in file if line.endswith("\n"))
         for cells in csv.reader(whole):
             if columns is None:
                 columns = cells
                 if "key" not in columns:
                     raise ProtochainError(f"{path}: is not a table of a batch; give another folder")
-            elif len(cells) == len(columns):
+            elif len(cells) == len(columns) and cells != columns and (row := tuple(cells)) not in seen:
+                seen.add(row)  # A table that was put behind itself has each row once.
                 yield dict(zip(columns, cells, strict=True))

@@ -1,8 +1,14 @@
 """Figures that notebooks show."""
 
 import io
+from pathlib import Path
 
+import matplotlib
 from matplotlib.figure import Figure as PlainFigure
+
+if Path("matplotlibrc").exists():
+    # What matplotlib has read of the folder of somebody's structures, as to run LaTeX, is not wanted.
+    matplotlib.rcdefaults()
 
 
 class Figure(PlainFigure):

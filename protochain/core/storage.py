@@ -3,13 +3,14 @@
 import json
 import math
 import os
+import re
 import tempfile
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
-from zipfile import ZIP_STORED, BadZipFile
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -87,9 +88,16 @@ def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
+_TEMPORARY = re.compile(r"\..+\.([a-z0-9_]{8})\.\w+")
+"""What :func:`_write_atomically` calls a file until it is whole."""
+
+
 @contextmanager
-def claimed(folder: Path, kind: str) -> Iterator[None]:
-    """Hold a folder, created if needed, for one process; what was created and stays empty is removed."""
+def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
+    """Hold a folder, created if needed, for one process; what was created and stays empty is removed.
+
+    With ``resume``, so are temporary files that a killed run left.
+    """
     from filelock import FileLock, Timeout
 
     made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
@@ -100,6 +108,11 @@ def claimed(folder: Path, kind: str) -> Iterator[None]:
         lock.acquire(timeout=0)
     except Timeout:
         raise ProtochainError(f"{folder}: another {kind} is writing to this folder; give another") from None
+    for path in folder.rglob(".*.????????.*") if resume else ():
+        found = _TEMPORARY.fullmatch(path.name)
+        # Of letters alone, as of .x.settings.json, only what is as private as mkstemp makes it.
+        if found and path.is_file() and (not found[1].isalpha() or path.stat().st_mode & 0o077 == 0):
+            path.unlink(missing_ok=True)
     try:
         yield
     finally:
@@ -129,10 +142,10 @@ def read_arrays(
     """Read a checkpoint that :func:`write_arrays` wrote for a run with the same settings."""
     try:
         with regular(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            _check_sizes(file)
+            check_sizes(file)
             arrays = dict(file)
         text = json.loads(str(arrays.pop("text")))
-        written, values = text["settings"], text["values"]
+        written, values = {**text["settings"]}, text["values"]
     except FileNotFoundError:
         raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
     except PermissionError as error:
@@ -173,12 +186,13 @@ def undamaged(path: Path, *remedy: str | Argument) -> Iterator[None]:
 
 _DAMAGED = (
     OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile, RuntimeError, zlib.error,
+    MemoryError,
 )  # fmt: skip
 """What reading a damaged archive raises: by zipfile, by numpy, by json."""
 
 
-def _check_sizes(file: Any) -> None:
-    """Refuse arrays that claim to be larger than what the archive holds of them: memory goes first."""
+def check_sizes(file: Any, packed: bool = False) -> None:
+    """Refuse arrays that claim to be larger than what the archive holds of them: memory and time go first."""
     for member in file.zip.infolist():
         with file.zip.open(member) as stream:
             version = np.lib.format.read_magic(stream)
@@ -189,5 +203,10 @@ def _check_sizes(file: Any) -> None:
             )
             shape, _, dtype = head(stream)
             claimed = math.prod(shape) * dtype.itemsize
-            if member.compress_type != ZIP_STORED or claimed != member.file_size - stream.tell():
+            most = _DEFLATED * member.compress_size if packed else member.compress_size
+            if claimed != member.file_size - stream.tell() or member.file_size > most:
                 raise ValueError(f"{member.filename}: {claimed} bytes")
+
+
+_DEFLATED = 1100
+"""Bytes that one of a deflated file may become, at most."""

@@ -34,7 +34,7 @@ from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB_CUSTOM, OBC_OFFSET
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
-from protochain.energies.untrusted import check_passive
+from protochain.energies.untrusted import check_expressions, check_passive
 from protochain.structure.convert import as_structure
 from protochain.structure.glycans import parameters
 from protochain.structure.model import Structure
@@ -390,6 +390,7 @@ def _checked_file(path: Path, trusted: bool) -> str | bytes:
         raise ForceFieldError(f"{path}: {NO_XML} ({error}); {CONVERT}") from None
     if root.tag == SMIRNOFF:
         raise ForceFieldError(f"{path}: {NO_OPENMM}; {CONVERT}")
+    check_expressions(path, root)
     if trusted:
         return str(path.resolve())
     check_passive(path, root)

@@ -12,6 +12,7 @@ import openmm
 from openmm import unit
 
 from protochain.core.arrays import Floats, Integers, floats
+from protochain.core.errors import ForceFieldError
 from protochain.core.processors import processors
 
 _LIGHT = 1.5
@@ -108,10 +109,16 @@ class OpenMMEnergy:
     def make_context(
         self, system: openmm.System, integrator: openmm.Integrator | None = None
     ) -> openmm.Context:
-        """Create a Context for a System on this platform with these threads."""
+        """Create a Context for a System on this platform with these threads; ForceFieldError if it cannot."""
         platform = openmm.Platform.getPlatform(self.platform)
         properties = {"Threads": str(self.threads)} if self.platform == "CPU" else {}
-        return openmm.Context(system, integrator or openmm.VerletIntegrator(0.001), platform, properties)
+        try:
+            return openmm.Context(system, integrator or openmm.VerletIntegrator(0.001), platform, properties)
+        except openmm.OpenMMException as error:
+            reason = " ".join(str(error).split())
+            raise ForceFieldError(
+                f"force field {self.forcefield!r}: OpenMM cannot compute it: {reason}; correct it"
+            ) from None
 
     @cached_property
     def _context(self) -> openmm.Context:

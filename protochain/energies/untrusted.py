@@ -30,6 +30,7 @@ _NEVER_READ = ("Info", "Source", "Reference")
 _NOTES = ("def", "desc", "doi", "overrides", "source", "comment")
 """Attributes of other programs (Foyer), which OpenMM does not read."""
 _LEPTON = ("energy", "expression")
+_LEPTON_TEXT = ("ComputedValue", "EnergyTerm")
 _FREE = ("name", *_LEPTON, *_NOTES)
 """Names are only compared: openmmforcefields names residues by their SMILES."""
 
@@ -56,6 +57,43 @@ def check_passive(path: Path, root: ElementTree.Element) -> None:
                 raise ForceFieldError(
                     f"{place}, which is neither a number nor a plain name: mend it; ", *trust
                 )
+
+
+_LONGEST, _DEEPEST, _LARGEST = 4000, 50, 400
+"""Of an expression: letters; brackets within brackets; parts, with what it defines put in. Lepton recurses,
+and takes time and memory in the third power of parts to differentiate: at these, seconds and 300 MB."""
+_WEIGHTS = {"(": 0, ")": 0, ",": 0, "*": 2, "/": 2, "^": 4}
+_TOKEN = re.compile(r"[A-Za-z_]\w*|[\d.]+(?:[eE][+-]?\d+)?|\S")
+
+
+def check_expressions(path: Path, root: ElementTree.Element) -> None:
+    """Refuse expressions that OpenMM would not end with, or only with all memory."""
+    for node in root.iter():
+        texts = [node.attrib[name] for name in _LEPTON if name in node.attrib]
+        texts += [node.text or ""] if node.tag in _LEPTON_TEXT else []
+        for text in texts:
+            if not _is_small(text):
+                raise ForceFieldError(
+                    f"{path}: the expression {_short(text)} of <{node.tag}> is too long, deep or large "
+                    "once its definitions are put in; simplify it"
+                )
+
+
+def _is_small(text: str) -> bool:
+    if len(text) > _LONGEST:
+        return False
+    known: dict[str, tuple[int, int]] = {}
+    for part in reversed(text.split(";")):
+        name, _, formula = part.rpartition("=")
+        size = depth = deepest = 0
+        for token in _TOKEN.findall(formula):
+            depth += (token == "(") - (token == ")")
+            its, nested = known.get(token, (_WEIGHTS.get(token, 1), 0))
+            size, deepest = size + its, max(deepest, depth + nested)
+        known[name.strip()] = size, deepest
+        if size > _LARGEST or deepest > _DEEPEST:
+            return False
+    return True
 
 
 def _short(text: str) -> str:

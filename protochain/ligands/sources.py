@@ -118,6 +118,10 @@ def records(text: str, suffix: str) -> list[str]:
     return [each for each in text.replace("\r\n", "\n").split("\n$$$$") if each.strip()]
 
 
+_FARTHEST = 1e5
+"""Angstrom, as of structures."""
+
+
 def _from_file(path: Path, number: int) -> Molecule:
     suffix = path.suffix.lower()
     if suffix not in MOLECULE_SUFFIXES:
@@ -141,6 +145,8 @@ def _from_file(path: Path, number: int) -> Molecule:
             atom.SetProp("name", atom.GetProp("_TriposAtomName"))
     if not made.GetNumAtoms():
         raise StructureError(f"{source}: has no atoms; give a file with one molecule")
+    if made.GetNumConformers() and np.abs(made.GetConformer().GetPositions()).max() > _FARTHEST:
+        raise StructureError(f"{source}: an atom lies beyond {_FARTHEST:g} angstrom; correct it")
     return from_rdkit(made, source)
 
 

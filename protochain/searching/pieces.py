@@ -4,6 +4,7 @@ A step is a pure function of the state before it, and its random numbers depend 
 piece that is lost is done again, bit for bit, and where pieces begin and end changes nothing.
 """
 
+import math
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -173,6 +174,11 @@ def read_piece(path: Path, kind: type, settings: Mapping[str, Any]) -> tuple[Any
     again = "search again with ", Argument("force", True)
     arrays, numbers = read_arrays(path, settings, "search", *again)
     with undamaged(path, *again):
+        for name, value in numbers.items():
+            if type(value) not in (int, float) or not math.isfinite(value):
+                raise ValueError(f"{name} is no number")
+        if any(a.dtype.kind not in "fiub" for a in arrays.values()) or arrays["minima"].ndim != 2:
+            raise ValueError("arrays of no numbers")
         state = kind(
             **{
                 name.removeprefix("state_"): read_only(value, value.dtype.type)

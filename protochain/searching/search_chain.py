@@ -158,7 +158,7 @@ def search(
         check_folder(folder, resume, force)
     landscape = Landscape.of(*with_energy(chain, energy))
     processes = Processes(workers, scheduler, 1, _LONG) if workers or scheduler else None
-    with nullcontext() if folder is None else claimed(folder, "search"):
+    with nullcontext() if folder is None else claimed(folder, "search", resume):
         walks = _Walks(landscape, settings, folder, running)
         began = perf_counter()
         interrupted = _work(walks, running, processes, watch)

@@ -149,17 +149,41 @@ def _text(path: Path, source: str) -> str:
         raise StructureError(f"{source}: larger than {MAX_MEGABYTES} megabytes; give fewer models or chains")
     if b"dataBlocks" in data[:_HEAD]:
         return foreign.text_of_binary(data, source)
+    _refuse_many(data, source)
     if b"\0" in data:
         raise StructureError(f"{source}: is a binary file; give PDB or mmCIF text")
     text = data.decode("utf-8-sig", errors="replace")
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
-    if text.count("\n") > MAX_LINES:
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _refuse_many(data: bytes, source: str) -> None:
+    """Refuse too many lines or atoms of a model before they are parsed, which takes much memory."""
+    n_lines = max(data.count(b"\n"), data.count(b"\r"))
+    if n_lines > MAX_LINES:
         raise StructureError(
             f"{source}: more than {MAX_LINES // 10**6} million lines; give fewer models or chains"
         )
-    return text
+    if n_lines > _FEW_LINES and len(data) < _SHORTEST * n_lines:
+        raise StructureError(f"{source}: {n_lines} lines are nearly all empty; give PDB or mmCIF text")
+    if n_lines <= MAX_ATOMS:
+        return
+    n, model, column, in_loop = 0, b"", 0, False
+    for line in io.BytesIO(data):
+        if line.startswith(b"_atom_site."):
+            # Columns are counted from the last: what is quoted may have blanks.
+            column = -1 if line.strip() == b"_atom_site.pdbx_PDB_model_num" else column - bool(column)
+            in_loop = True
+        elif line.startswith((b"MODEL", b"ENDMDL", b"data_", b"loop_", b"_", b"#")):
+            n, column, in_loop = 0, 0, False
+        elif in_loop or line.startswith((b"ATOM", b"HETATM")):
+            its = b"".join(line.split()[column : column + 1 or None]) if column else b""
+            n, model = (n + 1, model) if its == model else (1, its)
+            if n > MAX_ATOMS:
+                raise StructureError(f"{source}: more than {MAX_ATOMS} atoms; give fewer chains")
 
 
+_FEW_LINES, _SHORTEST = 1_000_000, 8
+"""Lines up to which empty ones are read; mean bytes of more."""
 _BYTES = MAX_MEGABYTES << 20
 _HEAD = 400
 """Bytes within which a BinaryCIF file, a map of MessagePack, names its program, version and blocks."""

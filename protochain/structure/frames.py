@@ -4,6 +4,7 @@ MDAnalysis reads XTC, TRR, DCD and NetCDF, gemmi the models of PDB and mmCIF fil
 cannot be read has the reason in its place, and stops no other.
 """
 
+import math
 import re
 import struct
 import warnings
@@ -22,7 +23,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.checks import plain, shown
 from protochain.core.errors import Argument, ProtochainError, StructureError, refused
-from protochain.core.storage import regular
+from protochain.core.storage import check_sizes, regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.files import SUFFIXES, format_of, in_file_order, parse
 
@@ -221,18 +222,20 @@ def _of_dimensions(step: Any) -> Floats | None:
     return None if step.dimensions is None else _box(step.triclinic_dimensions / ANGSTROM_PER_NM)
 
 
-def _xtc(path: Path) -> Frames:
-    """XTC. MDAnalysis's own reader would write a file of offsets beside that of the user."""
-    from MDAnalysis.lib.formats.libmdaxdr import XTCFile
+def _xdr(path: Path, kind: "_Kind") -> Frames:
+    """XTC and TRR. MDAnalysis's own readers would write a file of offsets beside that of the user."""
+    from MDAnalysis.lib.formats import libmdaxdr
 
-    begins, damaged, n_atoms = _xtc_frames(path)
+    begins, damaged, n_atoms = _xdr_frames(path, kind)
 
     def read(chosen: Iterable[int]) -> Iterator[Frame]:
-        with XTCFile(str(path)) as file:
+        with getattr(libmdaxdr, f"{kind.name}File")(str(path)) as file, path.open("rb") as raw:
             file.set_offsets(begins)
             for k in chosen:
                 why = damaged.get(k, "")
                 try:
+                    if not why and not kind.is_sound(raw, int(begins[k]), n_atoms):
+                        why = "it is damaged"
                     if not why:
                         file.seek(k)
                         frame = file.read()
@@ -247,27 +250,28 @@ def _of_xdr(k: int, frame: Any) -> Frame:
     return Frame(k, _own(frame.x), _box(frame.box), float(frame.time))
 
 
-def _xtc_frames(path: Path) -> tuple[Integers, dict[int, str], int]:
-    """Bytes at which frames of XTC begin, what is wrong with those that are damaged, and the number of atoms.
+def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], int]:
+    """Bytes at which frames begin, what is wrong with those that are damaged, and the number of atoms.
 
-    The library reads memory that is not its own where a head is damaged.
+    The library reads and writes memory that is not its own where a head is damaged.
     """
     with path.open("rb") as raw, _refusing(path), mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
         size, begins, damaged = len(data), list[int](), dict[int, str]()
-        head = bytes(data[:8])
-        if len(head) < 8 or struct.unpack(">i", head[:4])[0] not in _XTC_MAGIC:
-            raise StructureError(f"{path}: is no XTC file; give a trajectory")
-        (n_atoms,) = struct.unpack(">i", head[4:])
+        first = bytes(data[: kind.head])
+        head = first[: kind.same]
+        if len(head) < kind.same or len(first) < kind.atoms + 4 or not head.startswith(kind.magic):
+            raise StructureError(f"{path}: is no {kind.name} file; give a trajectory")
+        (n_atoms,) = struct.unpack(">i", first[kind.atoms : kind.atoms + 4])
         at = 0
         while at < size:
             begins.append(at)
-            end = _xtc_end(bytes(data[at : at + _XTC_HEAD]), n_atoms)
+            end = kind.end(bytes(data[at : at + kind.head]), n_atoms)
             if not end:
                 damaged[len(begins) - 1] = "it is damaged"
             elif at + end > size:
                 damaged[len(begins) - 1] = "the file ends within it"
             after = at + end
-            if not end or after > size or (after < size and bytes(data[after : after + 8]) != head):
+            if not end or after > size or (after < size and bytes(data[after : after + kind.same]) != head):
                 # Where the next one begins; a long step between may hold several.
                 if end > 0 and after < size:
                     damaged[len(begins) - 1] = "it is damaged"
@@ -287,38 +291,82 @@ def _xtc_end(head: bytes, n_atoms: int) -> int:
         return _XTC_HEAD
     again, _, *limits, small, n_bytes = struct.unpack(">if8i", head[52:])
     spans = [high - low for low, high in zip(limits[:3], limits[3:], strict=True)]
-    is_sound = again == n_atoms and min(spans) >= 0 and max(spans) < _XTC_SPAN and 0 <= small < _XTC_SIZES
+    is_sound = again == n_atoms and min(spans) >= 0 and max(spans) < _XTC_SPAN and small in _XTC_SIZES
     return _XTC_HEAD + 4 * -(-n_bytes // 4) if is_sound and 0 <= n_bytes <= 16 * n_atoms else 0
 
 
-_XTC_MAGIC = (1995,)
-"""What a frame begins with."""
+def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
+    """Whether a frame packs as many atoms as it should in its bytes; the library unpacks without a look.
+
+    Each place has an atom in full and a bit, which announces a new number of near atoms and of their bits.
+    """
+    if n_atoms <= _XTC_FEW:
+        return True
+    file.seek(begin)
+    head = file.read(_XTC_HEAD)
+    *limits, small, n_bytes = struct.unpack(">8i", head[60:])
+    spans = [high - low + 1 for low, high in zip(limits[:3], limits[3:], strict=True)]
+    full = sum(map(int.bit_length, spans)) if max(spans) > _XTC_APART else math.prod(spans).bit_length()
+    data, at, i, run = file.read(n_bytes) + b"\0\0", 0, 0, 0
+    while i < n_atoms and small in _XTC_SIZES and at + full < 8 * n_bytes:
+        at += full
+        six = (data[at >> 3] << 8 | data[(at >> 3) + 1]) >> 10 - (at & 7) & 63
+        at += 6 if six > 31 else 1
+        step = (six & 31) % 3 if six > 31 else 1
+        run = (six & 31) // 3 if six > 31 else run
+        at, i = at + run * small, i + 1 + run
+        small += step - 1
+    return i == n_atoms and at <= 8 * n_bytes
+
+
 _XTC_HEAD, _XTC_RAW, _XTC_FEW = 92, 56, 9
 """Bytes of a frame before coordinates that are compressed, and others; atoms up to which they are not."""
-_XTC_SPAN, _XTC_SIZES = 1 << 30, 73
-"""Largest span of coordinates in units of the precision; sizes that small differences may have."""
+_XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
+"""Largest span of coordinates in units of the precision; bits of small differences; span from which axes are
+packed apart."""
 
 
-def _trr(path: Path) -> Frames:
-    """TRR, as XTC."""
-    from MDAnalysis.lib.formats.libmdaxdr import TRRFile
+def _trr_end(head: bytes, n_atoms: int) -> int:
+    """Bytes of a frame of TRR by its head; 0 if that is none."""
+    if len(head) < _TRR_HEAD:
+        return 0
+    ir, e, box, virial, pressure, top, sym, x, v, f, n, *_ = struct.unpack(">13i", head[24:76])
+    for real in (4, 8):
+        three = {0, 3 * n_atoms * real}
+        if (
+            n == n_atoms
+            and {box, virial, pressure} <= {0, 9 * real}
+            and {x, v, f} <= three
+            and box + x + v + f
+        ):
+            return 0 if ir or e or top or sym else 76 + 2 * real + box + virial + pressure + x + v + f
+    return 0
 
-    with _refusing(path), TRRFile(str(path)) as file:
-        count, n_atoms = len(file), file.n_atoms
 
-    def read(chosen: Iterable[int]) -> Iterator[Frame]:
-        with TRRFile(str(path)) as file:
-            len(file)  # Offsets.
-            for k in chosen:
-                try:
-                    file.seek(k)
-                    frame = file.read()
-                except (OSError, EOFError, StopIteration, RuntimeError, ValueError) as error:
-                    yield Frame(k, None, why=f"cannot be read ({error})")
-                    continue
-                yield _of_xdr(k, frame)
+_TRR_HEAD = 84
 
-    return _all_of(path, count, n_atoms, read)
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of file of frames in XDR.
+
+    magic: What a frame begins with.
+    same: Bytes at the beginning that all frames share.
+    atoms: Where the number of atoms is.
+    head: Bytes that ``end`` takes.
+    """
+
+    name: str
+    magic: bytes
+    same: int
+    atoms: int
+    head: int
+    end: Callable[[bytes, int], int]
+    is_sound: Callable[[IO[bytes], int, int], bool] = lambda *_: True
+
+
+_XTC = _Kind("XTC", struct.pack(">i", 1995), 8, 4, _XTC_HEAD, _xtc_end, _xtc_is_sound)
+_TRR = _Kind("TRR", struct.pack(">3i", 1993, 13, 12) + b"GMX_trn_file", 24, 64, _TRR_HEAD, _trr_end)
 
 
 def _mdanalysis(path: Path, kind: str) -> Frames:
@@ -337,6 +385,8 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with _refusing(path):
+                if kind == "DCD":  # Of what it cannot open, the reader would complain once more at its end.
+                    MDAnalysis.coordinates.DCD.DCDFile(str(path)).close()
                 file = make(str(path))
         try:
             yield file
@@ -422,6 +472,7 @@ def _npz(path: Path) -> Frames:
     """Arrays of numpy; the positions are read frame by frame from the archive."""
     try:
         with np.load(path, allow_pickle=False) as file:
+            check_sizes(file, packed=True)
             shapes = {name: _header(path, name)[0] for name in file.files}
             of_backbones = {"pos", "node_orientations"} <= shapes.keys()
             name = next((name for name in ("positions", "pos") if name in shapes), None)
@@ -523,8 +574,8 @@ def _unit(v: Floats) -> Floats:
 
 
 _READERS: dict[str, Callable[[Path], Frames]] = {
-    ".xtc": _xtc,
-    ".trr": _trr,
+    ".xtc": partial(_xdr, kind=_XTC),
+    ".trr": partial(_xdr, kind=_TRR),
     ".dcd": partial(_mdanalysis, kind="DCD"),
     ".nc": partial(_mdanalysis, kind="TRJ"),
     ".ncdf": partial(_mdanalysis, kind="TRJ"),

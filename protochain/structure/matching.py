@@ -138,10 +138,18 @@ def _aligned_by_shape(reference: tuple[Floats, str], model: tuple[Floats, str]) 
     import tmtools
 
     (x, sequence), (y, other) = reference, model
-    if min(len(sequence), len(other)) < 3:
+    # Its time grows with their extents, of which it says nothing.
+    if (
+        min(len(sequence), len(other)) < 3
+        or max(np.ptp(x, axis=0).max(), np.ptp(y, axis=0).max()) > _FARTHEST
+    ):
         return float("nan"), float("nan")
     done = tmtools.tm_align(y, x, other, sequence)
     return float(done.tm_norm_chain2), float(max(done.tm_norm_chain1, done.tm_norm_chain2))
+
+
+_FARTHEST = 1000.0
+"""Angstrom; no assembly is that long."""
 
 
 def measurable(source: Any) -> Structure:

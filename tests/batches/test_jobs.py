@@ -413,3 +413,14 @@ def test_a_link_to_nothing_in_a_folder_is_a_row(here):
     shutil.copy(STRUCTURES / "ala10.pdb", "in/a.pdb")
     Path("in/z.pdb").symlink_to("nowhere.pdb")
     assert [job.path.name for job in find_jobs(["in"], BatchSettings())][-1] == "z.pdb"
+
+
+@pytest.mark.parametrize(
+    "data",
+    ["path\nala10.pdb\n".encode("utf-16"), b"path,exclude\na.pdb," + b"x" * 200_000],
+    ids=["UTF-16", "a long cell"],
+)
+def test_a_manifest_that_is_no_csv_in_utf_8_is_one_line(data, tmp_path):
+    (tmp_path / "m.csv").write_bytes(data)
+    with pytest.raises(pc.ProtochainError, match=r"m\.csv: cannot be read"):
+        find_jobs([], BatchSettings(), tmp_path / "m.csv")

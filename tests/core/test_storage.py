@@ -324,3 +324,22 @@ def test_a_comparison_that_fails_claims_no_folder(tmp_path, monkeypatch):
     (tmp_path / "bad.pdb").write_text("nothing of use\n")
     assert run(monkeypatch, "compare", "bad.pdb", "-o", "out") == 2
     assert not (tmp_path / "out").exists()
+
+
+def test_what_a_killed_run_left_goes_when_it_is_resumed_and_nothing_else(tmp_path):
+    left = [".energy.ab1cd_fg.png", "pages/.a.lbfgs.0bcdefgh.pdb"]
+    own = [".x.settings.json", ".summary.csv", "a.lbfgs.pdb"]
+    (tmp_path / "pages").mkdir()
+    for name in (*left, *own):
+        (tmp_path / name).write_text("x")
+    with claimed(tmp_path, "batch"):
+        assert all((tmp_path / name).exists() for name in (*left, *own))
+    with claimed(tmp_path, "batch", resume=True):
+        assert [name for name in (*left, *own) if (tmp_path / name).exists()] == own
+
+
+def test_settings_of_a_checkpoint_that_are_no_mapping_are_refused(tmp_path):
+    path = tmp_path / "x.npz"
+    np.savez(path, text=np.array(json.dumps({"settings": 1.5, "values": {}})))
+    with pytest.raises(pc.ProtochainError, match="is no checkpoint"):
+        read_arrays(path, {"task": "x"}, "run")

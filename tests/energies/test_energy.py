@@ -232,6 +232,33 @@ def test_what_openmm_evaluates_is_a_boolean_and_not_just_a_name(value, tmp_path)
         untrusted.check_passive(tmp_path, root)
 
 
+DOUBLING = ";".join(["a0", *(f"a{i}=a{i + 1}*a{i + 1}" for i in range(19)), "a19=r"])
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["(" * 20000 + "r" + ")" * 20000, "r+" * 40000 + "r", DOUBLING, "r^" * 100 + "r", "foo(r)", "k*(r"],
+    ids=["deep", "long", "doubling", "powers", "function", "brackets"],
+)  # fmt: skip
+def test_an_expression_that_openmm_would_not_end_with_or_refuse_is_one_line(text, tmp_path):
+    path = tmp_path / "own.xml"
+    bond = '<PerBondParameter name="k"/><Bond class1="CX" class2="C" k="1"/>'
+    bond += '<Bond type1="protein-CX" type2="protein-C" k="1"/>'
+    path.write_text(f'<ForceField><CustomBondForce energy="{text}">{bond}</CustomBondForce></ForceField>')
+    structure = load("ala10.pdb")
+    with pytest.raises(pc.ProtochainError, match=r"own\.xml") as refused:
+        pc.energy(structure, forcefield=f"amber14,{path}", solvent="vacuum")(structure.positions)
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 400
+
+
+def test_the_longest_expressions_of_implicit_solvents_are_computed(tmp_path):
+    radii = "select(step(r+sr2-or1), 0.5*(1/L-1/U+0.25*(r-sr2^2/r)*(1/(U^2)-1/(L^2))+0.5*log(L/U)/r), 0)"
+    text = f"{radii};U=r+sr2;L=max(or1, D);D=abs(r-sr2)"
+    untrusted.check_expressions(tmp_path, ElementTree.fromstring(
+        f"<ForceField><CustomGBForce><ComputedValue>{text}</ComputedValue></CustomGBForce></ForceField>"
+    ))  # fmt: skip
+
+
 def test_openmm_evaluates_nothing_but_what_is_listed():
     """A new ``eval`` or ``exec`` in OpenMM's reader must be looked at before it is allowed."""
     tree = ast.parse(inspect.getsource(app.forcefield))

@@ -652,3 +652,24 @@ def test_a_pipe_that_a_shell_has_opened_is_read():
         assert row.record["status"] == "refused"
     finally:
         os.close(reads)
+
+
+ROW = "ATOM      1  CA  ALA A   1      11.104   6.134  -6.504  1.00  0.00           C  \n"
+SITES = (
+    "group_PDB id type_symbol label_atom_id label_comp_id label_asym_id label_seq_id Cartn_x Cartn_y Cartn_z"
+)
+CIF = "data_x\nloop_\n" + "".join(f"_atom_site.{each}\n" for each in SITES.split())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [ROW * 250_001, CIF + "A 1 C CA ALA A 1 1 2 3\n" * 250_001, "\n" * 2_000_000],
+    ids=["PDB", "mmCIF", "empty"],
+)
+def test_what_packs_into_nothing_is_refused_before_it_is_parsed(text, tmp_path, monkeypatch):
+    monkeypatch.setattr(gemmi, "read_pdb_string", None)
+    monkeypatch.setattr(gemmi.cif, "read_string", None)
+    path = tmp_path / "x.gz"
+    path.write_bytes(gzip.compress(text.encode()))
+    with pytest.raises(pc.ProtochainError, match=r"x\.gz: (more than 250000 atoms|2000000 lines)"):
+        parse(path)

@@ -1,6 +1,8 @@
 """Frames read from files of other programs: the numbers, the boxes, and what is wrong with single frames."""
 
+import io
 import struct
+import zipfile
 
 import numpy as np
 import pytest
@@ -71,22 +73,59 @@ def test_a_file_that_is_cut_short_names_the_frame_in_which_it_ends(tmp_path, x, 
     path.write_bytes(whole[: int(len(whole) * 0.62)])
     read = [*open_frames(path)]
     assert [each.x is None for each in read] == [False] * 4 + [True]
-    assert read[-1].index == 4 and (suffix == ".trr" or "ends" in read[-1].why)
+    assert read[-1].index == 4 and "ends" in read[-1].why
     assert np.abs(read[3].x - x[3]).max() < FORMATS[suffix]
 
 
-def test_a_damaged_head_of_a_frame_costs_that_frame_alone(tmp_path, x):
-    path = tmp_path / "x.xtc"
+XTC_SAME, TRR_SAME = struct.pack(">ii", 1995, 304), struct.pack(">3i", 1993, 13, 12) + b"GMX_trn_file"
+
+
+@pytest.mark.parametrize(
+    ("suffix", "same", "places"),
+    [
+        (".xtc", XTC_SAME, (52, 60, 84, 88)),  # Number of atoms, limits, size of differences, bytes.
+        (".trr", TRR_SAME, (24, 32, 52, 60, 64)),  # Parameters, box, positions, forces, number of atoms.
+    ],
+)
+def test_a_damaged_head_of_a_frame_costs_that_frame_alone(tmp_path, x, suffix, same, places):
+    path = tmp_path / f"x{suffix}"
     saved(load(SMALL), x, path)
     data = bytearray(path.read_bytes())
-    begins = [i for i in range(0, len(data), 4) if data[i : i + 8] == struct.pack(">ii", 1995, 304)]
-    for what in (52, 60, 84, 88):  # Number of atoms, limits, size of differences, bytes.
+    begins = [i for i in range(0, len(data), 4) if data[i : i + len(same)] == same]
+    for what in places:
         broken = bytearray(data)
         broken[begins[2] + what : begins[2] + what + 4] = b"\x7f\xff\xff\xff"
         path.write_bytes(broken)
         read = [*open_frames(path)]
         assert [each.index for each in read if each.x is None] == [2], what
-        assert np.abs(read[3].x - x[3]).max() < XTC_NM and len(read) == 7
+        assert np.abs(read[3].x - x[3]).max() < FORMATS[suffix] and len(read) == 7
+
+
+@pytest.mark.parametrize("filled", [b"\xff", b"\0"])
+def test_a_frame_that_packs_other_atoms_than_it_says_is_not_unpacked(tmp_path, x, filled):
+    """Runs of near atoms beyond the last, and atoms beyond the last byte."""
+    path = tmp_path / "x.xtc"
+    saved(load(SMALL), x, path)
+    data = bytearray(path.read_bytes())
+    begins = [i for i in range(0, len(data), 4) if data[i : i + 8] == XTC_SAME]
+    begin, end = begins[2] + 92, begins[3]
+    data[begin:end] = filled * (end - begin)
+    path.write_bytes(data)
+    assert [each.index for each in open_frames(path) if each.x is None] == [2]
+
+
+def test_an_archive_has_no_more_frames_than_its_bytes(tmp_path, x):
+    head, unit = io.BytesIO(), io.BytesIO()
+    shape = {"descr": "<f8", "fortran_order": False, "shape": (10**9, 103, 3)}
+    np.lib.format.write_array_header_1_0(head, shape)
+    np.save(unit, np.array("nm"))
+    with zipfile.ZipFile(tmp_path / "huge.npz", "w") as archive:
+        archive.writestr("positions.npy", head.getvalue() + bytes(1000))
+        archive.writestr("unit.npy", unit.getvalue())
+    with pytest.raises(pc.ProtochainError, match=r"huge\.npz"):
+        open_frames(tmp_path / "huge.npz")
+    np.savez_compressed(tmp_path / "x.npz", positions=x, unit="nm")
+    assert len(open_frames(tmp_path / "x.npz")) == len(x)
 
 
 def test_arrays_and_objects_of_other_libraries_are_frames(x):
