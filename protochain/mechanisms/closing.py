@@ -33,8 +33,8 @@ _TURNS: dict[str, tuple[tuple[Floats, Floats], ...]] = {
 _ITERATIONS = 100
 _LONGEST = 0.3
 """Longest step of Newton's method towards closed loops, in radians and sizes of the tree."""
-_ASIDE, _MOST_RANKED = 0.05, 200
-"""How far one looks for another rank, in radians and sizes of the tree; equations up to which one does."""
+_ASIDE = 0.05
+"""How far one looks for another rank, in radians and sizes of the tree."""
 _CONTRADICTED = 1e-6
 """Rate of an open loop, of the largest given, that is more than rounding of what was given."""
 
@@ -137,33 +137,52 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
 
 def _constant_rank(bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.ndarray) -> int | None:
     """Rank where the loops are closed, if it is larger where they are not, as of Bennett's linkage."""
-    if not len(undriven) or len(joints.body) > _MOST_RANKED:
+    if not len(undriven):
         return None
-    tree, rng = bodies.tree, np.random.default_rng(0)
-
-    def rows(q: Floats) -> Floats:
-        frames = multibody.pose(tree, q)
-        return np.asarray(
-            (multibody.row_matrix(tree, frames, joints.rows(frames)[1]) * tree.units)[:, undriven]
-        )
 
     def rank(q: Floats) -> int:
-        return int(np.linalg.matrix_rank(rows(q) / np.where(joints.turns, 1.0, tree.size)[:, None], 1e-6))
+        return _rank(_matrix(bodies, joints, q, undriven))
 
-    def moved(by: Floats) -> Floats:
-        step = np.zeros(tree.n_v)
-        step[undriven] = by
-        return multibody.integrate(tree, q, step * tree.units)
-
-    away = rng.normal(size=len(undriven))
-    if rank(open_ := moved(_ASIDE * away)) == rank(q):
+    every = np.arange(bodies.tree.n_v)
+    away = _away(every)
+    if rank(open_ := _moved(bodies, q, every, away)) == rank(q):
         return None
-    # Elsewhere on the loops: the start may be a dead point.
-    free = null_space(rows(q), rcond=1e-6)
-    elsewhere, _ = _assembled(replace(bodies, q=moved(_ASIDE * (free @ (free.T @ away)))), joints, undriven)
+    # Elsewhere on the loops, by drives too: the start may be a dead point.
+    free = null_space(_matrix(bodies, joints, q, every), rcond=1e-6)
+    beside = replace(bodies, q=_moved(bodies, q, every, free @ (free.T @ away)))
+    elsewhere, _ = _assembled(beside, joints, every)
     if elsewhere is None or rank(open_) == (closed_ := rank(elsewhere)):
         return None
     return closed_
+
+
+def _matrix(bodies: Bodies, joints: LoopJoints, q: Floats, moves: np.ndarray) -> Floats:
+    """(m, moves): rates of the errors by those of these freedoms, in radians and sizes of the tree."""
+    tree, frames = bodies.tree, multibody.pose(bodies.tree, q)
+    matrix = multibody.row_matrix(tree, frames, joints.rows(frames)[1])[:, moves] * tree.units[moves]
+    return np.asarray(matrix / np.where(joints.turns, 1.0, tree.size)[:, None])
+
+
+def _rank(matrix: Floats) -> int:
+    return int(np.linalg.matrix_rank(matrix, 1e-6))
+
+
+def _away(moves: np.ndarray) -> Floats:
+    """Any way aside, of these freedoms."""
+    return np.asarray(_ASIDE * np.random.default_rng(0).normal(size=len(moves)))
+
+
+def _moved(bodies: Bodies, q: Floats, moves: np.ndarray, by: Floats) -> Floats:
+    """Coordinates after these freedoms have moved, in radians and sizes of the tree."""
+    step = np.zeros(bodies.tree.n_v)
+    step[moves] = by
+    return multibody.integrate(bodies.tree, q, step * bodies.tree.units)
+
+
+def closing(bodies: Bodies, q: Floats) -> Floats | None:
+    """Coordinates near q that close the loops, by hinges that are not driven; None beyond a dead point."""
+    undriven = np.setdiff1d(np.arange(bodies.tree.n_v), bodies.tree.driven_v)
+    return _assembled(replace(bodies, q=q), bodies.joints, undriven)[0]
 
 
 def _given(bodies: Bodies) -> np.ndarray:
@@ -183,18 +202,15 @@ def _assembled(
     tree, q = bodies.tree, bodies.q
     units = np.where(joints.turns, 1.0, tree.size)
     for _ in range(_ITERATIONS):
-        frames = multibody.pose(tree, q)
-        error, rows = joints.rows(frames)
+        error = joints.rows(multibody.pose(tree, q))[0]
         worst = int(np.argmax(np.abs(error) / units))
         if abs(error[worst]) <= CLOSED * units[worst]:
             return q, (worst, 0.0)
         if not len(moves):
             break
-        matrix = multibody.row_matrix(tree, frames, rows)[:, moves] * tree.units[moves] / units[:, None]
-        step = np.zeros(tree.n_v)
-        step[moves] = lstsq(matrix, -error / units, cond=1e-9)[0]
+        step = lstsq(_matrix(bodies, joints, q, moves), -error / units, cond=1e-9)[0]
         step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
-        q = multibody.integrate(tree, q, step * tree.units)
+        q = _moved(bodies, q, moves, step)
     return None, (worst, abs(float(error[worst])))
 
 
@@ -203,19 +219,24 @@ def _rates(
 ) -> Floats:
     """Rates (n_v,) that keep the loops closed: those that are given stay, the others follow, the least."""
     tree, qd = bodies.tree, bodies.qd.copy()
-    frames = multibody.pose(tree, q)
-    g = multibody.row_matrix(tree, frames, joints.rows(frames)[1]) * tree.units
-    units = np.where(joints.turns, 1.0, tree.size)
+    g = _matrix(bodies, joints, q, np.arange(tree.n_v))
     rates = qd / tree.units
     follow = undriven[qd[undriven] == 0.0]
     if len(follow):
-        rates[follow] = lstsq(g[:, follow] / units[:, None], -(g @ rates) / units, cond=1e-9)[0]
-    left = np.abs(g @ rates) / units
+        rates[follow] = lstsq(g[:, follow], -(g @ rates), cond=1e-9)[0]
+    left = np.abs(g @ rates)
     worst = int(np.argmax(left))
     if left[worst] > _CONTRADICTED * np.max(np.abs(rates)):
+        by = left[worst] * (1.0 if joints.turns[worst] else tree.size)
+        beside = _matrix(bodies, joints, _moved(bodies, q, follow, _away(follow)), follow)
+        dead = joints.rank is None and _rank(g[:, follow]) < _rank(beside)
+        where, remedy = (
+            ("at a dead point ", "start beside it, or give the rate of a hinge that can turn there")
+            if dead
+            else ("", "give those of fewer hinges: the others follow")
+        )
         raise MechanicsError(
-            f"{said[of[worst]]}: the rates of hinges open it by {left[worst] * units[worst]:.3g} per time; "
-            "give those of fewer hinges: the others follow",
+            f"{said[of[worst]]}: {where}the rates of hinges open it by {by:.3g} per time; {remedy}",
             fault=Fault.OPEN,
         )
     return np.asarray(rates * tree.units)

@@ -9,7 +9,7 @@ import numpy as np
 from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.defaults import BALANCE
-from protochain.core.errors import BodyError, MechanicsError
+from protochain.core.errors import BodyError, Fault, MechanicsError
 from protochain.mechanics.motion import (
     Integrator,
     Phase,
@@ -18,6 +18,7 @@ from protochain.mechanics.motion import (
 )
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.closing import closing
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Gravity, damping, joined
 from protochain.mechanisms.event import Event, Happened
@@ -204,6 +205,7 @@ class _Simulation:
             except UnbalancedError:
                 raise
             except StepTooLargeError as error:
+                self.check_dead_points()
                 raise StepTooLargeError(
                     f"{self.after}: {error}; the time step {self.time_step:g} is too long; {self.remedy}",
                     fault=error.fault,
@@ -217,6 +219,22 @@ class _Simulation:
                 for memory in self.model.memories:
                     memory.end(end)
         return Run(self.model, self.rows, tuple(self.happened), end, self.kept)
+
+    def check_dead_points(self) -> None:
+        """Raise if drives would move loops beyond where they close, before the next row."""
+        system, (time, q, qd, *_) = self.model.system, self.rows[-1]
+        if self.model.bodies.joints is None or self.model.drive is None:
+            return
+        for _ in range(self.every):
+            time += self.time_step
+            closed = closing(self.model.bodies, system.driven_to(time, q, qd)[0])
+            if closed is None:
+                raise MechanicsError(
+                    f"{self.after}: the drive moves a loop beyond a dead point, so that it does not close at "
+                    f"time {time:g}; end the drive before, or drive a hinge that turns freely",
+                    fault=Fault.OPEN,
+                )
+            q = closed
 
     @property
     def after(self) -> str:

@@ -424,9 +424,15 @@ def test_fixman_s_method_is_right_or_refused_whatever_the_masses(e):
     wanted = solve_mass(*given)
     if e < 7:
         assert np.allclose(solve_mass(*given, "fixman"), wanted, rtol=1e-8)
+        assert log_det_mass(*given[:2], "fixman") == pytest.approx(log_det_mass(*given[:2]), rel=1e-10)
     else:
-        with pytest.raises(MechanicsError, match=r"Fixman's method is wrong by .* use method articulated"):
+        refused = pytest.raises(
+            MechanicsError, match=r"Fixman's method is wrong by .* use method articulated"
+        )
+        with refused:
             solve_mass(*given, "fixman")
+        with refused:
+            log_det_mass(*given[:2], "fixman")
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])

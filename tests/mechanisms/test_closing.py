@@ -7,9 +7,15 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4
+from protochain.mechanics.motion import (
+    DormandPrince,
+    ImplicitMidpoint,
+    Leapfrog,
+    RungeKutta4,
+    StepTooLargeError,
+)
 from protochain.mechanisms import Mechanism, Rosenbrock, frequencies, loop_joints
 from protochain.mechanisms.impacts import ContactPoint, impact
 
@@ -402,8 +408,8 @@ def turned(axis, angle):
     return Rotation.from_rotvec(np.multiply(axis, angle)).as_matrix()
 
 
-def bennett(start, qd):
-    """Bennett's linkage: four hinges, in no plane and no sphere, that turn."""
+def bennett(start, qd, copies=1):
+    """Bennett's linkages: four hinges each, in no plane and no sphere, that turn."""
     twist = 0.5
     lengths, twists = [1.0, 1.4] * 2, [twist, np.arcsin(1.4 * np.sin(twist))] * 2
     xs, zs = (1, 0, 0), (0, 0, 1)
@@ -419,15 +425,18 @@ def bennett(start, qd):
     near = [np.pi - 0.05, -start, 0.05 - np.pi]
     q = [start, *least_squares(gap, near, xtol=1e-15, ftol=1e-15, gtol=1e-15).x]
     m = Mechanism(gravity=(0, 0, -9.81))
-    for k in range(3):
-        m.body(f"l{k}", 1.0, com=(lengths[k] / 2, 0, 0), inertia=(0.01, 0.1, 0.1))
-    m.hinge("h0", "world", "l0", axis=zs, q=q[0], qd=qd)
-    for k in (1, 2):
-        at, twisted = (lengths[k - 1], 0, 0), turned(xs, twists[k - 1])
-        m.hinge(f"h{k}", f"l{k - 1}", f"l{k}", at=at, rotation=twisted, axis=twisted @ zs, q=q[k])
     last = turned(zs, q[3])
     end = -(last @ turned(xs, twists[3])).T @ last @ [lengths[3], 0, 0]
-    m.close("J", a=("l2", (lengths[2], 0, 0)), b=("world", end), axis=turned(xs, twists[2]) @ zs)
+    for of in [""] + [f" {k}" for k in range(1, copies)]:
+        for k in range(3):
+            m.body(f"l{k}{of}", 1.0, com=(lengths[k] / 2, 0, 0), inertia=(0.01, 0.1, 0.1))
+        m.hinge(f"h0{of}", "world", f"l0{of}", axis=zs, q=q[0], qd=qd)
+        for k in (1, 2):
+            at, twisted = (lengths[k - 1], 0, 0), turned(xs, twists[k - 1])
+            ends = f"l{k - 1}{of}", f"l{k}{of}"
+            m.hinge(f"h{k}{of}", *ends, at=at, rotation=twisted, axis=twisted @ zs, q=q[k])
+        tip = f"l2{of}", (lengths[2], 0, 0)
+        m.close(f"J{of}", a=tip, b=("world", end), axis=turned(xs, twists[2]) @ zs)
     return m.build()
 
 
@@ -440,3 +449,54 @@ def test_bennett_s_linkage_passes_the_pose_in_line(start, qd, until):
     assert run.audit().energy < 1e-8 and other.audit().energy < 1e-8
     assert np.allclose(run.q[-1], other.q[-1], atol=1e-8)
     assert model.directions.shape[1] == 1
+
+
+def test_many_of_bennett_s_linkages_move_as_one():
+    many, one = bennett(0.9, 1.5, 41), bennett(0.9, 1.5)
+    assert many.bodies.joints.rank == 41 * one.bodies.joints.rank == 82
+    assert np.allclose(accelerations(many), np.tile(accelerations(one), 41), rtol=1e-9)
+
+
+# --- Dead points
+
+
+def slider_crank(angle, motion=None, rate=0.0):
+    """A crank of 1 m, a rod of 2 m and a block, which moves as given."""
+    m, tilt = Mechanism(), np.arcsin(np.sin(angle) / 2.0)
+    bar(m, "crank", (0, 0, 0), (1.0, 0, 0))
+    bar(m, "rod", (0, 0, 0), (2.0, 0, 0))
+    m.body("block", 1.0, inertia=0.1)
+    m.hinge("O", "world", "crank", q=angle)
+    m.hinge("A", "crank", "rod", at=(1.0, 0, 0), q=-tilt - angle)
+    place = np.cos(angle) + 2.0 * np.cos(tilt)
+    m.hinge("S", "world", "block", kind="prismatic", axis=(1, 0, 0), q=place, qd=rate)
+    m.close("B", ("rod", (2.0, 0, 0)), ("block", (0, 0, 0)))
+    if motion is not None:
+        m.drive("S", lambda t: np.add(motion(t), (place, 0, 0)))
+    return m
+
+
+@pytest.mark.parametrize("integrator", [RungeKutta4(), DormandPrince()])
+def test_a_drive_beyond_a_dead_point_is_refused_as_such(integrator):
+    """The block is 0.645 m from where crank and rod are in line."""
+    model = slider_crank(1.0, lambda t: (t, 1.0, 0.0)).build()
+    for every in (1, 7):
+        with pytest.raises(
+            MechanicsError, match=r"beyond a dead point, .* not close at time 0\.65;"
+        ) as refused:
+            model.simulate(1.0, 0.01, integrator, every)
+        assert refused.value.fault is Fault.OPEN
+    model.simulate(0.6, 0.01, integrator)
+
+
+def test_rates_that_a_dead_point_does_not_allow_are_refused_as_such():
+    for m in (slider_crank(0.0, rate=1.0), slider_crank(0.0, lambda t: (-t, -1.0, 0.0))):
+        with pytest.raises(MechanicsError, match=r'closing "B": at a dead point the rates .*start beside it'):
+            m.build()
+    slider_crank(0.1, rate=1.0).build()
+
+
+def test_a_step_that_is_too_long_for_driven_loops_is_no_dead_point():
+    model = slider_crank(1.0, lambda t: (0.2 * np.sin(t), 0.2 * np.cos(t), -0.2 * np.sin(t))).build()
+    with pytest.raises(StepTooLargeError, match=r"the time step 0\.5 is too long"):
+        model.simulate(5.0, 0.5, DormandPrince(1e-300))

@@ -165,8 +165,9 @@ def soft_rates(tree: Tree, frames: Frames, twists: Floats) -> Floats:
 
 
 def log_det(factors: Eliminated) -> float:
-    """Logarithm of det M: sum of ln det M_b plus ln det H."""
+    """Logarithm of det M: sum of ln det M_b plus ln det H, of factors with which equations are solved."""
     tree = factors.tree
+    solve(factors, tree.units)
     bodies = 3.0 * np.sum(np.log(tree.mass)) + np.sum(np.linalg.slogdet(tree.inertia)[1])
     pivots = np.diagonal(factors.factor, axis1=1, axis2=2)
     used = np.arange(6) < factors.n_hard[:, None]

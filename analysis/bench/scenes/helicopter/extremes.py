@@ -146,7 +146,7 @@ def _standing(speed: float, until: float) -> Found:
 def _hard(sink: float) -> Found:
     """Legs straight down bear most at the touch, by their dampers."""
     exact = LEGS.damping * sink + LEGS.squared * sink**2
-    return check("leg", landed(sink, 0.1).leg, exact, 1e-9, "c v + c2 v^2")
+    return check("leg", landed(sink, 0.1, step=5e-4).leg, exact, 1e-9, "c v + c2 v^2")
 
 
 def _takes_off(factor: float) -> Found:

@@ -63,12 +63,12 @@ class Landing(NamedTuple):
 
 
 def landed(
-    sink: float, until: float, drift: float = 0.0, slope: float = 0.0, rate: float = RATE
+    sink: float, until: float, drift: float = 0.0, slope: float = 0.0, rate: float = RATE, step: float = STEP
 ) -> Landing:  # fmt: skip
     """Land: sinking and drifting in m/s, on a slope in degrees, the shaft at a rate."""
     legs = replace(LEGS, slope=float(np.radians(slope)))
     there = replace(ELASTIC, legs=legs, speed=rate)
-    trace = traced(*touchdown(there, sink, until, STEP, None, drift, 2))
+    trace = traced(*touchdown(there, sink, until, step, None, drift, 2))
     forces = trace[[f"leg {k + 1}" for k in range(4)]].to_numpy()
     return Landing(float(forces.max()), max(0.0, float(trace["tilt"].max()) - slope))
 
