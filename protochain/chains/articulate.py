@@ -13,7 +13,7 @@ from protochain.chains.chain import Chain, dihedrals
 from protochain.chains.hinges import HINGES, Hinge, cross_links, find_hinges, turning_hinges
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, cross, dots, read_only
-from protochain.core.checks import checked, kinds, quantity, selection, text
+from protochain.core.checks import checked, kinds, one_of, quantity, selection
 from protochain.core.errors import Argument, ChainError
 from protochain.core.graph import components, grouped
 from protochain.core.settings import inheriting
@@ -34,7 +34,9 @@ def _as_of(build: Callable[..., Chain], source: Any, named: dict[str, Any]) -> C
     return build(source, **(brought | named))
 
 
-@checked(hinges=kinds, root=text, move=selection, hydrogen_mass=quantity("dalton"))
+@checked(
+    hinges=kinds, root=one_of(("auto", "fixed", "free")), move=selection, hydrogen_mass=quantity("dalton")
+)
 @inheriting(_as_of)
 def build_chain(
     structure: Any,
@@ -93,8 +95,6 @@ def build_chain(
     unknown = [kind for kind in opened if kind not in HINGES]
     if unknown:
         raise ChainError(f"hinges {unknown[0]!r} is not a kind of hinge; choose from {' '.join(HINGES)}")
-    if root not in ("auto", "fixed", "free"):
-        raise ChainError(f"root {root!r} is not known; choose auto, fixed or free")
 
     moving = moving_atoms(structure, move)
     cut = cross_links(structure)

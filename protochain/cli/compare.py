@@ -25,8 +25,7 @@ from protochain.cli.options import (
 )
 from protochain.cli.terminal import foretell, print_table, run_progress, typical_evaluations
 from protochain.core import defaults
-from protochain.core.checks import words
-from protochain.core.errors import ProtochainError
+from protochain.core.checks import at_least, words
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers.minimise_settings import MinimiseSettings
 
@@ -70,8 +69,7 @@ def compare(
 
     most = minimising.max_evaluations
     chosen = _chosen(methods, tolerance, most)
-    if repeats < 1:
-        raise ProtochainError(f"repeats {repeats}: give at least 1")
+    at_least(1)(repeats, "repeats")
     output = output or Path(f"{named_after(source)[0]}-comparison")
     check_folder(output, force)
     check_outputs(inputs_of(setup, source, reference), files_of(output, named_after(source)[0], chosen))

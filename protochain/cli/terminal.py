@@ -193,17 +193,14 @@ def print_outlook(source: object, structure: "Structure", method: "str | Recipe"
 TROUBLED = 3
 """Times as many evaluations as usual from starts with overlaps or violations, as of predicted models."""
 
-_CALLS = 5
-"""Energies that are timed; the quickest counts."""
-
 
 def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int, most: int) -> None:
     """Say before a long run how long it will be."""
     x = chain.structure.positions
-    # The first call loads kernels and makes neighbour lists; others may wait for a busy core.
+    # The first call loads kernels and makes neighbour lists. The quickest counts: others may wait for a core.
     energy(x)
     each = math.inf
-    for _ in range(_CALLS):
+    for _ in range(5):
         began = monotonic()
         energy(x)
         each = min(each, monotonic() - began)

@@ -10,7 +10,7 @@ from protochain.chains.articulate import with_energy
 from protochain.comparison.comparison import Comparison
 from protochain.core import defaults
 from protochain.core.arrays import Watcher
-from protochain.core.checks import checked, function, integer, several
+from protochain.core.checks import at_least, checked, function, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
@@ -20,7 +20,7 @@ from protochain.structure import as_structure
 from protochain.structure.matching import match
 
 
-@checked(methods=several, repeats=integer, watch=function("method"))
+@checked(methods=several, repeats=at_least(1), watch=function("method"))
 @held_interrupts()
 def compare(
     structure: Any,
@@ -83,8 +83,6 @@ def compare(
             )
     if not recipes:
         raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
-    if repeats < 1:
-        raise ProtochainError(f"repeats {repeats}: give at least 1")
     runs = [
         Minimisation(
             recipe,

@@ -38,8 +38,7 @@ class EveryFrame(AnalysisBase):
         A row a frame: ``frame``, ``time_ps``, ``energy_start_kj_mol``, ``max_torque_start_kj_mol_rad``,
         ``rms_force_start_kj_mol_nm``; of a minimised one also ``energy_end_kj_mol``, ``ca_rmsd_angstrom``,
         ``evaluations``, ``seconds``, ``status`` and ``message``. Energies are of the judge of
-        :func:`protochain.minimise`. A frame that cannot be used has only the ``message``, which gives the
-        reason.
+        :func:`protochain.minimise`. A frame that cannot be used has only the ``message``, the reason.
     results.structures : list of Structure
         Final structure of each frame; None where a frame cannot be used.
     """

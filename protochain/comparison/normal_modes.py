@@ -28,8 +28,8 @@ from protochain.comparison.hessian import Torques, torques_at
 from protochain.comparison.modes import NormalModes
 from protochain.comparison.pair_hessian import applies
 from protochain.core.arrays import Floats, floats, read_only
-from protochain.core.checks import at_least, checked, text
-from protochain.core.errors import Fault, ProtochainError, refused
+from protochain.core.checks import at_least, checked, one_of, text
+from protochain.core.errors import Fault, ProtochainError
 from protochain.mechanics import multibody
 from protochain.minimisers import curvature, spring_model
 from protochain.minimisers.spaces import motions_of_whole
@@ -221,9 +221,7 @@ def normal_modes(
 
 def check_modes(k: int, method: str) -> None:
     """Refuse a number of modes below 1, and an unknown method."""
-    at_least(1)(k, "modes")
-    if method not in METHODS:
-        raise refused("method", repr(method), f"choose from {', '.join(METHODS)}")
+    at_least(1)(k, "modes"), one_of(METHODS)(method, "method")
 
 
 def _refuse_many(chain: Chain, n: int, analytic: bool) -> None:

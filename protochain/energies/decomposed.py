@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.checks import checked, file_name, optional, text
+from protochain.core.checks import checked, file_name, one_of, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import given
 from protochain.energies.custom import as_energy
@@ -85,7 +85,7 @@ class Decomposed(Value):
 @checked(
     forcefield=file_name,
     solvent=text,
-    by=text,
+    by=one_of(BY),
     energy=optional(an_energy),
 )
 def energy_terms(
@@ -143,8 +143,6 @@ def energy_terms(
     """
     import pandas as pd
 
-    if by not in BY:
-        raise ProtochainError(f"by {by!r} is not known; choose from {', '.join(BY)}")
     structure = as_structure(source, **given(forcefield=forcefield), **settings)
     parts = None if between is None else _parts(structure, between)
     made = as_energy(energy, structure, source, **given(forcefield=forcefield, solvent=solvent))

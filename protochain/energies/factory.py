@@ -22,6 +22,7 @@ from protochain.core.checks import (
     flag,
     force_field_parts,
     instance,
+    one_of,
     optional,
     text,
 )
@@ -111,8 +112,8 @@ def _as_of(build: Callable[..., Energy], source: Any, named: dict[str, Any]) -> 
 
 
 @checked(
-    forcefield=file_name, solvent=text, engine=text, cutoff=cutoff_of, accuracy=accuracy_of,
-    threads=optional(at_least(1)), trust_forcefield=flag, terms=text,
+    forcefield=file_name, solvent=text, engine=one_of(ENGINES), cutoff=cutoff_of, accuracy=accuracy_of,
+    threads=optional(at_least(1)), trust_forcefield=flag, terms=one_of(TERMS),
     system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 @inheriting(_as_of)
@@ -187,10 +188,6 @@ def energy(
     """
     settings = {name: value for name, value in locals().items() if name not in ("structure", "system")}
     structure = as_structure(structure)
-    if engine not in ENGINES:
-        raise ForceFieldError(f"engine {engine!r} is not known; choose from {', '.join(ENGINES)}")
-    if terms not in TERMS:
-        raise ForceFieldError(f"terms {terms!r} are not known; choose from {', '.join(TERMS)}")
     is_free = accuracy == "auto" and cutoff == "auto"
     if accuracy not in ("auto", "exact") and (cutoff not in ("auto", None) or engine == "openmm"):
         other = ("the engine of OpenMM",) if engine == "openmm" else ("a ", Argument("cutoff"))

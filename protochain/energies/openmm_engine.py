@@ -96,10 +96,7 @@ class OpenMMEnergy:
             return self
         return OpenMMEnergy(self.system, "Reference", None, *self._names)
 
-    @property
-    def exact(self) -> "OpenMMEnergy":
-        """Its reference."""
-        return self.reference
+    exact = property(lambda self: self.reference, doc="Its reference.")
 
     @cached_property
     def fingerprint(self) -> str:

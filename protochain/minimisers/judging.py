@@ -50,18 +50,14 @@ class Known:
             self._known[1:] = [(x.copy(), self.energy.lists_at, (found[0], found[1].copy()))]
         return found
 
-    def at_first(self, x: Floats) -> tuple[float, Floats]:
-        """Energy and forces at a start x (na, 3): those of the first point, if it is there."""
-        for at, _, found in self._known[:1]:
-            if np.array_equal(at, x):
-                return found
-        self.energy.list_at(x)
-        return self(x)
-
     def judged(self, x: Floats, first: bool = False) -> tuple[float, Floats]:
         """Energy, kJ/mol, and forces (na, 3) at a start or another point x (na, 3), nm, by what judges."""
         if self.judging is self.energy:
-            return self.at_first(x) if first else self(x)
+            if first and self._known and np.array_equal(self._known[0][0], x):
+                return self._known[0][2]
+            if first:
+                self.energy.list_at(x)
+            return self(x)
         # The order of sums is that of the point. It may take many seconds for a large protein.
         self.judging.list_at(x)
         value, forces = run_interruptible(partial(self.judging, x))

@@ -28,7 +28,7 @@ from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings
 from protochain.minimisers.openmm_reference import minimise_by_openmm
-from protochain.minimisers.problem import Evaluation, Force
+from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
 from protochain.minimisers.saddle import ALL_ATOMS_UP_TO, SHARE_OF_RUN, with_curvature
@@ -99,8 +99,8 @@ def minimise(
         in all atoms at most a fifth of those of the run, or ten. Default: where only hinges turn, and in all
         atoms at tolerances up to 1 kJ/mol/nm. OpenMM's methods do not.
     judge : str
-        What judges start and end: ``auto``, the native engine with all pairs in double precision, or OpenMM's
-        Reference platform where that cannot compute the energy; ``reference``, the latter in any case.
+        What judges start and end: ``reference`` (OpenMM's Reference platform), or ``auto``, the native engine
+        with all pairs in double precision, or that platform for what it cannot compute.
     checkpoint : path-like, optional
         File (.npz) to write when the run ends, for ``resume``; a warning says why if it cannot be written.
     resume : path-like, optional
@@ -284,7 +284,7 @@ def _by_openmm(start: Start, run: Minimisation, record: Recorder) -> Outcome:
 
 def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, seconds: float) -> Solution:
     """Judge an outcome; the start itself is the result where the end is no better."""
-    chain, energy, structure = start.chain, start.energy, start.chain.structure
+    chain, energy, held, structure = start.chain, start.energy, done.restraint, start.chain.structure
     at, end = _better(start, done)
     lowest = done.lowest_eigenvalue if at is not start.pose else None
     residual = end.max_torque if isinstance(done.space, Torsions) else end.rms_force
@@ -322,16 +322,11 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         tolerance=run.converged_at,
         hold=run.hold,
         seed=run.seed,
-        restraints=_restraints(done.restraint, start.pose.x, at.x),
+        restraints=held and (held(start.pose.x)[0], held(at.x)[0]),
         lowest_eigenvalue=lowest,
         frame_rows=read_only(list(record.kept()), np.int64),
         frames=read_only(list(record.kept().values()), np.float32),
     )
-
-
-def _restraints(held: Force | None, first: Floats, last: Floats) -> tuple[float, float] | None:
-    """Energies, kJ/mol, of what held the end, at start and end."""
-    return None if held is None else (held(first)[0], held(last)[0])
 
 
 def _better(start: Start, done: Outcome) -> tuple[Pose, Judgement]:

@@ -214,7 +214,7 @@ def test_batch_hands_its_options_on(batched, capsys):
         "manifest": None, "resume": False, "workers": None, "scheduler": None, "threads": 1,
         "time_limit": 3600.0,
         "methods": ("cartesian",), "tolerance": None, "max_rmsd": math.inf, "max_evaluations": 5000,
-        "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None,
+        "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None, "judge": "auto",
         "setup": Setup(), "relaxing": RelaxSettings(),
     }  # fmt: skip
     assert capsys.readouterr().out == "done 1 'page'\n"
@@ -222,7 +222,7 @@ def test_batch_hands_its_options_on(batched, capsys):
         "-o", "out", "--methods", "md, kcm", "--manifest", "m.csv", "--workers", 2, "--scheduler", "s",
         "--threads",
         3, "--time-limit", 4, "--resume", "--tolerance", 5, "--max-evaluations", 6, "--max-rmsd", 7,
-        "--seed", 8, "--restrain", "5 0", "--no-curvature",
+        "--seed", 8, "--restrain", "5 0", "--no-curvature", "--judge", "reference",
         "--json", "--ph", 5, "--preset", "crystal", "--stiffness", 9, "--max-iterations", 8,
         "--max-outer-iterations", 7, "--exclude", "resid 3", "--strip-hydrogens", "--repack",
     )  # fmt: skip
@@ -232,7 +232,7 @@ def test_batch_hands_its_options_on(batched, capsys):
         "manifest": Path("m.csv"), "resume": True, "workers": 2, "scheduler": "s", "threads": 3,
         "time_limit": 4.0,
         "methods": ("md", "kcm"), "tolerance": 5.0, "max_rmsd": 7.0, "max_evaluations": 6, "seed": 8,
-        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False,
+        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False, "judge": "reference",
         "setup": Setup(ph=5.0),
         "relaxing": RelaxSettings("crystal", "", 5.0, 9.0, 8, 7, "resid 3", False, True),
     }  # fmt: skip

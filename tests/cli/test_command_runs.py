@@ -109,7 +109,7 @@ def asked(monkeypatch):
 
 DEFAULTS = {
     "method": "cartesian", "tolerance": None, "max_evaluations": 5000, "seed": 0, "restraint": "",
-    "max_rmsd": math.inf, "curvature": None,
+    "max_rmsd": math.inf, "curvature": None, "judge": "auto",
 }  # fmt: skip
 
 
@@ -124,7 +124,7 @@ def test_minimise_hands_its_options_on_and_writes_what_is_asked(asked, tmp_path,
     assert asked.runs == [
         {
             "method": "lbfgs", "tolerance": 2.0, "max_evaluations": 7, "seed": 3, "restraint": "5 0",
-            "max_rmsd": 0.5, "checkpoint": Path("c.npz"), "resume": None, "curvature": None,
+            "max_rmsd": 0.5, "checkpoint": Path("c.npz"), "resume": None, "curvature": None, "judge": "auto",
         }
     ]  # fmt: skip
     ((source, setup),) = asked.prepared
@@ -285,9 +285,10 @@ def compared(asked, monkeypatch, tmp_path):
 
 def test_compare_hands_its_options_on(compared, asked, capsys):
     options = ("--tolerance", 2, "--max-evaluations", 7, "--seed", 3, "--repeats", 5, "--reference", "r.pdb")
-    options = (*options, "--no-curvature")
+    options = (*options, "--no-curvature", "--judge", "reference")
     assert run("compare", "in/a.pdb", "--methods", "md,kcm,md", *options, "--json", "-o", "out") == 0
     more = {"reference": "loaded r.pdb", "repeats": 5, "curvature": False, "max_evaluations": 7, "seed": 3}
+    more["judge"] = "reference"
     assert compared.given == [((asked.chain, ("md", "kcm"), "energy", 2.0), more)]
     assert asked.foretold == [(14, 14)] and not list(Path().iterdir())
     assert asked.shown == [("one", 7, {}), ("two", 7, {})]
@@ -297,7 +298,14 @@ def test_compare_hands_its_options_on(compared, asked, capsys):
     assert run("compare", "in/a.pdb.gz", "--methods", "md,kcm") == 0
     assert compared.given[1] == (
         (asked.chain, ("md", "kcm"), "energy", 1.0),
-        {"reference": None, "repeats": 3, "curvature": None, "max_evaluations": 5000, "seed": 0},
+        {
+            "reference": None,
+            "repeats": 3,
+            "curvature": None,
+            "max_evaluations": 5000,
+            "seed": 0,
+            "judge": "auto",
+        },
     )
     assert asked.foretold[1] == (sum(typical_evaluations(method, 5000) for method in ("md", "kcm")), 10_000)
     told = capsys.readouterr()

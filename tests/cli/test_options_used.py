@@ -79,7 +79,7 @@ VALUES = {
     "thermostat": "none", "integrator": "midpoint", "loops": "closed", "hydrogen_mass": "2",
     "hinge_springs": "phi 40", "temperature": "310", "time_step": "0.5", "friction": "3",
     "amplitude": "2", "evaluations": "400", "workers": "3", "time_limit": "77",
-    "n_starts": "3", "speed": "1",
+    "n_starts": "3", "speed": "1", "judge": "reference",
 }  # fmt: skip
 """What an option is given, by its name; flags and numbers not here get another than their default."""
 OF_SETUP = {

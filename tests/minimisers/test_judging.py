@@ -55,11 +55,11 @@ def test_nothing_is_known_with_other_lists_or_without_lists():
     first = known(one)[0]
     energy.lists_at = np.zeros(3)
     assert known(one)[0] != first and energy.calls == 2
-    assert known.at_first(one)[0] == first and energy.calls == 2
-    assert known.at_first(two)[0] != first and energy.lists_at is two and energy.calls == 3
+    assert known.judged(one, first=True)[0] == first and energy.calls == 2
+    assert known.judged(two, first=True)[0] != first and energy.lists_at is two and energy.calls == 3
     without = Counting(None)
     known = Known(without)
-    known(one), known(one), known.at_first(one)
+    known(one), known(one), known.judged(one, first=True)
     assert without.calls == 3
 
 
