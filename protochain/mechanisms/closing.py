@@ -182,6 +182,7 @@ def _moved(bodies: Bodies, q: Floats, moves: np.ndarray, by: Floats) -> Floats:
 def closing(bodies: Bodies, q: Floats) -> Floats | None:
     """Coordinates near q that close the loops, by hinges that are not driven; None beyond a dead point."""
     undriven = np.setdiff1d(np.arange(bodies.tree.n_v), bodies.tree.driven_v)
+    assert bodies.joints is not None
     return _assembled(replace(bodies, q=q), bodies.joints, undriven)[0]
 
 
