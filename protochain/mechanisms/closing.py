@@ -179,11 +179,10 @@ def _moved(bodies: Bodies, q: Floats, moves: np.ndarray, by: Floats) -> Floats:
     return multibody.integrate(bodies.tree, q, step * bodies.tree.units)
 
 
-def closing(bodies: Bodies, q: Floats) -> Floats | None:
+def closing(bodies: Bodies, joints: LoopJoints, q: Floats) -> Floats | None:
     """Coordinates near q that close the loops, by hinges that are not driven; None beyond a dead point."""
     undriven = np.setdiff1d(np.arange(bodies.tree.n_v), bodies.tree.driven_v)
-    assert bodies.joints is not None
-    return _assembled(replace(bodies, q=q), bodies.joints, undriven)[0]
+    return _assembled(replace(bodies, q=q), joints, undriven)[0]
 
 
 def _given(bodies: Bodies) -> np.ndarray:

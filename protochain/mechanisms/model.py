@@ -223,11 +223,12 @@ class _Simulation:
     def check_dead_points(self) -> None:
         """Raise if drives would move loops beyond where they close, before the next row."""
         system, (time, q, qd, *_) = self.model.system, self.rows[-1]
-        if self.model.bodies.joints is None or self.model.drive is None:
+        bodies, joints = self.model.bodies, self.model.bodies.joints
+        if joints is None or self.model.drive is None:
             return
         for _ in range(self.every):
             time += self.time_step
-            closed = closing(self.model.bodies, system.driven_to(time, q, qd)[0])
+            closed = closing(bodies, joints, system.driven_to(time, q, qd)[0])
             if closed is None:
                 raise MechanicsError(
                     f"{self.after}: the drive moves a loop beyond a dead point, so that it does not close at "
