@@ -28,7 +28,7 @@ def amplitudes(found: Built, until: float = UNTIL) -> tuple[float, float, float]
 
     In m, m and rad, from where it stood.
     """
-    run = found.run(until, 1e-6)
+    run = found.run(until)
     moved = np.abs(found.aside(run))
     early = run.time <= EXIT + 1e-9
     return float(np.max(moved[early, 0])), float(np.max(moved[:, 0])), float(np.max(moved[:, 1]))
