@@ -236,7 +236,7 @@ def test_other_records_may_hold_anything(letter, record, tmp_path):
 
 def test_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("protochain.structure.files.MAX_ATOMS", 100)
-    with pytest.raises(pc.ProtochainError, match="304 atoms are more than 100"):
+    with pytest.raises(pc.ProtochainError, match="more than 100 atoms"):
         parse(STRUCTURES / "1l2y.pdb")
     (tmp_path / "lines.pdb.gz").write_bytes(gzip.compress(b"\n" * 30_000_000))
     with pytest.raises(pc.ProtochainError, match="more than 8 million lines"):
