@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from protochain.chains.chain import Chain, Pose, pose, pull_back, solve_mass
+from protochain.chains.chain import Chain, Pose, pose, pull_back
 from protochain.core.arrays import Floats, Integers
 from protochain.core.interrupts import run_interruptible
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
+from protochain.mechanics.multibody.articulated import solve_at_once
 from protochain.minimisers import curvature, spring_model
 from protochain.minimisers.curvature import NearTerms
 from protochain.minimisers.problem import Evaluation, Placement
@@ -146,7 +147,9 @@ class Torsions:
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the mass matrix, by the articulated-body algorithm."""
         posed = _pose(at.pose)
-        return lambda torque: solve_mass(self.chain, posed, torque / self.scale) / self.scale
+        # Torques that are not finite pass: the run then ends with a status.
+        tree = self.chain.tree
+        return lambda torque: solve_at_once(tree, posed.frames, torque / self.scale) / self.scale
 
 
 def solver(make: Callable[[], Floats], n: int) -> Callable[[Floats], Floats]:
