@@ -37,11 +37,11 @@ class Task(Protocol):
     """
 
     @property
-    def name(self) -> str: ...  # noqa: D102
+    def name(self) -> str: ...  # noqa: D102 (of a protocol)
     @property
-    def columns(self) -> tuple[str, ...]: ...  # noqa: D102
+    def columns(self) -> tuple[str, ...]: ...  # noqa: D102 (of a protocol)
     @property
-    def at_a_time(self) -> int: ...  # noqa: D102
+    def at_a_time(self) -> int: ...  # noqa: D102 (of a protocol)
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
         """Prepare, once, what all frames of a structure share."""
