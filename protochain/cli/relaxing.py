@@ -51,7 +51,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
         + (f", {beside} of them with molecules kept with the protein" if beside else ""),
         str(at.violations),
         *(["threaded rings, to be freed first: " + ", ".join(map(str, at.rings))] if at.rings else []),
-        *_wrong_hands(at),
+        *_inverted(at),
         *_twisted(len(at.peptides)),
         *_breaks(structure),
         f"about {max(seconds, 1.0):.0f} s",
@@ -60,7 +60,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     return seconds
 
 
-def _wrong_hands(at: "Wrong") -> list[str]:
+def _inverted(at: "Wrong") -> list[str]:
     """What will become of inverted stereocentres, in words."""
     s, n = at.structure, len(at.inverted)
     advice = "" if s.mirrored[s.atom_residue[at.inverted]].all() else " (name D-amino acids as DAL ...)"

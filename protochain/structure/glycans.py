@@ -88,7 +88,7 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
 def _code(member: Member, links: Sequence[Link]) -> str:
     """Code of a sugar with these bonds; of two anomers, that which its atoms are."""
     letters = SUGARS[member.name]
-    if anomeric_carbon(member.name) in _wrong_hands(member, letters, links):
+    if anomeric_carbon(member.name) in _inverted(member, letters, links):
         letters = other_anomer(letters)
     bearing = [link.atom for link in links if link.member is member]
     is_linked = any(link.other is member for link in links)
@@ -116,11 +116,11 @@ def _tell_hands(draft: Draft, member: Member, letters: str, links: Sequence[Link
     """Say where the configurations of a sugar are not those of its name."""
     if letters != SUGARS[member.name]:
         draft.note(Kind.OTHER_ANOMER, residue=member.residue)
-    if wrong := (*_wrong_hands(member, letters, links),):
+    if wrong := (*_inverted(member, letters, links),):
         draft.note(Kind.SUGAR_INVERTED, residue=member.residue, atoms=wrong)
 
 
-def _wrong_hands(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:
+def _inverted(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:
     """Name the chiral atoms of a sugar whose configuration is not that of its letters."""
     acceptor = next((link.atom for link in links if link.other is member), _hydroxyl(member))
     for centre, ends in sugar_centres(letters).items():

@@ -308,11 +308,11 @@ def test_a_run_that_changes_a_hand_ends_in_an_error_status():
         status, message = verdict(stop, met, "measured", structure, flipped, 5)
         assert status is Status.INVERTED
         assert (
-            message.startswith("inverted: CA of residue 2 LEU of chain A changed hand; ")
+            message.startswith("inverted: CA of residue 2 LEU of chain A inverted; ")
             and "\n" not in message
         )
     status, message = verdict(Stop.INTERRUPTED, True, "measured", structure, flipped, 5)
-    assert status is Status.INTERRUPTED and "residue 2 LEU of chain A changed hand" in message
+    assert status is Status.INTERRUPTED and "residue 2 LEU of chain A inverted" in message
     assert verdict(Stop.TOLERANCE, True, "measured", structure, structure.positions, 5)[0] is Status.CONVERGED
 
 
@@ -324,7 +324,7 @@ def test_a_minimum_of_the_other_hand_is_no_success_and_not_the_best_of_several()
         return 500.0 * float(((x - target) ** 2).sum()), -1000.0 * (x - target)
 
     solution = pc.minimise(structure, pulled, "cartesian")
-    assert solution.status == "inverted" and "CA of residue 1 ALA of chain A changed hand" in solution.message
+    assert solution.status == "inverted" and "CA of residue 1 ALA of chain A inverted" in solution.message
     assert not solution.to_scipy().success
     kept = pc.minimise(structure, pc.energy(structure), "cartesian", max_evaluations=5)
     assert pc.minimisers.Starts(solution.chain, (solution, kept)).best is kept
@@ -337,7 +337,7 @@ def test_a_simulation_in_which_a_hand_changes_is_not_sound(monkeypatch):
         module, "changed_stereocentres", lambda structure, x, reference: ["CA of residue 2 ALA"]
     )
     done = pc.simulate(pc.from_sequence("AAA"), n_steps=2)
-    assert not done.is_sound and "CA of residue 2 ALA changed hand" in done.message
+    assert not done.is_sound and "CA of residue 2 ALA inverted" in done.message
 
 
 @pytest.mark.slow

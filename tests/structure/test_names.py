@@ -9,6 +9,7 @@ from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
 from protochain.relaxation.chirality_restraint import ChiralityRestraint
+from protochain.relaxation.wrong import Wrong
 from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import D_NAMES
 from protochain.structure.write import as_text
@@ -233,14 +234,18 @@ def test_one_line_tells_of_a_d_arginine(is_d, alone, said, tmp_path):
 
 
 def test_only_residues_under_names_of_l_are_advised_to_be_named(tmp_path):
-    from protochain.cli.relaxing import _wrong_hands
+    from protochain.cli.relaxing import _inverted
 
-    said = "1 inverted stereocentre, to be corrected"
-    assert _wrong_hands(pc.load(d_arginine(tmp_path, is_d=False))) == [said]
+    def stated(path):
+        structure = pc.load(path)
+        return _inverted(Wrong(structure, structure.positions))
+
+    correction = "1 inverted stereocentre, to be corrected"
+    assert stated(d_arginine(tmp_path, is_d=False)) == [correction]
     text = (tmp_path / "x.pdb").read_text()
     d_arginine(tmp_path, is_d=True)
     (tmp_path / "l.pdb").write_text((tmp_path / "x.pdb").read_text().replace("DAR", "ARG"))
-    assert text and _wrong_hands(pc.load(tmp_path / "l.pdb")) == [f"{said} (name D-amino acids as DAL ...)"]
+    assert text and stated(tmp_path / "l.pdb") == [f"{correction} (name D-amino acids as DAL ...)"]
 
 
 def test_a_modified_residue_alone_stays_as_it_is(tmp_path):
