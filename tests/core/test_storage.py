@@ -1,6 +1,7 @@
 """What is saved, and said, when the disk is full."""
 
 import json
+import os
 import resource
 import sys
 from contextlib import contextmanager
@@ -35,6 +36,16 @@ def full_above(n_bytes):
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, usual)
+
+
+@pytest.mark.parametrize("mask", [0o022, 0o027, 0o077])
+def test_files_have_the_permissions_of_new_files(mask, tmp_path):
+    usual = os.umask(mask)
+    try:
+        write_atomically(tmp_path / "a.txt", lambda path: path.write_text("a"))
+    finally:
+        os.umask(usual)
+    assert (tmp_path / "a.txt").stat().st_mode & 0o777 == 0o666 & ~mask
 
 
 def run(monkeypatch, *arguments):

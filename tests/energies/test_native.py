@@ -112,6 +112,17 @@ def test_a_cutoff_with_reaction_field(name):
     assert_same(pc.energy(load(name), system=system, engine="native"), system, shaken(load(name)))
 
 
+@pytest.mark.parametrize("model", [None, "obc2"])
+def test_the_error_of_a_cutoff_is_that_of_the_forces_without_one(model):
+    s = load("1ubq.pdb")
+    cut, every = (
+        pc.energy(s, system=implicit_system("1ubq.pdb", model, cutoff), engine="native")
+        for cut_off in (0.9, None) for cutoff in (cut_off,)
+    )  # fmt: skip
+    off = np.sqrt(((cut(s.positions)[1] - every(s.positions)[1]) ** 2).sum(axis=1).mean())
+    assert f"forces differ by {off:.2g} kJ/mol/nm" in cut.cutoff_error(s.positions)
+
+
 def test_gbsa_obc_force_with_a_cutoff():
     s = load("1ubq.pdb")
     system = implicit_system("1ubq.pdb", None, 1.1)

@@ -18,6 +18,7 @@ pytest.importorskip("dimorphite_dl")
 from rdkit.Chem import AddHs, MolFromSmiles
 from rdkit.Chem.rdDistGeom import EmbedMolecule
 
+from protochain.core.graph import neighbours
 from protochain.ligands import matching, protonation, smirnoff, sources
 from protochain.ligands.molecule import from_rdkit, to_rdkit
 from protochain.ligands.protonation import at_ph
@@ -202,6 +203,35 @@ def test_stereo_is_kept_as_data():
     assert sources.from_dictionary("ATP").stereo == (("C4'", "R"), ("C3'", "S"), ("C2'", "R"), ("C1'", "R"))
 
 
+def embedded(smiles):
+    made = AddHs(MolFromSmiles(smiles))
+    assert EmbedMolecule(made, randomSeed=1) == 0
+    return from_rdkit(made, "model")
+
+
+@pytest.mark.parametrize(
+    "smiles", ["C[C@H](N)C(=O)O", "C[C@@H](N)C(=O)O", "CC[C@](F)(Cl)Br", "CC[C@@](F)(Cl)Br"]
+)
+def test_a_flat_stereocentre_is_inverted_on_whichever_side_it_lies(smiles):
+    source = embedded(smiles)
+    (centre,) = np.flatnonzero(source.handedness)
+    near = [i for i in neighbours(source.bonds, source.n_atoms)[centre] if source.elements[i] != 1][:3]
+    normal = np.cross(*(source.positions[i] - source.positions[near[0]] for i in near[1:]))
+    for side in (-1e-4, 1e-4):
+        x = source.positions.copy()
+        x[centre] = x[near].mean(0) + side * normal / np.linalg.norm(normal)
+        assert matching.inverted_atoms(source, x[source.heavy]) == [(centre,)]
+    assert matching.inverted_atoms(source, source.positions[source.heavy]) == []
+
+
+def test_hydrogens_that_a_carbon_lacks_make_another_molecule_and_no_charge():
+    ethanol = embedded("CCO")
+    first, _, oxygen = ethanol.heavy.tolist()
+    assert protonation.with_hydrogens(ethanol, {first: 2}) is None
+    assert protonation.with_hydrogens(ethanol, {first: 4}) is None
+    assert protonation.with_hydrogens(ethanol, {first: 3, oxygen: 0}).charge == -1
+
+
 @pytest.mark.parametrize("name", TERMS)
 def test_a_model_is_matched_by_its_graph_and_its_stereo_compared(name):
     """Atoms in another order and by other names; of a mirror image all centres are inverted, but no bond."""
@@ -253,9 +283,7 @@ def test_double_bonds_of_a_model_are_where_they_are_short():
     ],
 )
 def test_what_differs_between_model_and_molecule_is_named(given, said):
-    made = AddHs(MolFromSmiles("CC(=O)Nc1ccc(O)cc1"))
-    assert EmbedMolecule(made, randomSeed=1) == 0
-    model = from_rdkit(made, "model")
+    model = embedded("CC(=O)Nc1ccc(O)cc1")
     with pytest.raises(pc.ProtochainError, match=said) as refused:
         matching.placed(sources.read(given), model.elements, model.names, model.positions)
     assert "\n" not in str(refused.value)

@@ -178,6 +178,10 @@ def test_the_way_off_is_on_the_lower_side_as_far_as_the_energy_falls(leaves):
     assert done.stop is Stop.SADDLE and done.at.q[0] == (0.8 if leaves else 0.0)
     assert done.lowest_eigenvalue == (None if leaves else -18.0)
     assert Curvature(1.0, leaves=leaves).step(problem, done) is None
+    # The lower side is found on the left as well.
+    mirrored = Along(lambda t: -9 * t**2 + t**3 + 5 * t**4, lambda t: 18 * t - 3 * t**2 - 20 * t**3)
+    left = Problem(Flat(), mirrored, 1000)
+    assert stepped_off(left, left.evaluate(np.zeros(3)), np.array([1.0, 0, 0])).q[0] == -0.8
     # Where the longer turns climb at once, shorter ones are tried; a limit of the run counts as a wall.
     steep = Problem(Flat(), Along(lambda t: -(t**2) + 1e3 * t**4), 1000, allowed=lambda x: x[0, 0] < 0)
     assert stepped_off(steep, steep.evaluate(np.zeros(3)), np.array([1.0, 0, 0])).q[0] == -0.025

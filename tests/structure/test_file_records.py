@@ -157,7 +157,8 @@ def test_records_of_any_text_are_taken(tmp_path):
 
 GLYCAN = """\
 HETNAM     NAG 2-ACETAMIDO-2-DEOXY-BETA-D-GLUCOPYRANOSE-
-HETNAM   2 NAG  AND MORE
+HETNAM   2 NAG  AND MORE THAN GOES INTO TWO LINES OF A FILE OF THE
+HETNAM   3 NAG  ARCHIVE
 MODRES 1ABC ALA A    3  ALA  GLYCOSYLATION SITE
 MODRES 1ABC SER A   99  SER  GONE
 LINK         O4  NAG A 101                 C1  NAG A 102     1555   1555  1.44
@@ -183,8 +184,9 @@ def test_records_of_ligands_stay_with_them(tmp_path):
     (tmp_path / "a.pdb").write_text(GLYCAN + atoms + SUGARS + "END\n")
     structure = pc.load(tmp_path / "a.pdb", keep="all")
     text = as_text(structure, ".pdb")
-    assert [line[7:70].strip() for line in text.splitlines() if line.startswith("HETNAM")] == [
-        "NAG 2-ACETAMIDO-2-DEOXY-BETA-D-GLUCOPYRANOSE-AND MORE"
+    assert [line.rstrip() for line in text.splitlines() if line.startswith("HETNAM")] == [
+        "HETNAM     NAG 2-ACETAMIDO-2-DEOXY-BETA-D-GLUCOPYRANOSE-AND MORE THAN",
+        "HETNAM   2 NAG GOES INTO TWO LINES OF A FILE OF THE ARCHIVE",
     ]
     assert [line[12:28] for line in text.splitlines() if line.startswith("MODRES")] == ["ALA A    3  ALA "]
     assert [line[12:57].split() for line in text.splitlines() if line.startswith("LINK")] == [

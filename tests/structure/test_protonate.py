@@ -41,6 +41,9 @@ def named(name, *names, state=""):
         (named("GLU", "HE2"), "GLH"),
         (named("GLU", "HD1", "HD2"), ""),
         (named("LYS", "HD1", "HE2"), ""),
+        (named("LYS", "HE2", "HE3"), ""),
+        (named("LYS", "HE2", "HE3", "HZ1", "HZ2"), "LYN"),
+        (named("LYS", "HE2", "HE3", "HZ1", "HZ2", "HZ3"), ""),
     ],
 )
 def test_hydrogens_of_the_file_show_a_state(residue, state):

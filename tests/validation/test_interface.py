@@ -23,6 +23,7 @@ import protochain as pc
 from protochain.structure.confidences import Confidence, confidence_in
 from protochain.structure.select import select, sides, touching_chains
 from protochain.validation import CONFIDENCES, SCORES
+from protochain.validation.interface import _unsatisfied
 
 MODEL, BESIDE = "6bj9_model_0.cif.gz", "confidence_6bj9_model_0.json"
 
@@ -160,6 +161,15 @@ def test_unsatisfied_polar_atoms_are_buried_by_the_other_side_and_without_a_bond
         group = [k, *hydrogens]
         count += together[group].sum() < 1.0 <= alone[group].sum() and k not in bonded
     assert found.scores["unsatisfied_polar_atoms"] == count > 0
+
+
+def test_nitrogens_of_proline_are_satisfied_without_a_bond():
+    """Between residues; at the start of a chain the nitrogen has hydrogens to give."""
+    s = pc.from_sequence("PAPA")
+    buried = _unsatisfied(s, np.zeros(s.n_atoms), np.full(s.n_atoms, 50.0), np.empty((0, 3), int))
+    found = {(int(s.atom_residue[k]), str(s.atom_name[k])) for k in buried}
+    polar = {(r, name) for r in range(4) for name in ("N", "O")} | {(3, "OXT")}
+    assert found == polar - {(2, "N")}
 
 
 def test_of_sides_that_do_not_touch_all_is_nothing():
@@ -452,6 +462,21 @@ def test_a_table_of_many_is_ranked_and_one_chain_is_told(three, capsys):
         assert sums[row["file"], row["interface"]] == pytest.approx(row["buried_area_angstrom2"])
     text = page.read_text()
     assert text.count("<option value=") >= len(done) and "3i40.pdb A:B" in text
+
+
+@pytest.mark.parametrize("by", ["clashes", "unsatisfied_polar_atoms", "hydrogen_bonds", "contacts"])
+def test_fewer_clashes_and_more_bonds_rank_first(by, three, capsys):
+    """The complex as it is, and with a side 1.5 angstrom nearer to the other."""
+    s = load("3i40.pdb")
+    x, (one, other) = s.positions.copy(), masks(s, "A", "B")
+    way = x[other].mean(0) - x[one].mean(0)
+    x[one] += 0.15 * way / np.linalg.norm(way)
+    pc.save(s.with_positions(x), three / "near.pdb")
+    run("score", three / "near.pdb", three / "3i40.pdb", "--interface", "A:B", "--rank", by,
+        "--solvent", "vacuum", "--json")  # fmt: skip
+    values = [row[by] for row in json.loads(capsys.readouterr().out)["results"]]
+    assert values == sorted(values, reverse=by in ("hydrogen_bonds", "contacts"))
+    assert by != "clashes" or values[0] < values[1]
 
 
 def test_lower_energies_rank_first_and_named_sides_alone_are_scored(three, capsys):
