@@ -284,9 +284,18 @@ def test_the_page_shows_distributions_and_names_the_frames_without_a_result(tmp_
     done = run_frames(ensemble, chosen, RELAX, tmp_path / "o.csv", tmp_path / "o.dcd")
     write_report(done, "relax", "x.xtc <b>", tmp_path / "o.html")
     page = (tmp_path / "o.html").read_text()
-    assert "x.xtc &lt;b&gt;" in page and "frame 2: " in page and page.count("data:image/png") >= 3
+    assert (
+        "x.xtc &lt;b&gt;" in page
+        and "frame 2: " in page
+        and page.count('"other">') == 1
+        and page.count("data:image/png") >= 3
+    )
     median = pd.read_csv(done.csv)["ca_rmsd_angstrom"].median()
     assert f"{median:.3f}" in page
+    # Frames that are measured have their result.
+    measured = run_frames(*opened(np.delete(x, 2, axis=0)), EnergyFrames(SETUP), tmp_path / "e.csv", None)
+    write_report(measured, "energy", "x.xtc", tmp_path / "e.html")
+    assert dict(measured.counts) == {"measured": 4} and '"other">' not in (tmp_path / "e.html").read_text()
 
 
 @pytest.mark.slow

@@ -267,6 +267,15 @@ def test_every_thermostat_counts_the_work(thermostat, small):
     assert last["pull_force_kj_mol_nm"] == pytest.approx(spring, abs=1e-6)
 
 
+def test_the_largest_force_is_the_largest_in_size(small):
+    """Pushed together: forces are negative."""
+    m = simulate(
+        *small, time_step=0.002, n_steps=100, thermostat="none", every=10, pull=pc.Pull(ENDS, speed=-1.0)
+    )
+    force = m.trace["pull_force_kj_mol_nm"]
+    assert m.record()["pull_force_largest_kj_mol_nm"] == force.min() < -force.max()
+
+
 def test_closed_loops_keep_the_order_and_what_they_keep_cannot_be_pulled():
     """The power at the end of a step is that of velocities that the loops allow."""
     c, e = chain("3i40.pdb"), energy("3i40.pdb", solvent="vacuum")

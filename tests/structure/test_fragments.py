@@ -157,6 +157,20 @@ ALL = [
 TIED = {"boronate"}
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        "acrylamide", "octanoyl", "o-glycan", "adenylyl-tyrosine", "biotinyl", "phosphohistidine",
+        "chloromethyl-ketone-ND1", "glycosyl-enzyme", "glycosyl-enzyme-aspartate", "n-glycan", "c-mannose",
+    ],
+)  # fmt: skip
+def test_a_bond_of_a_known_kind_need_not_be_stated(name, tmp_path):
+    case = covalent.KINDS[name]
+    s = pc.load(covalent.written(tmp_path, case, stated=False)[0])
+    at, ((i, a, j, b, _),) = covalent.places(s, case), case.bonds
+    assert sorted((at[i, a], at[j, b])) in s.bonds.tolist()
+
+
 @pytest.mark.parametrize("name", ALL)
 def test_a_stated_bond_of_any_kind_has_its_chemistry_and_length(name, tmp_path):
     case = covalent.KINDS[name]
