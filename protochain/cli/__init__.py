@@ -114,6 +114,10 @@ def main() -> None:
     atexit.register(gc.freeze)
     if len(sys.argv) == 1:
         sys.argv.append("--help")
+    if None in (sys.stdin, sys.stdout, sys.stderr):
+        # The next file opened would take the place of the closed stream, and get what is printed.
+        sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115: until the process ends.
+        sys.exit(fail("standard input, output or error is closed; give it a file, or /dev/null", BAD_INPUT))
     with redirect_stdout(Printable(sys.stdout)), redirect_stderr(Printable(sys.stderr)):
         sys.exit(_status())
 

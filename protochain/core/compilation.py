@@ -19,14 +19,21 @@ from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
-from numba import config
-from numba import njit as _njit
-from numba.core.caching import FunctionCache
-from numba.core.codegen import get_host_cpu_features
-from numba.core.compiler_lock import global_compiler_lock
-from numba.core.runtime.nrt import rtsys
 
 from protochain.core import compile_helpers
+from protochain.core.errors import ProtochainError
+
+try:
+    from numba import config
+    from numba import njit as _njit
+    from numba.core.caching import FunctionCache
+    from numba.core.codegen import get_host_cpu_features
+    from numba.core.compiler_lock import global_compiler_lock
+    from numba.core.runtime.nrt import rtsys
+except ValueError as error:
+    raise ProtochainError(
+        f"numba cannot start ({error}); unset NUMBA_NUM_THREADS, or give a number"
+    ) from None
 
 __all__ = ["njit"]
 
@@ -40,6 +47,8 @@ _SETTINGS.reload_config()
 # differently with and without it: set later than the first kernel is compiled, as by a module that not every
 # program imports first, it would make results depend on the order of imports and calls.
 _SETTINGS.SLP_VECTORIZE = 1
+if _SETTINGS.DISABLE_JIT:
+    raise ProtochainError("NUMBA_DISABLE_JIT is set, and kernels run compiled alone; unset it")
 
 
 def _wide() -> None:

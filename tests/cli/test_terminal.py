@@ -3,12 +3,16 @@
 import importlib
 import io
 import re
+import shlex
+import subprocess
 from types import SimpleNamespace
 
 import pytest
+from fixtures.command_line import COMMAND, protochain
 from fixtures.molecules import crowded
-from fixtures.samples import chain, energy
+from fixtures.samples import STRUCTURES, chain, energy
 from fixtures.texts import numbers
+from fixtures.waiting import HANG
 from rich.console import Console
 
 import protochain as pc
@@ -305,3 +309,21 @@ def test_a_batch_says_a_line_for_each_structure(tmp_path, capsys):
     line = api._line([Row(done, []), failed[1]])
     assert line.startswith("a: ") and "lbfgs converged" in line and line.endswith("a.pdb: holds no atoms")
     assert numbers(line) == [-12.34, 0.46, 1.3]
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&-"])
+def test_a_closed_standard_stream_is_refused_before_a_file_takes_its_place(closed, tmp_path):
+    command = shlex.join([*COMMAND, "minimise", str(STRUCTURES / "ala10.pdb"), "-o", "o.pdb"])
+    done = subprocess.run(
+        ["sh", "-c", f"{command} {closed}"], cwd=tmp_path, capture_output=True, text=True, timeout=HANG
+    )
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "is closed" in done.stderr
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.parametrize("name", ["NUMBA_NUM_THREADS", "NUMBA_DISABLE_JIT"])
+def test_settings_of_numba_that_cannot_work_are_named(name, tmp_path, monkeypatch):
+    value = "0" if name == "NUMBA_NUM_THREADS" else "1"
+    monkeypatch.setenv(name, value)
+    done = protochain("minimise", STRUCTURES / "ala10.pdb", "-o", "o.pdb", cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and name in done.stderr
