@@ -3,6 +3,7 @@
 import atexit
 import errno
 import gc
+import io
 import os
 import signal
 import sys
@@ -116,7 +117,7 @@ def main() -> None:
         sys.argv.append("--help")
     if None in (sys.stdin, sys.stdout, sys.stderr):
         # The next file opened would take the place of the closed stream, and get what is printed.
-        sys.stderr = sys.stderr or open(os.devnull, "w")  # noqa: SIM115: until the process ends.
+        sys.stderr = sys.stderr or io.StringIO()
         sys.exit(fail("standard input, output or error is closed; give it a file, or /dev/null", BAD_INPUT))
     with redirect_stdout(Printable(sys.stdout)), redirect_stderr(Printable(sys.stderr)):
         sys.exit(_status())
