@@ -35,8 +35,8 @@ from protochain.mechanics.multibody.tree import Q, V
 from protochain.mechanics.tableaux import Tableau
 from protochain.mechanisms.closed_equations import CLOSED, ITERATIONS, ClosedEquations
 from protochain.mechanisms.elements import Conservative, Gravity, weigh
-from protochain.mechanisms.loop_joints import LoopJoints, bends, gather, held_at, proximal, put_rows
-from protochain.mechanisms.springs import Springs, pull
+from protochain.mechanisms.linear_springs import Springs, pull
+from protochain.mechanisms.loop_joints import LoopJoints, bends, factor_loops_at, gather, proximal, put_rows
 from protochain.mechanisms.torsion import Torsions, wind
 
 _NONE = np.empty(0, np.int64)
@@ -171,7 +171,7 @@ def _step(
         if m > 0:
             rows[:] = 0.0
             put_rows(rotation, origin, body, turns, point, along, error, rows)
-            scales, inverse, factor, last = held_at(
+            scales, inverse, factor, last = factor_loops_at(
                 links, bodies, rotation, origin, gain, pivot, root, body, rows, size
             )
             gap = 0.0

@@ -151,7 +151,7 @@ def model_of(
         found = element.bind(bodies)
         parts = (found.conservative, found.load, found.damping) if isinstance(found, Acting) else ()
         if all(part is None for part in parts):
-            raise MechanicsError(f"{element.said}: its bind() gives nothing that acts; return Acting(...)")
+            raise MechanicsError(f"{element.label}: its bind() gives nothing that acts; return Acting(...)")
         acting[element.name] = found
     weight = [Gravity(tree, gravity)] if np.any(gravity) else []
     damped = joined(each.damping for each in acting.values() if each.damping)
