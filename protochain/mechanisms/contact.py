@@ -15,7 +15,7 @@ from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.contact_forces import ContactForces
 from protochain.mechanisms.element_arguments import number
 from protochain.mechanisms.elements import Acting, Named
-from protochain.mechanisms.shapes import Ball, Other, Plane, Surface, finder
+from protochain.mechanisms.shapes import Ball, Obstacle, Other, finder
 
 
 @dataclass(frozen=True)
@@ -194,7 +194,7 @@ class Contact(Named):
 
     def __post_init__(self) -> None:
         self.fix(balls=self._balls(self.balls, "balls"))
-        if not isinstance(self.other, Plane | Surface | None):
+        if not isinstance(self.other, Obstacle):
             self.fix(other=self._balls(self.other, "other"))
         for name, kind, remedy in (
             ("law", Law, "a Law, as flores(1e6, 0.5, 1.0)"),

@@ -81,7 +81,8 @@ class Surface:
     faces: ArrayLike
 
 
-Other = Plane | Surface | Sequence[Ball] | None
+Obstacle = Plane | Surface | None
+Other = Obstacle | Sequence[Ball]
 """What balls touch; None is each other."""
 
 
