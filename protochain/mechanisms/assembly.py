@@ -12,13 +12,7 @@ from scipy.linalg import null_space
 from protochain.core.arrays import Floats, read_only
 from protochain.core.errors import BodyError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import (
-    Drive,
-    Equations,
-    Load,
-    Phase,
-    System,
-)
+from protochain.mechanics.motion import Drive, Equations, Load, Phase, System
 from protochain.mechanics.multibody import Tree
 from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
 from protochain.mechanisms.bodies import Bodies, State

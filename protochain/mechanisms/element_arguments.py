@@ -66,19 +66,6 @@ def direction(value: Any, label: str) -> Floats:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
-def check_boxes(centre: Floats, rotation: Floats, half: Floats) -> None:
-    """Raise if arrays (n, 3), (n, 3, 3), (n, 3) are no boxes; the message names the first."""
-    finite = np.isfinite(centre).all(axis=1) & np.isfinite(half).all(axis=1)
-    finite = np.asarray(finite & np.isfinite(rotation).all(axis=(1, 2)))
-    for bad, why in (
-        (~finite, "its centre, rotation and edges must be finite"),
-        (~(half > 0.0).all(axis=1), "its edges must be longer than nothing"),
-        (~is_rotation(np.where(finite[:, None, None], rotation, np.eye(3))), "its rotation is none"),
-    ):
-        if np.any(bad):
-            raise MechanicsError(f"box {int(np.argmax(bad))}: {why}")
-
-
 def is_rotation(rotation: Floats) -> np.ndarray:
     """Whether finite matrices (n, 3, 3) are rotations, (n,) bool."""
     product = rotation @ rotation.swapaxes(1, 2)

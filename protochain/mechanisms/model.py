@@ -10,12 +10,7 @@ from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, Fault, MechanicsError
-from protochain.mechanics.motion import (
-    Integrator,
-    Phase,
-    RungeKutta4,
-    StepTooLargeError,
-)
+from protochain.mechanics.motion import Integrator, Phase, RungeKutta4, StepTooLargeError
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.closing import closing

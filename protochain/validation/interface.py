@@ -429,10 +429,7 @@ def _unsatisfied(structure: Structure, together: Floats, lost: Floats, bonds: In
 
 
 def _confidences(
-    structure: Structure,
-    parts: Sides,
-    touching: Integers,
-    given: Confidence | None,
+    structure: Structure, parts: Sides, touching: Integers, given: Confidence | None
 ) -> dict[str, float | None]:
     """Columns of ``CONFIDENCES``; of a model whose header or confidence files say that it is one."""
     if given is None and "_ma_" not in structure.header:
