@@ -11,14 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from protochain.batches.batch_settings import keep_settings
 from protochain.batches.cluster import Processes, Submitted, Workers, at_work
-from protochain.batches.jobs import (
-    NAMES,
-    BatchSettings,
-    Job,
-    Row,
-    find_jobs,
-    refuse_unknown,
-)
+from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, find_jobs, refuse_unknown
 from protochain.batches.table import OF_INTERFACE, SUMMARY, Tables, earlier_rows, read_table
 from protochain.chains.setup import Setup
 from protochain.core import defaults

@@ -18,13 +18,7 @@ from typer.exceptions import TyperException
 from typer.main import get_command
 
 from protochain.cli.help import Command
-from protochain.cli.options import (
-    BAD_INPUT,
-    INTERRUPTED,
-    RENAMED,
-    as_option,
-    fail,
-)
+from protochain.cli.options import BAD_INPUT, INTERRUPTED, RENAMED, as_option, fail
 from protochain.cli.printable import Printable
 from protochain.core.errors import Argument, ProtochainError, WriteError
 

@@ -244,14 +244,7 @@ def _several(
     _tell_frames(inputs)
     with batch_progress() as watch:
         done = relax_files(
-            inputs,
-            folder,
-            relaxing,
-            setup,
-            manifest=manifest,
-            resume=resume,
-            watch=watch,
-            **processes,
+            inputs, folder, relaxing, setup, manifest=manifest, resume=resume, watch=watch, **processes
         )
     for path in beside:
         written = done.table.dropna(subset="output")["structure"]

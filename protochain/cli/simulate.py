@@ -22,12 +22,7 @@ from protochain.cli.options import (
     print_json,
     with_settings,
 )
-from protochain.cli.terminal import (
-    TROUBLED,
-    print_outlook,
-    print_simulation,
-    simulation_progress,
-)
+from protochain.cli.terminal import TROUBLED, print_outlook, print_simulation, simulation_progress
 from protochain.core.interrupts import held_interrupts
 from protochain.dynamics.simulate_settings import Pull, RunSettings, SimulationSettings
 

@@ -10,13 +10,7 @@ import typer
 from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
-from protochain.cli.options import (
-    AsJson,
-    check_outputs,
-    files_of,
-    inputs_of,
-    with_settings,
-)
+from protochain.cli.options import AsJson, check_outputs, files_of, inputs_of, with_settings
 from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.errors import ProtochainError
 from protochain.core.markup import counted

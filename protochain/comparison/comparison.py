@@ -38,17 +38,7 @@ from protochain.validation.ramachandran import ramachandran
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_PACKAGES = (
-    "openmm",
-    "gemmi",
-    "numpy",
-    "scipy",
-    "numba",
-    "mdtraj",
-    "MDAnalysis",
-    "tmtools",
-    "pandas",
-)
+_PACKAGES = ("openmm", "gemmi", "numpy", "scipy", "numba", "mdtraj", "MDAnalysis", "tmtools", "pandas")
 
 
 @dataclass(frozen=True, eq=False)

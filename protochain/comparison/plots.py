@@ -38,11 +38,7 @@ def plot_energy(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure
 
 
 def plot_work_precision(
-    traces: pd.DataFrame,
-    work: pd.DataFrame,
-    groups: Mapping[str, Sequence[str]],
-    title: str,
-    ax: Any = None,
+    traces: pd.DataFrame, work: pd.DataFrame, groups: Mapping[str, Sequence[str]], title: str, ax: Any = None
 ) -> PlainFigure:
     """Energy above the lowest end against evaluations and against seconds (work-precision diagram)."""
     groups = {name: methods for name, methods in groups.items() if methods}

@@ -208,10 +208,7 @@ class SimulationSettings(Settings):
     )
     thermostat: str = setting(defaults.THERMOSTAT, "langevin, nose-hoover, rescale, hmc or none.", text)
     friction: float = setting(
-        defaults.FRICTION,
-        "Coupling of the thermostat, 1/ps.",
-        _not_negative("1/picosecond", "/ps"),
-        float,
+        defaults.FRICTION, "Coupling of the thermostat, 1/ps.", _not_negative("1/picosecond", "/ps"), float
     )
     integrator: str = setting(
         defaults.INTEGRATOR, "leapfrog, lobatto, midpoint, rk4 or dormand-prince.", text

@@ -82,12 +82,7 @@ class Decomposed(Value):
         return dict(zip(TERMS, self.shares.sum(axis=1).tolist(), strict=True))
 
 
-@checked(
-    forcefield=file_name,
-    solvent=text,
-    by=one_of(BY),
-    energy=optional(an_energy),
-)
+@checked(forcefield=file_name, solvent=text, by=one_of(BY), energy=optional(an_energy))
 def energy_terms(
     source: Any,
     by: str = "term",
@@ -283,11 +278,7 @@ class TermsAtEnds:
 
 
 def interaction(
-    structure: Structure,
-    energy: NativeEnergy,
-    x: Floats,
-    one: NDArray[np.bool_],
-    other: NDArray[np.bool_],
+    structure: Structure, energy: NativeEnergy, x: Floats, one: NDArray[np.bool_], other: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
     """Interaction of two parts, and what it costs to take the solvent from between them, all else away.
 

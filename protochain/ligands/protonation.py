@@ -274,8 +274,7 @@ def _apply(state: Any, smarts: str, gain: int, rank: list[int], among: Collectio
         if not sites:
             return
         site = min(
-            sites,
-            key=lambda a: (-often[a.GetIdx()], -_drawing(a), a.GetTotalNumHs(), rank[_number(a)]),
+            sites, key=lambda a: (-often[a.GetIdx()], -_drawing(a), a.GetTotalNumHs(), rank[_number(a)])
         )
         _change(site, gain)
         state.UpdatePropertyCache(strict=False)

@@ -194,13 +194,11 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
         for row in block.find(CATEGORY, ["comp_id", "kind", "atoms"])
         if row.str(0) == name
     ]
-    hand, double = stereo(own, made.names, made.bonds.tolist())
-    if not any(hand) and not double:
+    parity, double = stereo(own, made.names, made.bonds.tolist())
+    if not any(parity) and not double:
         return made, is_charged
     handed = replace(
-        made,
-        handedness=read_only(hand, np.int64),
-        double_bonds=read_only(double, np.int64).reshape(-1, 5),
+        made, handedness=read_only(parity, np.int64), double_bonds=read_only(double, np.int64).reshape(-1, 5)
     )
     return from_rdkit(to_rdkit(handed), source), is_charged
 

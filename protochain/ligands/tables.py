@@ -68,7 +68,7 @@ def stereo(
     """Handedness of each atom and rows of double bonds, as a molecule has them."""
     place = {name: k for k, name in enumerate(names)}
     near = neighbours(np.array(list(bonds), dtype=np.int64).reshape(-1, 2), len(names))
-    hand, double = [0] * len(names), []
+    parity, double = [0] * len(names), []
     for row in table:
         kind, atoms = row.get("kind", ""), [place.get(name, -1) for name in row.get("atoms", "").split()]
         if kind in (_CLOCKWISE, _COUNTER) and atoms and atoms[0] >= 0:
@@ -78,11 +78,11 @@ def stereo(
             theirs = [unnamed[0] if i < 0 and len(unnamed) == 1 else i for i in atoms[1:]]
             if sorted(theirs) == sorted(around):
                 same = (kind == _CLOCKWISE) == _even([theirs.index(i) for i in around])
-                hand[atoms[0]] = 1 if same else 2
+                parity[atoms[0]] = 1 if same else 2
         bonded = -1 not in atoms and all(j in near[i] for i, j in pairwise(atoms))
         if kind in (_CIS, _TRANS) and len(atoms) == 4 and bonded:
             double.append([*atoms, int(kind == _CIS)])
-    return hand, double
+    return parity, double
 
 
 def _even(order: Sequence[int]) -> bool:

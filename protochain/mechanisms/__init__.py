@@ -23,6 +23,7 @@ from protochain.mechanisms.drawing import Block, Rod
 from protochain.mechanisms.elements import Acting, Conservative, CustomForce, Element, Memory, Named
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.linear import frequencies, state_matrix
+from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Model
@@ -32,7 +33,6 @@ from protochain.mechanisms.run import Audit, Run
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface
-from protochain.mechanisms.springs import Spring
 from protochain.mechanisms.torsion import Torsion
 
 __all__ = [

@@ -12,13 +12,7 @@ from scipy.linalg import null_space
 from protochain.core.arrays import Floats, read_only
 from protochain.core.errors import BodyError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import (
-    Drive,
-    Equations,
-    Load,
-    Phase,
-    System,
-)
+from protochain.mechanics.motion import Drive, Equations, Load, Phase, System
 from protochain.mechanics.multibody import Tree
 from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
 from protochain.mechanisms.bodies import Bodies, State
@@ -184,7 +178,7 @@ class Motion:
 
     @cached_property
     def _momenta(self) -> tuple[Floats, Floats]:
-        """Both, and the sums of the sizes of those of the bodies, (n, 2)."""
+        """The two of them, and the sums of the sizes of those of the bodies, (n, 2)."""
         tree, n = self.model.tree, len(self.time)
         whole, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
         for i, (q, qd) in enumerate(zip(self.q, self.qd, strict=True)):

@@ -10,12 +10,7 @@ from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, Fault, MechanicsError
-from protochain.mechanics.motion import (
-    Integrator,
-    Phase,
-    RungeKutta4,
-    StepTooLargeError,
-)
+from protochain.mechanics.motion import Integrator, Phase, RungeKutta4, StepTooLargeError
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.closing import closing
@@ -151,7 +146,7 @@ def model_of(
         found = element.bind(bodies)
         parts = (found.conservative, found.load, found.damping) if isinstance(found, Acting) else ()
         if all(part is None for part in parts):
-            raise MechanicsError(f"{element.said}: its bind() gives nothing that acts; return Acting(...)")
+            raise MechanicsError(f"{element.label}: its bind() gives nothing that acts; return Acting(...)")
         acting[element.name] = found
     weight = [Gravity(tree, gravity)] if np.any(gravity) else []
     damped = joined(each.damping for each in acting.values() if each.damping)

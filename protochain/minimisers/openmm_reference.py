@@ -118,12 +118,7 @@ class _Reporter(openmm.MinimizationReporter):
 
 
 def local_energy_minimizer(
-    energy: Energy,
-    platform: str,
-    x: Floats,
-    tolerance: float,
-    max_evaluations: int,
-    record: Record,
+    energy: Energy, platform: str, x: Floats, tolerance: float, max_evaluations: int, record: Record
 ) -> tuple[Stop, Floats, int, int]:
     """Run ``openmm.LocalEnergyMinimizer``, recorded and with a budget: x (na, 3) nm, tolerance kJ/mol/nm."""
     with held_interrupts() as interrupts:
@@ -134,12 +129,7 @@ def local_energy_minimizer(
 
 
 def langevin_dynamics(
-    energy: Energy,
-    platform: str,
-    x: Floats,
-    max_evaluations: int,
-    record: Record,
-    seed: int,
+    energy: Energy, platform: str, x: Floats, max_evaluations: int, record: Record, seed: int
 ) -> tuple[Stop, Floats, int, int]:
     """Run OpenMM's constrained dynamics: 300 K, 2 fs, bonds to hydrogens at the force field's lengths.
 

@@ -64,15 +64,10 @@ class RelaxSettings(Settings):
 
     preset: str = setting(defaults.PRESET, "Springs to the input: predicted, crystal or design.", text)
     protocol: str = setting(
-        "",
-        "alphafold: amber99sb in vacuum, to compare with; its X-H bonds are constrained, here not.",
-        text,
+        "", "alphafold: amber99sb in vacuum, to compare with; its X-H bonds are constrained, here not.", text
     )
     tolerance: float | None = setting(
-        None,
-        "RMS force at the end, kJ/mol/nm [default: 10].",
-        TOLERANCE,
-        float,
+        None, "RMS force at the end, kJ/mol/nm [default: 10].", TOLERANCE, float
     )
     stiffness: float | None = setting(
         None,

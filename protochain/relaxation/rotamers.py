@@ -92,9 +92,9 @@ def _of_residue(
     if not set(arm.moved.tolist()) <= side or held[arm.moved].any():
         return None
     now = arm.dihedrals(x)
-    hand = -1 if volume(x[[at[name] for name in ("CA", "N", "C", "CB")]]) < 0.0 else 1
-    library, frequency = rotamers(name, *backbone_of(structure.neighbours, at, x, hand))
-    chi, rarity = _tried(name, now[:n_chi], hand * library, -np.log(frequency))
+    mirror = -1 if volume(x[[at[name] for name in ("CA", "N", "C", "CB")]]) < 0.0 else 1
+    library, frequency = rotamers(name, *backbone_of(structure.neighbours, at, x, mirror))
+    chi, rarity = _tried(name, now[:n_chi], mirror * library, -np.log(frequency))
     if polar and n_chi < len(quartets):
         chi, rarity = _with_hydrogen(chi, rarity, float(now[-1]), _POLAR[name])
     turned = arm.turned(x, chi)

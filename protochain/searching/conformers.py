@@ -22,7 +22,7 @@ def backbone(chain: Chain, q: Floats) -> tuple[Floats, Floats]:
     residues = [each for each in residues if not (each.is_first or each.is_last)]
     residues = [each for each in residues if each.phi != NONE or each.name == "PRO"]
     phi = [
-        np.rad2deg(q[..., each.phi]) if each.phi != NONE else np.full(q.shape[:-1], each.hand * PROLINE_PHI)
+        np.rad2deg(q[..., each.phi]) if each.phi != NONE else np.full(q.shape[:-1], each.mirror * PROLINE_PHI)
         for each in residues
     ]
     psi = [np.rad2deg(q[..., each.psi]) for each in residues]

@@ -34,7 +34,7 @@ class Residue:
     """Coordinates of the torsions of one residue.
 
     kind: Index of its class in ``ramachandran.CLASSES``.
-    hand: 1, or -1 of a D-amino acid.
+    mirror: 1, or -1 of a D-amino acid.
     phi, psi: ``NONE`` where it does not turn.
     chi: From chi1 outwards, as far as they turn.
     is_first: Whether it has no phi, as nothing is before it.
@@ -43,7 +43,7 @@ class Residue:
 
     name: str
     kind: int
-    hand: float
+    mirror: float
     phi: int = NONE
     psi: int = NONE
     chi: tuple[int, ...] = ()
@@ -92,10 +92,12 @@ class Moves(Value):
             while (kind := f"chi{len(chi) + 1}") in its:
                 chi.append(its[kind])
             after = names[r + 1] if r + 1 < len(names) else ""
-            hand = -1.0 if structure.mirrored[r] else 1.0
+            mirror = -1.0 if structure.mirrored[r] else 1.0
             own = its.get("phi", NONE), its.get("psi", NONE)
             last = r in last_ones
-            residues.append(Residue(names[r], _class(names[r], after), hand, *own, tuple(chi), r == 0, last))
+            residues.append(
+                Residue(names[r], _class(names[r], after), mirror, *own, tuple(chi), r == 0, last)
+            )
         flips = tuple(
             (its["psi"], by_residue[r + 1]["phi"])
             for r, its in sorted(by_residue.items())
@@ -194,8 +196,8 @@ def backbone(residue: Residue, random: np.random.Generator) -> tuple[float, floa
     at = int(np.searchsorted(share, random.random()))
     within = random.uniform(-1.0, 1.0, 2)
     return (
-        float(residue.hand * np.deg2rad(phi[at] + within[0])),
-        float(residue.hand * np.deg2rad(psi[at] + within[1])),
+        float(residue.mirror * np.deg2rad(phi[at] + within[0])),
+        float(residue.mirror * np.deg2rad(psi[at] + within[1])),
     )
 
 
@@ -203,14 +205,14 @@ def side_chain(residue: Residue, q: Floats, random: np.random.Generator) -> Floa
     """Dihedrals of a side chain, rad: a rotamer as often as it occurs at this phi and psi, and near it."""
     n = len(residue.chi)
     here = [
-        usual if k == NONE else residue.hand * float(np.rad2deg(q[k]))
+        usual if k == NONE else residue.mirror * float(np.rad2deg(q[k]))
         for k, usual in zip((residue.phi, residue.psi), BACKBONE, strict=True)
     ]
     chi, frequency = rotamers(residue.name, *here)
     if not len(frequency) or chi.shape[1] < n:
         return random.uniform(-np.pi, np.pi, n)
     drawn = chi[random.choice(len(frequency), p=frequency), :n]
-    return np.asarray(residue.hand * (drawn + random.normal(scale=JITTER, size=n)))
+    return np.asarray(residue.mirror * (drawn + random.normal(scale=JITTER, size=n)))
 
 
 @cache

@@ -93,8 +93,8 @@ def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) ->
     x (na, 3) nm, mirrored (nr,) bool -> (n,) int.
     """
     atoms = chiral_atoms(structure)
-    hands = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
-    return np.asarray(atoms[hands * volume(x[atoms]) < 0.0, 0])
+    signs = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
+    return np.asarray(atoms[signs * volume(x[atoms]) < 0.0, 0])
 
 
 def mirror_images(structure: Structure) -> dict[str, Integers]:

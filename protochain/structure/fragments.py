@@ -25,11 +25,7 @@ from protochain.structure.parents import to_parent
 from protochain.structure.repairs import Kind, Loss, Why
 from protochain.structure.residues import Atom
 from protochain.structure.sites import stated_beside
-from protochain.structure.templates import (
-    HAS_GLYCAM,
-    HAS_SAGE,
-    Template,
-)
+from protochain.structure.templates import HAS_GLYCAM, HAS_SAGE, Template
 
 _H, _C, _N, _O, _P, _S = 1, 6, 7, 8, 15, 16
 

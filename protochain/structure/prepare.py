@@ -13,14 +13,7 @@ from openmm import app
 
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import (
-    AUTO,
-    acidity_or_auto,
-    checked,
-    file_name,
-    force_field_parts,
-    words,
-)
+from protochain.core.checks import AUTO, acidity_or_auto, checked, file_name, force_field_parts, words
 from protochain.core.checks import bonds as bonds_of
 from protochain.core.checks import path as as_path
 from protochain.core.errors import StructureError

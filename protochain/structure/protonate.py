@@ -70,13 +70,7 @@ def protonate(
 
 
 def _template(
-    draft: Draft,
-    known: Mapping[str, Template],
-    part: Part,
-    i: int,
-    shown: str,
-    state: str,
-    pka: float | None,
+    draft: Draft, known: Mapping[str, Template], part: Part, i: int, shown: str, state: str, pka: float | None
 ) -> Template:
     """Template of a residue in a state that the file shows, or that was chosen; the repairs tell which."""
     member = part.members[i]

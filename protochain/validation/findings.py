@@ -299,6 +299,8 @@ REMAINS = {
     "fixed_residues": Remaining("held fixed", lambda f: _residues(f, fixed_residues(f.structure))),
 }  # fmt: skip
 """What results name by place, by key of their records."""
+_JUDGED = "inverted_stereocentres", "inverted_double_bonds"
+"""Those that messages name as well, but for a clash's."""
 
 
 def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
@@ -307,6 +309,7 @@ def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
 
 
 def remains_in_words(record: Mapping[str, Any]) -> list[str]:
-    """Describe what remains in a record: a line for each of ``REMAINS`` that has places."""
-    there = {key: record.get(key) for key in REMAINS}
+    """Describe what remains in a record beyond its message: a line for each of ``REMAINS`` with places."""
+    named = () if record.get("status") == "clash" else _JUDGED
+    there = {key: record.get(key) for key in REMAINS if key not in named}
     return [f"{REMAINS[key].what}: {listed(its)} ({len(its)})" for key, its in there.items() if its]

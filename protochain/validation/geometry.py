@@ -84,11 +84,7 @@ def _opposite(
     """Side of a triangle opposite to the angle between sides a and b, each with its standard deviation."""
     cosine, sine = np.cos(angle[0]), np.sin(angle[0])
     side = np.sqrt(a[0] ** 2 + b[0] ** 2 - 2 * a[0] * b[0] * cosine)
-    parts = (
-        (a[0] - b[0] * cosine) * a[1],
-        (b[0] - a[0] * cosine) * b[1],
-        a[0] * b[0] * sine * angle[1],
-    )
+    parts = ((a[0] - b[0] * cosine) * a[1], (b[0] - a[0] * cosine) * b[1], a[0] * b[0] * sine * angle[1])
     return float(side), float(np.sqrt(sum(part**2 for part in parts)) / side)
 
 

@@ -64,8 +64,8 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
     residue = np.flatnonzero(standard & np.isfinite(phi) & np.isfinite(psi))
     kind = _classes(structure, omega)[residue]
     phi, psi = phi[residue], psi[residue]
-    hand = np.where(structure.mirrored[residue], -1.0, 1.0)
-    values = score(kind, hand * phi, hand * psi)
+    mirror = np.where(structure.mirrored[residue], -1.0, 1.0)
+    values = score(kind, mirror * phi, mirror * psi)
     region = (values >= ALLOWED[kind]).astype(np.int64) + (values >= FAVOURED)
     return Ramachandran(residue, phi, psi, kind, values, region)
 

@@ -11,7 +11,7 @@ from protochain.chains.chain import pose, pull_back
 from protochain.chains.contacts import overlaps
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import Status, judge, rebuilt, rejected, verdict
-from protochain.validation.findings import remains
+from protochain.validation.findings import remains, remains_in_words
 
 MESSAGES = {
     Stop.TOLERANCE: ("stalled", "stalled: the tolerance was met only above the lowest energy: so far"),
@@ -99,6 +99,9 @@ def test_a_stereocentre_that_was_inverted_at_the_start_is_no_converged_result():
     named = "inverted stereocentres: CA of residue 5 ALA of chain A"
     assert judged(changed) == (Status.VIOLATIONS, f"violations: {named}; so far")
     assert rejected(changed, x) == [named] and rejected(s, s.positions) == []
+    # What the message names is printed once; that of a clash does not name it.
+    lines = {each: remains_in_words(remains(changed, x) | {"status": each}) for each in Status}
+    assert [each for each, its in lines.items() if named in "".join(its)] == [Status.CLASH]
     # What a run itself inverts is another matter.
     assert judged(s, x)[0] is Status.INVERTED
 

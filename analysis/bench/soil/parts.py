@@ -9,7 +9,7 @@ from bench.soil.contact import DAMPED, RUBBED, SLEPT, STORED, WORK
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
 from protochain.core.checks import number, shown
 from protochain.core.errors import MechanicsError
-from protochain.mechanisms.checks import check_boxes
+from protochain.mechanisms.element_arguments import is_rotation
 
 
 @dataclass(frozen=True)
@@ -159,3 +159,16 @@ class Heap(Value):
     def work(self) -> float:
         """Work that the plates have done since the start."""
         return float(self.sums[WORK])
+
+
+def check_boxes(centre: Floats, rotation: Floats, half: Floats) -> None:
+    """Raise if arrays (n, 3), (n, 3, 3), (n, 3) are no boxes; the message names the first."""
+    finite = np.isfinite(centre).all(axis=1) & np.isfinite(half).all(axis=1)
+    finite = np.asarray(finite & np.isfinite(rotation).all(axis=(1, 2)))
+    for bad, why in (
+        (~finite, "its centre, rotation and edges must be finite"),
+        (~(half > 0.0).all(axis=1), "its edges must be longer than nothing"),
+        (~is_rotation(np.where(finite[:, None, None], rotation, np.eye(3))), "its rotation is none"),
+    ):
+        if np.any(bad):
+            raise MechanicsError(f"box {int(np.argmax(bad))}: {why}")

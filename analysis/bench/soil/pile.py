@@ -14,12 +14,11 @@ from numpy.typing import ArrayLike
 from bench.soil.box_volume import WHOLE
 from bench.soil.contact import N_MEMORY
 from bench.soil.kernels import DONE, LISTS, TOO_DEEP, Boards, Cubes, Lists, Planes, carry_over, march
-from bench.soil.parts import Heap, Law, Motion, Plates, Sleep
+from bench.soil.parts import Heap, Law, Motion, Plates, Sleep, check_boxes
 from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
 from protochain.core.checks import at_least, number, shown
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion.system import StepTooLargeError
-from protochain.mechanisms.checks import check_boxes
 from protochain.mechanisms.search import in_order, touching
 
 SKIN = 0.15

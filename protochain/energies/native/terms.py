@@ -146,18 +146,6 @@ def _stacked(kind: str, found: dict[str, list[openmm.Force]]) -> tuple[Integers,
     return table[:, :n_atoms].astype(np.int64), table[:, n_atoms:].copy()
 
 
-def _bonds(force: openmm.HarmonicBondForce) -> list[list[Any]]:
-    return rows(force, "getNumBonds", "getBondParameters")
-
-
-def _angles(force: openmm.HarmonicAngleForce) -> list[list[Any]]:
-    return rows(force, "getNumAngles", "getAngleParameters")
-
-
-def _torsions(force: openmm.PeriodicTorsionForce) -> list[list[Any]]:
-    return rows(force, "getNumTorsions", "getTorsionParameters")
-
-
 def _impropers(force: openmm.CustomTorsionForce) -> list[list[Any]]:
     names = [force.getPerTorsionParameterName(i) for i in range(force.getNumPerTorsionParameters())]
     if bare(force.getEnergyFunction()) != "k*(theta-theta0)^2" or sorted(names) != ["k", "theta0"]:
@@ -173,9 +161,9 @@ def _map_torsions(force: openmm.CMAPTorsionForce) -> list[list[Any]]:
 
 
 _READERS = {
-    "HarmonicBondForce": ("bonds", _bonds),
-    "HarmonicAngleForce": ("angles", _angles),
-    "PeriodicTorsionForce": ("torsions", _torsions),
+    "HarmonicBondForce": ("bonds", lambda force: rows(force, "getNumBonds", "getBondParameters")),
+    "HarmonicAngleForce": ("angles", lambda force: rows(force, "getNumAngles", "getAngleParameters")),
+    "PeriodicTorsionForce": ("torsions", lambda force: rows(force, "getNumTorsions", "getTorsionParameters")),
     "CustomTorsionForce": ("impropers", _impropers),
     "CMAPTorsionForce": ("maps", _map_torsions),
 }

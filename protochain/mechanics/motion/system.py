@@ -276,13 +276,7 @@ class Equations:
         return potential, torque + loads.sum(axis=0), loads
 
     def accelerations(
-        self,
-        time: float,
-        q: Floats,
-        qd: Floats,
-        torque: Floats,
-        loads: Floats | None,
-        factors: Articulated,
+        self, time: float, q: Floats, qd: Floats, torque: Floats, loads: Floats | None, factors: Articulated
     ) -> tuple[Floats, Floats | None]:
         """Accelerations (n_v,) under torques (n_v,); the loads, the torques of the drive as their last."""
         if self.drive is None:

@@ -250,10 +250,7 @@ def add_rigid(p: Inertia, rigid: tuple[float, Vector, Symmetric]) -> Inertia:
 def inertia_times(p: Inertia, omega: Vector, u: Vector) -> tuple[Vector, Vector]:
     """Wrench of a twist."""
     i, c, m = p
-    return (
-        add(symmetric_times(i, omega), turned(c, u)),
-        add(turned_back(c, omega), symmetric_times(m, u)),
-    )
+    return (add(symmetric_times(i, omega), turned(c, u)), add(turned_back(c, omega), symmetric_times(m, u)))
 
 
 @kernel

@@ -53,11 +53,11 @@ def arm_of(bonded: Sequence[Sequence[int]], axes: Sequence[tuple[int, ...]]) -> 
 
 
 def backbone_of(
-    bonded: Sequence[Sequence[int]], at: Mapping[str, int], x: Floats, hand: int
+    bonded: Sequence[Sequence[int]], at: Mapping[str, int], x: Floats, mirror: int
 ) -> tuple[float, float]:
     """Phi and psi, degrees, of a residue whose atoms are at x (na, 3); those of an end are usual ones.
 
-    ``bonded`` are the bonded atoms of each atom, ``at`` those of the residue by name; a hand of -1 gives the
+    ``bonded`` are the bonded atoms of each atom, ``at`` those of the residue by name; ``mirror`` -1 gives the
     angles of the mirror image.
     """
     own, angles = set(at.values()), list(BACKBONE)
@@ -65,7 +65,7 @@ def backbone_of(
     for k, end in enumerate(("N", "C")):
         for other in [i for i in bonded[at[end]] if i not in own][:1]:
             quartet = [other, *inner] if end == "N" else [*inner, other]
-            angles[k] = hand * float(np.rad2deg(dihedral(*x[quartet])))
+            angles[k] = mirror * float(np.rad2deg(dihedral(*x[quartet])))
     return angles[0], angles[1]
 
 
