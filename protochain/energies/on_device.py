@@ -58,21 +58,20 @@ def chosen(device: str, n_atoms: int, fewest: int = defaults.DEVICE_FROM) -> str
     return next(usable, "cpu") if n_atoms >= fewest else "cpu"
 
 
-def found() -> dict[str, str]:
-    """What there is of each device, or why there is none."""
-    version, failures = openmm.Platform.getOpenMMVersion(), openmm.Platform.getPluginLoadFailures()
-    told = dict[str, str]()
+def found() -> list[str]:
+    """What there is of each device, or why there is none, a line each."""
+    failures, told = openmm.Platform.getPluginLoadFailures(), list[str]()
     for device, platform in PLATFORMS.items():
-        if device not in _registered():
-            why = [_line(each) for each in failures if platform.lower() in each.lower()]
-            told[device] = f"none: {why[0] if why else f'OpenMM has no platform {platform}'}"
-            continue
-        told[device] = f"OpenMM {version}"
-        try:
-            devices = openmm.Platform.getPlatform(platform).getDevices()
-            told[device] += "".join(f", {each['DeviceName']}" for each in devices)
-        except (AttributeError, openmm.OpenMMException) as error:  # In OpenMM before 8.5; without a driver.
-            told[device] += f", its devices are not known: {_line(error)}"
+        if device in _registered():
+            at = openmm.Platform.getPlatform(platform)
+            try:
+                names = [dict(each).get("DeviceName", "") for each in at.getDevices()]
+            except (AttributeError, openmm.OpenMMException) as error:  # Of older versions; without a driver.
+                names = [f"its devices are not known ({_line(error)})"]
+            told.append(f"{device}: {', '.join(filter(None, [f'OpenMM {at.getOpenMMVersion()}', *names]))}")
+        else:
+            why = (_line(each) for each in failures if platform.lower() in each.lower())
+            told.append(f"{device}: none, {next(why, f'OpenMM has no platform {platform}')}")
     return told
 
 
@@ -145,7 +144,8 @@ class DeviceEnergy(OpenMMEnergy):
     def begun(self, x: Floats) -> Energy:
         """The energy as a run from x (na, 3), nm, evaluates it: itself, or the processor's if it fails."""
         try:
-            self._context_of(None)
+            if not self.failed:
+                self._context_of(None)
         except DeviceError as error:
             self._fails(error, x)
         return self.processor if self.failed else self

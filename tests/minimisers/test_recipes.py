@@ -112,7 +112,7 @@ def test_a_recipe_says_what_moves_and_which_states_it_has():
 def test_runs_repeat_exactly_where_sums_are_in_order_and_nothing_is_drawn(
     engine, threads, by_openmm, in_order
 ):
-    energy = SimpleNamespace(engine=engine, threads=threads)
+    energy = SimpleNamespace(engine=engine, threads=threads, device="cpu")
     assert Recipe("own", by_openmm=by_openmm).repeats_exactly(energy) is in_order
     assert Recipe("own", by_openmm=by_openmm, draws_random=True).repeats_exactly(energy) is False
 
