@@ -129,9 +129,7 @@ def test_openmms_methods_need_a_system():
 
 
 def plan_of(recipe, c, hold=None, tolerance=2.0, seed=7, exact=True):
-    whole, reduced = (
-        SimpleNamespace(is_exact=exact, name=name, reference=name) for name in ("whole", "reduced")
-    )
+    whole, reduced = (SimpleNamespace(is_exact=exact, name=name, exact=name) for name in ("whole", "reduced"))
     return recipe.plan(c, whole, reduced, tolerance, hold or Hold(), seed)
 
 
