@@ -5,6 +5,7 @@ import os
 import tempfile
 import warnings
 from functools import cache, cached_property
+from getpass import getuser
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -87,7 +88,7 @@ def _line(error: object) -> str:
 
 @cache
 def _lock(name: str, folder: Path, process: int) -> FileLock:
-    return FileLock(folder / f"protochain-{name}.lock")
+    return FileLock(folder / f"protochain-{getuser()}-{name}.lock")
 
 
 def begun(energy: Energy, x: Floats) -> Energy:
@@ -171,6 +172,8 @@ class DeviceEnergy(OpenMMEnergy):
                 lock.acquire(timeout=0)
         except Timeout:
             raise DeviceError("another process of protochain computes on it") from None
+        except OSError:  # Nowhere to leave a lock.
+            pass
         system = copy.deepcopy(self.system)
         for atom in fixed.tolist():
             system.setParticleMass(atom, 0.0)

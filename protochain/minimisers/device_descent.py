@@ -10,6 +10,9 @@ from protochain.minimisers.spaces import Cartesian
 AT_A_TIME = 100
 """Iterations between two looks: each time its L-BFGS begins anew, also where its line search has stumbled."""
 
+_RESOLVED = 1e-6
+"""Of the energy: a step that gains less is the last, for single precision tells no more apart."""
+
 _STRICTER = 0.99
 """Of the tolerance, so that the end meets it in double precision, too: forces are right to 1e-4 of it."""
 
@@ -52,4 +55,5 @@ class DeviceDescent:
             return None
         problem.tally = replace(problem.tally, n_evaluations=problem.n_evaluations + n)
         at = problem.evaluate(x.ravel())
-        return DeviceState(at) if at.energy < state.at.energy else None
+        gained = state.at.energy - at.energy
+        return DeviceState(at) if gained > _RESOLVED * abs(state.at.energy) else None
