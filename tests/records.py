@@ -55,7 +55,7 @@ MADE = {
 
 LEFT_OUT = re.compile(
     r"seconds|_per_day|^(input|output|file|report|path|structure_file|protochain|python|versions|made|threads|"
-    r"command|engine_reason|message|judge|frame|title|detail|source|first|what|added|"
+    r"device|command|engine_reason|message|judge|frame|title|detail|source|first|what|added|"
     r"(ligand_)?strain_end_kj_mol|ratio|slope\w*|exponent|key|error_of|system_sha256)$"
 )
 """Names of what differs by machine, or is a sentence. (Strain at the end is where a minimisation stops.)"""

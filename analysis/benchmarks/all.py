@@ -147,6 +147,7 @@ JOBS = (
     Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 30, threads=1),
     Job("engines-openings", f"{HERE}/engines.py openings -o DIR", 2, threads=1),
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
+    Job("device", f"{HERE}/device.py -o DIR", 3),
     Job("large", f"{HERE}/large.py -o DIR", 25, writes="large large_exponents"),
     Job("threads", f"{HERE}/threads.py -o DIR", 1),
     Job("terms", f"{HERE}/terms.py -o DIR", 1, threads=1),

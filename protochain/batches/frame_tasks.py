@@ -9,11 +9,13 @@ from time import perf_counter
 from typing import Any, Protocol
 
 from protochain.chains.setup import Setup
+from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
 from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies import Energy
 from protochain.energies.decomposed import TERMS, energy_terms
+from protochain.energies.on_device import chosen
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.record import INTERFACE_COLUMNS, OF_FRAMES
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -74,7 +76,7 @@ class RelaxFrames:
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
         """Build the energy, if there is none."""
-        energy = self.energy or _with_threads(self.setup, threads).energy(structure)
+        energy = self.energy or _with_threads(_for_many(self.setup, structure), threads).energy(structure)
 
         def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
             _begin_anew(energy, frame.positions)
@@ -170,6 +172,13 @@ def _plain(setup: Setup) -> dict[str, Any]:
 
 def _with_threads(setup: Setup, threads: int | None) -> Setup:
     return setup if threads is None else replace(setup, threads=threads)
+
+
+def _for_many(setup: Setup, structure: Structure) -> Setup:
+    """Setup for many frames: on a device they share one context, so that it pays for fewer atoms."""
+    fewest = defaults.DEVICE_FROM_IN_FRAMES
+    own = "cpu" if setup.engine == "native" else chosen(setup.device, structure.n_atoms, fewest)
+    return replace(setup, device=own)
 
 
 def _begin_anew(energy: Energy, x: Floats) -> None:

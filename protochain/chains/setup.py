@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 ALL_MODELS = "all"
 OF_ENERGY = (
-    "forcefield", "solvent", "engine", "cutoff", "accuracy", "threads", "trust_forcefield", "terms",
+    "forcefield", "solvent", "engine", "device", "cutoff", "accuracy", "threads", "trust_forcefield", "terms",
 )  # fmt: skip
 """Settings that :func:`protochain.energy` takes."""
 
@@ -62,7 +62,7 @@ class Setup(Settings):
     rigid_protein : bool
         Whether poses that are added, or without one all ligands of known chemistry, move alone: ``move`` is
         ``ligand``.
-    forcefield, solvent, engine, terms : str
+    forcefield, solvent, engine, device, terms : str
         As in :func:`protochain.energy`.
     cutoff : float, "auto" or None
         As in :func:`protochain.energy`.
@@ -132,6 +132,12 @@ class Setup(Settings):
     )
     solvent: str = setting(defaults.SOLVENT, "vacuum, obc2 or gbn2.", text)
     engine: str = setting(defaults.ENGINE, "auto, native or openmm.", text)
+    device: str = setting(
+        defaults.DEVICE,
+        "What computes the energy: cpu, or by OpenMM cuda, hip or opencl; auto: a GPU from 5,000 atoms, in "
+        "frames from 1,000, if there is one.",
+        text,
+    )
     terms: str = setting(
         "all",
         "Terms of the force field: all, or nonbonded, without dihedrals, for methods that only turn hinges.",

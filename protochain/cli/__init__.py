@@ -7,6 +7,7 @@ import io
 import os
 import signal
 import sys
+import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from functools import cached_property
 from importlib import import_module, metadata
@@ -107,6 +108,7 @@ def main() -> None:
     gc.set_threshold(100_000, 20, 100)
     # Nor does it look for any at the end, where all memory is given back anyway: an eighth of a short run.
     atexit.register(gc.freeze)
+    warnings.formatwarning = lambda message, *_: f"protochain: {message}\n"
     if len(sys.argv) == 1:
         sys.argv.append("--help")
     if None in (sys.stdin, sys.stdout, sys.stderr):

@@ -213,7 +213,7 @@ _FLUCTUATION = _row(
 _SEARCHED = {
     **_row("structure energy_lowest_kj_mol n_minima evaluations steps acceptance round_trips seconds"),
     **_row("interrupted temperature_lowest_k temperature_highest_k temperatures_k n_hinges hinges"),
-    **_row("forcefield solvent engine engine_reason"), **_RUN,
+    **_row("forcefield solvent engine device engine_reason"), **_RUN,
     **{name: kind for name, kind in get_type_hints(SearchSettings).items() if name != "temperatures"},
 }  # fmt: skip
 _MINIMUM = _row(
@@ -272,6 +272,7 @@ _FACTS = {
     **_row("hinges input left_out loops lost_atoms n_atoms n_bodies n_chains n_hinges n_q n_residues n_v"),
     **_row("overlaps repairs seconds_chain seconds_import seconds_preparation"),
     **_optional(_row("engine engine_reason threads constant_terms seconds_energy", seconds_energy=float)),
+    **_optional(_row("device devices", devices=list[str])),
     "hinges": dict[str, int], "loops": list[str], "overlaps": list[str],
     **dict.fromkeys(("seconds_chain", "seconds_import", "seconds_preparation"), float),
 }  # fmt: skip

@@ -29,7 +29,7 @@ _MOST_ROWS = 25
 """Rows that are printed; those of the largest totals."""
 
 
-@with_settings(setup="hinges root move rigid_protein engine terms")
+@with_settings(setup="hinges root move rigid_protein engine device terms")
 def energy(
     context: typer.Context,
     source: Input,

@@ -17,7 +17,7 @@ _GROUPS = {
     "Ligands": "ligands ligand_charges ligand_out free_ligands posebusters",
     "Output": "output report trace trajectory as_json csv residues changes force one_file checkpoint resume "
     "rank",
-    "Machine": "threads workers scheduler time_limit",
+    "Machine": "device threads workers scheduler time_limit",
 }
 _ORDER = ("Arguments", "Used most", "Structure", "Force field", "Method", "Ligands", "Output", "Machine")
 

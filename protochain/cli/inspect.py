@@ -25,11 +25,14 @@ from protochain.core.checks import force_field_parts
 from protochain.core.markup import counted
 
 
-@with_settings(setup="engine move rigid_protein terms solvent cutoff accuracy threads")
+@with_settings(setup="engine device move rigid_protein terms solvent cutoff accuracy threads")
 def info(
     source: Input,
     energy: Annotated[
         bool, typer.Option("--energy", help="Set up the default energy, too, and tell what computes it.")
+    ] = False,
+    device: Annotated[
+        bool, typer.Option("--device", help="Tell which GPUs there are, and what would compute the energy.")
     ] = False,
     as_json: AsJson = False,
     *,
@@ -75,6 +78,10 @@ def info(
             "engine": used.engine, "engine_reason": used.reason, "threads": used.threads,
             "constant_terms": dict(used.left_out), "seconds_energy": perf_counter() - began,
         }  # fmt: skip
+    if device:
+        from protochain.energies.on_device import chosen, found
+
+        facts |= {"device": chosen(setup.device, structure.n_atoms), "devices": found()}
     if as_json:
         print_json(facts)
         return

@@ -32,7 +32,7 @@ _SHOWN = {
 """Columns of the terminal; kJ/mol and square angstrom."""
 
 
-@with_settings(setup="hinges root move rigid_protein engine terms")
+@with_settings(setup="hinges root move rigid_protein engine device terms")
 def score(
     context: typer.Context,
     inputs: Annotated[

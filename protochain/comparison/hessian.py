@@ -14,7 +14,7 @@ from protochain.comparison.pair_hessian import applies, colours, pair_hessian
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import checked
 from protochain.core.errors import Fault, ProtochainError
-from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
+from protochain.energies import Energy, NativeEnergy
 from protochain.mechanics import multibody
 from protochain.minimisers.spaces import Torsions
 
@@ -44,10 +44,10 @@ class Torques:
     def _varying(self) -> Energy:
         """The energy without terms that rigid bodies keep: their rounding would be left of them.
 
-        OpenMM's is that of its Reference platform: others round forces to single precision.
+        It is exact: platforms of OpenMM round forces to single precision.
         """
         energy = self.energy
-        energy = energy.reference if isinstance(energy, OpenMMEnergy) else energy
+        energy = energy if energy.is_exact else energy.exact
         return energy.without_constants(self.chain.rigid_groups, self.chain.structure.positions)
 
     @cached_property

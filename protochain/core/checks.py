@@ -63,7 +63,7 @@ _TAKEN_BY = {
     "pc.load(file, {}=...)": "model assembly altloc keep disulfide ph strict chains ligands ligand_charges "
     "standard_residues",
     "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
-    "pc.energy(structure, {}=...)": "forcefield solvent engine cutoff accuracy threads "
+    "pc.energy(structure, {}=...)": "forcefield solvent engine device cutoff accuracy threads "
     "trust_forcefield system",
 }
 """Options of a run that are decided before it, by the calls that take them."""

@@ -5,6 +5,11 @@ from typing import Literal
 FORCEFIELD = "amber14"
 SOLVENT = "obc2"
 ENGINE = "auto"
+DEVICE = "auto"
+DEVICE_FROM, DEVICE_FROM_IN_FRAMES = 5_000, 1_000
+"""Atoms from which a GPU pays, by itself and where many structures share one context: on one H200 that takes
+1.1 to 1.9 s to make; then a minimisation in OBC2 takes 0.11 s at 7,561 atoms, 3.5 s on 16 cores, and an
+evaluation 0.2 ms at 2,500 atoms. At 2,000 atoms 16 cores are as quick."""
 JUDGE = "auto"
 CUTOFF: Literal["auto"] = "auto"
 FULL_UP_TO = 20_000

@@ -132,6 +132,10 @@ class StrayWarning(RuntimeWarning):
     """A run has gone far from a start whose atoms overlapped; it goes on."""
 
 
+class DeviceWarning(RuntimeWarning):
+    """A device does not compute; the processor does."""
+
+
 class StructureError(ProtochainError):
     """A structure file that cannot be read or prepared."""
 

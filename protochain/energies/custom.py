@@ -29,6 +29,7 @@ class CustomEnergy:
     """
 
     engine = forcefield = solvent = "custom"
+    device = "cpu"
     reason = "a Python callable, judged by itself: no other engine computes it"
     system: Any = None
     atoms = ""

@@ -28,6 +28,7 @@ from protochain.energies.native.neighbours import partners as partners_of
 from protochain.energies.native.pairs import CLOSEST
 from protochain.energies.native.shares import residue_sums
 from protochain.energies.native.terms import Bonded, Terms
+from protochain.energies.on_device import DeviceEnergy
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy, an_energy
 from protochain.structure import as_structure
@@ -228,6 +229,8 @@ def _interface(
 
 def native_of(energy: Energy) -> NativeEnergy | None:
     """The same energy by the native engine; None of a callable, or of a System that it cannot compute."""
+    if isinstance(energy, DeviceEnergy):
+        energy = energy.processor
     if isinstance(energy, OpenMMEnergy):
         try:
             return NativeEnergy(energy, energy.threads)

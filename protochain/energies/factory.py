@@ -33,6 +33,7 @@ from protochain.core.units import COULOMB
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
 from protochain.energies.native.implicit import COULOMB_CUSTOM, OBC_OFFSET
+from protochain.energies.on_device import PLATFORMS, DeviceEnergy, chosen
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_expressions, check_passive
@@ -78,6 +79,7 @@ _BESIDE = {
 as of those that a force field does not know, by element."""
 
 ENGINES = ("auto", "native", "openmm")
+DEVICES = ("auto", "cpu", *PLATFORMS)
 
 NONBONDED = " (nonbonded)"
 """Behind the name of a force field without its dihedrals."""
@@ -112,7 +114,8 @@ def _as_of(build: Callable[..., Energy], source: Any, named: dict[str, Any]) -> 
 
 
 @checked(
-    forcefield=file_name, solvent=text, engine=one_of(ENGINES), cutoff=cutoff_of, accuracy=accuracy_of,
+    forcefield=file_name, solvent=text, engine=one_of(ENGINES), device=one_of(DEVICES), cutoff=cutoff_of,
+    accuracy=accuracy_of,
     threads=optional(at_least(1)), trust_forcefield=flag, terms=one_of(TERMS),
     system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
@@ -123,6 +126,7 @@ def energy(
     solvent: str = defaults.SOLVENT,
     engine: str = defaults.ENGINE,
     *,
+    device: str = defaults.DEVICE,
     cutoff: float | Literal["auto"] | None = defaults.CUTOFF,
     accuracy: float | Literal["auto", "exact"] = defaults.ACCURACY,
     system: openmm.System | None = None,
@@ -147,6 +151,11 @@ def energy(
     engine : str
         ``native`` (compiled kernels, double precision), ``openmm`` (CPU platform, single precision), or
         ``auto``: native if it supports every force, otherwise openmm; ``reason`` of the energy says why.
+    device : str
+        ``cpu``, or ``cuda``, ``hip`` or ``opencl``: a platform of OpenMM in mixed precision, while the
+        engine judges and ends what it has begun. ``auto``: of CUDA and HIP the one that is there, from 5,000
+        atoms, unless the engine is ``native``. What a device cannot do the processor does, as a
+        ``DeviceWarning`` and ``reason`` say.
     cutoff : float, "auto" or None, optional
         Distance in nm up to which pairs of atoms act on each other; None for all, one by one unless
         ``accuracy`` is a number. ``auto``: all; but where no tree sums them, in a solvent for more than
@@ -187,6 +196,10 @@ def energy(
     (27, 3)
     """
     settings = {name: value for name, value in locals().items() if name not in ("structure", "system")}
+    if engine == "native" and device not in ("auto", "cpu"):
+        raise ForceFieldError(
+            Argument("engine", engine), " computes on the processor; leave out ", Argument("device", device)
+        )
     structure = as_structure(structure)
     is_free = accuracy == "auto" and cutoff == "auto"
     if accuracy not in ("auto", "exact") and (cutoff not in ("auto", None) or engine == "openmm"):
@@ -221,13 +234,16 @@ def energy(
             f"{structure.n_atoms} atoms; build it from structure.topology"
         )
     made = by_engine(engine, by_openmm)
+    device = "cpu" if engine == "native" else chosen(device, structure.n_atoms)
+    if device != "cpu":
+        return DeviceEnergy(made, by_openmm, device, None if accuracy == "exact" else float(accuracy))
     if isinstance(made, NativeEnergy) and accuracy != "exact":
         return made.to_accuracy(float(accuracy), structure.positions)
     if is_long and cutoff is None and not is_given and not isinstance(made, NativeEnergy):
         forcefield = forcefield.removesuffix(NONBONDED)
         return energy(
-            structure, forcefield, solvent, engine, cutoff=defaults.LONG_CUTOFF, threads=threads,
-            trust_forcefield=trust_forcefield, terms=terms,
+            structure, forcefield, solvent, engine, device="cpu", cutoff=defaults.LONG_CUTOFF,
+            threads=threads, trust_forcefield=trust_forcefield, terms=terms,
         )  # fmt: skip
     if isinstance(made, NativeEnergy) and cutoff is not None and structure.n_atoms <= _MEASURED_UP_TO:
         by_openmm.note += f"; {made.cutoff_error(structure.positions)}"

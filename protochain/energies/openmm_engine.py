@@ -38,7 +38,7 @@ class OpenMMEnergy:
         Arguments of :func:`protochain.energy` that it was built with, beside structure and System.
     """
 
-    engine = "openmm"
+    engine, device = "openmm", "cpu"
     left_out: Mapping[str, int] = MappingProxyType({})
     lists_at: Floats | None = None
 

@@ -17,6 +17,10 @@ class Energy(Protocol):
         """Name of the engine: ``native``, ``openmm`` or ``custom``."""
 
     @property
+    def device(self) -> str:
+        """What it computes on: ``cpu``, or ``cuda``, ``hip`` or ``opencl`` by a platform of OpenMM."""
+
+    @property
     def reason(self) -> str:
         """Kernels, precision and threads in use, and the reason for them."""
 

@@ -193,6 +193,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
             "seed": self.seed,
             "curvature": self.examines,
             "engine": energy.engine,
+            "device": energy.device,
             "double_precision": energy.is_exact,
             "system": energy.fingerprint,
             "start": hashlib.sha256(chain.structure.positions.tobytes()).hexdigest(),

@@ -166,10 +166,11 @@ class Recipe:
     def repeats_exactly(self, energy: Energy) -> bool:
         """Whether runs from one start are equal bit for bit.
 
-        OpenMM's CPU platform, which also runs OpenMM's methods, sums in no fixed order on several threads.
+        OpenMM's CPU platform, which also runs OpenMM's methods, sums in no fixed order on several threads,
+        nor do its other devices.
         """
         sums_in_order = energy.threads == 1 or (energy.engine != "openmm" and not self.by_openmm)
-        return not self.draws_random and sums_in_order
+        return not self.draws_random and sums_in_order and energy.device == "cpu"
 
     def check(self, energy: Energy) -> None:
         """Refuse an energy that the method cannot use.

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats
 from protochain.minimisers.descent import Descent
+from protochain.minimisers.device_descent import DeviceDescent
 from protochain.minimisers.lbfgs import LBFGS
 from protochain.minimisers.loop import Ending, Method, Snapshot, Stop, Unstarted, run
 from protochain.minimisers.problem import (
@@ -21,7 +22,7 @@ from protochain.minimisers.problem import (
     Tally,
 )
 from protochain.minimisers.restraints import SOFT_TETHER, SoftRepulsion, Sum, Tethers
-from protochain.minimisers.spaces import Torsions
+from protochain.minimisers.spaces import Cartesian, Torsions
 from protochain.minimisers.steps import StrongWolfe
 
 PATIENCE = 500
@@ -92,11 +93,17 @@ def parting(space: Torsions) -> Stage:
 
 
 def with_reference(stage: Stage) -> list[Stage]:
-    """The stage, and a second one on the reference of its energy if that is another engine."""
+    """The stage, and a second one on the exact form of its energy if that is another engine.
+
+    In all atoms on a device OpenMM's minimiser does the first.
+    """
     energy: Any = stage.energy
     if energy.is_exact:
         return [stage]
-    return [stage, replace(stage, energy=energy.reference, after=SINGLE_PRECISION_ENDS)]
+    exact = replace(stage, energy=energy.exact, after=SINGLE_PRECISION_ENDS)
+    if getattr(energy, "minimises", False) and isinstance(stage.space, Cartesian):
+        stage = replace(stage, method=DeviceDescent(stage.tolerance))
+    return [stage, exact]
 
 
 def of_moving(stage: Stage, moving: NDArray[np.bool_]) -> Stage:

@@ -9,6 +9,7 @@ from protochain.chains.articulate import with_free_root
 from protochain.chains.chain import Chain, Pose, pose
 from protochain.core import defaults
 from protochain.core.arrays import Floats
+from protochain.energies.on_device import begun
 from protochain.energies.protocol import Energy
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.judging import Known
@@ -30,6 +31,9 @@ class Start:
     chain: Chain
     energy: Energy
     judge: str = defaults.JUDGE
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "energy", begun(self.energy, self.chain.structure.positions))
 
     @cached_property
     def pose(self) -> Pose:
@@ -107,6 +111,8 @@ class Start:
     @cached_property
     def _warm_atoms(self) -> None:
         self.energy(self.pose.x)
+        if self.energy.device != "cpu":
+            return
         atoms = self._spaces[1]
         at = evaluate(atoms, self.energy, self.pose.x.ravel())
         atoms.stiffness(at)(at.torque)

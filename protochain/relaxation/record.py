@@ -96,8 +96,8 @@ COLUMNS = (
 
 _OF_ALL_FRAMES = (
     "structure", "method", "judge", "frame", "ligands", "rounds", "n_chains", "n_residues", "n_atoms",
-    "n_atoms_moving", "move", "protochain", "engine", "engine_reason", "forcefield", "solvent", "preset",
-    "protocol", "bonds_to_hydrogen", "tolerance", "tolerance_unit", "springs_backbone_kj_mol_nm2",
+    "n_atoms_moving", "move", "protochain", "engine", "engine_reason", "forcefield", "solvent",
+    "preset", "protocol", "bonds_to_hydrogen", "tolerance", "tolerance_unit", "springs_backbone_kj_mol_nm2",
     "springs_side_chains_kj_mol_nm2", "max_iterations", "max_outer_iterations", "exclude", "free_ligands",
     "hydrogens", "repacked", "fixed", "left_out", "lost_atoms", "n_lost_atoms", "far_molecules", "repairs",
     "threads", "seconds",

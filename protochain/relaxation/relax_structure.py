@@ -18,6 +18,7 @@ from protochain.core.checks import WATCHER, checked
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import counted, listed
 from protochain.energies import Energy
+from protochain.energies.on_device import begun
 from protochain.minimisers.judging import Known
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import check_dihedrals
@@ -116,6 +117,7 @@ def relax_structure(
         # In a rigid protein nothing but the pose can give way: springs to it would hold its overlaps.
         excluded, strength = np.ones_like(excluded), replace(strength, softened=IN_RIGID_PROTEIN)
     check_dihedrals(energy, "relax")
+    energy = begun(energy, structure.positions)
     first = _repacked(structure, energy, mobile, settings)
     trace = _Trace(watch)
     known: Any = Known(energy)

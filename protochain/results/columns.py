@@ -160,6 +160,7 @@ def of_energy() -> Iterator[Column]:
     """Columns of what computed the energy."""
     yield Column("protochain", lambda r: version("protochain"))
     yield Column("engine", lambda r: r.energy_function.engine)
+    yield Column("device", lambda r: r.energy_function.device)
     yield Column("engine_reason", lambda r: r.energy_function.reason)
     yield Column("forcefield", lambda r: r.energy_function.forcefield)
     yield Column("solvent", lambda r: r.energy_function.solvent)

@@ -264,6 +264,7 @@ class Search(Value):
             "forcefield": self.energy_function.forcefield,
             "solvent": self.energy_function.solvent,
             "engine": self.energy_function.engine,
+            "device": self.energy_function.device,
             "engine_reason": self.energy_function.reason,
             **of_run("openmm", "numpy", "scipy", "numba"),
         }

@@ -431,7 +431,7 @@ def test_a_method_compared_ends_as_it_does_alone_in_any_order(methods):
 def test_sums_of_openmm_on_several_threads_and_random_numbers_do_not_repeat(
     engine, threads, torsions, drawn, by_openmm
 ):
-    e = SimpleNamespace(engine=engine, threads=threads)
+    e = SimpleNamespace(engine=engine, threads=threads, device="cpu")
     repeats = [RECIPES[method].repeats_exactly(e) for method in ("lbfgs", "anneal", "openmm", "openmm-md")]
     assert repeats == [torsions, drawn, by_openmm, False]
 

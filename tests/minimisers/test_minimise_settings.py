@@ -70,7 +70,7 @@ def test_a_checkpoint_belongs_to_a_method_its_settings_and_its_start():
     assert run.settings(Start(c, told())) == {
         "method": "lbfgs", "tolerance": 2.0, "restraint": [5.0, 0.0], "max_rmsd": 0.75,
         "hinges": "phi psi chi", "root": "auto", "move": "all", "seed": 3, "curvature": True,
-        "engine": "native", "double_precision": True,
+        "engine": "native", "device": "cpu", "double_precision": True,
         "system": "abc", "start": hashlib.sha256(c.structure.positions.tobytes()).hexdigest(),
     }  # fmt: skip
 

@@ -112,7 +112,7 @@ def test_a_recipe_says_what_moves_and_which_states_it_has():
 def test_runs_repeat_exactly_where_sums_are_in_order_and_nothing_is_drawn(
     engine, threads, by_openmm, in_order
 ):
-    energy = SimpleNamespace(engine=engine, threads=threads)
+    energy = SimpleNamespace(engine=engine, threads=threads, device="cpu")
     assert Recipe("own", by_openmm=by_openmm).repeats_exactly(energy) is in_order
     assert Recipe("own", by_openmm=by_openmm, draws_random=True).repeats_exactly(energy) is False
 
@@ -129,9 +129,7 @@ def test_openmms_methods_need_a_system():
 
 
 def plan_of(recipe, c, hold=None, tolerance=2.0, seed=7, exact=True):
-    whole, reduced = (
-        SimpleNamespace(is_exact=exact, name=name, reference=name) for name in ("whole", "reduced")
-    )
+    whole, reduced = (SimpleNamespace(is_exact=exact, name=name, exact=name) for name in ("whole", "reduced"))
     return recipe.plan(c, whole, reduced, tolerance, hold or Hold(), seed)
 
 

@@ -23,7 +23,7 @@ from protochain.validation import MEASURES, measures
 from protochain.validation.findings import REMAINS
 
 ENERGY = SimpleNamespace(
-    engine="native", reason="two kernels", forcefield="amber14", solvent="obc2", threads=2
+    engine="native", device="cpu", reason="two kernels", forcefield="amber14", solvent="obc2", threads=2
 )
 
 
@@ -62,8 +62,8 @@ def test_a_record_holds_each_value_under_its_name():
         "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,
         "n_atoms": c.structure.n_atoms, "n_bodies": c.n_bodies, "n_hinges": c.n_hinges,
         "n_atoms_moving": c.n_atoms,
-        "protochain": version("protochain"), "engine": "native", "engine_reason": "two kernels",
-        "forcefield": "amber14", "solvent": "obc2", "hinges": "phi psi chi", "root": "auto",
+        "protochain": version("protochain"), "engine": "native", "device": "cpu",
+        "engine_reason": "two kernels", "forcefield": "amber14", "solvent": "obc2", "hinges": "phi psi chi", "root": "auto",
         "tolerance": 1.0, "tolerance_unit": "kJ/mol/rad", "move": "all", "restraint_kj_mol_nm2": [100.0],
         "max_rmsd_angstrom": 0.5, "left_out": {}, "constant_terms": {"bonds": 3, "angles": 4},
         "lost_atoms": [], "n_lost_atoms": 0, "far_molecules": [], "repairs": sentences(c.structure),

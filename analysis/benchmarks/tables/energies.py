@@ -35,6 +35,14 @@ table_of_rows(
     ("atoms", "{atoms}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("angle", "{angle:g}"),
     ("order", "{order}"), *ERRORS,
 )  # fmt: skip
+table_of_rows(
+    "device", "device.csv",
+    ("structure", "{structure}"), ("atoms", "{atoms}"), ("device", "{device}"), ("by", "{by}"),
+    ("context s", "{context_s:.2f}"), ("evaluation ms", "{evaluation_ms:.2f}"),
+    ("force off kJ/mol/nm", "{rms_force_off_kj_mol_nm:.2g}"), ("minimise s", "{minimise_s:.2f}"),
+    ("evaluations", "{evaluations:.0f}"), ("minimised kJ/mol", "{energy_kj_mol:.1f}"),
+    ("relax s", "{relax_s:.2f}"), ("relaxed kJ/mol", "{relaxed_kj_mol:.1f}"), ("s a frame", "{frame_s:.2f}"),
+)  # fmt: skip
 
 
 @table("engines-crossover", "engines_accuracy.csv")

@@ -52,7 +52,7 @@ class NativeEnergy:
         If the System has a force without an exact native kernel.
     """
 
-    engine, is_exact = "native", True
+    engine, device, is_exact = "native", "cpu", True
 
     def __init__(self, by_openmm: OpenMMEnergy, threads: int, opening: Opening | None = None) -> None:
         terms = compile_system(by_openmm.system)
