@@ -262,6 +262,19 @@ def file_name(value: Any, name: str) -> str:
     return text(str(value) if isinstance(value, Path) else value, name)
 
 
+def sequences(value: Any, name: str) -> str:
+    """Letters of chains, with ``/`` between and ``NAME=`` before, of a text like that or of a FASTA file."""
+    given = text(str(value) if isinstance(value, Path) else value, name).strip()
+    if given and len(given) < 256 and Path(given).is_file():
+        records = re.findall(r"(?m)^(?:>(\w*).*)?((?:\n?[^>\n]*$)*)", Path(given).read_text(errors="replace"))
+        split = [(of, "".join(its.split()).strip("/*").split("/")) for of, its in records if its.strip()]
+        given = "/".join(f"{of}={each}" if len(its) == 1 else each for of, its in split for each in its)
+    if given and not re.fullmatch(r"(\w*=)?[A-Z-]+(/(\w*=)?[A-Z-]+)*", given.upper()):
+        raise refused(name, shown(value), "give a FASTA file, or letters, with / between chains")
+    named = (each.rpartition("=") for each in given.split("/"))
+    return "/".join(f"{of}{sign}{letters.upper()}" for of, sign, letters in named)
+
+
 def force_field_parts(given: str) -> list[str]:
     """Names and paths of a force field that is given in parts, with commas between."""
     return [given] if Path(given).exists() else [name.strip() for name in given.split(",") if name.strip()]

@@ -7,7 +7,7 @@ from typing import Any
 
 from protochain.chains.setup import Setup
 from protochain.core import defaults
-from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, text
+from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, sequences, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.settings import Settings, setting
 from protochain.minimisers.minimise_settings import TOLERANCE
@@ -50,6 +50,9 @@ class RelaxSettings(Settings):
         Residues whose side chains are put into the best of their rotamers first, all at once, whether or not
         they are in the way, in the selection language of MDAnalysis: ``chainID A``, ``interface A B``. They
         may stay as they are; ``repack`` is implied.
+    rebuild_side_chains, sequence : str
+        As of :class:`protochain.Setup`: side chains that are built anew from the backbone, of a selection or
+        ``all``; a sequence to put on it.
     interface : str
         Two sides, as ``A,B:C``, whose interface is scored before and after; empty for none.
     mirror : bool
@@ -108,6 +111,14 @@ class RelaxSettings(Settings):
     repack_region: str = setting(
         "", "First put all side chains there into the best rotamers: 'interface A B', 'chainID A'.", text
     )
+    rebuild_side_chains: str = setting(
+        "", "First take side chains off and build them on rotamers: all, or those of a selection.", text,
+        metavar="all|SELECTION",
+    )  # fmt: skip
+    sequence: str = setting(
+        "", "First put this sequence on the backbone: a FASTA file, or letters, with / between chains.",
+        sequences, metavar="FASTA",
+    )  # fmt: skip
     interface: str = setting(
         "",
         "Also score the interface of two sides before and after, as protochain score does: A:B.",
@@ -144,7 +155,7 @@ class RelaxSettings(Settings):
         return own
 
     def setup(self, given: Setup) -> Setup:
-        """Return a setup with the force field and solvent of the protocol.
+        """Return a setup with the force field and solvent of the protocol, and the side chains to build.
 
         Raises
         ------
@@ -162,8 +173,10 @@ class RelaxSettings(Settings):
                     f" {self.protocol} is {fixed}; leave one of them out",
                 )
         return replace(
-            given, forcefield=own.forcefield or given.forcefield, solvent=own.solvent or given.solvent
-        )
+            given, forcefield=own.forcefield or given.forcefield, solvent=own.solvent or given.solvent,
+            rebuild_side_chains=self.rebuild_side_chains or given.rebuild_side_chains,
+            sequence=self.sequence or given.sequence,
+        )  # fmt: skip
 
 
 NAMES = tuple(each.name for each in fields(RelaxSettings))

@@ -73,6 +73,7 @@ VALUES = {
     "tolerance": "700", "restraint": "100 0", "max_rmsd": "0.5", "spread": "20",
     "manifest": "list.csv", "scheduler": "tcp://127.0.0.1:9", "frames": "0", "preset": "design",
     "protocol": "alphafold", "stiffness": "50", "exclude": "resid 2", "repack_region": "chainID A",
+    "rebuild_side_chains": "resid 2", "sequence": "GGG",
     "interface": "A:B", "methods": "lbfgs,newton", "reference": "d.pdb", "to": "q.pdb",
     "csv": "t.csv", "residues": "r.csv", "changes": "ch.csv", "rank": "energy_kj_mol", "by": "residue",
     "between": "A:1-A:5", "align": "name C", "measure": "name N", "temperatures": "310-500", "hours": "1e-9",

@@ -125,6 +125,8 @@ FURTHER = {
         "repack",
         "repack_region",
         "mirror",
+        "rebuild_side_chains",
+        "sequence",
         "interface",
         "threads",
         "ph",
