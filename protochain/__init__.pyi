@@ -2,6 +2,7 @@ from .batches import Batch as Batch
 from .batches import batch as batch
 from .batches.frames import FrameResult as FrameResult
 from .batches.frames import relax_frames as relax_frames
+from .batches.mutation_scan import scan_mutations as scan_mutations
 from .chains.articulate import build_chain as build_chain
 from .chains.chain import Chain as Chain
 from .chains.chain import log_det_mass as log_det_mass
@@ -44,6 +45,8 @@ from .minimisers import minimize as minimize
 from .minimisers.recipes import kcm as kcm
 from .relaxation import Relaxation as Relaxation
 from .relaxation import relax as relax
+from .relaxation.mutations import Mutation as Mutation
+from .relaxation.mutations import mutate as mutate
 from .results.viewer import view as view
 from .searching import Search as Search
 from .searching import search as search

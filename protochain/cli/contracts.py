@@ -19,6 +19,7 @@ from protochain.energies.decomposed import TERMS
 from protochain.minimisers import record as of_minimising
 from protochain.minimisers.solution import TRACE_COLUMNS
 from protochain.minimisers.verdict import Status
+from protochain.relaxation import mutations as of_mutations
 from protochain.relaxation import record as of_relaxing
 from protochain.relaxation.rounds import Round
 from protochain.results.columns import Column, Kind, kind_of, number
@@ -277,6 +278,8 @@ _FACTS = {
 }  # fmt: skip
 
 
+_MUTANT = _cells(_row("chain residue wild mutant"), _row(of_mutations.COLUMNS))
+_MUTATIONS_TOLD = _row("input sites into results files", results=[_MUTANT], files=list[str])
 CONTRACTS: Mapping[str, Contract] = {
     "minimise": Contract((_MINIMISED, {"models": [_MINIMISED]}), {"--trace": (_cells(_TRACE),)}),
     "relax": Contract(
@@ -349,6 +352,10 @@ CONTRACTS: Mapping[str, Contract] = {
     "rmsd": Contract(
         (_DEVIATIONS_TOLD | {"results": [_MEASURED]}, _FRAMES_TOLD),
         {"--output": (_MEASURED,), "--trajectory": (_frames(RmsdFrames.columns),)},
+    ),
+    "mutate": Contract(
+        (_row(of_mutations.COLUMNS) | _ORIGIN, _MUTATIONS_TOLD),
+        {"--scan": (_MUTANT,)},
     ),
     "info": Contract((_FACTS,)),
     "build": Contract((_row("n_atoms n_residues output"),)),
