@@ -230,19 +230,6 @@ def run_scan(
     return keep(), interrupted
 
 
-def write_scan(table: "pd.DataFrame", name: str, path: Path) -> None:
-    """Write the page of a scan, one file that works offline."""
-    from protochain.results.figures import data_url
-    from protochain.results.page import write_page
-    from protochain.results.provenance import of_run
-
-    write_page(
-        path, "mutations.html", name=name, figure=data_url(heat_map(table)),
-        table=table.drop(columns=["structure", *_SITE]),
-        run=of_run("openmm", "gemmi", "numpy", "scipy", "numba", "pandas"),
-    )  # fmt: skip
-
-
 def heat_map(table: "pd.DataFrame", column: str = "ddg_kj_mol") -> "Figure":
     """Sites against the residues that they become: red costs, blue gains, grey is the wild type."""
     from protochain.results.figures import panels

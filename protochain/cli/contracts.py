@@ -280,6 +280,7 @@ _FACTS = {
 
 _MUTANT = _cells(_row("chain residue wild mutant"), _row(of_mutations.COLUMNS))
 _MUTATIONS_TOLD = _row("input sites into results files", results=[_MUTANT], files=list[str])
+_SCANNED = _row("input n_points lowest files", lowest={OTHERS: float}, files=list[str])
 CONTRACTS: Mapping[str, Contract] = {
     "minimise": Contract((_MINIMISED, {"models": [_MINIMISED]}), {"--trace": (_cells(_TRACE),)}),
     "relax": Contract(
@@ -357,6 +358,7 @@ CONTRACTS: Mapping[str, Contract] = {
         (_row(of_mutations.COLUMNS) | _ORIGIN, _MUTATIONS_TOLD),
         {"--scan": (_MUTANT,)},
     ),
+    "scan": Contract((_SCANNED,), {"--output": (_cells({OTHERS: float, "status": NotRequired[Status]}),)}),
     "info": Contract((_FACTS,)),
     "build": Contract((_row("n_atoms n_residues output"),)),
 }  # fmt: skip

@@ -44,6 +44,10 @@ _SHOWN = (
     "clashscore_per_1000_atoms", "seconds",
 )  # fmt: skip
 """Columns of the terminal."""
+_TEXT = (
+    "Estimated change of stability of each mutant: its energy less that of the wild type, both repacked and "
+    "relaxed near the site, less the same in pentapeptides GGXGG. Red is less stable, blue more."
+)
 _WITHOUT = "hinges root move rigid_protein terms rebuild_side_chains sequence"
 _OWN = "preset tolerance interface"
 _OF_RELAX = " ".join(name for name in vars(RelaxSettings()) if name not in _OWN.split())
@@ -136,7 +140,7 @@ def _scan(
 ) -> int:  # fmt: skip
     """Scan sites; write the table, and the page with the heat map."""
     from protochain.batches.cluster import Processes
-    from protochain.batches.mutation_scan import run_scan, write_scan
+    from protochain.batches.mutation_scan import heat_map, run_scan
     from protochain.cli.rows import print_rows
     from protochain.cli.terminal import count_progress
 
@@ -152,7 +156,10 @@ def _scan(
                 structure, sites, into, relaxing, setup, table, processes, resume, watch
             )  # fmt: skip
     if report:
-        write_scan(found, structure.name, report)
+        from protochain.results.page import write_scan
+
+        its = found.drop(columns=["structure", "chain", "residue", "wild", "mutant"])
+        write_scan(report, f"Mutations of {structure.name}", _TEXT, heat_map(found), its)
     rows: Any = found.astype(object).where(found.notna(), None).to_dict("records")
     if as_json:
         files = [str(path) for path in (table, report) if path]

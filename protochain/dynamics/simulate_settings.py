@@ -107,13 +107,13 @@ class Pull(Settings):
 
 @dataclass(frozen=True)
 class HingeSpring:
-    """Springs and dampers on all hinges of a kind, beside the force field's own terms.
+    """Springs and dampers on all hinges of a kind, or on one, beside the force field's own terms.
 
     Parameters
     ----------
     kind : str
         Kind of hinge, of ``phi psi omega chi rotors angles nucleic ligand glycan``, which the chain must have
-        open.
+        open; or one hinge, as ``phi@A:3`` or ``phi A:3``.
     stiffness : float, kJ/mol/rad^2
         E = stiffness (1 - cos(q - q0)) of a dihedral, stiffness/2 (q - q0)^2 of a bond angle, with q0 the
         value at the start.
@@ -143,7 +143,8 @@ class HingeSpring:
         check_fields(self, kind=text, stiffness=quantity(unit), damping=number)
         # Polar hinges are rotors.
         known = [kind for kind in HINGES if kind != "polar"]
-        if self.kind not in known:
+        kind, _, place = self.kind.replace("@", " ").partition(" ")
+        if (kind.rstrip("12345") if place else kind) not in known:
             raise ProtochainError(f"kind {self.kind!r} is no kind of hinge; choose from {', '.join(known)}")
         for name, value in (("stiffness", self.stiffness), ("damping", self.damping)):
             if not 0.0 <= value < math.inf:

@@ -59,6 +59,7 @@ PATHS = {
     "energy frames": "m.pdb --frames all --solvent vacuum",
     "mutate": "p.pdb A2G --solvent vacuum",
     "mutate scan": "p.pdb --scan A:2 --into G --solvent vacuum",
+    "scan": "p.pdb psi@A:2=-40,40 --solvent vacuum --hinges phi,psi,chi",
     "rmsd": "p.pdb c.pdb",
     "rmsd frames": "p.pdb m.pdb --frames all",
     "info": "c.pdb",

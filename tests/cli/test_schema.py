@@ -220,6 +220,13 @@ def test_mutate(told, tmp_path):
     assert len(tables("mutate", None, **{"--scan": table})) == 1
 
 
+def test_scan(told, tmp_path):
+    given = ["scan", "peptide.pdb", "phi A:3=-60,60", "-o", tmp_path / "scan.csv"]
+    for more in ([], ["--relax", "--solvent", "vacuum"]):
+        assert told(*given, *more)["n_points"] == 2
+        assert len(tables("scan", None, **{"--output": tmp_path / "scan.csv"})) == 1
+
+
 def test_validate(told, tmp_path):
     options = {f"--{name}": tmp_path / f"{name}.csv" for name in ("csv", "residues", "changes")}
     (tmp_path / "bad.pdb").write_text("END\n")

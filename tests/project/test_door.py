@@ -84,6 +84,7 @@ REQUIRED = {
     "rmsd": lambda: (S(), S()),
     "save": lambda: (S(), "never-written.pdb"),
     "scan_mutations": lambda: (S(), "A:3"),
+    "scan": lambda: (C(), vacuum(), {"phi A:3": [-60.0]}),
     "score_interface": lambda: (S(), "resid 1:4", "resid 6:10"),
     "save_ligands": lambda: (S(), "never-written.sdf"),
     "search": lambda: (C(), vacuum()),

@@ -133,6 +133,10 @@ def by_product(r, e):
     return value
 
 
+def phi(r):
+    return pc.as_structure(r).dihedrals()["phi"][[1]]
+
+
 def none_or(e):
     return {} if e is None else {"energy": e}
 
@@ -158,6 +162,7 @@ CALLS = {
     "mutate": lambda r, e: at(pc.mutate(r, MUTATION, **named(e)).wild.energy_function, r),
     "relax_frames": lambda r, e: at(frames(r, **named(e)).energy_function, r),
     "normal_modes": lambda r, e: at(pc.normal_modes(r, e, k=1).energy_function, r),
+    "scan": lambda r, e: pc.scan(r, e, {"phi A:2": phi(r)})["energy_kj_mol"][0],
     "hessian": by_hessian,
     "hessian_product": by_product,
 }
