@@ -10,7 +10,7 @@ from protochain.chains.articulate import build_chain, with_energy
 from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import floats
 from protochain.core.checks import checked, flag, function
-from protochain.core.errors import Argument, ProtochainError
+from protochain.core.errors import ProtochainError
 from protochain.minimisers import minimise
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ _MOST = 60.0
 @checked(relax=flag, watch=function("done", "total"))
 def scan(
     chain: Any, energy: Any = None, grids: Mapping[str, Any] | None = None, *, relax: bool = False,
-    tolerance: float | None = None, watch: Callable[[int, int], None] | None = None,
+    watch: Callable[[int, int], None] | None = None,
 ) -> "pd.DataFrame":  # fmt: skip
     """Compute the energy on a grid of dihedrals.
 
@@ -40,8 +40,6 @@ def scan(
         points.
     relax : bool
         Whether all other hinges are minimised at each point, by ``lbfgs``.
-    tolerance : float, optional
-        As in :func:`protochain.minimise`.
     watch : callable, optional
         Called after each point with how many are done, and of how many.
 
@@ -66,24 +64,21 @@ def scan(
 
     cut, energy = with_energy(chain, energy)
     if not isinstance(grids, Mapping) or not grids:
-        remedy = ": give values by the names of hinges, as {'phi A:3': [-60, 60]}"
-        raise ProtochainError(Argument("grids"), remedy)
+        raise ProtochainError("grids: give values by the names of hinges, as {'phi A:3': [-60, 60]}")
     axes = {str(name): floats(values, (np.size(values),), "grids") for name, values in grids.items()}
     for name, values in axes.items():
         cut.hinge(name)
         if not len(values) or not np.isfinite(values).all():
-            raise ProtochainError(Argument("grids"), f": {name}: give finite numbers, in degrees")
+            raise ProtochainError(f"grids: {name}: give finite numbers, in degrees")
     rows, total = [], int(np.prod([len(values) for values in axes.values()]))
-    for row in _points(cut, energy, axes, relax, tolerance):
+    for row in _points(cut, energy, axes, relax):
         rows.append(row)
         if watch:
             watch(len(rows), total)
     return pd.DataFrame(rows)
 
 
-def _points(
-    cut: Chain, energy: Any, axes: Mapping[str, Any], relax: bool, tolerance: float | None
-) -> Iterator[dict[str, Any]]:
+def _points(cut: Chain, energy: Any, axes: Mapping[str, Any], relax: bool) -> Iterator[dict[str, Any]]:
     closed = " ".join(f"-{cut.hinges[cut.hinge(name)].name.replace(' ', '@')}" for name in axes)
     for values in product(*(each.tolist() for each in axes.values())):
         row: dict[str, Any] = dict(zip(axes, values, strict=True))
@@ -93,7 +88,7 @@ def _points(
                 cut.structure.with_positions(x), f"{cut.opened} {closed}", cut.root, move=cut.move,
                 hydrogen_mass=cut.hydrogen_mass,
             )  # fmt: skip
-            done = minimise(at, energy, "lbfgs", tolerance, curvature=False)
+            done = minimise(at, energy, "lbfgs", curvature=False)
             yield row | {ENERGY: done.end.energy, "status": str(done.status)}
         else:
             yield row | {ENERGY: energy(x)[0]}
