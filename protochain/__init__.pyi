@@ -10,6 +10,7 @@ from .chains.chain import mass_matrix as mass_matrix
 from .chains.chain import pose as pose
 from .chains.chain import pull_back as pull_back
 from .chains.chain import solve_mass as solve_mass
+from .chains.restraint_lines import Restraint as Restraint
 from .chains.setup import Setup as Setup
 from .comparison import Comparison as Comparison
 from .comparison import compare as compare
@@ -30,6 +31,7 @@ from .dynamics import HingeSpring as HingeSpring
 from .dynamics import Pull as Pull
 from .dynamics import Simulation as Simulation
 from .dynamics import simulate as simulate
+from .dynamics.umbrella import umbrella as umbrella
 from .energies import energy as energy
 from .energies.convert import from_simulation as from_simulation
 from .energies.convert import to_ase as to_ase

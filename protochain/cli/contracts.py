@@ -190,7 +190,7 @@ _BOND = _row("kind change first second")
 _SETTINGS = {
     simulation.RENAMED.get(name, name): kind
     for name, kind in get_type_hints(SimulationSettings).items()
-} | {"pull": str | None, "hinge_springs": list[str] | None}  # fmt: skip
+} | {"pull": str | None, "hinge_springs": list[str] | None, "restraint": list[str] | None}  # fmt: skip
 _SIMULATED = {
     **_row(simulation.RECORD), **_SETTINGS,
     **_optional(_row(simulation.PULLED)), **_ORIGIN,
@@ -198,7 +198,8 @@ _SIMULATED = {
 _LOG = {
     **_row("step time_ps kinetic_kj_mol potential_kj_mol total_kj_mol conserved_kj_mol temperature_k"),
     **_row("ca_rmsd_angstrom"),
-    **_optional(_row("fixman_kj_mol hinge_springs_kj_mol dampers_kj_mol closure_error_nm pull_distance_nm")),
+    **_optional(_row("fixman_kj_mol hinge_springs_kj_mol restraints_kj_mol dampers_kj_mol")),
+    **_optional(_row("closure_error_nm pull_distance_nm")),
     **_optional(_row("pull_extension_nm pull_force_kj_mol_nm pull_work_kj_mol")),
 }
 _MODES = {

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, fields
 from typing import Any, Self
 
+from protochain.chains.restraint_lines import Restraint, read_restraints
 from protochain.core import defaults
 from protochain.core.checks import (
     Check,
@@ -242,6 +243,11 @@ class SimulationSettings(Settings):
         metavar="'KIND K C'",
     )
 
+    restraint: tuple[Restraint, ...] = setting(
+        (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
+        read_restraints, list[str], "--restrain", metavar="LINE|FILE",
+    )  # fmt: skip
+
     def __post_init__(self) -> None:
         from protochain.dynamics.integrators import INTEGRATORS
         from protochain.dynamics.thermostats import THERMOSTATS
@@ -297,7 +303,8 @@ class SimulationSettings(Settings):
     def record(self) -> dict[str, Any]:
         """Return the settings as plain values by name."""
         plain = {field.name: getattr(self, field.name) for field in fields(self)}
-        plain["hinge_springs"] = [str(spring) for spring in self.hinge_springs] or None
+        for name in ("hinge_springs", "restraint"):
+            plain[name] = [str(each) for each in plain[name]] or None
         return plain | ({"pull": None} if self.pull is None else self.pull.record())
 
 

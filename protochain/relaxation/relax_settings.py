@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from protochain.chains.restraint_lines import Restraint, read_restraints
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, sequences, text
@@ -53,6 +54,8 @@ class RelaxSettings(Settings):
     rebuild_side_chains, sequence : str
         As of :class:`protochain.Setup`: side chains that are built anew from the backbone, of a selection or
         ``all``; a sequence to put on it.
+    restraints : Restraint, str, path-like, or sequence of them
+        Restraints beside the springs, also to the end, their lines, or a file of them.
     interface : str
         Two sides, as ``A,B:C``, whose interface is scored before and after; empty for none.
     mirror : bool
@@ -118,6 +121,10 @@ class RelaxSettings(Settings):
     sequence: str = setting(
         "", "First put this sequence on the backbone: a FASTA file, or letters, with / between chains.",
         sequences, metavar="FASTA",
+    )  # fmt: skip
+    restraints: tuple[Restraint, ...] = setting(
+        (), "Restraint beside the springs, as 'distance A:3:CA A:9:CA 0 6 1000', or a file of them.",
+        read_restraints, list[str], metavar="LINE|FILE",
     )  # fmt: skip
     interface: str = setting(
         "",

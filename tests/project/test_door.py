@@ -24,6 +24,7 @@ from protochain.minimisers import KCM, Descent, Fixed
 from protochain.minimisers.solution import N_FRAMES, Recorder
 from protochain.validation import MEASURES
 
+PHI = pc.Restraint("dihedral", ["phi A:5"], 0, 0, 9.0)
 FILE = STRUCTURES / "ala10.pdb"
 S, C = partial(load, "ala10.pdb"), partial(chain, "ala10.pdb")
 
@@ -53,6 +54,7 @@ REQUIRED = {
     "EveryFrame": lambda: (pc.to_mdanalysis(S()),),
     "HingeSpring": lambda: ("omega", 40.0),
     "Pull": lambda: ("A:1:N-A:10:C",),
+    "Restraint": lambda: ("distance", ("A:1:CA", "A:9:CA"), 0.0, 5.0),
     "Setup": tuple,
     "as_structure": lambda: (S(),),
     "batch": lambda: ([FILE], "never-written"),
@@ -95,6 +97,7 @@ REQUIRED = {
     "to_mdanalysis": lambda: (S(),),
     "to_mdtraj": lambda: (S(),),
     "touching_chains": lambda: (S(),),
+    "umbrella": lambda: (C(), vacuum(), PHI, [-60, -50]),
     "validate": lambda: (S(),),
     "view": lambda: (S(),),
 }
@@ -130,6 +133,7 @@ FURTHER = {
         "mirror",
         "rebuild_side_chains",
         "sequence",
+        "restraints",
         "interface",
         "threads",
         "ph",
@@ -155,6 +159,7 @@ def test_every_public_function_is_tried():
         "EveryFrame",
         "HingeSpring",
         "Pull",
+        "Restraint",
         "Setup",
     }
 
