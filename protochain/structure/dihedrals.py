@@ -1,12 +1,11 @@
 """Dihedrals of residues by name: phi, psi, omega, chi1 ...; their atoms, and where they are."""
 
 from collections.abc import Callable, Collection
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from protochain.structure import residues
-from protochain.structure.model import Structure
 from protochain.structure.sidechains.ideal import dihedral
 
 if TYPE_CHECKING:
@@ -18,7 +17,7 @@ _SHOWN = ("phi", "psi", "omega", *(f"chi{k}" for k in range(1, 6)))
 
 
 def finder(
-    structure: Structure, kinds: Collection[str]
+    structure: Any, kinds: Collection[str]
 ) -> tuple[list[dict[str, int]], Callable[[int], list[Named]]]:
     """Atoms of each residue by name, and what finds the dihedrals of these kinds of a residue."""
     index = [dict[str, int]() for _ in range(structure.n_residues)]
@@ -46,7 +45,7 @@ def finder(
     return index, found
 
 
-def dihedrals(structure: Structure) -> "pd.DataFrame":
+def dihedrals(structure: Any) -> "pd.DataFrame":
     """Dihedrals in degrees: a row a residue of the protein, as :meth:`Structure.dihedrals`."""
     import pandas as pd
 
