@@ -33,6 +33,7 @@ from .dynamics import Simulation as Simulation
 from .dynamics import simulate as simulate
 from .dynamics.umbrella import umbrella as umbrella
 from .energies import energy as energy
+from .energies.convert import energy_from as energy_from
 from .energies.convert import from_simulation as from_simulation
 from .energies.convert import to_ase as to_ase
 from .energies.convert import to_simulation as to_simulation
@@ -67,3 +68,5 @@ from .validation import Interface as Interface
 from .validation import Validation as Validation
 from .validation import score_interface as score_interface
 from .validation import validate as validate
+
+__version__: str

@@ -449,6 +449,29 @@ def instance(kind: type, remedy: str) -> Check:
     return check
 
 
+def following(protocol: type, *names: str) -> Check:
+    """Check for an object of a user's own that has what a protocol asks for."""
+
+    def check(value: Any, name: str) -> Any:
+        refuse_class(value, name)
+        asked = {n: getattr(protocol, n) for n in names}
+        own = {n for n in names if hasattr(value, n) and getattr(type(value), n, None) is not asked[n]}
+        if lacking := [n for n in names if n not in own]:
+            raise ProtochainError(
+                f"{name} {type(value).__name__}: has no {', '.join(lacking)}; a {protocol.__name__} has "
+                f"{', '.join(names)}: python.md, 'Methods, restraints and energies of your own'"
+            )
+        return value
+
+    return check
+
+
+def refuse_class(value: Any, name: str) -> None:
+    """Refuse a class where an object of it is meant."""
+    if isinstance(value, type):
+        raise ProtochainError(f"{name} {value.__name__}: is a class; give an object, as {value.__name__}()")
+
+
 def _listed(value: Any, name: str) -> list[str]:
     found = list(value) if isinstance(value, Iterable) else [value]
     strange = next((each for each in found if not isinstance(each, str)), None)

@@ -329,11 +329,14 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
     """Run a simulation from its start or checkpoint, and write its files."""
     every, structure = run.settings.every, run.chain.structure
     start, origin, rows = _start(run, folder, running.resume)
+    kept = list[Any]()
 
     def report(state: State) -> None:
         row, x = run.row(state, origin)
         rows.append(row)
-        if folder:
+        if folder is None:
+            kept.append(x.astype(np.float32))
+        else:
             folder.append(row, x)
             if state.step and state.step % (every * running.checkpoint_every) == 0:
                 folder.store(state, run.varying.lists_at)
@@ -367,6 +370,8 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
         n_steps=state.step - start.step,
         seconds=seconds,
         frame=run.frame,
+        kept=tuple(kept),
+        trajectory=None if folder is None else folder.trajectory,
     )
     if folder:
         folder.summarise(result.record())

@@ -64,6 +64,7 @@ REQUIRED = {
     "deviation": lambda: (S(), S()),
     "differences": lambda: (S(), S()),
     "energy": lambda: (S(),),
+    "energy_from": lambda: (pc.to_ase(S(), vacuum()), S()),
     "energy_terms": lambda: (S(),),
     "explore": lambda: (C(), vacuum()),
     "from_sequence": lambda: ("AA",),
