@@ -59,15 +59,12 @@ class Restraints(Value):
         return cls(listed, pairs, rows[0], fours, rows[1], atoms, rows[2], structure.positions)
 
     def values(self, x: Floats) -> Floats:
-        """Values (r,) at positions, nm or rad; of positions how far the atoms are, the mean."""
-        found, n = np.zeros(len(self.listed)), len(self.listed)
-        r6, _ = self._inverse(x)
-        has = np.isin(np.arange(n), self.of_pair)
-        found[has] = np.bincount(self.of_pair, r6, n)[has] ** (-1.0 / 6.0)
+        """Values (r,) of distances and dihedrals at positions, nm or rad; zero of positions."""
+        n = len(self.listed)
+        found = np.zeros(n) + np.bincount(self.of_pair, self._inverse(x)[0], n)
+        found[self.of_pair] = found[self.of_pair] ** (-1.0 / 6.0)
         found[self.of_four] = dihedrals(x[self.fours]) if len(self.fours) else 0.0
-        away = np.linalg.norm(x[self.atoms] - self.home[self.atoms], axis=1)
-        counts = np.maximum(np.bincount(self.of_atom, minlength=n), 1)
-        return np.asarray(found + np.bincount(self.of_atom, away, n) / counts)
+        return np.asarray(found)
 
     def _inverse(self, x: Floats) -> tuple[Floats, Floats]:
         """r^-6 (p,) of the pairs, and the vectors (p, 3)."""

@@ -214,7 +214,7 @@ def mutated(
     states = [[_state(each, r) for r in names] for each in (structure, mutant)]
     unfolded = None
     if all(map(all, states)):
-        before, after = (sum(_unfolded(s, _Peptide(relaxing, setup)) for s in each) for each in states)
+        before, after = (sum(_unfolded(s, relaxing, setup) for s in each) for each in states)
         unfolded = after - before
     named = tuple(told(structure, r, str(mutant.residue_name[r])) for r in names)
     return Mutation(named, known[key], ended, unfolded, perf_counter() - began)
@@ -254,29 +254,9 @@ def _state(structure: Structure, r: int) -> str:
     return _STATES.get((name, protons), name)
 
 
-@dataclass(frozen=True)
-class _Peptide:
-    """Settings in which pentapeptides are relaxed; those of the energy tell one from another."""
-
-    relaxing: RelaxSettings
-    setup: Setup
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Peptide) and self._key == other._key
-
-    @property
-    def _key(self) -> tuple[Any, ...]:
-        own = self.relaxing.strength
-        return own.name, own.tolerance, *(getattr(self.setup, n) for n in OF_ENERGY if n != "threads")
-
-
 @lru_cache(maxsize=64)
-def _unfolded(state: str, peptide: _Peptide) -> float:
+def _unfolded(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
     """Energy of a residue within GGXGG, relaxed: it stands for the unfolded chain, kJ/mol."""
-    glycines = from_sequence("GGGGG")
-    made = substituted(glycines, {2: state}, **peptide.setup.of_building)
-    relaxing = replace(peptide.relaxing, interface="", repack_region="resid 3")
-    return relax_structure(made, peptide.setup.energy(made), relaxing).energy_end
+    made = substituted(from_sequence("GGGGG"), {2: state}, **setup.of_building)
+    relaxing = replace(relaxing, interface="", repack_region="resid 3")
+    return relax_structure(made, setup.energy(made), relaxing).energy_end
