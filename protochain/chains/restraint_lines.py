@@ -15,6 +15,8 @@ from protochain.core.units import ANGSTROM_PER_NM
 STIFFNESS = 1000.0
 """kJ/mol/nm^2, or of dihedrals kJ/mol/rad^2."""
 _KCAL = 4.184
+_FAR = 1e6
+"""Angstrom: no upper bound."""
 PLACES = {"distance": (2,), "dihedral": (1, 4), "position": (1,)}
 
 
@@ -34,7 +36,7 @@ class Restraint:
     stiffness : float, kJ/mol/nm^2 or kJ/mol/rad^2
         Constant k.
     linear : float, angstrom or degrees
-        How far outside the energy goes on linearly.
+        How far outside the energy goes on linearly; 0 for nowhere.
 
     Raises
     ------
@@ -52,7 +54,7 @@ class Restraint:
     lower: float
     upper: float
     stiffness: float = STIFFNESS
-    linear: float = math.inf
+    linear: float = 0.0
 
     def __post_init__(self) -> None:
         numbers = dict.fromkeys(("lower", "upper", "stiffness", "linear"), number)
@@ -60,7 +62,7 @@ class Restraint:
         if len(self.places) not in PLACES[self.kind]:
             n = " or ".join(map(str, PLACES[self.kind]))
             raise ProtochainError(f"restraint {self}: give {n} places of a {self.kind}")
-        if not (self.lower <= self.upper and 0.0 <= self.stiffness < math.inf and self.linear > 0.0):
+        if not (self.lower <= self.upper and 0.0 <= self.stiffness < math.inf and self.linear >= 0.0):
             raise ProtochainError(f"restraint {self}: give a lower and an upper bound, and a stiffness")
 
     @classmethod
@@ -145,7 +147,7 @@ def _of_amber(text: str) -> Iterator[Restraint]:
         if not is_distance:
             yield Restraint("dihedral", places, r2, r3, unit * k2, max(r4 - r3, 1e-9))
             continue
-        yield Restraint("distance", places, r2, math.inf, unit * k2, max(r2 - r1, 1e-9))
+        yield Restraint("distance", places, r2, _FAR, unit * k2, max(r2 - r1, 1e-9))
         yield Restraint("distance", places, 0.0, r3, unit * k3, max(r4 - r3, 1e-9))
 
 

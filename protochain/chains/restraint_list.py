@@ -105,7 +105,7 @@ class Restraints(Value):
             np.array([getattr(each, name) for each in self.listed])[rows]
             for name in ("lower", "upper", "stiffness", "linear")
         )
-        low, high, linear = unit * low, unit * high, unit * linear
+        low, high, linear = unit * low, unit * high, unit * np.where(linear > 0.0, linear, np.inf)
         if turns:
             middle = 0.5 * (low + high)
             at = middle + (at - middle + np.pi) % (2.0 * np.pi) - np.pi

@@ -194,6 +194,16 @@ def test_commands_take_a_file_or_a_line(tmp_path, monkeypatch, capsys):
     assert "give kind, places" in refusal_as_said("simulate", source, "--restrain", "distance A:1", *folder)
 
 
+def test_batches_take_them(tmp_path):
+    done = pc.batch(
+        STRUCTURES / "ala10.pdb", tmp_path / "out", "relax", restraints="position A:2:CA 0.1 5", workers=1,
+        solvent="vacuum", max_iterations=2,
+    )  # fmt: skip
+    assert done.table["status"].notna().all() and len(done.table) == 1
+    told = json.loads((tmp_path / "out" / "summary.json").read_text())["settings"]["restraints"]
+    assert told[0]["kind"] == "position" and told[0]["upper"] == 0.1
+
+
 @pytest.mark.slow
 def test_windows_give_the_free_energy_of_quadrature():
     """Of a dipeptide's torsions, with Fixman's potential: F(phi) = -kT ln (sum over psi of exp(-E/kT))."""
