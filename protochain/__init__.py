@@ -4,6 +4,16 @@ Names are imported when first used, so that ``import protochain`` and ``protocha
 they come from stands in ``__init__.pyi``, which type checkers and editors read too.
 """
 
+from typing import Any
+
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_named, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("protochain")
+    return _named(name)

@@ -2,6 +2,7 @@ from .batches import Batch as Batch
 from .batches import batch as batch
 from .batches.frames import FrameResult as FrameResult
 from .batches.frames import relax_frames as relax_frames
+from .batches.mutation_scan import scan_mutations as scan_mutations
 from .chains.articulate import build_chain as build_chain
 from .chains.chain import Chain as Chain
 from .chains.chain import log_det_mass as log_det_mass
@@ -9,6 +10,7 @@ from .chains.chain import mass_matrix as mass_matrix
 from .chains.chain import pose as pose
 from .chains.chain import pull_back as pull_back
 from .chains.chain import solve_mass as solve_mass
+from .chains.restraint_lines import Restraint as Restraint
 from .chains.setup import Setup as Setup
 from .comparison import Comparison as Comparison
 from .comparison import compare as compare
@@ -17,6 +19,7 @@ from .comparison.deviation import deviation as deviation
 from .comparison.deviation import rmsd as rmsd
 from .comparison.differences import Differences as Differences
 from .comparison.differences import differences as differences
+from .comparison.dihedral_scan import scan as scan
 from .comparison.frames import EveryFrame as EveryFrame
 from .comparison.hessian import hessian as hessian
 from .comparison.hessian import hessian_product as hessian_product
@@ -28,7 +31,9 @@ from .dynamics import HingeSpring as HingeSpring
 from .dynamics import Pull as Pull
 from .dynamics import Simulation as Simulation
 from .dynamics import simulate as simulate
+from .dynamics.umbrella import umbrella as umbrella
 from .energies import energy as energy
+from .energies.convert import energy_from as energy_from
 from .energies.convert import from_simulation as from_simulation
 from .energies.convert import to_ase as to_ase
 from .energies.convert import to_simulation as to_simulation
@@ -44,6 +49,8 @@ from .minimisers import minimize as minimize
 from .minimisers.recipes import kcm as kcm
 from .relaxation import Relaxation as Relaxation
 from .relaxation import relax as relax
+from .relaxation.mutations import Mutation as Mutation
+from .relaxation.mutations import mutate as mutate
 from .results.viewer import view as view
 from .searching import Search as Search
 from .searching import search as search
@@ -61,3 +68,5 @@ from .validation import Interface as Interface
 from .validation import Validation as Validation
 from .validation import score_interface as score_interface
 from .validation import validate as validate
+
+__version__: str

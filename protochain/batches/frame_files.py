@@ -273,7 +273,7 @@ def _settings(ensemble: Ensemble, frames: Frames, task: Task, hydrogens: bool) -
     given = {
         "task": task.name, "protochain": version("protochain"), "frames": frames.source,
         "bytes of frames": path.stat().st_size if path.is_file() else None,
-        "selection": [frames.chosen.start, frames.chosen.stop, frames.chosen.step],
+        "selection": str(frames.chosen),
         "structure": ensemble.structure.name, "atoms": ensemble.structure.fingerprint, "hydrogens": hydrogens,
         **task.settings(),
     }  # fmt: skip

@@ -78,8 +78,8 @@ def relax_frames(
         Trajectory (``.xtc``, ``.trr``, ``.dcd``, ``.nc``), PDB or mmCIF file with models, or ``.npz`` with
         ``positions`` or ``pos`` and their ``unit``. Atoms are those of the file of ``top``, or of ``top`` as
         prepared. It is read frame by frame. By default, the models of the file ``top``.
-    select : int, str or slice, optional
-        Frames to take: a number, or ``"START:STOP:STEP"``; all by default.
+    select : int, str, slice or list, optional
+        Frames to take: a number, ``"START:STOP:STEP"``, or a list, as ``"0,2,5"``; all by default.
     workers : int, optional
         Processes. By default all is done in this one, on as many threads as ``threads`` says.
     **options

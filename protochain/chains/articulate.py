@@ -57,6 +57,7 @@ def build_chain(
         hydrogens of O, S and N; with ``angles``, also the backbone bond angles at N and C-alpha, wherever
         the phi or psi beside them turns; ``nucleic`` for the backbone and the bases of DNA and RNA,
         ``ligand`` for single bonds of ligands, ``glycan`` for the links of sugars. Rings are always rigid.
+        ``phi@A:3`` opens one dihedral of a backbone or side chain, and ``-phi@A:3`` freezes it.
     root : str
         ``fixed``, ``free``, or ``auto``: free if there are several chains, which then move relative to one
         another, as do molecules beside them that the force field has parameters for; beside obstacles the
@@ -92,14 +93,21 @@ def build_chain(
     (6, 5)
     """
     structure, opened = as_structure(structure), str(hinges).split()
-    unknown = [kind for kind in opened if kind not in HINGES]
+    kinds_asked = [word for word in opened if "@" not in word]
+    unknown = [kind for kind in kinds_asked if kind not in HINGES]
     if unknown:
         raise ChainError(f"hinges {unknown[0]!r} is not a kind of hinge; choose from {' '.join(HINGES)}")
 
     moving = moving_atoms(structure, move)
     cut = cross_links(structure)
     bonds = structure.bonds[~cut]
-    wanted = [hinge for hinge in find_hinges(structure, opened) if moving[hinge.atoms[2]]]
+    single = {word.replace("@", " ") for word in opened if "@" in word}
+    found = [*find_hinges(structure, [*kinds_asked, *(_SINGLE if single else ())])]
+    if strange := {name.removeprefix("-") for name in single} - {hinge.name for hinge in found}:
+        raise ChainError(
+            f"{structure.name}: there is no hinge {min(strange)!r}; name it as phi@A:3 or chi1@A:3"
+        )
+    wanted = [hinge for hinge in found if moving[hinge.atoms[2]] and _is_asked(hinge, kinds_asked, single)]
     turning, group = turning_hinges(structure, bonds, wanted)
     if not turning and not structure.mobile.any():
         of = "" if move == "all" else f" in {move!r}"
@@ -141,6 +149,17 @@ def build_chain(
         moving=read_only(moving, np.bool_),
         hydrogen_mass=hydrogen_mass,
     )
+
+
+_SINGLE = ("phi", "psi", "omega", "chi")
+"""Kinds of which single hinges are opened and frozen."""
+
+
+def _is_asked(hinge: Hinge, kinds: Sequence[str], single: set[str]) -> bool:
+    """Whether a hinge is of a kind that is open, or opened by its name, and not frozen."""
+    kind = hinge.kind.rstrip("12345")
+    of_kind = kind in kinds or kind not in _SINGLE
+    return (of_kind or hinge.name in single) and f"-{hinge.name}" not in single
 
 
 def turned_atoms(chain: Chain) -> NDArray[np.bool_]:

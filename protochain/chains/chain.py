@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from protochain.chains.hinges import Hinge
 from protochain.core.arrays import Floats, Integers, Value, dots, floats, frozen, read_only
 from protochain.core.arrays import cross as vector_product
-from protochain.core.checks import instance
+from protochain.core.checks import instance, number, text
+from protochain.core.errors import ChainError
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.algebra import (
@@ -101,6 +103,43 @@ class Chain(Value):
     def n_v(self) -> int:
         """Number of freedoms: one a hinge, six a free root."""
         return self.tree.n_v
+
+    def hinge(self, name: str) -> int:
+        """Number of the only hinge of a name, as ``phi A:3``, ``chi1@B:12A``."""
+        asked = " ".join(text(name, "hinge").replace("@", " ").split())
+        found = [i for i, hinge in enumerate(self.hinges) if hinge.name == asked]
+        if len(found) == 1:
+            return found[0]
+        _, _, place = asked.rpartition(" ")
+        beside = [each.name for each in self.hinges if each.name.endswith(f" {place}")]
+        beside = beside or [each.name for each in self.hinges[:2]]
+        why = f"{len(found)} have this name" if found else f"does not turn; {', '.join(beside)} do"
+        raise ChainError(f"{self.structure.name}: hinge {name!r}: {why}")
+
+    def set(self, values: Mapping[str, float], q: Floats | None = None) -> Floats:
+        """Coordinates with some hinges at other values.
+
+        Parameters
+        ----------
+        values : mapping of str to float, degrees
+            By the names of hinges, as ``{"phi A:3": -60.0}``.
+        q : (n_q,) float, optional
+            Coordinates of all others; those of the input pose by default.
+
+        Returns
+        -------
+        (n_q,) float
+            For :func:`pose`, :func:`protochain.minimise` and :func:`protochain.simulate`.
+
+        Raises
+        ------
+        ChainError
+            If no hinge of a name turns.
+        """
+        made = np.array(self.q0 if q is None else floats(q, (self.n_q,), "q"))
+        for name, value in values.items():
+            made[self.tree.q_start[self.hinge_body[self.hinge(name)]]] = np.deg2rad(number(value, "values"))
+        return made
 
     @cached_property
     def rigid_groups(self) -> Integers:

@@ -10,6 +10,7 @@ from protochain.core.arrays import Floats, Integers, cross
 from protochain.core.graph import Neighbours, beyond, components, grouped, neighbours
 from protochain.ligands.molecule import Molecule
 from protochain.structure import residues
+from protochain.structure.dihedrals import finder
 from protochain.structure.model import Structure
 from protochain.structure.sugars import last_of_ring
 
@@ -48,6 +49,11 @@ class Hinge:
         """Atoms on the hinge axis."""
         return self.atoms[1:2] if self.is_angle else self.atoms[1:3]
 
+    @property
+    def name(self) -> str:
+        """By which it is asked for: ``phi A:3``; torsions of one ligand share theirs."""
+        return f"{self.kind} {self.chain}:{self.residue_number}{self.insertion_code}"
+
     def __str__(self) -> str:
         number = f"{self.residue_number}{self.insertion_code}"
         return f"{self.kind} of {self.residue_name} {number} chain {self.chain}"
@@ -79,35 +85,11 @@ def cross_links(structure: Structure) -> np.ndarray:
 
 def find_hinges(structure: Structure, kinds: list[str]) -> Iterator[Hinge]:
     """Yield the dihedrals of these kinds whose four atoms are present, in residue order."""
-    index = [dict[str, int]() for _ in range(structure.n_residues)]
-    places = zip(structure.atom_name.tolist(), structure.atom_residue.tolist(), strict=True)
-    for atom, (name, residue) in enumerate(places):
-        index[residue][name] = atom
-    chain_index = structure.residue_chain_index.tolist()
-
-    def atom_at(residue: int, name: str) -> int | None:
-        other = residue + {"+": 1, "-": -1}.get(name[-1], 0)
-        if not 0 <= other < structure.n_residues or chain_index[other] != chain_index[residue]:
-            return None
-        return index[other].get(name.rstrip("+-"))
-
     modified = _modified(structure)
     wanted = {*kinds, "rotors"} if "polar" in kinds else {*kinds}
-    for r, residue_name in enumerate(structure.residue_name.tolist()):
-        table: list[tuple[str, str, tuple[str, ...]]] = [("phi", "phi", residues.PHI)]
-        terminal = atom_at(r, "N+") is None
-        table.append(("psi", "psi", residues.PSI_TERMINAL if terminal else residues.PSI))
-        table.append(("omega", "omega", residues.OMEGA))
-        chis = residues.CHI.get(residue_name, ())
-        table += [("chi", f"chi{i}", names) for i, names in enumerate(chis, 1)]
-        rotors = (*residues.ROTORS.get(residue_name, ()), residues.ROTOR_N_TERMINAL)
-        table += [("rotors", "rotor", names) for names in rotors]
-        table += [("nucleic", *torsion) for torsion in residues.NUCLEIC.get(residue_name, {}).items()]
-        found = [
-            (kind, label, [atom_at(r, name) for name in names])
-            for kind, label, names in table
-            if kind in wanted
-        ]
+    index, named = finder(structure, wanted)
+    for r in range(structure.n_residues):
+        found = named(r)
         if r in modified and {*residues.BACKBONE} <= index[r].keys():
             found += _by_graph(structure, index[r])
         for kind, label, (a, b, c, d) in found:

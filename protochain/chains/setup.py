@@ -24,6 +24,7 @@ from protochain.core.checks import (
     number_in,
     optional,
     selection,
+    sequences,
     text,
     words,
 )
@@ -98,6 +99,13 @@ class Setup(Settings):
         As in :func:`protochain.load`.
     standard_residues : bool
         Convert modified residues to their standard parents, also those that have parameters.
+
+    rebuild_side_chains : str
+        Residues whose side chains are built anew, all at once, from the backbone alone: ``all``, or a
+        selection.
+    sequence : str
+        Sequence to put on the backbone: a FASTA file, or letters with ``/`` between chains; side chains of
+        residues that become others are built.
 
     Raises
     ------
@@ -213,6 +221,8 @@ class Setup(Settings):
     standard_residues: bool = setting(
         False, "Convert modified residues to their standard parents: SEP to SER.", flag, bool
     )
+    rebuild_side_chains: str = setting("", "", text)
+    sequence: str = setting("", "", sequences)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -268,12 +278,22 @@ class Setup(Settings):
 
         if isinstance(self.model, str):
             raise refused("model", self.model, "one structure is prepared at a time; give its number")
-        return as_structure(
+        made = as_structure(
             source, name, model=self.model, assembly=self.assembly, altloc=self.altloc, keep=self.keep,
             disulfide=self.disulfide, ph=self.ph, strict=self.strict, forcefield=self.forcefield,
             chains=self.chains, ligands=self.ligands, ligand_charges=self.ligand_charges,
             standard_residues=self.standard_residues,
         )  # fmt: skip
+        if not (self.rebuild_side_chains or self.sequence):
+            return made
+        from protochain.structure.substitute import rebuilt
+
+        return rebuilt(made, self.rebuild_side_chains, self.sequence, **self.of_building)
+
+    @property
+    def of_building(self) -> dict[str, Any]:
+        """Settings with which a structure that is prepared is completed again."""
+        return {name: getattr(self, name) for name in ("forcefield", "ph", "disulfide", "ligand_charges")}
 
     def chain(self, structure: "Structure") -> "Chain":
         """Cut a structure into rigid bodies."""

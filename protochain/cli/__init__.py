@@ -29,7 +29,7 @@ __all__ = ["main"]
 _COMMANDS = {
     "minimise": "minimise", "relax": "relax", "compare": "compare", "batch": "batch", "simulate": "simulate",
     "modes": "modes", "validate": "validate", "score": "score", "energy": "energy", "rmsd": "rmsd",
-    "info": "inspect", "build": "inspect",
+    "info": "inspect", "build": "inspect", "mutate": "mutate", "scan": "scan",
     "search": "search", "schema": "schema",
 }  # fmt: skip
 """Name of each command, which is that of its function, and the module that has it."""

@@ -19,6 +19,7 @@ from protochain.energies.decomposed import TERMS
 from protochain.minimisers import record as of_minimising
 from protochain.minimisers.solution import TRACE_COLUMNS
 from protochain.minimisers.verdict import Status
+from protochain.relaxation import mutations as of_mutations
 from protochain.relaxation import record as of_relaxing
 from protochain.relaxation.rounds import Round
 from protochain.results.columns import Column, Kind, kind_of, number
@@ -189,7 +190,7 @@ _BOND = _row("kind change first second")
 _SETTINGS = {
     simulation.RENAMED.get(name, name): kind
     for name, kind in get_type_hints(SimulationSettings).items()
-} | {"pull": str | None, "hinge_springs": list[str] | None}  # fmt: skip
+} | {"pull": str | None, "hinge_springs": list[str] | None, "restraint": list[str] | None}  # fmt: skip
 _SIMULATED = {
     **_row(simulation.RECORD), **_SETTINGS,
     **_optional(_row(simulation.PULLED)), **_ORIGIN,
@@ -197,7 +198,8 @@ _SIMULATED = {
 _LOG = {
     **_row("step time_ps kinetic_kj_mol potential_kj_mol total_kj_mol conserved_kj_mol temperature_k"),
     **_row("ca_rmsd_angstrom"),
-    **_optional(_row("fixman_kj_mol hinge_springs_kj_mol dampers_kj_mol closure_error_nm pull_distance_nm")),
+    **_optional(_row("fixman_kj_mol hinge_springs_kj_mol restraints_kj_mol dampers_kj_mol")),
+    **_optional(_row("closure_error_nm pull_distance_nm")),
     **_optional(_row("pull_extension_nm pull_force_kj_mol_nm pull_work_kj_mol")),
 }
 _MODES = {
@@ -278,6 +280,9 @@ _FACTS = {
 }  # fmt: skip
 
 
+_MUTANT = _cells(_row("chain residue wild mutant"), _row(of_mutations.COLUMNS))
+_MUTATIONS_TOLD = _row("input sites into results files", results=[_MUTANT], files=list[str])
+_SCANNED = _row("input n_points lowest files", lowest={OTHERS: float}, files=list[str])
 CONTRACTS: Mapping[str, Contract] = {
     "minimise": Contract((_MINIMISED, {"models": [_MINIMISED]}), {"--trace": (_cells(_TRACE),)}),
     "relax": Contract(
@@ -351,6 +356,11 @@ CONTRACTS: Mapping[str, Contract] = {
         (_DEVIATIONS_TOLD | {"results": [_MEASURED]}, _FRAMES_TOLD),
         {"--output": (_MEASURED,), "--trajectory": (_frames(RmsdFrames.columns),)},
     ),
+    "mutate": Contract(
+        (_row(of_mutations.COLUMNS) | _ORIGIN, _MUTATIONS_TOLD),
+        {"--scan": (_MUTANT,)},
+    ),
+    "scan": Contract((_SCANNED,), {"--output": (_cells({OTHERS: float, "status": NotRequired[Status]}),)}),
     "info": Contract((_FACTS,)),
     "build": Contract((_row("n_atoms n_residues output"),)),
 }  # fmt: skip

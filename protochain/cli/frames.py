@@ -45,7 +45,7 @@ Chosen = Annotated[
     str | None,
     typer.Option(
         "--frames", metavar="START:STOP:STEP",
-        help="Frames to take, from 0, or all; without --trajectory, of the models of IN.",
+        help="Frames to take, from 0, or 0,2,5, or all; without --trajectory, of the models of IN.",
     ),
 ]  # fmt: skip
 Workers = Annotated[int | None, typer.Option(help="Of frames: processes [default: all cores].")]

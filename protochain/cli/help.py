@@ -6,7 +6,7 @@ from typer.core import TyperCommand
 
 _FIRST = (
     "output", "method", "methods", "preset", "interface", "reference", "by", "ligands", "report",
-    "trajectory", "frames", "resume",
+    "trajectory", "frames", "scan", "into", "relax", "resume",
 )  # fmt: skip
 """What people type most, in this order."""
 _FEW = 5

@@ -29,9 +29,10 @@ def conclude(
     show: Callable[[Rows], None],
     as_json: bool,
     files: Sequence[Path] = (),
+    is_sound: bool = True,
     **noted: Any,
 ) -> None:
-    """Write the tables that are asked for, print the rows or one object with what is ``told``, and exit."""
+    """Write the tables that are asked for, print the rows or one object, and exit; if not sound with 3."""
     from protochain.core.storage import write_atomically
 
     for path, table in tables.items():
@@ -45,7 +46,8 @@ def conclude(
         if done:
             show(done)
         print_files(*written)
-    raise typer.Exit(exit_status("refused" if row["message"] else "measured" for row in rows))
+    status = "measured" if is_sound else "overlaps"
+    raise typer.Exit(exit_status("refused" if row["message"] else status for row in rows))
 
 
 def table_of(rows: Rows, without: Iterable[str] = ()) -> "DataFrame":

@@ -1,5 +1,6 @@
 """``protochain score``."""
 
+import sys
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,6 +19,7 @@ from protochain.cli.options import (
 )
 from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.checks import refuse_unknown
+from protochain.core.markup import counted
 
 if TYPE_CHECKING:
     from protochain.validation import Interface
@@ -67,6 +69,7 @@ def score(
     Complexes are read as they are, with what they lack added; relax them first.
     """
     from protochain.batches.cluster import Processes
+    from protochain.chains.contacts import overlapping
     from protochain.validation.interface import CONFIDENCES, SCORES
 
     known = {**SCORES, **CONFIDENCES}
@@ -94,6 +97,12 @@ def score(
     if rank:
         found.sort(key=lambda each: _place(each[0].get(rank), known[rank].better))
     rows, good = [row for row, _ in found], [(row, its) for row, its in found if its]
+    crowded = False
+    for structure in {id(its.structure): its.structure for _, its in good}.values():
+        if n := len(overlapping(structure, structure.positions)[0]):
+            crowded = True
+            what = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}: its energies mean nothing"
+            print(f"{structure.name}: {what}; relax first: protochain relax", file=sys.stderr)
     of_residues = [its.residues.assign(file=row["file"], interface=its.name) for row, its in good]
     if report:
         from protochain.comparison.scored import write_scored
@@ -101,7 +110,7 @@ def score(
         write_scored([its for _, its in good], [row for row, _ in good], report, setup, rank or "")
     conclude(
         rows, {csv: lambda: table_of(rows), residues: lambda: joined(of_residues)}, _print, as_json,
-        [report] if report else [], interface=interface, rank=rank, solvent=setup.solvent,
+        [report] if report else [], not crowded, interface=interface, rank=rank, solvent=setup.solvent,
         forcefield=setup.forcefield,
     )  # fmt: skip
 

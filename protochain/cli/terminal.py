@@ -237,6 +237,14 @@ def frames_progress(name: str, total: int) -> Iterator["Watch"]:
 
 
 @contextmanager
+def count_progress(name: str) -> Iterator["Callable[[int, int], None]"]:
+    """Show how many of all are done, and the time left."""
+    progress = _Progress(name, 100, 100)
+    with progress.bar:
+        yield lambda done, total: progress.show(100.0 * done / total, f"{done} of {total}")
+
+
+@contextmanager
 def search_progress(name: str) -> Iterator["Callable[[SearchProgress], None]"]:
     """Show the lowest energy, the acceptance, evaluations and the time left of a search."""
     progress = _Progress(name, 100, 100)

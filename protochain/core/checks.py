@@ -262,6 +262,19 @@ def file_name(value: Any, name: str) -> str:
     return text(str(value) if isinstance(value, Path) else value, name)
 
 
+def sequences(value: Any, name: str) -> str:
+    """Letters of chains, with ``/`` between and ``NAME=`` before, of a text like that or of a FASTA file."""
+    given = text(str(value) if isinstance(value, Path) else value, name).strip()
+    if given and len(given) < 256 and Path(given).is_file():
+        records = re.findall(r"(?m)^(?:>(\w*).*)?((?:\n?[^>\n]*$)*)", Path(given).read_text(errors="replace"))
+        split = [(of, "".join(its.split()).strip("/*").split("/")) for of, its in records if its.strip()]
+        given = "/".join(f"{of}={each}" if len(its) == 1 else each for of, its in split for each in its)
+    if given and not re.fullmatch(r"(\w*=)?[A-Z-]+(/(\w*=)?[A-Z-]+)*", given.upper()):
+        raise refused(name, shown(value), "give a FASTA file, or letters, with / between chains")
+    named = (each.rpartition("=") for each in given.split("/"))
+    return "/".join(f"{of}{sign}{letters.upper()}" for of, sign, letters in named)
+
+
 def force_field_parts(given: str) -> list[str]:
     """Names and paths of a force field that is given in parts, with commas between."""
     return [given] if Path(given).exists() else [name.strip() for name in given.split(",") if name.strip()]
@@ -434,6 +447,29 @@ def instance(kind: type, remedy: str) -> Check:
         raise refused(name, shown(value), f"give a {kind.__name__}, as of {remedy}")
 
     return check
+
+
+def following(protocol: type, *names: str) -> Check:
+    """Check for an object of a user's own that has what a protocol asks for."""
+
+    def check(value: Any, name: str) -> Any:
+        refuse_class(value, name)
+        asked = {n: getattr(protocol, n) for n in names}
+        own = {n for n in names if hasattr(value, n) and getattr(type(value), n, None) is not asked[n]}
+        if lacking := [n for n in names if n not in own]:
+            raise ProtochainError(
+                f"{name} {type(value).__name__}: has no {', '.join(lacking)}; a {protocol.__name__} has "
+                f"{', '.join(names)}: python.md, 'Methods, restraints and energies of your own'"
+            )
+        return value
+
+    return check
+
+
+def refuse_class(value: Any, name: str) -> None:
+    """Refuse a class where an object of it is meant."""
+    if isinstance(value, type):
+        raise ProtochainError(f"{name} {value.__name__}: is a class; give an object, as {value.__name__}()")
 
 
 def _listed(value: Any, name: str) -> list[str]:

@@ -98,6 +98,8 @@ def _moved(system: System, factors: Articulated, p: Floats) -> Floats:
 
 def hinges_of(spring: HingeSpring, chain: Chain) -> Integers:
     """Hinges of a chain that a spring is for, by number."""
+    if "@" in spring.kind or " " in spring.kind:
+        return np.array([chain.hinge(spring.kind)])
     found = np.flatnonzero([_is_kind(hinge, spring.kind) for hinge in chain.hinges])
     if not len(found):
         opened = " ".join(dict.fromkeys([*chain.opened.split(), spring.kind]))

@@ -1,24 +1,25 @@
 """Potentials of a chain, as integrators see them: its force field, and what corrects for rigid bonds."""
 
+from collections.abc import Callable
+
 from protochain.chains.chain import Chain, Pose, place_atoms, pull_back
 from protochain.core.arrays import Floats
 from protochain.dynamics.closure import Closure
-from protochain.energies.protocol import Energy
 from protochain.mechanics.motion.system import Potential
 from protochain.mechanics.multibody import articulated
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.operational import gradient_of_log_det
 
 
-def chain_potential(chain: Chain, energy: Energy) -> Potential:
+def chain_potential(chain: Chain, energy: Callable[[Floats], tuple[float, Floats]]) -> Potential:
     """Potential of a chain in a force field.
 
     Parameters
     ----------
     chain : Chain
         Chain of rigid bodies.
-    energy : Energy
-        Force field in Cartesian coordinates.
+    energy : callable
+        Force field, or restraints, in Cartesian coordinates.
 
     Returns
     -------

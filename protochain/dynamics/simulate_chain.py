@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from protochain.chains.articulate import transferred, with_energy, with_free_root
 from protochain.chains.chain import Chain, place_atoms
 from protochain.chains.frame import Frame, frame_of
+from protochain.chains.restraint_list import Restraints
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats
 from protochain.core.checks import WATCHER, checked, optional, path
@@ -70,6 +71,7 @@ def simulate(
     watch: Watcher | None = None,
     pull: Pull | str | None = None,
     hinge_springs: HingeSpring | str | Sequence[HingeSpring | str] = (),
+    restraint: Any = (),
 ) -> Simulation:
     """Simulate a chain of rigid bodies at constant energy or temperature.
 
@@ -127,6 +129,9 @@ def simulate(
     hinge_springs : HingeSpring, str, or sequence of them
         Springs and dampers on all hinges of a kind; as text ``"omega 40 0.5"``.
 
+    restraint : Restraint, str, path-like, or sequence of them
+        Restraints, their lines, or a file of them; the log has their energy.
+
     Returns
     -------
     Simulation
@@ -172,6 +177,7 @@ class _Run:
     freedoms: int
     pull: MovingSpring | None
     springs: HingeSprings | None
+    restraints: Restraints | None = None
 
     @property
     def constants(self) -> dict[str, Floats]:
@@ -235,6 +241,8 @@ class _Run:
             found["fixman_kj_mol"] = fixman(self.settings.thermal_energy, self.closure)(at.q, at.factors)[0]
         if self.springs is not None:
             found["hinge_springs_kj_mol"] = self.springs.potential(at.q, at.factors)[0]
+        if self.restraints is not None:
+            found["restraints_kj_mol"] = self.restraints(place_atoms(self.chain, at.factors.frames))[0]
         if self.pull is not None and self.pull.speed == 0.0:
             found["pull"] = self.pull.energy(at.time, at.factors.frames)
         return found
@@ -284,6 +292,9 @@ def _prepare(
         parts.append(fixman(settings.thermal_energy, closure))
     if springs is not None:
         parts.append(springs.potential)
+    restraints = Restraints.of(made.structure, settings.restraint) if settings.restraint else None
+    if restraints is not None:
+        parts.append(chain_potential(made, restraints))
     if pull is not None and pull.speed == 0.0:
         parts.append(pull.potential)
     loads = (pull.load(),) if pull is not None and pull.speed != 0.0 else ()
@@ -299,7 +310,9 @@ def _prepare(
         system, INTEGRATORS[settings.integrator], build_thermostat(settings.record(), kt, freedoms),
         settings.time_step, kt, settings.seed, removes, dampers(settings.hinge_springs, made, noise),
     )  # fmt: skip
-    return _Run(made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs)
+    return _Run(
+        made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs, restraints
+    )
 
 
 def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats:
@@ -316,11 +329,14 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
     """Run a simulation from its start or checkpoint, and write its files."""
     every, structure = run.settings.every, run.chain.structure
     start, origin, rows = _start(run, folder, running.resume)
+    kept = list[Any]()
 
     def report(state: State) -> None:
         row, x = run.row(state, origin)
         rows.append(row)
-        if folder:
+        if folder is None:
+            kept.append(x.astype(np.float32))
+        else:
             folder.append(row, x)
             if state.step and state.step % (every * running.checkpoint_every) == 0:
                 folder.store(state, run.varying.lists_at)
@@ -354,6 +370,8 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
         n_steps=state.step - start.step,
         seconds=seconds,
         frame=run.frame,
+        kept=tuple(kept),
+        trajectory=None if folder is None else folder.trajectory,
     )
     if folder:
         folder.summarise(result.record())

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, fields
 from typing import Any, Self
 
+from protochain.chains.restraint_lines import Restraint, read_restraints
 from protochain.core import defaults
 from protochain.core.checks import (
     Check,
@@ -107,13 +108,13 @@ class Pull(Settings):
 
 @dataclass(frozen=True)
 class HingeSpring:
-    """Springs and dampers on all hinges of a kind, beside the force field's own terms.
+    """Springs and dampers on all hinges of a kind, or on one, beside the force field's own terms.
 
     Parameters
     ----------
     kind : str
         Kind of hinge, of ``phi psi omega chi rotors angles nucleic ligand glycan``, which the chain must have
-        open.
+        open; or one hinge, as ``phi@A:3`` or ``phi A:3``.
     stiffness : float, kJ/mol/rad^2
         E = stiffness (1 - cos(q - q0)) of a dihedral, stiffness/2 (q - q0)^2 of a bond angle, with q0 the
         value at the start.
@@ -143,7 +144,8 @@ class HingeSpring:
         check_fields(self, kind=text, stiffness=quantity(unit), damping=number)
         # Polar hinges are rotors.
         known = [kind for kind in HINGES if kind != "polar"]
-        if self.kind not in known:
+        kind, _, place = self.kind.replace("@", " ").partition(" ")
+        if (kind.rstrip("12345") if place else kind) not in known:
             raise ProtochainError(f"kind {self.kind!r} is no kind of hinge; choose from {', '.join(known)}")
         for name, value in (("stiffness", self.stiffness), ("damping", self.damping)):
             if not 0.0 <= value < math.inf:
@@ -238,6 +240,11 @@ class SimulationSettings(Settings):
         metavar="'KIND K C'",
     )
 
+    restraint: tuple[Restraint, ...] = setting(
+        (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
+        read_restraints, list[str], "--restrain", metavar="LINE|FILE",
+    )  # fmt: skip
+
     def __post_init__(self) -> None:
         from protochain.dynamics.integrators import INTEGRATORS
         from protochain.dynamics.thermostats import THERMOSTATS
@@ -293,7 +300,8 @@ class SimulationSettings(Settings):
     def record(self) -> dict[str, Any]:
         """Return the settings as plain values by name."""
         plain = {field.name: getattr(self, field.name) for field in fields(self)}
-        plain["hinge_springs"] = [str(spring) for spring in self.hinge_springs] or None
+        for name in ("hinge_springs", "restraint"):
+            plain[name] = [str(each) for each in plain[name]] or None
         return plain | ({"pull": None} if self.pull is None else self.pull.record())
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.chains.chain import Chain, place_atoms
 from protochain.chains.contacts import overlaps
@@ -18,9 +19,12 @@ from protochain.dynamics.simulate_settings import SimulationSettings
 from protochain.dynamics.thermostats import THERMOSTATS
 from protochain.energies.protocol import Energy
 from protochain.results.columns import Column, of_energy, of_losses
-from protochain.structure import Structure, save
+from protochain.structure import Structure, save, to_mdanalysis, to_mdtraj
+from protochain.structure.frames import open_frames
 
 if TYPE_CHECKING:
+    import MDAnalysis
+    import mdtraj
     import pandas as pd
 
 
@@ -53,6 +57,10 @@ class Simulation:
         Wall time of these steps.
     frame : Frame
         Says whether frames are superposed on the input, and if not, what held the chain in place.
+    kept : tuple of (na, 3) float32, nm
+        Positions at the rows of the log, of a run without a folder.
+    trajectory : Path, optional
+        File of the frames.
     """
 
     chain: Chain
@@ -66,6 +74,23 @@ class Simulation:
     n_steps: int
     seconds: float
     frame: Frame
+    kept: tuple[NDArray[np.float32], ...] = ()
+    trajectory: Path | None = None
+
+    @cached_property
+    def frames(self) -> Any:
+        """(n, na, 3) float32, nm: positions at the rows of the log; of a run with a folder, from its file."""
+        if self.trajectory is None:
+            return np.array(self.kept, dtype=np.float32)
+        return np.array([each.x for each in open_frames(self.trajectory)], dtype=np.float32)
+
+    def to_mdtraj(self) -> "mdtraj.Trajectory":
+        """Convert the frames to an mdtraj trajectory, in nm."""
+        return to_mdtraj(self.chain.structure, self.frames)
+
+    def to_mdanalysis(self) -> "MDAnalysis.Universe":
+        """Convert the frames to an MDAnalysis Universe in memory, in angstrom."""
+        return to_mdanalysis(self.chain.structure, self.frames)
 
     @property
     def q(self) -> Floats:

@@ -6,7 +6,8 @@ import numpy as np
 import openmm
 from openmm import app, unit
 
-from protochain.core.checks import checked, instance
+from protochain.core.arrays import Floats
+from protochain.core.checks import checked, instance, shown
 from protochain.core.errors import ProtochainError
 from protochain.energies.custom import as_energy
 from protochain.energies.factory import energy
@@ -58,6 +59,51 @@ def to_ase(structure: Any, energy: Any = None) -> "Atoms":
         masses=made.atom_mass,
         calculator=EnergyCalculator(energy),
     )
+
+
+def energy_from(calculator: Any, structure: Any) -> Energy:
+    """Energy of a structure by a calculator of ASE: of xtb, of machine-learned potentials, or another.
+
+    Parameters
+    ----------
+    calculator : ase.calculators.calculator.Calculator, or ase.Atoms with one
+        What computes energies in eV and forces in eV/angstrom.
+    structure : Structure, or anything that :func:`protochain.as_structure` takes
+        Whose elements and atoms it gets, in their order.
+
+    Returns
+    -------
+    Energy
+        For every call that takes one; judged by itself, for no other engine computes it.
+
+    Raises
+    ------
+    ProtochainError
+        If it is no calculator, or its forces are not those of its energy.
+
+    Examples
+    --------
+    >>> s = pc.from_sequence("GAG")
+    >>> e = pc.energy_from(pc.to_ase(s), s)
+    >>> bool(np.isclose(e(s.positions)[0], pc.energy(s)(s.positions)[0]))
+    True
+    """
+    from ase import Atoms
+    from ase.units import kJ, mol, nm
+
+    made = as_structure(structure)
+    asked = getattr(calculator, "calc", calculator)
+    if not callable(getattr(asked, "get_potential_energy", None)) or isinstance(asked, type):
+        given = shown(calculator)
+        raise ProtochainError(f"calculator {given}: give a calculator of ASE, or Atoms with one")
+    atoms = Atoms(made.atom_element.tolist(), made.positions * nm, masses=made.atom_mass, calculator=asked)
+
+    def by_calculator(x: Floats) -> tuple[float, Floats]:
+        atoms.positions = x * nm
+        return atoms.get_potential_energy() * mol / kJ, atoms.get_forces() * mol / kJ * nm
+
+    by_calculator.__qualname__ = type(asked).__qualname__
+    return as_energy(by_calculator, made)
 
 
 _SAME_PLACE = 1e-6

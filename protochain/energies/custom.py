@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.checks import plain, shown
+from protochain.core.checks import plain, refuse_class, shown
 from protochain.core.errors import Fault, ProtochainError
 from protochain.energies.factory import energy, has_energy
 from protochain.energies.protocol import Energy, check_is_of
@@ -168,6 +168,7 @@ def as_energy(given: Any, structure: Structure, source: Any = None, **named: Any
     if hasattr(given, "without_constants"):
         check_is_of(given, structure)
         return given
+    refuse_class(given, "energy")
     if not callable(given):
         raise ProtochainError(
             f"energy {given!r}: give pc.energy(structure) or a callable x -> (energy, forces)"

@@ -176,7 +176,7 @@ def _parts(structure: Structure, between: Sequence[str] | str) -> tuple[NDArray[
     given = between.split(",") if isinstance(between, str) else between
     if not isinstance(given, list | tuple) or len(given) != 2 or not all(isinstance(e, str) for e in given):
         raise ProtochainError(f"between {between!r}: give two parts, as 'A:1-50,B'")
-    found = [_residues(structure, each.strip()) for each in given]
+    found = [residues_of(structure, each.strip(), "between") for each in given]
     if (found[0] & found[1]).any():
         both = structure.describe_residue(int(np.argmax(found[0] & found[1])))
         raise ProtochainError(
@@ -185,7 +185,8 @@ def _parts(structure: Structure, between: Sequence[str] | str) -> tuple[NDArray[
     return found[0], found[1]
 
 
-def _residues(structure: Structure, part: str) -> NDArray[np.bool_]:
+def residues_of(structure: Structure, part: str, what: str) -> NDArray[np.bool_]:
+    """Residues (nr,) of a chain, of ``A:1-50``, or of a selection, which an argument names."""
     place = re.fullmatch(r"(\w+)(?::(-?\d+)(?:-(-?\d+))?)?", part)
     chains = [*dict.fromkeys(structure.residue_chain.tolist())]
     if place is None or place[1] not in chains:
@@ -194,7 +195,7 @@ def _residues(structure: Structure, part: str) -> NDArray[np.bool_]:
             mask[structure.atom_residue[select(structure, part)]] = True
         except ProtochainError:
             raise ProtochainError(
-                f"between: {part!r} is no part of {structure.name}; give a chain ({', '.join(chains)}), "
+                f"{what}: {part!r} is no part of {structure.name}; give a chain ({', '.join(chains)}), "
                 "residues as A:1-50, or a selection that has atoms"
             ) from None
         return mask
@@ -203,7 +204,7 @@ def _residues(structure: Structure, part: str) -> NDArray[np.bool_]:
         number = structure.residue_number.astype(int)
         chosen &= (number >= int(place[2])) & (number <= int(place[3] or place[2]))
     if not chosen.any():
-        raise ProtochainError(f"between: {structure.name} has no residue {part}; give numbers that it has")
+        raise ProtochainError(f"{what}: {structure.name} has no residue {part}; give numbers that it has")
     return chosen
 
 

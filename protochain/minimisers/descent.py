@@ -4,7 +4,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import numpy as np
+
 from protochain.core.arrays import Floats
+from protochain.core.checks import following
+from protochain.core.errors import ProtochainError
 from protochain.minimisers.metrics import Euclidean, Metric, Preconditioner, Solve
 from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.steps import Rule
@@ -58,6 +62,11 @@ class Descent:
     rule: Rule
     states = (DescentState,)
 
+    def __post_init__(self) -> None:
+        following(Direction, "propose")(self.direction, "direction")
+        following(Metric, "at", "refresh_every")(self.direction.metric, "metric")
+        following(Rule, "init", "step")(self.rule, "rule")
+
     @property
     def metric(self) -> Metric:
         """Metric of the preconditioner."""
@@ -72,6 +81,11 @@ class Descent:
         """State after one step; None if no direction leads to a next point."""
         before, preconditioner = state.at, state.preconditioner
         for direction, memory in self.direction.propose(problem, before, preconditioner.solve, state.memory):
+            if np.shape(direction) != before.torque.shape:
+                raise ProtochainError(
+                    f"direction {type(self.direction).__name__}: propose yields shape {np.shape(direction)}, "
+                    f"not that of the torques, {before.torque.shape}"
+                )
             found = self.rule.step(problem, before, direction, state.rule)
             if found is not None:
                 length, at, rule = found

@@ -18,7 +18,7 @@ from protochain.chains.articulate import with_energy
 from protochain.chains.chain import Pose, pose
 from protochain.chains.frame import Frame, frame_of, knows_places
 from protochain.core import defaults
-from protochain.core.arrays import Floats, Watcher, read_only
+from protochain.core.arrays import Floats, Watcher, floats, read_only
 from protochain.core.checks import WATCHER, checked
 from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
@@ -50,6 +50,7 @@ def minimise(
     max_evaluations: int = defaults.MAX_EVALUATIONS,
     seed: int = defaults.SEED,
     *,
+    q: Floats | None = None,
     restraint: Any = "",
     max_rmsd: float = np.inf,
     curvature: bool | None = None,
@@ -87,6 +88,8 @@ def minimise(
         Energy evaluations allowed.
     seed : int
         Seed of ``anneal`` and ``openmm-md``; the other methods draw no random numbers.
+    q : (n_q,) float, optional
+        Coordinates of the given chain to start from, as of :meth:`Chain.set`; by default its input pose.
     restraint : float, sequence of float (kJ/mol/nm^2), or callable
         Springs from the heavy atoms to their initial positions: one strength after the other, each until it
         converges; a final 0 releases them. A callable takes positions to energy and forces, as ``energy``
@@ -140,7 +143,10 @@ def minimise(
     ('converged', True)
     """
     run = settings_from(Minimisation, locals(), recipe=recipe_of(method))
-    return minimise_from(Start(*with_energy(chain, energy)), run, watch)
+    cut, energy = with_energy(chain, energy)
+    if q is not None:
+        cut = rebuilt(cut, pose(cut, floats(q, (cut.n_q,), "q")).x)
+    return minimise_from(Start(cut, energy), run, watch)
 
 
 minimize = minimise

@@ -13,7 +13,7 @@ from protochain.chains.chain import Chain
 from protochain.chains.contacts import overlaps
 from protochain.core import defaults
 from protochain.core.arrays import Floats
-from protochain.core.checks import number
+from protochain.core.checks import number, refuse_class
 from protochain.core.errors import ProtochainError
 from protochain.energies.factory import lacks_dihedrals
 from protochain.energies.protocol import Energy
@@ -379,6 +379,7 @@ def recipe_of(method: Any) -> Recipe:
         except (ImportError, AttributeError, ValueError) as error:
             raise ProtochainError(f"method {method!r} cannot be imported: {error}") from None
         return recipe_of(found() if isinstance(found, type) else found)
+    refuse_class(method, "method")
     if callable(getattr(method, "step", None)) and "direction" in signature(method.step).parameters:
         raise ProtochainError(
             f"method {method!r} is a step rule: give it with a direction, as Descent(direction, {method!r})"

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from protochain.chains.contacts import near_pairs
+from protochain.chains.restraint_lines import Restraint, are_restraints, read_restraints
+from protochain.chains.restraint_list import Restraints
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import refused
 from protochain.core.units import ANGSTROM_PER_NM
@@ -188,11 +190,13 @@ class Hold:
         other.
     max_rmsd angstrom: C-alpha RMSD to the start that may not be exceeded.
     term: Any other restraint: positions (na, 3) in nm to energy and forces.
+    listed: Distances, dihedrals and positions.
     """
 
     strengths: tuple[float, ...] = ()
     max_rmsd: float = np.inf
     term: Force | None = None
+    listed: tuple[Restraint, ...] = ()
 
     def __post_init__(self) -> None:
         if not all(0 <= strength < np.inf for strength in self.strengths):
@@ -202,9 +206,11 @@ class Hold:
 
     @classmethod
     def of(cls, restraint: Any, max_rmsd: float = np.inf) -> "Hold":
-        """Read one strength, several, a string of them, or a callable."""
+        """Read one strength, several, a string of them, a callable, or restraints, also of a file."""
         if callable(restraint):
             return cls((), max_rmsd, restraint)
+        if are_restraints(restraint):
+            return cls((), max_rmsd, listed=read_restraints(restraint))
         try:
             given = restraint.split() if isinstance(restraint, str) else np.atleast_1d(restraint)
             strengths = tuple(float(strength) for strength in given)
@@ -217,7 +223,7 @@ class Hold:
     @property
     def place(self) -> str:
         """What of it holds a run in place to the end; empty for nothing."""
-        if self.term is not None:
+        if self.term is not None or self.listed:
             return "a restraint"
         return "springs to the start" if self.strengths and self.strengths[-1] > 0.0 else ""
 
@@ -227,6 +233,8 @@ class Hold:
         if self.term is not None:
             always.append(UserRestraint(self.term))
             UserRestraint(self.term).check(structure.positions)
+        if self.listed:
+            always.append(Restraints.of(structure, self.listed))
         if self.max_rmsd < np.inf:
             always.append(Leash(structure, self.max_rmsd))
         found: list[Force | None] = []
@@ -240,4 +248,4 @@ class Hold:
     def record(self) -> list[float | str]:
         """Strengths, and the name of any other restraint."""
         term = [] if self.term is None else [name_of(self.term)]
-        return [*self.strengths, *term]
+        return [*self.strengths, *term, *map(str, self.listed)]

@@ -5,9 +5,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from protochain.chains.restraint_lines import Restraint, read_restraints
 from protochain.chains.setup import Setup
 from protochain.core import defaults
-from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, text
+from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, sequences, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.settings import Settings, setting
 from protochain.minimisers.minimise_settings import TOLERANCE
@@ -50,6 +51,11 @@ class RelaxSettings(Settings):
         Residues whose side chains are put into the best of their rotamers first, all at once, whether or not
         they are in the way, in the selection language of MDAnalysis: ``chainID A``, ``interface A B``. They
         may stay as they are; ``repack`` is implied.
+    rebuild_side_chains, sequence : str
+        As of :class:`protochain.Setup`: side chains that are built anew from the backbone, of a selection or
+        ``all``; a sequence to put on it.
+    restraints : Restraint, str, path-like, or sequence of them
+        Restraints beside the springs, also to the end, their lines, or a file of them.
     interface : str
         Two sides, as ``A,B:C``, whose interface is scored before and after; empty for none.
     mirror : bool
@@ -103,6 +109,18 @@ class RelaxSettings(Settings):
     repack_region: str = setting(
         "", "First put all side chains there into the best rotamers: 'interface A B', 'chainID A'.", text
     )
+    rebuild_side_chains: str = setting(
+        "", "First take side chains off and build them on rotamers: all, or those of a selection.", text,
+        metavar="all|SELECTION",
+    )  # fmt: skip
+    sequence: str = setting(
+        "", "First put this sequence on the backbone: a FASTA file, or letters, with / between chains.",
+        sequences, metavar="FASTA",
+    )  # fmt: skip
+    restraints: tuple[Restraint, ...] = setting(
+        (), "Restraint beside the springs, as 'distance A:3:CA A:9:CA 0 6 1000', or a file of them.",
+        read_restraints, list[str], metavar="LINE|FILE",
+    )  # fmt: skip
     interface: str = setting(
         "",
         "Also score the interface of two sides before and after, as protochain score does: A:B.",
@@ -139,7 +157,7 @@ class RelaxSettings(Settings):
         return own
 
     def setup(self, given: Setup) -> Setup:
-        """Return a setup with the force field and solvent of the protocol.
+        """Return a setup with the force field and solvent of the protocol, and the side chains to build.
 
         Raises
         ------
@@ -157,8 +175,10 @@ class RelaxSettings(Settings):
                     f" {self.protocol} is {fixed}; leave one of them out",
                 )
         return replace(
-            given, forcefield=own.forcefield or given.forcefield, solvent=own.solvent or given.solvent
-        )
+            given, forcefield=own.forcefield or given.forcefield, solvent=own.solvent or given.solvent,
+            rebuild_side_chains=self.rebuild_side_chains or given.rebuild_side_chains,
+            sequence=self.sequence or given.sequence,
+        )  # fmt: skip
 
 
 NAMES = tuple(each.name for each in fields(RelaxSettings))

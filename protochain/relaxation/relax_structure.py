@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from protochain.chains.frame import Frame
+from protochain.chains.restraint_list import Restraints
 from protochain.core import defaults
 from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
@@ -121,14 +122,16 @@ def relax_structure(
     first = _repacked(structure, energy, mobile, settings)
     trace = _Trace(watch)
     known: Any = Known(energy)
-    relaxer = Relaxer(first, known, strength, settings.max_iterations, trace, mobile)
+    own = settings.restraints
+    held = (Restraints.of(first, own),) if own else ()
+    relaxer = Relaxer(first, known, strength, settings.max_iterations, trace, mobile, held)
     # BLAS on one thread: its sums must not depend on the machine, nor its threads compete with the energy's.
     with _libraries().limit(limits=1, user_api="blas"):
         done = relaxer.rounds(first.positions, excluded, settings.max_outer_iterations)
     seconds = perf_counter() - trace.began
     end = fewest_left(done)
     frame = Frame(structure, held_by)
-    restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any()
+    restraint, is_held = relaxer.restraint(end.springs), end.springs.weight.any() or held
     value, forces = known.judged(end.x)
     space, total = Cartesian(structure, mobile), forces + restraint(end.x)[1]
     force = space.residual(space.torque(space.place(space.start(end.x)), total))

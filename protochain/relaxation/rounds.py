@@ -108,6 +108,7 @@ class Relaxer:
     structure: The input, or that with side chains turned: all springs lead to it.
     max_iterations: Of each minimisation; 0 for no limit.
     moving (na,) bool: Atoms that may move; all but obstacles by default.
+    held: Restraints of the user.
     """
 
     structure: Structure
@@ -116,6 +117,7 @@ class Relaxer:
     max_iterations: int
     note: Note
     moving: NDArray[np.bool_] | None = None
+    held: tuple[Force, ...] = ()
 
     def rounds(self, x: Floats, excluded: NDArray[np.bool_], most: int) -> list[Ended]:
         """Minimise from x, and again with fewer springs while there are violations or overlaps.
@@ -239,7 +241,7 @@ class Relaxer:
         tolerance, patience = (20.0, 60) if is_soft else (30.0, PATIENCE)
         return Stage(
             self._space, self._method(springs, is_soft), energy, tolerance,
-            Sum([springs, self.shapes, self.peptides]),
+            Sum([springs, self.shapes, self.peptides, *self.held]),
             recorded=False, patience=patience, name="resolving clashes", ends=(Stop.INTERRUPTED,),
         )  # fmt: skip
 
@@ -272,7 +274,8 @@ class Relaxer:
         Springs to a bad model twist peptide bonds; the push to their form makes up for it, while they act.
         """
         pushed = springs.weight.any() and self.strength.planar
-        return Sum([springs, self.peptides]) if pushed else springs
+        beside: list[Force] = [*([self.peptides] if pushed else ()), *self.held]
+        return Sum([springs, *beside]) if beside else springs
 
     @cached_property
     def peptides(self) -> PeptideBonds:

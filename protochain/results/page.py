@@ -20,6 +20,15 @@ def write_page(path: Path, template: str, /, **variables: Any) -> None:
     write_text(path, render(template, **variables))
 
 
+def write_scan(path: Path, title: str, text: str, figure: Any, table: Any) -> None:
+    """Write the page of a scan: what it is, its figure, and all its points."""
+    from protochain.results.figures import data_url
+    from protochain.results.provenance import of_run
+
+    run = of_run("openmm", "gemmi", "numpy", "scipy", "numba", "pandas")
+    write_page(path, "scan.html", title=title, text=text, figure=data_url(figure), table=table, run=run)
+
+
 @cache
 def templates(*packages: str) -> Environment:
     """Templates of this package, and before them those of others."""

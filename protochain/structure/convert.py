@@ -102,19 +102,26 @@ def to_mdtraj(structure: Any, frames: Floats | None = None) -> mdtraj.Trajectory
     import mdtraj
 
     structure = as_structure(structure)
-    xyz = structure.positions[None] if frames is None else np.asarray(plain(frames, "nanometer", "frames"))
-    xyz = floats(xyz, (xyz.size // (3 * structure.n_atoms), structure.n_atoms, 3), "frames")
+    xyz = structure.positions[None] if frames is None else _frames(structure, frames)
     topology = mdtraj.Topology.from_openmm(structure.topology)
     return mdtraj.Trajectory(xyz.astype(np.float32), topology)
 
 
-def to_mdanalysis(structure: Any) -> MDAnalysis.Universe:
-    """Convert a structure to an MDAnalysis Universe of one frame, in memory.
+def _frames(structure: Structure, frames: Any) -> Floats:
+    """Positions (n, na, 3) of frames, nm."""
+    xyz = np.asarray(plain(frames, "nanometer", "frames"))
+    return floats(xyz, (xyz.size // (3 * structure.n_atoms), structure.n_atoms, 3), "frames")
+
+
+def to_mdanalysis(structure: Any, frames: Floats | None = None) -> MDAnalysis.Universe:
+    """Convert a structure to an MDAnalysis Universe in memory.
 
     Parameters
     ----------
     structure : Structure, or anything that :func:`as_structure` takes
         Structure to convert.
+    frames : (n, na, 3) float, nm, optional
+        Positions of each frame, as for :func:`to_mdtraj`.
 
     Returns
     -------
@@ -142,5 +149,8 @@ def to_mdanalysis(structure: Any) -> MDAnalysis.Universe:
     ):  # fmt: skip
         universe.add_TopologyAttr(name, values)
     universe.add_TopologyAttr("bonds", structure.bonds.tolist())
-    universe.atoms.positions = ANGSTROM_PER_NM * structure.positions
+    if frames is None:
+        universe.atoms.positions = ANGSTROM_PER_NM * structure.positions
+    else:
+        universe.load_new(ANGSTROM_PER_NM * _frames(structure, frames), order="fac")
     return universe

@@ -69,7 +69,7 @@ class Frames:
     count: int
     n_atoms: int
     read: Callable[[Iterable[int]], Iterator[Frame]]
-    chosen: range
+    chosen: Sequence[int]
     names: tuple[str, ...] = ()
     path: Path | None = None
     sequence: str = ""
@@ -84,17 +84,25 @@ class Frames:
         """Leave out the first n of the frames that are wanted."""
         return self._with(self.chosen[n:])
 
-    def _with(self, chosen: range) -> "Frames":
+    def _with(self, chosen: Sequence[int]) -> "Frames":
         kept = {name: its for name, its in vars(self).items() if name != "chosen"}
         return Frames(**kept, chosen=chosen)
 
     def select(self, asked: Any) -> "Frames":
-        """Choose frames: ``all``, a number, or ``START:STOP:STEP``, as Python has them."""
-        some = range(self.count)[selection(asked, "frames")]
-        if not some:
+        """Choose frames: ``all``, a number, ``START:STOP:STEP``, as Python has them, or a list of these."""
+        parts = (
+            asked.split(",")
+            if isinstance(asked, str)
+            else asked
+            if isinstance(asked, list | tuple)
+            else [asked]
+        )
+        each = [range(self.count)[selection(part, "frames")] for part in parts]
+        if not parts or not all(each):
             raise ProtochainError(
                 f"{self.source}: frames {asked}: none of its {self.count} frames; give others"
             )
+        some: Sequence[int] = each[0] if len(each) == 1 else [k for its in each for k in its]
         return self._with(some)
 
 

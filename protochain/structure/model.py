@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from types import MappingProxyType
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from protochain.ligands import Ligand
 from protochain.structure.header import Label
 from protochain.structure.repairs import Loss, Repair, summarised
 from protochain.structure.residues import Atom, Residue, name_in_file
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -363,6 +366,16 @@ class Structure(Value):
         # Attributes that are derived do not depend on the positions.
         moved.__dict__.update({name: its for name, its in vars(self).items() if name not in vars(moved)})
         return moved
+
+    def dihedrals(self) -> "pd.DataFrame":
+        """Dihedrals of the protein, in degrees: a row a residue.
+
+        Columns ``chain``, ``residue`` (number and insertion code), ``name``, ``phi``, ``psi``, ``omega`` (of
+        the bond after it), ``chi1`` to ``chi5``; NaN where there is none. As hinges are named and measured.
+        """
+        from protochain.structure.dihedrals import dihedrals
+
+        return dihedrals(self)
 
     def __repr__(self) -> str:
         return (

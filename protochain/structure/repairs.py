@@ -229,7 +229,9 @@ class Kind(Enum):
     HYDROGENS_ADDED = Words(
         "{count:n hydrogen} added at pH {ph:g} ({present} were in the file)", rank=Rank.HYDROGENS
     )
-    # By relax and repack.
+    # By relax, mutate and repack.
+    SIDE_CHAIN_BUILT = Words("{residue}: side chain built anew", "side chains built anew")
+    MUTATED = Words("{residue}: mutated to {name}")
     SIDE_CHAIN_TURNED = Words("{residue}: side chain turned from {before} to {after}", "side chains turned")
     HYDROGEN_TURNED = Words("{residue}: polar hydrogen turned", "polar hydrogens turned")
     NOT_PROVEN = Words(

@@ -57,6 +57,9 @@ PATHS = {
     "score several": "c.pdb d.pdb --solvent vacuum",
     "energy": "c.pdb --solvent vacuum",
     "energy frames": "m.pdb --frames all --solvent vacuum",
+    "mutate": "p.pdb A2G --solvent vacuum",
+    "mutate scan": "p.pdb --scan A:2 --into G --solvent vacuum",
+    "scan": "p.pdb psi@A:2=-40,40 --solvent vacuum --hinges phi,psi,chi",
     "rmsd": "p.pdb c.pdb",
     "rmsd frames": "p.pdb m.pdb --frames all",
     "info": "c.pdb",
@@ -70,16 +73,18 @@ PATHS = {
 VALUES = {
     "output": "other.pdb", "method": "newton", "angle": "0.001", "trace": "t.csv", "trajectory": "t.dcd",
     "report": "page.html", "ligand_out": "l.sdf", "checkpoint": "end.npz", "resume": "state.npz",
-    "tolerance": "700", "restraint": "100 0", "max_rmsd": "0.5", "spread": "20",
+    "tolerance": "700", "restraint": "position A:2:CA 0",
+    "restraints": "position A:2:CA 0", "max_rmsd": "0.5", "spread": "20",
     "manifest": "list.csv", "scheduler": "tcp://127.0.0.1:9", "frames": "0", "preset": "design",
     "protocol": "alphafold", "stiffness": "50", "exclude": "resid 2", "repack_region": "chainID A",
+    "rebuild_side_chains": "resid 2", "sequence": "A=GGGGGG",
     "interface": "A:B", "methods": "lbfgs,newton", "reference": "d.pdb", "to": "q.pdb",
     "csv": "t.csv", "residues": "r.csv", "changes": "ch.csv", "rank": "energy_kj_mol", "by": "residue",
     "between": "A:1-A:5", "align": "name C", "measure": "name N", "temperatures": "310-500", "hours": "1e-9",
     "thermostat": "none", "integrator": "midpoint", "loops": "closed", "hydrogen_mass": "2",
     "hinge_springs": "phi 40", "temperature": "310", "time_step": "0.5", "friction": "3",
     "amplitude": "2", "evaluations": "400", "workers": "3", "time_limit": "77",
-    "n_starts": "3", "speed": "1", "judge": "reference",
+    "n_starts": "3", "scan": "A:3", "into": "V", "speed": "1", "judge": "reference",
 }  # fmt: skip
 """What an option is given, by its name; flags and numbers not here get another than their default."""
 OF_SETUP = {

@@ -213,6 +213,20 @@ def test_search(told, tmp_path, method, evaluations):
     assert len(tables("search", tmp_path / "folder")) == (1 if method == "hopping" else 3)
 
 
+def test_mutate(told, tmp_path):
+    assert told("mutate", "peptide.pdb", "A:V3G", "-o", "g.pdb")["mutations"] == "A:V3G"
+    table = tmp_path / "scan.csv"
+    told("mutate", "peptide.pdb", "--scan", "A:3", "--workers", "1", "-o", table)
+    assert len(tables("mutate", None, **{"--scan": table})) == 1
+
+
+def test_scan(told, tmp_path):
+    given = ["scan", "peptide.pdb", "phi A:3=-60,60", "-o", tmp_path / "scan.csv"]
+    for more in ([], ["--relax", "--solvent", "vacuum"]):
+        assert told(*given, *more)["n_points"] == 2
+        assert len(tables("scan", None, **{"--output": tmp_path / "scan.csv"})) == 1
+
+
 def test_validate(told, tmp_path):
     options = {f"--{name}": tmp_path / f"{name}.csv" for name in ("csv", "residues", "changes")}
     (tmp_path / "bad.pdb").write_text("END\n")

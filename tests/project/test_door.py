@@ -24,6 +24,7 @@ from protochain.minimisers import KCM, Descent, Fixed
 from protochain.minimisers.solution import N_FRAMES, Recorder
 from protochain.validation import MEASURES
 
+PHI = pc.Restraint("dihedral", ["phi A:5"], 0, 0, 9.0)
 FILE = STRUCTURES / "ala10.pdb"
 S, C = partial(load, "ala10.pdb"), partial(chain, "ala10.pdb")
 
@@ -53,6 +54,7 @@ REQUIRED = {
     "EveryFrame": lambda: (pc.to_mdanalysis(S()),),
     "HingeSpring": lambda: ("omega", 40.0),
     "Pull": lambda: ("A:1:N-A:10:C",),
+    "Restraint": lambda: ("distance", ("A:1:CA", "A:9:CA"), 0.0, 5.0),
     "Setup": tuple,
     "as_structure": lambda: (S(),),
     "batch": lambda: ([FILE], "never-written"),
@@ -62,6 +64,7 @@ REQUIRED = {
     "deviation": lambda: (S(), S()),
     "differences": lambda: (S(), S()),
     "energy": lambda: (S(),),
+    "energy_from": lambda: (pc.to_ase(S(), vacuum()), S()),
     "energy_terms": lambda: (S(),),
     "explore": lambda: (C(), vacuum()),
     "from_sequence": lambda: ("AA",),
@@ -74,6 +77,7 @@ REQUIRED = {
     "log_det_mass": lambda: (C(), at()),
     "mass_matrix": lambda: (C(), at()),
     "minimise": lambda: (C(), vacuum()),
+    "mutate": lambda: (S(), "A:A3G"),
     "normal_modes": lambda: (C(), vacuum()),
     "pose": lambda: (C(), C().q0),
     "pull_back": lambda: (C(), at(), np.zeros((C().n_atoms, 3))),
@@ -82,6 +86,8 @@ REQUIRED = {
     "relax_frames": lambda: (S(), S().positions[None]),
     "rmsd": lambda: (S(), S()),
     "save": lambda: (S(), "never-written.pdb"),
+    "scan_mutations": lambda: (S(), "A:3"),
+    "scan": lambda: (C(), vacuum(), {"phi A:3": [-60.0]}),
     "score_interface": lambda: (S(), "resid 1:4", "resid 6:10"),
     "save_ligands": lambda: (S(), "never-written.sdf"),
     "search": lambda: (C(), vacuum()),
@@ -92,6 +98,7 @@ REQUIRED = {
     "to_mdanalysis": lambda: (S(),),
     "to_mdtraj": lambda: (S(),),
     "touching_chains": lambda: (S(),),
+    "umbrella": lambda: (C(), vacuum(), PHI, [-60, -50]),
     "validate": lambda: (S(),),
     "view": lambda: (S(),),
 }
@@ -125,6 +132,9 @@ FURTHER = {
         "repack",
         "repack_region",
         "mirror",
+        "rebuild_side_chains",
+        "sequence",
+        "restraints",
         "interface",
         "threads",
         "ph",
@@ -150,6 +160,7 @@ def test_every_public_function_is_tried():
         "EveryFrame",
         "HingeSpring",
         "Pull",
+        "Restraint",
         "Setup",
     }
 

@@ -22,7 +22,7 @@ FILES = {
     "other": ("amber14-all.xml", "implicit/gbn2.xml"),
     "solvent": ("amber99sb.xml", "implicit/gbn2.xml"),
 }
-HINGES, PARTS = "phi psi", ("resid 1:2", "resid 3:4")
+HINGES, PARTS, MUTATION = "phi psi", ("resid 1:2", "resid 3:4"), "Y2G"
 
 
 @functools.cache
@@ -133,6 +133,10 @@ def by_product(r, e):
     return value
 
 
+def phi(r):
+    return pc.as_structure(r).dihedrals()["phi"][[1]]
+
+
 def none_or(e):
     return {} if e is None else {"energy": e}
 
@@ -155,8 +159,10 @@ CALLS = {
     "search": lambda r, e: at(pc.search(r, e, "hopping", evaluations=1).energy_function, r),
     "simulate": lambda r, e: pc.simulate(r, e, n_steps=1, every=1).rows[0]["potential_kj_mol"],
     "relax": lambda r, e: pc.relax(r, max_iterations=1, max_outer_iterations=1, **named(e)).energy_start,
+    "mutate": lambda r, e: at(pc.mutate(r, MUTATION, **named(e)).wild.energy_function, r),
     "relax_frames": lambda r, e: at(frames(r, **named(e)).energy_function, r),
     "normal_modes": lambda r, e: at(pc.normal_modes(r, e, k=1).energy_function, r),
+    "scan": lambda r, e: pc.scan(r, e, {"phi A:2": phi(r)})["energy_kj_mol"][0],
     "hessian": by_hessian,
     "hessian_product": by_product,
 }
@@ -171,15 +177,16 @@ CHAINS = {
     "normal_modes": lambda r: pc.normal_modes(r, k=1).chain,
 }
 COORDINATES = {
-    "as_structure", "deviation", "differences", "quality", "rmsd", "save", "save_ligands", "to_mdanalysis",
-    "to_mdtraj", "to_simulation", "touching_chains", "validate", "view",
+    "as_structure", "deviation", "differences", "energy_from", "quality", "rmsd", "save", "save_ligands",
+    "to_mdanalysis", "to_mdtraj", "to_simulation", "touching_chains", "validate", "view",
 }  # fmt: skip
 """Calls that need neither energy nor chain."""
 NO_RESULT = {
     "batch", "ca_rmsd", "from_sequence", "from_simulation", "kcm", "ligand", "load", "log_det_mass",
-    "mass_matrix", "minimize", "pose", "progress", "pull_back", "solve_mass",
+    "mass_matrix", "minimize", "pose", "progress", "pull_back", "scan_mutations",
+    "solve_mass", "umbrella",
 }  # fmt: skip
-"""Calls that take files, or a chain and its coordinates, or are names of others."""
+"""Calls that take files, or a chain and its coordinates, or are names of others, or call one of these."""
 
 
 def test_every_public_function_is_here():

@@ -1,0 +1,250 @@
+"""Every mutation of some sites, here or by many processes, and a table that a kill does not lose."""
+
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from protochain.batches.cluster import Processes, Submitted, at_work, shared
+from protochain.chains.setup import Setup
+from protochain.core.checks import at_least, checked, optional, text
+from protochain.core.errors import Argument, ProtochainError
+from protochain.core.interrupts import held_interrupts
+from protochain.core.storage import read_arrays, write_arrays, write_atomically
+from protochain.energies.decomposed import residues_of
+from protochain.relaxation.mutations import COLUMNS, mutated, protocol, told
+from protochain.relaxation.relax_settings import RelaxSettings
+from protochain.relaxation.result import Relaxation
+from protochain.structure import Structure
+from protochain.structure.residues import STANDARD
+from protochain.structure.substitute import LETTERS
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+ALL = "all"
+Rows = list[dict[str, Any]]
+_SITE = ("chain", "residue", "wild", "mutant")
+_MOST = 15.0
+"""kJ/mol at which the colour of the heat map is full: some 3.6 kcal/mol."""
+
+
+@dataclass(frozen=True)
+class SiteJob:
+    """All mutations of a residue, for a process.
+
+    task: Pickled structure and settings.
+    letters: Those that it becomes.
+    """
+
+    task: Path
+    residue: int
+    letters: str
+
+    def run(self, threads: int) -> Iterator[dict[str, Any]]:
+        """Make and relax each mutant; residues that move alike share the wild type."""
+        structure, relaxing, setup = _begun(self.task)
+        known: dict[tuple[int, ...], Relaxation] = {}
+        for letter in self.letters:
+            names = {self.residue: LETTERS[letter]}
+            try:
+                its = mutated(structure, names, relaxing, replace(setup, threads=threads), known)
+                yield _site(structure, self.residue, letter) | its.record()
+            except ProtochainError as error:
+                yield _failed(structure, self.residue, letter, "refused", str(error))
+            except Exception as error:  # A bug met by one mutant must not stop the others.
+                yield _failed(structure, self.residue, letter, "error", f"{type(error).__name__}: {error}")
+
+    def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
+        """Rows of the mutants that are missing, where the process ended."""
+        structure = _begun(self.task)[0]
+        return [_failed(structure, self.residue, each, status, message) for each in self.letters[len(done) :]]
+
+
+@lru_cache(maxsize=1)
+def _begun(path: Path) -> tuple[Structure, RelaxSettings, Setup]:
+    found: tuple[Structure, RelaxSettings, Setup] = pickle.loads(path.read_bytes())
+    return found
+
+
+def _site(structure: Structure, r: int, letter: str) -> dict[str, Any]:
+    its = structure.residue(r)
+    wild = STANDARD[str(structure.residue_name[r])]
+    return dict(zip(_SITE, (its.chain, its.number, wild, letter), strict=True))
+
+
+def _failed(structure: Structure, r: int, letter: str, status: str, message: str) -> dict[str, Any]:
+    named = {"structure": structure.name, "mutations": told(structure, r, LETTERS[letter])}
+    empty = dict.fromkeys(column.key for column in COLUMNS)
+    return _site(structure, r, letter) | empty | named | {"status": status, "message": message}
+
+
+def sites_of(structure: Structure, sites: str, into: str) -> list[tuple[int, str]]:
+    """Residues by index, and letters that each becomes, of ``A:1-50,B:7`` and ``A``, ``AVL`` or ``all``."""
+    letters = "".join(sorted(LETTERS)) if text(into, "into") == ALL else into.upper()
+    if not letters or not {*letters} <= LETTERS.keys():
+        raise ProtochainError(Argument("into"), f" {into!r}: give letters of residues, as A or AVL, or all")
+    chosen = np.zeros(structure.n_residues, dtype=bool)
+    for part in text(sites, "sites").split(","):
+        chosen |= residues_of(structure, part.strip(), "sites")
+    own = [STANDARD.get(str(name), "") for name in structure.residue_name]
+    kept = np.isin(np.arange(structure.n_residues), structure.atom_residue[structure.kept])
+    rows = [
+        (r, "".join(each for each in dict.fromkeys(letters) if each != own[r]))
+        for r in np.flatnonzero(chosen & ~kept).tolist()
+        if own[r]
+    ]
+    if not any(its for _, its in rows):
+        raise ProtochainError(f"{structure.name}: sites {sites!r} into {into!r}: there is nothing to mutate")
+    return [(r, its) for r, its in rows if its]
+
+
+@checked(workers=optional(at_least(1)))
+def scan_mutations(
+    source: Any, sites: str, into: str = "A", *, workers: int | None = None, **options: Any
+) -> "pd.DataFrame":
+    """Mutate each residue of some sites by itself, to alanine or to others; a row for each mutant.
+
+    Parameters
+    ----------
+    source : Structure, path, or anything that :func:`protochain.as_structure` takes
+        Structure to mutate; relax it first.
+    sites : str
+        Residues, as ``"A:1-50,B:7"``, chains, or one selection in the language of MDAnalysis.
+    into : str
+        Letters that each becomes in turn, or ``all`` for the other nineteen.
+    workers : int, optional
+        Processes. By default all is done in this one.
+    **options
+        As for :func:`protochain.mutate`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        Columns ``chain``, ``residue``, ``wild``, ``mutant``, and those of :meth:`Mutation.record`; a mutant
+        that cannot be made has a message.
+
+    Raises
+    ------
+    ProtochainError
+        If the structure has no such sites, or an option makes no sense.
+
+    Examples
+    --------
+    >>> pc.scan_mutations("structures/1l2y.pdb", "A:7-8", solvent="vacuum")["mutations"].tolist()
+    ['A:L7A', 'A:K8A']
+    """
+    import pandas as pd
+
+    relaxing, setup = protocol(options, source)
+    structure = setup.load(source)
+    processes = Processes(workers, threads=setup.threads or 1) if workers else None
+    rows = [*rows_of(structure, sites_of(structure, sites, into), relaxing, setup, processes)]
+    return pd.DataFrame(sorted(rows, key=_order(structure)))
+
+
+def rows_of(
+    structure: Structure, jobs: Sequence[tuple[int, str]], relaxing: RelaxSettings, setup: Setup,
+    processes: Processes | None,
+) -> Iterator[dict[str, Any]]:  # fmt: skip
+    """Rows of mutants, as they are done."""
+    with shared((structure, relaxing, setup)) as path:
+        each = [SiteJob(path, *job) for job in jobs]
+        if processes is None:
+            for job in each:
+                yield from job.run(setup.threads)  # type: ignore[arg-type]  # None is all
+            return
+        with at_work(processes) as workers:
+            running = Submitted(workers, processes, path.parent)
+            for job in each:
+                running.submit(job)
+            while len(running):
+                yield from running.ended()[1].result()
+
+
+def _order(structure: Structure) -> Callable[[Any], tuple[int, str]]:
+    place = {(s.chain, s.number): r for r in range(structure.n_residues) for s in (structure.residue(r),)}
+    return lambda row: (place[row["chain"], str(row["residue"])], str(row["mutant"]))
+
+
+def run_scan(
+    structure: Structure, sites: str, into: str, relaxing: RelaxSettings, setup: Setup, table: Path,
+    processes: Processes, resume: bool, watch: Callable[[int, int], None],
+) -> tuple["pd.DataFrame", bool]:  # fmt: skip
+    """Write a table of mutants as they are done, after a kill those that are left; whether it was stopped."""
+    import pandas as pd
+
+    jobs, begun = sites_of(structure, sites, into), table.with_name(f"{table.stem}.checkpoint.npz")
+    plain = {name: str(its) for name, its in {**vars(setup), **vars(relaxing)}.items() if name != "threads"}
+    settings = {
+        "sites": sites, "into": into, "protochain": version("protochain"), "atoms": structure.fingerprint,
+        "positions": float(np.abs(structure.positions).sum()), **plain,
+    }  # fmt: skip
+    rows: Rows = []
+    if begun.exists() and resume:
+        read_arrays(begun, settings, "scan", "give another output, or leave out ", Argument("resume", True))
+        if table.exists():
+            numbers = [each.key for each in COLUMNS if each.kind is not str]
+            read: Any = pd.read_csv(
+                table, dtype=dict.fromkeys(_SITE, "str"), keep_default_na=False,
+                na_values={name: [""] for name in numbers},
+            )  # fmt: skip
+            rows = read.to_dict("records")
+    elif begun.exists():
+        raise ProtochainError(
+            f"{table}: holds an interrupted scan; ", Argument("resume", True), " continues it; or remove ",
+            str(begun),
+        )  # fmt: skip
+    done, order = {(row["chain"], row["residue"], row["mutant"]) for row in rows}, _order(structure)
+    left = []
+    for r, letters in jobs:
+        its = structure.residue(r)
+        letters = "".join(each for each in letters if (its.chain, its.number, each) not in done)
+        left += [(r, letters)] if letters else []
+    write_arrays(begun, {}, None, settings)
+    total, interrupted = len(rows) + sum(len(letters) for _, letters in left), False
+
+    def keep() -> "pd.DataFrame":
+        found = pd.DataFrame(sorted(rows, key=order))
+        write_atomically(table, lambda to: found.to_csv(to, index=False))
+        return found
+
+    try:
+        for row in rows_of(structure, left, relaxing, setup, processes):
+            with held_interrupts() as signals:
+                rows.append(row)
+                keep()
+            watch(len(rows), total)
+            if signals:
+                raise KeyboardInterrupt
+    except KeyboardInterrupt:
+        interrupted = True
+    if not interrupted:
+        begun.unlink(missing_ok=True)
+    return keep(), interrupted
+
+
+def heat_map(table: "pd.DataFrame", column: str = "ddg_kj_mol") -> "Figure":
+    """Sites against the residues that they become: red costs, blue gains, grey is the wild type."""
+    from protochain.results.figures import panels
+
+    sites = list(dict.fromkeys(zip(table["chain"], table["residue"].astype(str), table["wild"], strict=True)))
+    letters = sorted({*table["mutant"]})
+    values = np.full((len(letters), len(sites)), np.nan)
+    for row in table.to_dict("records"):
+        at = sites.index((row["chain"], str(row["residue"]), row["wild"]))
+        values[letters.index(row["mutant"]), at] = np.nan if row[column] is None else row[column]
+    figure, (ax,) = panels(None, 1, (2.5 + 0.22 * len(sites), 1.6 + 0.22 * len(letters)))
+    shown = ax.imshow(values, cmap="coolwarm", vmin=-_MOST, vmax=_MOST, aspect="auto")
+    ax.set_facecolor("#cccccc")
+    names = [f"{chain}:{wild}{number}" for chain, number, wild in sites]
+    ax.set_xticks(range(len(sites)), names, rotation=90, fontsize=7)
+    ax.set_yticks(range(len(letters)), letters, fontsize=8)
+    figure.colorbar(shown, ax=ax, label="kJ/mol", extend="both")
+    return figure

@@ -1,0 +1,173 @@
+"""``protochain mutate``."""
+
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from protochain.chains.setup import Setup
+from protochain.cli.options import (
+    INTERRUPTED,
+    AsJson,
+    Force,
+    Input,
+    Report,
+    Scheduler,
+    beside_structure,
+    check_names,
+    check_outputs,
+    check_page,
+    check_structure,
+    exit_status,
+    fail,
+    inputs_of,
+    named_after,
+    print_changes,
+    print_files,
+    print_json,
+    refuse,
+    with_settings,
+    write_models,
+)
+from protochain.cli.relax import Resume, Workers
+from protochain.core import defaults
+from protochain.core.errors import ProtochainError
+from protochain.relaxation.relax_settings import RelaxSettings
+
+if TYPE_CHECKING:
+    from protochain.relaxation.mutations import Mutation
+
+_SHOWN = (
+    "mutations", "status", "ddg_kj_mol", "energy_change_kj_mol", "interface_change_kj_mol",
+    "clashscore_per_1000_atoms", "seconds",
+)  # fmt: skip
+"""Columns of the terminal."""
+_TEXT = (
+    "Estimated change of stability of each mutant: its energy less that of the wild type, both repacked and "
+    "relaxed near the site, less the same in pentapeptides GGXGG. Red is less stable, blue more."
+)
+_WITHOUT = "hinges root move rigid_protein terms rebuild_side_chains sequence"
+_OWN = "preset tolerance interface"
+_OF_RELAX = " ".join(name for name in vars(RelaxSettings()) if name not in _OWN.split())
+
+
+@with_settings(setup=_WITHOUT, relaxing=f"{_OF_RELAX} {_OWN.replace(' interface', '')}")
+def mutate(
+    context: typer.Context,
+    source: Input,
+    mutations: Annotated[
+        str | None, typer.Argument(metavar="A:L45F,B:...", help="Mutations, all in one mutant.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Mutant, or CSV of a scan [default: NAME.mutant.pdb, .csv]."),
+    ] = None,
+    scan: Annotated[
+        str | None, typer.Option(metavar="A:1-50", help="In place of mutations: each residue by itself.")
+    ] = None,
+    into: Annotated[str, typer.Option(metavar="A|AVL|all", help="Of a scan: what each becomes.")] = "A",
+    report: Report = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    time_limit: Annotated[float, typer.Option(help="Of a scan: seconds of a site.")] = defaults.TIME_LIMIT,
+    resume: Resume = False,
+    as_json: AsJson = False,
+    force: Force = False,
+    *,
+    relaxing: RelaxSettings,
+    setup: Setup,
+) -> None:
+    """Put residues in place of others, and tell what that costs.
+
+    Side chains are built on rotamers; what is within 8 angstrom is repacked and relaxed in all atoms, in the
+    structure itself too. With --scan each residue is mutated by itself: a table, and a page with a heat map.
+    """
+    from protochain.relaxation.mutations import PROTOCOL, mutated, places_of
+
+    if (mutations is None) == (scan is None):
+        raise ProtochainError("mutate: give mutations, as A:L45F, or --scan SITES")
+    relaxing = replace(relaxing, **PROTOCOL)
+    if scan is not None:
+        raise typer.Exit(
+            _scan(source, scan, into, output, relaxing, setup, (workers, scheduler, time_limit), report,
+                  resume=resume, as_json=as_json, force=force)
+        )  # fmt: skip
+    assert mutations is not None
+    refuse(context, "into workers scheduler time_limit resume report", "is of a scan")
+    stem, suffix = named_after(source)
+    output = output or Path(f"{stem}.mutant{suffix}")
+    check_names(output, None, None, as_json)
+    check_outputs(inputs_of(setup, source), [output], force)
+    began = perf_counter()
+    structure = setup.load(source)
+    check_structure(structure, output, None)
+    print_changes(source, structure)
+    names = places_of(structure, mutations)
+    origin = {"input": str(source), "output": str(output), "seconds_preparation": perf_counter() - began}
+    done = mutated(structure, names, relaxing, setup, {})
+
+    if not done.mutant.is_usable:
+        raise SystemExit(fail(f"{source}: {done.mutant.message}; nothing is written"))
+    write_models([done.structure], output, suffix, done.mutant.provenance())
+    if as_json:
+        print_json(done.record() | origin)
+    else:
+        with beside_structure(output):
+            _print(done)
+            print_files(output)
+    raise typer.Exit(exit_status([str(done.mutant.status)]))
+
+
+def _print(done: "Mutation") -> None:
+    """Print what a mutant costs."""
+    ddg, bound = done.ddg, done.interface_change
+    parts = f"{done.change:.1f} kJ/mol, in GGXGG {'-' if done.unfolded is None else f'{done.unfolded:.1f}'}"
+    stated = [
+        f"change of stability: {'not known' if ddg is None else f'{ddg:+.1f} kJ/mol'} (energy {parts})",
+        *([] if bound is None else [f"change of the energy of binding: {bound:+.1f} kJ/mol"]),
+        f"wild type: {done.wild.message}",
+        f"mutant: {done.mutant.message}",
+    ]
+    print("\n".join(stated))
+
+
+def _scan(
+    source: Path, sites: str, into: str, output: Path | None, relaxing: RelaxSettings, setup: Setup,
+    how: tuple[int | None, str | None, float], report: Path | None, *,
+    resume: bool, as_json: bool, force: bool,
+) -> int:  # fmt: skip
+    """Scan sites; write the table, and the page with the heat map."""
+    from protochain.batches.cluster import Processes
+    from protochain.batches.mutation_scan import heat_map, run_scan
+    from protochain.cli.rows import print_rows
+    from protochain.cli.terminal import count_progress
+
+    table = output or Path(f"{named_after(source)[0]}.mutations.csv")
+    check_page(report)
+    check_outputs(inputs_of(setup, source), [table, *([report] if report else [])], force)
+    processes = Processes(how[0], how[1], setup.threads or 1, how[2])
+    with processes.started_early():
+        structure = setup.load(source)
+        print_changes(source, structure)
+        with count_progress("mutate") as watch:
+            found, interrupted = run_scan(
+                structure, sites, into, relaxing, setup, table, processes, resume, watch
+            )  # fmt: skip
+    if report:
+        from protochain.results.page import write_scan
+
+        its = found.drop(columns=["structure", "chain", "residue", "wild", "mutant"])
+        write_scan(report, f"Mutations of {structure.name}", _TEXT, heat_map(found), its)
+    rows: Any = found.astype(object).where(found.notna(), None).to_dict("records")
+    if as_json:
+        files = [str(path) for path in (table, report) if path]
+        print_json({"input": str(source), "sites": sites, "into": into, "results": rows, "files": files})
+    elif rows:
+        shown = [key for key in _SHOWN if any(row[key] is not None for row in rows)]
+        print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)
+        print_files(table, report)
+    if interrupted:
+        return fail("interrupted; --resume does the rest", INTERRUPTED)
+    return exit_status(row["status"] for row in rows)

@@ -1,0 +1,93 @@
+"""``protochain scan``."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protochain.chains.setup import Setup
+from protochain.cli.options import (
+    AsJson,
+    Input,
+    Report,
+    check_outputs,
+    check_page,
+    inputs_of,
+    named_after,
+    prepare,
+    print_files,
+    print_json,
+    with_settings,
+)
+from protochain.cli.terminal import count_progress
+from protochain.core.errors import ProtochainError
+
+
+@with_settings()
+def scan(
+    source: Input,
+    grids: Annotated[
+        list[str],
+        typer.Argument(metavar="'phi A:3=-180:180:10'...", help="Hinges, and first, last and step, degrees."),
+    ],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="CSV to write [default: NAME.scan.csv].")
+    ] = None,
+    report: Report = None,
+    relax: Annotated[bool, typer.Option(help="Minimise all other hinges at each point.")] = False,
+    as_json: AsJson = False,
+    *,
+    setup: Setup,
+) -> None:
+    """Compute the energy against dihedrals; write a table, and a page with a curve or a Ramachandran map."""
+    from protochain.comparison.dihedral_scan import ENERGY, energy_map
+    from protochain.comparison.dihedral_scan import scan as run
+    from protochain.core.storage import write_atomically
+    from protochain.results.page import write_scan
+
+    asked = dict(_read(each) for each in grids)
+    table = output or Path(f"{named_after(source)[0]}.scan.csv")
+    check_page(report)
+    files = [table, *([report] if report else [])]
+    check_outputs(inputs_of(setup, source), files)
+    chain, energy, _ = prepare(source, setup)
+    with count_progress("scan") as watch:
+        found = run(chain, energy, asked, relax=relax, watch=watch)
+    write_atomically(table, lambda to: found.to_csv(to, index=False))
+    if report:
+        what = "minimised in all other hinges" if relax else "with all other hinges as they are"
+        text = f"Energy of {chain.structure.name} against its dihedrals, {what}."
+        write_scan(report, f"Scan of {chain.structure.name}", text, energy_map(found), found)
+    lowest: dict[str, float] = found.nsmallest(1, ENERGY)[[*asked, ENERGY]].to_dict("records")[0]  # type: ignore[assignment]  # of texts
+    if as_json:
+        told = {"input": str(source), "n_points": len(found), "lowest": lowest}
+        print_json(told | {"files": [*map(str, files)]})
+    else:
+        at = ", ".join(f"{name} {lowest[name]:g}" for name in asked)
+        print(f"{len(found)} points; the lowest, {lowest[ENERGY]:.2f} kJ/mol, at {at} degrees")
+        print_files(*files)
+
+
+def _read(given: str) -> tuple[str, list[float]]:
+    """Name and values of ``phi A:3=-180:180:10``, the last included, or ``phi A:3=-60,60``."""
+    name, sign, values = given.rpartition("=")
+    parts = re.split(r"[:,]", values)
+    try:
+        numbers = [float(each) for each in parts]
+    except ValueError:
+        numbers = []
+    if ":" in values and len(numbers) == 3:
+        first, last, step = numbers
+        n = (last - first) / step if step > 0.0 else -1.0
+        numbers = [first + k * step for k in range(int(n + 1e-9) + 1)] if 0.0 <= n < _MOST else []
+    elif ":" in values:
+        numbers = []
+    if not sign or not numbers:
+        how = "give a hinge and its values, as 'phi A:3=-180:180:10' or 'phi A:3=-60,60'"
+        raise ProtochainError(f"{given!r}: {how}")
+    return name.strip(), numbers
+
+
+_MOST = 1e6
+"""Values of a hinge: more are a slip."""

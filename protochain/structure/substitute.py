@@ -1,0 +1,144 @@
+"""Side chains taken off and built anew, on rotamers: of the same residues, or of others in their place."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import gemmi
+import numpy as np
+
+from protochain.core import defaults
+from protochain.core.errors import StructureError, refused
+from protochain.core.markup import listed
+from protochain.structure.bound import Chemistry
+from protochain.structure.draft import Draft
+from protochain.structure.files import number_atoms
+from protochain.structure.model import Structure
+from protochain.structure.pka import value_of
+from protochain.structure.prepare import parts_of, prepare, user_files
+from protochain.structure.read import Reading, read_structure
+from protochain.structure.repairs import Kind, Repair
+from protochain.structure.residues import CAPS, STANDARD, name_in_file
+from protochain.structure.select import select
+from protochain.structure.write import as_gemmi
+
+_BACKBONE = ("N", "CA", "C", "O", "OXT")
+LETTERS = {letter: name for name, letter in STANDARD.items()}
+"""Names of the 20 standard residues by their letters."""
+
+
+def substituted(structure: Structure, names: Mapping[int, str], **settings: Any) -> Structure:
+    """Build the side chains of residues anew, on rotamers, all at once, under the names given.
+
+    names: of residues of the protein by index, as LEU, or of a protonation state, as HID; their own build the
+    same side chain. All other heavy atoms stay where they are, bit for bit. settings: ``forcefield``,
+    ``ph``, ``disulfide``, ``ligand_charges`` of :func:`protochain.load`.
+    """
+    made, kept, gone, noted = as_gemmi([structure]), list[int](), set[tuple[str, str]](), list[Repair]()
+    first = np.searchsorted(structure.atom_residue, np.arange(structure.n_residues + 1))
+    places = ((chain, residue) for chain in made[0] for residue in chain)
+    for r, (chain, residue) in enumerate(places):
+        atoms = range(first[r], first[r + 1])
+        if r not in names:
+            kept += atoms
+            continue
+        staying = [k for k in atoms if structure.atom_name[k] in _BACKBONE]
+        kept += staying
+        gone.add((chain.name, str(residue.seqid)))
+        for k in reversed([k - first[r] for k in atoms if k not in staying]):
+            del residue[k]
+        before = structure.residue(r)
+        residue.name = name_in_file(names[r], bool(structure.mirrored[r]))
+        is_same = residue.name == before.name
+        kind = Kind.SIDE_CHAIN_BUILT if is_same else Kind.MUTATED
+        noted.append(Repair(kind, {"residue": before} | ({} if is_same else {"name": residue.name})))
+    made.connections = gemmi.ConnectionList(
+        bond
+        for bond in made.connections
+        if not any(
+            (end.chain_name, str(end.res_id.seqid)) in gone and end.atom_name not in _BACKBONE
+            for end in (bond.partner1, bond.partner2)
+        )
+    )
+    number_atoms(made)
+    files, ph = settings.get("forcefield"), settings.get("ph", defaults.PH)
+    charges = settings.get("ligand_charges", defaults.LIGAND_CHARGES)
+    known = {
+        str(structure.residue_name[structure.atom_residue[each.atoms[0]]]): (
+            replace(each.ligand.molecule, names=tuple(structure.atom_name[each.atoms].tolist())),
+            each.ligand.charged,
+        )
+        for each in structure.ligands
+    }
+    chemistry = replace(Chemistry.asked((), charges, value_of(ph), parts_of(files)), posed=known)
+    reading = Reading(keep=("all",), forcefield=user_files(files), chemistry=chemistry)
+    draft = read_structure(made, Draft(structure.name, structure.name), reading)
+    new = prepare(draft, settings.get("disulfide"), ph, reading.forcefield)
+    return _as_of(new, structure, np.array(kept), noted)
+
+
+def _as_of(new: Structure, old: Structure, kept: np.ndarray, noted: list[Repair]) -> Structure:
+    """The new structure with what is known of the old: whose atoms these are, and what was changed."""
+    assert new.origin is not None
+    place = np.where(new.origin.place < 0, -1, kept[new.origin.place])
+    is_old, x, built = place >= 0, np.array(new.positions), np.array(new.built)
+    # Angstrom and back are not the same bits.
+    x[is_old], built[is_old] = old.positions[place[is_old]], old.built[place[is_old]]
+    origin = old.origin and replace(
+        new.origin, atoms=old.origin.atoms, place=np.where(is_old, old.origin.place[place], -1)
+    )
+    repairs = *old.repairs, *noted, *(each for each in new.repairs if each.kind is Kind.NOT_PROVEN)
+    return replace(
+        new, positions=x, built=built, origin=origin, repairs=repairs, left_out=old.left_out,
+        header=old.header, residue_label=old.residue_label, model_number=old.model_number,
+    )  # fmt: skip
+
+
+def rebuilt(structure: Structure, selection: str, sequence: str, **settings: Any) -> Structure:
+    """Put another sequence on the backbone, and build the side chains of a selection anew, or of all."""
+    names = _threaded(structure, sequence) if sequence else {}
+    if selection:
+        chosen = ~structure.kept
+        chosen = chosen if selection == defaults.MOVE else chosen & select(structure, selection)
+        for r in np.unique(structure.atom_residue[chosen]).tolist():
+            if structure.residue_name[r] in STANDARD:
+                names.setdefault(r, str(structure.residue_name[r]))
+        if not names:
+            raise refused("rebuild_side_chains", repr(selection), "has no side chain of a standard residue")
+    return substituted(structure, names, **settings) if names else structure
+
+
+def _threaded(structure: Structure, sequence: str) -> dict[int, str]:
+    """New names, by index, of the residues whose letters in the sequences of chains are others."""
+    (amino,) = np.nonzero(np.bincount(structure.atom_residue, ~structure.kept) > 0)
+    amino = amino[~np.isin(structure.residue_name[amino], [*CAPS])]
+    chain = structure.residue_chain[amino]
+    chains = list(dict.fromkeys(chain.tolist()))
+    given = [(name, letters) for each in sequence.split("/") for name, _, letters in [each.rpartition("=")]]
+    if not {name for name, _ in given} <= {*chains}:
+        if len(given) != len(chains):
+            raise StructureError(
+                f"{structure.name}: sequence: {len(given)} given, of {listed([n or '-' for n, _ in given])}; "
+                f"its chains are {', '.join(chains)}: give one for each, or name them so"
+            )
+        given = [(chain, letters) for chain, (_, letters) in zip(chains, given, strict=True)]
+    names = {}
+    for its, letters in given:
+        mine = amino[chain == its].tolist()
+        if len(letters) != len(mine):
+            raise StructureError(
+                f"{structure.name}: sequence: {len(letters)} letters for chain {its}, which has "
+                f"{len(mine)} residues; give one for each, - for one that stays"
+            )
+        for r, letter in zip(mine, letters, strict=True):
+            now = str(structure.residue_name[r])
+            # X stands for a residue without a letter.
+            if letter == "-" or letter == STANDARD.get(now, "X"):
+                continue
+            if letter not in LETTERS:
+                raise StructureError(
+                    f"{structure.name}: sequence: {letter!r} at {structure.describe_residue(r)}; "
+                    "use the 20 codes, or - for one that stays"
+                )
+            names[r] = LETTERS[letter]
+    return names
