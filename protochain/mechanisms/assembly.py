@@ -33,11 +33,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class NamedLoad:
-    """A load, whose work is counted under its name."""
+    """A load, whose work is counted under its name; the hinges at which it is a motor's torque."""
 
     name: str
     load: Load
     dissipates: bool = False
+    hinges: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,6 +87,10 @@ class Acting:
         What it keeps from step to step.
     damping : Damping, optional
         Part that is one load with the damping of all other elements.
+    friction : Rubbing, optional
+        Friction of a hinge; one load with that of all others.
+    hinges : tuple of str
+        Hinges of a motor, whose torque and power :attr:`Run.motion` shows.
     """
 
     conservative: Conservative | None = None
@@ -95,6 +99,8 @@ class Acting:
     inside: bool = False
     memory: Memory | None = None
     damping: Damping | None = None
+    friction: Any = None
+    hinges: tuple[str, ...] = ()
 
 
 class Element(Protocol):

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from difflib import get_close_matches
 from typing import Any, Concatenate, ParamSpec
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from protochain.core.arrays import read_only
@@ -19,9 +20,12 @@ from protochain.mechanisms.contact import Contact
 from protochain.mechanisms.drives import Driven
 from protochain.mechanisms.elements import CustomForce, Named
 from protochain.mechanisms.event import Event
+from protochain.mechanisms.hinge_friction import HingeFriction
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.model import Model, model_of
+from protochain.mechanisms.motors import Motor
 from protochain.mechanisms.springs import Spring
+from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 
 P = ParamSpec("P")
@@ -56,6 +60,9 @@ class Mechanism:
     ----------
     gravity : (3,) array_like
         Acceleration of free fall; by default none.
+    units : {"rad", "deg"}
+        Of angles of hinges and their rates, given and shown: coordinates, drives, targets, rests and limits.
+        Stiffness, damping and pitch are by radian, and ``spin`` is in radians, in either.
 
     Examples
     --------
@@ -65,8 +72,11 @@ class Mechanism:
     >>> run = m.build().simulate(until=1.0, time_step=0.01)
     """
 
-    def __init__(self, gravity: ArrayLike = NOWHERE) -> None:
+    def __init__(self, gravity: ArrayLike = NOWHERE, units: str = "rad") -> None:
+        if units not in ("rad", "deg"):
+            raise MechanicsError(f"units {shown(units)}: give rad or deg")
         self._gravity = numbers(gravity, (3,), "gravity")
+        self._degrees = units == "deg"
         self._bodies: dict[str, Body] = {}
         self._hinges: dict[str, Hinge] = {}
         self._closings: dict[str, Closing] = {}
@@ -94,7 +104,7 @@ class Mechanism:
             (Closing, self._closings, ()),
             (Driven, self._drives, ()),
             (Event, self._events, ()),
-            (Named, self._elements, ("drives", "damping")),
+            (Named, self._elements, ("drives", "damping", "hinge friction")),
         )
         group, reserved = next((group, words) for kind, group, words in groups if isinstance(part, kind))
         name, called = part.name, part.called
@@ -114,6 +124,9 @@ class Mechanism:
     bushing = _adds(Bushing, "Join two bodies by an elastic joint, at rest where the points meet, as built.")
     load = _adds(AppliedForce, "Apply a force at a point of a body, a moment, or both.")
     torque = _adds(HingeTorque, "Apply a torque at a hinge, between parent and child; a force at a slide.")
+    motor = _adds(Motor, "Let motors of hinges follow a motion: PD, and feed-forward by inverse dynamics.")
+    stop = _adds(Stop, "Limit a hinge: stops push back beyond its limits.")
+    friction = _adds(HingeFriction, "Put friction in a hinge: Coulomb's, by its forces too, and viscous.")
     contact = _adds(Contact, "Let balls touch a plane, a surface, other balls, or each other.")
     force = _adds(CustomForce, "Add forces of one's own.")
     on = _adds(Event, "Let something happen when a value falls through zero.")
@@ -142,21 +155,23 @@ class Mechanism:
             if name not in self._hinges:
                 raise MechanicsError(f'drive: there is no hinge "{name}"; add it by hinge()')
             hinge = self._hinges[name]
-            if hinge.kind == "fixed":
-                raise MechanicsError(f'drive: hinge "{name}" is fixed; give it another kind')
+            if hinge.kind in ("fixed", "ball"):
+                raise MechanicsError(f'drive: hinge "{name}" is {hinge.kind}; give it another kind')
             q, qd, _ = driven.at(0.0)
             if any(has not in (0.0, is_) for has, is_ in ((hinge.q, q), (hinge.qd, qd))):
                 raise MechanicsError(
                     f'hinge "{name}": its drive begins at q = {q:g}, qd = {qd:g}, not at those given; leave '
                     "them to the drive"
                 )
-            starts[name] = q, qd
-        bodies = closed(assemble(self._bodies, self._hinges, starts), [*self._closings.values()])
+            unit = np.pi / 180.0 if self._degrees and hinge.kind != "prismatic" else 1.0
+            starts[name] = unit * q, unit * qd
+        tree = assemble(self._bodies, self._hinges, starts, self._gravity, self._degrees)
+        bodies = closed(tree, [*self._closings.values()])
         # Springs first, kind by kind, in whatever order they are given: so their sums are rounded alike.
         first = (Spring, Torsion, Bushing)
         elements = [one for kind in first for one in self._elements.values() if isinstance(one, kind)]
         elements += [one for one in self._elements.values() if not isinstance(one, first)]
         return model_of(
-            bodies, read_only(self._gravity), elements, list(self._drives.values()),
+            bodies, elements, list(self._drives.values()),
             tuple(self._events.values()),
         )  # fmt: skip

@@ -1,7 +1,7 @@
 """A mechanism as built, and its simulation."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from protochain.mechanisms.closing import closing
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Gravity, damping, joined
 from protochain.mechanisms.event import Event, Happened
+from protochain.mechanisms.hinge_friction import friction
 from protochain.mechanisms.march import march
 
 if TYPE_CHECKING:
@@ -142,29 +143,39 @@ class Model(Assembly):
 
 
 def model_of(
-    bodies: Bodies, gravity: Floats, elements: Sequence[Any], drives: Sequence[Driven],
-    events: tuple[Event, ...],
-) -> Model:  # fmt: skip
+    bodies: Bodies, elements: Sequence[Any], drives: Sequence[Driven], events: tuple[Event, ...]
+) -> Model:
     """Return a model of bodies and all that acts on them."""
     tree, acting = bodies.tree, {}
     for element in elements:
         found = element.bind(bodies)
-        parts = (found.conservative, found.load, found.damping) if isinstance(found, Acting) else ()
+        parts = (
+            (found.conservative, found.load, found.damping, found.friction)
+            if isinstance(found, Acting)
+            else ()
+        )
         if all(part is None for part in parts):
             raise MechanicsError(f"{element.said}: its bind() gives nothing that acts; return Acting(...)")
         acting[element.name] = found
-    weight = [Gravity(tree, gravity)] if np.any(gravity) else []
+    weight = [Gravity(tree, bodies.gravity)] if np.any(bodies.gravity) else []
     damped = joined(each.damping for each in acting.values() if each.damping)
     loads = [NamedLoad("damping", damping(tree, damped), dissipates=True)] if damped else []
-    loads += [NamedLoad(name, each.load, each.dissipates) for name, each in acting.items() if each.load]
+    loads += [
+        NamedLoad(name, each.load, each.dissipates, each.hinges) for name, each in acting.items() if each.load
+    ]
     held = np.any((tree.parent < 0) & (tree.kind != HingeKind.FREE))
-    return Model(
+    model = Model(
         bodies, bodies.q, bodies.qd,
         (*weight, *joined(each.conservative for each in acting.values() if each.conservative)), tuple(loads),
         drive_of(bodies, drives) if drives else None, events,
         not weight and not held and not _on_world(bodies) and all(each.inside for each in acting.values()),
         tuple(each.memory for each in acting.values() if each.memory),
     )  # fmt: skip
+    rubbing = [each.friction for each in acting.values() if each.friction]
+    if not rubbing:
+        return model
+    rubs = NamedLoad("hinge friction", friction(model, rubbing), dissipates=True)
+    return replace(model, loads=(*model.loads, rubs))
 
 
 def _on_world(bodies: Bodies) -> bool:

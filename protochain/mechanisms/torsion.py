@@ -56,7 +56,7 @@ class Torsion(Named):
             If there is no such hinge, or it is fixed.
         """
         place, freedom = bodies.freedom(self.hinge, self.said)
-        rest = bodies.q[place] if self.rest is None else self.rest
+        rest = bodies.q[place] if self.rest is None else self.rest * bodies.unit(self.hinge)
         row = Torsions(
             read_only([place], np.int64),
             read_only([freedom], np.int64),
