@@ -36,7 +36,9 @@ from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface
 from protochain.mechanisms.springs import Spring
 from protochain.mechanisms.stops import Stop
-from protochain.mechanisms.torsi__all__ = [
+from protochain.mechanisms.torsion import Torsion
+
+__all__ = [
     "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Block", "Bodies", "BoxTree", "Bushing",
     "ClosedEquations", "Closing", "Conservative", "Contact", "CustomForce", "Element", "Event",
     "Friction", "Happened", "HingeFriction", "HingeTorque", "Law", "Linear", "Mechanism", "Memory",

@@ -148,8 +148,8 @@ def assemble(
         above = turn[parent[b]] if parent[b] >= 0 else np.eye(3)
         unit = np.pi / 180.0 if degrees and hinge.kind in (*_TURNING, "ball") else 1.0
         if hinge.kind in _TURNING and abs(hinge.q * unit) > 2.0 * np.pi:
-            given = "degrees" if degrees else "radians; see np.radians, or units"
-            _LOG.warning("%s: its q %g is more than a turn: angles are %s", hinge.said, hinge.q, given)
+            inside = "degrees" if degrees else "radians; see np.radians, or units"
+            _LOG.warning("%s: its q %g is more than a turn: angles are %s", hinge.said, hinge.q, inside)
         if kind[b] == HingeKind.BALL:
             # The coordinates and rates of a ball are those of its first body.
             q += [*unit * hinge.q]
@@ -190,16 +190,16 @@ class _BallAxis(Hinge):
 
 
 def _with_axes_of_balls(
-    bodies: Mapping[str, Body], hinges: Mapping[str, Hinge], inward: Mapping[str, str]
-) -> tuple[Mapping[str, Body], Mapping[str, Hinge], Mapping[str, str]]:
+    bodies: Mapping[str, Body], hinges: Mapping[str, Hinge], inward: dict[str, str]
+) -> tuple[Mapping[str, Body], Mapping[str, Hinge], dict[str, str]]:
     """Bodies and hinges, each ball as a tree has it: three bodies in one place, of which two have no mass."""
     balls = [hinge for hinge in hinges.values() if hinge.kind == "ball"]
     if not balls:
         return bodies, hinges, inward
-    bodies, hinges, inward = dict(bodies), dict(hinges), dict(inward)
+    bodies, hinges, inward = {**bodies}, {**hinges}, {**inward}
     for ball in balls:
         names = [f"{ball.name}: {axis}" for axis in "xy"]
-        bodies |= {name: Body(name, 0.0) for name in names}
+        bodies.update({name: Body(name, 0.0) for name in names})
         steps = [ball.parent, *names, ball.child]
         for k, (parent, child) in enumerate(pairwise(steps)):
             name = ball.name if child == ball.child else child

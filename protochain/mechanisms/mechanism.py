@@ -1,14 +1,14 @@
 """The builder: bodies, hinges and what acts on them, by name, of which it makes a model."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from difflib import get_close_matches
-from typing import Any, Concatenate, ParamSpec
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.core.arrays import read_only
 from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms.assemble import NOWHERE, Body, Hinge, assemble
@@ -24,11 +24,13 @@ from protochain.mechanisms.hinge_friction import HingeFriction
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.model import Model, model_of
 from protochain.mechanisms.motors import Motor
+from protochain.mechanisms.robot_files import mjcf, read_mjcf, read_urdf
 from protochain.mechanisms.springs import Spring
 from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 
 P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def _adds(make: Callable[P, Named], doc: str) -> Callable[Concatenate["Mechanism", P], None]:
@@ -83,6 +85,116 @@ class Mechanism:
         self._drives: dict[str, Driven] = {}
         self._elements: dict[str, Any] = {}
         self._events: dict[str, Event] = {}
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | Path,
+        gravity: ArrayLike = (0.0, 0.0, -9.81),
+        free: bool = False,
+        stops: float = 0.0,
+        leave_out: Collection[str] = (),
+    ) -> Self:
+        """Read a robot from a URDF: links as bodies, joints as hinges, in m, kg and s.
+
+        Parameters
+        ----------
+        source : str or Path
+            File, or its text.
+        gravity : (3,) array_like
+            As of the class.
+        free : bool
+            Whether links without a joint inward are free; otherwise they are fixed to the world.
+        stops : float
+            Stiffness of stops at limits of joints, which are not kept without.
+        leave_out : collection of str
+            Kinds to go on without, as ``mimic``. What bodies look like, touch with, and transmissions are
+            left out anyway.
+
+        Returns
+        -------
+        Mechanism
+            To which more can be added, with damping and friction of joints.
+
+        Raises
+        ------
+        MechanicsError
+            If the file is none, or has what a mechanism of it has not.
+        """
+        made = cls(gravity)
+        read_urdf(made, source, free, stops, leave_out)
+        return made
+
+    @classmethod
+    def from_mjcf(
+        cls, source: str | Path, stops: float = 0.0, leave_out: Collection[str] = (), units: str = "rad"
+    ) -> Self:
+        """Read a model from an MJCF by MuJoCo, of the extra ``robots``.
+
+        Bodies keep their frames: where a joint is not at the origin of its body, or one of several, a body
+        without mass is between. Equality constraints close loops exactly. Contacts, actuators and sensors are
+        left out.
+
+        Parameters
+        ----------
+        source : str or Path
+            File, or its text.
+        stops : float
+            As of :meth:`from_urdf`.
+        leave_out : collection of str
+            Kinds to go on without: ``armature``, ``tendons``, ``equality``, ``gravcomp``, ``flex``,
+            ``fluid``, ``polynomials``, ``resistance of balls``.
+        units : {"rad", "deg"}
+            As of the class.
+
+        Returns
+        -------
+        Mechanism
+            With springs, dampers and friction of joints, and gravity.
+
+        Raises
+        ------
+        MechanicsError
+            If MuJoCo is not there or does not read the file, or a mechanism of it has not what it has.
+        """
+        made = cls(units=units)
+        read_mjcf(made, source, stops, leave_out)
+        return made
+
+    def to_mjcf(self, path: str | Path | None = None) -> str:
+        """Write bodies, hinges, springs, torsions, constant friction, limits, balls and welds as MJCF.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            Where to write it.
+
+        Returns
+        -------
+        str
+            The text. Coordinates begin at zero; MuJoCo's stops and loops give way as it has them.
+
+        Raises
+        ------
+        MechanicsError
+            If an element is of a kind that MJCF does not have.
+        """
+        return mjcf(self, path)
+
+    @property
+    def degrees(self) -> bool:
+        """Whether angles are in degrees."""
+        return self._degrees
+
+    def set_gravity(self, gravity: ArrayLike) -> None:
+        """Change the acceleration of free fall (3,)."""
+        self._gravity = numbers(gravity, (3,), "gravity")
+
+    def parts(self, kind: type[T]) -> Iterator[T]:
+        """Yield the parts of a kind, in the order given."""
+        groups = self._bodies, self._hinges, self._closings, self._drives, self._elements, self._events
+        for group in groups:
+            yield from (part for part in group.values() if isinstance(part, kind))
 
     def add(self, part: Named) -> None:
         """Add a part: an element with ``bind``, a body, a hinge, a drive or an event.

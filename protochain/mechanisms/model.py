@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, Fault, MechanicsError

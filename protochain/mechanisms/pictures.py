@@ -161,7 +161,9 @@ def _draw(ax: "Axes", of: Drawing, k: int, across: Floats) -> None:
             ax.add_collection(LineCollection([ends], colors="#999999", linewidths=1.0))
     for mesh in of.meshes:
         flat = of.place(k, mesh.body, mesh.corners) @ across.T
-        ax.add_collection(PolyCollection(flat, facecolors="#eeeeee", edgecolors="#999999", linewidths=0.5))
+        ax.add_collection(
+            PolyCollection(list(flat), facecolors="#eeeeee", edgecolors="#999999", linewidths=0.5)
+        )
     for ends, points in zip(of.lines.ends, of.lines.points, strict=True):
         line = [across @ of.place(k, int(b), at) for b, at in zip(ends, points, strict=True)]
         ax.add_collection(LineCollection([line], colors="#666666", linewidths=1.0, linestyles="dashed"))
@@ -225,9 +227,9 @@ def _told(of: Drawing) -> dict[str, Any]:
         )
     meshes = [{"body": mesh.body, "corners": mesh.corners.tolist()} for mesh in of.meshes]
     return {
-        "names": list(of.names), "meshes": meshes, "colours": list(COLOURS), "times": np.round(of.times, 12).tolist(),
-        "frames": frames, "shapes": shapes, "lines": lines, "grounds": grounds, "middle": middle.tolist(),
-        "size": of.size, "fine": fine, "thick": THICK * of.size,
+        "names": list(of.names), "colours": list(COLOURS), "times": np.round(of.times, 12).tolist(),
+        "meshes": meshes, "frames": frames, "shapes": shapes, "lines": lines, "grounds": grounds,
+        "middle": middle.tolist(), "size": of.size, "fine": fine, "thick": THICK * of.size,
         "turn": float(np.arctan2(back[1], back[0])) if abs(back[2]) < 0.999 else -0.5 * np.pi,
         "tilt": float(np.arcsin(np.clip(back[2], -1.0, 1.0))),
         "pace": 1.0 if 0.1 <= lasts <= 60.0 else lasts / _LASTS,

@@ -49,12 +49,12 @@ class Stop(Named):
         if not k > 0.0:
             raise MechanicsError(f"{said} stiffness is zero; give one above, which stops the hinge")
         low, high = (
-            value if np.isscalar(value) and np.isinf(value) else number(value, f"{said} limit")
+            value if isinstance(value, float) and np.isinf(value) else number(value, f"{said} limit")
             for value in (self.low, self.high)
         )
         if not low < high or (low, high) == (-np.inf, np.inf):
             raise MechanicsError(f"{said} limits {low:g} and {high:g}: give a low, a high above it, or both")
-        self.fix(low=float(low), high=float(high), stiffness=k, damping=c)
+        self.fix(low=low, high=high, stiffness=k, damping=c)
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return its elastic torque, and that of the damper as a load.

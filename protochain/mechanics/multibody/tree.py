@@ -45,10 +45,10 @@ class Tree(Value):
     The frame of body ``b`` relative to its parent is a translation by ``offset[b]``, a rotation by
     ``placement[b]``, and then the hinge, along the z axis of the frame: REVOLUTE turns by q, PRISMATIC
     slides by q, SCREW turns by q and slides by ``pitch[b]`` q. FREE turns by a quaternion and moves by a
-    vector (Featherstone, *Rigid Body Dynamics Algorithms*, 2008, sections 4.1 and 4.4). A ball is three bodies
-    in one place: BALL, with a rotation vector of at most pi as coordinates, and two of BALL_AXIS, without
-    coordinates; the first two have no mass. Their rates are the angular velocity by the axes x, y and z of the
-    third, relative to the parent of the first.
+    vector (Featherstone, *Rigid Body Dynamics Algorithms*, 2008, sections 4.1 and 4.4). A ball is three
+    bodies in one place: BALL, with a rotation vector of at most pi as coordinates, and two of BALL_AXIS,
+    without coordinates; the first two have no mass. Their rates are the angular velocity by the axes x, y and
+    z of the third, relative to the parent of the first.
 
     Parameters
     ----------
