@@ -308,8 +308,7 @@ def test_a_run_that_changes_a_hand_ends_in_an_error_status():
         status, message = verdict(stop, met, "measured", structure, flipped, 5)
         assert status is Status.INVERTED
         assert (
-            message.startswith("inverted: CA of residue 2 LEU of chain A inverted; ")
-            and "\n" not in message
+            message.startswith("inverted: CA of residue 2 LEU of chain A inverted; ") and "\n" not in message
         )
     status, message = verdict(Stop.INTERRUPTED, True, "measured", structure, flipped, 5)
     assert status is Status.INTERRUPTED and "residue 2 LEU of chain A inverted" in message
