@@ -33,7 +33,7 @@ class Motor(Named):
     follow : mapping
         Hinge -> time -> coordinate, rate and acceleration, or a coordinate at which it is held.
     stiffness, damping : float
-        k and c, of every hinge.
+        Gains k and c, of every hinge.
     feed_forward : bool
         Whether inverse dynamics is added.
     limit : float

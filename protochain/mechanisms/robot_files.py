@@ -1,8 +1,11 @@
-"""Robots of files: URDF by its text, MJCF as MuJoCo reads it; and MJCF of mechanisms."""
+"""Robots of files: URDF by its text, MJCF as MuJoCo reads it; and MJCF of mechanisms.
+
+Mechanisms, which stand on this, are Any here.
+"""
 
 from collections.abc import Callable, Collection
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -22,9 +25,6 @@ from protochain.mechanisms.springs import Spring
 from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 
-if TYPE_CHECKING:
-    from protochain.mechanisms.mechanism import Mechanism
-
 _URDF = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
 _MJCF = {0: "free", 1: "ball", 2: "prismatic", 3: "revolute"}
 """MuJoCo's numbers of joints."""
@@ -33,9 +33,7 @@ _MJCF = {0: "free", 1: "ball", 2: "prismatic", 3: "revolute"}
 class _Reading:
     """A file on its way into a mechanism; ``left`` is what a mechanism of it has not."""
 
-    def __init__(
-        self, into: "Mechanism", source: str | Path, stops: float, leave_out: Collection[str]
-    ) -> None:
+    def __init__(self, into: Any, source: str | Path, stops: float, leave_out: Collection[str]) -> None:
         self.into, self.stops, self.leave_out = into, stops, leave_out
         self.name = "the text" if _is_text(source) else str(source)
         self.left: dict[str, str] = {}
@@ -64,9 +62,7 @@ class _Reading:
             )
 
 
-def read_urdf(
-    into: "Mechanism", source: str | Path, free: bool, stops: float, leave_out: Collection[str]
-) -> None:
+def read_urdf(into: Any, source: str | Path, free: bool, stops: float, leave_out: Collection[str]) -> None:
     """Add the links and joints of a URDF; see :meth:`Mechanism.from_urdf`."""
     reading = _Reading(into, source, stops, leave_out)
     root = _root(reading, source, "robot")
@@ -139,7 +135,7 @@ def _of(reading: _Reading, joint: Element, end: str) -> str:
     return str(found.get("link"))
 
 
-def read_mjcf(into: "Mechanism", source: str | Path, stops: float, leave_out: Collection[str]) -> None:
+def read_mjcf(into: Any, source: str | Path, stops: float, leave_out: Collection[str]) -> None:
     """Add the bodies and joints of an MJCF; see :meth:`Mechanism.from_mjcf`."""
     try:
         import mujoco
@@ -205,7 +201,7 @@ def read_mjcf(into: "Mechanism", source: str | Path, stops: float, leave_out: Co
     reading.end()
 
 
-def _start(sort: str, q: float, into: "Mechanism") -> dict[str, float]:
+def _start(sort: str, q: float, into: Any) -> dict[str, float]:
     return {"q": np.degrees(q) if into.degrees and sort == "revolute" else q} if q else {}
 
 
@@ -272,7 +268,7 @@ def _text(values: Any) -> str:
     return " ".join(f"{x:.17g}" for x in np.ravel(values))
 
 
-def mjcf(of: "Mechanism", path: str | Path | None) -> str:
+def mjcf(of: Any, path: str | Path | None) -> str:
     """MJCF of a mechanism; see :meth:`Mechanism.to_mjcf`."""
     bodies = of.build().bodies
     root = Element("mujoco")

@@ -210,67 +210,6 @@ def test_a_block_slides_down_a_slope_as_coulomb_says():
     assert run.audit().energy < 1e-8
 
 
-def slider_crank(mu, r=0.4, length=1.0):
-    """Crank in a plane across gravity, so that the slide is pressed by the rod alone."""
-    m = Mechanism(gravity=(0, 0, -G))
-    m.body("crank", 1.0, com=(r / 2, 0, 0), inertia=r**2 / 12)
-    m.body("rod", 2.0, com=(length / 2, 0, 0), inertia=2 * length**2 / 12)
-    m.body("block", 1.5, inertia=0.1)
-    start = 0.7
-    beta = np.arcsin(r * np.sin(start) / length)
-    m.hinge("A", "world", "crank", axis=(0, -1, 0), q=start, qd=9.0)
-    m.hinge("B", "crank", "rod", at=(r, 0, 0), axis=(0, -1, 0), q=-start - beta)
-    x = r * np.cos(start) + length * np.cos(beta)
-    m.hinge("way", "world", "block", "prismatic", axis=(1, 0, 0), q=x)
-    m.close("C", ("rod", (length, 0, 0)), ("block", (0, 0, 0)), "revolute", axis=(0, 1, 0))
-    if mu:
-        m.friction("rubs", "way", coefficient=mu, speed=1e-4)
-    return m
-
-
-def test_a_slider_crank_with_friction_moves_as_its_equations_with_the_pressed_way_say():
-    mu, r, length = 0.25, 0.4, 1.0
-    run = slider_crank(mu).build().simulate(0.3, 0.001, PRECISE)
-
-    def rates(t, y):
-        """Absolute coordinates: crank, rod, x of the block; friction by a multiplier of the loop."""
-        (a, b, _), w = y[:3], y[3:]
-        mass = np.diag([r**2 / 3 + 2.0 * r**2, 2.0 * length**2 / 3, 1.5])
-        mass[0, 1] = mass[1, 0] = 2.0 * r * length / 2 * np.cos(a - b)
-        turn = 2.0 * r * length / 2 * np.sin(a - b)
-        right = np.array([-turn * w[1] ** 2, turn * w[0] ** 2, 0.0])
-        right -= G * np.array([(0.5 + 2.0) * r * np.cos(a), 2.0 * length / 2 * np.cos(b), 0.0])
-        loop = np.array([
-            [-r * np.sin(a), -length * np.sin(b), -1.0], [r * np.cos(a), length * np.cos(b), 0.0],
-        ])  # fmt: skip
-        bend = np.array([
-            r * np.cos(a) * w[0] ** 2 + length * np.cos(b) * w[1] ** 2,
-            r * np.sin(a) * w[0] ** 2 + length * np.sin(b) * w[1] ** 2,
-        ])  # fmt: skip
-        # The rod presses the block by -lambda_z, its weight too; friction is mu N against its way.
-        for sign in (1.0, -1.0):
-            whole = np.block([[mass, loop.T], [loop, np.zeros((2, 2))]])
-            slip = np.tanh(w[2] / 1e-4)
-            # N = sign (1.5 g - lambda_z): the force across the way, in size.
-            whole[2, 4] = -mu * slip * sign
-            load = right.copy()
-            load[2] -= mu * slip * sign * 1.5 * G
-            found = np.linalg.solve(whole, [*load, *bend])
-            if sign * (1.5 * G - found[4]) >= 0.0:
-                return [*w, *found[:3]]
-        raise AssertionError("no force is in balance")
-
-    sums = run.q[:, 0], run.q[:, 0] + run.q[:, 1], run.q[:, 2]
-    start = [each[0] for each in sums]
-    speeds = [run.qd[0, 0], run.qd[0, 0] + run.qd[0, 1], run.qd[0, 2]]
-    exact = solve_ivp(rates, (0.0, 0.3), [*start, *speeds], method="Radau", rtol=1e-9, atol=1e-10)
-    ends = [each[-1] for each in sums]
-    assert np.allclose(ends, exact.y[:3, -1], atol=1e-5)
-    free = slider_crank(0.0).build().simulate(0.3, 0.001, PRECISE)
-    assert abs(free.q[-1, 0] - ends[0]) > 1e-2
-    assert run.table["dissipation"].iloc[-1] == pytest.approx(run.total[0] - run.total[-1], rel=1e-6)
-
-
 def test_degrees_are_radians_outside():
     def made(units):
         one = np.degrees(1.0) if units == "deg" else 1.0
