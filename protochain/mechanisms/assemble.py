@@ -132,12 +132,11 @@ def assemble(
     bodies, hinges, inward = _with_axes_of_balls(bodies, hinges, inward)
     order = _ordered(bodies, hinges, inward)
     place = {name: number for number, name in enumerate(order)} | {WORLD: -1}
-    n = len(order)
+    n, given = len(order), [bodies[name] for name in order]
     parent, kind, pitch = np.full(n, -1), np.full(n, HingeKind.FREE), np.zeros(n)
-    offset, placement, turn = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), np.tile(np.eye(3), (n, 1, 1))
+    at, axis, rotation = np.zeros((n, 3)), np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile(np.eye(3), (n, 1, 1))
     q, qd = [], []
-    for b, name in enumerate(order):
-        body = bodies[name]
+    for b, (name, body) in enumerate(zip(order, given, strict=True)):
         if name not in inward:
             turned = np.eye(3) if body.rotation is None else body.rotation
             q += [*quaternion(turned), *_or_still(body.position)]
@@ -145,22 +144,21 @@ def assemble(
             continue
         hinge = hinges[inward[name]]
         parent[b], kind[b], pitch[b] = place[hinge.parent], _kind(hinge), hinge.pitch
-        above = turn[parent[b]] if parent[b] >= 0 else np.eye(3)
+        at[b], axis[b], rotation[b] = hinge.at, hinge.axis, hinge.rotation
         unit = np.pi / 180.0 if degrees and hinge.kind in (*_TURNING, "ball") else 1.0
         if hinge.kind in _TURNING and abs(hinge.q * unit) > 2.0 * np.pi:
             inside = "degrees" if degrees else "radians; see np.radians, or units"
             _LOG.warning("%s: its q %g is more than a turn: angles are %s", hinge.said, hinge.q, inside)
-        if kind[b] == HingeKind.BALL:
-            # The coordinates and rates of a ball are those of its first body.
-            q += [*unit * hinge.q]
-            qd += [*unit * hinge.qd]
-        elif kind[b] not in (HingeKind.FIXED, HingeKind.BALL_AXIS):
-            turn[b] = with_z_along(hinge.rotation.T @ hinge.axis)
-            start = driven.get(inward[name], (unit * hinge.q, unit * hinge.qd))
-            q.append(start[0])
-            qd.append(start[1])
-        offset[b], placement[b] = above.T @ hinge.at, above.T @ hinge.rotation @ turn[b]
-    given = [bodies[name] for name in order]
+        start = driven.get(hinge.name, (unit * hinge.q, unit * hinge.qd))
+        # The coordinates and rates of a ball are those of its first body.
+        if not (hinge.kind == "fixed" or isinstance(hinge, _BallAxis)):
+            q += [*start[0]] if hinge.kind == "ball" else [start[0]]
+            qd += [*start[1]] if hinge.kind == "ball" else [start[1]]
+    turn = axes_along(np.einsum("bji,bj->bi", rotation, axis))
+    turn[np.isin(kind, [HingeKind.FREE, HingeKind.FIXED, HingeKind.BALL, HingeKind.BALL_AXIS])] = np.eye(3)
+    above = np.where((parent < 0)[:, None, None], np.eye(3), turn[parent]).swapaxes(1, 2)
+    offset, placement = np.einsum("bij,bj->bi", above, at), above @ rotation @ turn
+    back = turn.swapaxes(1, 2)
     _refuse_free_needles(order, parent, kind, given)
     more: dict[str, Any] = {}
     if driven:
@@ -168,8 +166,8 @@ def assemble(
     try:
         tree = Tree(
             parent, kind, offset, placement, np.array([body.mass for body in given]),
-            np.array([t.T @ body.com for t, body in zip(turn, given, strict=True)]),
-            np.array([t.T @ body.inertia @ t for t, body in zip(turn, given, strict=True)]), pitch, **more,
+            np.einsum("bij,bj->bi", back, np.array([body.com for body in given])),
+            back @ np.array([body.inertia for body in given]) @ turn, pitch, **more,
         )  # fmt: skip
     except BodyError as error:
         raise error.by_name(order) from None
@@ -221,10 +219,8 @@ def _refuse_free_needles(
     names: tuple[str, ...], parent: Integers, kind: Integers, bodies: Sequence[Body]
 ) -> None:
     """Raise if a free body without others on it can turn about an axis without inertia."""
-    with_others = set(parent.tolist())
-    for b, body in enumerate(bodies):
-        if kind[b] != HingeKind.FREE or b in with_others:
-            continue
+    for b in np.setdiff1d(np.flatnonzero(kind == HingeKind.FREE), parent).tolist():
+        body = bodies[b]
         moments = np.linalg.eigvalsh(body.inertia)
         if body.mass > 0.0 and moments[0] <= NO_INERTIA * np.sum(moments):
             raise MechanicsError(
@@ -255,11 +251,16 @@ def _inertia(value: ArrayLike, said: str) -> Floats:
 
 def with_z_along(axis: Floats) -> Floats:
     """(3, 3) float: axes, as columns, of which the third is along a vector of length one."""
-    if np.array_equal(axis, [0.0, 0.0, 1.0]):
-        return np.eye(3)
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(axis, x), axis])
+    return np.asarray(axes_along(axis[None])[0])
+
+
+def axes_along(axis: Floats) -> Floats:
+    """(n, 3, 3) float: axes, as columns, of which the third are along vectors (n, 3) of length one."""
+    x = np.cross(np.eye(3)[np.argmin(np.abs(axis), axis=1)], axis)
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    found = np.stack([x, np.cross(axis, x), axis], axis=2)
+    found[np.all(axis == (0.0, 0.0, 1.0), axis=1)] = np.eye(3)
+    return found
 
 
 def quaternion(rotation: Floats) -> Floats:
