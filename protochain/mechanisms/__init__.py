@@ -24,6 +24,7 @@ from protochain.mechanisms.elements import Acting, Conservative, CustomForce, El
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.hinge_friction import HingeFriction
 from protochain.mechanisms.linear import Linear, frequencies, linearise, state_matrix
+from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Model
@@ -34,7 +35,6 @@ from protochain.mechanisms.run import Audit, Run
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface
-from protochain.mechanisms.springs import Spring
 from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 

@@ -15,7 +15,7 @@ from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanics.multibody.tree import BALL_PLACEMENT, NO_INERTIA
 from protochain.mechanisms.bodies import WORLD, Bodies
-from protochain.mechanisms.checks import direction, is_rotation, not_negative, number, numbers
+from protochain.mechanisms.element_arguments import direction, is_rotation, not_negative, number, numbers
 from protochain.mechanisms.elements import Named
 
 KINDS = {
@@ -55,16 +55,16 @@ class Body(Named):
     spin: Any = None
 
     def __post_init__(self) -> None:
-        said = f"{self.said}: its"
+        label = f"{self.label}: its"
         self.fix(
-            mass=float(not_negative(self.mass, f"{said} mass")),
-            com=numbers(self.com, (3,), f"{said} centre of mass"),
-            inertia=_inertia(self.inertia, f"{said} inertia"),
-            rotation=None if self.rotation is None else _rotation(self.rotation, f"{said} rotation"),
+            mass=float(not_negative(self.mass, f"{label} mass")),
+            com=numbers(self.com, (3,), f"{label} centre of mass"),
+            inertia=_inertia(self.inertia, f"{label} inertia"),
+            rotation=None if self.rotation is None else _rotation(self.rotation, f"{label} rotation"),
         )
         for name in ("position", "velocity", "spin"):
             value = getattr(self, name)
-            self.fix(**{name: None if value is None else numbers(value, (3,), f"{said} {name}")})
+            self.fix(**{name: None if value is None else numbers(value, (3,), f"{label} {name}")})
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,32 +94,32 @@ class Hinge(Named):
     pitch: float = 0.0
 
     def __post_init__(self) -> None:
-        said = f"{self.said}: its"
+        label = f"{self.label}: its"
         if not (isinstance(self.kind, str) and self.kind in KINDS):
             *kinds, last = KINDS
-            raise MechanicsError(f"{said} kind {shown(self.kind)}: give {', '.join(kinds)} or {last}")
-        self.fix(pitch=number(self.pitch, f"{said} pitch"))
+            raise MechanicsError(f"{label} kind {shown(self.kind)}: give {', '.join(kinds)} or {last}")
+        self.fix(pitch=number(self.pitch, f"{label} pitch"))
         for name in ("q", "qd"):
             value = getattr(self, name)
             if self.kind == "ball":
                 still = np.ndim(value) == 0 and value == 0.0
-                self.fix(**{name: numbers(NOWHERE if still else value, (3,), f"{said} {name}")})
+                self.fix(**{name: numbers(NOWHERE if still else value, (3,), f"{label} {name}")})
             else:
-                self.fix(**{name: number(value, f"{said} {name}")})
+                self.fix(**{name: number(value, f"{label} {name}")})
         if (self.kind == "screw") != (self.pitch != 0.0):
             raise MechanicsError(
-                f"{said} pitch is zero; give a pitch, or kind revolute"
+                f"{label} pitch is zero; give a pitch, or kind revolute"
                 if self.kind == "screw"
-                else f"{said} pitch is of screws only; give kind screw"
+                else f"{label} pitch is of screws only; give kind screw"
             )
         if self.kind == "fixed" and (self.q or self.qd):
             raise MechanicsError(
-                f"{said} q and qd must be zero as it is fixed; give a rotation, or another kind"
+                f"{label} q and qd must be zero as it is fixed; give a rotation, or another kind"
             )
         self.fix(
-            at=numbers(self.at, (3,), f"{said} place"),
-            axis=direction(self.axis, f"{said} axis"),
-            rotation=np.eye(3) if self.rotation is None else _rotation(self.rotation, f"{said} rotation"),
+            at=numbers(self.at, (3,), f"{label} place"),
+            axis=direction(self.axis, f"{label} axis"),
+            rotation=np.eye(3) if self.rotation is None else _rotation(self.rotation, f"{label} rotation"),
         )
 
 
@@ -148,7 +148,7 @@ def assemble(
         unit = np.pi / 180.0 if degrees and hinge.kind in (*_TURNING, "ball") else 1.0
         if hinge.kind in _TURNING and abs(hinge.q * unit) > 2.0 * np.pi:
             inside = "degrees" if degrees else "radians; see np.radians, or units"
-            _LOG.warning("%s: its q %g is more than a turn: angles are %s", hinge.said, hinge.q, inside)
+            _LOG.warning("%s: its q %g is more than a turn: angles are %s", hinge.label, hinge.q, inside)
         start = driven.get(hinge.name, (unit * hinge.q, unit * hinge.qd))
         # The coordinates and rates of a ball are those of its first body.
         if not (hinge.kind == "fixed" or isinstance(hinge, _BallAxis)):
@@ -229,23 +229,23 @@ def _refuse_free_needles(
             )
 
 
-def _rotation(value: ArrayLike, said: str) -> Floats:
+def _rotation(value: ArrayLike, label: str) -> Floats:
     """A rotation, (3, 3)."""
-    matrix = numbers(value, (3, 3), said)
+    matrix = numbers(value, (3, 3), label)
     if not is_rotation(matrix[None])[0]:
-        raise MechanicsError(f"{said} is none: give a matrix with orthonormal columns and determinant 1")
+        raise MechanicsError(f"{label} is none: give a matrix with orthonormal columns and determinant 1")
     return matrix
 
 
-def _inertia(value: ArrayLike, said: str) -> Floats:
+def _inertia(value: ArrayLike, label: str) -> Floats:
     """An inertia tensor (3, 3) of its diagonal, of all of it, or of one number for a ball."""
     if np.ndim(value) == 0:
-        return number(value, said) * np.eye(3)
+        return number(value, label) * np.eye(3)
     if np.shape(value) == (3,):
-        return np.diag(numbers(value, (3,), said))
-    matrix = numbers(value, (3, 3), said)
+        return np.diag(numbers(value, (3,), label))
+    matrix = numbers(value, (3, 3), label)
     if np.max(np.abs(matrix - matrix.T)) > 1e-9 * np.max(np.abs(matrix)):
-        raise MechanicsError(f"{said} is not symmetric: give the tensor about the centre of mass")
+        raise MechanicsError(f"{label} is not symmetric: give the tensor about the centre of mass")
     return 0.5 * (matrix + matrix.T)
 
 

@@ -185,7 +185,7 @@ class Motion:
 
     @cached_property
     def _momenta(self) -> tuple[Floats, Floats]:
-        """Both, and the sums of the sizes of those of the bodies, (n, 2)."""
+        """The two of them, and the sums of the sizes of those of the bodies, (n, 2)."""
         tree, n = self.model.tree, len(self.time)
         whole, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
         for i, (q, qd) in enumerate(zip(self.q, self.qd, strict=True)):

@@ -25,9 +25,9 @@ from protochain.mechanics.multibody.algebra import (
 from protochain.mechanics.multibody.kinematics import WORLD
 from protochain.mechanics.multibody.rotations import tangent_inverse
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import not_negative
+from protochain.mechanisms.element_arguments import not_negative
 from protochain.mechanisms.elements import Acting, Between, Rows
-from protochain.mechanisms.springs import end_of, push, speed_of
+from protochain.mechanisms.linear_springs import end_of, push, speed_of
 
 HALF_A_TURN = 3.1
 """rad. Largest rotation of a bushing: at pi its rotation vector jumps to the other side."""
@@ -65,7 +65,7 @@ class Bushing(Between):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name in ("stiffness", "damping"):
-            self.fix(**{name: not_negative(getattr(self, name), f"{self.said}: its {name}", (6,))})
+            self.fix(**{name: not_negative(getattr(self, name), f"{self.label}: its {name}", (6,))})
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return its wrenches.

@@ -10,7 +10,7 @@ from protochain.core.errors import Fault
 from protochain.mechanics.motion.system import Equations, Phase, StepTooLargeError
 from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.kinematics import pull_back
-from protochain.mechanisms.loop_joints import LoopJoints, hold
+from protochain.mechanisms.loop_joints import LoopJoints, factor_loops
 
 CLOSED = 1e-12
 """Largest error of a loop after a step, in cosines and sizes of the tree: a thousand times rounding."""
@@ -53,19 +53,19 @@ class ClosedEquations(Equations):
         q, qd, factors = super().placed(time, q, qd)
         units = np.where(self.joints.turns, 1.0, self.tree.size)
         for _ in range(ITERATIONS):
-            held = hold(factors, self.joints)
-            gap = float(np.max(np.abs(held.error) / units))
+            loops = factor_loops(factors, self.joints)
+            gap = float(np.max(np.abs(loops.error) / units))
             if not gap > CLOSED:
-                return q, qd - held.change(held.rates(qd)), factors
-            q = self.integrate(q, -held.change(held.error))
+                return q, qd - loops.change(loops.rates(qd)), factors
+            q = self.integrate(q, -loops.change(loops.error))
             factors = self.factors(q)
         raise StepTooLargeError(f"a loop stays open by {gap:.2g} of its size", fault=Fault.OPEN)
 
     def held(self, qd: Floats, qdd: Floats, factors: Articulated) -> tuple[Floats, Floats]:
         """Accelerations (n_v,) with the loops kept, and the torques (n_v,) of their joints."""
-        held = hold(factors, self.joints)
-        impulses = held.impulses(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))
-        torques = pull_back(self.tree, factors.frames, held.wrenches(impulses))
+        loops = factor_loops(factors, self.joints)
+        impulses = loops.impulses(-self.joints.accelerations(self.tree, factors.frames, qd, qdd))
+        torques = pull_back(self.tree, factors.frames, loops.wrenches(impulses))
         return qdd + solve(factors, torques), torques
 
     def with_velocities(self, at: Phase, qd: Floats) -> Phase:

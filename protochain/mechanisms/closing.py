@@ -13,8 +13,8 @@ from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanisms.assemble import with_z_along
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import direction
 from protochain.mechanisms.closed_equations import CLOSED
+from protochain.mechanisms.element_arguments import direction
 from protochain.mechanisms.elements import Between
 from protochain.mechanisms.loop_joints import LoopJoints
 
@@ -73,13 +73,13 @@ class Closing(Between):
         if not (isinstance(self.kind, str) and self.kind in _SLIDES):
             *kinds, last = sorted(_SLIDES)
             raise MechanicsError(
-                f"{self.said}: its kind {shown(self.kind)}: give {', '.join(kinds)} or {last}"
+                f"{self.label}: its kind {shown(self.kind)}: give {', '.join(kinds)} or {last}"
             )
         if (self.kind == "universal") != (self.axis_b is not None):
-            raise MechanicsError(f"{self.said}: axis_b belongs to kind universal, which needs it")
-        self.fix(axis=direction(self.axis, f"{self.said}: its axis"))
+            raise MechanicsError(f"{self.label}: axis_b belongs to kind universal, which needs it")
+        self.fix(axis=direction(self.axis, f"{self.label}: its axis"))
         if self.axis_b is not None:
-            self.fix(axis_b=direction(self.axis_b, f"{self.said}: its axis_b"))
+            self.fix(axis_b=direction(self.axis_b, f"{self.label}: its axis_b"))
 
     def bind(self, bodies: Bodies) -> LoopJoints:
         """Return its equations.
@@ -125,12 +125,12 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
         q, worst = _assembled(bodies, joints, undriven)
     if q is None:
         raise MechanicsError(
-            f"{closings[of[worst[0]]].said}: it stays open by {worst[1]:.3g}; give coordinates of hinges "
+            f"{closings[of[worst[0]]].label}: it stays open by {worst[1]:.3g}; give coordinates of hinges "
             "nearer to where it closes",
             fault=Fault.OPEN,
         )
     joints = replace(joints, rank=_constant_rank(bodies, joints, q, undriven))
-    qd = _rates(bodies, joints, q, undriven, [each.said for each in closings], of)
+    qd = _rates(bodies, joints, q, undriven, [each.label for each in closings], of)
     names = tuple(closings[k].name for k in of.tolist())
     return replace(bodies, q=read_only(q), qd=read_only(qd), joints=joints, joint_names=names)
 
@@ -149,8 +149,8 @@ def _constant_rank(bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.n
         return None
     # Elsewhere on the loops, by drives too: the start may be a dead point.
     free = null_space(_matrix(bodies, joints, q, every), rcond=1e-6)
-    beside = replace(bodies, q=_moved(bodies, q, every, free @ (free.T @ away)))
-    elsewhere, _ = _assembled(beside, joints, every)
+    displaced = replace(bodies, q=_moved(bodies, q, every, free @ (free.T @ away)))
+    elsewhere, _ = _assembled(displaced, joints, every)
     if elsewhere is None or rank(open_) == (closed_ := rank(elsewhere)):
         return None
     return closed_
@@ -216,7 +216,7 @@ def _assembled(
 
 
 def _rates(
-    bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.ndarray, said: Sequence[str], of: np.ndarray
+    bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.ndarray, labels: Sequence[str], of: np.ndarray
 ) -> Floats:
     """Rates (n_v,) that keep the loops closed: those that are given stay, the others follow, the least."""
     tree, qd = bodies.tree, bodies.qd.copy()
@@ -229,15 +229,15 @@ def _rates(
     worst = int(np.argmax(left))
     if left[worst] > _CONTRADICTED * np.max(np.abs(rates)):
         by = left[worst] * (1.0 if joints.turns[worst] else tree.size)
-        beside = _matrix(bodies, joints, _moved(bodies, q, follow, _away(follow)), follow)
-        dead = joints.rank is None and _rank(g[:, follow]) < _rank(beside)
+        displaced = _matrix(bodies, joints, _moved(bodies, q, follow, _away(follow)), follow)
+        dead = joints.rank is None and _rank(g[:, follow]) < _rank(displaced)
         where, remedy = (
-            ("at a dead point ", "start beside it, or give the rate of a hinge that can turn there")
+            ("at a dead point ", "start near it, or give the rate of a hinge that can turn there")
             if dead
             else ("", "give those of fewer hinges: the others follow")
         )
         raise MechanicsError(
-            f"{said[of[worst]]}: {where}the rates of hinges open it by {by:.3g} per time; {remedy}",
+            f"{labels[of[worst]]}: {where}the rates of hinges open it by {by:.3g} per time; {remedy}",
             fault=Fault.OPEN,
         )
     return np.asarray(rates * tree.units)

@@ -12,8 +12,8 @@ from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Load
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import number
 from protochain.mechanisms.contact_forces import ContactForces
+from protochain.mechanisms.element_arguments import number
 from protochain.mechanisms.elements import Acting, Named
 from protochain.mechanisms.shapes import Ball, Other, Plane, Surface, finder
 
@@ -72,10 +72,10 @@ class Friction:
                 raise MechanicsError(f"the {name} of friction must be finite and not negative")
 
 
-def _check_numbers(of: Law | Friction, said: str) -> None:
+def _check_numbers(of: Law | Friction, label: str) -> None:
     """Make numbers of the fields."""
     for each in fields(of):
-        object.__setattr__(of, each.name, number(getattr(of, each.name), f"the {each.name} {said}"))
+        object.__setattr__(of, each.name, number(getattr(of, each.name), f"the {each.name} {label}"))
 
 
 def lankarani_nikravesh(stiffness: float, restitution: float, speed: float, exponent: float = 1.5) -> Law:
@@ -201,7 +201,7 @@ class Contact(Named):
             ("friction", Friction | None, "a Friction, or none"),
         ):
             if not isinstance(getattr(self, name), kind):
-                raise MechanicsError(f"{self.said}: {name} {shown(getattr(self, name))}: give {remedy}")
+                raise MechanicsError(f"{self.label}: {name} {shown(getattr(self, name))}: give {remedy}")
 
     def _balls(self, given: Any, name: str) -> tuple[Ball, ...]:
         """Balls, or points."""
@@ -209,7 +209,7 @@ class Contact(Named):
         if not all(isinstance(ball, Ball) for ball in balls):
             remedy = 'a list of balls, as [Ball("wheel", 0.1)]'
             also = ", a plane, a surface, or None" if name == "other" else ""
-            raise MechanicsError(f"{self.said}: {name} {shown(given)}: give {remedy}{also}")
+            raise MechanicsError(f"{self.label}: {name} {shown(given)}: give {remedy}{also}")
         return balls
 
     def bind(self, bodies: Bodies) -> Acting:
@@ -220,7 +220,7 @@ class Contact(Named):
         MechanicsError
             If a body is not there, or a shape cannot be touched.
         """
-        found = finder(bodies, self.balls, self.other, self.said)
+        found = finder(bodies, self.balls, self.other, self.label)
         law, rub = self.law, self.friction or Friction(0.0, 0.0)
         constants = (law.stiffness, law.exponent, law.damping, rub.coefficient, rub.stiffness, rub.damping)
         forces = ContactForces(bodies.tree, found, read_only(constants))

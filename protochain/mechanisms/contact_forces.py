@@ -21,8 +21,8 @@ from protochain.mechanics.multibody.algebra import (
     turned_back,
     vector,
 )  # fmt: skip
+from protochain.mechanisms.linear_springs import end_of, push, speed_of
 from protochain.mechanisms.shapes import Finder, OnPlane, Touches
-from protochain.mechanisms.springs import end_of, push, speed_of
 
 STIFFNESS, EXPONENT, DAMPING, FRICTION, SPRING, DASHPOT = range(6)
 """Constants of a contact."""

@@ -15,10 +15,10 @@ from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms.assembly import Assembly, Motion
 from protochain.mechanisms.bodies import WORLD, Bodies
 from protochain.mechanisms.bushing import Bushings
-from protochain.mechanisms.checks import number, numbers
 from protochain.mechanisms.contact_forces import ContactForces
+from protochain.mechanisms.element_arguments import number, numbers
+from protochain.mechanisms.linear_springs import Springs
 from protochain.mechanisms.shapes import Ball, OnPlane, OnSurface
-from protochain.mechanisms.springs import Springs
 
 THICK = 0.02
 """Diameter of rods without a radius, and least thickness of blocks, by the size of the picture."""

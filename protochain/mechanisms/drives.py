@@ -11,7 +11,7 @@ from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Drive
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import answer
+from protochain.mechanisms.element_arguments import answer
 from protochain.mechanisms.elements import Named
 
 
@@ -30,19 +30,19 @@ class Driven(Named):
     def __post_init__(self) -> None:
         if not callable(self.motion):
             raise MechanicsError(
-                f"{self.said}: motion {shown(self.motion)}: give a function of time, as lambda t: (t, 1, 0)"
+                f"{self.label}: motion {shown(self.motion)}: give a function of time, as lambda t: (t, 1, 0)"
             )
 
     def at(self, time: float) -> tuple[float, float, float]:
         """Coordinate, rate and acceleration at a time."""
-        found = answer(f"{self.said}: its motion", self.motion, time)
+        found = answer(f"{self.label}: its motion", self.motion, time)
         try:
             q, qd, qdd = (float(value) for value in found)
         except (TypeError, ValueError):
             q = qd = qdd = np.nan
         if not np.isfinite(q + qd + qdd):
             raise MechanicsError(
-                f"{self.said}: at time {time:g} it gives {shown(found)}; "
+                f"{self.label}: at time {time:g} it gives {shown(found)}; "
                 "give coordinate, rate and acceleration, finite"
             )
         return q, qd, qdd

@@ -26,7 +26,7 @@ from protochain.mechanics.multibody.algebra import (
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.tree import FIRST_MOMENT, MASS
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import numbers
+from protochain.mechanisms.element_arguments import numbers
 
 Point = tuple[str, ArrayLike]
 """Name of a body, or "world", and a point in its axes."""
@@ -126,7 +126,7 @@ class Named:
     name: str
 
     @property
-    def said(self) -> str:
+    def label(self) -> str:
         """What messages call it, with its name."""
         return f'{self.called} "{self.name}"'
 
@@ -149,15 +149,15 @@ class Between(Named):
     def __post_init__(self) -> None:
         for end in (self.a, self.b):
             if not (isinstance(end, tuple | list) and len(end) == 2 and isinstance(end[0], str)):
-                raise MechanicsError(f'{self.said}: give its ends as ("body", (x, y, z))')
+                raise MechanicsError(f'{self.label}: give its ends as ("body", (x, y, z))')
         if self.a[0] == self.b[0]:
-            raise MechanicsError(f'{self.said}: both of its ends are on "{self.a[0]}"; join two bodies')
+            raise MechanicsError(f'{self.label}: both of its ends are on "{self.a[0]}"; join two bodies')
         for side, (body, at) in (("a", self.a), ("b", self.b)):
-            self.fix(**{side: (body, numbers(at, (3,), f"{self.said}: its point"))})
+            self.fix(**{side: (body, numbers(at, (3,), f"{self.label}: its point"))})
 
     def ends(self, bodies: Bodies) -> tuple[Integers, Floats]:
         """(1, 2) int, (1, 6) float: both bodies, and their points along the axes of the tree's frames."""
-        ends = [bodies.number(body, self.said) for body, _ in (self.a, self.b)]
+        ends = [bodies.number(body, self.label) for body, _ in (self.a, self.b)]
         points = [bodies.inside(b, at) for b, (_, at) in zip(ends, (self.a, self.b), strict=True)]
         return read_only([ends], np.int64), read_only([np.concatenate(points)])
 
@@ -185,7 +185,9 @@ class CustomForce(Named):
 
     def __post_init__(self) -> None:
         if not (isinstance(self.element, Load) or callable(getattr(self.element, "bind", None))):
-            raise MechanicsError(f"{self.said}: give a motion.Load, or an object with bind(bodies) -> Acting")
+            raise MechanicsError(
+                f"{self.label}: give a motion.Load, or an object with bind(bodies) -> Acting"
+            )
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return what its element does."""

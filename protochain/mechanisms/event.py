@@ -9,7 +9,7 @@ import numpy as np
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Equations, Phase
 from protochain.mechanisms.bodies import State
-from protochain.mechanisms.checks import answer
+from protochain.mechanisms.element_arguments import answer
 from protochain.mechanisms.elements import Named
 from protochain.mechanisms.march import Event as Watched
 
@@ -62,25 +62,25 @@ class Event(Named):
     def __post_init__(self) -> None:
         for what in ("value", "jump"):
             if not callable(getattr(self, what)):
-                raise MechanicsError(f"{self.said}: its {what} must be a function of the state")
+                raise MechanicsError(f"{self.label}: its {what} must be a function of the state")
 
     def watched(self, state_of: Callable[[Phase], State], happened: list[Happened]) -> Watched:
         """Return it for ``march``; when it happens, it is added to the list."""
 
         def value(at: Phase) -> float:
-            found = float(answer(f"{self.said}: its value", self.value, state_of(at)))
+            found = float(answer(f"{self.label}: its value", self.value, state_of(at)))
             if np.isnan(found):
-                raise MechanicsError(f"{self.said}: its value is not a number at time {at.time:g}")
+                raise MechanicsError(f"{self.label}: its value is not a number at time {at.time:g}")
             return found
 
         def jump(system: Equations, at: Phase) -> Phase:
-            qd = answer(f"{self.said}: its jump", self.jump, state_of(at))
+            qd = answer(f"{self.label}: its jump", self.jump, state_of(at))
             after = at
             if qd is not None:
                 qd = np.array(qd, dtype=float)
                 if qd.shape != (system.n_v,) or not np.all(np.isfinite(qd)):
                     raise MechanicsError(
-                        f"{self.said}: its jump must give {system.n_v} finite velocities, or None to go on"
+                        f"{self.label}: its jump must give {system.n_v} finite velocities, or None to go on"
                     )
                 after = system.with_velocities(at, qd)
             happened.append(Happened(at.time, self.name, after.kinetic - at.kinetic))

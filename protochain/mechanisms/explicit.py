@@ -35,8 +35,8 @@ from protochain.mechanics.multibody.tree import Q, V
 from protochain.mechanics.tableaux import Tableau
 from protochain.mechanisms.closed_equations import CLOSED, ITERATIONS, ClosedEquations
 from protochain.mechanisms.elements import Conservative, Gravity, weigh
-from protochain.mechanisms.loop_joints import LoopJoints, bends, gather, held_at, proximal, put_rows
-from protochain.mechanisms.springs import Springs, pull
+from protochain.mechanisms.linear_springs import Springs, pull
+from protochain.mechanisms.loop_joints import LoopJoints, bends, factor_loops_at, gather, proximal, put_rows
 from protochain.mechanisms.torsion import Torsions, wind
 
 _NONE = np.empty(0, np.int64)
@@ -110,19 +110,6 @@ class CompiledLoops(InOneKernel, ClosedEquations):
 
 
 @kernel
-def _act(
-    bodies: Floats, rotation: Floats, origin: Floats, q: Floats, gravity: Floats, ends: Integers,
-    points: Floats, springs: Floats, coordinates: Integers, freedoms: Integers, torsions: Floats,
-    wrenches: Floats, torques: Floats,
-) -> tuple[bool, float]:  # fmt: skip
-    """Write wrenches (nb, 6) and torques (n_v,); whether every force has a direction, and the energy."""
-    wrenches[:], torques[:] = 0.0, 0.0
-    energy = weigh(bodies, rotation, origin, gravity, wrenches)
-    pulled = pull(rotation, origin, ends, points, springs, wrenches)
-    return pulled >= 0.0, energy + pulled + wind(coordinates, freedoms, torsions, q, torques)
-
-
-@kernel
 def _step(
     h: float, a: Floats, b: Floats, wrong: Floats, links: Integers, bodies: Floats, size: float,
     gravity: Floats, ends: Integers, points: Floats, springs: Floats, coordinates: Integers,
@@ -130,87 +117,42 @@ def _step(
     start: Floats, speed: Floats,
 ) -> tuple[Any, ...]:  # fmt: skip
     """Take a step, and close the loops; whether that was possible, the phase, its factors and errors."""
-    n, n_v, s, m = len(bodies), len(speed), len(b), len(body)
+    tree, joints = (links, bodies, size), (body, turns, point, along)
+    acts = gravity, ends, points, springs, coordinates, freedoms, torsions
+    n, n_v, s = len(bodies), len(speed), len(b)
     rotation, origin, packed = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21))
     gain, pivot, root = np.empty((n, 6)), np.empty(n), np.empty((links[n, Q] - links[n, V], 6, 6))
-    wrenches, loads, still = np.empty((n, 6)), np.empty((n, 6)), np.zeros(n_v)
-    error, rows, held, x = np.empty(m), np.zeros((m, 2, 6)), np.empty(n_v), np.empty(n_v)
+    frames, factors = (rotation, origin), (packed, gain, pivot, root)
+    wrenches, loads, held, x = np.empty((n, 6)), np.empty((n, 6)), np.empty(n_v), np.empty(n_v)
     slopes, rates = np.zeros((s + 2, n_v)), np.zeros((s + 2, n_v))
     done, energy, q, qd = True, 0.0, start.copy(), speed.copy()
     # After the stages the step itself; after the step, as often as loops need, what closes them.
     for stage in range(s + 1 + ITERATIONS):
-        i = min(stage, s)
+        i, inside = min(stage, s), stage < s
         if stage <= s:
-            x[:] = 0.0
-            qd[:] = speed
-            for j in range(i):
-                weight = h * (a[i, j] if i < s else b[j])
-                for k in range(n_v):
-                    x[k] += weight * slopes[j, k]
-                    qd[k] += weight * rates[j, k]
-            q[:] = start
-            move_along(links, x, q)
-            slopes[i] = qd
-            put_rates(links, x, slopes[i])
-        outward_frames(links, bodies, q, rotation, origin)
-        put_rigid(rotation, bodies, packed)
-        fine, energy = _act(
-            bodies, rotation, origin, q, gravity, ends, points, springs, coordinates, freedoms, torsions,
-            wrenches, x,
-        )  # fmt: skip
-        loads[:] = 0.0
-        if i < s:
-            outward_loads(links, bodies, rotation, origin, qd, still, loads)
-            loads -= wrenches
-        if not fine or factorise(links, bodies, rotation, origin, packed, gain, pivot, root, loads, x) >= 0:
-            done = False
+            _put_stage(h, a[i] if inside else b, i, tree, slopes, rates, start, speed, x, q, qd)
+        done, energy = _factors_at(inside, tree, acts, q, qd, frames, factors, wrenches, loads, x)
+        if not done:
             break
-        if i < s:
+        if inside:
             outward_rates(links, bodies, rotation, origin, gain, root, loads, x)
             rates[i] = x
-        if m > 0:
-            rows[:] = 0.0
-            put_rows(rotation, origin, body, turns, point, along, error, rows)
-            scales, inverse, factor, last = held_at(
-                links, bodies, rotation, origin, gain, pivot, root, body, rows, size
-            )
-            gap = 0.0
-            for k in range(m):
-                gap = max(gap, abs(error[k]) / (1.0 if turns[k] else size))
-            if i < s:
-                error = -bends(links, bodies, rotation, origin, body, turns, point, along, qd, x)
-            elif gap <= CLOSED:
-                outward_twists(links, bodies, rotation, origin, qd, loads)
-                for k in range(m):
-                    error[k] = 0.0
-                    for side in range(2):
-                        if body[k, side] >= 0:
-                            error[k] -= np.dot(rows[k, side], loads[body[k, side]])
-            elif stage == s + ITERATIONS:
-                done = False
-                break
-            else:
-                error *= -1.0
-            loads[:], held[:] = 0.0, 0.0
-            gather(body, rows, scales * proximal(inverse, factor, last, scales * error), loads)
-            loads *= -1.0
-            inward_loads(links, bodies, rotation, origin, gain, pivot, loads, held)
-            outward_rates(links, bodies, rotation, origin, gain, root, loads, held)
-            if i < s:
-                rates[i] += held
-            elif gap <= CLOSED:
-                qd += held
-                break
-            else:
-                move_along(links, held, q)
-        elif i == s:
+        if len(body) == 0:
+            if inside:
+                continue
             break
+        gap = _hold(inside, tree, joints, frames, factors, qd, x, loads, held)
+        if inside:
+            rates[i] += held
+        elif gap <= CLOSED:
+            qd += held
+            break
+        else:
+            done = stage < s + ITERATIONS
+            move_along(links, held, q)
     torque, p, moved, quickened = np.empty(n_v), np.empty(n_v), np.zeros(n_v), np.zeros(n_v)
     if done:
-        _act(
-            bodies, rotation, origin, q, gravity, ends, points, springs, coordinates, freedoms, torsions,
-            wrenches, x,
-        )  # fmt: skip
+        _act(tree, acts, frames, q, wrenches, x)
         inward_torques(links, bodies, rotation, origin, wrenches, torque)
         torque += x
         put_momenta(links, bodies, rotation, origin, qd, wrenches, loads, p, held)
@@ -221,3 +163,93 @@ def _step(
     return (
         done, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, moved, quickened
     )  # fmt: skip
+
+
+@kernel
+def _put_stage(
+    h: float, weights: Floats, i: int, tree: tuple[Any, ...], slopes: Floats, rates: Floats, start: Floats,
+    speed: Floats, x: Floats, q: Floats, qd: Floats,
+) -> None:  # fmt: skip
+    """Write coordinates and velocities of a stage, of the rates before it; and its displacement's rate."""
+    x[:] = 0.0
+    qd[:] = speed
+    for j in range(i):
+        weight = h * weights[j]
+        for k in range(len(x)):
+            x[k] += weight * slopes[j, k]
+            qd[k] += weight * rates[j, k]
+    q[:] = start
+    move_along(tree[0], x, q)
+    slopes[i] = qd
+    put_rates(tree[0], x, slopes[i])
+
+
+@kernel
+def _act(
+    tree: tuple[Any, ...], acts: tuple[Any, ...], frames: tuple[Floats, Floats], q: Floats, wrenches: Floats,
+    torques: Floats,
+) -> tuple[bool, float]:  # fmt: skip
+    """Write wrenches (nb, 6) and torques (n_v,); whether every force has a direction, and the energy."""
+    gravity, ends, points, springs, coordinates, freedoms, torsions = acts
+    rotation, origin = frames
+    wrenches[:], torques[:] = 0.0, 0.0
+    energy = weigh(tree[1], rotation, origin, gravity, wrenches)
+    pulled = pull(rotation, origin, ends, points, springs, wrenches)
+    return pulled >= 0.0, energy + pulled + wind(coordinates, freedoms, torsions, q, torques)
+
+
+@kernel
+def _factors_at(
+    inside: bool, tree: tuple[Any, ...], acts: tuple[Any, ...], q: Floats, qd: Floats,
+    frames: tuple[Floats, Floats], factors: tuple[Any, ...], wrenches: Floats, loads: Floats, x: Floats,
+) -> tuple[bool, float]:  # fmt: skip
+    """Write frames and factors, and inside a step what accelerates; whether they exist, and the energy."""
+    (links, bodies, _), (rotation, origin), (packed, gain, pivot, root) = tree, frames, factors
+    outward_frames(links, bodies, q, rotation, origin)
+    put_rigid(rotation, bodies, packed)
+    fine, energy = _act(tree, acts, frames, q, wrenches, x)
+    loads[:] = 0.0
+    if inside:
+        outward_loads(links, bodies, rotation, origin, qd, np.zeros(len(qd)), loads)
+        loads -= wrenches
+    if fine:
+        fine = factorise(links, bodies, rotation, origin, packed, gain, pivot, root, loads, x) < 0
+    return fine, energy
+
+
+@kernel
+def _hold(
+    inside: bool, tree: tuple[Any, ...], joints: tuple[Any, ...], frames: tuple[Floats, Floats],
+    factors: tuple[Any, ...], qd: Floats, qdd: Floats, loads: Floats, held: Floats,
+) -> float:  # fmt: skip
+    """Write the accelerations inside a step, else the velocities, else the displacement that joints ask for.
+
+    -> How far loops are open: after the step velocities are held once they are closed.
+    """
+    (links, bodies, size), (body, turns, point, along) = tree, joints
+    (rotation, origin), (_, gain, pivot, root) = frames, factors
+    m, gap = len(body), 0.0
+    error, rows = np.empty(m), np.zeros((m, 2, 6))
+    put_rows(rotation, origin, body, turns, point, along, error, rows)
+    scales, inverse, factor, last = factor_loops_at(
+        links, bodies, rotation, origin, gain, pivot, root, body, rows, size
+    )
+    for k in range(m):
+        gap = max(gap, abs(error[k]) / (1.0 if turns[k] else size))
+    if inside:
+        error = -bends(links, bodies, rotation, origin, body, turns, point, along, qd, qdd)
+    elif gap <= CLOSED:
+        outward_twists(links, bodies, rotation, origin, qd, loads)
+        for k in range(m):
+            error[k] = 0.0
+            for side in range(2):
+                if body[k, side] >= 0:
+                    error[k] -= np.dot(rows[k, side], loads[body[k, side]])
+    else:
+        error *= -1.0
+    loads[:], held[:] = 0.0, 0.0
+    gather(body, rows, scales * proximal(inverse, factor, last, scales * error), loads)
+    loads *= -1.0
+    inward_loads(links, bodies, rotation, origin, gain, pivot, loads, held)
+    outward_rates(links, bodies, rotation, origin, gain, root, loads, held)
+    return gap

@@ -12,7 +12,7 @@ from protochain.mechanics.motion import Applied, Load, Phase
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.assembly import Assembly
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import not_negative
+from protochain.mechanisms.element_arguments import not_negative
 from protochain.mechanisms.elements import Acting, Named
 from protochain.mechanisms.reactions import transmitted
 
@@ -59,14 +59,14 @@ class HingeFriction(Named):
 
     def __post_init__(self) -> None:
         for name in ("torque", "coefficient", "radius", "damping", "speed"):
-            self.fix(**{name: float(not_negative(getattr(self, name), f"{self.said}: its {name}"))})
+            self.fix(**{name: float(not_negative(getattr(self, name), f"{self.label}: its {name}"))})
         if self.torque == self.coefficient * self.radius == self.damping == 0.0:
             raise MechanicsError(
-                f"{self.said}: it does nothing; give a torque, a coefficient or a damping",
+                f"{self.label}: it does nothing; give a torque, a coefficient or a damping",
                 fault=Fault.NO_STIFFNESS,
             )
         if not self.speed > 0.0:
-            raise MechanicsError(f"{self.said}: its speed is zero; give one far below those of the motion")
+            raise MechanicsError(f"{self.label}: its speed is zero; give one far below those of the motion")
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return its torques as a load.
@@ -76,24 +76,24 @@ class HingeFriction(Named):
         MechanicsError
             If the hinge is not there, fixed or a ball, or a screw.
         """
-        b, (_, freedom) = bodies.hinge(self.hinge, self.said), bodies.freedom(self.hinge, self.said)
+        b, (_, freedom) = bodies.hinge(self.hinge, self.label), bodies.freedom(self.hinge, self.label)
         turn, slide = bodies.tree.twist[b]
         if self.coefficient and turn and slide:
-            raise MechanicsError(f"{self.said}: a screw has no pin; give a torque, or a damping")
+            raise MechanicsError(f"{self.label}: a screw has no pin; give a torque, or a damping")
         arm = self.coefficient * (self.radius if turn else 1.0)
-        rubs = Rubbing(self.said, b, freedom, self.torque, arm, self.damping, self.speed)
+        rubs = Rubbing(self.label, b, freedom, self.torque, arm, self.damping, self.speed)
         return Acting(friction=rubs, inside=True)
 
 
 class Rubbing(NamedTuple):
     """Friction of a hinge, bound.
 
-    said: What messages call it.
+    label: What messages call it.
     body, freedom: Body beyond the hinge, and place in qd.
     torque, arm, damping, speed: Constants; arm is coefficient times radius.
     """
 
-    said: str
+    label: str
     body: int
     freedom: int
     torque: float
@@ -136,8 +136,8 @@ def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
             before, size = size, np.linalg.norm(alone + np.einsum("jki,j->ki", more, slip * size), axis=1)
             if np.max(np.abs(size - before)) <= _SAME * np.max(size):
                 return size
-        said = pressed[int(np.argmax(np.abs(size - before)))].said
-        raise MechanicsError(f"{said}: it jams at time {time:g}, where no force of its hinge is in balance "
+        label = pressed[int(np.argmax(np.abs(size - before)))].label
+        raise MechanicsError(f"{label}: it jams at time {time:g}, where no force of its hinge is in balance "
                              "with its friction; give a smaller coefficient or radius")  # fmt: skip
 
     def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:

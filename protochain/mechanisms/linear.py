@@ -11,7 +11,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Phase
 from protochain.mechanisms.bodies import State
-from protochain.mechanisms.checks import answer, number
+from protochain.mechanisms.element_arguments import answer, number
 from protochain.mechanisms.loads import n_parameters
 from protochain.mechanisms.model import Model
 

@@ -13,7 +13,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies, State
-from protochain.mechanisms.checks import answer, number, numbers
+from protochain.mechanisms.element_arguments import answer, number, numbers
 from protochain.mechanisms.elements import Acting, Named
 
 
@@ -45,11 +45,11 @@ class AppliedForce(Named):
 
     def __post_init__(self) -> None:
         if self.force is None and self.moment is None:
-            raise MechanicsError(f"{self.said}: nothing acts; give a force or a moment")
+            raise MechanicsError(f"{self.label}: nothing acts; give a force or a moment")
         self.fix(
-            at=numbers(self.at, (3,), f"{self.said}: its point"),
-            force=_law(self.force, (3,), f"{self.said}: its force"),
-            moment=_law(self.moment, (3,), f"{self.said}: its moment"),
+            at=numbers(self.at, (3,), f"{self.label}: its point"),
+            force=_law(self.force, (3,), f"{self.label}: its force"),
+            moment=_law(self.moment, (3,), f"{self.label}: its moment"),
         )
 
     def bind(self, bodies: Bodies) -> Acting:
@@ -60,15 +60,15 @@ class AppliedForce(Named):
         MechanicsError
             If the body is not there, or the world.
         """
-        b, said = bodies.number(self.body, self.said), f"{self.said}: its"
+        b, label = bodies.number(self.body, self.label), f"{self.label}: its"
         if b < 0:
-            raise MechanicsError(f"{self.said}: the world does not move; name a body")
+            raise MechanicsError(f"{self.label}: the world does not move; name a body")
         point = bodies.inside(b, self.at)
         force, by_force = _of_state(self.force)
         moment, by_moment = _of_state(self.moment)
 
         def answered(what: str, function: Callable[..., Any], *given: Any) -> Floats:
-            return numbers(answer(f"{said} {what}", function, *given), (3,), f"{said} {what}")
+            return numbers(answer(f"{label} {what}", function, *given), (3,), f"{label} {what}")
 
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             def state() -> State:
@@ -109,7 +109,7 @@ class HingeTorque(Named):
     value: Any
 
     def __post_init__(self) -> None:
-        self.fix(value=_law(self.value, (), f"{self.said}: its value"))
+        self.fix(value=_law(self.value, (), f"{self.label}: its value"))
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return it as a load.
@@ -119,25 +119,27 @@ class HingeTorque(Named):
         MechanicsError
             If there is no such hinge, or it is fixed.
         """
-        freedom = bodies.freedom(self.hinge, self.said)[1]
+        freedom = bodies.freedom(self.hinge, self.label)[1]
         value, by_state = _of_state(self.value)
 
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             torques = np.zeros(bodies.tree.n_v)
-            found = answer(f"{self.said}: its value", value, time, lambda: State(bodies, time, q, qd, frames))
-            torques[freedom] = number(found, f"{self.said}: its value")
+            found = answer(
+                f"{self.label}: its value", value, time, lambda: State(bodies, time, q, qd, frames)
+            )
+            torques[freedom] = number(found, f"{self.label}: its value")
             return Applied(torques=torques)
 
         return Acting(load=Load(applied, by_state), inside=True, hinges=(self.hinge,))
 
 
-def _law(value: Any, shape: tuple[int, ...], said: str) -> Any:
+def _law(value: Any, shape: tuple[int, ...], label: str) -> Any:
     """Constants as checked numbers of a shape; a function, or None, as it is."""
     if value is None or (callable(value) and n_parameters(value)):
         return value
     if callable(value):
-        raise MechanicsError(f"{said}: give a callable of t, or of t and state")
-    return read_only(numbers(value, shape, said))
+        raise MechanicsError(f"{label}: give a callable of t, or of t and state")
+    return read_only(numbers(value, shape, label))
 
 
 def _of_state(value: Any) -> tuple[Callable[..., Any], bool]:

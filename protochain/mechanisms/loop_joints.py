@@ -40,10 +40,10 @@ from protochain.mechanics.multibody.small import solve_lower
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
 _PROXIMAL = 1e-7
-"""e, beside a diagonal of one: far above rounding, so small that few iterations take it off."""
+"""e, added to a diagonal of one: far above rounding, so small that few iterations take it off."""
 _ITERATIONS = 100
 _NOTHING = 1e-14
-"""Of what is left of an equation, and of the square of what changes none, beside what there was."""
+"""Of what is left of an equation, and of the square of what changes none, relative to what there was."""
 _IMMOVABLE = 1e-24
 """Square of what rounding leaves of an equation that no motion changes, by its size."""
 
@@ -60,7 +60,7 @@ class LoopJoints:
     turns (m,) bool: Whether the equation is a turn.
     point (m, 2, 3): Points, in the frames of their bodies.
     along (m, 2, 3): Directions, in the frames of their bodies; the second is not read of a slide.
-    rank: Number of independent equations where the loops are closed, if it is larger beside; else None.
+    rank: Number of independent equations where the loops are closed, if it is larger nearby; else None.
     """
 
     body: Integers
@@ -91,7 +91,7 @@ class LoopJoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
+class FactoredLoops:
     """Loop joints at one pose, and what holds them.
 
     factors: Rigid bodies, their frames, and factors of M there.
@@ -157,7 +157,7 @@ class Held:
         return solve(self.factors, np.zeros(self.factors.tree.n_v), -wrenches)
 
 
-def hold(factors: Articulated, joints: LoopJoints) -> Held:
+def factor_loops(factors: Articulated, joints: LoopJoints) -> FactoredLoops:
     """Find what holds loop joints at one pose.
 
     With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], A = Y^T D^-1 Y, and the column y of a joint has but the
@@ -166,19 +166,19 @@ def hold(factors: Articulated, joints: LoopJoints) -> Held:
     """
     tree, frames = factors.tree, factors.frames
     error, rows = joints.rows(frames)
-    found = held_at(
+    found = factor_loops_at(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot,
         factors.root, rows.body, rows.wrench, tree.size,
     )  # fmt: skip
-    return Held(factors, error, rows, *found, joints.rank)
+    return FactoredLoops(factors, error, rows, *found, joints.rank)
 
 
 @kernel
-def held_at(
+def factor_loops_at(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
     root: Floats, body: Integers, wrench: Floats, size: float,
 ) -> tuple[Floats, Floats, Floats, Integers]:  # fmt: skip
-    """Scales, inverse, factor and last of :class:`Held`."""
+    """Scales, inverse, factor and last of :class:`FactoredLoops`."""
     m, n, n_v = len(body), len(bodies), links[-1, V]
     y, first, past = np.zeros((m, n_v)), np.full(m, n_v), np.zeros(m, np.int64)
     loads, reached = np.zeros((n, 6)), np.zeros(n, np.bool_)

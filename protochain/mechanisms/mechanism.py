@@ -14,18 +14,18 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanisms.assemble import NOWHERE, Body, Hinge, assemble
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.bushing import Bushing
-from protochain.mechanisms.checks import numbers
 from protochain.mechanisms.closing import Closing, closed
 from protochain.mechanisms.contact import Contact
 from protochain.mechanisms.drives import Driven
+from protochain.mechanisms.element_arguments import numbers
 from protochain.mechanisms.elements import CustomForce, Named
 from protochain.mechanisms.event import Event
 from protochain.mechanisms.hinge_friction import HingeFriction
+from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.model import Model, model_of
 from protochain.mechanisms.motors import Motor
 from protochain.mechanisms.robot_files import mjcf, read_mjcf, read_urdf
-from protochain.mechanisms.springs import Spring
 from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 
@@ -225,7 +225,7 @@ class Mechanism:
         if name in reserved:
             raise MechanicsError(f'"{name}" is no name for a {called}: it has a meaning; give another')
         if name in group:
-            raise MechanicsError(f"{part.said} is named twice; give each a name of its own")
+            raise MechanicsError(f"{part.label} is named twice; give each a name of its own")
         group[name] = part
 
     body = _adds(Body, "Add a body.")

@@ -154,7 +154,7 @@ def model_of(
             else ()
         )
         if all(part is None for part in parts):
-            raise MechanicsError(f"{element.said}: its bind() gives nothing that acts; return Acting(...)")
+            raise MechanicsError(f"{element.label}: its bind() gives nothing that acts; return Acting(...)")
         acting[element.name] = found
     weight = [Gravity(tree, bodies.gravity)] if np.any(bodies.gravity) else []
     damped = joined(each.damping for each in acting.values() if each.damping)

@@ -13,8 +13,8 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import not_negative, number
 from protochain.mechanisms.drives import Driven
+from protochain.mechanisms.element_arguments import not_negative, number
 from protochain.mechanisms.elements import Acting, Named
 
 
@@ -54,20 +54,20 @@ class Motor(Named):
     limit: float = np.inf
 
     def __post_init__(self) -> None:
-        said = f"{self.said}: its"
+        label = f"{self.label}: its"
         if not (isinstance(self.follow, Mapping) and self.follow):
             remedy = 'give hinges and their motions, as {"elbow": lambda t: (t, 1, 0)}'
-            raise MechanicsError(f"{said} follow {shown(self.follow)}: {remedy}")
+            raise MechanicsError(f"{label} follow {shown(self.follow)}: {remedy}")
         for name in ("stiffness", "damping"):
-            self.fix(**{name: float(not_negative(getattr(self, name), f"{said} {name}"))})
-        if not (self.limit == np.inf or number(self.limit, f"{said} limit") > 0.0):
-            raise MechanicsError(f"{said} limit {self.limit:g}: give one above 0")
+            self.fix(**{name: float(not_negative(getattr(self, name), f"{label} {name}"))})
+        if not (self.limit == np.inf or number(self.limit, f"{label} limit") > 0.0):
+            raise MechanicsError(f"{label} limit {self.limit:g}: give one above 0")
         self.fix(follow={hinge: self._driven(hinge, motion) for hinge, motion in self.follow.items()})
 
     def _driven(self, hinge: str, motion: Any) -> Driven:
         if callable(motion):
             return Driven(hinge, motion)
-        held = number(motion, f'{self.said}: its hinge "{hinge}"')
+        held = number(motion, f'{self.label}: its hinge "{hinge}"')
         return Driven(hinge, lambda time: (held, 0.0, 0.0))
 
     def bind(self, bodies: Bodies) -> Acting:
@@ -79,10 +79,10 @@ class Motor(Named):
             If a hinge is not there, fixed, driven or a ball.
         """
         tree, names = bodies.tree, tuple(self.follow)
-        places, freedoms = np.array([bodies.freedom(name, self.said) for name in names]).T
+        places, freedoms = np.array([bodies.freedom(name, self.label) for name in names]).T
         if np.any(taken := np.isin(freedoms, tree.driven_v)):
             raise MechanicsError(
-                f'{self.said}: hinge "{names[int(np.argmax(taken))]}" is driven; leave it out'
+                f'{self.label}: hinge "{names[int(np.argmax(taken))]}" is driven; leave it out'
             )
         units = np.array([bodies.unit(name) for name in names])
 

@@ -16,8 +16,8 @@ from protochain.core.errors import MechanicsError
 from protochain.core.storage import write_text
 from protochain.mechanisms.assemble import quaternion
 from protochain.mechanisms.assembly import Motion
-from protochain.mechanisms.checks import direction
 from protochain.mechanisms.drawing import THICK, Block, Drawing, Rod, Shape, corners, drawing
+from protochain.mechanisms.element_arguments import direction
 from protochain.mechanisms.shapes import Ball
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def strip(
     if when.ndim != 1 or not len(when) or not np.all((when >= first - slack) & (when <= last + slack)):
         raise MechanicsError(f"times {shown(times)}: give those of the run, from {first:g} to {last:g}")
     if len(when) > _POSES:
-        raise MechanicsError(f"{len(when)} poses do not fit beside each other: give {_POSES} times at most")
+        raise MechanicsError(f"{len(when)} poses do not fit side by side: give {_POSES} times at most")
     of = drawing(run, _rows(run, when), shapes)
     across = _across(of, along)
     flat = np.array(np.meshgrid(*np.stack([of.low, of.high], axis=1))).reshape(3, -1).T @ across.T
@@ -198,7 +198,7 @@ def _hull(points: Floats, radius: float) -> Floats:
 
 
 def _told(of: Drawing) -> dict[str, Any]:
-    """What the page is told: shapes, and whole numbers for poses."""
+    """Data of the page: shapes, and whole numbers for poses."""
     middle, fine = 0.5 * (of.low + of.high), _FINE * of.size
     frames = [
         [

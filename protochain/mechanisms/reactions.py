@@ -9,7 +9,7 @@ from protochain.core.arrays import Floats
 from protochain.mechanics.motion import Phase
 from protochain.mechanics.multibody.newton_euler import inertial_loads
 from protochain.mechanisms.assembly import Assembly, Motion
-from protochain.mechanisms.loop_joints import hold
+from protochain.mechanisms.loop_joints import factor_loops
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,9 +49,9 @@ def transmitted(model: Assembly, at: Phase) -> Transmitted:
     impulses, joints = np.zeros(0), model.bodies.joints
     if joints is not None:
         free = system.forward_dynamics(at.q, at.qd, _given(model, at))
-        held = hold(at.factors, joints)
-        impulses = held.impulses(-joints.accelerations(tree, frames, at.qd, free))
-        given += held.wrenches(impulses)
+        loops = factor_loops(at.factors, joints)
+        impulses = loops.impulses(-joints.accelerations(tree, frames, at.qd, free))
+        given += loops.wrenches(impulses)
     passed = inertial_loads(tree, frames, at.qd, qdd) - given
     for b in range(tree.n_bodies - 1, -1, -1):
         p = int(tree.parent[b])

@@ -21,7 +21,7 @@ from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.closing import Closing
 from protochain.mechanisms.elements import Named
 from protochain.mechanisms.hinge_friction import HingeFriction
-from protochain.mechanisms.springs import Spring
+from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 
@@ -294,7 +294,7 @@ def mjcf(of: Any, path: str | Path | None) -> str:
         elif hinge.kind != "fixed":
             kinds = {"revolute": "hinge", "prismatic": "slide", "ball": "ball"}
             if hinge.kind not in kinds:
-                raise MechanicsError(f"{hinge.said}: MJCF has no {hinge.kind}; leave it out")
+                raise MechanicsError(f"{hinge.label}: MJCF has no {hinge.kind}; leave it out")
             along = {} if hinge.kind == "ball" else {"axis": _text(hinge.rotation.T @ hinge.axis)}
             own[hinge.name] = SubElement(
                 part, "joint", {"name": hinge.name, "type": kinds[hinge.kind], **along}
@@ -315,7 +315,7 @@ def mjcf(of: Any, path: str | Path | None) -> str:
         if isinstance(each, Body | Hinge):
             continue
         if type(each) not in writers:
-            raise MechanicsError(f"{each.said}: MJCF does not have it; leave it out")
+            raise MechanicsError(f"{each.label}: MJCF does not have it; leave it out")
         writers[type(each)](each)
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
@@ -330,7 +330,7 @@ def _joint_has(own: dict[str, Element], of: Any, **values: float) -> None:
     for key, value in values.items():
         if value and joint.get(key) is not None:
             raise MechanicsError(
-                f'{of.said}: hinge "{of.hinge}" has a {key} already; join them in one element'
+                f'{of.label}: hinge "{of.hinge}" has a {key} already; join them in one element'
             )
         if value:
             joint.set(key, _text(value))
@@ -343,7 +343,7 @@ def _rest(bodies: Any, of: Torsion) -> float:
 
 def _constant(of: HingeFriction) -> float:
     if of.coefficient or of.damping:
-        raise MechanicsError(f"{of.said}: MJCF has constant friction only; give its damping to a torsion")
+        raise MechanicsError(f"{of.label}: MJCF has constant friction only; give its damping to a torsion")
     return of.torque
 
 
@@ -363,7 +363,7 @@ def _equality(root: Element, of: Closing) -> None:
     kinds = {"spherical": "connect", "rigid": "weld"}
     if of.kind not in kinds:
         raise MechanicsError(
-            f"{of.said}: MJCF closes loops by balls and welds, not as {of.kind}; give another"
+            f"{of.label}: MJCF closes loops by balls and welds, not as {of.kind}; give another"
         )
     equalities = root.find("equality")
     equalities = SubElement(root, "equality") if equalities is None else equalities

@@ -13,7 +13,7 @@ from protochain.mechanics.motion.system import NOTHING, Equations, Integrator, P
 GAMMA = 1.0 - 1.0 / np.sqrt(2.0)
 """With it the method is L-stable: what is stiffer than the step resolves is damped at once."""
 _BALANCED = 1e-3
-"""What a substep may lose beside its work, of the energy that flows in it."""
+"""What a substep may lose in addition to its work, of the energy that flows in it."""
 _LEAST, _MOST = 1e-15, 10_000
 """Shortest substep, relative to the step: of what no step resolves; and most of a step."""
 _NUDGE = 1e-6
@@ -76,7 +76,7 @@ def _check_balance(system: Equations, at: Phase, after: Phase, slow: float) -> N
     trace = 0.5 * float(system.momenta(after.factors, speed) @ speed)
     lack = after.total - at.total - np.sum(work)
     if abs(lack) > _BALANCED * flow + trace:
-        raise StepTooLargeError(f"it loses {-lack:.2g} of {flow:.2g} of energy in motion beside its work")
+        raise StepTooLargeError(f"it loses {-lack:.2g} of {flow:.2g} of energy in motion, work not counted")
 
 
 def _advance(system: Equations, at: Phase, h: float) -> Tried:

@@ -147,7 +147,7 @@ class Run(Motion):
         shapes: Sequence[Shape] | None = None,
         along: "ArrayLike | None" = None,
     ) -> "Figure":
-        """Draw poses beside each other.
+        """Draw poses side by side.
 
         Parameters
         ----------

@@ -83,7 +83,7 @@ def sort_into_cells(x: Floats, edge: float) -> tuple[Integers, Integers, Integer
     -> cell (n,) int: Number of the cell of each, in that order: x + size[0] (y + size[1] z), with x, y, z
         from 1.
     -> start (m + 1,) int: Those of cell c are among ``order[start[k]:start[k + 1]]``, k = c modulo m, a power
-        of two, beside those of cells that share the place.
+        of two, along with those of cells that share the place.
     -> size (2,) int: Cells along x and along y, with an empty one at each end.
     """
     n = len(x)

@@ -16,7 +16,7 @@ from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanisms.bodies import WORLD
-from protochain.mechanisms.checks import not_negative
+from protochain.mechanisms.element_arguments import not_negative
 from protochain.mechanisms.mechanism import Mechanism
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -156,8 +156,8 @@ def add_beam(
             f'beam "{name}": it has no stiffness about {soft[0]}; give one, or leave it out',
             fault=Fault.NO_STIFFNESS,
         )
-    said = f'beam "{name}": its damping'
-    time = float(not_negative(damping, said))
+    label = f'beam "{name}": its damping'
+    time = float(not_negative(damping, label))
     lengths = beam.lengths(cells)
     # A rigid zone is no part of a cell.
     cell = (1.0 - 2.0 * beam.rigid) * beam.length / cells

@@ -13,9 +13,9 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import dot, kernel, put, scale, subtract, vector, vector_at
 from protochain.mechanisms.bodies import WORLD, Bodies
-from protochain.mechanisms.checks import number, numbers
+from protochain.mechanisms.element_arguments import number, numbers
+from protochain.mechanisms.linear_springs import end_of
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
-from protochain.mechanisms.springs import end_of
 from protochain.mechanisms.triangles import least_distances
 
 

@@ -10,7 +10,7 @@ from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import not_negative, number
+from protochain.mechanisms.element_arguments import not_negative, number
 from protochain.mechanisms.elements import Acting, Named
 
 
@@ -44,16 +44,16 @@ class Stop(Named):
     damping: float = 0.0
 
     def __post_init__(self) -> None:
-        said = f"{self.said}: its"
-        k, c = (float(not_negative(getattr(self, x), f"{said} {x}")) for x in ("stiffness", "damping"))
+        label = f"{self.label}: its"
+        k, c = (float(not_negative(getattr(self, x), f"{label} {x}")) for x in ("stiffness", "damping"))
         if not k > 0.0:
-            raise MechanicsError(f"{said} stiffness is zero; give one above, which stops the hinge")
+            raise MechanicsError(f"{label} stiffness is zero; give one above, which stops the hinge")
         low, high = (
-            value if isinstance(value, float) and np.isinf(value) else number(value, f"{said} limit")
+            value if isinstance(value, float) and np.isinf(value) else number(value, f"{label} limit")
             for value in (self.low, self.high)
         )
         if not low < high or (low, high) == (-np.inf, np.inf):
-            raise MechanicsError(f"{said} limits {low:g} and {high:g}: give a low, a high above it, or both")
+            raise MechanicsError(f"{label} limits {low:g} and {high:g}: give a low, a high above it, or both")
         self.fix(low=low, high=high, stiffness=k, damping=c)
 
     def bind(self, bodies: Bodies) -> Acting:
@@ -64,12 +64,12 @@ class Stop(Named):
         MechanicsError
             If there is no such hinge, it is fixed or a ball, or begins beyond its limits.
         """
-        place, freedom = bodies.freedom(self.hinge, self.said)
+        place, freedom = bodies.freedom(self.hinge, self.label)
         unit = bodies.unit(self.hinge)
         bound = Stopped(place, freedom, self.low * unit, self.high * unit, self.stiffness, self.damping)
         if bound.depth(bodies.q):
             raise MechanicsError(
-                f'{self.said}: hinge "{self.hinge}" begins at {bodies.q[place] / unit:g}, beyond its limits '
+                f'{self.label}: hinge "{self.hinge}" begins at {bodies.q[place] / unit:g}, beyond its limits '
                 f"{self.low:g} and {self.high:g}; start between them"
             )
         load = Load(bound.resist) if self.damping else None

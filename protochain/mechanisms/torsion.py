@@ -9,9 +9,9 @@ from protochain.core.arrays import Floats, Integers, read_only
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import kernel
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import number
+from protochain.mechanisms.element_arguments import number
 from protochain.mechanisms.elements import Acting, Named, Rows
-from protochain.mechanisms.springs import DAMPING, REST, STIFFNESS, constants
+from protochain.mechanisms.linear_springs import DAMPING, REST, STIFFNESS, constants
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Torsion(Named):
     def __post_init__(self) -> None:
         self.fix(**constants(self.stiffness, self.damping, self))
         if self.rest is not None:
-            self.fix(rest=number(self.rest, f"{self.said}: its rest"))
+            self.fix(rest=number(self.rest, f"{self.label}: its rest"))
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return its torques.
@@ -55,7 +55,7 @@ class Torsion(Named):
         MechanicsError
             If there is no such hinge, or it is fixed.
         """
-        place, freedom = bodies.freedom(self.hinge, self.said)
+        place, freedom = bodies.freedom(self.hinge, self.label)
         rest = bodies.q[place] if self.rest is None else self.rest * bodies.unit(self.hinge)
         row = Torsions(
             read_only([place], np.int64),

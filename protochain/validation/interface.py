@@ -34,6 +34,10 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+Sides = tuple[NDArray[np.bool_], NDArray[np.bool_]]
+"""Residues (nr,) of either side."""
+
+
 class Score(NamedTuple):
     """A column of an interface: in words, whether more of it is better (1) or less (-1), and if it counts."""
 
@@ -238,38 +242,67 @@ def scored(
     energy: NativeEnergy,
     first: str,
     second: str,
-    parts: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    parts: Sides,
     given: Confidence | None = None,
 ) -> Interface:
     """Score an interface whose sides (nr,) and energy are known, with the confidence of a model."""
     import pandas as pd
 
-    n, of = structure.n_residues, structure.atom_residue
-    masks = [part[of] for part in parts]
+    touching = contacts(structure, *parts)
+    buried, areas = _buried(structure, parts)
+    made = (
+        _energetic(structure, energy, parts), buried, _touching(structure, touching),
+        _bonded(structure, parts, *areas),
+    )  # fmt: skip
+    found: dict[str, Any] = {**_confidences(structure, parts, touching, given)}
+    for each in made:
+        found |= each.scores
+    area = found["buried_area_angstrom2"]
+    found["energy_per_area_kj_mol_nm2"] = found["energy_kj_mol"] / area * ANGSTROM_PER_NM**2 if area else None
+    scores = {key: found[key] for key in (*SCORES, *CONFIDENCES)}
+    scores = {key: value if value is None or np.isfinite(value) else None for key, value in scores.items()}
+    columns = {
+        "side": np.where(parts[0], 1, 2), "chain": structure.residue_chain,
+        "residue": np.char.add(structure.residue_number, structure.residue_insertion_code),
+        "name": structure.residue_name_in_file,
+    }  # fmt: skip
+    table = pd.DataFrame(columns | {key: its for each in made for key, its in each.columns.items()})
+    shown = (table["contacts"] > 0) | (table["buried_area_angstrom2"] > 0.0)
+    shares = table["energy_kj_mol"].to_numpy()
+    return Interface(structure, energy, first, second, scores, table[shown].reset_index(drop=True), shares)
+
+
+class _Scored(NamedTuple):
+    """Scores, and columns (nr,) of the table of residues, of one kind."""
+
+    scores: dict[str, Any]
+    columns: dict[str, Floats | Integers]
+
+
+def _energetic(structure: Structure, energy: NativeEnergy, parts: Sides) -> _Scored:
+    """Energy between the sides, by term, and what desolvation costs."""
     between, desolvation = interaction(structure, energy, structure.positions, *parts)
     terms = dict(zip(TERMS, between.sum(axis=1).tolist(), strict=True))
     shares = (between + desolvation).sum(axis=0)
-    touching = contacts(structure, *parts)
-    together, lost = _areas(structure, *masks)
-    polar = _polar(structure)
-    near = _near_residues(structure, *masks)
-    bonds = hydrogen_bonds(structure, near) if near.any() else np.empty((0, 3), dtype=np.int64)
-    across = _across(masks, bonds[:, [0, 2]])
-    bridges = [pair for pair in salt_bridges(structure) if _across(parts, np.array([pair]))[0]]
-    clashing = clashes(structure).pairs
-    clashing = clashing[_across(masks, clashing)]
-    unsatisfied = _unsatisfied(structure, together, lost, bonds)
-    area, energy_sum = float(lost.sum()), float(shares.sum())
-    touched = [np.unique(side) for side in touching.T]
-    counts = sum(map(len, touched))
-    scores: dict[str, Any] = {
-        "energy_kj_mol": energy_sum,
-        "interaction_kj_mol": float(between.sum()),
+    scores = {
+        "energy_kj_mol": float(shares.sum()), "interaction_kj_mol": float(between.sum()),
         **{f"{name}_kj_mol": terms[name] for name in ("lennard_jones", "coulomb", "generalised_born")},
         "bonded_kj_mol": sum(value for name, value in terms.items() if name not in _NONBONDED),
         "desolvation_kj_mol": float(desolvation.sum()),
-        "energy_per_area_kj_mol_nm2": energy_sum / area * ANGSTROM_PER_NM**2 if area else None,
-        "buried_area_angstrom2": area,
+    }  # fmt: skip
+    return _Scored(scores, {
+        "energy_kj_mol": shares, "interaction_kj_mol": between.sum(axis=0),
+        "desolvation_kj_mol": desolvation.sum(axis=0),
+    })  # fmt: skip
+
+
+def _buried(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Floats, Floats]]:
+    """Areas that the sides lose, and how well they fit; and of atoms (na,) what is left and what is lost."""
+    of, polar = structure.atom_residue, _polar(structure)
+    masks = [part[of] for part in parts]
+    together, lost = _areas(structure, *masks)
+    scores = {
+        "buried_area_angstrom2": float(lost.sum()),
         **{
             f"buried_{kind}_{k + 1}_angstrom2": float(lost[masks[k] & its].sum())
             for k in (0, 1) for kind, its in (("polar", polar), ("apolar", ~polar))
@@ -277,34 +310,43 @@ def scored(
         "shape_complementarity": shape_complementarity(
             structure, structure.positions, *map(np.flatnonzero, masks)
         ),
-        "hydrogen_bonds": int(across.sum()),
-        "salt_bridges": len(bridges),
-        "unsatisfied_polar_atoms": len(unsatisfied),
-        "clashes": len(clashing),
-        "contacts": len(touching),
-        "residues_1": len(touched[0]),
-        "residues_2": len(touched[1]),
-        "contacts_per_residue": 2.0 * len(touching) / counts if counts else None,
-        **_confidences(structure, parts, touching, given),
     }  # fmt: skip
-    scores = {key: value if value is None or np.isfinite(value) else None for key, value in scores.items()}
+    column = np.bincount(of, lost, structure.n_residues)
+    return _Scored(scores, {"buried_area_angstrom2": column}), (together, lost)
 
-    def count(residues: Integers | Sequence[tuple[int, int]]) -> Integers:
-        return np.bincount(np.array(residues, dtype=np.int64).ravel(), minlength=n)
 
-    table = pd.DataFrame(
-        {
-            "side": np.where(parts[0], 1, 2), "chain": structure.residue_chain,
-            "residue": np.char.add(structure.residue_number, structure.residue_insertion_code),
-            "name": structure.residue_name_in_file, "energy_kj_mol": shares,
-            "interaction_kj_mol": between.sum(axis=0), "desolvation_kj_mol": desolvation.sum(axis=0),
-            "buried_area_angstrom2": np.bincount(of, lost, n), "contacts": count(touching),
-            "hydrogen_bonds": count(of[bonds[across][:, [0, 2]]]), "salt_bridges": count(bridges),
-            "clashes": count(of[clashing]), "unsatisfied_polar_atoms": count(of[unsatisfied]),
-        }
-    )  # fmt: skip
-    shown = (table["contacts"] > 0) | (table["buried_area_angstrom2"] > 0.0)
-    return Interface(structure, energy, first, second, scores, table[shown].reset_index(drop=True), shares)
+def _touching(structure: Structure, touching: Integers) -> _Scored:
+    """Residues in contact."""
+    sides_of = [len(np.unique(side)) for side in touching.T]
+    scores = {
+        "contacts": len(touching), "residues_1": sides_of[0], "residues_2": sides_of[1],
+        "contacts_per_residue": 2.0 * len(touching) / sum(sides_of) if sum(sides_of) else None,
+    }  # fmt: skip
+    return _Scored(scores, {"contacts": _counted(touching, structure)})
+
+
+def _bonded(structure: Structure, parts: Sides, together: Floats, lost: Floats) -> _Scored:
+    """Hydrogen bonds, salt bridges and clashes across, and polar atoms that are buried without a bond."""
+    of = structure.atom_residue
+    masks = [part[of] for part in parts]
+    near = _near_residues(structure, *masks)
+    bonds = hydrogen_bonds(structure, near) if near.any() else np.empty((0, 3), dtype=np.int64)
+    clashing = clashes(structure).pairs
+    residues: dict[str, Integers | Sequence[tuple[int, int]]] = {
+        "hydrogen_bonds": of[bonds[_across(masks, bonds[:, [0, 2]])][:, [0, 2]]],
+        "salt_bridges": [pair for pair in salt_bridges(structure) if _across(parts, np.array([pair]))[0]],
+        "clashes": of[clashing[_across(masks, clashing)]],
+        "unsatisfied_polar_atoms": of[_unsatisfied(structure, together, lost, bonds)],
+    }
+    return _Scored(
+        {key: len(its) for key, its in residues.items()},
+        {key: _counted(its, structure) for key, its in residues.items()},
+    )
+
+
+def _counted(residues: Integers | Sequence[tuple[int, int]], structure: Structure) -> Integers:
+    """How often each residue is among some, (nr,)."""
+    return np.bincount(np.array(residues, dtype=np.int64).ravel(), minlength=structure.n_residues)
 
 
 def _across(parts: Sequence[NDArray[np.bool_]], pairs: Integers) -> NDArray[np.bool_]:
@@ -388,7 +430,7 @@ def _unsatisfied(structure: Structure, together: Floats, lost: Floats, bonds: In
 
 def _confidences(
     structure: Structure,
-    parts: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    parts: Sides,
     touching: Integers,
     given: Confidence | None,
 ) -> dict[str, float | None]:
@@ -420,7 +462,7 @@ def _confidences(
 
 def _of_errors(
     structure: Structure,
-    parts: tuple[NDArray[np.bool_], NDArray[np.bool_]],
+    parts: Sides,
     near: Integers,
     plddt: Floats,
     pae: Floats | None,
@@ -464,7 +506,7 @@ def ipsae(errors: Floats, least: float = 1.0) -> float:
     return float((scores / np.maximum(n, 1)).max())
 
 
-def _near_betas(structure: Structure, parts: tuple[NDArray[np.bool_], NDArray[np.bool_]]) -> Integers:
+def _near_betas(structure: Structure, parts: Sides) -> Integers:
     """(n, 2) int: C-betas of either side in contact, C-alphas of glycines."""
     names, of = structure.atom_name, structure.atom_residue
     glycine = structure.residue_name[of] == "GLY"

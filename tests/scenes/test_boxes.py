@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from bench.soil.box_kernels import FACES, STEEPEST
 from protochain.core.errors import MechanicsError
-from protochain.mechanisms.checks import check_boxes
+from protochain.mechanisms.element_arguments import check_boxes
 
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 EXACT = 1e-12

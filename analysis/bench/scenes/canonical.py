@@ -159,9 +159,9 @@ def _motion(until: float) -> Iterator[Found]:
     rates = rates_of(two, bend(two, found[:4]), found[4:])
     other = end_of(accelerated(two), start, until, 1e-12)
     source = "equations by hand, DOP853 at 1e-12"
-    for said, state in (("momenta", np.append(found[:4], rates)), ("accelerations", other)):
+    for label, state in (("momenta", np.append(found[:4], rates)), ("accelerations", other)):
         off = float(np.abs(state - exact).max())
-        yield vanishes(f"two links by {said}: q and qd", off, 1e-8, source)
+        yield vanishes(f"two links by {label}: q and qd", off, 1e-8, source)
     ten = chain(10)
     q, qd = started(ten)
     p = multiply_mass(ten, bend(ten, q), qd)
@@ -197,11 +197,11 @@ def _costs(sizes: tuple[int, ...]) -> pd.DataFrame:
             unit = np.eye(1, flexible.n_v)[0]
             size = np.abs(multiply_mass(flexible, bent, unit)).max() * np.abs(found).max()
             rows.append((n, route, seconds, lack / size / EPS))
-        for said, rates, other in (
+        for label, rates, other in (
             ("accelerations, all", accelerated(flexible), qd), ("momenta, all", canonical(flexible), p)
         ):  # fmt: skip
             _, seconds = timed(partial(rates, 0.0, np.concatenate([q, other])), 3)
-            rows.append((n, said, seconds, np.nan))
+            rows.append((n, label, seconds, np.nan))
     return pd.DataFrame(rows, columns=["links", "route", "seconds", "error_eps"])
 
 
@@ -225,10 +225,10 @@ def _work(until: float) -> list[Point]:
     forms = {"accelerations": (accelerated(flexible), qd)}
     forms |= {f"momenta, {route}": (canonical(flexible, route), p) for route in ROUTES}
     rows = []
-    for said, (rates, other) in forms.items():
+    for label, (rates, other) in forms.items():
         for tolerance in (1e-4, 1e-6, 1e-8, 1e-10):
             end = partial(end_of, rates, np.concatenate([q, other]), until, tolerance)
-            rows.append(tried(said, f"{tolerance:g}", end, lambda at: np.abs(at[:n] - exact).max()))
+            rows.append(tried(label, f"{tolerance:g}", end, lambda at: np.abs(at[:n] - exact).max()))
     return rows
 
 

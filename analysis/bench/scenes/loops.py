@@ -18,7 +18,7 @@ from protochain.core.arrays import Floats
 from protochain.core.errors import Fault
 from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Integrator
 from protochain.mechanisms import Mechanism, Model, Rosenbrock, Run, frequencies
-from protochain.mechanisms.loop_joints import LoopJoints, hold
+from protochain.mechanisms.loop_joints import LoopJoints, factor_loops
 
 G = 9.81
 PRECISE = DormandPrince(1e-10)
@@ -270,8 +270,8 @@ def _left_out() -> Iterator[Found]:
     factors = model.start().factors
 
     def change(of: LoopJoints) -> Floats:
-        held = hold(factors, of)
-        return held.change(held.rates(np.ones(3)))
+        loops = factor_loops(factors, of)
+        return loops.change(loops.rates(np.ones(3)))
 
     what = "three equations of a joint in the plane that depend on the others"
     yield left_out(what, partial(change, joints), partial(change, few), 1e-9, 20)

@@ -175,13 +175,13 @@ def _by_share(shares: tuple[float, ...]) -> tuple[pd.DataFrame, list[Found]]:
 def _motion(cells: int) -> pd.DataFrame:
     """Path of the end, and energies, of the flexible arm and of the rigid one."""
     parts = []
-    for said, n in (("flexible", cells), ("rigid", 0)):
+    for label, n in (("flexible", cells), ("rigid", 0)):
         model, tip = arm(n)
         step = 0.4 * STABLE / frequencies(model)[-1] if n else 0.01
         run = model.simulate(UNTIL, min(step, 0.01), RungeKutta4(), every=max(1, int(0.01 / step)))
         path = [model.state(model.system.at(q, qd)).point(*tip) for q, qd in zip(run.q, run.qd, strict=True)]
         x, y, _ = np.transpose(path)
-        own = {"arm": said, "time": run.time, "x": x, "y": y, "kinetic": run.kinetic}
+        own = {"arm": label, "time": run.time, "x": x, "y": y, "kinetic": run.kinetic}
         parts.append(pd.DataFrame({**own, "potential": run.potential, "work": run.work.sum(axis=1)}))
     return pd.concat(parts, ignore_index=True)
 
@@ -193,10 +193,10 @@ def _work(exact: Floats, quick: bool) -> list[Point]:
     steps = (0.02, 0.01) if quick else (0.02, 0.01, 0.005, 0.0025)
     for n in (1,) if quick else (1, 4, 8):
         model, tip = arm(n)
-        for said, integrator in IMPLICIT.items():
+        for label, integrator in IMPLICIT.items():
             for h in steps:
                 end = partial(end_of, model, tip, integrator, h)
-                rows.append(tried(f"{said}, {_said(n)}", f"{1e3 * h:g} ms", end, apart))
+                rows.append(tried(f"{label}, {_said(n)}", f"{1e3 * h:g} ms", end, apart))
     return rows
 
 
@@ -219,10 +219,10 @@ def _dampers(until: float) -> pd.DataFrame:
     step = 0.9 * _damped_limit(4)
     exact, seconds = timed(partial(end_of, model, tip, RungeKutta4(), step, until))
     rows = [Point("Kutta, longest step", f"{1e3 * step:.2g} ms", seconds, 0.0)]
-    for said, integrator in IMPLICIT.items():
+    for label, integrator in IMPLICIT.items():
         for h in (0.01, 0.005, 0.0025):
             end = partial(end_of, model, tip, integrator, h, until)
-            rows.append(tried(said, f"{1e3 * h:g} ms", end, partial(_apart, exact)))
+            rows.append(tried(label, f"{1e3 * h:g} ms", end, partial(_apart, exact)))
     return table(rows, WORK)
 
 

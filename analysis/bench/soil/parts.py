@@ -9,7 +9,7 @@ from bench.soil.contact import DAMPED, RUBBED, SLEPT, STORED, WORK
 from protochain.core.arrays import Floats, Integers, Value, floats, read_only
 from protochain.core.checks import number, shown
 from protochain.core.errors import MechanicsError
-from protochain.mechanisms.checks import check_boxes
+from protochain.mechanisms.element_arguments import check_boxes
 
 
 @dataclass(frozen=True)

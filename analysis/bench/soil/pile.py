@@ -19,7 +19,7 @@ from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read
 from protochain.core.checks import at_least, number, shown
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.motion.system import StepTooLargeError
-from protochain.mechanisms.checks import check_boxes
+from protochain.mechanisms.element_arguments import check_boxes
 from protochain.mechanisms.search import in_order, touching
 
 SKIN = 0.15

@@ -66,10 +66,10 @@ class Soil(Named):
         n = self.pile.plates.n_bodies
         if len(self.bodies) < n:
             raise MechanicsError(
-                f"{self.said}: a plate is on body {n - 1}, but {len(self.bodies)} are named; name each"
+                f"{self.label}: a plate is on body {n - 1}, but {len(self.bodies)} are named; name each"
             )
         if self.least < 1:
-            raise MechanicsError(f"{self.said}: least {self.least}: give a whole number from 1")
+            raise MechanicsError(f"{self.label}: least {self.least}: give a whole number from 1")
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return what acts: forces whose work is counted, and the cubes, which remember."""
@@ -98,7 +98,7 @@ class Digging:
 
     def __init__(self, bodies: Bodies, soil: Soil) -> None:
         self.tree, self.soil = bodies.tree, soil
-        self.numbers = np.array([bodies.number(name, soil.said) for name in soil.bodies], dtype=np.int64)
+        self.numbers = np.array([bodies.number(name, soil.label) for name in soil.bodies], dtype=np.int64)
         plates = soil.pile.plates
         # From the bodies' own axes to those of the tree's frames.
         axes = np.array([bodies.axes(b) for b in self.numbers[plates.body]]).reshape(-1, 3, 3)

@@ -16,7 +16,7 @@ from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend, elasti
 
 @dataclass(frozen=True, eq=False)
 class BendingSystem(Equations):
-    """Bodies of which some bend, in a potential beside their elastic energy, under loads.
+    """Bodies of which some bend, in a potential in addition to their elastic energy, under loads.
 
     Coordinates and freedoms are those of ``flexible.Flexible``. Potentials and
     loads get ``flexible.Bent`` for factors and frames, and loads may give wrenches

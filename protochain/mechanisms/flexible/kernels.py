@@ -238,19 +238,9 @@ def solve_bent(
         size = n_shapes + 6
         whole[:] = 0.0
         for i in range(frame, links[b + 1, NODE]):
-            if not (weighs[i] or inertia[i, 0, 0] + inertia[i, 1, 1] + inertia[i, 2, 2] > 0.0):
-                continue
-            spread(columns, between(origin, frame, i), i, n_shapes, f)
-            for r in range(size):
-                moment = add(resisted(rotation, inertia, i, vector(f, r, 0)), times(carried, i, f, r, 0))
-                force = add(scale(mass[i], vector(f, r, 3)), times(carried, i, f, r, 3))
-                put_pair(moment, force, g, r)
-            for r in range(size):
-                for s in range(r, size):
-                    for m in range(6):
-                        whole[r, s] += f[r, m] * g[s, m]
-                for m in range(6):
-                    whole[r, size] -= f[r, m] * load[i, m]
+            if weighs[i] or inertia[i, 0, 0] + inertia[i, 1, 1] + inertia[i, 2, 2] > 0.0:
+                spread(columns, between(origin, frame, i), i, n_shapes, f)
+                _add_node(i, size, mass[i], rotation, inertia, carried, load, f, g, whole)
         for s in range(n_shapes):
             whole[s, size] += x[j + s]
         if not _eliminate(whole, 0, n_shapes, size):
@@ -267,10 +257,7 @@ def solve_bent(
                 for m in range(r, 7):
                     roots[b, r, m] = whole[n_shapes + r, n_shapes + m]
             continue
-        for r in range(6):
-            for m in range(r):
-                whole[n_shapes + r, n_shapes + m] = whole[n_shapes + m, n_shapes + r]
-        p = whole[n_shapes:, n_shapes:]
+        p = _mirrored(whole[n_shapes:, n_shapes:])
         if n_v == 1 and links[b, LOCKED] == 0:
             turn, slide = freedom(hinge_axis(rotation, frame), seats[b, TURN], seats[b, SLIDE], 1, 0)
             h[0], h[1], h[2] = turn
@@ -280,18 +267,51 @@ def solve_bent(
         if c >= 0:
             weighs[c] = True
             spread(columns, between(origin, c, frame), 0, 0, f)
-            for r in range(6):
-                for m in range(6):
-                    g[r, m] = 0.0
-                    for s in range(6):
-                        g[r, m] += p[m, s] * f[r, s]
-            for r in range(6):
-                for s in range(6):
-                    load[c, r] -= f[r, s] * p[s, 6]
-                    for m in range(6):
-                        carried[c, r, s] += f[r, m] * g[s, m]
+            _carry(c, p, f, g, carried, load)
     _outward(links, seats, rotation, origin, columns, rows, gains, roots, x)
     return -1
+
+
+@kernel
+def _add_node(
+    i: int, size: int, mass: float, rotation: Floats, inertia: Floats, carried: Floats, load: Floats,
+    f: Floats, g: Floats, whole: Floats,
+) -> None:  # fmt: skip
+    """Add F^T I F of a node, with what it carries, to the matrix of its body, and its load as last column."""
+    for r in range(size):
+        moment = add(resisted(rotation, inertia, i, vector(f, r, 0)), times(carried, i, f, r, 0))
+        force = add(scale(mass, vector(f, r, 3)), times(carried, i, f, r, 3))
+        put_pair(moment, force, g, r)
+    for r in range(size):
+        for s in range(r, size):
+            for m in range(6):
+                whole[r, s] += f[r, m] * g[s, m]
+        for m in range(6):
+            whole[r, size] -= f[r, m] * load[i, m]
+
+
+@kernel
+def _mirrored(p: Floats) -> Floats:
+    """Copy the upper triangle of a body's 6x6 matrix to the lower one, in place."""
+    for r in range(6):
+        for m in range(r):
+            p[r, m] = p[m, r]
+    return p
+
+
+@kernel
+def _carry(c: int, p: Floats, f: Floats, g: Floats, carried: Floats, load: Floats) -> None:
+    """Add what a body weighs, and its load, to the node that carries it."""
+    for r in range(6):
+        for m in range(6):
+            g[r, m] = 0.0
+            for s in range(6):
+                g[r, m] += p[m, s] * f[r, s]
+    for r in range(6):
+        for s in range(6):
+            load[c, r] -= f[r, s] * p[s, 6]
+            for m in range(6):
+                carried[c, r, s] += f[r, m] * g[s, m]
 
 
 @kernel
@@ -336,7 +356,7 @@ def _outward(
 def _eliminate(a: Floats, first: int, end: int, size: int) -> bool:
     """Eliminate rows of a symmetric matrix, in its upper triangle; the column after it is the right side."""
     for r in range(first, end):
-        # The diagonal before the rows above were taken off it.
+        # The diagonal before the rows above were subtracted.
         before = a[r, r]
         for m in range(first, r):
             before += a[m, r] * a[m, r] / a[m, m]
@@ -352,7 +372,7 @@ def _eliminate(a: Floats, first: int, end: int, size: int) -> bool:
 @kernel
 def _pass_hinge(p: Floats, h: Floats, tau: float, gain: Floats) -> bool:
     """Overwrite P, and its last column -z, by what is left past a hinge h; write P h / D and its rate."""
-    pivot, taken, whole = 0.0, 0.0, 0.0
+    pivot, passed, whole = 0.0, 0.0, 0.0
     for r in range(6):
         gain[r] = 0.0
         for m in range(6):
@@ -360,10 +380,10 @@ def _pass_hinge(p: Floats, h: Floats, tau: float, gain: Floats) -> bool:
             if r // 3 == m // 3:
                 whole += h[m] * h[m] * p[r, r]
         pivot += h[r] * gain[r]
-        taken += h[r] * p[r, 6]
+        passed += h[r] * p[r, 6]
     if not pivot > ROUND_OFF * whole:
         return False
-    rest = tau + taken
+    rest = tau + passed
     for r in range(6):
         p[r, 6] -= gain[r] / pivot * rest
         for m in range(6):

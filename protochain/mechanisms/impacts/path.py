@@ -17,16 +17,21 @@ from protochain.mechanics.tableaux import DORMAND_PRINCE
 
 NEWTON, POISSON, STRONGE = range(3)
 """Laws of restitution."""
-DONE, IMMOVABLE, JAMMED, LOST, ENDLESS = range(5)
+DONE, IMMOVABLE, JAMMED, LOST, ENDLESS, GOING = range(6)
 """How a path ended: as it should; nothing gives way along the normal; Newton's law asks for a normal velocity
-that a sticking point cannot have; too many steps; too many turns."""
-ANGLE = 0
-"""Columns of the state of a curved piece: angle and logarithm of slip, impulses, work of the normal one."""
+that a sticking point cannot have; too many steps; too many turns; not yet."""
+Contact = tuple[float, float, float, float, float, float]
+"""W_tn (2), W_tt (its upper triangle) and mu, in units of W_nn."""
+Slip = tuple[float, float]
+"""Tangential velocity or its direction; a tangential impulse per normal one."""
+Phase = tuple[bool, int, float]
+"""Whether it is the restitution; the law; the goal at its end. The state y (6,) is angle and logarithm of the
+slip, the impulses, and the work of the normal one."""
 _STRAIGHT, _ROUNDING, _NOTHING = 1e-12, 4e-15, 1e-12
 """How little the direction of slip turns, to the change of its speed, and to rounding, if it stays; inverse
 inertia or velocity that is rounding error."""
-_MOST = 20_000
-"""Steps of one path. A curved piece ends near a direction that stays, after some dozens."""
+_MOST, _TRIALS = 20_000, 200
+"""Pieces of one path, and trials of one step. Curved ones end near a direction that stays, after dozens."""
 
 _A, _WRONG = np.array(DORMAND_PRINCE.a), np.array(DORMAND_PRINCE.error)
 
@@ -37,145 +42,188 @@ def follow(
 ) -> int:  # fmt: skip
     """Write the impulse (normal, two tangential) that ends an impact, and how it came about.
 
-    w, u (3, 3), out (8,).
+    w, u (3, 3), out (8,): Impulse, that of the compression, its work, all work, straight pieces, curved ones.
     """
-    size = max(w[0, 0], max(w[1, 1], w[2, 2]))
     out[:] = 0.0
-    if not w[0, 0] > _NOTHING * _NOTHING * size:
+    nn, speed = w[0, 0], -u[0]
+    if not nn > _NOTHING * _NOTHING * max(nn, max(w[1, 1], w[2, 2])):
         return IMMOVABLE
     # In units of the normal's own inverse inertia and speed.
-    nn, speed = w[0, 0], -u[0]
-    n1, n2 = w[0, 1] / nn, w[0, 2] / nn
-    t11, t12, t22 = w[1, 1] / nn, w[1, 2] / nn, w[2, 2] / nn
-    b1, b2 = u[1] / speed, u[2] / speed
-    grip = np.hypot(n1, n2) + mu * (t11 + t22)
-    least = max(_NOTHING * max(1.0, np.sqrt(t11 + t22)), slow / speed)
-
-    y, new, stage = np.zeros(6), np.zeros(6), np.zeros((7, 6))
-    restoring, turning = False, mu > 0.0
-    stopped = np.hypot(b1, b2) <= least
-    goal, p_end, a_end, step = 0.0, 0.0, 0.0, 0.0
-    s1, s2 = 1.0, 0.0
-    status = LOST
-    for _ in range(_MOST):
-        u_n = -1.0 + y[2] + n1 * y[3] + n2 * y[4]
-        length = np.inf
-        t1, t2 = 0.0, 0.0
-        straight = True
-        if turning:
-            if stopped:
-                t1, t2 = _from_rest(n1, n2, t11, t12, t22, mu)
-                turning = False
-            else:
-                v1 = b1 + n1 * y[2] + t11 * y[3] + t12 * y[4]
-                v2 = b2 + n2 * y[2] + t12 * y[3] + t22 * y[4]
-                if step == 0.0:
-                    slip = np.hypot(v1, v2)
-                    y[0], y[1] = np.arctan2(v2, v1), np.log(slip)
-                    s1, s2 = v1 / slip, v2 / slip
-                else:
-                    slip = np.exp(y[1])
-                    s1, s2 = np.cos(y[0]), np.sin(y[0])
-                c1, c2 = n1 - mu * (t11 * s1 + t12 * s2), n2 - mu * (t12 * s1 + t22 * s2)
-                turn, growth = s1 * c2 - s2 * c1, s1 * c1 + s2 * c2
-                straight = abs(turn) <= max(_STRAIGHT * abs(growth), _ROUNDING * grip)
-                if straight:
-                    t1, t2 = -mu * s1, -mu * s2
-                    if growth < 0.0:
-                        length = -slip / growth
-        elif mu > 0.0:
-            # The piece that began from rest goes on.
-            t1, t2 = s1, s2
-        before = goal - _value(restoring, law, u_n, y)
-        event = False
-        if straight:
-            slope = 1.0 + n1 * t1 + n2 * t2
-            end = _end_of_piece(restoring, law, u_n, slope, before, y)
-            if length == np.inf and end == np.inf:
-                # Sticking, where the normal velocity goes with the tangential one, which is zero.
-                if restoring and law == NEWTON:
-                    status = JAMMED
-                    break
-                if restoring or abs(u_n) > max(1e-6 * max(1.0, np.hypot(b1, b2)), 1e3 * slow / speed):
-                    status = DONE if restoring else LOST
-                    break
-                end = 0.0
-            event = end <= length
-            d = end if event else length
-            y[5] += d * (u_n + 0.5 * d * slope)
-            y[2] += d
-            y[3] += d * t1
-            y[4] += d * t2
-            out[6] += 1.0
-            stopped = not event and length < np.inf
-            if not turning:
-                s1, s2 = t1, t2
-            step = 0.0
-        else:
-            # A curved piece: one step, and where it passes the end of a phase, the step that ends there.
-            # Steps contract towards a direction that stays while they are below 3.3 / |d turn/d theta|.
-            across = mu * (s2 * s2 * t11 - 2.0 * s1 * s2 * t12 + s1 * s1 * t22)
-            stiff = abs(growth + across) + abs(turn) + abs(growth)
-            if step == 0.0:
-                step = 0.1 / stiff
-            step = min(step, 3.0 / stiff)
-            low, high, f_low, f_high = 0.0, step, -before, 0.0
-            refining, d = False, step
-            for _ in range(200):
-                error = _curved(y, d, n1, n2, t11, t12, t22, mu, stage, new)
-                factor = min(5.0, max(0.2, 0.9 * (tolerance / max(error, 1e-30)) ** 0.2))
-                u_n = -1.0 + new[2] + n1 * new[3] + n2 * new[4]
-                f = _value(restoring, law, u_n, new) - goal
-                if not refining:
-                    if not error <= tolerance:
-                        d *= factor
-                        step = d
-                        continue
-                    event = f >= 0.0
-                    if not event:
-                        step = d * factor
-                        break
-                    refining, high, f_high = True, d, f
-                elif f >= 0.0:
-                    high, f_high = d, f
-                    f_low *= 0.5
-                else:
-                    low, f_low = d, f
-                    f_high *= 0.5
-                if abs(f) <= 1e-15 * max(1.0, abs(goal)) or high - low <= 1e-15 * high:
-                    break
-                d = low + (high - low) * f_low / (f_low - f_high) if f_low < 0.0 else 0.5 * (low + high)
-                if not low < d < high:
-                    d = 0.5 * (low + high)
-            y[:] = new
-            out[7] += 1.0
-            # What is left of the slip is rounding error.
-            stopped = not event and np.exp(y[1]) <= least
-            if event:
-                step = d
-        u_n = -1.0 + y[2] + n1 * y[3] + n2 * y[4]
-        if restoring and u_n < -1e-10:
-            # The slip has turned so that it presses again: the compression goes on.
-            restoring, event, goal = False, False, 0.0
-        if event:
-            if restoring:
-                status = DONE
-                break
-            restoring = True
-            p_end, a_end = y[2], y[5]
-            goal = e if law == NEWTON else ((1.0 + e) * p_end if law == POISSON else (1.0 - e * e) * a_end)
-            if e == 0.0:
-                status = DONE
-                break
+    of = w[0, 1] / nn, w[0, 2] / nn, w[1, 1] / nn, w[1, 2] / nn, w[2, 2] / nn, mu
+    slip = u[1] / speed, u[2] / speed
+    least = max(_NOTHING * max(1.0, np.sqrt(of[2] + of[4])), slow / speed)
+    at_rest = max(1e-6 * max(1.0, np.hypot(slip[0], slip[1])), 1e3 * slow / speed)
+    y = np.zeros(6)
+    status = _impact(of, slip, e, law, least, at_rest, tolerance, y, out)
     unit = speed / nn
-    out[0], out[1], out[2], out[3] = y[2] * unit, y[3] * unit, y[4] * unit, p_end * unit
-    out[4], out[5] = a_end * unit * speed, y[5] * unit * speed
+    out[0], out[1], out[2], out[3] = y[2] * unit, y[3] * unit, y[4] * unit, out[3] * unit
+    out[4], out[5] = out[4] * unit * speed, y[5] * unit * speed
     return status
 
 
 @kernel
-def _value(restoring: bool, law: int, u_n: float, y: Floats) -> float:
+def _impact(
+    of: Contact, slip: Slip, e: float, law: int, least: float, at_rest: float, tolerance: float, y: Floats,
+    out: Floats,
+) -> int:  # fmt: skip
+    """Write the state at the end of compression and restitution, piece by piece; how the path ended."""
+    stage, new, mu = np.zeros((7, 6)), np.zeros(6), of[5]
+    grip = np.hypot(of[0], of[1]) + mu * (of[2] + of[4])
+    phase, turning, stopped = (False, law, 0.0), mu > 0.0, np.hypot(slip[0], slip[1]) <= least
+    status, step, t = GOING, 0.0, (0.0, 0.0)
+    for _ in range(_MOST):
+        straight, length, s, turn, growth = True, np.inf, t, 0.0, 0.0
+        if turning and stopped:
+            t, turning = _from_rest(of), False
+        elif turning:
+            size, s = _slip(of, slip, step == 0.0, y)
+            turn, growth = _slip_rates(of, s)
+            straight = abs(turn) <= max(_STRAIGHT * abs(growth), _ROUNDING * grip)
+            t = -mu * s[0], -mu * s[1]
+            if straight and growth < 0.0:
+                length = -size / growth
+        if straight:
+            status, event = _straight_piece(of, phase, t, length, at_rest, y)
+            stopped, step = not event and length < np.inf, 0.0
+            out[6] += 1.0
+        else:
+            step = _first_step(of, s, turn, growth, step)
+            event, step = _curved_piece(of, phase, step, tolerance, y, stage, new)
+            # What is left of the slip is rounding error.
+            stopped = not event and np.exp(y[1]) <= least
+            out[7] += 1.0
+        if status == GOING:
+            status, phase = _next_phase(of, phase, event, e, y, out)
+        if status != GOING:
+            return status
+    return LOST
+
+
+@kernel
+def _next_phase(
+    of: Contact, phase: Phase, event: bool, e: float, y: Floats, out: Floats
+) -> tuple[int, Phase]:
+    """Phase after a piece: restitution after compression, which goes on if the slip presses again."""
+    restoring, law, _ = phase
+    if restoring and _normal_velocity(of, y) < -1e-10:
+        return GOING, (False, law, 0.0)
+    if not event:
+        return GOING, phase
+    if restoring:
+        return DONE, phase
+    p, work = y[2], y[5]
+    out[3], out[4] = p, work
+    goal = e if law == NEWTON else ((1.0 + e) * p if law == POISSON else (1.0 - e * e) * work)
+    return (DONE if e == 0.0 else GOING), (True, law, goal)
+
+
+@kernel
+def _normal_velocity(of: Contact, y: Floats) -> float:
+    return -1.0 + y[2] + of[0] * y[3] + of[1] * y[4]
+
+
+@kernel
+def _slip(of: Contact, start: Slip, anew: bool, y: Floats) -> tuple[float, Slip]:
+    """Size and direction of the slip; anew, from the impulses, else from angle and logarithm."""
+    if not anew:
+        return np.exp(y[1]), (np.cos(y[0]), np.sin(y[0]))
+    n1, n2, t11, t12, t22, _ = of
+    v1 = start[0] + n1 * y[2] + t11 * y[3] + t12 * y[4]
+    v2 = start[1] + n2 * y[2] + t12 * y[3] + t22 * y[4]
+    size = np.hypot(v1, v2)
+    y[0], y[1] = np.arctan2(v2, v1), np.log(size)
+    return size, (v1 / size, v2 / size)
+
+
+@kernel
+def _slip_rates(of: Contact, s: Slip) -> tuple[float, float]:
+    """Rates of the angle and of the logarithm of the slip."""
+    n1, n2, t11, t12, t22, mu = of
+    c1, c2 = n1 - mu * (t11 * s[0] + t12 * s[1]), n2 - mu * (t12 * s[0] + t22 * s[1])
+    return s[0] * c2 - s[1] * c1, s[0] * c1 + s[1] * c2
+
+
+@kernel
+def _straight_piece(
+    of: Contact, phase: Phase, t: Slip, length: float, at_rest: float, y: Floats
+) -> tuple[int, bool]:  # fmt: skip
+    """Go along a direction that stays, to the end of the phase or of the slip; whether it is the former."""
+    restoring, law, goal = phase
+    u_n, slope = _normal_velocity(of, y), 1.0 + of[0] * t[0] + of[1] * t[1]
+    end = _end_of_piece(restoring, law, u_n, slope, goal - _value(phase, u_n, y), y)
+    if length == np.inf and end == np.inf:
+        # Sticking, where the normal velocity goes with the tangential one, which is zero.
+        if restoring:
+            return (JAMMED if law == NEWTON else DONE), False
+        if abs(u_n) > at_rest:
+            return LOST, False
+        end = 0.0
+    d = end if end <= length else length
+    y[5] += d * (u_n + 0.5 * d * slope)
+    y[2] += d
+    y[3] += d * t[0]
+    y[4] += d * t[1]
+    return GOING, end <= length
+
+
+@kernel
+def _first_step(of: Contact, s: Slip, turn: float, growth: float, step: float) -> float:
+    """Step of a curved piece, from that before.
+
+    Steps contract towards a direction that stays while they are below 3.3 / |d turn/d theta|.
+    """
+    across = of[5] * (s[1] * s[1] * of[2] - 2.0 * s[0] * s[1] * of[3] + s[0] * s[0] * of[4])
+    stiff = abs(growth + across) + abs(turn) + abs(growth)
+    return min(0.1 / stiff if step == 0.0 else step, 3.0 / stiff)
+
+
+@kernel
+def _curved_piece(
+    of: Contact, phase: Phase, d: float, tolerance: float, y: Floats, stage: Floats, new: Floats
+) -> tuple[bool, float]:  # fmt: skip
+    """Take one step, or, past the end of a phase, the step that ends there; whether so, and the next step."""
+    before = _value(phase, _normal_velocity(of, y), y) - phase[2]
+    factor = 1.0
+    for _ in range(_TRIALS):
+        error = _curved(of, y, d, stage, new)
+        factor = min(5.0, max(0.2, 0.9 * (tolerance / max(error, 1e-30)) ** 0.2))
+        if error <= tolerance:
+            break
+        d *= factor
+    beyond = _value(phase, _normal_velocity(of, new), new) - phase[2]
+    event = beyond >= 0.0
+    d = _step_to_event(of, phase, d, before, beyond, y, stage, new) if event else d * factor
+    y[:] = new
+    return event, d
+
+
+@kernel
+def _step_to_event(
+    of: Contact, phase: Phase, d: float, f_low: float, f_high: float, y: Floats, stage: Floats, new: Floats
+) -> float:  # fmt: skip
+    """Step, up to d, that ends the phase, by the Illinois method; f is what is beyond the goal."""
+    low, high, f = 0.0, d, f_high
+    for _ in range(_TRIALS):
+        if abs(f) <= 1e-15 * max(1.0, abs(phase[2])) or high - low <= 1e-15 * high:
+            break
+        d = low + (high - low) * f_low / (f_low - f_high) if f_low < 0.0 else 0.5 * (low + high)
+        if not low < d < high:
+            d = 0.5 * (low + high)
+        _curved(of, y, d, stage, new)
+        f = _value(phase, _normal_velocity(of, new), new) - phase[2]
+        if f >= 0.0:
+            high, f_high = d, f
+            f_low *= 0.5
+        else:
+            low, f_low = d, f
+            f_high *= 0.5
+    return d
+
+
+@kernel
+def _value(phase: Phase, u_n: float, y: Floats) -> float:
     """What reaches its goal at the end of a phase."""
+    restoring, law, _ = phase
     if not restoring or law == NEWTON:
         return u_n
     return y[2] if law == POISSON else y[5]
@@ -196,11 +244,9 @@ def _end_of_piece(restoring: bool, law: int, u_n: float, slope: float, left: flo
 
 
 @kernel
-def _curved(
-    y: Floats, d: float, n1: float, n2: float, t11: float, t12: float, t22: float, mu: float,
-    stage: Floats, new: Floats,
-) -> float:  # fmt: skip
+def _curved(of: Contact, y: Floats, d: float, stage: Floats, new: Floats) -> float:
     """Write the state a step d further; return the estimate of its error."""
+    mu = of[5]
     for i in range(7):
         for j in range(6):
             x = 0.0
@@ -208,11 +254,10 @@ def _curved(
                 x += _A[i, k] * stage[k, j]
             new[j] = y[j] + d * x
         s1, s2, slip = np.cos(new[0]), np.sin(new[0]), np.exp(new[1])
-        c1, c2 = n1 - mu * (t11 * s1 + t12 * s2), n2 - mu * (t12 * s1 + t22 * s2)
-        stage[i, 0], stage[i, 1] = s1 * c2 - s2 * c1, s1 * c1 + s2 * c2
+        stage[i, 0], stage[i, 1] = _slip_rates(of, (s1, s2))
         stage[i, 2] = slip
         stage[i, 3], stage[i, 4] = -mu * slip * s1, -mu * slip * s2
-        stage[i, 5] = slip * (-1.0 + new[2] + n1 * new[3] + n2 * new[4])
+        stage[i, 5] = slip * _normal_velocity(of, new)
     largest = 0.0
     size = max(1.0, abs(new[2]))
     for j in range(6):
@@ -225,14 +270,13 @@ def _curved(
 
 
 @kernel
-def _from_rest(
-    n1: float, n2: float, t11: float, t12: float, t22: float, mu: float
-) -> tuple[float, float]:  # fmt: skip
+def _from_rest(of: Contact) -> Slip:
     """Tangential impulse per normal one at u_t = 0: it sticks if friction can, else slip starts.
 
     W_tn + W_tt t = b s with t = -mu s: (b + mu W_tt) s = W_tn, whose length falls from more than 1 at b = 0
     to 0, so that there is one such b. Along the axes of W_tt.
     """
+    n1, n2, t11, t12, t22, mu = of
     mean, half = 0.5 * (t11 + t22), 0.5 * (t11 - t22)
     spread = np.hypot(half, t12)
     large = mean + spread

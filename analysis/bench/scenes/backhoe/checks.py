@@ -35,22 +35,22 @@ def statics(designs: tuple[Design, ...]) -> Iterator[Found]:
     for design in designs:
         state, run = standing(design)
         carried, middle = loads(state, design), oracle.middle(design, OUT)
-        said = design.name
-        yield check(f"{said}: load of the feet, N", float(carried.sum()), design.mass * G, 1e-4, "weight")
+        label = design.name
+        yield check(f"{label}: load of the feet, N", float(carried.sum()), design.mass * G, 1e-4, "weight")
         last = traced(Worked(design, run, None, 0.0)).iloc[-1]  # type: ignore[arg-type]  # without soil
         # The vehicle tilts a little on its feet.
         within = float(np.min(inside_by(middle[:2], design.corners[:, :2])))
-        yield check(f"{said}: centre of pressure inside the edges, m", float(last["pressure"]), within, 1e-3,
+        yield check(f"{label}: centre of pressure inside the edges, m", float(last["pressure"]), within, 1e-3,
                     "centre of mass, by trigonometry")  # fmt: skip
         edge = np.array([state.point("tracks", corner) for corner in design.corners])
         place = state.rotation("tracks") @ middle + state.point("tracks")
         inside = inside_by(place[:2], edge[:, :2])
         exact = np.degrees(np.min(np.arctan2(inside, place[2] - np.mean(edge[:, 2]))))
-        yield check(f"{said}: force-angle measure at rest, degrees", float(last["angle"]), float(exact), 2e-3,
-                    "way to the edge over height")  # fmt: skip
+        yield check(f"{label}: force-angle measure at rest, degrees", float(last["angle"]), float(exact),
+                    2e-3, "way to the edge over height")  # fmt: skip
         ring = run.reactions("slew").iloc[-1]
         above, through = (design.mass - LOWER) * G, float(ring["force z"])
-        yield check(f"{said}: force through the slewing ring, N", through, above, 1e-4, "weight")
+        yield check(f"{label}: force through the slewing ring, N", through, above, 1e-4, "weight")
 
 
 def flat(path: Path) -> Path:

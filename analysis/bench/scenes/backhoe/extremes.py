@@ -165,16 +165,16 @@ def limits(quick: bool) -> Iterator[Found]:
     """Vehicles that are loaded, on slopes, on stiff ground, without grip, or make no sense."""
     for design in DESIGNS[:1] if quick else DESIGNS[1:]:
         for share in (1.0 - NEAR, 1.0 + NEAR):
-            said = f"{design.name}: {share:g} of the load that tips it"
-            yield judged(said, partial(_overloaded, design, share))
+            label = f"{design.name}: {share:g} of the load that tips it"
+            yield judged(label, partial(_overloaded, design, share))
     for degrees in (30.0, 32.0) if quick else (10.0, 30.0, 32.0, 45.0):
-        said = f"slope of {degrees:g} degrees, friction {GRIP.coefficient:g}"
-        yield judged(said, partial(_slides, degrees))
+        label = f"slope of {degrees:g} degrees, friction {GRIP.coefficient:g}"
+        yield judged(label, partial(_slides, degrees))
     if not quick:
         yield judged("slope of 10 degrees without friction", partial(_slides, 10.0, 0.0))
         for off in (-2.0, 2.0):
-            said = f"rough slope, {off:+g} degrees from the one that tips it"
-            yield judged(said, partial(_tips_on_slope, off))
+            label = f"rough slope, {off:+g} degrees from the one that tips it"
+            yield judged(label, partial(_tips_on_slope, off))
         yield judged("a track climbs 10 degrees", partial(_climbs, 10.0, 0.8))
     yield judged("ground 100 times as stiff", partial(_stiff, 100.0, 1e-3, 0.05))
     yield judged("ground 1000 times as stiff", partial(_stiff, 1e3, 1e-3, 0.05), Fault.STEP)

@@ -51,8 +51,8 @@ def _work(numbers: tuple[int, ...]) -> list[Point]:
             rows.append(Point("lumped" if lumped else "consistent", f"{n} cells", seconds, error))
             if before is not None:
                 error = float(np.max(np.abs(extrapolated(before[0], found) / ROOTS**2 - 1.0)))
-                said = "lumped, extrapolated" if lumped else "consistent, extrapolated"
-                rows.append(Point(said, f"{n // 2} and {n} cells", seconds + before[1], error))
+                label = "lumped, extrapolated" if lumped else "consistent, extrapolated"
+                rows.append(Point(label, f"{n // 2} and {n} cells", seconds + before[1], error))
             before = found, seconds
     return rows
 

@@ -37,12 +37,12 @@ WRIGHT = "Wright et al., 1982"
 
 def still() -> Iterator[Found]:
     """Frequencies of the clamped beam, consistent and lumped."""
-    for said, errors, lumped, bound in (
+    for label, errors, lumped, bound in (
         ("consistent", CONSISTENT, False, 0.005), ("lumped", LUMPED, True, 0.01),
     ):  # fmt: skip
         found = at_rest(Beam(1.0, 1.0, 1.0, lumped=lumped), 16)[:3]
         for k, (w, error) in enumerate(zip(found, errors, strict=True)):
-            name = f"error of frequency {k + 1}, 16 cells, {said}, %"
+            name = f"error of frequency {k + 1}, 16 cells, {label}, %"
             yield check(name, 100.0 * (w / ROOTS[k] ** 2 - 1.0), error, bound, EULER, "absolute")
     coarse, fine = at_rest(UNIT, 32)[:3], at_rest(UNIT, 64)[:3]
     for k, limit in enumerate(extrapolated(coarse, fine)):
@@ -123,9 +123,9 @@ def twist() -> Found:
 
 
 def energy(cells: int) -> Found:
-    """Energy of a beam that is let go bent."""
+    """Energy of a beam that is released bent."""
     model = built(UNIT, cells)
     system = model.system
     start = system.at(np.full(cells, 0.5 / cells), np.zeros(cells))
     run = model.simulate(2.0, 0.1, DormandPrince(1e-10), start=start)
-    return vanishes("change of energy, let go bent", run.audit().energy, 1e-8, "the start")
+    return vanishes("change of energy, released bent", run.audit().energy, 1e-8, "the start")

@@ -337,11 +337,11 @@ def _extremes(gear: Gear) -> Iterator[Found]:
     yield judged("teeth of a millionth, explicit", lambda: swing(light), Fault.STEP)
     yield judged("teeth of a millionth, implicit", lambda: swing(light, STEP, Rosenbrock(1e-4)))
     yield judged("teeth without inertia", lambda: audit(replace(gear, tooth=0.0)), Fault.NO_INERTIA)
-    for said, shift, fault in (
+    for label, shift, fault in (
         ("8 teeth: undercut", 0.0, Fault.UNDERCUT), ("8 teeth, shifted by half a module", 0.5, None),
         ("8 teeth, shifted by 0.7 modules: pointed", 0.7, Fault.POINTED),
     ):  # fmt: skip
-        yield judged(said, partial(_shifted, shift), fault)
+        yield judged(label, partial(_shifted, shift), fault)
 
 
 def _shifted(shift: float) -> Found:

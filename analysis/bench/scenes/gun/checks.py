@@ -33,13 +33,13 @@ def against_equations(quick: bool) -> Iterator[Found]:
         ("4 cells", Gun(cells=4), 0.02 if quick else 0.1),
         *(() if quick else (("8 cells, soft", Gun(deck=1e6, axle=1e5, cells=8), 0.05),)),
     )
-    for said, gun, until in cases:
+    for label, gun, until in cases:
         found, planar = built(gun), Planar(gun)
         off = np.max(np.abs(found.muzzle_at(found.start) - planar.muzzle(planar.standing)))
-        yield vanishes(f"muzzle before the shot, {said}", off, 1e-9, "scipy's root")
+        yield vanishes(f"muzzle before the shot, {label}", off, 1e-9, "scipy's root")
         end = found.end(DormandPrince(1e-11), 0.01, until)
         for value, oracle, unit in zip(end, planar.moved(np.array([until]))[0], UNITS, strict=True):
-            yield check(f"muzzle after {until:g} s, {said}: {unit}", value, oracle, 2e-8, EXACT, "absolute")
+            yield check(f"muzzle after {until:g} s, {label}: {unit}", value, oracle, 2e-8, EXACT, "absolute")
 
 
 def against_modes(cells: int, charges: tuple[float, ...] = (1e-2, 3e-3, 1e-3)) -> Iterator[Found]:
@@ -52,16 +52,16 @@ def against_modes(cells: int, charges: tuple[float, ...] = (1e-2, 3e-3, 1e-3)) -
         first = found.muzzle_at(found.start)
         ends = np.array([found.end(DormandPrince(1e-13), 0.01, t) for t in times]) - first
         errors.append(np.max(np.abs(ends - moved), axis=0) / np.max(np.abs(moved), axis=0))
-    said = f"{cells} cells" if cells else "rigid barrel"
+    label = f"{cells} cells" if cells else "rigid barrel"
     w_found = frequencies(found.model, found.start)
     yield vanishes(
-        f"frequencies, {said}: largest relative error", np.max(np.abs(w_found / w - 1.0)), 1e-8, MODES,
+        f"frequencies, {label}: largest relative error", np.max(np.abs(w_found / w - 1.0)), 1e-8, MODES,
     )  # fmt: skip
     for error, unit in zip(errors[-1], UNITS, strict=True):
-        name = f"muzzle by a thousandth of the charge, {said}: {unit.split(',')[0]}, relative error"
+        name = f"muzzle by a thousandth of the charge, {label}: {unit.split(',')[0]}, relative error"
         yield vanishes(name, error, 5e-3, MODES)
     order = exponent(charges, np.array(errors)[:, 2])
-    yield check(f"order of that error in the charge, {said}", order, 1.0, 0.02, "small motions", "absolute")
+    yield check(f"order of that error in the charge, {label}", order, 1.0, 0.02, "small motions", "absolute")
 
 
 def against_fixed_deck() -> tuple[pd.DataFrame, list[Found]]:
@@ -85,18 +85,18 @@ def against_fixed_deck() -> tuple[pd.DataFrame, list[Found]]:
 
 
 def energies(quick: bool) -> Iterator[Found]:
-    """Energy with and without dampers; without, the gun is let go from where it does not stand."""
+    """Energy with and without dampers; without, the gun is released from where it does not stand."""
     for cells in (0,) if quick else (0, 4):
         still = built(Gun(deck=1e7, damped=0.0, charge=0.0, cells=cells, axle=1e6))
         q = still.start.q.copy()
         q[:4] += 0.01, 0.01, 0.02, -0.3
         start = still.model.system.at(q, np.zeros(still.model.tree.n_v))
         run = still.model.simulate(0.1 if quick else 0.3, 0.01, DormandPrince(1e-11), start=start)
-        said = f"{cells} cells" if cells else "rigid barrel"
+        label = f"{cells} cells" if cells else "rigid barrel"
         error = run.audit().energy
-        yield vanishes(f"energy, let go without dampers, {said}", error, 1e-8, "the start")
+        yield vanishes(f"energy, released without dampers, {label}", error, 1e-8, "the start")
         shot = built(Gun(cells=cells)).run(0.05 if quick else 0.3, 1e-10, 0.01).audit().energy
-        yield vanishes(f"energy that is no work, one shot, {said}", shot, 1e-8, "work")
+        yield vanishes(f"energy that is no work, one shot, {label}", shot, 1e-8, "work")
 
 
 def of_search(table: pd.DataFrame) -> Iterator[Found]:
@@ -137,7 +137,7 @@ def work(quick: bool) -> list[Point]:
     guns = [("", Gun(cells=4 if quick else 8))]
     if not quick:
         guns.append((", tube 300 times as stiff", Gun(cells=4, bending=300.0)))
-    for said, gun in guns:
+    for label, gun in guns:
         found = built(gun)
         exact = Planar(gun).moved(np.array([until]))[0]
         longest = 2.5 / np.max(np.abs(np.linalg.eigvals(state_matrix(found.model, found.start))))
@@ -152,7 +152,7 @@ def work(quick: bool) -> list[Point]:
         ]  # fmt: skip
         for method, integrator, setting, h in settings:
             end = partial(found.end, integrator, h, until)
-            rows.append(tried(method + said, setting, end, partial(_apart, exact)))
+            rows.append(tried(method + label, setting, end, partial(_apart, exact)))
     return rows
 
 

@@ -91,7 +91,7 @@ def bursts(cells: int, shots: int = 3) -> pd.DataFrame:
 
 def _bursts(cells: int, shots: int) -> Iterator[pd.DataFrame]:
     until = 0.5 * shots
-    for said, gun in (
+    for label, gun in (
         ("stiff axle", Gun(deck=1e7, axle=1e9, shots=shots)),
         ("soft axle", Gun(deck=1e7, axle=1e6, shots=shots)),
         (f"stiff axle, {cells} cells", Gun(deck=1e7, axle=1e9, shots=shots, cells=cells)),
@@ -103,7 +103,7 @@ def _bursts(cells: int, shots: int) -> Iterator[pd.DataFrame]:
             run.q[:, found.model.bodies.freedom(hinge)[0]] for hinge in ("heave", "roll", "tube")
         )
         yield pd.DataFrame({
-            "gun": said, "time": run.time, "heave_mm": 1e3 * (heave - heave[0]),
+            "gun": label, "time": run.time, "heave_mm": 1e3 * (heave - heave[0]),
             "roll_mrad": 1e3 * (roll - roll[0]),
             "recoil_m": recoil[0] - recoil, "muzzle_mm": 1e3 * moved[:, 0], "muzzle_mrad": 1e3 * moved[:, 1],
             "kinetic_J": run.kinetic, "dissipation_J": run.dissipation,

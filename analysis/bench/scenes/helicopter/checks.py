@@ -55,8 +55,8 @@ def ground_resonance(rates: tuple[float, ...], turns: int = 12) -> tuple[pd.Data
             turned = resonance.multipliers(of, rate, max(64, round(400.0 * 2.0 * np.pi / rate)))
             rows.append((rpm, damped, growths[-1], turned[-1], np.max(np.abs(turned - growths))))
     table = pd.DataFrame(rows, columns=["rpm", "dampers", "growth", "simulated", "error"])
-    said = f"growth of all motions by Floquet, {len(rates)} rates, largest error, 1/s"
-    found.append(vanishes(said, float(table["error"].max()), 1e-4, HAMMOND))
+    label = f"growth of all motions by Floquet, {len(rates)} rates, largest error, 1/s"
+    found.append(vanishes(label, float(table["error"].max()), 1e-4, HAMMOND))
     return table, found
 
 
@@ -72,17 +72,17 @@ def rigid_landing(sinks: tuple[float, ...]) -> Iterator[Found]:
     helicopter, run = landing.touchdown(replace(RIGID, mounts=True), sinks[-1], 0.2, 1e-3)
     legs = landing.traced(helicopter, run)["legs"].to_numpy()
     exact = landing.two_masses(run.time, helicopter, sinks[-1])
-    said = f"rigid, on mounts, sink {sinks[-1]:g} m/s"
-    yield from _alike(said, legs, exact, 1e-5, "two masses, by the exponential of their matrix")
+    label = f"rigid, on mounts, sink {sinks[-1]:g} m/s"
+    yield from _alike(label, legs, exact, 1e-5, "two masses, by the exponential of their matrix")
 
 
-def _alike(said: str, found: Floats, exact: Floats, bound: float, source: str) -> Iterator[Found]:
+def _alike(label: str, found: Floats, exact: Floats, bound: float, source: str) -> Iterator[Found]:
     left = np.flatnonzero(exact[1:] <= 0.0)
     on = slice(0, left[0] if len(left) else None)
     most = float(np.max(exact[on]))
-    yield check(f"{said}: largest force of the legs, N", float(np.max(found[on])), most, bound, source)
+    yield check(f"{label}: largest force of the legs, N", float(np.max(found[on])), most, bound, source)
     worst = float(np.max(np.abs(found[on] - exact[on]))) / most
-    yield vanishes(f"{said}: force over time, of the largest", worst, bound, source)
+    yield vanishes(f"{label}: force over time, of the largest", worst, bound, source)
 
 
 def flight() -> Iterator[Found]:
@@ -167,16 +167,16 @@ def blades(cells: int) -> Iterator[Found]:
     names = ("first flap", "second flap", "lag", "torsion")
     found, exact = without_end(THIN, RATE, cells), exactly(THIN, RATE)
     for k, name in enumerate(names):
-        said = f"{name} of a thin blade at 45 rad/s, n to infinity"
+        label = f"{name} of a thin blade at 45 rad/s, n to infinity"
         source = "pi/2 sqrt(GJ/I l^2)" if name == "torsion" else "Ritz, 40 polynomials"
-        yield check(said, found[k], exact[k], 5e-4, source)
+        yield check(label, found[k], exact[k], 5e-4, source)
     full = without_end(BLADE, RATE, cells)
     same, modes = of_segments(BLADE, RATE, cells), of_segments(BLADE, RATE, cells, modes=True)
     assumed = _next_to(full, _assumed(RATE))
     for k, name in enumerate(names):
-        said = f"{name} at 45 rad/s, in modes"
-        yield check(f"{said} of {cells} cells", modes[k], same[k], 0.03, f"{cells} cells, free")
-        yield check(f"{said} assumed of one body", assumed[k], full[k], 0.03, "segments, n to infinity")
+        label = f"{name} at 45 rad/s, in modes"
+        yield check(f"{label} of {cells} cells", modes[k], same[k], 0.03, f"{cells} cells, free")
+        yield check(f"{label} assumed of one body", assumed[k], full[k], 0.03, "segments, n to infinity")
 
 
 def balance(name: str, run: Run, bound: float) -> Found:

@@ -165,8 +165,8 @@ def limits(quick: bool) -> Iterator[Found]:
     for factor in (1.0, 1e6) if quick else (1e-3, 1.0, 1e3, 1e6):
         # The softer, the shorter the part at the root that bends.
         n, bound = (80, 0.005) if factor < 0.1 else (cells, 1e-3)
-        said = f"EI times {factor:g}: frequencies of blades at 45 rad/s"
-        yield judged(said, partial(_turning, factor, RATE, n, bound))
+        label = f"EI times {factor:g}: frequencies of blades at 45 rad/s"
+        yield judged(label, partial(_turning, factor, RATE, n, bound))
     for rate in (50.0,) if quick else (0.1, 10.0, 50.0):
         yield judged(f"W {rate:g} rad/s: frequencies of blades", partial(_turning, 1.0, rate, cells))
     yield judged("EI times 1e6, explicit", partial(_with_stiff_blades, None), Fault.STEP)

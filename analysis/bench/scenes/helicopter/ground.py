@@ -100,7 +100,7 @@ def against_heave(quick: bool) -> Iterator[Found]:
     rigid = replace(landing.RIGID, legs=LINEAR)
     up = 2.0 if quick else 4.0
     for name, bound, (helicopter, run) in (
-        # Where feet come and go their dampers act, or let go, at once: within a step.
+        # Where feet come and go their dampers act, or stop, at once: within a step.
         ("gust on the ground", 2e-3, standing(rigid, 0.8, 1e-3, wind=gust)),
         ("pitch on the ground", 1e-7, standing(rigid, 0.8, 1e-3, change=step)),
         ("take-off", 1e-7, take_off(rigid, up, up, 2e-3)),

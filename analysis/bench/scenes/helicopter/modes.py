@@ -20,8 +20,8 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import Equations
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanisms.elements import Sum
+from protochain.mechanisms.linear_springs import STIFFNESS
 from protochain.mechanisms.model import Model
-from protochain.mechanisms.springs import STIFFNESS
 from protochain.mechanisms.torsion import Torsions
 
 _PARALLEL = 1e-9

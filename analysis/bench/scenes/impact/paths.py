@@ -106,18 +106,18 @@ def work(quick: bool) -> Iterator[Point]:
         return float(np.linalg.norm(after - reference)) / slow
 
     ways = [("rods: exact pieces", "", partial(along, plane, 1e-10), of_rods, repeats)]
-    said = "rods: smoothed friction, Radau"
-    ways += [(said, f"{w:g}", partial(velocities, plane, 1e-8, w), of_rods, 1) for w in SMOOTH[:few]]
+    label = "rods: smoothed friction, Radau"
+    ways += [(label, f"{w:g}", partial(velocities, plane, 1e-8, w), of_rods, 1) for w in SMOOTH[:few]]
     yield from (tried(*way) for way in ways)
     for k in STIFF[:few]:
-        floor, said = partial(soft_floor, k, 300), "rods without friction: soft floor"
-        yield tried(said, f"{k:g}", floor, lambda ends: abs(ends[0] - ends[1]) / fast, 2)
-    said = "brick: path, Dormand-Prince"
-    ways = [(said, f"{t:g}", partial(along, space, t), of_brick, repeats) for t in TOLERANCES]
-    said = "brick: du/dp, DOP853 of scipy"
-    ways += [(said, f"{t:g}", partial(velocities, space, t), of_brick, 1) for t in TOLERANCES[:more]]
-    said = "brick: smoothed friction, Radau"
-    ways += [(said, f"{w:g}", partial(velocities, space, 1e-8, w), of_brick, 1) for w in SMOOTH[:few]]
+        floor, label = partial(soft_floor, k, 300), "rods without friction: soft floor"
+        yield tried(label, f"{k:g}", floor, lambda ends: abs(ends[0] - ends[1]) / fast, 2)
+    label = "brick: path, Dormand-Prince"
+    ways = [(label, f"{t:g}", partial(along, space, t), of_brick, repeats) for t in TOLERANCES]
+    label = "brick: du/dp, DOP853 of scipy"
+    ways += [(label, f"{t:g}", partial(velocities, space, t), of_brick, 1) for t in TOLERANCES[:more]]
+    label = "brick: smoothed friction, Radau"
+    ways += [(label, f"{w:g}", partial(velocities, space, 1e-8, w), of_brick, 1) for w in SMOOTH[:few]]
     yield from (tried(*way) for way in ways)
 
 

@@ -36,7 +36,7 @@ Counted = Callable[[], Mapping[str, int]]
 
 
 @dataclass(frozen=True)
-class Both:
+class TwoWays:
     """Two ways to one answer.
 
     everything, less: Point -> answer.
@@ -93,7 +93,7 @@ class Omission:
 
     name: str
     against: str
-    make: Callable[[Material], Both | None]
+    make: Callable[[Material], TwoWays | None]
     in_quick: bool = True
 
 
@@ -106,7 +106,7 @@ COLUMNS = (
 
 def run_omission(omission: Omission, material: Material, seconds: float) -> Found | None:
     """Compute both ways, compare, count and time; None if the material has not what it takes."""
-    made: list[Both | None] = []
+    made: list[TwoWays | None] = []
 
     def case() -> Found:
         made.append(omission.make(material))
@@ -134,7 +134,7 @@ def difference(a: Answer, b: Answer, sizes: Sequence[float]) -> float:
     return float(np.max(each))
 
 
-def _compared(both: Both, seconds: float) -> Found:
+def _compared(both: TwoWays, seconds: float) -> Found:
     """Largest error at all points; counts of everything minus those with things left out, at the first."""
     first, counted, answers = both.points[0], [], []
     for call, count in zip((both.everything, both.less), both.counts, strict=True):

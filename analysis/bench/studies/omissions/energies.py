@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from bench.studies.omissions.cells import Answer, Both, Counted, Material, Omission, native
+from bench.studies.omissions.cells import Answer, Counted, Material, Omission, TwoWays, native
 from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, pose, pull_back
 from protochain.core.arrays import Floats, Integers
@@ -53,19 +53,19 @@ def counted(of: NativeEnergy, chain: Chain | None = None) -> Counted:
     return lambda: {**of.visited, "bodies": chain.n_bodies if chain else 0}
 
 
-def constants(material: Material, solvent: str, hinges: str, move: str) -> Both:
+def constants(material: Material, solvent: str, hinges: str, move: str) -> TwoWays:
     """Terms that are constant in a chain's bodies: summed, and left out."""
     chain = build_chain(material.structure, hinges, move=move)
     space, whole = Torsions(chain), material.energy(solvent)
     less = native(whole.without_constants(chain.rigid_groups, material.structure.positions))
-    return Both(
+    return TwoWays(
         partial(evaluated, space, whole), partial(evaluated, space, less), turned(chain),
         lambda q: sizes_of(whole, pose(chain, q).x), (counted(whole, chain), counted(less, chain)),
         f"{chain.n_v} freedoms; constant: {_said(less.left_out)}",
     )  # fmt: skip
 
 
-def region(material: Material, solvent: str, move: str) -> Both:
+def region(material: Material, solvent: str, move: str) -> TwoWays:
     """A region that turns: all hinges free, each way without its constant terms, and the region's alone."""
     s, whole = material.structure, material.energy(solvent)
     every, own = build_chain(s), build_chain(s, move=move)
@@ -89,7 +89,7 @@ def region(material: Material, solvent: str, move: str) -> Both:
         found = evaluate(space_of_own, of_own, q)
         return found.energy, found.torque[own_freedom]
 
-    return Both(
+    return TwoWays(
         all_hinges, few_hinges, turned(own), lambda q: sizes_of(whole, pose(own, q).x),
         (counted(of_every, every), counted(of_own, own)),
         f"{own.n_v} of {every.n_v} freedoms",
@@ -102,13 +102,13 @@ def _hinges_of(chain: Chain, which: "list[int] | range") -> tuple[Integers, Inte
     return chain.tree.q_start[bodies], chain.tree.v_start[bodies]
 
 
-def atoms_of_region(material: Material, solvent: str, move: str) -> Both:
+def atoms_of_region(material: Material, solvent: str, move: str) -> TwoWays:
     """A region whose atoms move alone: everything summed, and what is constant among the others left out."""
     s, whole = material.structure, material.energy(solvent)
     moving = build_chain(s, move=move).moving
     space = Cartesian(s, moving)
     less = native(whole.without_constants(np.where(moving, -1, 0)[:, None], s.positions))
-    return Both(
+    return TwoWays(
         partial(evaluated, space, whole), partial(evaluated, space, less), shifted(s, moving),
         lambda x: sizes_of(whole, x.reshape(-1, 3)), (counted(whole), counted(less)),
         f"{moving.sum()} of {s.n_atoms} atoms; constant: {_said(less.left_out)}",
@@ -125,7 +125,7 @@ def shifted(s: Structure, moving: np.ndarray) -> list[Floats]:
     return points
 
 
-def all_atoms(material: Material) -> Both:
+def all_atoms(material: Material) -> TwoWays:
     """All atoms move: with the sweeps over the chain, whose torques nothing asks for, and without."""
     s, whole = material.structure, material.energy("obc2")
     chain, moving = build_chain(s), np.ones(s.n_atoms, dtype=bool)
@@ -136,7 +136,7 @@ def all_atoms(material: Material) -> Both:
         pull_back(chain, pose(chain, at.q), forces)
         return value, forces.ravel()
 
-    return Both(
+    return TwoWays(
         with_sweeps, partial(evaluated, Cartesian(s, moving), whole), shifted(s, moving),
         lambda x: sizes_of(whole, x.reshape(-1, 3)), (counted(whole, chain), counted(whole)),
         "bodies, and torques of hinges",
@@ -168,7 +168,7 @@ def parts_of(evaluation: Evaluation, x: Floats) -> Answer:
 
 def two_sums(
     ways: tuple[Evaluation, Evaluation], layouts: tuple[Layout, Layout], x: Floats, what: str
-) -> Both:
+) -> TwoWays:
     """Two evaluations of one energy at one point."""
     first, second = (
         {"pairs": layout.pairs_of(way.lists), "lists": len(way.lists.close)}
@@ -176,19 +176,19 @@ def two_sums(
     )
     parts, forces = parts_of(ways[1], x)
     sizes = float(np.abs(parts).sum()), float(np.linalg.norm(forces))
-    return Both(
+    return TwoWays(
         partial(parts_of, ways[0]), partial(parts_of, ways[1]), [x], lambda _: sizes,
         (lambda: first, lambda: second), what,
     )  # fmt: skip
 
 
-def terms_alone(whole: Terms, less: Terms, x: Floats, what: str) -> Both:
+def terms_alone(whole: Terms, less: Terms, x: Floats, what: str) -> TwoWays:
     """Two sets of terms on all atoms, the one with terms that are zero."""
     ways = summed(whole, x), summed(less, x)
     return two_sums(ways, (layout_of(whole), layout_of(less)), x, what)
 
 
-def vacuum(material: Material) -> Both:
+def vacuum(material: Material) -> TwoWays:
     """In vacuum: with a solvent of no charge and no surface, and without one."""
     plain, solvated = (material.energy(solvent).terms for solvent in ("vacuum", "obc2"))
     assert solvated.solvent is not None
@@ -198,7 +198,7 @@ def vacuum(material: Material) -> Both:
     return terms_alone(replace(plain, solvent=idle), plain, material.structure.positions, what)
 
 
-def born(material: Material) -> Both:
+def born(material: Material) -> TwoWays:
     """In OBC2: with GBn2's necks of no height, and without necks."""
     terms = material.energy("obc2").terms
     assert terms.solvent is not None
@@ -207,7 +207,7 @@ def born(material: Material) -> Both:
     return terms_alone(replace(terms, solvent=idle), terms, material.structure.positions, "necks of GBn2")
 
 
-def kept(material: Material) -> Both | None:
+def kept(material: Material) -> TwoWays | None:
     """Waters kept in place: their own terms and pairs summed, and left out."""
     if material.path is None:
         return None
@@ -219,7 +219,7 @@ def kept(material: Material) -> Both | None:
     return replace(both, what=f"{beside.obstacle.sum()} atoms of waters; {both.what}")
 
 
-def chains(s: Structure) -> Both:
+def chains(s: Structure) -> TwoWays:
     """Several chains with a cutoff: all pairs visited, and those of the lists."""
     terms, x = native(energy(s, solvent="obc2", cutoff=CUTOFF, threads=1)).terms, s.positions
     layout = layout_of(terms)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.studies.omissions.cells import Answer, Both, Material, Omission
+from bench.studies.omissions.cells import Answer, Material, Omission, TwoWays
 from bench.studies.omissions.energies import chains, counted, sizes_of, turned
 from bench.studies.stability.energies import copies
 from protochain.chains.articulate import build_chain
@@ -39,7 +39,7 @@ _LOADED = ("matplotlib.figure", "pandas", "jinja2", "mdtraj", "MDAnalysis")
 """What plots, tables, pages, trajectories and selections import."""
 
 
-def no_velocities(material: Material) -> Both:
+def no_velocities(material: Material) -> TwoWays:
     """An evaluation of a minimiser, and one with momenta and the factors of the mass matrix."""
     s = material.structure
     chain, whole = build_chain(s), material.energy("vacuum")
@@ -55,7 +55,7 @@ def no_velocities(material: Material) -> Both:
         return at.energy, at.torque
 
     count = counted(whole, chain)
-    return Both(
+    return TwoWays(
         moving, still, turned(chain), lambda q: sizes_of(whole, pose(chain, q).x), (count, count),
         "momenta, factors of the mass matrix",
     )  # fmt: skip
@@ -84,7 +84,7 @@ def begun(of: Propagator, chain: Chain) -> State:
     return state
 
 
-def constant_energy(material: Material) -> Both:
+def constant_energy(material: Material) -> TwoWays:
     """A step at constant energy: with a thermostat of no friction, and with none."""
     ours = propagator(material, Isolated())
     idle = replace(ours, thermostat=Langevin(ours.thermal_energy, 0.0))
@@ -100,10 +100,10 @@ def constant_energy(material: Material) -> Both:
         energy = sizes_of(material.energy("vacuum"), x)[0]
         return float(np.linalg.norm(state.at.q)), float(np.linalg.norm(state.at.qd)), energy
 
-    return Both(partial(step, idle), partial(step, ours), states, sizes, what="noise, momenta for it")
+    return TwoWays(partial(step, idle), partial(step, ours), states, sizes, what="noise, momenta for it")
 
 
-def loops(material: Material) -> Both:
+def loops(material: Material) -> TwoWays:
     """Closed loops: G M^-1 G^T of disulfides by the whole mass matrix, and by one sweep between their bodies.
 
     Where a structure has none, three distances between its ends are taken as one.
@@ -123,7 +123,7 @@ def loops(material: Material) -> Both:
 
     size = float(np.linalg.norm(sparse(chain.q0)[0]))
     what = f"mass matrix of {chain.n_v} freedoms, for {len(closure.length)} constraints"
-    return Both(dense, sparse, turned(chain), lambda _: (size,), what=what)
+    return TwoWays(dense, sparse, turned(chain), lambda _: (size,), what=what)
 
 
 def between_ends(chain: Chain) -> Closure:
@@ -135,7 +135,7 @@ def between_ends(chain: Chain) -> Closure:
     return Closure(chain.tree, chain.atom_body[atoms], chain.atom_local[atoms], length)
 
 
-def ten_chains(material: Material) -> Both:
+def ten_chains(material: Material) -> TwoWays:
     """Ten peptides side by side, across an extended chain."""
     return chains(copies(from_sequence(PEPTIDE), CHAINS))
 
@@ -153,7 +153,7 @@ print(len(sys.modules), time.process_time())
 """
 
 
-def imports(material: Material) -> Both:
+def imports(material: Material) -> TwoWays:
     """A run of ``protochain minimise`` in a process of its own: modules loaded, and the file it writes."""
     modules: dict[bool, int] = {}
 
@@ -173,7 +173,7 @@ def imports(material: Material) -> Both:
         return {"imports": modules[loads]}
 
     what = "plots, tables, pages, trajectories, selections"
-    return Both(
+    return TwoWays(
         partial(program, True), partial(program, False), [None], lambda _: (1.0,),
         (partial(count, True), partial(count, False)), what,
     )  # fmt: skip

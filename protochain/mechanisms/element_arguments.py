@@ -18,50 +18,50 @@ _KINDS = {
 }
 
 
-def numbers(value: Any, shape: tuple[int, ...], said: str) -> Floats:
-    """Return finite numbers of a shape; ``said`` begins the message, as ``spring "s": its stiffness``."""
+def numbers(value: Any, shape: tuple[int, ...], label: str) -> Floats:
+    """Return finite numbers of a shape; ``label`` begins the message, as ``spring "s": its stiffness``."""
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
         array = np.array(np.nan)
     if array.shape != shape or not np.all(np.isfinite(array)) or isinstance(value, bool):
-        raise MechanicsError(f"{said} {shown(value)}: give {_KINDS[shape]}, finite", fault=Fault.NOT_FINITE)
+        raise MechanicsError(f"{label} {shown(value)}: give {_KINDS[shape]}, finite", fault=Fault.NOT_FINITE)
     return array
 
 
-def answer(said: str, function: Callable[..., Any], *given: Any) -> Any:
+def answer(label: str, function: Callable[..., Any], *given: Any) -> Any:
     """What a function of the user's returns; its exceptions name the element."""
     try:
         return function(*given)
     except ProtochainError:
         raise
     except Exception as error:
-        raise MechanicsError(f"{said} fails: {type(error).__name__}: {error}; mend the function") from error
+        raise MechanicsError(f"{label} fails: {type(error).__name__}: {error}; mend the function") from error
 
 
-def number(value: Any, said: str) -> float:
+def number(value: Any, label: str) -> float:
     """Return a finite number."""
-    return float(numbers(value, (), said))
+    return float(numbers(value, (), label))
 
 
-def not_negative(value: Any, said: str, shape: tuple[int, ...] = ()) -> Floats:
+def not_negative(value: Any, label: str, shape: tuple[int, ...] = ()) -> Floats:
     """Return finite numbers, none of them below zero; one number stands for all."""
-    array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, shape, said)
+    array = numbers(np.full(shape, value) if np.ndim(value) == 0 and shape else value, shape, label)
     if np.any(array < 0.0):
         raise MechanicsError(
-            f"{said} {shown(value)}: give none below zero, which would make energy of nothing",
+            f"{label} {shown(value)}: give none below zero, which would make energy of nothing",
             fault=Fault.NEGATIVE,
         )
     return array
 
 
-def direction(value: Any, said: str) -> Floats:
+def direction(value: Any, label: str) -> Floats:
     """Return a vector of length one, (3,)."""
-    vector = numbers(value, (3,), said)
+    vector = numbers(value, (3,), label)
     # Divided first, so that tiny and huge ones keep their digits.
     largest = float(np.max(np.abs(vector)))
     if largest == 0.0:
-        raise MechanicsError(f"{said} has length zero: give a direction, as (0, 0, 1)")
+        raise MechanicsError(f"{label} has length zero: give a direction, as (0, 0, 1)")
     vector = vector / largest
     return np.asarray(vector / np.linalg.norm(vector))
 

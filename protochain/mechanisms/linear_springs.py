@@ -24,7 +24,7 @@ from protochain.mechanics.multibody.algebra import (
 )  # fmt: skip
 from protochain.mechanics.multibody.kinematics import WORLD
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.checks import not_negative
+from protochain.mechanisms.element_arguments import not_negative
 from protochain.mechanisms.elements import Acting, Between, Named, Rows
 
 STIFFNESS, REST, DAMPING = range(3)
@@ -33,11 +33,11 @@ STIFFNESS, REST, DAMPING = range(3)
 
 def constants(stiffness: float, damping: float, of: Named) -> dict[str, float]:
     """Return stiffness and damping, of which one at least is above zero."""
-    k = float(not_negative(stiffness, f"{of.said}: its stiffness"))
-    c = float(not_negative(damping, f"{of.said}: its damping"))
+    k = float(not_negative(stiffness, f"{of.label}: its stiffness"))
+    c = float(not_negative(damping, f"{of.label}: its damping"))
     if k == c == 0.0:
         raise MechanicsError(
-            f"{of.said}: it does nothing; give a stiffness or a damping", fault=Fault.NO_STIFFNESS
+            f"{of.label}: it does nothing; give a stiffness or a damping", fault=Fault.NO_STIFFNESS
         )
     return {"stiffness": k, "damping": c}
 
@@ -75,7 +75,7 @@ class Spring(Between):
         super().__post_init__()
         self.fix(**constants(self.stiffness, self.damping, self))
         if self.rest is not None:
-            self.fix(rest=float(not_negative(self.rest, f"{self.said}: its rest")))
+            self.fix(rest=float(not_negative(self.rest, f"{self.label}: its rest")))
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return its forces.
@@ -91,7 +91,7 @@ class Spring(Between):
         rest = built if self.rest is None else self.rest
         if self.stiffness > 0.0 and built == 0.0 < rest:
             raise MechanicsError(
-                f"{self.said}: its ends meet as built, where its force has no direction; "
+                f"{self.label}: its ends meet as built, where its force has no direction; "
                 "give rest=0, or move one"
             )
         row = Springs(np.array([self.name]), ends, points, read_only([(self.stiffness, rest, self.damping)]))
