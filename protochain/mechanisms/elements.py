@@ -254,7 +254,14 @@ class Gravity:
         return energy
 
 
-def damping(tree: Tree, parts: Sequence[Damping]) -> Load:
+@dataclass(frozen=True, eq=False)
+class Dampers(Load):
+    """All dampers as one load, with their parts."""
+
+    parts: tuple[Damping, ...] = ()
+
+
+def damping(tree: Tree, parts: Sequence[Damping]) -> Dampers:
     """Return all dampers as one load."""
 
     def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
@@ -264,7 +271,7 @@ def damping(tree: Tree, parts: Sequence[Damping]) -> Load:
             part.resist(frames, twists, qd, wrenches, torques)
         return Applied(wrenches, torques)
 
-    return Load(applied)
+    return Dampers(applied, parts=tuple(parts))
 
 
 @kernel
