@@ -19,7 +19,7 @@ KINDS = ("revolute", "prismatic", "ball", "fixed")
 
 
 def made(seed):
-    """A tree of two to seven bodies, free or hung, with what acts between them; and what MuJoCo cannot say."""
+    """A tree of two to seven bodies, free or hung, what acts between them, and what is driven."""
     rng = np.random.default_rng(seed)
     m = Mechanism(gravity=rng.normal(size=3) * (0, 0, 5) + (0, 0, -5))
     n = int(rng.integers(2, 8))
