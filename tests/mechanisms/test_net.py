@@ -108,7 +108,9 @@ def _by_soft_loop(m):
         return None
     assert run.audit().gap < 1e-10
     assert run.audit().energy < SCALE
-    return float(np.max(np.abs(run.q[-1] - other.q[-1]))) / max(1.0, float(np.max(np.abs(run.q))))
+    return float(np.max(np.abs(run.q[-1] - other.q[-1]), initial=0.0)) / max(
+        1.0, float(np.max(np.abs(run.q), initial=0.0))
+    )
 
 
 def wrong(seeds, loop):
