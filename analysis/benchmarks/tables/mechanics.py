@@ -26,7 +26,8 @@ table_of_rows(
 table_of_rows(
     "mechanics-steps", "mechanics_steps.csv",
     ("hinges", "{hinges:,.0f}"), ("damped", lambda r: "yes" if r.damped else "no"),
-    ("a step us", "{step_us:.0f}"), ("MuJoCo", _against("step_us", "mujoco_us")), ("build s", "{build_s:.2g}"),
+    ("a step us", "{step_us:.0f}"), ("MuJoCo", _against("step_us", "mujoco_us")),
+    ("build s", "{build_s:.2g}"),
 )  # fmt: skip
 
 
