@@ -141,7 +141,7 @@ HERE = "python analysis/benchmarks"
 KCM_RUNS = "analysis/results/kcm_runs.csv analysis/results/kcm_traces.csv"
 
 JOBS = (
-    Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling"),
+    Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling mechanics_steps"),
     Job("engines", f"{HERE}/engines.py energies -o DIR", 6),
     Job("engines-cutoff", f"{HERE}/engines.py cutoff -o DIR", 4),
     Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 30, threads=1),

@@ -3,8 +3,9 @@
     python analysis/benchmarks/guide.py [-o DIR] [--quick]
 
 Runs the code of analysis/docs/mechanisms.md and compares where bodies are at the end: the double pendulum and
-the four-bar with scipy's DOP853 of their equations in absolute angles, the ball with scipy's of Coulomb's
-friction, the platform with MuJoCo, of the test extra. Lines are those of the code, with imports.
+the four-bar with scipy's DOP853 of their equations in absolute angles, the ball and the slider-crank with
+scipy's of Coulomb's friction, the platform with MuJoCo, of the test extra, the others with closed forms.
+Lines are those of the code, with imports.
 """
 
 import argparse
@@ -20,6 +21,7 @@ import numpy as np
 import pandas as pd
 from made import DOCS
 from scipy.integrate import solve_ivp
+from scipy.optimize import fsolve
 
 G = 9.81
 EXACT = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
@@ -32,7 +34,8 @@ def blocks() -> dict[str, str]:
     )
     marks = {
         "double pendulum": '"upper", "lower"', "four-bar": '"rocker"', "platform": '"plate"',
-        "ball with spin": "lankarani_nikravesh(",
+        "ball with spin": "lankarani_nikravesh(", "slider-crank": '"rubs"', "Geneva drive": '"in slot"',
+        "quarter car": '"strut"', "gyroscope": '"top"', "PD arm": '"shoulder"',
     }  # fmt: skip
     return {name: next(code for code in found if mark in code) for name, mark in marks.items()}
 
@@ -109,6 +112,67 @@ def ball(until: float) -> np.ndarray:
     return np.array([x + v * (until - slides.t[-1]), v, w])
 
 
+def slider_crank(until: float, start: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+    """Absolute angles of crank and rod, and place of the block: friction by a multiplier of the loop."""
+    r, mu, creep = 0.4, 0.25, 1e-3
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        (a, b, _), w = y[:3], y[3:]
+        mass = np.diag([r**2 / 3.0 + 2.0 * r**2, 2.0 / 3.0, 1.5])
+        mass[0, 1] = mass[1, 0] = r * np.cos(a - b)
+        turn = r * np.sin(a - b)
+        right = np.array([-turn * w[1] ** 2, turn * w[0] ** 2, 0.0])
+        right -= G * np.array([2.5 * r * np.cos(a), np.cos(b), 0.0])
+        loop = np.array([[-r * np.sin(a), -np.sin(b), -1.0], [r * np.cos(a), np.cos(b), 0.0]])
+        bend = np.array([[r * np.cos(a), np.cos(b)], [r * np.sin(a), np.sin(b)]]) @ w[:2] ** 2
+        for side in (1.0, -1.0):
+            # The rod lifts the block by the second multiplier; the way carries the rest, up or down.
+            rub = side * mu * np.tanh(w[2] / creep)
+            whole = np.block([[mass, loop.T], [loop, np.zeros((2, 2))]])
+            whole[2, 4] -= rub
+            found = np.linalg.solve(whole, [*right[:2], -rub * 1.5 * G, *bend])
+            if side * (1.5 * G - found[4]) >= 0.0:
+                break
+        return np.array([*w, *found[:3]])
+
+    exact = {"method": "Radau", "rtol": 1e-10, "atol": 1e-11}
+    return np.asarray(solve_ivp(rates, (0.0, until), [*start, *speeds], **exact).y[:3, -1])
+
+
+def geneva(times: np.ndarray) -> np.ndarray:
+    """Rate of the wheel by the crank's, and torque of the drive, in a slot of a Geneva drive of four."""
+    k, rate = np.sin(np.pi / 4.0), 2.0 * np.pi
+    angle = -np.pi / 4.0 + rate * times
+    below = 1.0 - 2.0 * k * np.cos(angle) + k**2
+    turns = -k * (np.cos(angle) - k) / below
+    quickens = -k * (k**2 - 1.0) * np.sin(angle) / below**2
+    # The pin goes round at a constant speed, but turns with the wheel.
+    return np.array([turns, (0.3 + 1e-4) * turns * quickens * rate**2])
+
+
+def quarter_car(run: Any, until: float) -> np.ndarray:
+    """Tyre and strut by their transfer functions."""
+    waves, sizes = np.array([3.0, 7.0, 16.0, 40.0, 70.0]), np.array([30, 12, 5, 2, 1]) * 1e-3
+    out = np.zeros(2)
+    for w, size in zip(waves, sizes, strict=True):
+        tyre, strut = 180e3 + 100j * w, 18e3 + 1500j * w
+        # Of wheel and car in the world, for a road of one.
+        whole = np.array([[tyre + strut - 40.0 * w**2, -strut], [-strut, strut - 300.0 * w**2]])
+        wheel, car = np.linalg.solve(whole, [tyre, 0.0])
+        out += (size * np.exp(1j * w * until) * np.array([wheel - 1.0, car - wheel])).imag
+    return out
+
+
+def sagging() -> np.ndarray:
+    """Angles where the arm of a PD controller hangs."""
+
+    def lack(q: np.ndarray) -> np.ndarray:
+        first, second = np.cos(q[0]), np.cos(q[0] + q[1])
+        return 200.0 * (np.array([0.5, -0.8]) - q) - G * np.array([1.5 * first + 0.5 * second, 0.5 * second])
+
+    return np.asarray(fsolve(lack, [0.5, -0.8], xtol=1e-14))
+
+
 def platform(until: float, step: float) -> np.ndarray:
     """Where MuJoCo has the plate."""
     legs, ties = "", ""
@@ -158,6 +222,23 @@ def measured(quick: bool) -> Iterator[tuple[str, Any, np.ndarray, np.ndarray, st
     found = run.model.state(run.end).point("plate")
     exact = platform(run.time[-1], 1e-4 if quick else 2e-5)
     yield "platform", run, found, exact, "MuJoCo, Runge-Kutta 4: place of the plate, m"
+    run = ran(codes["slider-crank"])
+    sums = lambda q: np.array([q[0], q[0] + q[1], q[2]])  # noqa: E731
+    exact = slider_crank(run.time[-1], sums(run.q[0]), sums(run.qd[0]))
+    yield "slider-crank", run, sums(run.q[-1]), exact, "scipy, Coulomb's friction: rad, m"
+    run = ran(codes["Geneva drive"])
+    found = np.array([run.motion["wheel rate"] / 360.0, run.motion["drive drive"]])
+    yield "Geneva drive", run, found, geneva(run.time), "closed form: rates, torques, N m"
+    run = ran(codes["quarter car"])
+    found = run.motion[["tyre", "strut"]].to_numpy()[-1]
+    yield "quarter car", run, found, quarter_car(run, run.time[-1]), "transfer functions: m"
+    run = ran(codes["gyroscope"])
+    turned = 3.0 * run.time[-1] - 0.5 * np.pi
+    exact = np.array([np.sin(0.6) * np.cos(turned), np.sin(0.6) * np.sin(turned), np.cos(0.6)])
+    axis = run.model.state(run.end).rotation("top")[:, 2]
+    yield "gyroscope", run, axis, exact, "steady precession: direction of its axis"
+    run = ran(codes["PD arm"])
+    yield "PD arm", run, run.q[-1], sagging(), "scipy, fsolve of the balance: angles, rad"
 
 
 def parser() -> argparse.ArgumentParser:

@@ -3,7 +3,8 @@
     python analysis/benchmarks/mechanics.py [-o DIR] [--quick]
 
 Medians of interleaved calls in one process, from q, qd and tau to accelerations; ratios above one mean that
-protochain is faster. Pinocchio comes with the test extra; DART is timed too where dartpy is installed.
+protochain is faster. Pinocchio comes with the test extra; DART is timed too where dartpy is installed. Chains
+of rods, free and damped, are also simulated beside MuJoCo, by the same method and step, from model to end.
 """
 
 import argparse
@@ -14,12 +15,14 @@ from pathlib import Path
 from time import perf_counter
 
 import made
+import mujoco
 import numpy as np
 import pandas as pd
 import pinocchio as pin
 
 from bench import in_turn
 from protochain.mechanics.multibody import HingeKind, Tree, forward_dynamics, pose, random_tree, solve_mass
+from protochain.mechanisms import Mechanism
 
 try:
     import dartpy
@@ -27,7 +30,8 @@ except ImportError:
     dartpy = None
 
 
-LONG, SHORT = (100, 1000, 10_000, 100_000), (100, 400, 800)
+LONG, SHORT = (100, 1000, 10_000, 100_000), (1, 2, 10, 30, 100, 300, 800)
+CHAINS = (1, 2, 10, 30, 100, 300, 1000, 100_000)
 
 
 def medians(calls: dict[str, Callable[[], object]], seconds: float = 1.0) -> dict[str, float]:
@@ -103,6 +107,46 @@ def calls_of(n: int) -> dict[str, Callable[[], object]]:
     return calls
 
 
+def chain(n: int, damping: float) -> Mechanism:
+    """Hanging rods on hinges across each other, with a damper in each if damped."""
+    m = Mechanism(gravity=(0.0, 0.0, -9.81))
+    for k in range(n):
+        m.body(f"b{k}", 1.0, (0.0, 0.0, -0.05), (1e-3, 1e-3, 2e-4))
+        above, at = (f"b{k - 1}", (0.0, 0.0, -0.1)) if k else ("world", (0.0, 0.0, 0.0))
+        m.hinge(f"h{k}", above, f"b{k}", at=at, axis=(0, 1, 0) if k % 2 else (1, 0, 0), q=0.3 / (1 + k))
+        if damping:
+            m.torsion(f"d{k}", f"h{k}", damping=damping)
+    return m
+
+
+def simulated(seconds: float, sizes: tuple[int, ...]) -> pd.DataFrame:
+    """Microseconds a step of Runge-Kutta's method in simulate() and in MuJoCo; seconds of build()."""
+    rows = []
+    for n in sizes:
+        for damping in (0.0, 0.01):
+            made = chain(n, damping)
+            began = perf_counter()
+            model = made.build()
+            built = perf_counter() - began
+            steps = max(2, min(2000, 20_000 // n))
+            calls: dict[str, Callable[[], object]] = {
+                "ours": lambda m=model, k=steps: m.simulate(k * 1e-5, 1e-5, every=k, balance=np.inf)
+            }
+            if n <= 300:
+                # MuJoCo's compiler recurses over bodies.
+                other = mujoco.MjModel.from_xml_string(made.to_mjcf())
+                other.opt.timestep = 1e-5
+                other.opt.disableflags = mujoco.mjtDisableBit.mjDSBL_CONTACT
+                calls["mujoco"] = lambda m=other, k=steps: mujoco.mj_step(m, mujoco.MjData(m), k)
+            us = {name: 1e6 * taken / steps for name, taken in medians(calls, seconds).items()}
+            rows.append(
+                {"hinges": n, "damped": bool(damping), "step_us": us["ours"], "mujoco_us": us.get("mujoco"),
+                 "build_s": built}
+            )  # fmt: skip
+            print(rows[-1], flush=True)
+    return pd.DataFrame(rows)
+
+
 def scaling(seconds: float, sizes: tuple[int, ...]) -> pd.DataFrame:
     """Time and memory for each hinge."""
     rows = []
@@ -154,7 +198,10 @@ def main() -> None:
     options = parser().parse_args()
     seconds, n = (0.05, 1) if options.quick else (1.0, None)
     # Scaling first, while the process is small: peak memory is measured.
-    for name, measure, sizes in (("mechanics_scaling", scaling, LONG), ("mechanics", engines, SHORT)):
+    for name, measure, sizes in (
+        ("mechanics_scaling", scaling, LONG), ("mechanics", engines, SHORT),
+        ("mechanics_steps", simulated, CHAINS),
+    ):  # fmt: skip
         table = measure(seconds, sizes[:n])
         print(f"\n{table.to_string(index=False, float_format='%.1f')}", flush=True)
         if options.output:

@@ -22,24 +22,28 @@ from protochain.mechanisms.contact import (
 from protochain.mechanisms.drawing import Block, Rod
 from protochain.mechanisms.elements import Acting, Conservative, CustomForce, Element, Memory, Named
 from protochain.mechanisms.event import Event, Happened
-from protochain.mechanisms.linear import frequencies, state_matrix
+from protochain.mechanisms.hinge_friction import HingeFriction
+from protochain.mechanisms.linear import Linear, frequencies, linearise, state_matrix
 from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.mechanism import Mechanism
 from protochain.mechanisms.model import Model
+from protochain.mechanisms.motors import Motor
 from protochain.mechanisms.pictures import Movie
 from protochain.mechanisms.rosenbrock import Rosenbrock
 from protochain.mechanisms.run import Audit, Run
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.segments import Beam, Segments, add_beam
 from protochain.mechanisms.shapes import Ball, Plane, Surface
+from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 
 __all__ = [
     "Acting", "AppliedForce", "Audit", "Ball", "Beam", "Block", "Bodies", "BoxTree", "Bushing",
     "ClosedEquations", "Closing", "Conservative", "Contact", "CustomForce", "Element", "Event",
-    "Friction", "Happened", "HingeTorque", "Law", "Mechanism", "Memory", "Model", "Movie", "Named",
-    "Plane", "Rod", "Rosenbrock", "Run", "Segments", "Spring", "State", "Surface", "Torsion", "add_beam",
-    "assumed_modes", "bending", "box_tree", "flores", "frequencies", "lankarani_nikravesh",
-    "overlapping", "real_restitution", "state_matrix", "touching",
+    "Friction", "Happened", "HingeFriction", "HingeTorque", "Law", "Linear", "Mechanism", "Memory",
+    "Model", "Motor", "Movie", "Named", "Plane", "Rod", "Rosenbrock", "Run", "Segments", "Spring",
+    "State", "Stop", "Surface", "Torsion", "add_beam", "assumed_modes", "bending", "box_tree", "flores",
+    "frequencies", "lankarani_nikravesh", "linearise", "overlapping", "real_restitution",
+    "state_matrix", "touching",
 ]  # fmt: skip

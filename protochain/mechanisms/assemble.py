@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,7 +13,7 @@ from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import shown
 from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics.multibody import HingeKind, Tree
-from protochain.mechanics.multibody.tree import NO_INERTIA
+from protochain.mechanics.multibody.tree import BALL_PLACEMENT, NO_INERTIA
 from protochain.mechanisms.bodies import WORLD, Bodies
 from protochain.mechanisms.element_arguments import direction, is_rotation, not_negative, number, numbers
 from protochain.mechanisms.elements import Named
@@ -21,9 +22,10 @@ KINDS = {
     "revolute": HingeKind.REVOLUTE,
     "prismatic": HingeKind.PRISMATIC,
     "screw": HingeKind.SCREW,
+    "ball": HingeKind.BALL,
     "fixed": HingeKind.FIXED,
 }
-
+_TURNING = ("revolute", "screw")
 
 _LOG = logging.getLogger(__name__)
 NOWHERE = (0.0, 0.0, 0.0)
@@ -74,7 +76,8 @@ class Hinge(Named):
     kind: Kind of its motion.
     at, axis (3,): Origin of the child at q = 0, and the hinge's axis, in the parent's axes.
     rotation (3, 3): Axes of the child at q = 0, as columns, in those of the parent; by default the same.
-    q, qd: Coordinate and rate at the start.
+    q, qd: Coordinate and rate at the start; of a ball a rotation vector, and the angular velocity relative to
+        the parent, axes of the child.
     pitch: Slide of a screw per radian.
     """
 
@@ -86,8 +89,8 @@ class Hinge(Named):
     at: Any = NOWHERE
     axis: Any = (0.0, 0.0, 1.0)
     rotation: Any = None
-    q: float = 0.0
-    qd: float = 0.0
+    q: Any = 0.0
+    qd: Any = 0.0
     pitch: float = 0.0
 
     def __post_init__(self) -> None:
@@ -95,10 +98,14 @@ class Hinge(Named):
         if not (isinstance(self.kind, str) and self.kind in KINDS):
             *kinds, last = KINDS
             raise MechanicsError(f"{label} kind {shown(self.kind)}: give {', '.join(kinds)} or {last}")
-        for name in ("q", "qd", "pitch"):
-            self.fix(**{name: number(getattr(self, name), f"{label} {name}")})
-        if self.kind in ("revolute", "screw") and abs(self.q) > 2.0 * np.pi:
-            _LOG.warning("%s q %g is more than a turn: angles are radians; see np.radians", label, self.q)
+        self.fix(pitch=number(self.pitch, f"{label} pitch"))
+        for name in ("q", "qd"):
+            value = getattr(self, name)
+            if self.kind == "ball":
+                still = np.ndim(value) == 0 and value == 0.0
+                self.fix(**{name: numbers(NOWHERE if still else value, (3,), f"{label} {name}")})
+            else:
+                self.fix(**{name: number(value, f"{label} {name}")})
         if (self.kind == "screw") != (self.pitch != 0.0):
             raise MechanicsError(
                 f"{label} pitch is zero; give a pitch, or kind revolute"
@@ -117,33 +124,41 @@ class Hinge(Named):
 
 
 def assemble(
-    bodies: Mapping[str, Body], hinges: Mapping[str, Hinge], driven: Mapping[str, tuple[float, float]]
-) -> Bodies:
+    bodies: Mapping[str, Body], hinges: Mapping[str, Hinge], driven: Mapping[str, tuple[float, float]],
+    gravity: Floats, degrees: bool,
+) -> Bodies:  # fmt: skip
     """Return the bodies of a tree: ``driven`` has the coordinate and rate of driven hinges at the start."""
-    inward = _inward(bodies, hinges)
+    inward, own = _inward(bodies, hinges), list(hinges)
+    bodies, hinges, inward = _with_axes_of_balls(bodies, hinges, inward)
     order = _ordered(bodies, hinges, inward)
     place = {name: number for number, name in enumerate(order)} | {WORLD: -1}
-    n = len(order)
+    n, given = len(order), [bodies[name] for name in order]
     parent, kind, pitch = np.full(n, -1), np.full(n, HingeKind.FREE), np.zeros(n)
-    offset, placement, turn = np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), np.tile(np.eye(3), (n, 1, 1))
+    at, axis, rotation = np.zeros((n, 3)), np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile(np.eye(3), (n, 1, 1))
     q, qd = [], []
-    for b, name in enumerate(order):
-        body = bodies[name]
+    for b, (name, body) in enumerate(zip(order, given, strict=True)):
         if name not in inward:
             turned = np.eye(3) if body.rotation is None else body.rotation
             q += [*quaternion(turned), *_or_still(body.position)]
             qd += [*_or_still(body.spin), *_or_still(body.velocity)]
             continue
         hinge = hinges[inward[name]]
-        parent[b], kind[b], pitch[b] = place[hinge.parent], KINDS[hinge.kind], hinge.pitch
-        above = turn[parent[b]] if parent[b] >= 0 else np.eye(3)
-        if hinge.kind != "fixed":
-            turn[b] = with_z_along(hinge.rotation.T @ hinge.axis)
-            start = driven.get(inward[name], (hinge.q, hinge.qd))
-            q.append(start[0])
-            qd.append(start[1])
-        offset[b], placement[b] = above.T @ hinge.at, above.T @ hinge.rotation @ turn[b]
-    given = [bodies[name] for name in order]
+        parent[b], kind[b], pitch[b] = place[hinge.parent], _kind(hinge), hinge.pitch
+        at[b], axis[b], rotation[b] = hinge.at, hinge.axis, hinge.rotation
+        unit = np.pi / 180.0 if degrees and hinge.kind in (*_TURNING, "ball") else 1.0
+        if hinge.kind in _TURNING and abs(hinge.q * unit) > 2.0 * np.pi:
+            inside = "degrees" if degrees else "radians; see np.radians, or units"
+            _LOG.warning("%s: its q %g is more than a turn: angles are %s", hinge.label, hinge.q, inside)
+        start = driven.get(hinge.name, (unit * hinge.q, unit * hinge.qd))
+        # The coordinates and rates of a ball are those of its first body.
+        if not (hinge.kind == "fixed" or isinstance(hinge, _BallAxis)):
+            q += [*start[0]] if hinge.kind == "ball" else [start[0]]
+            qd += [*start[1]] if hinge.kind == "ball" else [start[1]]
+    turn = axes_along(np.einsum("bji,bj->bi", rotation, axis))
+    turn[np.isin(kind, [HingeKind.FREE, HingeKind.FIXED, HingeKind.BALL, HingeKind.BALL_AXIS])] = np.eye(3)
+    above = np.where((parent < 0)[:, None, None], np.eye(3), turn[parent]).swapaxes(1, 2)
+    offset, placement = np.einsum("bij,bj->bi", above, at), above @ rotation @ turn
+    back = turn.swapaxes(1, 2)
     _refuse_free_needles(order, parent, kind, given)
     more: dict[str, Any] = {}
     if driven:
@@ -151,13 +166,49 @@ def assemble(
     try:
         tree = Tree(
             parent, kind, offset, placement, np.array([body.mass for body in given]),
-            np.array([t.T @ body.com for t, body in zip(turn, given, strict=True)]),
-            np.array([t.T @ body.inertia @ t for t, body in zip(turn, given, strict=True)]), pitch, **more,
+            np.einsum("bij,bj->bi", back, np.array([body.com for body in given])),
+            back @ np.array([body.inertia for body in given]) @ turn, pitch, **more,
         )  # fmt: skip
     except BodyError as error:
         raise error.by_name(order) from None
-    beyond = {hinge: place[each.child] for hinge, each in hinges.items()}
-    return Bodies(tree, order, read_only(turn), beyond, read_only(q), read_only(qd))
+    beyond = {name: place[hinges[name].child] for name in own}
+    return Bodies(
+        tree, order, read_only(turn), beyond, read_only(q), read_only(qd), gravity=read_only(gravity),
+        degrees=degrees,
+    )  # fmt: skip
+
+
+def _kind(hinge: Hinge) -> HingeKind:
+    """Kind in the tree; what is between the axes of a ball is named as the ball is, and inside it."""
+    return HingeKind.BALL_AXIS if isinstance(hinge, _BallAxis) else KINDS[hinge.kind]
+
+
+class _BallAxis(Hinge):
+    """Second and third axis of a ball."""
+
+
+def _with_axes_of_balls(
+    bodies: Mapping[str, Body], hinges: Mapping[str, Hinge], inward: dict[str, str]
+) -> tuple[Mapping[str, Body], Mapping[str, Hinge], dict[str, str]]:
+    """Bodies and hinges, each ball as a tree has it: three bodies in one place, of which two have no mass."""
+    balls = [hinge for hinge in hinges.values() if hinge.kind == "ball"]
+    if not balls:
+        return bodies, hinges, inward
+    bodies, hinges, inward = {**bodies}, {**hinges}, {**inward}
+    for ball in balls:
+        names = [f"{ball.name}: {axis}" for axis in "xy"]
+        bodies.update({name: Body(name, 0.0) for name in names})
+        steps = [ball.parent, *names, ball.child]
+        for k, (parent, child) in enumerate(pairwise(steps)):
+            name = ball.name if child == ball.child else child
+            kind, rotation, at = (
+                (_BallAxis, BALL_PLACEMENT, NOWHERE) if k else (Hinge, ball.rotation, ball.at)
+            )
+            hinges[name] = kind(
+                name, parent, child, "ball", at, rotation=rotation, q=ball.q, qd=ball.qd
+            )  # fmt: skip
+            inward[child] = name
+    return bodies, hinges, inward
 
 
 def _or_still(value: Floats | None) -> Floats:
@@ -168,10 +219,8 @@ def _refuse_free_needles(
     names: tuple[str, ...], parent: Integers, kind: Integers, bodies: Sequence[Body]
 ) -> None:
     """Raise if a free body without others on it can turn about an axis without inertia."""
-    with_others = set(parent.tolist())
-    for b, body in enumerate(bodies):
-        if kind[b] != HingeKind.FREE or b in with_others:
-            continue
+    for b in np.setdiff1d(np.flatnonzero(kind == HingeKind.FREE), parent).tolist():
+        body = bodies[b]
         moments = np.linalg.eigvalsh(body.inertia)
         if body.mass > 0.0 and moments[0] <= NO_INERTIA * np.sum(moments):
             raise MechanicsError(
@@ -202,11 +251,16 @@ def _inertia(value: ArrayLike, label: str) -> Floats:
 
 def with_z_along(axis: Floats) -> Floats:
     """(3, 3) float: axes, as columns, of which the third is along a vector of length one."""
-    if np.array_equal(axis, [0.0, 0.0, 1.0]):
-        return np.eye(3)
-    x = np.cross(np.eye(3)[int(np.argmin(np.abs(axis)))], axis)
-    x /= np.linalg.norm(x)
-    return np.column_stack([x, np.cross(axis, x), axis])
+    return np.asarray(axes_along(axis[None])[0])
+
+
+def axes_along(axis: Floats) -> Floats:
+    """(n, 3, 3) float: axes, as columns, of which the third are along vectors (n, 3) of length one."""
+    x = np.cross(np.eye(3)[np.argmin(np.abs(axis), axis=1)], axis)
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    found = np.stack([x, np.cross(axis, x), axis], axis=2)
+    found[np.all(axis == (0.0, 0.0, 1.0), axis=1)] = np.eye(3)
+    return found
 
 
 def quaternion(rotation: Floats) -> Floats:

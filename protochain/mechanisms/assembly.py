@@ -17,7 +17,7 @@ from protochain.mechanics.multibody import Tree
 from protochain.mechanics.multibody.newton_euler import momenta_of_bodies
 from protochain.mechanisms.bodies import Bodies, State
 from protochain.mechanisms.closed_equations import ClosedEquations
-from protochain.mechanisms.elements import Conservative, Memory, Sum
+from protochain.mechanisms.elements import Conservative, Dampers, Memory, Sum
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
 
@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class NamedLoad:
-    """A load, whose work is counted under its name."""
+    """A load, whose work is counted under its name; the hinges at which it is a motor's torque."""
 
     name: str
     load: Load
     dissipates: bool = False
+    hinges: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +69,15 @@ class Assembly:
         """The mechanism as integrators see it."""
         loads = tuple(each.load for each in self.loads)
         potential, joints = Sum(self.tree, self.conservative), self.bodies.joints
-        compiled = not loads and self.tree.is_plain and (joints is None or joints.rank is None)
-        acts = Acts.of(self.conservative) if compiled else None
+        dampers = [part for load in loads if isinstance(load, Dampers) for part in load.parts]
+        compiled = all(isinstance(load, Dampers) for load in loads) and self.tree.is_plain
+        acts = None
+        if compiled and (joints is None or joints.rank is None):
+            acts = Acts.of(self.conservative, dampers)
         if acts is not None:
             if joints is None:
-                return CompiledSystem(self.tree, potential, acts=acts)
-            return CompiledLoops(self.tree, potential, joints=joints, acts=acts)
+                return CompiledSystem(self.tree, potential, loads=loads, acts=acts)
+            return CompiledLoops(self.tree, potential, loads=loads, joints=joints, acts=acts)
         if joints is None:
             return System(self.tree, potential, loads=loads, drive=self.drive)
         return ClosedEquations(self.tree, potential, loads=loads, drive=self.drive, joints=joints)

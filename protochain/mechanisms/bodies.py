@@ -1,8 +1,9 @@
 """Bodies by name, and what a mechanism does at one moment, as callables see it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +13,7 @@ from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.multibody import Frames, Tree
+from protochain.mechanics.multibody import Frames, HingeKind, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate
 from protochain.mechanics.multibody.operational import Rows
 from protochain.mechanisms.loop_joints import LoopJoints
@@ -45,6 +46,10 @@ class Bodies:
         What closes loops.
     joint_names : tuple of str
         Name of the joint of each of their equations.
+    gravity : (3,) float
+        Acceleration of free fall.
+    degrees : bool
+        Whether angles of hinges, and their rates, are in degrees outside.
     """
 
     tree: Tree
@@ -55,6 +60,8 @@ class Bodies:
     qd: Floats
     joints: LoopJoints | None = None
     joint_names: tuple[str, ...] = ()
+    gravity: Floats = field(default_factory=lambda: np.zeros(3))
+    degrees: bool = False
 
     @cached_property
     def built(self) -> "State":
@@ -92,12 +99,33 @@ class Bodies:
         Raises
         ------
         MechanicsError
-            If there is no such hinge, or it is fixed.
+            If there is no such hinge, or it is fixed or a ball.
         """
         b = self.hinge(hinge, asking)
         if self.tree.v_start[b] == self.tree.v_start[b + 1]:
             raise MechanicsError(f'{_asked(asking)}hinge "{hinge}" is fixed and has no coordinate')
+        if self.tree.kind[b] == HingeKind.BALL_AXIS:
+            raise MechanicsError(f'{_asked(asking)}hinge "{hinge}" is a ball and has no single coordinate')
         return int(self.tree.q_start[b]), int(self.tree.v_start[b])
+
+    def ball(self, hinge: str) -> tuple[slice, slice] | None:
+        """Places of a ball's rotation vector in q and of its rates in qd; None of other hinges."""
+        b = self.hinge(hinge)
+        if self.tree.kind[b] != HingeKind.BALL_AXIS:
+            return None
+        q, v = int(self.tree.q_start[b - 2]), int(self.tree.v_start[b - 2])
+        return slice(q, q + 3), slice(v, v + 3)
+
+    def unit(self, hinge: str) -> float:
+        """What one of a hinge's coordinate outside is inside: pi / 180 of an angle in degrees, or 1."""
+        turns = self.tree.twist[self.hinge(hinge), 0] != 0.0
+        return np.pi / 180.0 if self.degrees and turns else 1.0
+
+    def weights(self, frames: Frames) -> Floats:
+        """(nb, 6) float: moments of gravity about the bodies' origins, and forces, world axes."""
+        force = self.tree.mass[:, None] * self.gravity
+        arm = np.einsum("bij,bj->bi", frames.rotation, self.tree.com)
+        return np.concatenate([np.cross(arm, force), force], axis=1)
 
     def inside(self, b: int, point: ArrayLike) -> Floats:
         """(3,) float: a point or direction in a body's own axes -> along those of the tree's frame."""
@@ -177,13 +205,32 @@ class State:
         b = self.bodies.number(body)
         return np.zeros(3) if b < 0 else self.twists[b, :3].copy()
 
-    def angle(self, hinge: str) -> float:
-        """Coordinate of a hinge: an angle, or the length of a slide."""
-        return float(self.q[self.bodies.freedom(hinge)[0]])
+    def angle(self, hinge: str) -> Any:
+        """Coordinate of a hinge: an angle, or the length of a slide; of a ball a rotation vector (3,)."""
+        place = self.bodies.ball(hinge)
+        found = self.q[place[0] if place else self.bodies.freedom(hinge)[0]] / self.bodies.unit(hinge)
+        return found if place else float(found)
 
-    def rate(self, hinge: str) -> float:
-        """Rate of a hinge's coordinate."""
-        return float(self.qd[self.bodies.freedom(hinge)[1]])
+    def rate(self, hinge: str) -> Any:
+        """Rate of a hinge's coordinate; of a ball the relative angular velocity (3,), axes of the child."""
+        place = self.bodies.ball(hinge)
+        found = self.qd[place[1] if place else self.bodies.freedom(hinge)[1]] / self.bodies.unit(hinge)
+        return found if place else float(found)
+
+    def jacobian(self, body: str, at: ArrayLike = (0.0, 0.0, 0.0)) -> Floats:
+        """(6, n_v) float: J, so that J qd is the velocity of a point of a body, then its angular velocity."""
+        b, arm, tree = self.bodies.number(body), self._arm(body, at), self.bodies.tree
+        out = np.zeros((6, tree.n_v))
+        for k in range(6 if b >= 0 else 0):
+            wrenches, unit = np.zeros((tree.n_bodies, 6)), np.eye(3)[k % 3]
+            wrenches[b] = [*np.cross(arm, unit), *unit] if k < 3 else [*unit, 0.0, 0.0, 0.0]
+            out[k] = multibody.pull_back(tree, self.frames, wrenches)
+        return out
+
+    @property
+    def weight(self) -> Floats:
+        """(n_v,) float: torques of gravity at the hinges, forces of it at slides and free bodies."""
+        return multibody.pull_back(self.bodies.tree, self.frames, self.bodies.weights(self.frames))
 
     def _arm(self, body: str, at: ArrayLike) -> Floats:
         arm = np.asarray(at, dtype=float)

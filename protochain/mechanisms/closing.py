@@ -192,6 +192,7 @@ def _given(bodies: Bodies) -> np.ndarray:
     for b in range(tree.n_bodies):
         own = slice(tree.v_start[b], tree.v_start[b + 1])
         given[own] = own.stop - own.start == 6 or np.any(bodies.q[tree.q_start[b] : tree.q_start[b + 1]])
+    given[tree.balls] = given[tree.balls[:, :1]]
     return given
 
 

@@ -18,7 +18,7 @@ from protochain.mechanisms.bushing import Bushings
 from protochain.mechanisms.contact_forces import ContactForces
 from protochain.mechanisms.element_arguments import number, numbers
 from protochain.mechanisms.linear_springs import Springs
-from protochain.mechanisms.shapes import Ball, OnPlane
+from protochain.mechanisms.shapes import Ball, OnPlane, OnSurface
 
 THICK = 0.02
 """Diameter of rods without a radius, and least thickness of blocks, by the size of the picture."""
@@ -94,12 +94,19 @@ class Ground(NamedTuple):
     normal: Floats
 
 
+class Mesh(NamedTuple):
+    """A surface that something touches: its body, and corners (n, 3, 3) of triangles, in the body's axes."""
+
+    body: int
+    corners: Floats
+
+
 class Drawing(NamedTuple):
     """A motion to draw.
 
     names: Bodies.
     shapes: Of bodies and the world.
-    lines, grounds: Springs, and planes.
+    lines, grounds, meshes: Springs, planes, and surfaces.
     times (n,).
     rotation, origin (n, nb, 3, 3): Axes of the bodies, as columns, and their origins.
     low, high (3,): Box in which all of it happens.
@@ -109,6 +116,7 @@ class Drawing(NamedTuple):
     shapes: tuple[Shape, ...]
     lines: Lines
     grounds: tuple[Ground, ...]
+    meshes: tuple[Mesh, ...]
     times: Floats
     rotation: Floats
     origin: Floats
@@ -140,8 +148,8 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
     origin = np.array([each.origin for each in frames])
     rotation = np.array([each.rotation @ bodies.turn.swapaxes(1, 2) for each in frames])
     lines = _lines(model)
-    grounds = tuple(_grounds(model))
-    found = Drawing(bodies.names, own, lines, grounds, run.time[list(rows)], rotation, origin,
+    grounds, meshes = tuple(_grounds(model)), tuple(_meshes(model))
+    found = Drawing(bodies.names, own, lines, grounds, meshes, run.time[list(rows)], rotation, origin,
                     np.zeros(3), np.zeros(3))  # fmt: skip
     reached = [origin.reshape(-1, 3)]
     for shape in own:
@@ -151,6 +159,9 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
             at = found.place(k, b, points)
             reached += [at - reach, at + reach]
     fixed = lines.points[lines.ends < 0]
+    reached += [
+        found.place(k, each.body, each.corners).reshape(-1, 3) for each in meshes for k in range(len(rows))
+    ]
     everything = np.concatenate([*reached, fixed.reshape(-1, 3)])
     return found._replace(low=everything.min(axis=0), high=everything.max(axis=0))
 
@@ -272,3 +283,11 @@ def _grounds(model: Assembly) -> Iterator[Ground]:
         if isinstance(finder, OnPlane):
             turn = model.bodies.turn[finder.body] if finder.body >= 0 else np.eye(3)
             yield Ground(finder.body, turn @ finder.at, turn @ finder.normal)
+
+
+def _meshes(model: Assembly) -> Iterator[Mesh]:
+    for part in model.conservative:
+        finder = part.finder if isinstance(part, ContactForces) else None
+        if isinstance(finder, OnSurface):
+            turn = model.bodies.turn[finder.body] if finder.body >= 0 else np.eye(3)
+            yield Mesh(finder.body, finder.corners @ turn.T)

@@ -51,9 +51,10 @@ class Driven(Named):
 def drive_of(bodies: Bodies, drives: Sequence[Driven]) -> Drive:
     """All drives as one, in the order of the tree."""
     ordered = sorted(drives, key=lambda each: bodies.hinge(each.name))
+    units = np.array([bodies.unit(each.name) for each in ordered])
 
     def drive(time: float) -> tuple[Floats, Floats, Floats]:
-        q, qd, qdd = np.array([each.at(time) for each in ordered]).T
+        q, qd, qdd = np.array([each.at(time) for each in ordered]).T * units
         return q, qd, qdd
 
     return drive

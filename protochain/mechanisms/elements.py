@@ -87,6 +87,10 @@ class Acting:
         What it keeps from step to step.
     damping : Damping, optional
         Part that is one load with the damping of all other elements.
+    friction : Rubbing, optional
+        Friction of a hinge; one load with that of all others.
+    hinges : tuple of str
+        Hinges of a motor, whose torque and power :attr:`Run.motion` shows.
     """
 
     conservative: Conservative | None = None
@@ -95,6 +99,8 @@ class Acting:
     inside: bool = False
     memory: Memory | None = None
     damping: Damping | None = None
+    friction: Any = None
+    hinges: tuple[str, ...] = ()
 
 
 class Element(Protocol):
@@ -248,7 +254,14 @@ class Gravity:
         return energy
 
 
-def damping(tree: Tree, parts: Sequence[Damping]) -> Load:
+@dataclass(frozen=True, eq=False)
+class Dampers(Load):
+    """All dampers as one load, with their parts."""
+
+    parts: tuple[Damping, ...] = ()
+
+
+def damping(tree: Tree, parts: Sequence[Damping]) -> Dampers:
     """Return all dampers as one load."""
 
     def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
@@ -258,7 +271,7 @@ def damping(tree: Tree, parts: Sequence[Damping]) -> Load:
             part.resist(frames, twists, qd, wrenches, torques)
         return Applied(wrenches, torques)
 
-    return Load(applied)
+    return Dampers(applied, parts=tuple(parts))
 
 
 @kernel

@@ -1,18 +1,19 @@
-"""Steps of explicit methods in one kernel, for mechanisms of weights, springs, torsions and joints alone.
+"""Steps of explicit methods in one kernel, for mechanisms of weights, springs, dampers and joints alone.
 
 A small mechanism's step is some microseconds of arithmetic, but dozens of calls in Python. Those are for what
-acts by a function of the user's, remembers, dissipates or is driven; and for steps that fail, whose refusals
+acts by a function of the user's, remembers or is driven; and for steps that fail, whose refusals
 they word.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, floats, frozen, read_only
-from protochain.mechanics.motion import Equations, Phase, System
+from protochain.core.arrays import Floats, floats, frozen, read_only
+from protochain.mechanics.motion import DormandPrince, Equations, Phase, RungeKutta4, System
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import kernel
 from protochain.mechanics.multibody.articulated import (
@@ -34,13 +35,15 @@ from protochain.mechanics.multibody.rotations import put_rates
 from protochain.mechanics.multibody.tree import Q, V
 from protochain.mechanics.tableaux import Tableau
 from protochain.mechanisms.closed_equations import CLOSED, ITERATIONS, ClosedEquations
-from protochain.mechanisms.elements import Conservative, Gravity, weigh
-from protochain.mechanisms.linear_springs import Springs, pull
+from protochain.mechanisms.elements import Conservative, Damping, Gravity, weigh
+from protochain.mechanisms.linear_springs import Springs, pull, resist
 from protochain.mechanisms.loop_joints import LoopJoints, bends, factor_loops_at, gather, proximal, put_rows
-from protochain.mechanisms.torsion import Torsions, wind
+from protochain.mechanisms.torsion import Torsions, slow, wind
 
+_MOST, _LEAST = 100_000, 1e-9
+"""Substeps of a step, and the shortest by the step, as of ``in_substeps``, which words what fails."""
 _NONE = np.empty(0, np.int64)
-_NO_JOINTS = LoopJoints(_NONE.reshape(0, 2), np.empty(0), np.empty((0, 2, 3)), np.empty((0, 2, 3)))
+_NO_JOINTS = LoopJoints(_NONE.reshape(0, 2), np.empty(0, np.bool_), np.empty((0, 2, 3)), np.empty((0, 2, 3)))
 _NO_SPRINGS = Springs(np.empty(0, "U1"), _NONE.reshape(0, 2), np.empty((0, 6)), np.empty((0, 3)))
 _NO_TORSIONS = Torsions(_NONE, _NONE, np.empty((0, 3)))
 
@@ -49,33 +52,33 @@ _NO_TORSIONS = Torsions(_NONE, _NONE, np.empty((0, 3)))
 class Acts:
     """What acts, as a kernel takes it.
 
-    gravity (3,): Acceleration of free fall.
-    ends, points, springs (n, 2) int: As of :class:`Springs`.
-    coordinates, freedoms, torsions (k,) int: As of :class:`Torsions`.
+    forces: Acceleration of free fall; ends, points and constants of :class:`Springs`; coordinates, freedoms
+        and constants of :class:`Torsions`.
+    dampers: Of springs and torsions that damp the same, but gravity.
     """
 
-    gravity: Floats
-    ends: Integers
-    points: Floats
-    springs: Floats
-    coordinates: Integers
-    freedoms: Integers
-    torsions: Floats
+    forces: tuple[Any, ...]
+    dampers: tuple[Any, ...]
 
     @classmethod
-    def of(cls, parts: Sequence[Conservative]) -> Self | None:
+    def of(cls, parts: Sequence[Conservative], dampers: Sequence[Damping]) -> Self | None:
         """Of elements; None if one is of another kind."""
-        weights = [part for part in parts if isinstance(part, Gravity)]
-        springs = [part for part in parts if isinstance(part, Springs)]
-        torsions = [part for part in parts if isinstance(part, Torsions)]
-        if len(weights) + len(springs) + len(torsions) < len(parts):
+        weights = [part.acceleration for part in parts if isinstance(part, Gravity)]
+        rest = [part for part in parts if not isinstance(part, Gravity)]
+        if not all(isinstance(part, Springs | Torsions) for part in (*rest, *dampers)):
             return None
-        pulling, winding = Springs.joined([_NO_SPRINGS, *springs]), Torsions.joined([_NO_TORSIONS, *torsions])
-        gravity = read_only(sum((each.acceleration for each in weights), np.zeros(3)))
-        return cls(
-            gravity, pulling.ends, pulling.points, pulling.constants, winding.coordinates, winding.freedoms,
-            winding.constants,
-        )  # fmt: skip
+        gravity = read_only(sum(weights, np.zeros(3)))
+        return cls((gravity, *_rows(rest)), _rows(dampers))
+
+
+def _rows(parts: Sequence[Any]) -> tuple[Any, ...]:
+    """Springs and torsions of all parts as arrays."""
+    springs = Springs.joined([_NO_SPRINGS, *(part for part in parts if isinstance(part, Springs))])
+    torsions = Torsions.joined([_NO_TORSIONS, *(part for part in parts if isinstance(part, Torsions))])
+    return (
+        springs.ends, springs.points, springs.constants, torsions.coordinates, torsions.freedoms,
+        torsions.constants,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,19 +87,57 @@ class InOneKernel(Equations):
 
     acts: Acts = field(kw_only=True)
 
+    @cached_property
+    def _arrays(self) -> tuple[Any, ...]:
+        """What is the same in every step."""
+        tree, joints = self.tree, getattr(self, "joints", _NO_JOINTS)
+        return (
+            (tree.links, tree.bodies, tree.size), self.acts.forces, self.acts.dampers,
+            (joints.body, joints.turns, joints.point, joints.along),
+        )  # fmt: skip
+
     def advance(self, tableau: Tableau, at: Phase, h: float) -> tuple[Phase, Floats, Floats]:
         """Phase after a step of an explicit method, and the errors of its displacement and velocities."""
-        tree, acts, joints = self.tree, self.acts, getattr(self, "joints", _NO_JOINTS)
-        done, q, qd, p, energy, torque, rotation, origin, *factors, moved, quickened = _step(
-            h, *tableau.arrays, tree.links, tree.bodies, tree.size, acts.gravity, acts.ends, acts.points,
-            acts.springs, acts.coordinates, acts.freedoms, acts.torsions, joints.body, joints.turns,
-            joints.point, joints.along, floats(at.q, (tree.n_q,), "q"), floats(at.qd, (tree.n_v,), "qd"),
-        )  # fmt: skip
+        tree = self.tree
+        done, *found, moved, quickened = _step(
+            h, tableau.arrays, self._arrays, floats(at.q, (tree.n_q,), "q"), floats(at.qd, (tree.n_v,), "qd")
+        )
         if not done:
             return super().advance(tableau, at, h)
+        return self._phase(found, at.time + h, at.work), moved, quickened
+
+    def march(
+        self, method: RungeKutta4 | DormandPrince, at: Phase, h: float, steps: int, every: int
+    ) -> tuple[list[Any], Phase, int]:
+        """Take steps in one call, in substeps that keep a tolerance, if the method has one.
+
+        -> Rows as of :data:`Row`, one for ``every`` steps; the phase at the end, and how many
+        steps were possible.
+        """
+        if steps < 1 or not len(at.q):
+            return [], at, 0
+        work = at.work.sum()
+        taken, found, rows = _march(
+            h, method.tableau.arrays, self._arrays, floats(at.q, (self.tree.n_q,), "q"),
+            floats(at.qd, (self.tree.n_v,), "qd"), work, at.time, steps, every,
+            getattr(method, "tolerance", 0.0), method.order, self.units,
+        )  # fmt: skip
+        if not taken:
+            return [], at, 0
+        times, q, qd, p, energies, works = (column[: taken // every] for column in rows)
+        worked = works[:, None] if len(at.work) else np.empty((len(works), 0))
+        listed = zip(times.tolist(), q, qd, p, energies.tolist(), worked, [0.0] * len(works), strict=True)
+        *state, own, time = found
+        return list(listed), self._phase((*state, own - work), time, at.work), taken
+
+    def _phase(self, found: Sequence[Any], time: float, work: Floats) -> Phase:
+        """Phase at the end of steps, after work before them."""
+        q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, own = found
         frames = Frames(frozen(rotation), frozen(origin))
-        there = Articulated(tree, frames, *map(frozen, factors))
-        return Phase(q, qd, p, energy, torque, there, at.time + h, at.work), moved, quickened
+        there = Articulated(self.tree, frames, *map(frozen, (packed, gain, pivot, root)))
+        if not self.loads:
+            return Phase(q, qd, p, energy, torque, there, time, work)
+        return Phase(q, qd, p, energy, torque, there, time, work + own, damped[None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,34 +151,95 @@ class CompiledLoops(InOneKernel, ClosedEquations):
 
 
 @kernel
-def _step(
-    h: float, a: Floats, b: Floats, wrong: Floats, links: Integers, bodies: Floats, size: float,
-    gravity: Floats, ends: Integers, points: Floats, springs: Floats, coordinates: Integers,
-    freedoms: Integers, torsions: Floats, body: Integers, turns: np.ndarray, point: Floats, along: Floats,
-    start: Floats, speed: Floats,
+def _march(
+    h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], start: Floats, speed: Floats, work: float,
+    time: float, steps: int, every: int, tolerance: float, order: int, units: Floats,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Take a step, and close the loops; whether that was possible, the phase, its factors and errors."""
-    tree, joints = (links, bodies, size), (body, turns, point, along)
-    acts = gravity, ends, points, springs, coordinates, freedoms, torsions
+    """Steps that were possible, the last phase with work and time, and the rows; see ``march``."""
+    n, total, now, taken = steps // every, work, time, 0
+    times, qs, qds = np.empty(n), np.empty((n, len(start))), np.empty((n, len(speed)))
+    ps, energies, works = np.empty((n, len(speed))), np.empty(n), np.empty(n)
+    last = _step(0.0, tableau, arrays, start, speed)
+    for i in range(steps):
+        here, possible, done, spent, part = last, True, 0.0, total, h
+        for _ in range(_MOST):
+            if not abs(h - done) > 1e-12 * abs(h):
+                break
+            part = part if abs(part) < abs(h - done) else h - done
+            if abs(part) <= _LEAST * abs(h):
+                possible = False
+                break
+            tried = _step(part, tableau, arrays, here[1], here[2])
+            size = 0.0 if tried[0] else np.inf
+            if tolerance > 0.0 and tried[0]:
+                for k in range(len(units)):
+                    wrong = max(abs(tried[14][k]), abs(h) * abs(tried[15][k])) / units[k]
+                    size = max(size, wrong / tolerance) if wrong < np.inf else np.inf
+            # As in_substeps: 0.9 of the estimated substep, within bounds.
+            factor = 5.0 if size == 0.0 else min(5.0, max(0.2, 0.9 * size ** (-1.0 / order)))
+            if size <= 1.0:
+                here, done, spent = tried, done + part, spent + tried[13]
+            else:
+                factor = min(factor, 0.9)
+            part *= factor
+            if tolerance == 0.0 and not tried[0]:
+                possible = False
+                break
+        if not possible or abs(h - done) > 1e-12 * abs(h):
+            break
+        last, total, now, taken = here, spent, now + h, i + 1
+        if taken % every == 0:
+            k = i // every
+            times[k], qs[k], qds[k], ps[k] = now, last[1], last[2], last[3]
+            energies[k], works[k] = last[4], total
+    (
+        _, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, _, _, _
+    ) = last  # fmt: skip
+    end = q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, total, now
+    return taken, end, (times, qs, qds, ps, energies, works)
+
+
+@kernel
+def _step(
+    h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], start: Floats, speed: Floats
+) -> tuple[Any, ...]:
+    """Take a step, and close the loops.
+
+    -> Whether that was possible; coordinates, velocities, momenta, energy and torques; frames and factors;
+    torques of dampers, and their work; errors of displacement and velocities.
+    """
+    (a, b, wrong), (tree, acts, dampers, joints) = tableau, arrays
+    links, bodies, _ = tree
     n, n_v, s = len(bodies), len(speed), len(b)
     rotation, origin, packed = np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 21))
     gain, pivot, root = np.empty((n, 6)), np.empty(n), np.empty((links[n, Q] - links[n, V], 6, 6))
     frames, factors = (rotation, origin), (packed, gain, pivot, root)
     wrenches, loads, held, x = np.empty((n, 6)), np.empty((n, 6)), np.empty(n_v), np.empty(n_v)
-    slopes, rates = np.zeros((s + 2, n_v)), np.zeros((s + 2, n_v))
-    done, energy, q, qd = True, 0.0, start.copy(), speed.copy()
+    slopes, rates, damped, twists = (
+        np.zeros((s + 2, n_v)),
+        np.zeros((s + 2, n_v)),
+        np.zeros(n_v),
+        np.empty((n, 6)),
+    )
+    done, energy, work, q, qd = True, 0.0, 0.0, start.copy(), speed.copy()
     # After the stages the step itself; after the step, as often as loops need, what closes them.
     for stage in range(s + 1 + ITERATIONS):
         i, inside = min(stage, s), stage < s
         if stage <= s:
             _put_stage(h, a[i] if inside else b, i, tree, slopes, rates, start, speed, x, q, qd)
-        done, energy = _factors_at(inside, tree, acts, q, qd, frames, factors, wrenches, loads, x)
-        if not done:
+        outward_frames(links, bodies, q, rotation, origin)
+        done, energy = _act(tree, acts, frames, q, wrenches, x)
+        if inside and len(dampers[0]) + len(dampers[3]) > 0:
+            work += h * b[i] * _damp(tree, dampers, frames, qd, twists, loads, damped, held)
+            wrenches += loads
+            x += held
+        if not (done and _factors_at(inside, tree, qd, frames, factors, wrenches, loads, x)):
+            done = False
             break
         if inside:
             outward_rates(links, bodies, rotation, origin, gain, root, loads, x)
             rates[i] = x
-        if len(body) == 0:
+        if len(joints[0]) == 0:
             if inside:
                 continue
             break
@@ -155,14 +257,36 @@ def _step(
         _act(tree, acts, frames, q, wrenches, x)
         inward_torques(links, bodies, rotation, origin, wrenches, torque)
         torque += x
+        if len(dampers[0]) + len(dampers[3]) > 0:
+            _damp(tree, dampers, frames, qd, twists, loads, damped, held)
+            torque += damped
         put_momenta(links, bodies, rotation, origin, qd, wrenches, loads, p, held)
     for j in range(s):
         for k in range(n_v):
             moved[k] += h * wrong[j] * slopes[j, k]
             quickened[k] += h * wrong[j] * rates[j, k]
     return (
-        done, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, moved, quickened
+        done, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, work, moved,
+        quickened,
     )  # fmt: skip
+
+
+@kernel
+def _damp(
+    tree: tuple[Any, ...], dampers: tuple[Any, ...], frames: tuple[Floats, Floats], qd: Floats,
+    twists: Floats, loads: Floats, damped: Floats, torques: Floats,
+) -> float:  # fmt: skip
+    """Write wrenches and torques of dampers, and both as torques (n_v,), ``damped``; return their power."""
+    (links, bodies, _), (rotation, origin) = tree, frames
+    ends, points, springs, _, freedoms, torsions = dampers
+    outward_twists(links, bodies, rotation, origin, qd, twists)
+    loads[:], torques[:] = 0.0, 0.0
+    resist(rotation, origin, twists, ends, points, springs, loads)
+    slow(freedoms, torsions, qd, torques)
+    twists[:] = loads
+    inward_torques(links, bodies, rotation, origin, twists, damped)
+    damped += torques
+    return np.dot(damped, qd)
 
 
 @kernel
@@ -200,21 +324,18 @@ def _act(
 
 @kernel
 def _factors_at(
-    inside: bool, tree: tuple[Any, ...], acts: tuple[Any, ...], q: Floats, qd: Floats,
-    frames: tuple[Floats, Floats], factors: tuple[Any, ...], wrenches: Floats, loads: Floats, x: Floats,
-) -> tuple[bool, float]:  # fmt: skip
-    """Write frames and factors, and inside a step what accelerates; whether they exist, and the energy."""
+    inside: bool, tree: tuple[Any, ...], qd: Floats, frames: tuple[Floats, Floats], factors: tuple[Any, ...],
+    wrenches: Floats, loads: Floats, x: Floats,
+) -> bool:  # fmt: skip
+    """Write factors, and inside a step what accelerates; whether they exist."""
     (links, bodies, _), (rotation, origin), (packed, gain, pivot, root) = tree, frames, factors
-    outward_frames(links, bodies, q, rotation, origin)
     put_rigid(rotation, bodies, packed)
-    fine, energy = _act(tree, acts, frames, q, wrenches, x)
     loads[:] = 0.0
     if inside:
         outward_loads(links, bodies, rotation, origin, qd, np.zeros(len(qd)), loads)
         loads -= wrenches
-    if fine:
-        fine = factorise(links, bodies, rotation, origin, packed, gain, pivot, root, loads, x) < 0
-    return fine, energy
+    failed: int = factorise(links, bodies, rotation, origin, packed, gain, pivot, root, loads, x)
+    return failed < 0
 
 
 @kernel

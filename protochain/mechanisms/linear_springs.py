@@ -129,7 +129,7 @@ class Springs(Rows):
 
     def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
         """Add the forces of the dampers."""
-        _resist(frames.rotation, frames.origin, twists, self.ends, self.points, self.constants, wrenches)
+        resist(frames.rotation, frames.origin, twists, self.ends, self.points, self.constants, wrenches)
 
 
 @kernel
@@ -180,10 +180,11 @@ def pull(
 
 
 @kernel
-def _resist(
+def resist(
     rotation: Floats, origin: Floats, twists: Floats, ends: Integers, points: Floats, constants: Floats,
     wrenches: Floats,
 ) -> None:  # fmt: skip
+    """Add the forces of the dampers."""
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]
         arm_a, place_a = end_of(rotation, origin, a, vector(points, i, 0))

@@ -130,12 +130,12 @@ class HingeTorque(Named):
             torques[freedom] = number(found, f"{self.label}: its value")
             return Applied(torques=torques)
 
-        return Acting(load=Load(applied, by_state), inside=True)
+        return Acting(load=Load(applied, by_state), inside=True, hinges=(self.hinge,))
 
 
 def _law(value: Any, shape: tuple[int, ...], label: str) -> Any:
     """Constants as checked numbers of a shape; a function, or None, as it is."""
-    if value is None or (callable(value) and _n_parameters(value)):
+    if value is None or (callable(value) and n_parameters(value)):
         return value
     if callable(value):
         raise MechanicsError(f"{label}: give a callable of t, or of t and state")
@@ -146,12 +146,12 @@ def _of_state(value: Any) -> tuple[Callable[..., Any], bool]:
     """A function of time and a maker of states, and whether it may depend on velocities."""
     if not callable(value):
         return (lambda time, state: value), False
-    if _n_parameters(value) == 1:
+    if n_parameters(value) == 1:
         return (lambda time, state: value(time)), False
     return (lambda time, state: value(time, state())), True
 
 
-def _n_parameters(value: Callable[..., Any]) -> int:
+def n_parameters(value: Callable[..., Any]) -> int:
     """How many arguments a callable needs, one or two, or 0 if others; what has a default is not given."""
     try:
         parameters = inspect.signature(value).parameters.values()

@@ -1,13 +1,14 @@
 """The builder: bodies, hinges and what acts on them, by name, of which it makes a model."""
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from difflib import get_close_matches
-from typing import Any, Concatenate, ParamSpec
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from protochain.core.arrays import read_only
 from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanisms.assemble import NOWHERE, Body, Hinge, assemble
@@ -19,12 +20,17 @@ from protochain.mechanisms.drives import Driven
 from protochain.mechanisms.element_arguments import numbers
 from protochain.mechanisms.elements import CustomForce, Named
 from protochain.mechanisms.event import Event
+from protochain.mechanisms.hinge_friction import HingeFriction
 from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
 from protochain.mechanisms.model import Model, model_of
+from protochain.mechanisms.motors import Motor
+from protochain.mechanisms.robot_files import mjcf, read_mjcf, read_urdf
+from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 
 P = ParamSpec("P")
+T = TypeVar("T")
 
 
 def _adds(make: Callable[P, Named], doc: str) -> Callable[Concatenate["Mechanism", P], None]:
@@ -56,6 +62,9 @@ class Mechanism:
     ----------
     gravity : (3,) array_like
         Acceleration of free fall; by default none.
+    units : {"rad", "deg"}
+        Of angles of hinges and their rates, given and shown: coordinates, drives, targets, rests and limits.
+        Stiffness, damping and pitch are by radian, and ``spin`` is in radians, in either.
 
     Examples
     --------
@@ -65,14 +74,127 @@ class Mechanism:
     >>> run = m.build().simulate(until=1.0, time_step=0.01)
     """
 
-    def __init__(self, gravity: ArrayLike = NOWHERE) -> None:
+    def __init__(self, gravity: ArrayLike = NOWHERE, units: str = "rad") -> None:
+        if units not in ("rad", "deg"):
+            raise MechanicsError(f"units {shown(units)}: give rad or deg")
         self._gravity = numbers(gravity, (3,), "gravity")
+        self._degrees = units == "deg"
         self._bodies: dict[str, Body] = {}
         self._hinges: dict[str, Hinge] = {}
         self._closings: dict[str, Closing] = {}
         self._drives: dict[str, Driven] = {}
         self._elements: dict[str, Any] = {}
         self._events: dict[str, Event] = {}
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | Path,
+        gravity: ArrayLike = (0.0, 0.0, -9.81),
+        free: bool = False,
+        stops: float = 0.0,
+        leave_out: Collection[str] = (),
+    ) -> Self:
+        """Read a robot from a URDF: links as bodies, joints as hinges, in m, kg and s.
+
+        Parameters
+        ----------
+        source : str or Path
+            File, or its text.
+        gravity : (3,) array_like
+            As of the class.
+        free : bool
+            Whether links without a joint inward are free; otherwise they are fixed to the world.
+        stops : float
+            Stiffness of stops at limits of joints, which are not kept without.
+        leave_out : collection of str
+            Kinds to go on without, as ``mimic``. What bodies look like, touch with, and transmissions are
+            left out anyway.
+
+        Returns
+        -------
+        Mechanism
+            To which more can be added, with damping and friction of joints.
+
+        Raises
+        ------
+        MechanicsError
+            If the file is none, or has what a mechanism of it has not.
+        """
+        made = cls(gravity)
+        read_urdf(made, source, free, stops, leave_out)
+        return made
+
+    @classmethod
+    def from_mjcf(
+        cls, source: str | Path, stops: float = 0.0, leave_out: Collection[str] = (), units: str = "rad"
+    ) -> Self:
+        """Read a model from an MJCF by MuJoCo, of the extra ``robots``.
+
+        Bodies keep their frames: where a joint is not at the origin of its body, or one of several, a body
+        without mass is between. Equality constraints close loops exactly. Contacts, actuators and sensors are
+        left out.
+
+        Parameters
+        ----------
+        source : str or Path
+            File, or its text.
+        stops : float
+            As of :meth:`from_urdf`.
+        leave_out : collection of str
+            Kinds to go on without: ``armature``, ``tendons``, ``equality``, ``gravcomp``, ``flex``,
+            ``fluid``, ``polynomials``, ``resistance of balls``.
+        units : {"rad", "deg"}
+            As of the class.
+
+        Returns
+        -------
+        Mechanism
+            With springs, dampers and friction of joints, and gravity.
+
+        Raises
+        ------
+        MechanicsError
+            If MuJoCo is not there or does not read the file, or a mechanism of it has not what it has.
+        """
+        made = cls(units=units)
+        read_mjcf(made, source, stops, leave_out)
+        return made
+
+    def to_mjcf(self, path: str | Path | None = None) -> str:
+        """Write bodies, hinges, springs, torsions, constant friction, limits, balls and welds as MJCF.
+
+        Parameters
+        ----------
+        path : str or Path, optional
+            Where to write it.
+
+        Returns
+        -------
+        str
+            The text. Coordinates begin at zero; MuJoCo's stops and loops give way as it has them.
+
+        Raises
+        ------
+        MechanicsError
+            If an element is of a kind that MJCF does not have.
+        """
+        return mjcf(self, path)
+
+    @property
+    def degrees(self) -> bool:
+        """Whether angles are in degrees."""
+        return self._degrees
+
+    def set_gravity(self, gravity: ArrayLike) -> None:
+        """Change the acceleration of free fall (3,)."""
+        self._gravity = numbers(gravity, (3,), "gravity")
+
+    def parts(self, kind: type[T]) -> Iterator[T]:
+        """Yield the parts of a kind, in the order given."""
+        groups = self._bodies, self._hinges, self._closings, self._drives, self._elements, self._events
+        for group in groups:
+            yield from (part for part in group.values() if isinstance(part, kind))
 
     def add(self, part: Named) -> None:
         """Add a part: an element with ``bind``, a body, a hinge, a drive or an event.
@@ -94,7 +216,7 @@ class Mechanism:
             (Closing, self._closings, ()),
             (Driven, self._drives, ()),
             (Event, self._events, ()),
-            (Named, self._elements, ("drives", "damping")),
+            (Named, self._elements, ("drives", "damping", "hinge friction")),
         )
         group, reserved = next((group, words) for kind, group, words in groups if isinstance(part, kind))
         name, called = part.name, part.called
@@ -114,6 +236,9 @@ class Mechanism:
     bushing = _adds(Bushing, "Join two bodies by an elastic joint, at rest where the points meet, as built.")
     load = _adds(AppliedForce, "Apply a force at a point of a body, a moment, or both.")
     torque = _adds(HingeTorque, "Apply a torque at a hinge, between parent and child; a force at a slide.")
+    motor = _adds(Motor, "Let motors of hinges follow a motion: PD, and feed-forward by inverse dynamics.")
+    stop = _adds(Stop, "Limit a hinge: stops push back beyond its limits.")
+    friction = _adds(HingeFriction, "Put friction in a hinge: Coulomb's, by its forces too, and viscous.")
     contact = _adds(Contact, "Let balls touch a plane, a surface, other balls, or each other.")
     force = _adds(CustomForce, "Add forces of one's own.")
     on = _adds(Event, "Let something happen when a value falls through zero.")
@@ -142,21 +267,23 @@ class Mechanism:
             if name not in self._hinges:
                 raise MechanicsError(f'drive: there is no hinge "{name}"; add it by hinge()')
             hinge = self._hinges[name]
-            if hinge.kind == "fixed":
-                raise MechanicsError(f'drive: hinge "{name}" is fixed; give it another kind')
+            if hinge.kind in ("fixed", "ball"):
+                raise MechanicsError(f'drive: hinge "{name}" is {hinge.kind}; give it another kind')
             q, qd, _ = driven.at(0.0)
             if any(has not in (0.0, is_) for has, is_ in ((hinge.q, q), (hinge.qd, qd))):
                 raise MechanicsError(
                     f'hinge "{name}": its drive begins at q = {q:g}, qd = {qd:g}, not at those given; leave '
                     "them to the drive"
                 )
-            starts[name] = q, qd
-        bodies = closed(assemble(self._bodies, self._hinges, starts), [*self._closings.values()])
+            unit = np.pi / 180.0 if self._degrees and hinge.kind != "prismatic" else 1.0
+            starts[name] = unit * q, unit * qd
+        tree = assemble(self._bodies, self._hinges, starts, self._gravity, self._degrees)
+        bodies = closed(tree, [*self._closings.values()])
         # Springs first, kind by kind, in whatever order they are given: so their sums are rounded alike.
         first = (Spring, Torsion, Bushing)
         elements = [one for kind in first for one in self._elements.values() if isinstance(one, kind)]
         elements += [one for one in self._elements.values() if not isinstance(one, first)]
         return model_of(
-            bodies, read_only(self._gravity), elements, list(self._drives.values()),
+            bodies, elements, list(self._drives.values()),
             tuple(self._events.values()),
         )  # fmt: skip

@@ -1,22 +1,29 @@
 """A mechanism as built, and its simulation."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, Fault, MechanicsError
-from protochain.mechanics.motion import Integrator, Phase, RungeKutta4, StepTooLargeError
+from protochain.mechanics.motion import (
+    DormandPrince,
+    Integrator,
+    Phase,
+    RungeKutta4,
+    StepTooLargeError,
+)
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.closing import closing
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
 from protochain.mechanisms.elements import Acting, Gravity, damping, joined
 from protochain.mechanisms.event import Event, Happened
+from protochain.mechanisms.explicit import InOneKernel
+from protochain.mechanisms.hinge_friction import friction
 from protochain.mechanisms.march import march
 
 if TYPE_CHECKING:
@@ -137,29 +144,39 @@ class Model(Assembly):
 
 
 def model_of(
-    bodies: Bodies, gravity: Floats, elements: Sequence[Any], drives: Sequence[Driven],
-    events: tuple[Event, ...],
-) -> Model:  # fmt: skip
+    bodies: Bodies, elements: Sequence[Any], drives: Sequence[Driven], events: tuple[Event, ...]
+) -> Model:
     """Return a model of bodies and all that acts on them."""
     tree, acting = bodies.tree, {}
     for element in elements:
         found = element.bind(bodies)
-        parts = (found.conservative, found.load, found.damping) if isinstance(found, Acting) else ()
+        parts = (
+            (found.conservative, found.load, found.damping, found.friction)
+            if isinstance(found, Acting)
+            else ()
+        )
         if all(part is None for part in parts):
             raise MechanicsError(f"{element.label}: its bind() gives nothing that acts; return Acting(...)")
         acting[element.name] = found
-    weight = [Gravity(tree, gravity)] if np.any(gravity) else []
+    weight = [Gravity(tree, bodies.gravity)] if np.any(bodies.gravity) else []
     damped = joined(each.damping for each in acting.values() if each.damping)
     loads = [NamedLoad("damping", damping(tree, damped), dissipates=True)] if damped else []
-    loads += [NamedLoad(name, each.load, each.dissipates) for name, each in acting.items() if each.load]
+    loads += [
+        NamedLoad(name, each.load, each.dissipates, each.hinges) for name, each in acting.items() if each.load
+    ]
     held = np.any((tree.parent < 0) & (tree.kind != HingeKind.FREE))
-    return Model(
+    model = Model(
         bodies, bodies.q, bodies.qd,
         (*weight, *joined(each.conservative for each in acting.values() if each.conservative)), tuple(loads),
         drive_of(bodies, drives) if drives else None, events,
         not weight and not held and not _on_world(bodies) and all(each.inside for each in acting.values()),
         tuple(each.memory for each in acting.values() if each.memory),
     )  # fmt: skip
+    rubbing = [each.friction for each in acting.values() if each.friction]
+    if not rubbing:
+        return model
+    rubs = NamedLoad("hinge friction", friction(model, rubbing), dissipates=True)
+    return replace(model, loads=(*model.loads, rubs))
 
 
 def _on_world(bodies: Bodies) -> bool:
@@ -282,7 +299,17 @@ class _Simulation:
         system, step, h, every = self.model.system, self.integrator.step, self.time_step, self.every
         append, at, count, look = self.rows.append, self.start, 0, every * _LOOK
         # Rounding of times adds up to less than a step: until near the end nothing need be compared.
-        for count in range(1, int((until - at.time) / h) - 1):
+        n = int((until - at.time) / h) - 2
+        if isinstance(system, InOneKernel) and isinstance(self.integrator, RungeKutta4 | DormandPrince):
+            while count < n:
+                rows, at, taken = system.march(self.integrator, at, h, min(look, n - count), every)
+                self.rows += rows
+                count += taken
+                if taken < look:
+                    break
+                self.look()
+        rest = range(count + 1, n + 1)
+        for count in rest:
             at = step(system, at, h)
             if count % every == 0:
                 append((at.time, at.q, at.qd, at.p, at.potential, at.work, 0.0))

@@ -146,7 +146,7 @@ def _across(of: Drawing, along: ArrayLike | None) -> Floats:
 
 def _draw(ax: "Axes", of: Drawing, k: int, across: Floats) -> None:
     """Draw one pose, what is farther away first."""
-    from matplotlib.collections import LineCollection
+    from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.patches import Circle, Polygon
 
     away, thick = np.cross(across[0], across[1]), THICK * of.size
@@ -159,6 +159,11 @@ def _draw(ax: "Axes", of: Drawing, k: int, across: Floats) -> None:
             side = np.array([-level[1], level[0]]) / np.linalg.norm(level)
             ends = [across @ at - 2.0 * of.size * side, across @ at + 2.0 * of.size * side]
             ax.add_collection(LineCollection([ends], colors="#999999", linewidths=1.0))
+    for mesh in of.meshes:
+        flat = of.place(k, mesh.body, mesh.corners) @ across.T
+        ax.add_collection(
+            PolyCollection(list(flat), facecolors="#eeeeee", edgecolors="#999999", linewidths=0.5)
+        )
     for ends, points in zip(of.lines.ends, of.lines.points, strict=True):
         line = [across @ of.place(k, int(b), at) for b, at in zip(ends, points, strict=True)]
         ax.add_collection(LineCollection([line], colors="#666666", linewidths=1.0, linestyles="dashed"))
@@ -220,10 +225,11 @@ def _told(of: Drawing) -> dict[str, Any]:
         grounds.append(
             {"body": ground.body, "at": at.tolist(), "u": u.tolist(), "v": np.cross(n, u).tolist()}
         )
+    meshes = [{"body": mesh.body, "corners": mesh.corners.tolist()} for mesh in of.meshes]
     return {
         "names": list(of.names), "colours": list(COLOURS), "times": np.round(of.times, 12).tolist(),
-        "frames": frames, "shapes": shapes, "lines": lines, "grounds": grounds, "middle": middle.tolist(),
-        "size": of.size, "fine": fine, "thick": THICK * of.size,
+        "meshes": meshes, "frames": frames, "shapes": shapes, "lines": lines, "grounds": grounds,
+        "middle": middle.tolist(), "size": of.size, "fine": fine, "thick": THICK * of.size,
         "turn": float(np.arctan2(back[1], back[0])) if abs(back[2]) < 0.999 else -0.5 * np.pi,
         "tilt": float(np.arcsin(np.clip(back[2], -1.0, 1.0))),
         "pace": 1.0 if 0.1 <= lasts <= 60.0 else lasts / _LASTS,

@@ -121,15 +121,25 @@ def motion(run: Motion) -> "pd.DataFrame":
     import pandas as pd
 
     model, tree = run.model, run.model.tree
-    columns = {"time": run.time}
-    driving = None
-    if model.drive is not None:
-        driving = np.array([at.loads[-1] for at in phases(run) if at.loads is not None])
-    for name, b in model.bodies.hinges.items():
+    columns, bodies = {"time": run.time}, model.bodies
+    motors = [k for k, each in enumerate(model.loads) if each.hinges]
+    driving = torque = np.empty(0)
+    if motors or model.drive is not None:
+        loads = np.array([at.loads for at in phases(run)])
+        driving, torque = loads[:, -1], np.sum(loads[:, motors], axis=1)
+    moved = {name for k in motors for name in model.loads[k].hinges}
+    for name, b in bodies.hinges.items():
         if tree.v_start[b] == tree.v_start[b + 1]:
             continue
-        q, v = model.bodies.freedom(name)
-        columns |= {name: run.q[:, q], f"{name} rate": run.qd[:, v]}
-        if driving is not None and v in tree.driven_v:
+        unit, place = bodies.unit(name), bodies.ball(name)
+        if place:
+            columns |= {f"{name} {x}": run.q[:, place[0]][:, k] / unit for k, x in enumerate(_AXES)}
+            columns |= {f"{name} rate {x}": run.qd[:, place[1]][:, k] / unit for k, x in enumerate(_AXES)}
+            continue
+        q, v = bodies.freedom(name)
+        columns |= {name: run.q[:, q] / unit, f"{name} rate": run.qd[:, v] / unit}
+        if v in tree.driven_v:
             columns[f"{name} drive"] = driving[:, v]
+        elif name in moved:
+            columns |= {f"{name} torque": torque[:, v], f"{name} power": torque[:, v] * run.qd[:, v]}
     return pd.DataFrame(columns)

@@ -79,9 +79,10 @@ class Run(Motion):
 
     @cached_property
     def motion(self) -> "pd.DataFrame":
-        """One row a time: coordinate and rate of each hinge by its name, and what a drive gives it.
+        """One row a time: coordinate and rate of each hinge, and torque and power of what moves it.
 
-        Drives are torques, or forces of slides.
+        ``pin``, ``pin rate``; of a driven hinge ``pin drive``, of one with motors or torques ``pin torque``
+        and ``pin power``, the sums of all of them; forces at slides. Of balls ``x``, ``y``, ``z``.
         """
         return motion(self)
 

@@ -56,7 +56,7 @@ class Torsion(Named):
             If there is no such hinge, or it is fixed.
         """
         place, freedom = bodies.freedom(self.hinge, self.label)
-        rest = bodies.q[place] if self.rest is None else self.rest
+        rest = bodies.q[place] if self.rest is None else self.rest * bodies.unit(self.hinge)
         row = Torsions(
             read_only([place], np.int64),
             read_only([freedom], np.int64),
@@ -84,7 +84,7 @@ class Torsions(Rows):
 
     def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
         """Add the torques of the dampers."""
-        _slow(self.freedoms, self.constants, qd, torques)
+        slow(self.freedoms, self.constants, qd, torques)
 
 
 @kernel
@@ -100,6 +100,7 @@ def wind(coordinates: Integers, freedoms: Integers, constants: Floats, q: Floats
 
 
 @kernel
-def _slow(freedoms: Integers, constants: Floats, qd: Floats, torques: Floats) -> None:
+def slow(freedoms: Integers, constants: Floats, qd: Floats, torques: Floats) -> None:
+    """Add the torques of the dampers."""
     for i in range(len(freedoms)):
         torques[freedoms[i]] -= constants[i, DAMPING] * qd[freedoms[i]]

@@ -47,7 +47,41 @@ def tree():
     return m
 
 
-@pytest.mark.parametrize("made", [four_bar(), four_bar(springs=False), tree()], ids=("loop", "bare", "tree"))
+def damped(m):
+    """With dampers between points, and in a hinge."""
+    name = "A" if "A" in m._hinges else "p"
+    a, b = [*m._bodies][:2]
+    m.torsion("slow", name, damping=0.7)
+    m.spring("dash", (a, (0.1, 0, 0.4)), ("world", (0.5, 0.1, -1.0)), damping=2.0)
+    m.spring("both", (b, (0.1, 0.2, 0.4)), ("world", (0.5, 1.0, 1.0)), stiffness=5.0, damping=1.0)
+    return m
+
+
+MADE = {
+    "loop": four_bar(), "bare": four_bar(springs=False), "tree": tree(), "damped loop": damped(four_bar()),
+    "damped tree": damped(tree()),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("made", MADE.values(), ids=MADE)
+@pytest.mark.parametrize("integrator", [RungeKutta4(), DormandPrince(1e-7)], ids=("rk4", "dp"))
+def test_a_run_in_one_call_is_its_steps_one_by_one(made, integrator, monkeypatch):
+    model = made.build()
+    run = model.simulate(0.31, 0.01, integrator, every=3)
+    monkeypatch.setattr(InOneKernel, "march", lambda self, method, at, h, steps, every: ([], at, 0))
+    one = model.simulate(0.31, 0.01, integrator, every=3)
+    assert len(run.rows) == len(one.rows) == 12
+    for name in ("time", "q", "qd", "potential", "kinetic", "work", "jumps"):
+        assert np.allclose(getattr(run, name), getattr(one, name), rtol=1e-10, atol=1e-11), name
+    for name in ("q", "p", "torque", "work", "time", "loads"):
+        found, exact = getattr(run.end, name), getattr(one.end, name)
+        assert (found is None and exact is None) or np.allclose(found, exact, rtol=1e-9, atol=1e-10), name
+    if len(run.model.works):
+        assert run.table["dissipation"].iloc[-1] > 0.0
+        assert run.audit().energy < 1e-4
+
+
+@pytest.mark.parametrize("made", MADE.values(), ids=MADE)
 @pytest.mark.parametrize("tableau", [CLASSICAL, DORMAND_PRINCE], ids=("rk4", "dp"))
 def test_a_step_is_the_one_that_calls_take(made, tableau, monkeypatch):
     system = made.build().system
@@ -60,9 +94,11 @@ def test_a_step_is_the_one_that_calls_take(made, tableau, monkeypatch):
     monkeypatch.setattr(Equations, "advance", None)  # The kernel alone.
     for h, there in zip((0.02, -0.01, 0.03), wanted[1:], strict=True):
         at, *own = system.advance(tableau, at, h)
-        for name in ("time", "q", "qd", "p", "potential", "torque"):
+        for name in ("time", "q", "qd", "p", "potential", "torque", "work"):
             found, exact = np.asarray(getattr(at, name)), np.asarray(getattr(there, name))
-            assert found == pytest.approx(exact, rel=1e-11, abs=1e-11 * max(1.0, np.max(np.abs(exact)))), name
+            assert found == pytest.approx(
+                exact, rel=1e-11, abs=1e-11 * max(1.0, np.max(np.abs(exact), initial=0.0))
+            ), name
         # Of hinges only; and what is above a Cholesky factor is nothing.
         for read in (
             lambda of: of.inertia, lambda of: of.gain[of.tree.hinged], lambda of: of.pivot,
@@ -75,7 +111,7 @@ def test_a_step_is_the_one_that_calls_take(made, tableau, monkeypatch):
 
 def test_what_a_kernel_cannot_know_takes_the_other_way():
     for more in (
-        lambda m: m.torsion("damped", "A", damping=0.1),
+        lambda m: m.torque("motor", "A", value=lambda t: t),
         lambda m: m.load("pushed", "crank", force=lambda t: (1.0, 0, 0)),
         lambda m: m.bushing("soft", ("crank", (0, 0, 0.5)), ("world", (0, 0, 0.5)), (1.0,) * 6),
     ):

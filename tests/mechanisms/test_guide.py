@@ -10,7 +10,10 @@ sys.path.insert(0, str(ROOT / "analysis" / "benchmarks"))
 
 guide = pytest.importorskip("guide", reason="MuJoCo comes with the test extra")
 
-BOUNDS = {"double pendulum": 1e-4, "four-bar": 1e-7, "ball with spin": 5e-3, "platform": 1e-6}
+BOUNDS = {
+    "double pendulum": 1e-4, "four-bar": 1e-7, "ball with spin": 5e-3, "platform": 1e-6, "slider-crank": 1e-6,
+    "Geneva drive": 1e-8, "quarter car": 1e-5, "gyroscope": 1e-6, "PD arm": 1e-8,
+}  # fmt: skip
 """Relative. The pendulum's motor has kinks, the ball's friction gives way, MuJoCo's loops do a little."""
 
 

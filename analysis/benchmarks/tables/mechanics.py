@@ -23,6 +23,13 @@ table_of_rows(
     ("M^-1 tau us", "{solve_us:.1f}"), ("pin.aba", _against("solve_us", "pinocchio_us")),
 )  # fmt: skip
 
+table_of_rows(
+    "mechanics-steps", "mechanics_steps.csv",
+    ("hinges", "{hinges:,.0f}"), ("damped", lambda r: "yes" if r.damped else "no"),
+    ("a step us", "{step_us:.0f}"), ("MuJoCo", _against("step_us", "mujoco_us")),
+    ("build s", "{build_s:.2g}"),
+)  # fmt: skip
+
 
 @table("stability", "stability.csv")
 def stability(rows: pd.DataFrame) -> str:

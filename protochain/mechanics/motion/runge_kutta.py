@@ -1,11 +1,12 @@
 """Explicit Runge-Kutta methods for trees: high-order references, not for long runs (the energy drifts)."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from protochain.core.checks import check_fields
 from protochain.mechanics.motion.substeps import TOLERANCE, Tried, in_substeps
 from protochain.mechanics.motion.system import Equations, Integrator, Phase
-from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE
+from protochain.mechanics.tableaux import CLASSICAL, DORMAND_PRINCE, Tableau
 
 
 @dataclass(frozen=True)
@@ -16,6 +17,9 @@ class RungeKutta4(Integrator):
     quaternions keep unit length.
     """
 
+    tableau: ClassVar[Tableau] = CLASSICAL
+    order: ClassVar[int] = 4
+
     @property
     def remedy(self) -> str:
         """What to take where a time step is too long."""
@@ -23,7 +27,7 @@ class RungeKutta4(Integrator):
 
     def step(self, system: Equations, at: Phase, time_step: float) -> Phase:
         """Advance by one time step, with four evaluations of the potential."""
-        return system.advance(CLASSICAL, at, time_step)[0]
+        return system.advance(self.tableau, at, time_step)[0]
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,9 @@ class DormandPrince(Integrator):
     tolerance : float
         Error of a coordinate, or of a velocity times the time step, in radians and sizes of the tree.
     """
+
+    tableau: ClassVar[Tableau] = DORMAND_PRINCE
+    order: ClassVar[int] = 5
 
     tolerance: float = 1e-8
 
@@ -56,6 +63,6 @@ class DormandPrince(Integrator):
         """
 
         def substep(at: Phase, h: float) -> Tried:
-            return system.advance(DORMAND_PRINCE, at, h)
+            return system.advance(self.tableau, at, h)
 
-        return in_substeps(substep, system, at, time_step, self.tolerance, order=5)
+        return in_substeps(substep, system, at, time_step, self.tolerance, self.order)

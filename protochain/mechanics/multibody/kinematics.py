@@ -212,8 +212,27 @@ def outward_frames(links: Integers, bodies: Floats, q: Floats, rotation: Floats,
             turn, at = turned_by_hinge(turn, at, bodies[b, TURN], bodies[b, SLIDE], q[k], cosine[k], sine[k])
         elif n_q == 7:
             turn, at = moved_freely(at, q, k)
+        elif n_q == 3:
+            turn = turned_by_ball(turn, q, k)
         put_matrix(turn, rotation, b)
         put(at, origin, b, 0)
+
+
+@kernel
+def turned_by_ball(seat: Matrix, q: Floats, k: int) -> Matrix:
+    """Axes y, z, x, as columns, of what a rotation vector turns, from those at q = 0."""
+    x, y, z = q[k], q[k + 1], q[k + 2]
+    w, x, y, z = quaternion_of(x, y, z)
+    a = turned(seat, (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)))
+    b = turned(seat, (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)))
+    c = turned(seat, (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)))
+    return b[0], c[0], a[0], b[1], c[1], a[1], b[2], c[2], a[2]
+
+
+@kernel
+def half_sine(half: float) -> float:
+    """sin(half) / (2 half), by its series near zero, where the quotient loses digits."""
+    return 0.5 * np.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
 
 
 @kernel
@@ -302,10 +321,7 @@ def move_along(links: Integers, qd: Floats, q: Floats) -> None:
             q[k] += qd[m]
         elif n_q == 7:
             x, y, z = qd[m], qd[m + 1], qd[m + 2]
-            half = 0.5 * np.sqrt(x * x + y * y + z * z)
-            # sin(half)/(2 half) by its series near zero, where the quotient loses digits.
-            s = 0.5 * np.sin(half) / half if half > 1e-4 else 0.5 - half * half / 12.0
-            aw, ax, ay, az = np.cos(half), s * x, s * y, s * z
+            aw, ax, ay, az = quaternion_of(x, y, z)
             length = np.sqrt(q[k] ** 2 + q[k + 1] ** 2 + q[k + 2] ** 2 + q[k + 3] ** 2)
             bw, bx, by, bz = q[k] / length, q[k + 1] / length, q[k + 2] / length, q[k + 3] / length
             q[k] = aw * bw - ax * bx - ay * by - az * bz
@@ -314,3 +330,24 @@ def move_along(links: Integers, qd: Floats, q: Floats) -> None:
             q[k + 3] = aw * bz + ax * by - ay * bx + az * bw
             for i in range(3):
                 q[k + 4 + i] += qd[m + 3 + i]
+        elif n_q == 3:
+            bw, bx, by, bz = quaternion_of(q[k], q[k + 1], q[k + 2])
+            aw, ax, ay, az = quaternion_of(qd[m], qd[m + 1], qd[m + 2])
+            # The rates are along the axes of what is turned: they come last.
+            w = bw * aw - bx * ax - by * ay - bz * az
+            x = bw * ax + bx * aw + by * az - bz * ay
+            y = bw * ay - bx * az + by * aw + bz * ax
+            z = bw * az + bx * ay - by * ax + bz * aw
+            if w < 0.0:
+                w, x, y, z = -w, -x, -y, -z
+            sine = np.sqrt(x * x + y * y + z * z)
+            scaled = 2.0 * np.arctan2(sine, w) / sine if sine > 0.0 else 2.0
+            q[k], q[k + 1], q[k + 2] = scaled * x, scaled * y, scaled * z
+
+
+@kernel
+def quaternion_of(x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Quaternion (w, x, y, z) of a rotation vector."""
+    half = 0.5 * np.sqrt(x * x + y * y + z * z)
+    s = half_sine(half)
+    return np.cos(half), s * x, s * y, s * z

@@ -88,7 +88,8 @@ def row_matrix(tree: Tree, frames: Frames, rows: Rows) -> Floats:
     (m, n_v) float
         Row matrix. O(m n).
     """
-    return np.array([pull_back(tree, frames, load) for load in row_loads(tree, rows)]).reshape(-1, tree.n_v)
+    found = [pull_back(tree, frames, load) for load in row_loads(tree, rows)]
+    return np.array(found).reshape(len(found), tree.n_v)
 
 
 def row_loads(tree: Tree, rows: Rows) -> Floats:

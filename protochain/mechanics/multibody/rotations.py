@@ -9,7 +9,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, floats
 from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel, put_at, scale, vector_at
-from protochain.mechanics.multibody.tree import Tree, V
+from protochain.mechanics.multibody.tree import Q, Tree, V
 
 _SMALL = 0.1
 """rad. Below it the quotients lose digits, while five terms of their series are exact to rounding."""
@@ -27,6 +27,19 @@ def displacement_rates(tree: Tree, step: Floats, qd: Floats) -> Floats:
     return rates
 
 
+def velocity_rates(tree: Tree, qd: Floats, qdd: Floats) -> Floats:
+    """Time derivatives (n_v,) of velocities, of accelerations along the hinges one after the other.
+
+    They differ where axes move with a body beyond their hinge, those of balls: by the products a_j x a_i qd_j
+    qd_i, j < i, by which the second and third axis are carried along.
+    """
+    if not len(tree.balls):
+        return qdd
+    rates, (x, y, z) = qdd.copy(), qd[tree.balls].T
+    rates[tree.balls] += np.column_stack([y * z, -x * z, x * y])
+    return rates
+
+
 @kernel
 def put_rates(links: Integers, step: Floats, rates: Floats) -> None:
     """Overwrite velocities by the rates of :func:`displacement_rates`."""
@@ -34,6 +47,9 @@ def put_rates(links: Integers, step: Floats, rates: Floats) -> None:
         k = links[b, V]
         if links[b + 1, V] - k == 6:
             put_at(tangent_inverse(vector_at(step, k), vector_at(rates, k)), rates, k)
+        elif links[b + 1, Q] - links[b, Q] == 3:
+            back = scale(-1.0, vector_at(step, k))
+            put_at(tangent_inverse(back, vector_at(rates, k)), rates, k)
 
 
 @kernel

@@ -26,11 +26,16 @@ class HingeKind(IntEnum):
     FREE = 2
     PRISMATIC = 3
     SCREW = 4
+    BALL = 5
+    BALL_AXIS = 6
 
 
-N_Q = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 7}.get(kind, 1) for kind in HingeKind}
+_N_Q = {HingeKind.FIXED: 0, HingeKind.FREE: 7, HingeKind.BALL: 3, HingeKind.BALL_AXIS: 0}
+N_Q = {kind: _N_Q.get(kind, 1) for kind in HingeKind}
 N_V = {kind: {HingeKind.FIXED: 0, HingeKind.FREE: 6}.get(kind, 1) for kind in HingeKind}
 """Numbers of coordinates and velocities of each kind. FREE: quaternion (w, x, y, z), position; (omega, u)."""
+BALL_PLACEMENT: Floats = read_only(np.roll(np.eye(3), 1, axis=0))
+"""Axes y, z, x as columns: of each body of a ball in those of the one before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +45,10 @@ class Tree(Value):
     The frame of body ``b`` relative to its parent is a translation by ``offset[b]``, a rotation by
     ``placement[b]``, and then the hinge, along the z axis of the frame: REVOLUTE turns by q, PRISMATIC
     slides by q, SCREW turns by q and slides by ``pitch[b]`` q. FREE turns by a quaternion and moves by a
-    vector (Featherstone, *Rigid Body Dynamics Algorithms*, 2008, sections 4.1 and 4.4).
+    vector (Featherstone, *Rigid Body Dynamics Algorithms*, 2008, sections 4.1 and 4.4). A ball is three
+    bodies in one place: BALL, with a rotation vector of at most pi as coordinates, and two of BALL_AXIS,
+    without coordinates; the first two have no mass. Their rates are the angular velocity by the axes x, y and
+    z of the third, relative to the parent of the first.
 
     Parameters
     ----------
@@ -131,6 +139,12 @@ class Tree(Value):
         return self.driven is None and len(self.massless) == 0
 
     @cached_property
+    def balls(self) -> Integers:
+        """(k, 3) int: freedoms of the balls."""
+        first = self.v_start[:-1][self.kind == HingeKind.BALL]
+        return read_only(first[:, None] + np.arange(3), np.int64)
+
+    @cached_property
     def driven_q(self) -> Integers:
         """(k,) int: coordinates of the driven hinges."""
         return read_only(self.q_start[:-1][self._is_driven], np.int64)
@@ -153,7 +167,7 @@ class Tree(Value):
     def twist(self) -> Floats:
         """(nb, 2) float: turn (rad) and slide (nm) along the hinge's axis for each unit of q."""
         twist = np.zeros((self.n_bodies, 2))
-        twist[self.kind == HingeKind.REVOLUTE] = 1.0, 0.0
+        twist[np.isin(self.kind, [HingeKind.REVOLUTE, HingeKind.BALL, HingeKind.BALL_AXIS])] = 1.0, 0.0
         twist[self.kind == HingeKind.PRISMATIC] = 0.0, 1.0
         screw = self.kind == HingeKind.SCREW
         assert self.pitch is not None
@@ -290,6 +304,15 @@ def _check_topology(tree: Tree) -> None:
             _first(wrong),
             "only a root can be free, and then without a placement: its coordinates are the world's",
         )
+    first = np.flatnonzero(tree.kind == HingeKind.BALL)
+    axes = np.flatnonzero(tree.kind == HingeKind.BALL_AXIS)
+    if not np.array_equal(axes, (first[:, None] + [1, 2]).ravel()) or not (
+        np.all(tree.parent[axes] == axes - 1)
+        and np.all(tree.mass[axes - 1] == 0.0)
+        and np.all(tree.offset[axes] == 0.0)
+        and np.all(tree.placement[axes] == BALL_PLACEMENT)
+    ):
+        raise BodyError(int((*first, *axes)[0]), "a ball is three bodies in one place; see Tree")
 
 
 def _driven(tree: Tree) -> NDArray[np.bool_] | None:
@@ -301,7 +324,7 @@ def _driven(tree: Tree) -> NDArray[np.bool_] | None:
         raise MechanicsError(
             f"driven of a tree of {n} bodies is {driven.dtype} of shape {driven.shape}, not bool of ({n},)"
         )
-    wrong = driven & (np.diff(tree.v_start) != 1)
+    wrong = driven & ((np.diff(tree.v_start) != 1) | (tree.kind >= HingeKind.BALL))
     if np.any(wrong):
         b = _first(wrong)
         raise BodyError(

@@ -1,0 +1,155 @@
+"""Friction in hinges: Coulomb's, constant or by the force that the hinge transmits, and viscous."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.errors import Fault, MechanicsError
+from protochain.mechanics.motion import Applied, Load, Phase
+from protochain.mechanics.multibody import Frames
+from protochain.mechanisms.assembly import Assembly
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.element_arguments import not_negative
+from protochain.mechanisms.elements import Acting, Named
+from protochain.mechanisms.reactions import transmitted
+
+_ITERATIONS = 100
+_SAME = 1e-12
+"""Change of friction from one iteration to the next, of the largest, that is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class HingeFriction(Named):
+    """Friction in a hinge, whose work is dissipation: -(T + mu r N) tanh(qd / v) - c qd.
+
+    N is the force across the axis that the hinge transmits; its moments across the axis press on nothing.
+    Where a hinge would stick, it creeps, at less than the speed v.
+
+    Parameters
+    ----------
+    name, hinge : str
+        Name, and that of the hinge.
+    torque : float
+        Constant part T of Coulomb's friction; a force at a slide.
+    coefficient, radius : float
+        Coefficient mu, and radius r of the pin; at a slide without radius.
+    damping : float
+        Torque by rate c, of viscous friction.
+    speed : float
+        Rate v within which Coulomb's friction changes its sign: far below those of the motion, and far above
+        what a step resolves.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, it does nothing, or a constant is negative.
+    """
+
+    called: ClassVar[str] = "friction"
+
+    hinge: str
+    torque: float = 0.0
+    coefficient: float = 0.0
+    radius: float = 1.0
+    damping: float = 0.0
+    speed: float = 1e-3
+
+    def __post_init__(self) -> None:
+        for name in ("torque", "coefficient", "radius", "damping", "speed"):
+            self.fix(**{name: float(not_negative(getattr(self, name), f"{self.label}: its {name}"))})
+        if self.torque == self.coefficient * self.radius == self.damping == 0.0:
+            raise MechanicsError(
+                f"{self.label}: it does nothing; give a torque, a coefficient or a damping",
+                fault=Fault.NO_STIFFNESS,
+            )
+        if not self.speed > 0.0:
+            raise MechanicsError(f"{self.label}: its speed is zero; give one far below those of the motion")
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return its torques as a load.
+
+        Raises
+        ------
+        MechanicsError
+            If the hinge is not there, fixed or a ball, or a screw.
+        """
+        b, (_, freedom) = bodies.hinge(self.hinge, self.label), bodies.freedom(self.hinge, self.label)
+        turn, slide = bodies.tree.twist[b]
+        if self.coefficient and turn and slide:
+            raise MechanicsError(f"{self.label}: a screw has no pin; give a torque, or a damping")
+        arm = self.coefficient * (self.radius if turn else 1.0)
+        rubs = Rubbing(self.label, b, freedom, self.torque, arm, self.damping, self.speed)
+        return Acting(friction=rubs, inside=True)
+
+
+class Rubbing(NamedTuple):
+    """Friction of a hinge, bound.
+
+    label: What messages call it.
+    body, freedom: Body beyond the hinge, and place in qd.
+    torque, arm, damping, speed: Constants; arm is coefficient times radius.
+    """
+
+    label: str
+    body: int
+    freedom: int
+    torque: float
+    arm: float
+    damping: float
+    speed: float
+
+    def against(self, qd: Floats, force: float = 0.0) -> float:
+        """Torque under a force across the axis."""
+        rate = float(qd[self.freedom])
+        return -(self.torque + self.arm * force) * float(np.tanh(rate / self.speed)) - self.damping * rate
+
+
+def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
+    """Return the friction of all hinges as one load, in what a mechanism is without it.
+
+    Forces that hinges transmit change linearly with the torques of friction, which change with these: a fixed
+    point of as many numbers as there are hinges whose friction depends on forces.
+    """
+    pressed = [each for each in hinges if each.arm]
+    system, tree = others.system, others.tree
+
+    def forces(at: Phase) -> Floats:
+        """(k, 3) float: across the axes."""
+        found = transmitted(others, at).hinges[[each.body for each in pressed], 3:]
+        axes = at.factors.frames.rotation[[each.body for each in pressed], :, 2]
+        return np.asarray(found - np.sum(found * axes, axis=1)[:, None] * axes)
+
+    def sizes(time: float, q: Floats, qd: Floats) -> Floats:
+        """(k,) float: forces across the axes with all friction acting."""
+        factors = system.factors(q)
+        _, torque, loads = system.forces(time, q, qd, factors)
+        torque = torque + _torques(hinges, qd, {})
+        at = Phase(q, qd, qd, 0.0, torque, factors, time, loads=loads)
+        alone, units = forces(at), np.eye(tree.n_v)
+        more = [forces(replace(at, torque=torque + units[each.freedom])) - alone for each in pressed]
+        size = np.linalg.norm(alone, axis=1)
+        slip = np.array([each.against(qd, 1.0) - each.against(qd) for each in pressed])
+        for _ in range(_ITERATIONS):
+            before, size = size, np.linalg.norm(alone + np.einsum("jki,j->ki", more, slip * size), axis=1)
+            if np.max(np.abs(size - before)) <= _SAME * np.max(size):
+                return size
+        label = pressed[int(np.argmax(np.abs(size - before)))].label
+        raise MechanicsError(f"{label}: it jams at time {time:g}, where no force of its hinge is in balance "
+                             "with its friction; give a smaller coefficient or radius")  # fmt: skip
+
+    def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+        found = sizes(time, q, qd) if pressed else ()
+        by_freedom = {each.freedom: size for each, size in zip(pressed, found, strict=True)}
+        return Applied(torques=_torques(hinges, qd, by_freedom))
+
+    return Load(applied)
+
+
+def _torques(hinges: Sequence[Rubbing], qd: Floats, forces: Mapping[int, float]) -> Floats:
+    out = np.zeros(len(qd))
+    for each in hinges:
+        out[each.freedom] += each.against(qd, forces.get(each.freedom, 0.0))
+    return out

@@ -1,0 +1,101 @@
+"""Motors that hold hinges to a motion: a PD controller, and feed-forward by inverse dynamics."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.checks import shown
+from protochain.core.errors import MechanicsError
+from protochain.mechanics import multibody
+from protochain.mechanics.motion import Applied, Load
+from protochain.mechanics.multibody import Frames
+from protochain.mechanisms.bodies import Bodies
+from protochain.mechanisms.drives import Driven
+from protochain.mechanisms.element_arguments import not_negative, number
+from protochain.mechanisms.elements import Acting, Named
+
+
+@dataclass(frozen=True, eq=False)
+class Motor(Named):
+    """Motors of hinges that follow a motion: torques of a PD controller, and feed-forward.
+
+    The torque is k (q* - q) + c (qd* - qd), and with feed-forward also that of inverse dynamics of the
+    bodies and their weight where all followed hinges are at q*, qd*, qdd*, the others as they are without
+    acceleration: it knows nothing of springs, loads and loops.
+
+    Parameters
+    ----------
+    name : str
+        Name.
+    follow : mapping
+        Hinge -> time -> coordinate, rate and acceleration, or a coordinate at which it is held.
+    stiffness, damping : float
+        Gains k and c, of every hinge.
+    feed_forward : bool
+        Whether inverse dynamics is added.
+    limit : float
+        Largest torque of a hinge.
+
+    Raises
+    ------
+    MechanicsError
+        If the name is taken, nothing is followed, or a constant is negative.
+    """
+
+    called: ClassVar[str] = "motor"
+
+    follow: Mapping[str, Any]
+    stiffness: float = 0.0
+    damping: float = 0.0
+    feed_forward: bool = False
+    limit: float = np.inf
+
+    def __post_init__(self) -> None:
+        label = f"{self.label}: its"
+        if not (isinstance(self.follow, Mapping) and self.follow):
+            remedy = 'give hinges and their motions, as {"elbow": lambda t: (t, 1, 0)}'
+            raise MechanicsError(f"{label} follow {shown(self.follow)}: {remedy}")
+        for name in ("stiffness", "damping"):
+            self.fix(**{name: float(not_negative(getattr(self, name), f"{label} {name}"))})
+        if not (self.limit == np.inf or number(self.limit, f"{label} limit") > 0.0):
+            raise MechanicsError(f"{label} limit {self.limit:g}: give one above 0")
+        self.fix(follow={hinge: self._driven(hinge, motion) for hinge, motion in self.follow.items()})
+
+    def _driven(self, hinge: str, motion: Any) -> Driven:
+        if callable(motion):
+            return Driven(hinge, motion)
+        held = number(motion, f'{self.label}: its hinge "{hinge}"')
+        return Driven(hinge, lambda time: (held, 0.0, 0.0))
+
+    def bind(self, bodies: Bodies) -> Acting:
+        """Return its torques as a load.
+
+        Raises
+        ------
+        MechanicsError
+            If a hinge is not there, fixed, driven or a ball.
+        """
+        tree, names = bodies.tree, tuple(self.follow)
+        places, freedoms = np.array([bodies.freedom(name, self.label) for name in names]).T
+        if np.any(taken := np.isin(freedoms, tree.driven_v)):
+            raise MechanicsError(
+                f'{self.label}: hinge "{names[int(np.argmax(taken))]}" is driven; leave it out'
+            )
+        units = np.array([bodies.unit(name) for name in names])
+
+        def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
+            wanted, rate, quickening = units * np.array([each.at(time) for each in self.follow.values()]).T
+            found = self.stiffness * (wanted - q[places]) + self.damping * (rate - qd[freedoms])
+            if self.feed_forward:
+                there, moving, qdd = q.copy(), qd.copy(), np.zeros(tree.n_v)
+                there[places], moving[freedoms], qdd[freedoms] = wanted, rate, quickening
+                weight = bodies.weights(multibody.pose(tree, there))
+                found = found + multibody.inverse_dynamics(tree, there, moving, qdd, weight)[freedoms]
+            torques = np.zeros(tree.n_v)
+            torques[freedoms] = np.clip(found, -self.limit, self.limit)
+            return Applied(torques=torques)
+
+        return Acting(load=Load(applied), inside=True, hinges=names)
