@@ -106,7 +106,7 @@ class Start:
 
     @cached_property
     def _warm_atoms(self) -> None:
-        self.energy(self.pose.x)
+        # The run begins with the same evaluation.
         atoms = self._spaces[1]
-        at = evaluate(atoms, self.energy, self.pose.x.ravel())
+        at = evaluate(atoms, self.known, self.pose.x.ravel())
         atoms.stiffness(at)(at.torque)
