@@ -200,7 +200,7 @@ def foretell(source: object, chain: "Chain", energy: "Energy", evaluations: int,
     # The first call loads kernels and makes neighbour lists. The quickest counts: others may wait for a core.
     energy(x)
     each = math.inf
-    for _ in range(5):
+    for _ in range(2):
         began = monotonic()
         energy(x)
         each = min(each, monotonic() - began)

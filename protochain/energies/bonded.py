@@ -22,8 +22,9 @@ def bonded_part(energy: Energy) -> Energy | None:
 
     None if nothing is known of its terms, as of a callable.
     """
-    if energy.system is None:
-        return None
+    own: Energy | None = getattr(energy, "bonded", None)
+    if own is not None or energy.system is None:
+        return own
     system = copy.deepcopy(energy.system)
     for place in reversed(range(system.getNumForces())):
         if not isinstance(system.getForce(place), _BONDED):

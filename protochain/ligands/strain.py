@@ -8,7 +8,6 @@ place. What is left is the same however they were added.
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from protochain.core.arrays import Floats, Integers
@@ -40,6 +39,8 @@ def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]
     if not moving.any():
         return x
     function = _Function(parameters)
+
+    from scipy.optimize import minimize
 
     def value(free: Floats) -> tuple[float, Floats]:
         at = x.copy()

@@ -248,7 +248,7 @@ HYBRID_TORQUE = 300.0
 
 
 _TYPICAL = {
-    "lbfgs": 50, "newton": 400, "cartesian": 100, "hybrid": 100, "openmm": 1500, "openmm-md": 3000,
+    "lbfgs": 50, "newton": 400, "cartesian": 70, "hybrid": 80, "openmm": 1500, "openmm-md": 3000,
 }  # fmt: skip
 """Evaluations to a tolerance of 1: rounded medians of proteins of 20 to 129 residues. To 5, about half."""
 

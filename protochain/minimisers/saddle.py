@@ -180,7 +180,7 @@ class Curvature:
         if vector is None:
             return None
         h = TURN * problem.space.lever / np.max(np.abs(vector))
-        product = (at.torque - problem.evaluate(problem.move(at.q, h * vector)).torque) / h
+        product = (at.torque - _torque(problem, at, h * vector)) / h
         if not np.isfinite(product).all():
             return replace(state, value=np.nan)
         return _extended(state, vector, product)
@@ -193,11 +193,17 @@ class Curvature:
         # Clearly a minimum: no more need be spent on it.
         if value < LEAST or state.doubt > SHARE * value:
             turn = CENTRAL * problem.space.lever * _largest_one(state.direction)
-            before, after = (problem.evaluate(problem.move(state.at.q, side * turn)) for side in (-1.0, 1.0))
-            value = float(turn @ (before.torque - after.torque) / (2.0 * turn @ turn))
+            before, after = (_torque(problem, state.at, side * turn) for side in (-1.0, 1.0))
+            value = float(turn @ (before - after) / (2.0 * turn @ turn))
         least = max(self.tolerance / problem.space.lever, LEAST)
         saddle = state.at.residual <= self.tolerance and value < -least
         return replace(state, value=value, is_saddle=saddle)
+
+
+def _torque(problem: Problem, at: Evaluation, step: Floats) -> Floats:
+    """Torque (n_v,) after a step (n_v,), along the freedoms before it."""
+    after = problem.evaluate(problem.move(at.q, step))
+    return problem.space.carried(after.torque, after.pose, at.pose)
 
 
 def stepped_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluation | None:

@@ -16,6 +16,7 @@ from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanics.multibody.articulated import solve_at_once
 from protochain.minimisers import curvature, spring_model
+from protochain.minimisers.bond_frames import inward, legs_of, moved, outward
 from protochain.minimisers.curvature import NearTerms
 from protochain.minimisers.problem import Evaluation, Placement
 from protochain.structure.model import Structure
@@ -87,6 +88,10 @@ class Torsions:
     def torque(self, at: Placement, forces: Floats) -> Floats:
         """Scaled torques J^T f (n_v,) of forces (na, 3) at a pose."""
         return np.asarray(self.scale * pull_back(self.chain, _pose(at), forces))
+
+    def carried(self, torque: Floats, at: Placement, to: Placement) -> Floats:
+        """Torques (n_v,) as they are: the same freedoms everywhere."""
+        return torque
 
     def residual(self, torque: Floats) -> float:
         """Largest torque, kJ/mol/rad."""
@@ -215,7 +220,7 @@ class Positions:
 
 @dataclass(frozen=True, eq=False)
 class Cartesian:
-    """All atoms free: q is x, flattened.
+    """All atoms free: q is x, flattened; steps and torques are in frames that turn with each atom's bonds.
 
     Parameters
     ----------
@@ -237,6 +242,23 @@ class Cartesian:
     lever = ROOT_LEVER
 
     @cached_property
+    def _legs(self) -> Integers:
+        return legs_of(self.structure.bonds, self.structure.atom_mass)
+
+    @cached_property
+    def _bonds(self) -> tuple[Integers, Floats]:
+        """Bonds, and how easily each atom follows them."""
+        return np.array(self.structure.bonds), np.where(self.moving, 1.0 / self.structure.atom_mass, 0.0)
+
+    def inward(self, x: Floats, vectors: Floats) -> Floats:
+        """Vectors (3 na,) of the world in the frames of the atoms at x (na, 3), nm."""
+        return inward(np.array(x), self._legs, vectors.reshape(-1, 3)).ravel()
+
+    def outward(self, x: Floats, vectors: Floats) -> Floats:
+        """Vectors (3 na,) of the frames of the atoms at x (na, 3), nm, in the world."""
+        return outward(np.array(x), self._legs, vectors.reshape(-1, 3)).ravel()
+
+    @cached_property
     def _springs(self) -> spring_model.Springs:
         return spring_model.covalent(self.structure)
 
@@ -255,8 +277,12 @@ class Cartesian:
         return Positions(q)
 
     def torque(self, at: Placement, forces: Floats) -> Floats:
-        """Forces (3 na,) on the atoms that may move, zero on the others."""
-        return np.where(self.moving[:, None], forces, 0.0).ravel()
+        """Forces (3 na,) on the atoms that may move, in their frames, and zero on the others."""
+        return self.inward(at.x, np.where(self.moving[:, None], forces, 0.0))
+
+    def carried(self, torque: Floats, at: Placement, to: Placement) -> Floats:
+        """Forces (3 na,) in the frames at one placement, in those at another."""
+        return self.inward(to.x, self.outward(at.x, torque))
 
     def residual(self, torque: Floats) -> float:
         """RMS force over the components that may move, kJ/mol/nm."""
@@ -272,8 +298,9 @@ class Cartesian:
         return {"rms_force_kj_mol_nm": self.residual(torque), "max_force_kj_mol_nm": largest}
 
     def move(self, q: Floats, step: Floats) -> Floats:
-        """Coordinates after a step (3 na,)."""
-        return np.asarray(q + step)
+        """Coordinates after a step (3 na,), in which bonds turn on arcs."""
+        x = q.reshape(-1, 3)
+        return moved(x, self.outward(x, step).reshape(-1, 3), *self._bonds).ravel()
 
     def stiffness(
         self, at: Evaluation, near_by: spring_model.Near | None = None, tether: Floats | None = None
@@ -290,16 +317,23 @@ class Cartesian:
             )
         else:
             own = None if near_by is None else near_by(self.structure, at.x, 3)
-            return curvature.near_solver(self.terms, at.x, self.moving, self._order, own, tether)
-        return make() if len(self.moving) < _LARGE else run_interruptible(make, held=True)
+            make = partial(curvature.near_solver, self.terms, at.x, self.moving, self._order, own, tether)
+        solve = make() if len(self.moving) < _LARGE else run_interruptible(make, held=True)
+        return self._in_frames(at.x, solve)
+
+    def _in_frames(self, x: Floats, solve: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
+        """Solver for a matrix of the world, in the frames of the atoms."""
+        return lambda torque: self.inward(x, solve(self.outward(x, torque)))
 
     def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the same model with all its pairs coupled, and nearly nothing added."""
         if self.terms is None:
-            return spring_model.cartesian_solver(
+            solve = spring_model.cartesian_solver(
                 self.structure, self._springs, at.x, self.moving, floor=SOFT_ATOMS
             )
-        return curvature.soft_solver(self.terms, at.x, self.moving, SOFT_ATOMS)
+        else:
+            solve = curvature.soft_solver(self.terms, at.x, self.moving, SOFT_ATOMS)
+        return self._in_frames(at.x, solve)
 
     def motions_of_whole(self, at: Evaluation) -> Floats:
         """Orthonormal rigid motions (k, 3 na): six, less where atoms are fixed or all lie on a line."""
@@ -310,7 +344,8 @@ class Cartesian:
         _, size, among = np.linalg.svd(motions[:, ~self.moving].reshape(6, 3 * int((~self.moving).sum())).T)
         motions = among[np.sum(size > _RANK * len(x)) :] @ motions.reshape(6, -1)
         _, size, along = np.linalg.svd(motions, full_matrices=False)
-        return along[size > _RANK * len(x)]
+        rigid = along[size > _RANK * len(x)]
+        return np.array([self.inward(at.x, each) for each in rigid]).reshape(rigid.shape)
 
     def inertia(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the diagonal mass matrix."""

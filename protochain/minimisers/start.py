@@ -110,9 +110,8 @@ class Start:
 
     @cached_property
     def _warm_atoms(self) -> None:
-        self.energy(self.pose.x)
-        if self.energy.device != "cpu":
-            return
+        # The run begins with the same evaluation.
         atoms = self._spaces[1]
-        at = evaluate(atoms, self.energy, self.pose.x.ravel())
-        atoms.stiffness(at)(at.torque)
+        at = evaluate(atoms, self.known, self.pose.x.ravel())
+        if self.energy.device == "cpu":
+            atoms.stiffness(at)(at.torque)

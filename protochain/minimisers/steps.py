@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from scipy.optimize import line_search
 
 from protochain.core.arrays import Floats
 from protochain.minimisers.problem import Evaluation, Problem
@@ -176,6 +175,8 @@ class StrongWolfe:
         ):
             # Three of four searches would end here; to call one costs as much as the energy of a peptide.
             return 1.0, first, None
+        from scipy.optimize import line_search  # Seldom needed, and half of scipy to read.
+
         tried = {1.0: first}
 
         def point(length: Floats) -> Evaluation:

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import OptimizeResult, least_squares
 
 from protochain.core.arrays import Floats
 from protochain.structure.member import Member, atom
@@ -56,6 +55,8 @@ def _built(missing: Sequence[str], at: dict[str, Floats]) -> Floats | None:
         return None
     weight = np.array([1.0 if pair in _BONDS else 0.5 for pair, _ in pairs])
 
+    from scipy.optimize import least_squares
+
     def off(x: Floats) -> Floats:
         there = at | dict(zip(missing, x.reshape(-1, 3), strict=True))
         return np.array([np.linalg.norm(there[a] - there[b]) - d for (a, b), d in pairs])
@@ -66,10 +67,6 @@ def _built(missing: Sequence[str], at: dict[str, Floats]) -> Floats | None:
     near = np.mean([at[name] for pair, _ in pairs for name in pair if name in at], axis=0)
     starts = near + np.random.default_rng(0).normal(size=(_STARTS, len(missing), 3))
     found = [least_squares(weighted, each.ravel()) for each in starts]
-    best = min(found, key=_cost)
+    best = min(found, key=lambda each: float(each.cost))
     bonds = [abs(each) for each, (pair, _) in zip(off(best.x), pairs, strict=True) if pair in _BONDS]
     return np.asarray(best.x.reshape(-1, 3)) if max(bonds) < _OFF else None
-
-
-def _cost(found: OptimizeResult) -> float:
-    return float(found.cost)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.structure.superpose import motion_of
@@ -108,6 +107,8 @@ def _starts(allowed: NDArray[np.bool_]) -> Iterator[Integers]:
 
 def _settled(sums: PairSums, allowed: NDArray[np.bool_], mapping: Integers) -> Integers:
     """Mapping of all chains, superposed and assigned in turn until it stays."""
+    from scipy.optimize import linear_sum_assignment
+
     for _ in range(_ROUNDS):
         (rows,) = np.nonzero(mapping >= 0)
         off = sums.deviations(*sums.motion(rows, mapping[rows]))

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import gemmi
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import OnlyAlphaError, ProtochainError, StructureError
@@ -232,6 +231,8 @@ def _by_score(
     ours: dict[str, list[int]], theirs: dict[str, list[int]], aligned: Mapping[tuple[int, int], _Alignment]
 ) -> Integers:
     """Chains (k,) of the model for the largest sum of scores, -1 for none; unrelated ones by their ids."""
+    from scipy.optimize import linear_sum_assignment
+
     related = np.array(
         [[aligned[i, j].identity >= _RELATED for j in range(len(theirs))] for i in range(len(ours))]
     )

@@ -77,8 +77,8 @@ def test_dynamics_run_to_their_end_and_end_in_a_minimum():
 def test_the_other_methods_are_as_documented():
     expected = (
         Recipe("lbfgs", (BY_LBFGS,), True, typical=TYPICAL["lbfgs"]),
-        Recipe("cartesian", (NEARBY,), True, typical=100),
-        Recipe("hybrid", (replace(BY_LBFGS, tolerance=300.0), ALL_ATOMS), True, typical=100),
+        Recipe("cartesian", (NEARBY,), True, typical=70),
+        Recipe("hybrid", (replace(BY_LBFGS, tolerance=300.0), ALL_ATOMS), True, typical=80),
         Recipe("openmm", (), False, False, True, 1500),
         Recipe("openmm-md", (), False, True, True, 3000),
     )

@@ -74,7 +74,8 @@ def test_the_flat_peptide_is_a_saddle_and_is_left(method):
 def test_a_saddle_that_is_not_left_is_called_one(monkeypatch):
     monkeypatch.setattr(saddle, "ROUNDS", 0)
     r = pc.minimise(flat(), pc.energy(flat(), threads=1), "cartesian", tolerance=0.01)
-    assert r.status is Status.SADDLE and r.lowest_eigenvalue < -100.0
+    # Eight products know no more than an upper limit.
+    assert r.status is Status.SADDLE and r.lowest_eigenvalue < -10.0
 
 
 def test_the_eigenvalue_of_a_dipeptide_is_that_of_dense_algebra():
@@ -87,7 +88,8 @@ def test_the_eigenvalue_of_a_dipeptide_is_that_of_dense_algebra():
         state = Curvature(1.0, floats=True).step(problem, state)
     value = lowest(e, s.positions, out=rigid(s.positions))
     assert state.value == pytest.approx(value, rel=EIGENVALUE) and len(state.vectors) < saddle.MOST
-    assert np.abs(np.array(state.vectors) @ rigid(s.positions).T).max() < 1e-10
+    vectors = np.array([problem.space.outward(s.positions, each) for each in state.vectors])
+    assert np.abs(vectors @ rigid(s.positions).T).max() < 1e-10
 
 
 def test_motions_of_the_whole_leave_fixed_atoms_in_place():
@@ -99,7 +101,8 @@ def test_motions_of_the_whole_leave_fixed_atoms_in_place():
         at = problem.evaluate(x.ravel())
         motions = problem.space.motions_of_whole(at)
         assert len(motions) == left and motions @ motions.T == pytest.approx(np.eye(left), abs=1e-12)
-        for motion in motions.reshape(left, s.n_atoms, 3):
+        for each in motions:
+            motion = problem.space.outward(x, each).reshape(-1, 3)
             assert np.abs(motion[:n_fixed]).max(initial=0.0) < 1e-12
             moved = x + 1e-5 * motion
             apart = [np.linalg.norm(each[:, None] - each[None], axis=2) for each in (x, moved)]
@@ -113,8 +116,9 @@ def test_with_fixed_atoms_the_others_end_in_a_minimum(n_fixed):
     assert np.array_equal(c.moving, np.arange(s.n_atoms) >= n_fixed)
     e = pc.energy(s, threads=1)
     r = pc.minimise(c, e, "cartesian", tolerance=0.01)
-    motions = problem_of(s, e, c.moving)
-    out = motions.space.motions_of_whole(motions.evaluate(r.x.ravel()))
+    problem = problem_of(s, e, c.moving)
+    motions = problem.space.motions_of_whole(problem.evaluate(r.x.ravel()))
+    out = [problem.space.outward(r.x, each) for each in motions]
     assert r.status is Status.CONVERGED and r.x[:n_fixed] == pytest.approx(s.positions[:n_fixed], abs=1e-15)
     assert r.lowest_eigenvalue == pytest.approx(lowest(e, r.x, c.moving, out), rel=EIGENVALUE)
 

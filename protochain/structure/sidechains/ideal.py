@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from protochain.core.arrays import Floats, cross
 from protochain.core.graph import within
@@ -186,6 +185,7 @@ def bridged(residue: str, known: Mapping[str, Floats]) -> Places:
 
 def _at_distances(fixed: Floats, target: Floats, start: Floats) -> Floats:
     """(3,) float: the point near a start whose distances to others fit best."""
+    from scipy.optimize import least_squares
 
     def misfit(x: Floats) -> Floats:
         return np.asarray(np.linalg.norm(x - fixed, axis=1) - target)

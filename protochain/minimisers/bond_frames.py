@@ -1,0 +1,121 @@
+"""Frames that turn with the bonds of each atom, and steps that keep the lengths of bonds while they turn.
+
+Soft motions of all atoms are turns about bonds. What is known of the energy at one point, a model of the
+Hessian or a pair of L-BFGS, belongs to the directions that bonds have there: told in frames of the bonds it
+holds for the turned molecule, too, as corotational finite elements have it. A straight step along a turn
+stretches bonds by half its square over their length, which costs more than the turn gains.
+"""
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers
+from protochain.core.graph import both_ways
+from protochain.mechanics.multibody.algebra import (
+    Vector,
+    add,
+    cross,
+    dot,
+    kernel,
+    put,
+    scale,
+    subtract,
+    vector,
+)
+
+SWEEPS = 4
+"""Over all bonds. With one a run takes a tenth more evaluations, with eight no fewer."""
+
+_SHORT, _THIN = 1e-4, 0.05
+"""nm, of a bond; sine of the angle of two: with less there is no frame."""
+
+
+def legs_of(bonds: Integers, mass: Floats) -> Integers:
+    """(na, 3) int: origin of each atom's frame, and the two atoms that it looks at; -1 for none.
+
+    The atom and its two heaviest neighbours; of an atom with one, that one, the atom, and the heaviest other.
+    """
+    n = len(mass)
+    ends = both_ways(bonds)
+    atom, other = ends[np.lexsort((ends[:, 1], -mass[ends[:, 1]], ends[:, 0]))].T
+    # The last atoms look beyond the end.
+    first, count, other = (
+        np.searchsorted(atom, np.arange(n)),
+        np.bincount(atom, minlength=n),
+        [*other, -1, -1],
+    )
+    near = np.array(other)[first[:, None] + np.arange(2)]
+    near[count < 2, 1] = near[count < 1, 0] = -1
+    found = np.column_stack([np.arange(n), near])
+    found[count == 0] = -1
+    ending = np.flatnonzero(count == 1)
+    parent = near[ending, 0]
+    beyond = np.where(near[parent, 0] == ending, near[parent, 1], near[parent, 0])
+    found[ending] = np.where(beyond[:, None] < 0, -1, np.column_stack([parent, ending, beyond]))
+    return found
+
+
+@kernel
+def _axes(x: Floats, legs: Integers, i: int) -> tuple[Vector, Vector, Vector]:
+    """Axes of an atom's frame; those of the world without one."""
+    origin, first, last = legs[i, 0], legs[i, 1], legs[i, 2]
+    if origin >= 0:
+        at = vector(x, origin)
+        along, aside = subtract(vector(x, first), at), subtract(vector(x, last), at)
+        normal = cross(along, aside)
+        length, breadth, area = (
+            np.sqrt(dot(along, along)),
+            np.sqrt(dot(aside, aside)),
+            np.sqrt(dot(normal, normal)),
+        )
+        if length > _SHORT and area > _THIN * length * breadth:
+            along, normal = scale(1.0 / length, along), scale(1.0 / area, normal)
+            return along, cross(normal, along), normal
+    return (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
+
+@kernel
+def inward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
+    """Vectors (na, 3) of the world, in the atoms' frames at x (na, 3)."""
+    found = np.empty_like(vectors)
+    for i in range(len(vectors)):
+        a, b, c = _axes(x, legs, i)
+        v = vector(vectors, i)
+        put((dot(a, v), dot(b, v), dot(c, v)), found, i, 0)
+    return found
+
+
+@kernel
+def outward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
+    """Vectors (na, 3) of the atoms' frames at x (na, 3), in the world."""
+    found = np.empty_like(vectors)
+    for i in range(len(vectors)):
+        a, b, c = _axes(x, legs, i)
+        u, v, w = vector(vectors, i)
+        put(add(scale(u, a), add(scale(v, b), scale(w, c))), found, i, 0)
+    return found
+
+
+@kernel
+def moved(x: Floats, step: Floats, bonds: Integers, weight: Floats) -> Floats:
+    """Positions (na, 3) after a step, with bonds as long as to its first order.
+
+    weight (na,): How easily atoms follow their bonds; 0 of fixed ones.
+    """
+    wanted, at = np.empty(len(bonds)), x + step
+    for n in range(len(bonds)):
+        i, j = bonds[n, 0], bonds[n, 1]
+        d = subtract(vector(x, i), vector(x, j))
+        length = max(np.sqrt(dot(d, d)), _SHORT)
+        longer = dot(d, subtract(vector(step, i), vector(step, j))) / length
+        wanted[n] = max(length + longer, 0.5 * length)
+    for _ in range(SWEEPS):
+        for n in range(len(bonds)):
+            i, j = bonds[n, 0], bonds[n, 1]
+            both = weight[i] + weight[j]
+            if both > 0.0:
+                d = subtract(vector(at, i), vector(at, j))
+                length = max(np.sqrt(dot(d, d)), _SHORT)
+                d = scale((wanted[n] - length) / (length * both), d)
+                put(add(vector(at, i), scale(weight[i], d)), at, i, 0)
+                put(subtract(vector(at, j), scale(weight[j], d)), at, j, 0)
+    return at
