@@ -94,10 +94,8 @@ class Moves(Value):
             after = names[r + 1] if r + 1 < len(names) else ""
             mirror = -1.0 if structure.mirrored[r] else 1.0
             own = its.get("phi", NONE), its.get("psi", NONE)
-            last = r in last_ones
-            residues.append(
-                Residue(names[r], _class(names[r], after), mirror, *own, tuple(chi), r == 0, last)
-            )
+            ends = r == 0, r in last_ones
+            residues.append(Residue(names[r], _class(names[r], after), mirror, *own, tuple(chi), *ends))
         flips = tuple(
             (its["psi"], by_residue[r + 1]["phi"])
             for r, its in sorted(by_residue.items())

@@ -54,10 +54,10 @@ def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviation
     n, alpha, c, beta = ANGSTROM_PER_NM * positions(structure, x)[atoms[residue].T]
     ideal = [_IDEAL[_CLASS.get(name, "")] for name in structure.residue_name[residue].tolist()]
     length, from_c, round_c, from_n, round_n = np.array(ideal).reshape(-1, 5).T
-    hand = np.where(structure.mirrored[residue], -1.0, 1.0)
+    sign = np.where(structure.mirrored[residue], -1.0, 1.0)
     middle = 0.5 * (
-        _placed(n, c, alpha, length, from_c, hand * round_c)
-        + _placed(c, n, alpha, length, from_n, hand * round_n)
+        _placed(n, c, alpha, length, from_c, sign * round_c)
+        + _placed(c, n, alpha, length, from_n, sign * round_n)
     )
     out = middle - alpha
     out *= (length / np.linalg.norm(out, axis=1))[:, None]

@@ -77,7 +77,7 @@ def test_a_residue_of_the_other_hand_goes_to_the_mirror_image():
 
     chain, moves = moves_of("AIA")
     (residue,) = [each for each in moves.residues if each.name == "ILE"]
-    other = Moves((replace(residue, hand=-1.0),), (), ())
+    other = Moves((replace(residue, mirror=-1.0),), (), ())
     same, mirrored = (
         moved(its, "backbone", chain.q0, 1.0, np.random.default_rng(3))[[residue.phi, residue.psi]]
         for its in (Moves((residue,), (), ()), other)
