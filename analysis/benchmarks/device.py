@@ -22,7 +22,7 @@ import openmm
 import pandas as pd
 
 import protochain as pc
-from protochain.energies.on_device import PLATFORMS, found
+from protochain.energies import devices
 
 SAMPLES = Path(__file__).parents[2] / "structures"
 FILES = ("1l2y.pdb", "1ubq.pdb")
@@ -62,14 +62,14 @@ def row(s: pc.Structure, device: str, n_frames: int) -> dict[str, Any]:
 def openmms(s: pc.Structure, device: str) -> dict[str, Any]:
     """Row of OpenMM's own minimiser on a device, which ends the process by OpenCL on a processor."""
     energy, tolerance = pc.energy(s, device="cpu"), 5.0 * np.sqrt(3.0)
-    platform = openmm.Platform.getPlatform(PLATFORMS[device])
+    platform = openmm.Platform.getPlatform(device.upper())
 
     def run() -> Any:
         integrator = openmm.VerletIntegrator(0.001)
         context = openmm.Context(energy.system, integrator, platform, {"Precision": "mixed"})
         context.setPositions(s.positions)
         openmm.LocalEnergyMinimizer.minimize(context, tolerance)
-        return np.asarray(context.getState(positions=True).getPositions(asNumpy=True)._value)
+        return np.asarray(context.getState(positions=True).getPositions(asNumpy=True) / openmm.unit.nanometer)
 
     seconds, x = seconds_of(run)
     return {
@@ -80,22 +80,27 @@ def openmms(s: pc.Structure, device: str) -> dict[str, Any]:
 
 def rows(files: list[Path], n_frames: int) -> Iterator[dict[str, Any]]:
     """Rows of all structures."""
-    devices = [each.split(":")[0] for each in found() if ": none" not in each]
+    there = [each.split(":")[0] for each in devices() if ": none" not in each]
     for file in files:
         s = pc.load(file)
-        for device in ("cpu", *devices):
+        for device in ("cpu", *there):
             yield row(s, device, n_frames)
             if device in ("cuda", "hip"):
                 yield openmms(s, device)
 
 
-def main() -> None:
+def parser() -> argparse.ArgumentParser:
+    """The parser of the command line."""
     own = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     own.add_argument("files", nargs="*", type=Path, metavar="FILE", help="structures")
     own.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder for its table")
     own.add_argument("--quick", action="store_true", help="small inputs: shows that it works, no more")
-    options = own.parse_args()
-    print("\n".join(found()))
+    return own
+
+
+def main() -> None:
+    options = parser().parse_args()
+    print("\n".join(devices()))
     files = options.files or [SAMPLES / name for name in FILES[: 1 if options.quick else None]]
     pc.minimise(pc.from_sequence("GAG"))  # Compiles what all need.
     table = pd.DataFrame(rows(files, 2 if options.quick else 10))

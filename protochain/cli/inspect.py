@@ -79,9 +79,9 @@ def info(
             "constant_terms": dict(used.left_out), "seconds_energy": perf_counter() - began,
         }  # fmt: skip
     if device:
-        from protochain.energies.on_device import chosen, found
+        from protochain.energies.on_device import chosen, devices
 
-        facts |= {"device": chosen(setup.device, structure.n_atoms), "devices": found()}
+        facts |= {"device": chosen(setup.device, structure.n_atoms), "devices": devices()}
     if as_json:
         print_json(facts)
         return

@@ -59,8 +59,19 @@ def chosen(device: str, n_atoms: int, fewest: int = defaults.DEVICE_FROM) -> str
     return next(usable, "cpu") if n_atoms >= fewest else "cpu"
 
 
-def found() -> list[str]:
-    """What there is of each device, or why there is none, a line each."""
+def devices() -> list[str]:
+    """What there is of each device that OpenMM knows.
+
+    Returns
+    -------
+    list of str
+        A line each, which begins with its name: versions and hardware, or ``none`` and why.
+
+    Examples
+    --------
+    >>> [line.split(":")[0] for line in pc.energies.devices()]
+    ['cuda', 'hip', 'opencl']
+    """
     failures, told = openmm.Platform.getPluginLoadFailures(), list[str]()
     for device, platform in PLATFORMS.items():
         if device in _registered():
