@@ -22,6 +22,7 @@ OTHERWISE = {
     ("compare", "methods"): ",".join(defaults.COMPARED),
     ("simulate", "time_step"): None,
     ("simulate", "hinge_springs"): None,
+    ("simulate", "restraint"): None,
     ("minimise", "max_rmsd"): None,
 }
 """Defaults that commands have as none, or which an option turns off."""

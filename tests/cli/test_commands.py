@@ -304,6 +304,8 @@ READ = {
     "batch": {"inputs": "{0}", "manifest": "--manifest {0}", "forcefield": "--forcefield amber14,{0}"},
     "simulate": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "search": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
+    "mutate": {"source": "{0} --scan A:1", "forcefield": "--scan A:1 --forcefield amber14,{0}"},
+    "scan": {"source": "{0} phi@A:3=-60", "forcefield": "phi@A:3=-60 --forcefield amber14,{0}"},
     "modes": {"source": "{0}", "to": "--to {0}", "forcefield": "--forcefield amber14,{0}"},
     "validate": {"inputs": "{0}", "reference": "--reference {0}"},
     "score": {"inputs": "{0}", "forcefield": "--forcefield amber14,{0}"},
@@ -324,6 +326,8 @@ WRITTEN = {
     "batch": {"output": ("-o d", "d/summary.csv", "d/traces.csv", "d/report.html")},
     "simulate": {"output": ("--force -o d", "d/last.pdb", "d/log.csv", "d/trajectory.dcd")},
     "search": {"output": ("--force -o d", "d/summary.json", "d/report.html")},
+    "mutate": {"output": ("-o {0}", "a.csv"), "report": ("--report {0}", "a.html")},
+    "scan": {"output": ("-o {0}", "a.csv"), "report": ("--report {0}", "a.html")},
     "modes": {"output": ("-o d", "d/modes.csv", "d/minimum.pdb", "d/mode-1.dcd", "d/report.html")},
     "validate": {
         "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),
