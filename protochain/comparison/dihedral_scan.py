@@ -58,7 +58,7 @@ def scan(
     >>> c = pc.build_chain(pc.from_sequence("GAG"))
     >>> table = pc.scan(c, None, {"phi A:2": [-120, -60]})
     >>> table["energy_kj_mol"].idxmin()
-    0
+    1
     """
     import pandas as pd
 

@@ -22,7 +22,7 @@ PLAIN = {
     "methods": ("cartesian",), "tolerance": None, "max_rmsd": float("inf"), "max_evaluations": 5000,
     "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None, "judge": "auto",
     "hinges": "phi psi chi", "root": "auto", "move": "all", "rigid_protein": False, "forcefield": "amber14",
-    "solvent": "obc2", "engine": "auto", "terms": "all", "cutoff": "auto", "accuracy": "auto",
+    "solvent": "obc2", "engine": "auto", "device": "auto", "terms": "all", "cutoff": "auto", "accuracy": "auto",
     "trust_forcefield": False,
     "model": None,
     "assembly": "", "altloc": "",
@@ -35,6 +35,7 @@ OF_RELAX = {
     "preset": "predicted", "protocol": "", "stiffness": None, "max_iterations": 2000,
     "max_outer_iterations": 3, "exclude": "", "keep_hydrogens": True, "repack": False,
     "posebusters": False, "free_ligands": False, "repack_region": "", "interface": "", "mirror": False,
+    "rebuild_side_chains": "", "sequence": "", "restraints": (),
 }  # fmt: skip
 """Those of ``relax`` alone."""
 
@@ -166,7 +167,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "methods": "kcm, lbfgs", "tolerance": "2", "max_rmsd": " 0.5 ", "max_evaluations": "7", "seed": "3",
         "restrain": "5 0", "curvature": "no", "judge": "reference",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
-        "engine": "native", "cutoff": "2.5", "accuracy": "1e-3", "rigid_protein": "no",
+        "engine": "native", "device": "cpu", "cutoff": "2.5", "accuracy": "1e-3", "rigid_protein": "no",
         "model": "2", "assembly": "1", "altloc": "B", "keep": "ZN,CA",
         "disulfide": "A:3-A:40", "ph": "6.5", "strict": "Yes", "chain": "A, B", "energy": "nonbonded",
         "ligand": "ABC=CCO", "ligand_charges": "gasteiger", "standard_residues": "yes",
@@ -175,7 +176,7 @@ def test_cells_of_a_manifest_are_read_by_the_kind_of_their_setting():
         "methods": ("kcm", "lbfgs"), "tolerance": 2.0, "max_rmsd": 0.5, "max_evaluations": 7, "seed": 3,
         "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False, "judge": "reference",
         "hinges": "phi", "root": "free", "move": "resid 3:5", "forcefield": "amber19", "solvent": "gbn2",
-        "engine": "native", "cutoff": 2.5, "accuracy": 1e-3, "rigid_protein": False,
+        "engine": "native", "device": "cpu", "cutoff": 2.5, "accuracy": 1e-3, "rigid_protein": False,
         "model": 2, "assembly": "1", "altloc": "B", "keep": ("ZN", "CA"),
         "disulfide": (("A:3", "A:40"),), "ph": 6.5, "strict": True, "trust_forcefield": False,
         "terms": "nonbonded",

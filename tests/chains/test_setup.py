@@ -49,7 +49,7 @@ def test_commands_and_calls_have_the_same_defaults(command):
 @pytest.mark.parametrize("command", ["minimise", "compare", "simulate", "info", "batch"])
 def test_options_have_the_defaults_of_the_setup(command):
     own, setup = given(command), vars(pc.Setup())
-    shared = {*own} & {*setup} - ({"threads"} if command == "batch" else set())
+    shared = {*own} & {*setup} - {"batch": {"threads"}, "info": {"device"}}.get(command, set())
     assert {"hinges", "forcefield", "model", "altloc", "keep", "ph", "strict"} <= shared
     for name in shared:
         assert own[name] in (setup[name], None), name

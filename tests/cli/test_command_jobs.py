@@ -83,6 +83,7 @@ SIMULATED = {
     "friction": 1.0,
     "integrator": "leapfrog", "fixman": False, "loops": "open", "hydrogen_mass": None,
     "trajectory_length": 10, "every": 100, "seed": 0, "pull": None, "hinge_springs": (),
+    "restraint": (),
 }  # fmt: skip
 
 

@@ -173,7 +173,17 @@ def test_mujocos_sensors_say_the_same():
 
 def test_the_motion_by_names_is_that_of_the_run():
     run = arm().build().simulate(0.1, 0.05)
-    assert list(run.motion) == ["time", "h1", "h1 rate", "h2", "h2 rate", "h3", "h3 rate"]
+    assert list(run.motion) == [
+        "time",
+        "h1",
+        "h1 rate",
+        "h1 torque",
+        "h1 power",
+        "h2",
+        "h2 rate",
+        "h3",
+        "h3 rate",
+    ]
     assert np.array_equal(run.motion["h3 rate"], run.qd[:, 2])
 
 

@@ -237,7 +237,7 @@ def test_a_run_without_numbers_keeps_the_best_before(method):
         return value, f if calls < 12 else f * np.nan
 
     spoilt = Wrapped(energy("1l2y.pdb", engine="openmm"), spoil)
-    spoilt.reference = Wrapped(energy("1l2y.pdb").reference, spoil)
+    spoilt.exact = spoilt.reference = Wrapped(energy("1l2y.pdb").reference, spoil)
     r = pc.minimise(chain("1l2y.pdb"), spoilt, method, max_evaluations=300)
     assert np.isfinite(r.x).all() and r.end.energy < r.start.energy
     assert r.status == (Status.NON_FINITE if method == "kcm" else Status.STALLED)

@@ -41,7 +41,9 @@ def test_the_recipe_renders():
 
 
 def test_extras_are_those_that_are_named():
-    assert {"ligands", "pka", "cluster", "notebook", "test", "dev"} == {*PROJECT["optional-dependencies"]}
+    of_devices, of_work = {"cuda12", "cuda13", "hip"}, {"ligands", "pka", "umbrella", "robots", "cluster"}
+    named = {*of_devices, *of_work, "notebook", "test", "dev"}
+    assert named == {*PROJECT["optional-dependencies"]}
 
 
 @pytest.mark.parametrize("name", ["Containerfile", "protochain.def"])

@@ -45,7 +45,7 @@ def sizes_of(whole: NativeEnergy, x: Floats) -> tuple[float, float]:
 def evaluated(space: Space, of: NativeEnergy, q: Floats) -> Answer:
     """Energy and torques, or forces, of an evaluation, as minimisers make it."""
     at = evaluate(space, of, q)
-    return at.energy, at.torque
+    return at.energy, space.outward(at.x, at.torque) if isinstance(space, Cartesian) else at.torque
 
 
 def counted(of: NativeEnergy, chain: Chain | None = None) -> Counted:
