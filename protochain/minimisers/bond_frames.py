@@ -1,7 +1,7 @@
 """Frames that turn with the bonds of each atom, and steps that keep the lengths of bonds while they turn.
 
 Soft motions of all atoms are turns about bonds. What is known of the energy at one point, a model of the
-Hessian or a pair of L-BFGS, belongs to the directions that bonds have there: told in frames of the bonds it
+Hessian or a pair of L-BFGS, belongs to the directions that bonds have there: in frames of the bonds it
 holds for the turned molecule, too, as corotational finite elements have it. A straight step along a turn
 stretches bonds by half its square over their length, which costs more than the turn gains.
 """

@@ -138,7 +138,7 @@ def test_residues_in_trouble_and_their_neighbours_are_let_go_by_and_by(monkeypat
         assert each.springs.home is s.positions
         expected = np.full(s.n_residues, STIFF / k)
         expected[bonded], expected[40] = share * STIFF / k, 0.0
-        if k == 3:  # Let go before, in vain: what touches residue 15 gives way too.
+        if k == 3:  # Released before, in vain: what touches residue 15 gives way too.
             expected[touching(s, 15, done[1].x) & (expected == STIFF / k)] *= 0.1
             assert (expected == 0.1 * STIFF / k).sum() >= 2
         assert each.springs.weight[alpha] == pytest.approx(expected)
