@@ -60,7 +60,8 @@ def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviation
         + _placed(c, n, alpha, length, from_n, sign * round_n)
     )
     out = middle - alpha
-    out *= (length / np.linalg.norm(out, axis=1))[:, None]
+    out[~out.any(axis=1), 0] = 1.0  # Of atoms at one point, where no way is out.
+    out = length[:, None] * _unit(out)
     return Deviations(residue, np.linalg.norm(beta - alpha - out, axis=1))
 
 

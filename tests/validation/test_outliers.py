@@ -267,6 +267,8 @@ def test_c_beta_off_its_place_by_a_known_way():
     # As it turns with the molecule, so does its ideal place.
     turn = Rotation.from_rotvec([0.3, -0.2, 0.9]).as_matrix()
     assert cbeta_deviations(s, x @ turn.T + 1.0).deviation == pytest.approx(off, abs=1e-9)
+    # Of atoms at one point it is the length of the bond.
+    assert cbeta_deviations(s, np.zeros_like(x)).deviation == pytest.approx([1.536, 1.54, 1.53, 1.53])
 
 
 def test_side_chains_on_a_rotamer_are_none_of_the_outliers_and_half_way_between_two_are():
