@@ -1,9 +1,11 @@
 """``python analysis/bench [NAME] [IN...] [-o DIR]``: studies of proteins, scenes of mechanisms.
 
 Cases are right, refused or wrong. Exit status 1 if one is wrong, 2 for bad input.
+``python analysis/bench all`` makes every table of the pages anew; its options are those of benchmarks/all.py.
 """
 
 import argparse
+import importlib
 import sys
 from collections.abc import Sequence
 from inspect import signature
@@ -34,7 +36,9 @@ OPTIONS: dict[str, tuple[Any, str]] = {
 def parser() -> argparse.ArgumentParser:
     """Return the parser of the command."""
     own = argparse.ArgumentParser(prog="python analysis/bench", description=__doc__)
-    own.add_argument("name", nargs="?", metavar="NAME", help="a study or scene, or all; none lists them")
+    own.add_argument(
+        "name", nargs="?", metavar="NAME", help="a study or scene, or all tables; none lists them"
+    )
     own.add_argument("inputs", nargs="*", type=Path, metavar="IN", help="structures for a study")
     own.add_argument("-o", "--output", type=Path, default=Path("bench"), metavar="DIR")
     own.add_argument("--quick", action="store_true", help="small cases: seconds, or minutes of a study")
@@ -44,8 +48,12 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run studies or scenes, or list them; return the exit status."""
-    asked = parser().parse_intermixed_args(arguments)
+    """Run a study or scene, or every benchmark, or list them; return the exit status."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given[:1] == ["all"]:
+        sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+        return int(importlib.import_module("all").main(given[1:]))
+    asked = parser().parse_intermixed_args(given)
     own = {option: value for option in OPTIONS if (value := getattr(asked, option)) is not None}
     try:
         wrong = run(asked.name, asked.inputs, asked.output, asked.quick, **own)
@@ -58,36 +66,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(name: str | None, inputs: Sequence[Path], output: Path, quick: bool, **own: Any) -> list[str]:
-    """Run a study or scene, or all; return a line on each that is wrong."""
+    """Run a study or scene; return a line if it is wrong."""
     known = {**studies.STUDIES, **scenes.SCENES}
     if name is None:
         print("\n".join(f"{each:<{max(map(len, known))}}  {line}" for each, line in known.items()))
         return []
-    if name not in (*known, "all"):
+    if name not in known:
         raise ProtochainError(f"there is no study or scene {name!r}; choose from {', '.join(known)}")
-    chosen = list(known) if name == "all" else [name]
     check_writable(output / "any.csv")
     for source in inputs:
         if output.resolve() in source.resolve().parents:
             raise ProtochainError(f"{source}: lies in the folder for the results; give another with -o")
-    lines = []
-    for each in chosen:
-        folder = output / each if name == "all" else output
-        if each in scenes.SCENES:
-            if (own or inputs) and name != "all":
-                raise ProtochainError(
-                    f"{each}: a scene takes no files, and of the options only -o and --quick"
-                )
-            lines += _scene(each, folder, quick)
-        else:
-            lines += _study(each, inputs, folder, {"quick": quick, **own}, strict=name != "all")
-    return lines
+    if name in studies.STUDIES:
+        return _study(name, inputs, output, {"quick": quick, **own})
+    if own or inputs:
+        raise ProtochainError(f"{name}: a scene takes no files, and of the options only -o and --quick")
+    return _scene(name, output, quick)
 
 
-def _study(name: str, inputs: Sequence[Path], folder: Path, own: dict[str, Any], strict: bool) -> list[str]:
+def _study(name: str, inputs: Sequence[Path], folder: Path, own: dict[str, Any]) -> list[str]:
     module = studies.study(name)
     known = signature(module.run).parameters
-    if strict and (other := next((option for option in own if option not in known and own[option]), None)):
+    if other := next((option for option in own if option not in known and own[option]), None):
         raise ProtochainError(f"{other}: study {name!r} has no such option")
     wrong = 0
     for table in module.run(folder, inputs, **{option: own[option] for option in own if option in known}):

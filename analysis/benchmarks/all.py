@@ -1,16 +1,18 @@
 """Every table of results, made again, and the pages that quote them.
 
-    python analysis/benchmarks/all.py [--minutes N] [--again] [--quick] [--only NAME ...] [-o DIR]
-                                      [--more FOLDER] [--list]
+    python analysis/bench all [--minutes N] [--again] [--quick] [--only NAME ...] [-o DIR]
+                              [--more FOLDER] [--list]
 
 Runs the commands of JOBS one after the other, each in a process of its own. One that fails stops nothing; it
 is named at the end, and the exit status is 1. Tables go to analysis/results, and into the pages; with -o DIR
-to DIR, and pages made from them to DIR/pages. Run it on a machine that does nothing else.
+to DIR, and pages made from them to DIR/pages. Before each it waits until other programs leave the processors
+idle, half an hour at most.
 
 A job is left out if all its tables were made by its command from the code of today, as made.csv has it,
-without changes that were not committed; --again repeats it. With --minutes, no job is begun that would not
-end in that time, and one that keeps what it has done is stopped at its end: call it again until the exit
-status is no longer 3, and all tables are of one state of the code. --list shows which are.
+without changes that were not committed; --again repeats it. So a call after one that was stopped goes on
+where it was. With --minutes, no job is begun that would not end in that time, and one that keeps what it has
+done is stopped at its end: call it again until the exit status is no longer 3, and all tables are of one
+state of the code. --list shows which are.
 
 MORE stands for a folder of further structures (--more), which are not in the repository; KEPT for one of what
 a long job has done, below analysis/results/parts, of the commit.
@@ -32,6 +34,7 @@ from time import monotonic
 import made
 import pages
 import pandas as pd
+import psutil
 from made import DOCS, HELD_OUT, MORE, RESULTS, ROOT
 
 
@@ -296,6 +299,7 @@ def run(job: Job, output: Path, more: Path, quick: bool, seconds: float | None =
         place = (kept if job.continues else Path(scratch) / "out") if job.collects else output
         words = words_of(job, place, more, quick, kept)
         path = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+        began = monotonic()
         status = called(words, os.environ | {"PYTHONPATH": path}, seconds if job.continues else None)
         if status is None:
             return None
@@ -311,7 +315,8 @@ def run(job: Job, output: Path, more: Path, quick: bool, seconds: float | None =
             table = pd.read_csv(place / name)
             table = table[list(columns)] if columns else table
             threads = job.threads or len(os.sched_getaffinity(0))
-            made.write(table, output / kept_as, job.inputs, threads, words)
+            each = (monotonic() - began) / len(job.tables)
+            made.write(table, output / kept_as, job.inputs, threads, words, each)
         missing = [name for name in job.tables if not (quick or (output / name).exists())]
         return f"wrote no {missing[0]}" if missing else ""
 
@@ -326,6 +331,17 @@ def called(words: list[str], env: dict[str, str], seconds: float | None) -> int 
         finally:
             if process.poll() is None:
                 os.killpg(process.pid, signal.SIGKILL)
+
+
+IDLE, PATIENCE = 0.2, 1800.0
+"""Share of the processors that others may use, and how many seconds it waits for that."""
+
+
+def wait_until_idle() -> None:
+    """Wait while other programs use the processors."""
+    until = monotonic() + PATIENCE
+    while (used := psutil.cpu_percent(2.0) / 100.0) > IDLE and monotonic() < until:
+        print(f"other programs use {used:.0%} of the processors", end="\r", flush=True)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -354,8 +370,9 @@ def chosen(only: list[str] | None) -> list[Job]:
     return [job for job in JOBS if any(job.name == n or job.name.startswith(f"{n}-") for n in only)]
 
 
-def main() -> None:
-    options = parser().parse_args()
+def main(words: list[str] | None = None) -> int:
+    """Run what is to be done; exit status 1 if a job failed, 3 if one is left."""
+    options = parser().parse_args(words)
     jobs = chosen(options.only)
     output, more = (options.output or RESULTS).absolute(), options.more.absolute()
     done = {job.name for job in jobs if not options.quick and is_done(job, output, more)}
@@ -365,7 +382,7 @@ def main() -> None:
             print(f"{job.name:<16} {job.minutes:>3g} min  {state:<5} {job.command}")
         to_do = sum(job.minutes for job in jobs if job.name not in done)
         print(f"{'all':<16} {to_do:>3g} min  to do; MORE: {MORE.name}, by --more FOLDER")
-        return
+        return 0
     if options.quick and not options.output:
         sys.exit("with --quick, say where its tables go: -o DIR; they are not what pages quote")
     failed, left = {}, {}
@@ -383,8 +400,10 @@ def main() -> None:
             left[job.name] = f"takes {job.minutes:g} min, in parts"
         if job.name in left:
             continue
+        if not options.quick:
+            wait_until_idle()
         print(f"\n=== {job.name}: {(options.quick and job.quick) or job.command}", flush=True)
-        why = run(job, output, more, options.quick, None if until == float("inf") else until - began)
+        why = run(job, output, more, options.quick, None if until == float("inf") else until - monotonic())
         if why is None:
             left[job.name] = "goes on where it was stopped"
         elif why:
@@ -396,8 +415,8 @@ def main() -> None:
         print(f"failed: {name}: {why}", file=sys.stderr)
     for name, why in left.items():
         print(f"left: {name}: {why}", file=sys.stderr)
-    sys.exit(1 if failed else 3 if left else 0)
+    return 1 if failed else 3 if left else 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 import pandas as pd
@@ -29,6 +30,8 @@ HELD_OUT = (
 RESULTS = ROOT / "analysis" / "results"
 DOCS = ROOT / "analysis" / "docs"
 RECORD = "made.csv"
+_last = monotonic()
+"""When this process began, or wrote its last table."""
 LIBRARIES = ("protochain", "openmm", "numpy", "scipy", "numba", "gemmi", "pin", "dartpy")
 
 
@@ -74,18 +77,22 @@ def write(
     inputs: Iterable[object] = (),
     threads: int = 1,
     by: list[str] | None = None,
+    seconds: float | None = None,
 ) -> None:
-    """Write a table as CSV, and in made.csv beside it command, commit, machine, versions and inputs.
+    """Write a table as CSV, and in made.csv beside it command, commit, machine, seconds, versions and inputs.
 
     A commit whose tree had other changes is marked "and changes"; inputs are named without their folders.
-    The command is that of this process, or ``by``.
+    The command is that of this process, or ``by``; seconds are those since its last table, or ``seconds``.
     """
+    global _last
+    if seconds is None:
+        seconds, _last = monotonic() - _last, monotonic()
     path.parent.mkdir(parents=True, exist_ok=True)
     table.to_csv(path, index=False)
     row = {
         "table": path.name, "command": command(by), "commit": COMMIT,
         "machine": f"{processor()}, {len(os.sched_getaffinity(0))} cores", "threads": threads,
-        "load": round(os.getloadavg()[1], 1),
+        "load": round(os.getloadavg()[1], 1), "seconds": round(seconds, 1),
         "versions": ", ".join(f"{name} {found}" for name in LIBRARIES if (found := _version(name))),
         "inputs": " ".join(Path(str(given)).name for given in inputs),
     }  # fmt: skip
@@ -152,7 +159,14 @@ def kept_rows(path: Path, make: Callable[[], Iterable[Mapping[str, object]] | pd
     return pd.read_csv(path)
 
 
-CODE = (".", ":!analysis/results", ":!analysis/docs", ":!*.md")
+CODE = (
+    "protochain",
+    "analysis/bench",
+    "analysis/benchmarks",
+    "tests/fixtures",
+    "structures",
+    "pyproject.toml",
+)
 """What tables are made from, as git takes it: not results and pages, which change meanwhile."""
 
 

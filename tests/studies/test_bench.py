@@ -34,16 +34,17 @@ def test_without_a_name_it_lists(ran, capsys):
     assert capsys.readouterr().out == "one    first\ntwo    second\nthree  third\n"
 
 
-def test_all_runs_each_in_a_folder_of_its_own(ran, tmp_path, capsys):
-    assert main(["all", "-o", str(tmp_path), "--quick"]) == 1
-    assert ran == [*((name, tmp_path / name, [], True) for name in ("one", "two")), ("three", True, False)]
+def test_a_scene_that_is_wrong_is_said(ran, tmp_path, capsys):
+    assert main(["three", "-o", str(tmp_path), "--quick"]) == 1
+    assert ran == [("three", True, False)]
     printed = capsys.readouterr()
-    assert "a b\n 1 x" in printed.out and "odd" in printed.out and "odd" in printed.err
-    assert (tmp_path / "three" / "checks.csv").exists()
+    assert "odd" in printed.out and "odd" in printed.err
+    assert (tmp_path / "checks.csv").exists()
 
 
 def test_a_study_gets_files_and_the_options_it_has(ran, tmp_path, capsys):
     assert main(["two", "a.pdb", "-o", str(tmp_path)]) == 0
+    assert "a b\n 1 x" in capsys.readouterr().out
     assert ran == [("two", tmp_path, [Path("a.pdb")], False)]
     assert main(["two", "--jobs", "2"]) == 2 and "jobs" in capsys.readouterr().err
 
