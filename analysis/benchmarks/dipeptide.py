@@ -235,9 +235,9 @@ def report(runs: Runs, exact: dict[tuple[str, str], float], known: tuple, output
 
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__)
-    own.add_argument("--seeds", type=int, default=8)
-    own.add_argument("--ns", type=float, default=5.0, help="of each run of OpenMM")
-    own.add_argument("--trajectories", type=int, default=20_000, help="of each run of hybrid Monte Carlo")
+    own.add_argument("--seeds", type=int, default=4)
+    own.add_argument("--ns", type=float, default=2.0, help="of each run of OpenMM")
+    own.add_argument("--trajectories", type=int, default=10_000, help="of each run of hybrid Monte Carlo")
     own.add_argument("--kept", type=Path, metavar="FOLDER", help="of runs, not to be repeated")
     return own
 

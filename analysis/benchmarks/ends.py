@@ -81,7 +81,7 @@ def rows(structure: pc.Structure, name: str, energy: Energy, seed: int) -> list[
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__)
     own.add_argument("structures", nargs="*", type=Path, default=[SAMPLES / "1l2y.pdb"])
-    own.add_argument("--starts", type=int, default=20, help="of each structure")
+    own.add_argument("--starts", type=int, default=5, help="of each structure")
     own.add_argument("--kept", type=Path, metavar="FOLDER", help="of starts, not to be run again")
     return own
 

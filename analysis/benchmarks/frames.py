@@ -230,7 +230,7 @@ STUDIES = {"speed": speed, "memory": memory}
 
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", STUDIES, more=True)
-    own.add_argument("--frames", type=int, default=1000, help="of the ensemble made by dynamics")
+    own.add_argument("--frames", type=int, default=200, help="of the ensemble made by dynamics")
     own.add_argument("--sample", type=int, default=10, help="frames that OpenMM relaxes")
     return own
 

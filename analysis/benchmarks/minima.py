@@ -1,13 +1,10 @@
-"""Search for low minima in torsions: three methods beside scipy's, populations, and what a step costs.
+"""Search for low minima in torsions: three methods beside scipy's, and what a step costs.
 
     python analysis/benchmarks/minima.py [STUDY ...] [-o DIR] [--quick] [--evaluations N] [--seeds N]
 
-found: Met-enkephalin (YGGFM, ff14SB, OBC2) from the extended chain, by ten walks of each method, and by
+found: Met-enkephalin (YGGFM, ff14SB, OBC2) from the extended chain, by five walks of each method, and by
 scipy's basinhopping and dual_annealing on the same energy and torques, with as many evaluations each. A walk
 succeeds where it comes within 0.5 kJ/mol of the lowest that any of them found.
-populations: decaalanine by tempering, from the extended chain and from a helix.
-folds: chignolin CLN025 and Trp-cage from the extended chain in GBn2, five walks; the
-lowest of each, and the native, minimised with all atoms free.
 truth: trialanine with two hinges against quadrature.
 cost: processor time of a round of replica exchange in torsions, and of one by OpenMM of all atoms.
 """
@@ -35,8 +32,7 @@ from protochain.energies import constrain_hydrogens
 KT = 300.0 * constants.R / 1000.0
 NEAR = 0.5
 """kJ/mol above the lowest that any walk found."""
-PEPTIDE, HELIX = "YGGFM", "AAAAAAAAAA"
-FOLDS = {"chignolin": ("5awl.pdb", "YYDPETGTWY"), "Trp-cage": ("1l2y.pdb", "NLYIQWLKDGGPSSGRPPPS")}
+PEPTIDE = "YGGFM"
 TEMPERATURES = {"csa": "300-600", "hopping": "300-600", "tempering": "300-600"}
 TRAJECTORY = 20
 """Steps between exchanges in torsions."""
@@ -138,63 +134,6 @@ def found(options: argparse.Namespace) -> pd.DataFrame:
             "lowest_kj_mol": ends.min() + lowest, "above_lowest_median_kj_mol": np.median(ends),
             "above_lowest_worst_kj_mol": ends.max(), "seconds_of_a_core": seconds[method],
         })  # fmt: skip
-    return pd.DataFrame(rows)
-
-
-def helical(chain: pc.Chain) -> pc.Structure:
-    """Structure with the phi and psi of an alpha helix, -63 and -42 degrees, in all residues."""
-    q = chain.q0.copy()
-    for hinge, at in zip(chain.hinges, chain.tree.q_start[chain.hinge_body], strict=True):
-        q[at] = np.deg2rad({"phi": -63.0, "psi": -42.0}[hinge.kind])
-    return chain.structure.with_positions(pc.pose(chain, q).x)
-
-
-def populations(options: argparse.Namespace) -> pd.DataFrame:
-    """Decaalanine by tempering, from the extended chain and from a helix: both have to agree."""
-    extended = pc.from_sequence(HELIX[: 5 if options.quick else None])
-    starts = {"extended": extended, "helix": helical(pc.build_chain(extended))}
-    with ProcessPoolExecutor(CORES, get_context("spawn")) as pool:
-        tables = pool.map(tempered, starts, starts.values(), [options.quick] * len(starts))
-        return pd.concat(tables)
-
-
-def tempered(name: str, start: pc.Structure, quick: bool) -> pd.DataFrame:
-    """Populations by one walk from a start."""
-    done = pc.search(
-        start, pc.energy(start, threads=1), "tempering", 13_000 if quick else 4_000_000, n_walkers=1,
-        n_replicas=3 if quick else 4, pilot=120 if quick else 9000,
-    )  # fmt: skip
-    table = done.populations
-    table.insert(0, "start", name)
-    table["round_trips"] = done.record()["round_trips"]
-    table["evaluations"] = done.n_evaluations
-    table["lowest_kj_mol"] = done.energy
-    table["helix_share_of_lowest"] = done.minima.loc[0, "helix_share"]
-    return table
-
-
-def folds(options: argparse.Namespace) -> pd.DataFrame:
-    """Chignolin and Trp-cage: what is lowest, chosen by energy alone, beside the native."""
-    seeds, budget = (2, 1000) if options.quick else (5, options.short)
-    rows = []
-    for name, (file, sequence) in FOLDS.items():
-        native, structure = pc.load(made.SAMPLES / file), pc.from_sequence(sequence)
-        chain, energy = pc.build_chain(structure), pc.energy(structure, solvent="gbn2", threads=1)
-        began = sum(os.times()[:4])
-        done = pc.search(chain, energy, "csa", budget * seeds, n_walkers=seeds, workers=WORKERS)
-        spent = (sum(os.times()[:4]) - began) / seeds / 60.0
-        own = pc.energy(native, solvent="gbn2", threads=1)
-        reference = pc.minimise(native, own, "hybrid").end.energy
-        for walker, its in enumerate(done.findings):
-            low = its.minima[np.argmin(its.minima[:, 1])]
-            start = structure.with_positions(pc.pose(done.chain, low[2:]).x)
-            end = pc.minimise(start, energy, "hybrid")
-            rows.append({
-                "protein": name, "walk": walker, "minutes_of_a_core": spent,
-                "evaluations": int(its.minima[-1, 0]), "in_torsions_kj_mol": low[1],
-                "energy_kj_mol": end.end.energy, "native_kj_mol": reference,
-                "ca_rmsd_to_native_angstrom": pc.rmsd(end.structure, native),
-            })  # fmt: skip
     return pd.DataFrame(rows)
 
 
@@ -301,8 +240,6 @@ class Exchange:
 
 TABLES = {
     "found": found,
-    "populations": populations,
-    "folds": folds,
     "truth": truth,
     "cost": cost,
 }
@@ -310,9 +247,8 @@ TABLES = {
 
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", TABLES)
-    own.add_argument("--evaluations", type=int, default=160_000, help="of each walk")
-    own.add_argument("--seeds", type=int, default=10, help="walks of each method")
-    own.add_argument("--short", type=int, default=200_000, help="evaluations of each walk of folds")
+    own.add_argument("--evaluations", type=int, default=120_000, help="of each walk")
+    own.add_argument("--seeds", type=int, default=5, help="walks of each method")
     return own
 
 

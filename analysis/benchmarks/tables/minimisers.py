@@ -322,43 +322,6 @@ table_of_rows(
 # The stiffness model
 
 
-@table("metric", "metric.csv")
-def metric(rows: pd.DataFrame) -> str:
-    """Springs over near terms, medians."""
-    costs = [f"{cost}_to_{above}" for above in (10, 1) for cost in ("evaluations", "seconds")]
-    of = {name: part.set_index(["structure", "method"])[costs] for name, part in rows.groupby("metric")}
-    medians = (of["springs"] / of["near terms"]).groupby("method").median()
-    heads = (f"{cost} to {above} kJ/mol" for above in (10, 1) for cost in ("evaluations", "seconds"))
-    shown = markdown(("method", *heads), ((f"`{m}`", *map(ratio, row)) for m, row in medians.iterrows()))
-    ends = rows.pivot_table(index=["method", "structure"], columns="metric", values="end_kj_mol")
-    above = (ends["near terms"] - ends["springs"]).groupby("method")
-    ranges = ", ".join(f"{v.median():+.1f} ({v.min():+.0f} to {v.max():+.0f}) `{m}`" for m, v in above)
-    said = paragraph(
-        f"Medians over {rows['structure'].nunique()} structures of the cost with springs divided by that with"
-        " near terms, to within 10 and 1 kJ/mol per 100 residues of the end; seconds are CPU seconds on one"
-        " thread:"
-    )
-    ended = paragraph(
-        "The two end in different minima. Energies with near terms minus those with springs, kJ/mol, medians"
-        f" and ranges: {ranges}."
-    )
-    return f"{said}\n{shown}\n{ended}"
-
-
-@table("polar", "polar.csv")
-def polar(rows: pd.DataFrame) -> str:
-    """Energy gained by polar rotors, and evaluations, medians and quartiles."""
-    gained = (rows["end_polar_kj_mol"] - rows["end_usual_kj_mol"]) / rows["residues"]
-    cost = rows["evaluations_polar"] / rows["evaluations_usual"]
-    more = rows["bonds_polar"] - rows["bonds_usual"]
-    lines = []
-    for method, part in rows.groupby("method"):
-        quartiles = (each[part.index].quantile([0.5, 0.25, 0.75]) for each in (gained, cost, more))
-        lines.append((f"`{method}`", *(f"{m:.2g} ({low:.2g} to {high:.2g})" for m, low, high in quartiles)))
-    heads = ("method", "kJ/mol a residue", "evaluations, with over without", "hydrogen bonds more")
-    return markdown(heads, lines)
-
-
 @table("compliance-evaluations", "compliance_evaluations.csv")
 def compliance_evaluations(rows: pd.DataFrame) -> str:
     """Evaluations to 1 kJ/mol/rad."""
@@ -466,25 +429,6 @@ table_of_rows(
     ("median walk above it", "{above_lowest_median_kj_mol:.1f}"),
     ("worst", "{above_lowest_worst_kj_mol:.1f}"),
     ("seconds a walk", "{seconds_of_a_core:.0f}"),
-)  # fmt: skip
-table_of_rows(
-    "minima-populations", "minima_populations.csv",
-    ("start", "{start}"),
-    ("temperature, K", "{temperature_k:.0f}"),
-    ("energy, kJ/mol", "{energy_kj_mol:.1f} ± {energy_error_kj_mol:.1f}"),
-    ("helix, %", lambda row: f"{100 * row['helix_share']:.1f} ± {100 * row['helix_share_error']:.1f}"),
-    ("exchanges, %", lambda row: "-" if np.isnan(row["exchanges"]) else f"{100 * row['exchanges']:.0f}"),
-    ("slope", _slope),
-)  # fmt: skip
-table_of_rows(
-    "minima-folds", "minima_folds.csv",
-    ("protein", "{protein}"),
-    ("walk", "{walk}"),
-    ("evaluations", "{evaluations:,.0f}"),
-    ("minutes of a core", "{minutes_of_a_core:.1f}"),
-    ("all atoms minimised, kJ/mol", "{energy_kj_mol:.0f}"),
-    ("above the native", lambda row: f"{row['energy_kj_mol'] - row['native_kj_mol']:.0f}"),
-    ("C-alpha RMSD to the native, angstrom", "{ca_rmsd_to_native_angstrom:.1f}"),
 )  # fmt: skip
 table_of_rows(
     "minima-truth", "minima_truth.csv",
