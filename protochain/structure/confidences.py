@@ -169,6 +169,8 @@ def _read(path: Path) -> dict[str, Any]:
             return {}
         if path.suffix == ".npz":
             with np.load(path) as file:
+                if sum(member.file_size for member in file.zip.infolist()) > _LARGEST_READ:
+                    return {}
                 return {name: file[name].squeeze().tolist() for name in {*file} & {"iptm", *_OF_PAIRS, "pae"}}
         noted = json.loads(path.read_text(encoding="utf-8"))
         noted = noted[0] if isinstance(noted, list) and noted else noted
@@ -182,4 +184,4 @@ _OF_PAIRS = ("chain_pair_iptm", "pair_chains_iptm", "per_chain_pair_iptm", "pair
 _OF_ERRORS = ("pae", "token_pair_pae", "predicted_aligned_error")
 """Names of the errors of pairs of tokens: of most, of Protenix, and of AlphaFold 2."""
 _LARGEST_READ = 200_000_000
-"""Bytes: some 4000 tokens."""
+"""Bytes, unpacked: some 4000 tokens."""

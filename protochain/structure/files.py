@@ -165,6 +165,8 @@ def _refuse_many(data: bytes, source: str) -> None:
         )
     if n_lines > _FEW_LINES and len(data) < _SHORTEST * n_lines:
         raise StructureError(f"{source}: {n_lines} lines are nearly all empty; give PDB or mmCIF text")
+    if max(map(len, data.splitlines()), default=0) > _LONGEST:
+        raise StructureError(f"{source}: a line has over {_LONGEST} characters; give PDB or mmCIF text")
     if n_lines <= MAX_ATOMS:
         return
     n, model, column, in_loop = 0, b"", 0, False
@@ -182,8 +184,8 @@ def _refuse_many(data: bytes, source: str) -> None:
                 raise StructureError(f"{source}: more than {MAX_ATOMS} atoms; give fewer chains")
 
 
-_FEW_LINES, _SHORTEST = 1_000_000, 8
-"""Lines up to which empty ones are read; mean bytes of more."""
+_FEW_LINES, _SHORTEST, _LONGEST = 1_000_000, 8, 1_000_000
+"""Lines up to which empty ones are read; mean bytes of more; most characters of one."""
 _BYTES = MAX_MEGABYTES << 20
 _HEAD = 400
 """Bytes within which a BinaryCIF file, a map of MessagePack, names its program, version and blocks."""

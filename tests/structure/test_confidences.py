@@ -1,14 +1,17 @@
 """What predictors write beside a model goes with its result."""
 
+import io
 import json
 import shutil
+import zipfile
 
+import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import run
 from fixtures.samples import ROOT, STRUCTURES
 
-from protochain.structure.confidences import confidence_files, copy_confidences
+from protochain.structure.confidences import confidence_files, confidence_in, copy_confidences
 
 SAMPLE = STRUCTURES / "1l2y.pdb"
 MODELS = ROOT.parent / "shared" / "complexes" / "models"
@@ -69,6 +72,18 @@ def test_what_is_too_large_is_told(boltz, tmp_path):
         file.truncate(1_000_000_001)
     copied = copy_confidences(boltz, tmp_path / "out" / "y.cif")
     assert len(copied.written) == 1 and "pae_x_model_0.npz" in copied.left[0]
+
+
+@pytest.mark.parametrize("unpacked", [100, 400_000_000])
+def test_what_unpacks_to_too_much_is_not_read(tmp_path, unpacked):
+    """A file of kilobytes may hold gigabytes of zeros."""
+    path = tmp_path / "scores.model_idx_1.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
+        array = io.BytesIO()
+        np.save(array, np.float64(0.5))
+        file.writestr("iptm.npy", array.getvalue())
+        file.writestr("other", b"0" * unpacked)
+    assert confidence_in([path]).iptm == (0.5 if unpacked == 100 else None)
 
 
 def test_commands_take_them_along(boltz, tmp_path, capsys):

@@ -241,6 +241,9 @@ def test_too_much_is_refused(tmp_path, monkeypatch):
     (tmp_path / "lines.pdb.gz").write_bytes(gzip.compress(b"\n" * 30_000_000))
     with pytest.raises(pc.ProtochainError, match="more than 8 million lines"):
         parse(tmp_path / "lines.pdb.gz")
+    (tmp_path / "one.cif").write_bytes(b"data_x\nloop_\n_atom_site.id\n" + b"1 " * 600_000)
+    with pytest.raises(pc.ProtochainError, match="a line has over 1000000 characters"):
+        parse(tmp_path / "one.cif")
     monkeypatch.setattr("protochain.structure.files._BYTES", 1000)
     with pytest.raises(pc.ProtochainError, match="larger than"):
         parse(STRUCTURES / "1l2y.pdb")
