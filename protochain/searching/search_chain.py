@@ -36,7 +36,7 @@ from protochain.searching.result import Search
 from protochain.searching.search_settings import SearchRunSettings, SearchSettings
 from protochain.searching.tempering import Replicas
 
-_ATTEMPTS = 3
+_ATTEMPTS = 5
 """At a piece whose process ends: memory that ran out may be there the next time."""
 _POLL = 0.2
 """s between looks whether there was an interrupt."""

@@ -3,7 +3,9 @@
 import json
 import os
 import signal
+from concurrent.futures import Future
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -14,7 +16,7 @@ from protochain.batches import cluster
 from protochain.searching import csa, search_chain
 from protochain.searching.hopping import ADAPTED, metropolis
 from protochain.searching.landscape import Descended, Landscape
-from protochain.searching.pieces import advance, read_piece, write_piece
+from protochain.searching.pieces import Done, Finding, advance, read_piece, write_piece
 from protochain.searching.search_settings import SearchSettings
 
 SMALL = {"n_walkers": 2, "seed": 3}
@@ -307,6 +309,39 @@ def test_however_short_the_time_a_walk_begins(workers, peptide):
     found = pc.search(*peptide, "hopping", hours=1e-12, workers=workers, **SMALL)
     assert not found.interrupted and sum(state is not None for state in found.states) == 1
     assert len(found.minima) >= 1
+
+
+@pytest.mark.parametrize("lost", [4, 5])
+def test_a_search_outlives_lost_pieces_in_a_row_but_not_the_same_for_ever(lost, tmp_path):
+    """Of two walkers, one whose process ends so often before its piece is done."""
+    handed, ends, found = [], [], []
+    walks = SimpleNamespace(states=[None, None], have_begun=True, wants=lambda walker, _: walker not in found)
+
+    class Pieces:
+        def __len__(self):
+            return len(handed)
+
+        def submit(self, piece):
+            handed.append(piece)
+
+        def ended(self, _):
+            piece, future = handed.pop(0), Future()
+            ends.append(piece.walker)
+            is_lost = piece.walker == 1 and ends.count(1) <= lost
+            future.set_result([Done(piece.walker, None, None if is_lost else Finding.none(1), "killed")])
+            return piece, future
+
+    def search():
+        return search_chain._hand_out(
+            walks, tmp_path, Pieces(), 1.0, lambda: 9.0, lambda walker, *_: found.append(walker), ()
+        )
+
+    if lost == 4:
+        assert not search()
+    else:
+        with pytest.raises(pc.ProtochainError, match="walker 1: killed"):
+            search()
+    assert ends.count(1) == 5 and found == [0, 1][: 6 - lost]
 
 
 def test_what_a_killed_search_has_left_is_removed(peptide, tmp_path):
