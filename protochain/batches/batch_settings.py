@@ -82,7 +82,7 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
     try:
         text = json.loads(path.read_text(encoding="utf-8"))
         settings, structures = dict(text["settings"]), dict(text["structures"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ProtochainError(
             f"{path}: holds no settings of a batch ({error}); give another folder"
         ) from None

@@ -57,6 +57,6 @@ def _structures(folder: Path) -> list[str]:
         summary = json.loads((folder / _SUMMARY).read_text(encoding="utf-8"))
         ends = [Path(row["output"]) for row in summary["results"] if row["output"]]
         starts = [Path(f"{summary['structure']}.start{suffix}") for suffix in _SUFFIXES]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return []
     return [path.name for path in (*ends, *starts) if path.suffix in _SUFFIXES]

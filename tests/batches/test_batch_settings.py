@@ -130,6 +130,23 @@ def test_settings_of_structures_that_are_left_out_are_kept(tmp_path, monkeypatch
     assert go(first, second, resume=True) == [] and rows_of(output) == before
 
 
+@pytest.mark.parametrize(
+    "damaged",
+    [b"", b"[]", b"\0" * 99, b"[" * 100_000, b'{"settings": 1' + b"1" * 5000 + b"}", "{}".encode("utf-16")],
+    ids=["empty", "a list", "NULs", "deep", "a long number", "UTF-16"],
+)
+def test_damaged_settings_of_a_folder_are_refused_in_a_line(damaged, tmp_path, monkeypatch):
+    usual = (STRUCTURES / "ala10.pdb",), tmp_path, monkeypatch
+    assert start_without_work(*usual, methods="lbfgs") == ["ala10"]
+    before = rows_of(tmp_path)
+    (tmp_path / "settings.json").write_bytes(damaged)
+    with pytest.raises(
+        pc.ProtochainError, match=r"^[^\n]*settings.json: holds no settings[^\n]*$"
+    ):
+        start_without_work(*usual, methods="lbfgs", resume=True)
+    assert rows_of(tmp_path) == before and (tmp_path / "settings.json").read_bytes() == damaged
+
+
 def test_a_folder_relaxed_by_an_older_protochain_is_left_alone(tmp_path):
     """Its settings had no methods, and its structures other names."""
     (tmp_path / "relaxed.csv").write_text("structure,input,model,output,key,method,status\n")
