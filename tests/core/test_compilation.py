@@ -363,11 +363,15 @@ def test_nothing_of_the_current_folder_is_run_or_trusted(tmp_path):
     )
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
 
-    def seen(**more):
+    def seen(program=program, **more):
         done = subprocess.run(
             own_python(program), cwd=tmp_path, env=environment | more, capture_output=True, text=True
         )
         return done.stdout.strip() or done.stderr
 
+    # matplotlib reads the folder's settings: typesetting by LaTeX fails where there is none.
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\n")
+    usetex = "import matplotlib, protochain.core.figure; print(matplotlib.rcParams['text.usetex'])"
+    assert seen(program=usetex) == "False"
     assert seen() == "''"
     assert seen(NUMBA_CACHE_DIR=str(tmp_path / "own")) == repr(str(tmp_path / "own"))

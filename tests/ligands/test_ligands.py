@@ -524,6 +524,7 @@ def test_bad_files_are_refused_in_one_line(tmp_path):
         (text + text, "has 2 molecules"),
         ("", "has 0 molecules"),
         (text.replace("   14.5300", "       nan"), "not finite|can be read"),
+        (text.replace("   14.5300", "200000.000"), "beyond 100000 angstrom"),
         ("some text\n", "can be read"),
         (text.replace(" N   0", " Xq  0"), "can be read|no molecule"),
     ):

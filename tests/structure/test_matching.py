@@ -160,6 +160,12 @@ def test_a_tm_score_is_normalised_by_the_reference_and_needs_three_residues():
     assert tm_score(three, three) == pytest.approx(1.0)
     assert module._trace(reference, reference.alpha_carbons)[1] == "ACDEFGHIKLX"
     assert np.isnan(tm_score(three, two)) and np.isnan(tm_score(two, three))
+    # The time of TM-align grows with the extent, which no assembly has.
+    x = reference.positions.copy()
+    x[reference.alpha_carbons[-1], 0] += 150.0
+    assert np.isnan(tm_score(reference.with_positions(x), model))
+    x[reference.alpha_carbons[-1], 0] -= 100.0
+    assert tm_score(reference.with_positions(x), model) > 0.0
 
 
 def test_a_record_names_its_units():
