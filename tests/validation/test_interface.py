@@ -2,6 +2,7 @@
 
 import copy
 import functools
+import io
 import json
 import shutil
 from dataclasses import replace
@@ -479,8 +480,10 @@ def test_fewer_clashes_and_more_bonds_rank_first(by, three, capsys):
     assert by != "clashes" or values[0] < values[1]
 
 
-def test_lower_energies_rank_first_and_named_sides_alone_are_scored(three, capsys):
-    run("score", three / "3i40.pdb", three / "1ysa.pdb", "--interface", "A:B", "--rank", "energy_kj_mol",
+def test_lower_energies_rank_first_and_named_sides_alone_are_scored(three, capsys, monkeypatch):
+    """Of a file and of standard input, which other processes could not read."""
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO((three / "1ysa.pdb").read_bytes())))
+    run("score", three / "3i40.pdb", "-", "--interface", "A:B", "--rank", "energy_kj_mol",
         "--solvent", "vacuum", "--json")  # fmt: skip
     told = json.loads(capsys.readouterr().out)["results"]
     energies = [row["energy_kj_mol"] for row in told]
