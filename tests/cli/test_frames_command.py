@@ -94,6 +94,12 @@ def test_frames_of_which_none_can_be_used_are_a_failure(here):
     assert not (here / "o.dcd").exists() and len(pd.read_csv("o.csv")) == 1
 
 
+def test_frames_that_are_written_though_none_converged_are_no_failure(here):
+    given = ("relax", "top.pdb", "--trajectory", "x.dcd", "--frames", "0", "-o", "o.dcd")
+    assert run(*given, "--max-iterations", "1") == 3
+    assert (here / "o.dcd").exists() and pd.read_csv("o.csv")["status"].tolist() == ["budget"]
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
