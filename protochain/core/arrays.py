@@ -49,13 +49,9 @@ def frozen(array: Floats) -> Floats:
 
 
 def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "") -> Floats:
-    """Return a contiguous read-only float64 view of values that have the given shape.
-
-    A Quantity of OpenMM is converted to the unit, where one is given.
-
-    Kernels do not check shapes. And numba compiles writable and read-only arrays separately, but may call
-    either code for either, whichever was compiled first: rounding would depend on earlier calls.
-    """
+    """Return a contiguous read-only float64 view of values, of a shape, and in a unit if given."""
+    # Kernels do not check shapes. And numba compiles writable and read-only arrays separately, but may call
+    # either code for either, whichever was compiled first: rounding would depend on earlier calls.
     if hasattr(values, "value_in_unit"):
         if not unit:
             raise ProtochainError(f"{name} has a unit; give numbers, without a unit")

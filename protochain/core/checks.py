@@ -288,10 +288,7 @@ Bond = tuple[str, str] | Literal["none"]
 
 
 def bonds(given: Any, name: str) -> tuple[Bond, ...]:
-    """Read bonds, each ``("A:3", "A:40")``, ``"A:3-A:40"`` or ``"none"``, or all in one text with commas.
-
-    None is no bond. An empty sequence, which once was what ``"none"`` is, is refused.
-    """
+    """Read bonds, ``("A:3", "A:40")``, ``"A:3-A:40"``, ``"none"``, or a text of all; none empty."""
     if given is None:
         return ()
     each = words(given, name) if isinstance(given, str) else given

@@ -12,13 +12,10 @@ _MAKE_SPACE = "free space there, or give another place, and run again"
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument in a message; its text is that of Python, as ``time_step`` or ``keep="all"``.
-
-    value: What to give.
-    """
+    """An argument in a message; its text is that of Python, as ``time_step`` or ``keep="all"``."""
 
     name: str
-    value: str | bool | None = None
+    value: str | bool | None = None  # What to give.
 
     def __str__(self) -> str:
         value = f'"{self.value}"' if isinstance(self.value, str) else self.value

@@ -28,10 +28,7 @@ _DECIMALS = 4
 
 
 def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
-    """Rename atoms to their PDB names and add missing heavy atoms.
-
-    Side chains are built from ideal geometries of the configuration that their names say, on rotamers.
-    """
+    """Rename atoms to their PDB names, and add missing heavy atoms: side chains ideal, on rotamers."""
     renamed: list[Renamed] = []
     open_ended: list[Member] = []
     lacking: list[tuple[Part, int, list[str]]] = []

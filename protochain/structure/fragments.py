@@ -104,10 +104,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
 
 
 def _between(draft: Draft) -> Iterator[Link]:
-    """Bonds that the file states between molecules kept with the protein, but of metals and known glycans.
-
-    Those that are too long are reported.
-    """
+    """Bonds that the file states between kept molecules, but of metals and known glycans; report others."""
     parts = {id(m): part for part in draft.parts for m in part.members}
     for link in stated_beside(draft):
         (one, other), names = (parts[each] for each in link.owners), {link.atom.name, link.other_atom.name}
@@ -153,10 +150,7 @@ def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
 
 
 def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
-    """Bonds between residues of chains, but those along a chain and disulfides, that the file states or has.
-
-    Those stated that are too long are reported.
-    """
+    """Bonds between residues of chains, but along it and disulfides; stated ones too long are reported."""
     chains = [m for m in draft.members if not where[id(m)].part.obstacle]
     there = {m.address(a.name): (m, a) for m in chains for a in m.atoms if not a.is_hydrogen()}
     along = {frozenset((m.address("C"), after.address("N"))) for m in chains if (after := where[id(m)].after)}

@@ -251,10 +251,7 @@ _RESIDUE = re.compile(r'(<Residue name="(\w+)".*?</Residue>)', re.DOTALL)
 
 @cache
 def parameters(codes: frozenset[str]) -> bytes:
-    """GLYCAM's file with these residues only, and those of the protein that bear sugars.
-
-    All take a second to read, and its hydroxyproline would go before that of the protein's force field.
-    """
+    """GLYCAM's file with these residues only: all take a second to read, and would replace hydroxyproline."""
     wanted = codes | {f"{end}{name}" for end in ("", "N", "C") for name in GLYCOSYLATED.values()}
     text = _RESIDUE.sub(lambda found: found[1] if found[2] in wanted else "", GLYCAM.read_text())
     free = "".join(_text(code) for code in sorted(codes) if _FREE in code)

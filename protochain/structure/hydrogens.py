@@ -32,10 +32,7 @@ _DECIMALS = 6
 
 
 def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Integers) -> Floats:
-    """Place hydrogens that have no position.
-
-    x (na, 3) nm, charge (na,) e, bonds (nbonds, 2) int -> (na, 3) nm.
-    """
+    """Place hydrogens that have no position: x (na, 3) nm, charge (na,) e, bonds (nbonds, 2) int."""
     return _Placing(x, element, charge, bonds).placed()
 
 

@@ -50,15 +50,11 @@ _DUMMY = "DUM"
 
 @dataclass(eq=False)
 class Candidate:
-    """A residue that is no part of the protein.
-
-    given: Its name in the file.
-    notes: Repairs to report if it is kept.
-    """
+    """A residue that is no part of the protein."""
 
     member: Member
-    given: str
-    notes: list[Repair] = field(default_factory=list)
+    given: str  # Its name in the file.
+    notes: list[Repair] = field(default_factory=list)  # Repairs to report if it is kept.
 
     @property
     def kind(self) -> str:

@@ -312,10 +312,7 @@ def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Int
 
 
 def _formal_charge(atom: gemmi.Atom, member: Member, template: Template, beside: bool) -> int:
-    """Charge that the file gives an atom outside the protein, an ion's own if it gives none; of a thiolate.
-
-    A cysteine without its hydrogen would else be read again as half of a disulfide.
-    """
+    """Charge that the file gives an atom outside the protein, or an ion's own; and a thiolate."""
     if beside:
         return int(atom.charge or (round(template.charge[atom.name]) if len(member.atoms) == 1 else 0))
     is_thiolate = template.name.endswith("CYM") and not member.metals and not member.links

@@ -30,10 +30,7 @@ def protonate(
     ph: float,
     pka: Mapping[int, float] = _USUAL,
 ) -> list[tuple[Member, Template]]:
-    """Choose protonation states and add missing hydrogens, whose positions stay NaN.
-
-    States shown by residue names or hydrogens in the file are kept; others follow from the pH.
-    """
+    """Choose protonation states, as shown by names or hydrogens else by pH; hydrogens added stay NaN."""
     shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _shown(m) for m in draft.members}
     states = {id(m): shown[id(m)] or _at_ph(m, ph, pka) for m in draft.members}
     chosen, turned = settled(

@@ -35,14 +35,10 @@ class Rank(IntEnum):
 
 
 class Words(NamedTuple):
-    """How a kind of repair is told.
+    """How a kind of repair is told."""
 
-    one: A template, whose fields are the facts of the repair.
-    many: What is said of several residues; by default what ``one`` says of its residue.
-    """
-
-    one: str
-    many: str = ""
+    one: str  # A template, whose fields are the facts of the repair.
+    many: str = ""  # What is said of several residues; by default what ``one`` says of its residue.
     rank: Rank = Rank.CHANGE
 
 
@@ -306,15 +302,12 @@ class Loss:
     """Heavy atoms of one residue of the file that are not in the structure.
 
     Waters, alternate locations, and what options leave out are not lost; ``left_out`` counts them too.
-
-    chain, number, name: Of the residue in the file; the number with its insertion code.
-    atoms: Names in the file.
     """
 
-    chain: str
+    chain: str  # Of the residue in the file; the number with its insertion code.
     number: str
     name: str
-    atoms: tuple[str, ...]
+    atoms: tuple[str, ...]  # Names in the file.
     why: Why
 
     def __str__(self) -> str:
@@ -324,16 +317,13 @@ class Loss:
 
 @dataclass(frozen=True)
 class Repair(Value):
-    """A change made to the contents of a file; its text is a sentence.
-
-    facts: What the words of the kind name, and more: ``residue`` (a ``residues.Residue``), ``atoms``,
-        ``count``, ``length`` (angstrom), ...
-    lost: What it takes away.
-    """
+    """A change made to the contents of a file; its text is a sentence."""
 
     kind: Kind
+    # What the words of the kind name, and more: ``residue`` (a ``residues.Residue``), ``atoms``, ``count``,
+    # ``length`` (angstrom), ...
     facts: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    lost: tuple[Loss, ...] = ()
+    lost: tuple[Loss, ...] = ()  # What it takes away.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))

@@ -42,11 +42,7 @@ _BOND, _ANGLE = 2.7e5, 500.0
 
 
 def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) -> list[Link]:
-    """Find the bonds between protein and obstacles, tell the residues about them, and report them.
-
-    What is as near as bonded atoms and not bonded is reported as an overlap, and a bond of the file that
-    cannot be as ignored. Of those found, ``settle`` returns the ones that springs are to hold.
-    """
+    """Find and report bonds of protein and obstacles, and overlaps; return those that springs are to hold."""
     protein, beside = (_heavy_atoms(p for p in draft.parts if p.obstacle is kept) for kept in (False, True))
     free = {*draft.glycosidic}
     near = [link for link in _near(draft, protein, beside) if _ends(link) not in free]
@@ -171,10 +167,7 @@ def stated_beside(draft: Draft) -> list[Link]:
 
 
 def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
-    """Whether a kept molecule moves: an ion that the protein alone holds, on all sides.
-
-    An ion of whose neighbours some are left out, as waters are, would be drawn to the others.
-    """
+    """Whether a kept molecule moves: an ion that the protein alone holds, on all sides."""
     ion = member.atoms[0]
     donors = sum(link.other_atom is ion and link.is_metal for link in links)
     if len(member.atoms) > 1 or donors < _SHELL.get(ion.element.name, _OTHER_SHELL):
@@ -263,10 +256,7 @@ def ties(
     element: Sequence[str],
     bonds: Integers,
 ) -> tuple[Tie, ...]:
-    """Springs that hold the bonds at the distances and angles of the input, if they are those of bonds.
-
-    x (na, 3) nm, bonds (n, 2) int.
-    """
+    """Springs that hold bonds (n, 2) as they are in the input x (na, 3), nm, if these are lengths."""
     heavy = np.array(element) != "H"
     near = neighbours(bonds[heavy[bonds].all(axis=1)], len(element))
     found: dict[tuple[int, ...], float] = {}

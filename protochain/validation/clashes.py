@@ -233,10 +233,7 @@ def _is_seen(structure: Structure, tree: cKDTree, pairs: Integers) -> NDArray[np
 
 
 def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: Floats) -> NDArray[np.bool_]:
-    """Whether a dot on the first atom deep in the second is in none bonded to it, and deeper in no other.
-
-    pairs (n, 2) int, share (m,).
-    """
+    """Whether a dot on the first atom of pairs (n, 2) is deep in the second, in none bonded, none deeper."""
     x, kinds = np.asarray(tree.data), _kinds(structure)
     first, second = pairs.T
     dots = _dots(x[first], x[second], kinds.radius[pairs], _allowance(kinds, pairs) + OVERLAP, share)

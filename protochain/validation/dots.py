@@ -20,18 +20,12 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Dots(Value):
-    """Dots on a surface.
+    """Dots on a surface."""
 
-    x (n, 3) angstrom.
-    normal (n, 3): Unit vectors out of the molecule.
-    area (n,) angstrom^2: What each dot stands for.
-    probe (n, 3) angstrom: Centre of the probe that touches there.
-    """
-
-    x: Floats
-    normal: Floats
-    area: Floats
-    probe: Floats
+    x: Floats  # (n, 3) angstrom.
+    normal: Floats  # (n, 3): Unit vectors out of the molecule.
+    area: Floats  # (n,) angstrom^2: What each dot stands for.
+    probe: Floats  # (n, 3) angstrom: Centre of the probe that touches there.
 
     def __len__(self) -> int:
         return len(self.x)
@@ -43,10 +37,7 @@ class Dots(Value):
 def molecular_surface(
     x: Floats, radius: Floats, probe: float, density: float, wanted: NDArray[np.bool_] | None = None
 ) -> Dots:
-    """Cover the molecular surface with dots.
-
-    x (n, 3) angstrom, radius (n,) angstrom, probe angstrom, density 1/angstrom^2, wanted (n,) bool.
-    """
+    """Cover the molecular surface of x (n, 3), angstrom, where wanted (n,), with dots (1/angstrom^2)."""
     of = np.arange(len(x)) if wanted is None else np.flatnonzero(wanted)
     if not len(of):
         none = np.zeros((0, 3))
