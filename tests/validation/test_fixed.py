@@ -117,8 +117,3 @@ def test_the_end_of_a_relaxation_says_what_is_fixed_and_broken(dodecamer, tmp_pa
     assert record["fixed"] == {"DC": 8, "DG": 8, "DA": 4, "DT": 4}
     found = pc.minimise(s, pc.energy(s), "cartesian", max_evaluations=3)
     assert f"; {said}" in found.message
-
-
-def test_what_is_fixed_and_whole_is_said_and_no_fault(dodecamer, tmp_path):
-    r = pc.relax(loaded(dodecamer, tmp_path), threads=1)
-    assert r.status == "converged" and r.message.endswith("; fixed, not relaxed: 8 DC, 8 DG, 4 DA, 4 DT")
