@@ -168,7 +168,7 @@ class Chemist:
 
     def free(self, member: Member) -> Molecule:
         """Chemistry of a residue as its source has it, under the names of its atoms in the file."""
-        found, atoms = self._of_source(member), [a for a in member.atoms if not a.is_hydrogen()]
+        found, atoms = self._of_source(member), member.heavy
         names, is_given = tuple(a.name for a in atoms), self.name(member) in self.chemistry.moving
         if not is_given and {*names} <= {*found.names}:
             return found
@@ -194,7 +194,7 @@ class Chemist:
 
 def _placed(molecule: Molecule, member: Member, by_name: bool) -> Placed:
     """The molecule where the file has it."""
-    atoms = [a for a in member.atoms if not a.is_hydrogen()]
+    atoms = member.heavy
     there = _hydrogens(member)
     n = [len(there[a.name]) for a in atoms]
     names, x = tuple(a.name for a in atoms), np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
@@ -222,7 +222,7 @@ def _as_shown(molecule: Molecule, member: Member) -> Molecule:
 
 def _as_filed(molecule: Molecule, member: Member) -> Molecule:
     """The molecule with its heavy atoms in the order of the file, on which SMIRNOFF's impropers depend."""
-    heavy = (each.name for each in member.atoms if not each.is_hydrogen())
+    heavy = (each.name for each in member.heavy)
     place = {name: k for k, name in enumerate(heavy)}
     order = sorted(
         range(molecule.n_atoms), key=lambda i: (place.get(molecule.names[i], len(place)), molecule.names[i])
@@ -245,7 +245,7 @@ def _as_filed(molecule: Molecule, member: Member) -> Molecule:
 
 def _hydrogens(member: Member) -> dict[str, list[gemmi.Atom]]:
     """Hydrogens of a file by the name of the nearest heavy atom, in the order of the file."""
-    heavy = [a for a in member.atoms if not a.is_hydrogen()]
+    heavy = member.heavy
     found: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
         nearest = min(heavy, key=lambda a: a.pos.dist(hydrogen.pos))

@@ -70,7 +70,7 @@ class Maker:
             free, tag = self.chemist.free(m), self.tag[id(m)]
             sources[free.source] = None
             self.graph.add(tag, free)
-            self.at |= {tag + a.name: a for a in m.atoms if not a.is_hydrogen()}
+            self.at |= {tag + a.name: a for a in m.heavy}
             self.flagged |= {tag + name for name in (*leaving(self.chemist.name(m)), "OXT", "OP3")}
             if self.where[id(m)].part.obstacle:
                 self._without_far(tag)

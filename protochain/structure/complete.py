@@ -70,9 +70,7 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
 
 def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None:
     """Remove a terminal oxygen within a chain; refuse other heavy atoms that the template lacks."""
-    strange = [
-        a for a in member.atoms if not a.is_hydrogen() and a.name not in template.element and a.name != "OXT"
-    ]
+    strange = [a for a in member.heavy if a.name not in template.element and a.name != "OXT"]
     if strange:
         raise StructureError(
             f"{draft.source}: {member}: atom {strange[0].name} does not belong to {member.name}; "
@@ -198,8 +196,8 @@ def _add(member: Member, places: Places) -> None:
     """Add atoms; hydrogens at the atoms that get a neighbour are placed anew."""
     bonds = ideal(member.name).bonds
     parents = {other for name in places for other in bonds[name]}
-    heavy = [np.array(a.pos.tolist()) for a in member.atoms if not a.is_hydrogen()]
-    names = [a.name for a in member.atoms if not a.is_hydrogen()]
+    heavy = [np.array(a.pos.tolist()) for a in member.heavy]
+    names = [a.name for a in member.heavy]
     kept = []
     for a in member.atoms:
         if a.is_hydrogen():

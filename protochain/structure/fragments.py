@@ -114,10 +114,16 @@ def _between(draft: Draft) -> Iterator[Link]:
             or (one is other and names == {"O3'", "P"})
         ):  # fmt: skip
             continue
-        if link.length < SHORTEST or link.excess > STATED_SLACK:
-            draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
-        else:
+        if _is_believed(draft, link):
             yield link
+
+
+def _is_believed(draft: Draft, link: Link) -> bool:
+    """Whether a bond that the file states has the length of one; if not, it is reported."""
+    is_usual = link.length >= SHORTEST and link.excess <= STATED_SLACK
+    if not is_usual:
+        draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
+    return is_usual
 
 
 def _places(part: Part) -> Iterator[tuple[Member, Place]]:
@@ -152,7 +158,7 @@ def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
 def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
     """Bonds between residues of chains, but along it and disulfides; stated ones too long are reported."""
     chains = [m for m in draft.members if not where[id(m)].part.obstacle]
-    there = {m.address(a.name): (m, a) for m in chains for a in m.atoms if not a.is_hydrogen()}
+    there = {m.address(a.name): (m, a) for m in chains for a in m.heavy}
     along = {frozenset((m.address("C"), after.address("N"))) for m in chains if (after := where[id(m)].after)}
     done = {*along}
     for first, second in draft.stated:
@@ -164,9 +170,7 @@ def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
         is_disulfide = link.member.name == link.other.name == "CYS" and first[2] == second[2] == "SG"
         if link.member is link.other or is_disulfide:
             continue
-        if link.length < SHORTEST or link.excess > STATED_SLACK:
-            draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
-        else:
+        if _is_believed(draft, link):
             yield link
     nitrogens = [(m, m.atom(_AMINES.get(m.name, ""))) for m in chains]
     nitrogens += [(m, m.atom("N")) for m in chains if where[id(m)].before is None]
@@ -228,7 +232,7 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     found = {key: (m, _template(m, made)) for key, m in mine.items() if m is not None and key in special}
     leavers = {(id(m), name) for gone in made.bonds.values() for m, name in gone}
     for m, template in found.values():
-        there = {a.name for a in m.atoms if not a.is_hydrogen() and (id(m), a.name) not in leavers}
+        there = {a.name for a in m.heavy if (id(m), a.name) not in leavers}
         if strange := (there ^ {*template.heavy}) - {"OXT", "OP3"}:
             odd = ", ".join(sorted(strange))
             raise StructureError(f"{m}: {odd} missing or unknown", fault=Fault.INCOMPLETE)

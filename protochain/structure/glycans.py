@@ -142,7 +142,7 @@ class _Surroundings:
         self.heavy: list[_Owned] = [
             (m, a)
             for part in (*protein, *parts) for m in part.members if m.name != "HOH"
-            for a in m.atoms if not a.is_hydrogen()
+            for a in m.heavy
         ]  # fmt: skip
         self.tree = KDTree([a.pos.tolist() for _, a in self.heavy])
         self.at = {m.address(a.name): (m, a) for m, a in self.heavy}
@@ -210,10 +210,10 @@ class _Surroundings:
             if code.removesuffix(_FREE) not in _residues():
                 yield f"GLYCAM-06j has no residue {code}, as {member} with its bonds would be"
                 continue
-            there = {a.name for a in member.atoms if not a.is_hydrogen()}
+            there = {a.name for a in member.heavy}
             if strange := there ^ {*_template(member, code).heavy}:
                 yield f"{member} has not the atoms of that name: {', '.join(sorted(strange))}"
-            for atom in (a for a in member.atoms if not a.is_hydrogen()):
+            for atom in member.heavy:
                 joined = [*self.bonds_stated(member, atom)]
                 if atom.element.name in ("O", "N"):
                     # What is known to be no substituent of a sugar overlaps with it.
@@ -225,10 +225,6 @@ class _Surroundings:
                             f"GLYCAM-06j has no bond of {Atom(atom.name, member.residue)} to "
                             f"{Atom(its.name, other.residue)}"
                         )
-
-
-def _address(member: Member, atom: gemmi.Atom) -> Address:
-    return member.chain_id, member.seqid, atom.name
 
 
 def _inner(member: Member, atom: gemmi.Atom) -> list[gemmi.Atom]:

@@ -48,6 +48,11 @@ class Member:
         return self.name in residues.CAPS
 
     @property
+    def heavy(self) -> list[gemmi.Atom]:
+        """Its atoms without hydrogens."""
+        return [atom for atom in self.atoms if not atom.is_hydrogen()]
+
+    @property
     def seqid(self) -> str:
         """Number and insertion code."""
         return self.number + self.insertion_code

@@ -146,7 +146,7 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
     """Rename and order the hydrogens of the file, drop those that do not fit, and add missing ones."""
     before = {a.name for a in member.atoms if a.is_hydrogen()}
     rename(member.atoms, template)
-    heavy = [a for a in member.atoms if not a.is_hydrogen()]
+    heavy = member.heavy
     bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
     strange, expected = 0, template.hydrogens
     named_for = {name: parent for parent, names in expected.items() for name in names}

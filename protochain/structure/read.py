@@ -344,7 +344,7 @@ class _Reader:
         if member.parent:
             if self.reading.standard_residues:
                 return Why.ASKED
-            there = {atom.name for atom in member.atoms if not atom.is_hydrogen()} - {"OXT"}
+            there = {atom.name for atom in member.heavy} - {"OXT"}
             member.is_d = member.is_d or handedness(member, least=WELL_FORMED) < 0
             is_mirrored = member.is_d and there == {*self.known[parents.fullest(member.parent)].heavy}
             return Why.PARENT if member.name == "MSE" or is_mirrored else None
@@ -355,9 +355,7 @@ class _Reader:
         template = part.template(self.known, i)
         if template is None:
             return Why.END
-        there = {
-            template.synonyms.get(atom.name, atom.name) for atom in member.atoms if not atom.is_hydrogen()
-        }
+        there = {template.synonyms.get(atom.name, atom.name) for atom in member.heavy}
         return None if there - {"OXT"} == {*template.heavy} else Why.INCOMPLETE
 
     def _has_backbone(self, member: Member, built: tuple[str, ...]) -> bool:

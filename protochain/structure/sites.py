@@ -84,7 +84,7 @@ def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) 
 
 
 def _heavy_atoms(parts: Iterable[Part]) -> list[tuple[Member, gemmi.Atom]]:
-    return [(m, a) for part in parts for m in part.members if m.name != "HOH" for a in _heavy(m)]
+    return [(m, a) for part in parts for m in part.members if m.name != "HOH" for a in m.heavy]
 
 
 _Owned = Sequence[tuple[Member, gemmi.Atom]]
@@ -176,7 +176,7 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
         return not draft.says_stays(member)
     others = (m for part in draft.parts if part.obstacle for m in part.members if m is not member)
     # Hydrogens have no positions yet.
-    heavy = (a for m in (*others, *draft.absent) for a in _heavy(m))
+    heavy = (a for m in (*others, *draft.absent) for a in m.heavy)
     return all(ion.pos.dist(a.pos) > STATED for a in heavy)
 
 
@@ -194,7 +194,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
         # Of a whole molecule near others are no bonds.
         joined = part.ligand is None and not part.is_strand and any(
             beside[k][0] is not part
-            for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)
+            for m in part.members for a in m.heavy for k in tree.query_ball_point(a.pos.tolist(), JOINED)
         )  # fmt: skip
         if joined or tied & {id(m) for m in part.members}:
             part.mobile = False
@@ -210,7 +210,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
 
 def beside_of(draft: Draft) -> list[tuple[Part, Member, gemmi.Atom]]:
     """Heavy atoms of the molecules kept with the protein."""
-    return [(part, m, a) for part in draft.parts if part.obstacle for m in part.members for a in _heavy(m)]
+    return [(part, m, a) for part in draft.parts if part.obstacle for m in part.members for a in m.heavy]
 
 
 def strand_links(draft: Draft) -> list[Link]:
@@ -243,10 +243,6 @@ def metal_ties(draft: Draft, at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, 
                 ends = at[id(member)][donor.name], at[id(link.other)][link.other_atom.name]
                 found.append(Tie(ends, round(0.1 * link.length, DIGITS), _METAL_BOND))
     return tuple(found)
-
-
-def _heavy(member: Member) -> list[gemmi.Atom]:
-    return [a for a in member.atoms if not a.is_hydrogen()]
 
 
 def ties(

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.chains.contacts import joined
-from protochain.core.arrays import Floats, Integers, Value, cross, read_only
+from protochain.core.arrays import GOLDEN, Floats, Integers, Value, cross, read_only
 from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure, of_atoms
@@ -274,7 +274,7 @@ def _dots(a: Floats, b: Floats, radius: Floats, depth: Floats, share: Floats) ->
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
     aside = cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
     aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-9)
-    other, turn = cross(axis, aside), np.pi * (3.0 - np.sqrt(5.0)) * np.arange(len(share))
+    other, turn = cross(axis, aside), GOLDEN * np.arange(len(share))
     around = np.cos(turn)[:, None] * aside[:, None] + np.sin(turn)[:, None] * other[:, None]
     return np.asarray(
         a[:, None] + radius[:, :1, None] * (cosine[..., None] * axis[:, None] + sine[..., None] * around)

@@ -22,7 +22,7 @@ class Layout(NamedTuple):
     atom: dict[str, Integers]  # Index of the atom of that name in each amino acid, -1 where there is none.
     # (nr,) int: Amino acids that a peptide bond joins to N and to C, -1 where there is none.
     before: Integers
-    after: Integers  # (nr,) int: Amino acids that a peptide bond joins to N and to C, -1 where there is none.
+    after: Integers
 
     def atoms(self, *names: str) -> Integers:
         """(nr, len(names)) int: atoms of these names in each residue."""

@@ -147,7 +147,7 @@ class _Surroundings:
     """Heavy atoms that are there."""
 
     def __init__(self, members: Sequence[Member]) -> None:
-        heavy = [(m, atom) for m in members for atom in m.atoms if not atom.is_hydrogen()]
+        heavy = [(m, atom) for m in members for atom in m.heavy]
         self.x = np.array([atom.pos.tolist() for _, atom in heavy])
         self.name = np.array([atom.name for _, atom in heavy])
         self.owner = np.array([id(member) for member, _ in heavy])

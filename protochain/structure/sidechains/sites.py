@@ -35,5 +35,5 @@ class Site:
         return phi, psi
 
     def _places(self, member: Member) -> Places:
-        heavy = (atom for atom in member.atoms if not atom.is_hydrogen())
+        heavy = member.heavy
         return {atom.name: self.sign * np.array(atom.pos.tolist()) for atom in heavy}
