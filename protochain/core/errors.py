@@ -159,7 +159,7 @@ class BodyError(MechanicsError):
     """What is wrong with one body of a tree.
 
     body: Its number.
-    said: What is wrong, and what to do.
+    stated: What is wrong, and what to do.
     """
 
     def __init__(self, body: int, stated: str, fault: Fault | None = None) -> None:

@@ -93,7 +93,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
             block, *others = _blocks_with_atoms(gemmi.cif.read_string(text), source)
             if others:
                 names = tuple(each.name for each in others)
-                overlooked.append(Repair(Kind.BLOCKS_LEFT_OUT, {"taken": block.name, "others": names}))
+                overlooked.append(Repair(Kind.BLOCKS_LEFT_OUT, {"used": block.name, "others": names}))
             _refuse_cut_cif(text, block, source)
             _complete(block, source)
             structure, ends, records = gemmi.make_structure_from_block(block), True, of_cif(block)

@@ -96,7 +96,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
             continue
         bonds = [link for link in bonds if link not in own]
     if unknown:
-        raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
+        raise StructureError(f"{draft.source}: ", *_about_unknown(draft, unknown))
     draft.parts = [
         piece for part in draft.parts for piece in cut(draft, part, [m for m in part.members if m in still])
     ]
@@ -207,7 +207,7 @@ def _parts(error: Exception) -> tuple[object, ...]:
     return error.parts if isinstance(error, ProtochainError) else (str(error),)
 
 
-def _unknown_told(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) -> tuple[object, ...]:
+def _about_unknown(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) -> tuple[object, ...]:
     """What residues have no parameters and why, what to do; other chains are offered if they hold none."""
     chains = dict.fromkeys(part.chain_id for part in draft.parts if not part.obstacle)
     free = [name for name in chains if name and name not in {member.chain_id for member, _ in unknown}]

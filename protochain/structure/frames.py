@@ -369,7 +369,7 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
         head = raw.read(8)
     # Of what is none, the readers complain once more when they are done with.
     if not (head[4:] == b"CORD" if kind == "DCD" else head[:3] == b"CDF"):
-        raise StructureError(f"{path}: is no {_SAID[kind]} file; give a trajectory")
+        raise StructureError(f"{path}: is no {_FORMATS[kind]} file; give a trajectory")
 
     @contextmanager
     def opened() -> Iterator[Any]:
@@ -410,7 +410,7 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
 
 
 _CLASSES = {"DCD": "DCD", "TRJ": "NCDF"}
-_SAID = {"DCD": "DCD", "TRJ": "NetCDF (version 3)"}
+_FORMATS = {"DCD": "DCD", "TRJ": "NetCDF (version 3)"}
 
 
 def _stated_in_dcd(path: Path) -> int:

@@ -82,7 +82,7 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
             (member,) = part.members
             part.glycan, part.mobile = codes[id(member)], True
             member.own = _template(member, part.glycan)
-            _tell_hands(draft, member, letters_of(part.glycan), own)
+            _note_configurations(draft, member, letters_of(part.glycan), own)
 
 
 def _code(member: Member, links: Sequence[Link]) -> str:
@@ -112,7 +112,7 @@ def _without_hydroxyl(draft: Draft, link: Link) -> None:
         draft.note(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=gone)
 
 
-def _tell_hands(draft: Draft, member: Member, letters: str, links: Sequence[Link]) -> None:
+def _note_configurations(draft: Draft, member: Member, letters: str, links: Sequence[Link]) -> None:
     """Say where the configurations of a sugar are not those of its name."""
     if letters != SUGARS[member.name]:
         draft.note(Kind.OTHER_ANOMER, residue=member.residue)

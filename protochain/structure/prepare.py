@@ -215,7 +215,7 @@ def prepare(
         model_number=draft.model_number,
         ties=stated_ties(draft, links, at) or (*ties(links, at, x, elements, bonds), *metal_ties(draft, at)),
         mobile=mobile,
-        links=np.array(_linked(_told(draft, [*links, *beyond, *beside]), at), np.int64).reshape(-1, 2),
+        links=np.array(_linked(_distinct(draft, [*links, *beyond, *beside]), at), np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
         ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
@@ -244,7 +244,7 @@ def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int,
     return [(at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links]
 
 
-def _told(draft: Draft, links: list[Link]) -> list[Link]:
+def _distinct(draft: Draft, links: list[Link]) -> list[Link]:
     """Each bond once, those of the protein first."""
     protein = {id(member) for part in draft.parts if not part.obstacle for member in part.members}
     once = {frozenset(link.ends): link for link in links if not {*link.owners} <= protein}

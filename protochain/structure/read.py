@@ -284,7 +284,7 @@ class _Reader:
         """Describe the choice among the alternate locations of a residue."""
         facts: dict[str, Any] = {"residue": _in_file(self.chain_id, found.residue)}
         if found.others:
-            facts |= {"taken": found.altloc, "occupancy": found.occupancy, "others": tuple(found.others)}
+            facts |= {"used": found.altloc, "occupancy": found.occupancy, "others": tuple(found.others)}
             return [Repair(Kind.ALTERNATES, facts)]
         if found.repeated:
             return [Repair(Kind.REPEATED, facts | {"atoms": tuple(found.repeated)})]

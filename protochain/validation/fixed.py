@@ -46,7 +46,7 @@ class FixedFaults(NamedTuple):
         ends = [[str(structure.atom(atom)) for atom in pair] for pair in pairs.tolist()]
         return [f"{a} and {b}, {by:.2f} angstrom apart" for (a, b), by in zip(ends, apart, strict=True)]
 
-    def said(self, structure: Structure, x: Floats) -> str:
+    def summary(self, structure: Structure, x: Floats) -> str:
         """How many there are, and the first of them; empty if there are none."""
         counts = [
             counted(len(pairs), what)

@@ -157,9 +157,9 @@ def test_every_repair_is_told_once_alone_or_in_a_group():
     gap = Repair(Kind.GAP, {"last": last, "first": first, "length": 5.0})
     waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": EVERYTHING})
     lost = [
-        repair(Kind.ALTERNATES, ("A", "4", "SER"), taken="A", occupancy=0.6, others=("SER B",)),
+        repair(Kind.ALTERNATES, ("A", "4", "SER"), used="A", occupancy=0.6, others=("SER B",)),
         repair(Kind.NO_BACKBONE, ("A", "7", "GLY"), atom="N"),
-        Repair(Kind.MODELS_LEFT_OUT, {"taken": 1, "count": 9}),
+        Repair(Kind.MODELS_LEFT_OUT, {"used": 1, "count": 9}),
     ]
     changed = [
         noted("CB"),

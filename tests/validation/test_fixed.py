@@ -48,14 +48,14 @@ def test_crystal_structures_have_no_faults(name):
     s = pc.load(shared(f"../complexes/models/{name}"))
     faults = fixed_faults(s)
     assert s.kept.sum() > 50 and (len(faults.bonds), len(faults.clashes)) == (0, 0)
-    assert faults.said(s, s.positions) == ""
+    assert faults.summary(s, s.positions) == ""
 
 
 def test_nothing_fixed_has_no_faults(dodecamer, tmp_path):
     s = load("1l2y.pdb")
     assert fixed_faults(s).lines(s, s.positions) == [] and fixed_counts(s) == {}
     good = loaded(dodecamer, tmp_path)
-    assert fixed_faults(good).said(good, good.positions) == ""
+    assert fixed_faults(good).summary(good, good.positions) == ""
     assert fixed_counts(good) == {"DC": 8, "DG": 8, "DA": 4, "DT": 4}
 
 
