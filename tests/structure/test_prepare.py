@@ -71,12 +71,6 @@ def test_a_cysteine_between_two_others_is_bonded_to_the_nearer_only(order):
     assert {first, second} == {near, middle}
 
 
-def test_a_cysteine_requested_in_two_bonds_is_refused():
-    members = [cysteine(number, 9.0 * number, 0, 0) for number in (1, 2, 3)]
-    with pytest.raises(pc.ProtochainError, match="A:2-A:3: A:1 and A:2 are bonded, and no cysteine has two"):
-        disulfides(drafted(*members), [("A:1", "A:2"), ("A:2", "A:3")])
-
-
 def ring_and_acceptors(*places):
     """A regular imidazole with acceptors 3 angstrom from a nitrogen, at an angle from its bisector."""
     names = ("CG", "ND1", "CE1", "NE2", "CD2")
