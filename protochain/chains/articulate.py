@@ -178,20 +178,13 @@ _STRAIGHT = 0.05
 
 
 def with_energy(source: Any, energy: Any = None) -> tuple[Chain, Energy]:
-    """Chain and energy of whatever :func:`as_structure` takes: here a result hands on what it has.
-
-    A chain stays as it is. A result is cut anew at its end, with its own hinges, and brings its energy unless
-    another is given; restraints belong to its run. All else gets the default hinges and energy.
-    """
+    """Chain and energy of what :func:`as_structure` takes: results are cut anew at their end."""
     chain = source if isinstance(source, Chain) else build_chain(source)
     return chain, as_energy(energy, chain.structure, source)
 
 
 def with_free_root(chain: Chain, hydrogen_mass: float | None = None) -> Chain:
-    """Chain whose roots are free unless ``fixed`` was asked for, as they are where motion has masses.
-
-    Hydrogens have the chain's mass, or the one given.
-    """
+    """Chain whose roots are free unless ``fixed`` was asked for, and hydrogens of its mass, or another."""
     mass = chain.hydrogen_mass if hydrogen_mass is None else hydrogen_mass
     if chain.root != "auto" and mass == chain.hydrogen_mass:
         return chain
@@ -287,10 +280,7 @@ def _walk(
 
 
 def _freedoms(hinge: Hinge, inner: int, angles: bool) -> list[Hinge]:
-    """Hinges crossed from the inner atom of a bond outward: its dihedral, and with ``angles`` a bond angle.
-
-    The body between the two has only its share of the mass of the bond's atoms.
-    """
+    """Hinges from the inner atom of a bond outward: dihedral, with ``angles`` a bond angle, too."""
     if not angles or hinge.kind not in ("phi", "psi"):
         return [hinge]
     name = "angle N" if hinge.kind == "phi" else "angle CA"
@@ -301,11 +291,9 @@ def _freedoms(hinge: Hinge, inner: int, angles: bool) -> list[Hinge]:
 def _tree(
     x: Floats, atom_mass: Floats, bodies: list[_Body], group: Integers, atom_body: Integers
 ) -> tuple[Tree, Floats, Floats]:
-    """Return the tree, the positions (na, 3) of the atoms in their bodies' frames, and q0.
-
-    The frame of a root is aligned with the world in the input pose; the z axis of any other body lies along
-    its hinge, from the inner to the outer atom, so that its dihedral grows with q in either direction.
-    """
+    """Return the tree, positions (na, 3) of atoms in their bodies' frames, and q0."""
+    # The frame of a root is aligned with the world in the input pose; the z axis of any other body lies along
+    # its hinge, from the inner to the outer atom, so that its dihedral grows with q in either direction.
     parents, kinds = np.array([body.parent for body in bodies]), np.array([body.kind for body in bodies])
     hinged = parents >= 0
     rotation, placement = np.tile(np.eye(3), (2, len(bodies), 1, 1))
@@ -365,11 +353,9 @@ def _in_frames(frames: Frames, body: Integers, x: Floats) -> Floats:
 def _inertias(
     x: Floats, atom_mass: Floats, atom_body: Integers, bodies: Sequence[_Body], frames: Frames
 ) -> tuple[Floats, Floats, Floats]:
-    """Mass, centre of mass and inertia of each body.
-
-    An atom on a hinge's axis is at rest in both bodies, so its mass may be assigned to either. Equal shares
-    give bodies of one atom or of a line of atoms a full inertia, and leave M(q) unchanged.
-    """
+    """Mass, centre of mass and inertia of each body."""
+    # An atom on a hinge's axis is at rest in both bodies, so its mass may be assigned to either. Equal shares
+    # give bodies of one atom or of a line of atoms a full inertia, and leave M(q) unchanged.
     holders: dict[int, set[int]] = {}
     for b, body in enumerate(bodies):
         for atom in body.hinge.on_axis if body.hinge else ():

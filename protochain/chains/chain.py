@@ -180,16 +180,11 @@ class Chain(Value):
 
 @dataclass(frozen=True, eq=False)
 class Pose(Value):
-    """Configuration of a chain at one q: an immutable value, so nothing in it can be stale.
+    """Configuration of a chain at one q: an immutable value, so nothing in it can be stale."""
 
-    q (n_q,): Coordinates.
-    frames: World frames of the bodies.
-    x (na, 3) nm: Positions of the atoms.
-    """
-
-    q: Floats
-    frames: Frames
-    x: Floats
+    q: Floats  # (n_q,): Coordinates.
+    frames: Frames  # World frames of the bodies.
+    x: Floats  # (na, 3) nm: Positions of the atoms.
 
 
 _chain = instance(Chain, "pc.build_chain(structure)")
@@ -333,11 +328,7 @@ def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulat
 
 
 def dihedral(x: Floats) -> float:
-    """Dihedral angle of four points from -pi to pi, by atan2, which is accurate at every angle.
-
-    x (4, 3).
-    -> rad: Angle of IUPAC sign: positive if the far bond is clockwise of the near one, along the middle bond.
-    """
+    """Dihedral of four points x (4, 3) from -pi to pi, IUPAC sign, by atan2, accurate at every angle."""
     return float(dihedrals(np.asarray(x)[None])[0])
 
 

@@ -24,22 +24,15 @@ _NEAR = 0.8
 
 @dataclass(frozen=True)
 class Overlap:
-    """Two nonbonded atoms that overlap.
+    """Two nonbonded atoms that overlap."""
 
-    first, second: Descriptions of the atoms.
-    share: Distance as a fraction of the sum of the van der Waals radii.
-    remedy: Methods that can separate them.
-    atoms: Their indices.
-    beside: Whether one of them is of the protein and the other of a molecule kept with it.
-    """
-
-    first: str
+    first: str  # Descriptions of the atoms.
     second: str
     distance_angstrom: float
-    share: float
-    remedy: str
-    atoms: tuple[int, int]
-    beside: bool
+    share: float  # Distance as a fraction of the sum of the van der Waals radii.
+    remedy: str  # Methods that can separate them.
+    atoms: tuple[int, int]  # Their indices.
+    beside: bool  # Whether one of them is of the protein and the other of a molecule kept with it.
 
     def __str__(self) -> str:
         return (
@@ -55,10 +48,7 @@ def radii(structure: Structure) -> Floats:
 
 
 def near_pairs(structure: Structure, x: Floats, share: float, bonds: int = 3) -> tuple[Integers, Floats]:
-    """Find pairs of atoms (n, 2), sorted, closer than a share of the sum of their van der Waals radii.
-
-    Returns these sums (n,) in nm, too. Pairs separated by at most ``bonds`` bonds are left out.
-    """
+    """Pairs (n, 2), sorted, closer than a share of their radii's sums (n,), nm; ``bonds`` apart."""
     radius = radii(structure)
     pairs = cKDTree(x).query_pairs(2 * share * radius.max(), output_type="ndarray")
     # Obstacles do not move relative to one another.
@@ -122,10 +112,7 @@ def _covalent(structure: Structure) -> Floats:
 
 
 def overlaps(structure: Structure, x: Floats, chain: Chain | None = None) -> list[Overlap]:
-    """List the nonbonded pairs of atoms that overlap, the worst first.
-
-    The rigid bodies of a chain, if one is given, decide whether torsions can separate the atoms.
-    """
+    """List the nonbonded pairs that overlap, the worst first, and whether torsions can part them."""
     pairs, touch = overlapping(structure, x)
     distance = np.linalg.norm(x[pairs[:, 0]] - x[pairs[:, 1]], axis=1)
     share, beside = distance / touch, _is_beside(structure, pairs)

@@ -24,13 +24,10 @@ class Frame:
 
     A free run drifts: nothing in its energy knows a place. Its positions are superposed on the start by one
     rigid motion of all atoms, which changes no distance. Where something holds a run, they stay as they are.
-
-    start: Structure to superpose on.
-    held_by: What holds the run in place; empty for a free one.
     """
 
-    start: Structure
-    held_by: str = ""
+    start: Structure  # Structure to superpose on.
+    held_by: str = ""  # What holds the run in place; empty for a free one.
 
     def __call__(self, x: Floats) -> Floats:
         """Positions (na, 3) of the run in this frame."""
@@ -53,11 +50,7 @@ class Frame:
 
 
 def frame_of(chain: Chain, energy: Energy, held_by: str = "") -> Frame:
-    """Frame of the results of a run, with an energy of all terms; ``held_by`` says what else holds it.
-
-    It is held also if an atom may not move (an obstacle, an atom outside a selection), or if the energy
-    depends on the place, as one of a density map or of walls does.
-    """
+    """Frame of a run's results, with an energy of all terms; ``held_by``, atoms fixed and maps hold it."""
     if not chain.moving.all():
         held_by = "atoms that stand still"
     # Force fields know no places; a System or callable of the caller's may.

@@ -23,20 +23,17 @@ ON_AXIS = np.deg2rad(5.0)
 
 @dataclass(frozen=True)
 class Hinge:
-    """Dihedral or bond angle that is a degree of freedom.
+    """Dihedral or bond angle that is a degree of freedom."""
 
-    chain, residue_name, residue_number, insertion_code: Residue of the dihedral, as in the file.
-    kind: ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``; ``angle N`` or ``angle CA``; of a
-        nucleotide ``alpha``, ``beta``, ``gamma``, ``epsilon``, ``zeta`` or ``base``; ``torsion`` of a ligand
-        or a glycan.
-    atoms: Four of a dihedral about the bond atoms[1]-atoms[2], or three of a bond angle at atoms[1].
-    """
-
-    chain: str
+    chain: str  # Residue of the dihedral, as in the file.
     residue_name: str
     residue_number: str
     insertion_code: str
+    # ``phi``, ``psi``, ``omega``, ``chi1`` ... ``chi5`` or ``rotor``; ``angle N`` or ``angle CA``; of a
+    # nucleotide ``alpha``, ``beta``, ``gamma``, ``epsilon``, ``zeta`` or ``base``; ``torsion`` of a ligand or
+    # a glycan.
     kind: str
+    # Four of a dihedral about the bond atoms[1]-atoms[2], or three of a bond angle at atoms[1].
     atoms: tuple[int, ...]
 
     @property
@@ -60,11 +57,7 @@ class Hinge:
 
 
 def cross_links(structure: Structure) -> np.ndarray:
-    """(nbonds,) bool: bonds between residues other than those of chains to the next one, strands and glycans.
-
-    An ion that moves stays rigidly at the first of the atoms that hold it, as does a molecule with several
-    bonds to one chain.
-    """
+    """(nbonds,) bool: bonds between residues not along chains; a molecule is rigid at the first."""
     first, second = structure.bonds.T
     r1, r2 = structure.atom_residue[first], structure.atom_residue[second]
     peptide = (r2 == r1 + 1) & (structure.atom_name[first] == "C") & (structure.atom_name[second] == "N")
@@ -171,10 +164,7 @@ def _modified(structure: Structure) -> set[int]:
 
 
 def _by_graph(structure: Structure, index: Mapping[str, int]) -> Iterator[tuple[str, str, list[int | None]]]:
-    """Yield kind, name and atoms of the bonds that turn in a side chain, from the backbone outwards.
-
-    Bonds of rings do not turn, nor those between two planar atoms, as of amides.
-    """
+    """Yield kind, name and atoms of turning bonds of a side chain, outwards; not of rings, planar pairs."""
     atoms = [*index.values()]
     bonds = structure.bonds[np.isin(structure.bonds, atoms).all(axis=1)].tolist()
     near: Mapping[int, list[int]] = {atom: [] for atom in atoms}
@@ -207,11 +197,7 @@ def _by_graph(structure: Structure, index: Mapping[str, int]) -> Iterator[tuple[
 def turning_hinges(
     structure: Structure, bonds: Integers, hinges: list[Hinge]
 ) -> tuple[list[Hinge], Integers]:
-    """Hinges that join two rigid groups and turn some inertia, and the rigid group of each atom.
-
-    A hinge with nothing beyond it but atoms near its own axis has no inertia (a phantom hinge): it is closed,
-    and the remaining hinges are tested again.
-    """
+    """Hinges that turn some inertia, found until all do; and the rigid group of each atom."""
     while True:
         group = _without_hinges(structure.n_atoms, bonds, hinges)
         hinges = [hinge for hinge in hinges if group[hinge.atoms[1]] != group[hinge.atoms[2]]]
@@ -231,10 +217,7 @@ def turning_hinges(
 
 
 def _without_hinges(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integers:
-    """(na,) int: connected component of each atom once the bonds of the hinges are removed.
-
-    Both ends of a ring bond (proline's phi) stay in one component: such a hinge does not turn.
-    """
+    """(na,) int: component of each atom without the bonds of hinges; one for both ends of a ring bond."""
     turning = {frozenset(hinge.atoms[1:3]) for hinge in hinges}
     rigid = np.array([frozenset(bond) not in turning for bond in bonds.tolist()], dtype=bool)
     return components(bonds[rigid], n_atoms)

@@ -21,21 +21,17 @@ from protochain.structure.select import atoms_at
 class Restraints(Value):
     """Restraints of a structure: positions (na, 3) in nm to energy in kJ/mol and forces.
 
-    listed: In their order.
-    pairs (p, 2) int, of_pair (p,) int: Atoms of distances, and the row of each.
-    fours (m, 4) int, of_four (m,) int: Atoms of dihedrals.
-    home (na, 3) nm: Of positions; atoms (n,) int, of_atom (n,) int.
     lower, upper, stiffness, linear (r,): nm, rad, kJ/mol.
     """
 
-    listed: tuple[Restraint, ...]
-    pairs: Integers
-    of_pair: Integers
-    fours: Integers
-    of_four: Integers
-    atoms: Integers
-    of_atom: Integers
-    home: Floats
+    listed: tuple[Restraint, ...]  # In their order.
+    pairs: Integers  # (p, 2) int: Atoms of distances.
+    of_pair: Integers  # (p,) int: The row of each.
+    fours: Integers  # (m, 4) int: Atoms of dihedrals.
+    of_four: Integers  # (m,) int: The row of each.
+    atoms: Integers  # (n,) int: Atoms of positions.
+    of_atom: Integers  # (n,) int: The row of each.
+    home: Floats  # (na, 3) nm: Of positions.
 
     @classmethod
     def of(cls, structure: Structure, given: Any) -> Self:

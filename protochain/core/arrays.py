@@ -13,6 +13,8 @@ from protochain.core.errors import Fault, ProtochainError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
+"""The golden angle, rad."""
 
 Watcher = Callable[[Mapping[str, float], Floats], None]
 """Callback of a run: receives each row of its log, and the positions (na, 3) the row belongs to."""
@@ -49,13 +51,9 @@ def frozen(array: Floats) -> Floats:
 
 
 def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "") -> Floats:
-    """Return a contiguous read-only float64 view of values that have the given shape.
-
-    A Quantity of OpenMM is converted to the unit, where one is given.
-
-    Kernels do not check shapes. And numba compiles writable and read-only arrays separately, but may call
-    either code for either, whichever was compiled first: rounding would depend on earlier calls.
-    """
+    """Return a contiguous read-only float64 view of values, of a shape, and in a unit if given."""
+    # Kernels do not check shapes. And numba compiles writable and read-only arrays separately, but may call
+    # either code for either, whichever was compiled first: rounding would depend on earlier calls.
     if hasattr(values, "value_in_unit"):
         if not unit:
             raise ProtochainError(f"{name} has a unit; give numbers, without a unit")
@@ -89,6 +87,13 @@ def cross(a: Floats, b: Floats) -> Floats:
     product[..., 1] = az * bx - ax * bz
     product[..., 2] = ax * by - ay * bx
     return product
+
+
+def sphere(n: int) -> Floats:
+    """Directions (n, 3) spread evenly over the sphere, on a golden-angle spiral."""
+    z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
+    turn, across = GOLDEN * np.arange(n), np.sqrt(1.0 - z * z)
+    return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
 
 
 def dots(a: Floats, b: Floats) -> Floats:

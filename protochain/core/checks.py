@@ -51,7 +51,7 @@ def checked(**checks: Check) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 def refuse_misplaced(call: str, name: str) -> None:
     """Refuse an option that another call takes, and say which; do nothing about others."""
-    place = next((place for place, names in _TAKEN_BY.items() if name in names.split()), None)
+    place = next((place for place, names in _OPTIONS_OF.items() if name in names.split()), None)
     if name == "chain" or place:
         takes = (
             f"{place.format(name)} takes it" if place else "pc.load(file, chains='A') takes chains of a file"
@@ -59,7 +59,7 @@ def refuse_misplaced(call: str, name: str) -> None:
         raise ProtochainError(f"{call} has no option {name!r}; {takes}")
 
 
-_TAKEN_BY = {
+_OPTIONS_OF = {
     "pc.load(file, {}=...)": "model assembly altloc keep disulfide ph strict chains ligands ligand_charges "
     "standard_residues",
     "pc.build_chain(structure, {}=...)": "hinges root move hydrogen_mass",
@@ -288,10 +288,7 @@ Bond = tuple[str, str] | Literal["none"]
 
 
 def bonds(given: Any, name: str) -> tuple[Bond, ...]:
-    """Read bonds, each ``("A:3", "A:40")``, ``"A:3-A:40"`` or ``"none"``, or all in one text with commas.
-
-    None is no bond. An empty sequence, which once was what ``"none"`` is, is refused.
-    """
+    """Read bonds, ``("A:3", "A:40")``, ``"A:3-A:40"``, ``"none"``, or a text of all; none empty."""
     if given is None:
         return ()
     each = words(given, name) if isinstance(given, str) else given

@@ -52,10 +52,7 @@ if _SETTINGS.DISABLE_JIT:
 
 
 def _wide() -> None:
-    """Use vectors of eight doubles where the processor has them, though LLVM prefers four on most of these.
-
-    It makes the pairs' kernels 1.3 to 1.5 times faster. NUMBA_CPU_NAME or NUMBA_CPU_FEATURES, if set, decide.
-    """
+    """Use vectors of eight doubles where LLVM prefers four: 1.3 to 1.5 times faster; NUMBA_CPU_... decide."""
     features = get_host_cpu_features()
     if _SETTINGS.CPU_NAME is None and _SETTINGS.CPU_FEATURES is None and "+avx512f" in features:
         _SETTINGS.CPU_FEATURES = features + ",-prefer-256-bit"
@@ -211,10 +208,7 @@ class Store:
 
 
 def _folders(source: Path) -> Iterator[str]:
-    """Folders for compiled code, as numba has them in its settings; none, "", stands for its own choice.
-
-    Numba takes, in this order, NUMBA_CACHE_DIR, __pycache__ beside the source, the user's cache.
-    """
+    """Folders for compiled code in numba's order: NUMBA_CACHE_DIR, __pycache__ (""), the user's cache."""
     # Without a home numba would make a folder named ~ where the program runs.
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~")  # noqa: PTH111  # pathlib raises then
     beside = source / "__pycache__"

@@ -34,10 +34,7 @@ def is_helper() -> bool:
 
 
 def call_helpers(missing: str, folder: Path) -> None:
-    """Start helpers, the first time that a kernel of the list, ``module name``, must be compiled.
-
-    Of several processes with one folder of compiled code, only the first has helpers.
-    """
+    """Start helpers when a kernel of the list must first be compiled, in one process of a folder only."""
     if not (is_helper() or _HELD) and any(entry.startswith(f"{missing} ") for entry in entries()):
         _start(folder / "helpers.lock")
 
@@ -106,11 +103,9 @@ def _kernels() -> Iterator[tuple[Any, tuple[Any, ...]]]:
 
 
 def type_of(text: str) -> Any:
-    """Type of numba from its text.
-
-    A letter, f float64, i int64, b bool or n None; for an array the number of its axes behind it, then r if
-    it is read-only and s if it has gaps; for a tuple its types in brackets, with commas.
-    """
+    """Type of numba from its text."""
+    # A letter, f float64, i int64, b bool or n None; for an array the number of its axes behind it, then r if
+    # it is read-only and s if it has gaps; for a tuple its types in brackets, with commas.
     from numba import types
 
     if text.startswith("("):

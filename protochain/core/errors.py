@@ -12,13 +12,10 @@ _MAKE_SPACE = "free space there, or give another place, and run again"
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument in a message; its text is that of Python, as ``time_step`` or ``keep="all"``.
-
-    value: What to give.
-    """
+    """An argument in a message; its text is that of Python, as ``time_step`` or ``keep="all"``."""
 
     name: str
-    value: str | bool | None = None
+    value: str | bool | None = None  # What to give.
 
     def __str__(self) -> str:
         value = f'"{self.value}"' if isinstance(self.value, str) else self.value
@@ -162,7 +159,7 @@ class BodyError(MechanicsError):
     """What is wrong with one body of a tree.
 
     body: Its number.
-    said: What is wrong, and what to do.
+    stated: What is wrong, and what to do.
     """
 
     def __init__(self, body: int, stated: str, fault: Fault | None = None) -> None:

@@ -69,10 +69,7 @@ def within(bonded: Any, start: _Node, most: int) -> set[_Node]:
 
 
 def beyond(bonded: Any, first: int, second: int) -> set[int]:
-    """Atoms on the second's side of a bond, without the second.
-
-    If it is of a ring, the atoms beyond lead back to the first, which is left out.
-    """
+    """Atoms on the second's side of a bond, without both; through a ring they lead back to the first."""
     found, ahead = {first, second}, [second]
     while ahead:
         fresh = [i for i in bonded[ahead.pop()] if i not in found]

@@ -23,10 +23,7 @@ class _Noted(list[int]):
 
 @contextmanager
 def held_interrupts() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM in a list instead of raising KeyboardInterrupt.
-
-    A nested call yields the list of the outer one, with the signals already received.
-    """
+    """Collect SIGINT and SIGTERM in a list instead of KeyboardInterrupt; nested calls share the outer's."""
     handlers = {number: signal.getsignal(number) for number in _SIGNALS}
     outer = next((handler for handler in handlers.values() if isinstance(handler, _Noted)), None)
     if outer is not None:

@@ -8,11 +8,7 @@ _OWN = Path("/proc/self/cgroup")
 
 
 def processors() -> int:
-    """Return the number of processors that this process may use.
-
-    The smallest of those of the machine, those it is bound to (``taskset``, a batch system), and the share of
-    time that a container or a batch system allows it, rounded (control groups of Linux, versions 1 and 2).
-    """
+    """Return the number of processors that this process may use: the machine's, bound ones, or a share."""
     bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(bound, round(allowed(_CGROUPS, _OWN))))
 

@@ -17,24 +17,18 @@ P = ParamSpec("P")
 
 @dataclass(frozen=True)
 class Setting:
-    """What commands and manifests know of a field beside its name and default.
+    """What commands and manifests know of a field beside its name and default."""
 
-    check: (value, name) -> the value that functions work with, as those of :mod:`protochain.core.checks`.
-    help: Of the option; a field without help has none.
-    kind: Of what an option or a cell of a manifest gives.
-    option: The option's names, where they are not the field's, the first of which is said; one that begins
-        with ``--no-`` turns a field off that is on.
-    read: (what is given) -> value of the field; as of degrees.
-    metavar: What stands for the value in the help.
-    word: A further option without a value: its name, its help, and what it puts before the values given.
-    """
-
+    # (value, name) -> the value that functions work with, as those of :mod:`protochain.core.checks`.
     check: Check
-    help: str = ""
-    kind: Any = str
+    help: str = ""  # Of the option; a field without help has none.
+    kind: Any = str  # Of what an option or a cell of a manifest gives.
+    # The option's names, where they are not the field's, the first of which is said; one that begins with
+    # ``--no-`` turns a field off that is on.
     option: str = ""
-    read: Callable[[Any], Any] | None = None
-    metavar: str | None = None
+    read: Callable[[Any], Any] | None = None  # (what is given) -> value of the field; as of degrees.
+    metavar: str | None = None  # What stands for the value in the help.
+    # A further option without a value: its name, its help, and what it puts before the values given.
     word: tuple[str, str, str] | None = None
 
     @property

@@ -94,10 +94,7 @@ _TEMPORARY = re.compile(r"\..+\.([a-z0-9_]{8})\.\w+")
 
 @contextmanager
 def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
-    """Hold a folder, created if needed, for one process; what was created and stays empty is removed.
-
-    With ``resume``, so are temporary files that a killed run left.
-    """
+    """Hold a folder for one process, made and removed if empty; to resume, removes temporary files."""
     from filelock import FileLock, Timeout
 
     made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]

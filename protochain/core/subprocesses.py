@@ -5,10 +5,6 @@ from pathlib import Path
 
 
 def own_python(statement: str) -> list[str]:
-    """Command, for :class:`subprocess.Popen`, that runs a statement, which imports what it needs.
-
-    Without ``-P`` a module of the current folder, such as a ``gemmi.py`` among somebody's structures, would
-    run in place of an installed one.
-    """
+    """Command that runs a statement; ``-P``, so that a ``gemmi.py`` in the current folder is not imported."""
     first = "import sys; sys.path.append(sys.argv.pop(1)); "
     return [sys.executable, "-P", "-c", first + statement, str(Path(__file__).parents[2])]

@@ -11,33 +11,23 @@ from protochain.core.units import COULOMB
 
 @dataclass(frozen=True, eq=False)
 class Term(Value):
-    """Bonded terms of one kind.
+    """Bonded terms of one kind."""
 
-    atoms (n, k) int.
-    parameters (n, m).
-    """
-
-    atoms: Integers
-    parameters: Floats
+    atoms: Integers  # (n, k) int.
+    parameters: Floats  # (n, m).
 
 
 @dataclass(frozen=True, eq=False)
 class Parameters(Value):
-    """Parameters of the potential energy, in nm, kJ/mol, rad and e, columns as in an OpenMM System.
+    """Parameters of the potential energy, in nm, kJ/mol, rad and e, columns as in an OpenMM System."""
 
-    bonds, angles, torsions: Length and spring; angle and spring; periodicity, phase and k, impropers
-        included.
-    charge, sigma, epsilon (na,).
-    scale_lj, scale_coulomb: Factors of pairs three bonds apart. Nearer ones are left out.
-    """
-
-    bonds: Term
-    angles: Term
-    torsions: Term
-    charge: Floats
-    sigma: Floats
-    epsilon: Floats
-    scale_lj: float
+    bonds: Term  # Length and spring.
+    angles: Term  # Angle and spring.
+    torsions: Term  # Periodicity, phase and k, impropers included.
+    charge: Floats  # (na,).
+    sigma: Floats  # (na,).
+    epsilon: Floats  # (na,).
+    scale_lj: float  # Factors of pairs three bonds apart. Nearer ones are left out.
     scale_coulomb: float
 
     def pairs(self) -> tuple[Integers, Floats, Floats]:

@@ -35,15 +35,12 @@ _FLAT = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Placed(Value):
-    """A molecule where a model has it.
+    """A molecule where a model has it."""
 
-    molecule: With the chemistry of its source, and names and positions of the model; new places of hydrogens.
-    atoms (na,) int: The model's atom of each; -1 of hydrogens.
-    inverted: Stereocentres, and double bonds as ``C1=C2``, that the model has the other way round, or flat.
-    """
-
+    # With the chemistry of its source, and names and positions of the model; new places of hydrogens.
     molecule: Molecule
-    atoms: Integers
+    atoms: Integers  # (na,) int: The model's atom of each; -1 of hydrogens.
+    # Stereocentres, and double bonds as ``C1=C2``, that the model has the other way round, or flat.
     inverted: tuple[str, ...]
 
 
@@ -56,13 +53,8 @@ def placed(
     *,
     by_name: bool = False,
 ) -> Placed:
-    """Put a molecule where a model has it, by the bonds that its coordinates show.
-
-    Of several matches, the one whose hydrogens and lengths of bonds fit best is taken; where they fit alike,
-    that with fewest stereocentres inverted.
-
-    elements (nm,) int, x (nm, 3) nm, hydrogens (nm,) int.
-    """
+    """Put a molecule where a model's elements (nm,) are at x (nm, 3), nm, by the bonds that these show."""
+    # Of several matches, that whose hydrogens and lengths of bonds fit best; then that with fewest inverted.
     elements = np.asarray(elements)
     if not np.isfinite(x).all():
         raise StructureError(f"{molecule.source}: the model has coordinates that are not finite; mend them")
@@ -84,10 +76,7 @@ def placed(
 
 
 def named_as(molecule: Molecule, elements: ArrayLike, names: tuple[str, ...], x: Floats) -> Molecule:
-    """Give atoms of a molecule the names of a model, which may lack some, as where it is bonded to another.
-
-    elements (nm,) int, x (nm, 3) nm.
-    """
+    """Give atoms of a molecule the names of a model, elements (nm,), x (nm, 3) nm, which may lack some."""
     elements, heavy = np.asarray(elements), molecule.heavy
     if len(names) >= len(heavy):
         places = _matched(molecule, elements, names, x, np.arange(len(names)), None)

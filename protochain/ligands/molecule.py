@@ -25,30 +25,21 @@ def quietly(call: Callable[..., Any], *args: Any, **named: Any) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Molecule(Value):
-    """A molecule with all its hydrogens.
+    """A molecule with all its hydrogens."""
 
-    names: Unique; made of element and number where the source has none.
-    elements (na,) int: Atomic numbers.
-    formal_charges (na,) int.
-    bonds (m, 2) int.
-    orders (m,) int: 1, 2 or 3: one Kekule structure.
-    handedness (na,) int: 0, or for a stereocentre RDKit's tag: 1 if the other atoms of its bonds, in their
-        order, follow clockwise as seen from the first, 2 if counter-clockwise.
-    double_bonds (k, 5) int: Four atoms about a double bond with stereo, and 1 if the outer two are cis, else
-        0.
-    stereo: The same for people: atoms with R or S, as ``("C3", "R")``, and bonds with E or Z.
-    positions (na, 3): None if the source has no coordinates in space.
-    """
-
-    names: tuple[str, ...]
-    elements: Integers
-    formal_charges: Integers
-    bonds: Integers
-    orders: Integers
+    names: tuple[str, ...]  # Unique; made of element and number where the source has none.
+    elements: Integers  # (na,) int: Atomic numbers.
+    formal_charges: Integers  # (na,) int.
+    bonds: Integers  # (m, 2) int.
+    orders: Integers  # (m,) int: 1, 2 or 3: one Kekule structure.
+    # (na,) int: 0, or for a stereocentre RDKit's tag: 1 if the other atoms of its bonds, in their order,
+    # follow clockwise as seen from the first, 2 if counter-clockwise.
     handedness: Integers
+    # (k, 5) int: Four atoms about a double bond with stereo, and 1 if the outer two are cis, else 0.
     double_bonds: Integers
+    # The same for people: atoms with R or S, as ``("C3", "R")``, and bonds with E or Z.
     stereo: tuple[tuple[str, str], ...]
-    positions: Floats | None
+    positions: Floats | None  # (na, 3): None if the source has no coordinates in space.
     source: str
 
     @property
@@ -98,10 +89,7 @@ def in_mdl_aromaticity(molecule: Molecule) -> Any:
 def assembled(
     names: Sequence[str], elements: Any, charges: Any, bonds: Any, orders: Any, positions: Floats | None
 ) -> Any:
-    """Return RDKit's molecule of these atoms and bonds, neither sanitised nor with more hydrogens.
-
-    Orders are 1, 2 or 3, or 12 as RDKit numbers aromatic ones; positions are in nm.
-    """
+    """Return RDKit's molecule, not sanitised; orders 1, 2, 3, or 12 as of aromatic bonds; positions nm."""
     chem = library("rdkit.Chem")
     made = chem.RWMol()
     for name, element, charge in zip(names, elements, charges, strict=True):

@@ -80,10 +80,7 @@ Form = tuple[tuple[int, ...], tuple[int, ...]]
 
 
 def charges(molecule: Molecule) -> Floats:
-    """Return the charges (na,) of a molecule, in e: of the table, or as predicted.
-
-    They sum to its formal charge but for rounding, and do not depend on the order of its atoms.
-    """
+    """Return the charges (na,), e, of the table, or as predicted, whatever the order of the atoms."""
     made = in_mdl_aromaticity(molecule)
     found = _tabulated(molecule, made)
     return np.round(_predicted(molecule, _features(made)) if found is None else found, _DECIMALS)
@@ -213,12 +210,10 @@ def _resonant_charges(made: Any) -> Floats:
 
 
 def _lowest(form: Form, group: list[Any]) -> list[Form]:
-    """Forms of lowest energy of conjugated atoms.
-
-    Two forms differ along paths that share no atom, whose differences in energy add up. Each is a move from
-    donor to acceptor, or one of donors and one of acceptors are two moves together: from a form that is not
-    lowest one or two moves lead to a lower one, and at one energy from each lowest to all.
-    """
+    """Forms of lowest energy of conjugated atoms."""
+    # Two forms differ along paths that share no atom, whose differences in energy add up. Each is a move from
+    # donor to acceptor, or one of donors and one of acceptors are two moves together: from a form that is not
+    # lowest one or two moves lead to a lower one, and at one energy from each lowest to all.
     while (lower := next((to for cost, to in _steps(form, group) if cost < 0), None)) is not None:
         form = lower
     found = {form[0]: form}
@@ -241,10 +236,7 @@ def _steps(form: Form, group: list[Any]) -> Iterator[tuple[int, Form]]:
 
 
 def _moves(form: Form, group: list[Any], most: int) -> Iterator[tuple[int, Form]]:
-    """Forms after an electron pair of a donor has moved to an acceptor, with its cost, up to the most.
-
-    The pair moves along bonds whose orders rise by one and fall by one, in turn, and so change places.
-    """
+    """Forms after a pair moved from donor to acceptor along bonds whose orders alternate, and cost."""
     charge, order = form
     bonds = {
         atom.GetIdx(): {bond.GetOtherAtomIdx(atom.GetIdx()): bond.GetIdx() for bond in atom.GetBonds()}

@@ -33,14 +33,12 @@ class Charged(Value):
 
 @dataclass(frozen=True)
 class Rule(Value):
-    """A site whose pKa dimorphite-dl lacks, or has from too wide a class.
+    """A site whose pKa dimorphite-dl lacks, or has from too wide a class."""
 
-    gain: -1: the site is matched with its proton, and loses it if the pH is above; 1: without, and takes one.
-    smarts: Its first atom is the site. Rules are applied in their order, each until it matches no more, so
-        that a pattern may say how neighbours are charged.
-    """
-
+    # -1: the site is matched with its proton, and loses it if the pH is above; 1: without, and takes one.
     gain: int
+    # Its first atom is the site. Rules are applied in their order, each until it matches no more, so that a
+    # pattern may say how neighbours are charged.
     smarts: str
     pka: float
     source: str
@@ -103,11 +101,7 @@ def at_ph(molecule: Molecule, ph: float) -> tuple[Molecule, tuple[Charged, ...]]
 
 
 def at_metal(molecule: Molecule, holding: Collection[int]) -> tuple[Molecule, tuple[Charged, ...]]:
-    """Return a molecule without protons on atoms that hold a metal, and what was changed.
-
-    Ammonium, sulphonamides, thiols, phenols and acids lose theirs; an azole has its proton on another
-    nitrogen, if one is free.
-    """
+    """Return a molecule without the protons that metals displace, and what changed; azoles keep theirs."""
     if not holding:
         return molecule, ()
     state, rank = _numbered(molecule)
@@ -133,10 +127,7 @@ def _move_proton(state: Any, site: Any, rank: list[int], holding: Collection[int
 
 
 def _numbered(molecule: Molecule) -> tuple[Any, list[int]]:
-    """Heavy atoms as RDKit has them, numbered by isotopes from 1, and the rank of each atom.
-
-    dimorphite-dl drops map numbers of atoms that it neutralises.
-    """
+    """Heavy atoms numbered by isotopes, since dimorphite-dl drops map numbers, and the rank of each atom."""
     chem, made = library("rdkit.Chem"), to_rdkit(molecule)
     rank = list(chem.CanonicalRankAtoms(made))
     for atom in made.GetAtoms():
@@ -194,10 +185,8 @@ def skeleton(molecule: Molecule) -> str:
 
 
 def with_hydrogens(molecule: Molecule, count: Mapping[int, int]) -> Molecule | None:
-    """Return a molecule with these numbers of hydrogens, each more or less a charge; None if they do not fit.
-
-    They fit if carbons keep theirs, and others gain or lose one, all alike: of a tautomer bonds would change.
-    """
+    """Return a molecule with these numbers of hydrogens, each a charge; None unless carbons keep theirs."""
+    # Others gain or lose one, all alike: of a tautomer bonds would change.
     chem = library("rdkit.Chem")
     made = to_rdkit(molecule)
     more = set()
@@ -261,11 +250,9 @@ def _state(smiles: str, ph: float, rank: list[int]) -> Any:
 
 
 def _apply(state: Any, smarts: str, gain: int, rank: list[int], among: Collection[int] | None = None) -> None:
-    """Let sites that a pattern matches gain or lose a proton, one by one, until none is left.
-
-    The first to lose is the one in most matches, as the middle one of three amines in a row, then the one
-    with more neighbours but one that draw electrons, then the one with fewer hydrogens.
-    """
+    """Let sites that a pattern matches gain or lose a proton, one by one, until none is left."""
+    # The first to lose is the one in most matches, as the middle one of three amines in a row, then the one
+    # with more neighbours but one that draw electrons, then the one with fewer hydrogens.
     query = library("rdkit.Chem").MolFromSmarts(smarts)
     while True:
         often = Counter(match[0] for match in state.GetSubstructMatches(query, uniquify=False))

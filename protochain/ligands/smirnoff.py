@@ -59,15 +59,12 @@ class Rule(Value):
 
 @dataclass(frozen=True)
 class ForceField(Value):
-    """Rules of a file.
-
-    rules: By section; of sections that are not handled, only name and pattern.
-    scale_lj, scale_coulomb: Factors of pairs three bonds apart.
-    """
+    """Rules of a file."""
 
     path: Path
+    # By section; of sections that are not handled, only name and pattern.
     rules: Mapping[str, tuple[Rule, ...]]
-    scale_lj: float
+    scale_lj: float  # Factors of pairs three bonds apart.
     scale_coulomb: float
 
 

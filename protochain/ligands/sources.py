@@ -151,10 +151,7 @@ def _from_file(path: Path, number: int) -> Molecule:
 
 
 def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> tuple[Molecule | None, bool]:
-    """Chemistry by ``_chem_comp_bond``, and whether the file says how atoms are charged.
-
-    Elements and charges are those of ``_chem_comp_atom``, else of the model.
-    """
+    """Chemistry by ``_chem_comp_bond`` and ``_chem_comp_atom``, and whether the file says its charges."""
     import gemmi
 
     if "_chem_comp_bond." not in header:

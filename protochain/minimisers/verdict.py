@@ -115,7 +115,7 @@ def rejected(structure: Structure, x: Floats) -> list[str]:
     found += [f"double bonds with the other E/Z: {listed(bonds)}"] if bonds else []
     still, whole = chains_still(structure)
     found += [f"{still} of {whole} residues of the protein have no parameters: fixed"] * (2 * still > whole)
-    faults = fixed_faults(structure, x).said(structure, x)
+    faults = fixed_faults(structure, x).summary(structure, x)
     return [*found, faults] if faults else found
 
 

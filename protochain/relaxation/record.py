@@ -57,7 +57,7 @@ COLUMNS = (
     Column("ligand_strain_end_kj_mol", lambda r: _strain(r.ligands_end)),
     Column("ligands", lambda r: list(map(at_both_ends, r.ligands_start, r.ligands_end))),
     Column("n_rounds", lambda r: len(r.rounds)),
-    Column("n_residues_let_go", lambda r: r.rounds[r.best].let_go),
+    Column("n_residues_released", lambda r: r.rounds[r.best].released),
     Column("rounds", lambda r: [asdict(each) for each in r.rounds]),
     Column("iterations", lambda r: sum(each.iterations for each in r.rounds), kind=int),
     Column("evaluations", lambda r: sum(each.evaluations for each in r.rounds), kind=int),

@@ -59,7 +59,7 @@ class Round:
 
     Parameters
     ----------
-    let_go : int
+    released : int
         Residues whose springs were weakened, or taken away.
     violations : int
         Residues with violations at its end.
@@ -71,7 +71,7 @@ class Round:
         Wall time.
     """
 
-    let_go: int
+    released: int
     violations: int
     overlaps: int
     iterations: int

@@ -45,10 +45,7 @@ def separate_chains(structure: gemmi.Structure) -> list[Repair]:
 
 
 def _split_where_numbers_begin_again(model: gemmi.Model) -> None:
-    """Split chains in which an amino acid has the number of one before it, as segments without ids have.
-
-    States that exclude each other may have it, too.
-    """
+    """Split chains in which an amino acid has the number of one before it, unless as states."""
     for k in reversed(range(len(model))):
         chain, seen, starts = model[k], set[str](), list[int]()
         for i, residue in enumerate(chain):
@@ -134,10 +131,7 @@ def _is_amino(residue: gemmi.Residue) -> bool:
 
 
 def separate_molecules(structure: gemmi.Structure, source: str) -> list[Repair]:
-    """Split molecules that share number and name, and number atoms of a molecule that share a name.
-
-    Atoms of alternate locations, and atoms of an amino acid given more than once, are left for later choice.
-    """
+    """Split molecules that share number and name, and number namesakes in one; alternates come later."""
     split = numbered = 0
     for model in structure:
         for chain in model:

@@ -72,10 +72,7 @@ class Graph:
         )  # fmt: skip
 
     def leave(self, a: str, absent: Collection[str], flagged: Collection[str]) -> tuple[list[str], int]:
-        """Take away groups that are absent at an atom, or else one that its component says may leave.
-
-        -> freed: Valences of the atom that this frees.
-        """
+        """Take away groups absent at an atom, or one that its component lets leave; and valences freed."""
         groups = {x: self.beyond(a, x) for x in self.heavy(a)}
         marked = sorted((x for x in groups if groups[x].keys() <= {*flagged}), key=lambda x: self.order(a, x))
         at = [x for x in groups if groups[x].keys() <= {*absent} and (x in marked or len(groups[x]) == 1)]
@@ -107,11 +104,9 @@ class Graph:
                 self.atoms[a], self.atoms[x] = self.atoms[x], self.atoms[a]
 
     def acceptors(self, a: str) -> list[str]:
-        """Neighbours whose double bond is used up when a nucleophile adds to a carbon, as of acrylamides.
-
-        They hold a carbonyl or the like. Distances have to show it in quinones, where more carbons are
-        conjugated, and in but-2-enamides, as which the archive has bonded but-2-ynamides.
-        """
+        """Neighbours whose double bond is used up when a nucleophile adds to a carbon, as of acrylamides."""
+        # Distances have to show it in quinones, where more carbons are conjugated, and in but-2-enamides, as
+        # which the archive has bonded but-2-ynamides.
 
         def is_multiple(x: str, *elements: int) -> bool:
             return any(self.order(x, y) > 1 and self.atoms[y][0] in elements for y in self.heavy(x) if y != a)

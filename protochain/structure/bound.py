@@ -45,20 +45,15 @@ Charging = tuple[Molecule, tuple[Charged, ...]]
 
 @dataclass(frozen=True)
 class Chemistry:
-    """Where the chemistry of molecules kept with the protein comes from.
+    """Where the chemistry of molecules kept with the protein comes from."""
 
-    sources: What the user gives: the name of a residue, or none for a pose that is added; SMILES, or a path.
-    charges: As for :func:`protochain.ligand`.
-    has_glycam: Whether the force field is one that GLYCAM-06j goes with.
-    has_sage: Whether it is one that Sage goes with where molecules are bonded to residues.
-    posed: Poses that were added, by the name of the residue.
-    """
-
+    # What the user gives: the name of a residue, or none for a pose that is added; SMILES, or a path.
     sources: tuple[LigandSource, ...] = ()
-    charges: str = defaults.LIGAND_CHARGES
+    charges: str = defaults.LIGAND_CHARGES  # As for :func:`protochain.ligand`.
     ph: float = defaults.PH
-    has_glycam: bool = True
-    has_sage: bool = True
+    has_glycam: bool = True  # Whether the force field is one that GLYCAM-06j goes with.
+    has_sage: bool = True  # Whether it is one that Sage goes with where molecules are bonded to residues.
+    # Poses that were added, by the name of the residue.
     posed: Mapping[str, "Charging"] = field(default_factory=dict, compare=False)
 
     @classmethod
@@ -79,11 +74,7 @@ class Chemistry:
         return {*self.named, *self.posed}
 
     def charged(self, molecule: Molecule, given: bool) -> Charging:
-        """Charge a molecule for the pH, unless its source shows how it is charged.
-
-        The table knows acids of carbon and phosphorus. SO4 is as its source has it, as is what users give
-        with charges.
-        """
+        """Charge a molecule for the pH, unless its source shows its charges, as of SO4."""
         if not np.isin(molecule.elements, (6, 15)).any() or (given and molecule.formal_charges.any()):
             return molecule, ()
         return at_ph(molecule, self.ph)
@@ -177,7 +168,7 @@ class Chemist:
 
     def free(self, member: Member) -> Molecule:
         """Chemistry of a residue as its source has it, under the names of its atoms in the file."""
-        found, atoms = self._of_source(member), [a for a in member.atoms if not a.is_hydrogen()]
+        found, atoms = self._of_source(member), member.heavy
         names, is_given = tuple(a.name for a in atoms), self.name(member) in self.chemistry.moving
         if not is_given and {*names} <= {*found.names}:
             return found
@@ -203,7 +194,7 @@ class Chemist:
 
 def _placed(molecule: Molecule, member: Member, by_name: bool) -> Placed:
     """The molecule where the file has it."""
-    atoms = [a for a in member.atoms if not a.is_hydrogen()]
+    atoms = member.heavy
     there = _hydrogens(member)
     n = [len(there[a.name]) for a in atoms]
     names, x = tuple(a.name for a in atoms), np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
@@ -212,10 +203,7 @@ def _placed(molecule: Molecule, member: Member, by_name: bool) -> Placed:
 
 
 def _as_shown(molecule: Molecule, member: Member) -> Molecule:
-    """The molecule with the hydrogens that the file has, in number, name and place, if it has them all.
-
-    Where an oxygen or nitrogen has one more, or one less, that is its charge.
-    """
+    """The molecule with the file's hydrogens, if it has all; one more or less at N or O is its charge."""
     there = _hydrogens(member)
     if not any(there.values()):
         return _named_apart(molecule)
@@ -233,11 +221,8 @@ def _as_shown(molecule: Molecule, member: Member) -> Molecule:
 
 
 def _as_filed(molecule: Molecule, member: Member) -> Molecule:
-    """The molecule with its heavy atoms in the order of the file, then its hydrogens by name.
-
-    SMIRNOFF's impropers depend on the order: a file written of a structure is to have the same energy.
-    """
-    heavy = (each.name for each in member.atoms if not each.is_hydrogen())
+    """The molecule with its heavy atoms in the order of the file, on which SMIRNOFF's impropers depend."""
+    heavy = (each.name for each in member.heavy)
     place = {name: k for k, name in enumerate(heavy)}
     order = sorted(
         range(molecule.n_atoms), key=lambda i: (place.get(molecule.names[i], len(place)), molecule.names[i])
@@ -260,7 +245,7 @@ def _as_filed(molecule: Molecule, member: Member) -> Molecule:
 
 def _hydrogens(member: Member) -> dict[str, list[gemmi.Atom]]:
     """Hydrogens of a file by the name of the nearest heavy atom, in the order of the file."""
-    heavy = [a for a in member.atoms if not a.is_hydrogen()]
+    heavy = member.heavy
     found: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
         nearest = min(heavy, key=lambda a: a.pos.dist(hydrogen.pos))
@@ -305,10 +290,7 @@ def take_up(draft: Draft, ph: float) -> None:
 
 
 def put_hydrogens(draft: Draft) -> None:
-    """Put hydrogens of ligands that have no place where their molecules have them.
-
-    Those at oxygen and sulphur turn to where the energy is lowest, as others do.
-    """
+    """Put hydrogens of ligands where their molecules have them; those at O and S turn later, as others do."""
     for part in draft.parts:
         if part.ligand is None:
             continue

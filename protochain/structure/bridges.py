@@ -27,7 +27,7 @@ def disulfides(draft: Draft, asked: Sequence[Bond] = ()) -> list[Bridge]:
         draft.note(Kind.BRIDGES_DROPPED, pairs=pairs)
     found = [] if only else found
     for first, second in found:
-        if not _is_stated(draft, first, second):
+        if not draft.states(first.address("SG"), second.address("SG")):
             draft.note(Kind.BRIDGE, first=first.residue, second=second.residue)
     for bond in wanted:
         bridge = _asked(draft, cysteines, found, bond)
@@ -118,7 +118,3 @@ def _sulphur(member: Member) -> list[float]:
 def _apart(first: Member, second: Member) -> float:
     a, b = first.atom("SG"), second.atom("SG")
     return float(a.pos.dist(b.pos)) if a and b else float("inf")
-
-
-def _is_stated(draft: Draft, first: Member, second: Member) -> bool:
-    return draft.states(first.address("SG"), second.address("SG"))

@@ -70,7 +70,7 @@ class Maker:
             free, tag = self.chemist.free(m), self.tag[id(m)]
             sources[free.source] = None
             self.graph.add(tag, free)
-            self.at |= {tag + a.name: a for a in m.atoms if not a.is_hydrogen()}
+            self.at |= {tag + a.name: a for a in m.heavy}
             self.flagged |= {tag + name for name in (*leaving(self.chemist.name(m)), "OXT", "OP3")}
             if self.where[id(m)].part.obstacle:
                 self._without_far(tag)
@@ -132,10 +132,7 @@ class Maker:
         return other, own
 
     def _nucleic_core(self, graph: Graph, member: Member) -> dict[str, str]:
-        """What the force field calls atoms of a nucleotide, if their neighbours are those it has there.
-
-        Of a modified one only those of sugar and phosphate.
-        """
+        """What the force field calls atoms of a nucleotide, or of a modified one's backbone."""
         tag, (part, _, before, after) = self.tag[id(member)], self.where[id(member)]
         is_standard = member.name in NUCLEOTIDES
         kind = member.name if is_standard else "DA" if _is_dna(part.members) else "A"

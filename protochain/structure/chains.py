@@ -29,25 +29,17 @@ class PairSums(Value):
     """Sums over the matched points of each pair of k chains of a reference and m of a model.
 
     By them a superposition of any of the pairs is found and judged without going through the points again.
-
-    weight (k, m): Number of points; 0 for chains that may not be paired.
-    own, other (k, m, 3): Sums of the points of the model and of the reference.
-    across (k, m, 3, 3): Sums of products of points of the reference with points of the model.
-    square (k, m): Sums of the squares of both.
     """
 
-    weight: Floats
-    own: Floats
+    weight: Floats  # (k, m): Number of points; 0 for chains that may not be paired.
+    own: Floats  # (k, m, 3): Sums of the points of the model and of the reference.
     other: Floats
-    across: Floats
-    square: Floats
+    across: Floats  # (k, m, 3, 3): Sums of products of points of the reference with points of the model.
+    square: Floats  # (k, m): Sums of the squares of both.
 
     @classmethod
     def of(cls, points: dict[tuple[int, int], tuple[Floats, Floats]], k: int, m: int) -> "PairSums":
-        """Sum points (n, 3) of the model and of the reference, given by numbers of their chains (i, j).
-
-        A pair of which fewer points are matched counts as much as the one with most of them.
-        """
+        """Sum points (n, 3) of model and reference by their chains (i, j); pairs of one chain count alike."""
         weight, square = np.zeros((2, k, m))
         own, other, across = np.zeros((k, m, 3)), np.zeros((k, m, 3)), np.zeros((k, m, 3, 3))
         most = [max((len(x) for (i, _), (x, _) in points.items() if i == row), default=0) for row in range(k)]
@@ -80,11 +72,7 @@ class PairSums(Value):
 
 
 def least_deviation(sums: PairSums, first: Integers) -> Integers:
-    """Find the chain of the model for each chain of the reference with the least RMSD.
-
-    first (k,) int.
-    -> (k,) int: As ``first``, with as many chains at least.
-    """
+    """Find the chain of the model for each of the reference (k,), as many as ``first``, of least RMSD."""
     allowed = sums.weight > 0.0
     best, least = first, _mean_square(sums, first)
     same = _SAME * float((sums.square / np.maximum(sums.weight, 1.0)).max(initial=0.0))

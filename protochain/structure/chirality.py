@@ -38,20 +38,14 @@ def centres(residue: str) -> dict[str, tuple[str, str, str]]:
 
 
 def volume(x: Floats) -> Floats:
-    """Signed volume spanned by bonds.
-
-    x (..., 4, 3).
-    -> (...): Positive in an L-amino acid, negative in its mirror image.
-    """
+    """Signed volume (...) of the bonds of x (..., 4, 3): positive in an L-amino acid."""
     arms = x[..., 1:, :] - x[..., :1, :]
     return np.asarray((arms[..., 0, :] * cross(arms[..., 1, :], arms[..., 2, :])).sum(-1))
 
 
 def handedness(member: Member, centre: str = "CA", least: float = 0.0) -> int:
-    """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in its mirror image, 0 if atoms are missing.
-
-    Also 0 if it is flatter than ``least``, nm^3, or an atom is not bonded to it, as CB of a peptoid is not.
-    """
+    """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in D, 0 if atoms lack or it is flatter (nm^3)."""
+    # An atom that is not bonded to it counts as missing, as CB of a peptoid.
     neighbours = centres(member.name).get(centre, ())
     found = [member.atom(name) for name in (centre, *neighbours)]
     x = np.array([atom.pos.tolist() for atom in found if atom is not None]) / ANGSTROM_PER_NM
@@ -71,10 +65,7 @@ def inverted_atoms(members: Sequence[Member]) -> list[Atom]:
 
 
 def changed_stereocentres(structure: Structure, x: Floats, reference: Floats) -> list[str]:
-    """Name the chiral atoms whose configuration differs between two sets of positions (na, 3), nm.
-
-    As ``CA of residue 14 LYS of chain A``.
-    """
+    """Name the chiral atoms (``CA of residue 14 LYS of chain A``) differing between positions (na, 3), nm."""
     atoms = chiral_atoms(structure)
     if not len(atoms):
         return []
@@ -88,10 +79,7 @@ def atoms_named(structure: Structure, atoms: Integers) -> list[str]:
 
 
 def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:
-    """Find the chiral atoms that are not as in an L-amino acid, or in D where the residue is mirrored.
-
-    x (na, 3) nm, mirrored (nr,) bool -> (n,) int.
-    """
+    """Find the chiral atoms (n,) at x (na, 3), nm, that are not L, or not D where ``mirrored`` (nr,)."""
     atoms = chiral_atoms(structure)
     signs = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
     return np.asarray(atoms[signs * volume(x[atoms]) < 0.0, 0])
@@ -118,10 +106,7 @@ def with_mirror_images(structure: Structure) -> Structure:
 
 @of_atoms
 def chiral_atoms(structure: Structure) -> Integers:
-    """(n, 4) int: every chiral atom of protein, nucleotides, glycans and ligands, and three neighbours.
-
-    Those of a ligand are in the order that spans a positive volume if it is configured as its source says.
-    """
+    """(n, 4) int: chiral atoms and three neighbours, of a ligand so that its source's volume is positive."""
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
     named = np.isin(structure.residue_name, [*NUCLEOTIDES])
     named[[*structure.glycans]] = True

@@ -1,4 +1,4 @@
-"""Which model of a file, and which of its chains, are taken."""
+"""Which model of a file, and which of its chains, are used."""
 
 from collections.abc import Sequence
 
@@ -32,7 +32,7 @@ def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -
     chosen = 0 if number is None else numbers.index(number)
     if len(structure) > 1:
         if number is None:
-            draft.note(Kind.MODELS_LEFT_OUT, taken=structure[0].num, count=len(structure) - 1)
+            draft.note(Kind.MODELS_LEFT_OUT, used=structure[0].num, count=len(structure) - 1)
         draft.left_out["models"] = len(structure) - 1
     draft.model_number = structure[chosen].num
     return structure[chosen]

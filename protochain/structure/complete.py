@@ -28,10 +28,7 @@ _DECIMALS = 4
 
 
 def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
-    """Rename atoms to their PDB names and add missing heavy atoms.
-
-    Side chains are built from ideal geometries of the configuration that their names say, on rotamers.
-    """
+    """Rename atoms to their PDB names, and add missing heavy atoms: side chains ideal, on rotamers."""
     renamed: list[Renamed] = []
     open_ended: list[Member] = []
     lacking: list[tuple[Part, int, list[str]]] = []
@@ -73,9 +70,7 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
 
 def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None:
     """Remove a terminal oxygen within a chain; refuse other heavy atoms that the template lacks."""
-    strange = [
-        a for a in member.atoms if not a.is_hydrogen() and a.name not in template.element and a.name != "OXT"
-    ]
+    strange = [a for a in member.heavy if a.name not in template.element and a.name != "OXT"]
     if strange:
         raise StructureError(
             f"{draft.source}: {member}: atom {strange[0].name} does not belong to {member.name}; "
@@ -201,8 +196,8 @@ def _add(member: Member, places: Places) -> None:
     """Add atoms; hydrogens at the atoms that get a neighbour are placed anew."""
     bonds = ideal(member.name).bonds
     parents = {other for name in places for other in bonds[name]}
-    heavy = [np.array(a.pos.tolist()) for a in member.atoms if not a.is_hydrogen()]
-    names = [a.name for a in member.atoms if not a.is_hydrogen()]
+    heavy = [np.array(a.pos.tolist()) for a in member.heavy]
+    names = [a.name for a in member.heavy]
     kept = []
     for a in member.atoms:
         if a.is_hydrogen():

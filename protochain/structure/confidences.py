@@ -66,10 +66,7 @@ def confidence_files(model: Path) -> tuple[Path, ...]:
 
 
 def copy_confidences(model: Path, result: Path) -> Copied:
-    """Copy the confidence files of a model into the folder of a result, byte for byte, under their names.
-
-    Nothing is copied into the model's own folder, and nothing is replaced.
-    """
+    """Copy the confidence files of a model into another folder, that of a result, replacing none."""
     if "-" in (str(model), str(result)) or model.resolve().parent == result.resolve().parent:
         return Copied()
     written, left = [], []
@@ -86,18 +83,13 @@ def copy_confidences(model: Path, result: Path) -> Copied:
 
 
 class Confidence(NamedTuple):
-    """What confidence files say of a complex.
+    """What confidence files say of a complex."""
 
-    iptm: Of the whole model.
-    pairs: IpTM of pairs of chains: rows by the place of the chains, or by their names.
-    pae (nt, nt): Predicted error of every token, its column, aligned on another, its row.
-    order: Chains in the order of the tokens; that of the model file if empty.
-    """
-
-    iptm: float | None
-    pairs: Any = ()
+    iptm: float | None  # Of the whole model.
+    pairs: Any = ()  # IpTM of pairs of chains: rows by the place of the chains, or by their names.
+    # (nt, nt): Predicted error of every token, its column, aligned on another, its row.
     pae: Floats | None = None
-    order: tuple[str, ...] = ()
+    order: tuple[str, ...] = ()  # Chains in the order of the tokens; that of the model file if empty.
 
     def between(self, chains: Sequence[str], one: Set[str], other: Set[str]) -> float | None:
         """IpTM of two sides."""

@@ -22,19 +22,13 @@ _WHOLE = "whole-"
 
 @dataclass(frozen=True, eq=False)
 class Conformation:
-    """Chosen conformation of a residue.
+    """Chosen conformation of a residue."""
 
-    residue: Without alternate locations.
-    occupancy: Mean over the atoms of the chosen location.
-    others: Alternates left out: ``SER B``.
-    repeated: Names of atoms that occurred more than once.
-    """
-
-    residue: gemmi.Residue
+    residue: gemmi.Residue  # Without alternate locations.
     altloc: str
-    occupancy: float
-    others: list[str]
-    repeated: list[str]
+    occupancy: float  # Mean over the atoms of the chosen location.
+    others: list[str]  # Alternates left out: ``SER B``.
+    repeated: list[str]  # Names of atoms that occurred more than once.
 
 
 def same_place(chain: gemmi.Chain) -> list[list[gemmi.Residue]]:
@@ -65,11 +59,7 @@ class _Partial(NamedTuple):
 
 
 def agreed(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[list[str], dict[int, int]]:
-    """Choose one state of those places that touch, whatever their numbers and chains.
-
-    Places are connected where their alternates are as near as bonded atoms. Together they take the letter
-    that most of their molecules have, and of such letters that of highest occupancy (the first of equals).
-    """
+    """Choose one state of those places that touch: the letter of most molecules, then occupancy."""
     letters, gives_way = [asked] * len(places), dict[int, int]()
     atoms = [atom for k, group in enumerate(places) for atom in _partial(k, group)]
     if not atoms:

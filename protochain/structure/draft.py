@@ -18,28 +18,20 @@ from protochain.structure.templates import PHOSPHATE_END, Template, template_nam
 
 @dataclass(eq=False)
 class Part:
-    """Unbroken chain, or a molecule kept with the protein.
-
-    obstacle: Whether it is kept with the protein: fixed, unless it is mobile.
-    mobile: Whether it moves: the user's force field has its parameters, or it is a ligand of known chemistry.
-    ligand: Chemistry and parameters of such a ligand, under the names of its atoms.
-    inverted: Its stereocentres, and double bonds, that the file has the other way round.
-    posed: Whether it is a pose that was added.
-    cyclic: Whether the last residue is bonded to the first.
-    glycan: GLYCAM's code of a sugar of a glycan that moves.
-    is_small: Whether it is a small molecule that no force field has.
-    """
+    """Unbroken chain, or a molecule kept with the protein."""
 
     chain_id: str
     members: list[Member]
-    obstacle: bool = False
+    obstacle: bool = False  # Whether it is kept with the protein: fixed, unless it is mobile.
+    # Whether it moves: the user's force field has its parameters, or it is a ligand of known chemistry.
     mobile: bool = False
-    ligand: Ligand | None = None
+    ligand: Ligand | None = None  # Chemistry and parameters of such a ligand, under the names of its atoms.
+    # Its stereocentres, and double bonds, that the file has the other way round.
     inverted: tuple[str, ...] = ()
-    posed: bool = False
-    cyclic: bool = False
-    glycan: str = ""
-    is_small: bool = False
+    posed: bool = False  # Whether it is a pose that was added.
+    cyclic: bool = False  # Whether the last residue is bonded to the first.
+    glycan: str = ""  # GLYCAM's code of a sugar of a glycan that moves.
+    is_small: bool = False  # Whether it is a small molecule that no force field has.
 
     @property
     def is_strand(self) -> bool:
@@ -47,11 +39,7 @@ class Part:
         return self.members[0].name in residues.NUCLEOTIDES or (self.obstacle and len(self.members) > 1)
 
     def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:
-        """Template of residue i, in a protonation state or in the usual one.
-
-        The first residue of a chain is ``N...``, its last ``C...``, unless capped or cyclic; terminal
-        nucleotides are ``...5`` and ``...3``. A molecule kept as it is has its own.
-        """
+        """Template of residue i in a protonation state, or the usual: at ends ``N...``, ``C...``, 5, 3."""
         member = self.members[i]
         if member.own is not None:
             return member.own
@@ -72,53 +60,39 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Fragment:
-    """Residues that no template fits, as one molecule, with caps where chains go on.
+    """Residues that no template fits, as one molecule, with caps where chains go on."""
 
-    ligand: Chemistry and parameters.
-    owners: Residue of each atom of the molecule, and its name there; None for atoms of caps that stand for
-        none.
-    core: What the force field calls each atom that keeps its parameters; empty for others.
-    bonds: Its bonds otherwise than along a chain, and the atoms that left there.
-    """
-
-    ligand: Ligand
+    ligand: Ligand  # Chemistry and parameters.
+    # Residue of each atom of the molecule, and its name there; None for atoms of caps that stand for none.
     owners: tuple[tuple[Member | None, str], ...]
-    core: tuple[str, ...]
+    core: tuple[str, ...]  # What the force field calls each atom that keeps its parameters; empty for others.
+    # Its bonds otherwise than along a chain, and the atoms that left there.
     bonds: Mapping[Link, tuple[tuple[Member, str], ...]]
 
 
 @dataclass(eq=False)
 class Draft:
-    """Molecules of a file, completed step by step.
+    """Molecules of a file, completed step by step."""
 
-    name, source: Short name, and the name of the file in messages.
-    stated: Bonds between residues that the file states.
-    repairs: Changes made so far.
-    left_out: Molecules and atoms left out, by kind.
-    glycosidic: Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
-    links: Bonds of the protein to molecules outside it that springs hold.
-    springs: Those that the file says hold the bonds to molecules kept with the protein: rest, nm or rad, and
-        stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
-    absent: The molecules left out.
-    header: What the file says beside its atoms, as mmCIF text.
-    model_number: Number of the model in the file.
-    filed: Atoms of the model in the file, in its order.
-    """
-
-    name: str
+    name: str  # Short name, and the name of the file in messages.
     source: str
     parts: list[Part] = field(default_factory=list)
+    # Bonds between residues that the file states.
     stated: list[tuple[Address, Address]] = field(default_factory=list)
+    # Bonds of the glycans that move: the atom that bears a sugar, and its anomeric carbon.
     glycosidic: list[tuple[Address, Address]] = field(default_factory=list)
+    # Bonds of the protein to molecules outside it that springs hold.
     links: list[Link] = field(default_factory=list)
     fragments: list[Fragment] = field(default_factory=list)
-    repairs: list[Repair] = field(default_factory=list)
-    left_out: Counter[str] = field(default_factory=Counter)
+    repairs: list[Repair] = field(default_factory=list)  # Changes made so far.
+    left_out: Counter[str] = field(default_factory=Counter)  # Molecules and atoms left out, by kind.
+    # Those that the file says hold the bonds to molecules kept with the protein: rest, nm or rad, and
+    # stiffness; one of its atoms for a molecule that stays in place. Empty if the file does not say.
     springs: Mapping[tuple[Address, ...], tuple[float, float]] = field(default_factory=dict)
-    absent: list[Member] = field(default_factory=list)
-    header: str = ""
-    model_number: int = 1
-    filed: tuple[str, ...] = ()
+    absent: list[Member] = field(default_factory=list)  # The molecules left out.
+    header: str = ""  # What the file says beside its atoms, as mmCIF text.
+    model_number: int = 1  # Number of the model in the file.
+    filed: tuple[str, ...] = ()  # Atoms of the model in the file, in its order.
 
     @property
     def members(self) -> list[Member]:

@@ -37,15 +37,12 @@ _OF_FRAMES = ("N", "CA", "C", "O")
 
 @dataclass(frozen=True, eq=False)
 class Ensemble(Value):
-    """A structure, and which atoms of a frame are its own.
+    """A structure, and which atoms of a frame are its own."""
 
-    structure: Prepared once: all frames have its atoms, bonds and protonation.
-    place (na,) int: Place of each of its atoms in a frame; -1 of one that is placed anew in each.
-    settings: Options of :func:`protochain.as_structure` for frames that lack heavy atoms.
-    """
-
-    structure: Structure
+    structure: Structure  # Prepared once: all frames have its atoms, bonds and protonation.
+    # (na,) int: Place of each of its atoms in a frame; -1 of one that is placed anew in each.
     place: Integers
+    # Options of :func:`protochain.as_structure` for frames that lack heavy atoms.
     settings: Mapping[str, Any]
 
     def __post_init__(self) -> None:
@@ -55,19 +52,11 @@ class Ensemble(Value):
     def of(
         cls, structure: Structure, frames: Frames, settings: Mapping[str, Any] | None = None
     ) -> "Ensemble":
-        """Find the atoms of a structure among those of frames: by their names, where the source tells them.
-
-        Else by their order, that of the structure's own file, or that of its own atoms, as in trajectories
-        that :func:`protochain.simulate` writes. If both have as many, the one that makes shorter bonds.
-        """
+        """Find a structure's atoms in frames by name, else in the order of its file, or its own."""
         return cls(structure, _places(structure, frames), dict(settings or {}))
 
     def at(self, frame: Frame) -> Structure:
-        """Return the structure with the positions of a frame.
-
-        A molecule that is broken across the box is made whole. Hydrogens that the frame lacks are placed as
-        :func:`protochain.load` does, and so are heavy atoms.
-        """
+        """Return the structure at a frame, molecules made whole, atoms that it lacks placed."""
         return self.structure.with_positions(self._positions(frame))
 
     def gap(self, x: Floats) -> float | None:

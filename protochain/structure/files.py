@@ -93,7 +93,7 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
             block, *others = _blocks_with_atoms(gemmi.cif.read_string(text), source)
             if others:
                 names = tuple(each.name for each in others)
-                overlooked.append(Repair(Kind.BLOCKS_LEFT_OUT, {"taken": block.name, "others": names}))
+                overlooked.append(Repair(Kind.BLOCKS_LEFT_OUT, {"used": block.name, "others": names}))
             _refuse_cut_cif(text, block, source)
             _complete(block, source)
             structure, ends, records = gemmi.make_structure_from_block(block), True, of_cif(block)
@@ -255,10 +255,7 @@ def _complete(block: gemmi.cif.Block, source: str) -> None:
 
 
 def _refuse_cut_cif(text: str, block: gemmi.cif.Block, source: str) -> None:
-    """Refuse a file whose other categories end with '#', as in the PDB archive, if its last has none.
-
-    Unless the atoms are whole all the same: another category follows, or the last chain shows its end.
-    """
+    """Refuse a file whose last category has no '#' as others have, unless its atoms are whole."""
     lines = text.rstrip().splitlines() or [""]
     if lines[-1].strip() == "#" or not any(line.strip() == "#" for line in lines):
         return
@@ -315,11 +312,7 @@ def _is_unicode(name: str) -> bool:
 
 
 def _ascii(text: str, source: str, used: slice) -> str:
-    """Refuse other characters in the used columns of atom records, and put question marks for them elsewhere.
-
-    gemmi counts bytes: another character would shift columns or be cut in two. Control characters would drive
-    the terminal of whoever looks at the file, or at what is written of it.
-    """
+    """Put question marks for other characters, which gemmi cuts and terminals obey; not in columns used."""
     if not _STRANGE.search(text):
         return text
     for number, line in enumerate(text.split("\n"), 1):
@@ -336,12 +329,7 @@ _STRANGE = re.compile(r"[^\t\n -~]")
 def _corrected(
     text: str, source: str, overlooked: list[Repair]
 ) -> tuple[str, dict[tuple[str, str, str], str]]:
-    """Check the columns of a PDB file that are used, and correct those whose meaning is clear.
-
-    gemmi reads anything that is not a number as 0, and entry names after column 72 of old files as elements.
-
-    -> long_names: Names of four letters, by the first three, chain and number of their residue.
-    """
+    """Check the columns of a PDB file that gemmi reads; correct what is clear; and long names."""
     lines = text.split("\n")
     long_names = _put_names_of_four_letters(lines)
     in_model, unended, lower = False, 0, 0
@@ -462,11 +450,7 @@ def _is_hybrid36(given: str) -> bool:
 
 
 def number_atoms(structure: gemmi.Structure) -> None:
-    """Number the atoms of each model in the order of the file, which moves and copies of residues then keep.
-
-    gemmi reads the atoms of a PDB file as they come, and sorts those of mmCIF by chain. The first has 1;
-    atoms that are made later have 0.
-    """
+    """Number the atoms of each model from 1 in the order of the file, as mmCIF; those made later have 0."""
     for model in structure:
         atoms = [place.atom for place in model.all()]
         serials = {atom.serial for atom in atoms}

@@ -96,7 +96,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
             continue
         bonds = [link for link in bonds if link not in own]
     if unknown:
-        raise StructureError(f"{draft.source}: ", *_unknown_told(draft, unknown))
+        raise StructureError(f"{draft.source}: ", *_about_unknown(draft, unknown))
     draft.parts = [
         piece for part in draft.parts for piece in cut(draft, part, [m for m in part.members if m in still])
     ]
@@ -104,10 +104,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
 
 
 def _between(draft: Draft) -> Iterator[Link]:
-    """Bonds that the file states between molecules kept with the protein, but of metals and known glycans.
-
-    Those that are too long are reported.
-    """
+    """Bonds that the file states between kept molecules, but of metals and known glycans; report others."""
     parts = {id(m): part for part in draft.parts for m in part.members}
     for link in stated_beside(draft):
         (one, other), names = (parts[each] for each in link.owners), {link.atom.name, link.other_atom.name}
@@ -117,10 +114,16 @@ def _between(draft: Draft) -> Iterator[Link]:
             or (one is other and names == {"O3'", "P"})
         ):  # fmt: skip
             continue
-        if link.length < SHORTEST or link.excess > STATED_SLACK:
-            draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
-        else:
+        if _is_believed(draft, link):
             yield link
+
+
+def _is_believed(draft: Draft, link: Link) -> bool:
+    """Whether a bond that the file states has the length of one; if not, it is reported."""
+    is_usual = link.length >= SHORTEST and link.excess <= STATED_SLACK
+    if not is_usual:
+        draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
+    return is_usual
 
 
 def _places(part: Part) -> Iterator[tuple[Member, Place]]:
@@ -153,12 +156,9 @@ def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
 
 
 def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
-    """Bonds between residues of chains, but those along a chain and disulfides, that the file states or has.
-
-    Those stated that are too long are reported.
-    """
+    """Bonds between residues of chains, but along it and disulfides; stated ones too long are reported."""
     chains = [m for m in draft.members if not where[id(m)].part.obstacle]
-    there = {m.address(a.name): (m, a) for m in chains for a in m.atoms if not a.is_hydrogen()}
+    there = {m.address(a.name): (m, a) for m in chains for a in m.heavy}
     along = {frozenset((m.address("C"), after.address("N"))) for m in chains if (after := where[id(m)].after)}
     done = {*along}
     for first, second in draft.stated:
@@ -170,9 +170,7 @@ def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
         is_disulfide = link.member.name == link.other.name == "CYS" and first[2] == second[2] == "SG"
         if link.member is link.other or is_disulfide:
             continue
-        if link.length < SHORTEST or link.excess > STATED_SLACK:
-            draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
-        else:
+        if _is_believed(draft, link):
             yield link
     nitrogens = [(m, m.atom(_AMINES.get(m.name, ""))) for m in chains]
     nitrogens += [(m, m.atom("N")) for m in chains if where[id(m)].before is None]
@@ -209,7 +207,7 @@ def _parts(error: Exception) -> tuple[object, ...]:
     return error.parts if isinstance(error, ProtochainError) else (str(error),)
 
 
-def _unknown_told(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) -> tuple[object, ...]:
+def _about_unknown(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) -> tuple[object, ...]:
     """What residues have no parameters and why, what to do; other chains are offered if they hold none."""
     chains = dict.fromkeys(part.chain_id for part in draft.parts if not part.obstacle)
     free = [name for name in chains if name and name not in {member.chain_id for member, _ in unknown}]
@@ -234,7 +232,7 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     found = {key: (m, _template(m, made)) for key, m in mine.items() if m is not None and key in special}
     leavers = {(id(m), name) for gone in made.bonds.values() for m, name in gone}
     for m, template in found.values():
-        there = {a.name for a in m.atoms if not a.is_hydrogen() and (id(m), a.name) not in leavers}
+        there = {a.name for a in m.heavy if (id(m), a.name) not in leavers}
         if strange := (there ^ {*template.heavy}) - {"OXT", "OP3"}:
             odd = ", ".join(sorted(strange))
             raise StructureError(f"{m}: {odd} missing or unknown", fault=Fault.INCOMPLETE)

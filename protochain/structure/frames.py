@@ -33,20 +33,14 @@ ALL = "all"
 
 @dataclass(frozen=True, eq=False)
 class Frame(Value):
-    """One frame of an ensemble.
+    """One frame of an ensemble."""
 
-    index: Its place among all frames, from 0.
-    x (n, 3) nm: Positions of the atoms of the file; None if it cannot be read.
-    box (3, 3) nm: Vectors of the periodic box, a row each; None if the file states none.
-    time ps.
-    why: Why it cannot be read.
-    """
-
-    index: int
-    x: Floats | None
+    index: int  # Its place among all frames, from 0.
+    x: Floats | None  # (n, 3) nm: Positions of the atoms of the file; None if it cannot be read.
+    # (3, 3) nm: Vectors of the periodic box, a row each; None if the file states none.
     box: Floats | None = None
-    time: float | None = None
-    why: str = ""
+    time: float | None = None  # ps.
+    why: str = ""  # Why it cannot be read.
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,10 +253,7 @@ def _of_xdr(k: int, frame: Any) -> Frame:
 
 
 def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], int]:
-    """Bytes at which frames begin, what is wrong with those that are damaged, and the number of atoms.
-
-    The library reads and writes memory that is not its own where a head is damaged.
-    """
+    """Bytes at which frames begin, what is wrong with those that would crash the library, atoms."""
     with path.open("rb") as raw, _refusing(path), mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
         size, begins, damaged = len(data), list[int](), dict[int, str]()
         first = bytes(data[: kind.head])
@@ -304,10 +295,8 @@ def _xtc_end(head: bytes, n_atoms: int) -> int:
 
 
 def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
-    """Whether a frame packs as many atoms as it should in its bytes; the library unpacks without a look.
-
-    Each place has an atom in full and a bit, which announces a new number of near atoms and of their bits.
-    """
+    """Whether a frame packs as many atoms as it should in its bytes; the library unpacks without a look."""
+    # Each place has an atom in full and a bit, which announces a new number of near atoms and of their bits.
     if n_atoms <= _XTC_FEW:
         return True
     file.seek(begin)
@@ -356,19 +345,13 @@ _TRR_HEAD = 84
 
 @dataclass(frozen=True)
 class _Kind:
-    """A kind of file of frames in XDR.
-
-    magic: What a frame begins with.
-    same: Bytes at the beginning that all frames share.
-    atoms: Where the number of atoms is.
-    head: Bytes that ``end`` takes.
-    """
+    """A kind of file of frames in XDR."""
 
     name: str
-    magic: bytes
-    same: int
-    atoms: int
-    head: int
+    magic: bytes  # What a frame begins with.
+    same: int  # Bytes at the beginning that all frames share.
+    atoms: int  # Where the number of atoms is.
+    head: int  # Bytes that ``end`` takes.
     end: Callable[[bytes, int], int]
     is_sound: Callable[[IO[bytes], int, int], bool] = lambda *_: True
 
@@ -386,7 +369,7 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
         head = raw.read(8)
     # Of what is none, the readers complain once more when they are done with.
     if not (head[4:] == b"CORD" if kind == "DCD" else head[:3] == b"CDF"):
-        raise StructureError(f"{path}: is no {_SAID[kind]} file; give a trajectory")
+        raise StructureError(f"{path}: is no {_FORMATS[kind]} file; give a trajectory")
 
     @contextmanager
     def opened() -> Iterator[Any]:
@@ -427,7 +410,7 @@ def _mdanalysis(path: Path, kind: str) -> Frames:
 
 
 _CLASSES = {"DCD": "DCD", "TRJ": "NCDF"}
-_SAID = {"DCD": "DCD", "TRJ": "NetCDF (version 3)"}
+_FORMATS = {"DCD": "DCD", "TRJ": "NetCDF (version 3)"}
 
 
 def _stated_in_dcd(path: Path) -> int:
@@ -567,11 +550,7 @@ _C_O = 0.123
 
 
 def backbones(x: Floats, turn: Floats) -> Floats:
-    """N, CA, C and O of residues whose frames are given, as generators of backbones have them.
-
-    x (n, 3) nm, turn (n, 3, 3).
-    -> (4 n, 3) nm: O in the plane of CA, C and the next N, opposite to both; of the last residue, trans to N.
-    """
+    """N, CA, C and O (4 n, 3), nm, of residues with CA at x (n, 3), nm, and turned by (n, 3, 3)."""
     n, c = x + turn @ _N, x + turn @ _C
     away = _unit(c - x) + _unit(np.vstack([c[:-1] - n[1:], x[-1:] - n[-1:]]))
     return np.stack([n, x, c, c + _C_O * _unit(away)], axis=1).reshape(-1, 3)

@@ -82,7 +82,7 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
             (member,) = part.members
             part.glycan, part.mobile = codes[id(member)], True
             member.own = _template(member, part.glycan)
-            _tell_hands(draft, member, letters_of(part.glycan), own)
+            _note_configurations(draft, member, letters_of(part.glycan), own)
 
 
 def _code(member: Member, links: Sequence[Link]) -> str:
@@ -112,7 +112,7 @@ def _without_hydroxyl(draft: Draft, link: Link) -> None:
         draft.note(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=gone)
 
 
-def _tell_hands(draft: Draft, member: Member, letters: str, links: Sequence[Link]) -> None:
+def _note_configurations(draft: Draft, member: Member, letters: str, links: Sequence[Link]) -> None:
     """Say where the configurations of a sugar are not those of its name."""
     if letters != SUGARS[member.name]:
         draft.note(Kind.OTHER_ANOMER, residue=member.residue)
@@ -142,7 +142,7 @@ class _Surroundings:
         self.heavy: list[_Owned] = [
             (m, a)
             for part in (*protein, *parts) for m in part.members if m.name != "HOH"
-            for a in m.atoms if not a.is_hydrogen()
+            for a in m.heavy
         ]  # fmt: skip
         self.tree = KDTree([a.pos.tolist() for _, a in self.heavy])
         self.at = {m.address(a.name): (m, a) for m, a in self.heavy}
@@ -210,10 +210,10 @@ class _Surroundings:
             if code.removesuffix(_FREE) not in _residues():
                 yield f"GLYCAM-06j has no residue {code}, as {member} with its bonds would be"
                 continue
-            there = {a.name for a in member.atoms if not a.is_hydrogen()}
+            there = {a.name for a in member.heavy}
             if strange := there ^ {*_template(member, code).heavy}:
                 yield f"{member} has not the atoms of that name: {', '.join(sorted(strange))}"
-            for atom in (a for a in member.atoms if not a.is_hydrogen()):
+            for atom in member.heavy:
                 joined = [*self.bonds_stated(member, atom)]
                 if atom.element.name in ("O", "N"):
                     # What is known to be no substituent of a sugar overlaps with it.
@@ -225,10 +225,6 @@ class _Surroundings:
                             f"GLYCAM-06j has no bond of {Atom(atom.name, member.residue)} to "
                             f"{Atom(its.name, other.residue)}"
                         )
-
-
-def _address(member: Member, atom: gemmi.Atom) -> Address:
-    return member.chain_id, member.seqid, atom.name
 
 
 def _inner(member: Member, atom: gemmi.Atom) -> list[gemmi.Atom]:
@@ -251,10 +247,7 @@ _RESIDUE = re.compile(r'(<Residue name="(\w+)".*?</Residue>)', re.DOTALL)
 
 @cache
 def parameters(codes: frozenset[str]) -> bytes:
-    """GLYCAM's file with these residues only, and those of the protein that bear sugars.
-
-    All take a second to read, and its hydroxyproline would go before that of the protein's force field.
-    """
+    """GLYCAM's file with these residues only: all take a second to read, and would replace hydroxyproline."""
     wanted = codes | {f"{end}{name}" for end in ("", "N", "C") for name in GLYCOSYLATED.values()}
     text = _RESIDUE.sub(lambda found: found[1] if found[2] in wanted else "", GLYCAM.read_text())
     free = "".join(_text(code) for code in sorted(codes) if _FREE in code)

@@ -134,10 +134,7 @@ def _name_apart(entities: list[gemmi.Entity]) -> None:
 
 
 def _keep_annotations(out: gemmi.Structure) -> None:
-    """Keep helices and strands whose ends are there, under the names that these residues now have.
-
-    And what is said of modified residues that still have the name of which it is said.
-    """
+    """Keep helices, strands and modified residues that are there, under the names that these now have."""
     names = {
         (chain.name.strip(), str(residue.seqid)): residue.name
         for model in out

@@ -23,7 +23,7 @@ _CARBON = 3.0
 _BEYOND_CG = ("ND1", "CD2", "CE1", "NE2", "HD2", "HE1")
 TAUTOMERS = {"HID": "ND1", "HIE": "NE2"}
 """The nitrogen that has the hydrogen; of equal ones the first is taken."""
-_TAKEN = 0.75
+_TURNABLE = 0.75
 """What the bond of a hydroxyl or water to a nitrogen counts, which may turn elsewhere."""
 _EVIDENCE = 2.5
 """What a ring must gain to be turned, as by three hydrogen bonds: only if the file is clearly wrong."""
@@ -101,7 +101,7 @@ def _energy(near: Iterable[Polar], at: Mapping[str, Floats], name: str, has_hydr
         if np.linalg.norm(each.x - at[name]) > reach or way @ out <= _STRAIGHT * np.linalg.norm(way):
             continue
         if name[0] == "N" and (each.takes if has_hydrogen else each.gives):
-            energy -= 1.0 if has_hydrogen or not each.takes else _TAKEN
+            energy -= 1.0 if has_hydrogen or not each.takes else _TURNABLE
         else:
             energy += 1.0
     return energy

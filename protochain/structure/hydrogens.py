@@ -11,7 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.arrays import Floats, Integers, cross, dots
+from protochain.core.arrays import Floats, Integers, cross, dots, sphere
 from protochain.core.graph import neighbours
 
 _LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
@@ -32,10 +32,7 @@ _DECIMALS = 6
 
 
 def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Integers) -> Floats:
-    """Place hydrogens that have no position.
-
-    x (na, 3) nm, charge (na,) e, bonds (nbonds, 2) int -> (na, 3) nm.
-    """
+    """Place hydrogens that have no position: x (na, 3) nm, charge (na,) e, bonds (nbonds, 2) int."""
     return _Placing(x, element, charge, bonds).placed()
 
 
@@ -142,7 +139,7 @@ class _Placing:
             angle = _WATER if is_water else _BENT.get(self.element[parent], float(_TETRAHEDRAL))
             choices = self._around(parent, angle, _TURNS)
         else:
-            choices = _sphere(len(_TURNS))
+            choices = sphere(len(_TURNS))
         near = self._near(parent)
         at = self.x[parent] + _LENGTH.get(self.element[parent], _LENGTH["C"]) * choices
         r = np.linalg.norm(at[:, None] - self.x[near], axis=-1)
@@ -169,11 +166,3 @@ def _unit(v: Floats) -> Floats:
 def _least(axis: Floats) -> Floats:
     """Return the unit vector of the coordinate axis most nearly perpendicular to an axis."""
     return np.asarray(np.eye(3)[int(np.argmin(np.abs(axis)))])
-
-
-def _sphere(n: int) -> Floats:
-    """Directions (n, 3) spread evenly over the sphere, on a golden-angle spiral."""
-    z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(n)
-    across = np.sqrt(1.0 - z**2)
-    return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)

@@ -40,11 +40,7 @@ _ANY = ("ION", "IONS")
 
 
 def name_ions(structure: gemmi.Structure) -> None:
-    """Give residues of one atom the element and charge of the ion that their names say; changed in place.
-
-    Without columns of elements, gemmi takes SOD for sulphur and CLA, of chlorine, for carbon. A charge in the
-    file stays.
-    """
+    """Give single atoms element and charge of the ion of their name: gemmi takes SOD for sulphur."""
     for model in structure:
         for residue in (residue for chain in model for residue in chain):
             if len({atom.name for atom in residue}) == 1:

@@ -50,15 +50,11 @@ _DUMMY = "DUM"
 
 @dataclass(eq=False)
 class Candidate:
-    """A residue that is no part of the protein.
-
-    given: Its name in the file.
-    notes: Repairs to report if it is kept.
-    """
+    """A residue that is no part of the protein."""
 
     member: Member
-    given: str
-    notes: list[Repair] = field(default_factory=list)
+    given: str  # Its name in the file.
+    notes: list[Repair] = field(default_factory=list)  # Repairs to report if it is kept.
 
     @property
     def kind(self) -> str:
@@ -133,7 +129,7 @@ def choose(
 
 def note_unresolved(draft: Draft, members: Sequence[Member]) -> None:
     """Report heavy atoms that the experiment did not resolve."""
-    unseen = [sum(a.occ == 0.0 for a in member.atoms if not a.is_hydrogen()) for member in members]
+    unseen = [sum(a.occ == 0.0 for a in member.heavy) for member in members]
     places = tuple(member.residue for member, n in zip(members, unseen, strict=True) if n)
     if places:
         draft.note(Kind.UNRESOLVED, count=sum(unseen), residues=places)
@@ -141,7 +137,7 @@ def note_unresolved(draft: Draft, members: Sequence[Member]) -> None:
 
 def _note_coincident(draft: Draft, members: Sequence[Member]) -> None:
     """Report molecules that lie upon one another and are no alternates by their occupancies."""
-    ends = [(m, a) for m in members for a in m.atoms if not a.is_hydrogen()]
+    ends = [(m, a) for m in members for a in m.heavy]
     near = KDTree([a.pos.tolist() for _, a in ends]).query_pairs(_UPON) if ends else set()
     pairs = Counter((ends[i][0].residue, ends[j][0].residue) for i, j in sorted(near))
     for (first, second), number in pairs.items():
@@ -179,7 +175,7 @@ def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
     """``id`` of the candidates with an atom near the protein, and of all that is joined to one that has."""
     # Of a file without protein, its nucleic acids.
     whole = draft.members or [each.member for each in candidates if each.kind == "nucleic"]
-    protein = [a.pos.tolist() for member in whole for a in member.atoms if not a.is_hydrogen()]
+    protein = [a.pos.tolist() for member in whole for a in member.heavy]
     dry = [candidate for candidate in candidates if candidate.kind != "water"]
     if not dry or not protein:
         return set()
@@ -344,7 +340,7 @@ def _fits(member: Member, template: Template | None) -> bool:
     """Whether a template has exactly the heavy atoms of a residue, which is no amino acid."""
     if template is None or member.name in residues.STANDARD or member.name in residues.CAPS:
         return False
-    heavy = {template.synonyms.get(a.name, a.name) for a in member.atoms if not a.is_hydrogen()}
+    heavy = {template.synonyms.get(a.name, a.name) for a in member.heavy}
     # The third oxygen of a 5' phosphate can be built.
     return heavy | {"OP3"} == {*template.heavy, "OP3"}
 

@@ -68,16 +68,11 @@ _REACH = 2.8
 
 @dataclass(frozen=True, eq=False)
 class ClosePairs:
-    """Close pairs of atoms, by kind.
+    """Close pairs of atoms, by kind."""
 
-    bonded: In the order given.
-    refused: Bonds that the file states and that cannot be, and why.
-    overlapping: As near as bonded atoms, and not bonded; in the order given.
-    """
-
-    bonded: list[Link]
-    refused: list[tuple[Link, str]]
-    overlapping: list[Link]
+    bonded: list[Link]  # In the order given.
+    refused: list[tuple[Link, str]]  # Bonds that the file states and that cannot be, and why.
+    overlapping: list[Link]  # As near as bonded atoms, and not bonded; in the order given.
 
 
 def bonds_and_overlaps(draft: Draft, pairs: Sequence[Link]) -> ClosePairs:

@@ -22,17 +22,13 @@ _TOO_NEAR = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """Atom of the protein and one kept with it: a bond, or a pair that may be one.
-
-    other: Kept beside the protein.
-    stated: Whether the file states a bond.
-    """
+    """Atom of the protein and one kept with it: a bond, or a pair that may be one."""
 
     member: Member
     atom: gemmi.Atom
-    other: Member
+    other: Member  # Kept beside the protein.
     other_atom: gemmi.Atom
-    stated: bool = False
+    stated: bool = False  # Whether the file states a bond.
 
     def __str__(self) -> str:
         return " and ".join(map(str, self.atoms))

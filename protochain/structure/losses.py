@@ -1,4 +1,4 @@
-"""What is told at the end of a run of atoms that files lost, though nobody asked to leave them out."""
+"""What is reported at the end of a run of atoms that files lost, though nobody asked to leave them out."""
 
 from collections.abc import Iterable, Mapping
 from textwrap import shorten
@@ -8,9 +8,9 @@ from protochain.core import defaults
 from protochain.structure.repairs import EVERYTHING, Loss, Say, Why
 
 _WIDTH = 200
-"""Characters of what is told of one structure."""
+"""Characters of the report of one structure."""
 _SHOWN = 8
-"""Structures that are told of."""
+"""Structures that are named."""
 
 
 def lost_atoms(losses: Iterable[Loss]) -> list[str]:
@@ -32,7 +32,7 @@ def loss_lines(rows: Iterable[Mapping[Any, Any]], say: Say = str) -> list[str]:
     """Tell at the end of a run what its structures lost."""
     of = {str(row.get("structure")): row for row in rows}
     lines = []
-    for key, what in _TOLD.items():
+    for key, what in _COLUMNS.items():
         remedy = f"; {say(EVERYTHING)} keeps them" if key == "far_molecules" else ""
         cells = {name: row.get(key) for name, row in of.items()}
         texts = {name: "; ".join(cell) if isinstance(cell, list) else cell for name, cell in cells.items()}
@@ -46,7 +46,7 @@ def loss_lines(rows: Iterable[Mapping[Any, Any]], say: Say = str) -> list[str]:
     return lines
 
 
-_TOLD = {
+_COLUMNS = {
     "lost_atoms": "lost atoms",
     "far_molecules": f"left out molecules further than {defaults.KEEP_WITHIN:g} angstrom from the protein",
 }

@@ -32,22 +32,16 @@ takes chains for equal from an identity of 0.95 on."""
 
 @dataclass(frozen=True, eq=False)
 class Match(Value):
-    """Corresponding residues of two structures.
+    """Corresponding residues of two structures."""
 
-    reference, model (n,) int: Indices of paired residues, in the order of the reference.
-    how: ``numbers`` if chains, numbers and names agree; ``sequence`` if sequences were aligned; ``fold`` if
-        they are unrelated, but one fold has both: then by numbers if these agree, whatever the names.
-    identity: Fraction of pairs with the same residue name.
-    coverage: Fraction of the reference's amino acids that are matched.
-    chains: Ids of paired chains, of the reference and of the model.
-    """
-
-    reference: Integers
+    reference: Integers  # (n,) int: Indices of paired residues, in the order of the reference.
     model: Integers
+    # ``numbers`` if chains, numbers and names agree; ``sequence`` if sequences were aligned; ``fold`` if they
+    # are unrelated, but one fold has both: then by numbers if these agree, whatever the names.
     how: str
-    identity: float
-    coverage: float
-    chains: tuple[tuple[str, str], ...] = ()
+    identity: float  # Fraction of pairs with the same residue name.
+    coverage: float  # Fraction of the reference's amino acids that are matched.
+    chains: tuple[tuple[str, str], ...] = ()  # Ids of paired chains, of the reference and of the model.
 
     @property
     def chain_mapping(self) -> str:
@@ -64,11 +58,7 @@ class _Alignment(NamedTuple):
 
 
 def match(reference: Structure, model: Structure) -> Match:
-    """Pair residues by chain, number and name if all agree, otherwise by sequence alignment.
-
-    Alignments are global, by gemmi with BLOSUM62. Chains are paired for the largest sum of scores; of chains
-    that are as alike, as in homomers, those are paired that give the least RMSD of C-alphas.
-    """
+    """Pair residues by chain, number and name, else by alignment (BLOSUM62); like chains for least RMSD."""
     ours, theirs = _by_chain(reference), _by_chain(model)
     numbered = _numbered(reference, model)
     if not ours or not theirs:
@@ -120,10 +110,7 @@ def _matched(
 
 
 def tm_score(reference: Structure, model: Structure, found: Match | None = None) -> float:
-    """TM-score of the C-alphas, by tmtools, normalised by the reference's length.
-
-    It takes residues in order: chains of the model come as those of the reference that they match.
-    """
+    """TM-score of the C-alphas, by tmtools, normalised by the reference's length, in its order."""
     ids = [other for _, other in found.chains] if found else []
     rank = {name: k for k, name in enumerate(ids)}
     alpha = model.alpha_carbons

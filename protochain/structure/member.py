@@ -14,32 +14,24 @@ Address = tuple[str, str, str]
 
 @dataclass(eq=False)
 class Member:
-    """A residue in one conformation, under its standard name.
-
-    atoms: Positions in angstrom.
-    state: Protonation state that its name in the file implies; empty if none.
-    is_d: Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
-    own: Made from its own atoms, for a molecule that is kept as it is.
-    links, metals: Its atoms that are bonded to a molecule kept with the protein, and to a metal.
-    label: Label ids of the file.
-    given: Its name in the file, where another.
-    odd: Whether it is an amino acid, or a nucleotide of a strand, that no force field has.
-    parent: Standard amino acid that such a one becomes without parameters; empty if there is none.
-    """
+    """A residue in one conformation, under its standard name."""
 
     name: str
     number: str
     insertion_code: str
     chain_id: str
-    atoms: list[gemmi.Atom]
-    state: str = ""
+    atoms: list[gemmi.Atom]  # Positions in angstrom.
+    state: str = ""  # Protonation state that its name in the file implies; empty if none.
+    # Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
     is_d: bool = False
-    own: Template | None = None
+    own: Template | None = None  # Made from its own atoms, for a molecule that is kept as it is.
+    # Its atoms that are bonded to a molecule kept with the protein, and to a metal.
     links: list[gemmi.Atom] = field(default_factory=list)
     metals: list[gemmi.Atom] = field(default_factory=list)
-    label: Label = NO_LABEL
-    given: str = ""
-    odd: bool = False
+    label: Label = NO_LABEL  # Label ids of the file.
+    given: str = ""  # Its name in the file, where another.
+    odd: bool = False  # Whether it is an amino acid, or a nucleotide of a strand, that no force field has.
+    # Standard amino acid that such a one becomes without parameters; empty if there is none.
     parent: str = ""
 
     def __str__(self) -> str:
@@ -54,6 +46,11 @@ class Member:
     def is_cap(self) -> bool:
         """Whether it is a terminal cap."""
         return self.name in residues.CAPS
+
+    @property
+    def heavy(self) -> list[gemmi.Atom]:
+        """Its atoms without hydrogens."""
+        return [atom for atom in self.atoms if not atom.is_hydrogen()]
 
     @property
     def seqid(self) -> str:

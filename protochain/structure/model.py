@@ -26,34 +26,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Tie:
-    """Spring that holds a bond between the protein and a molecule kept with it.
+    """Spring that holds a bond between the protein and a molecule kept with it."""
 
-    atoms: Two of a distance, or three of an angle at the second.
-    stiffness: E = stiffness/2 (value - rest)^2.
-    """
-
-    atoms: tuple[int, ...]
+    atoms: tuple[int, ...]  # Two of a distance, or three of an angle at the second.
     rest: float
-    stiffness: float
+    stiffness: float  # E = stiffness/2 (value - rest)^2.
 
 
 @dataclass(frozen=True, eq=False)
 class BoundLigand(Value):
-    """A small molecule that moves with the protein, or residues that no template fits: of known chemistry.
+    """A small molecule that moves with the protein, or residues that no template fits: of known chemistry."""
 
-    ligand: Its chemistry and parameters; names and positions are those of the file.
-    atoms (n,) int: The structure's atom of each atom of the molecule, hydrogens included.
-    inverted: Stereocentres, and double bonds as ``C1=C2``, that the file has the other way round than the
-        source.
-    core: Of residues what the force field calls each atom that keeps its parameters; empty for others.
-    posed: Whether it is a pose that was added to the file's structure.
-    """
-
-    ligand: Ligand
-    atoms: Integers
+    ligand: Ligand  # Its chemistry and parameters; names and positions are those of the file.
+    atoms: Integers  # (n,) int: The structure's atom of each atom of the molecule, hydrogens included.
+    # Stereocentres, and double bonds as ``C1=C2``, that the file has the other way round than the source.
     inverted: tuple[str, ...] = ()
+    # Of residues what the force field calls each atom that keeps its parameters; empty for others.
     core: tuple[str, ...] = ()
-    posed: bool = False
+    posed: bool = False  # Whether it is a pose that was added to the file's structure.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "atoms", read_only(self.atoms, np.int64))
@@ -83,16 +73,13 @@ _DIGITS = 9
 
 @dataclass(frozen=True, eq=False)
 class Origin(Value):
-    """Where the atoms of a structure come from, by which other positions of the file's atoms become its own.
+    """Where the atoms of a structure come from, by which positions of a file's atoms become its own."""
 
-    atoms: Atoms of the model in the file, in its order: ``A/17/GLU/CG``; of another library, of its object.
-    place (na,) int: Place of each atom of the structure among these; -1 of an atom that was added.
-    charge (na,) e: Charges of the templates, by which added hydroxyls were turned.
-    """
-
+    # Atoms of the model in the file, in its order: ``A/17/GLU/CG``; of another library, of its object.
     atoms: tuple[str, ...]
+    # (na,) int: Place of each atom of the structure among these; -1 of an atom that was added.
     place: Integers
-    charge: Floats
+    charge: Floats  # (na,) e: Charges of the templates, by which added hydroxyls were turned.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "place", read_only(self.place, np.int64))

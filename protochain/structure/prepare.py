@@ -215,7 +215,7 @@ def prepare(
         model_number=draft.model_number,
         ties=stated_ties(draft, links, at) or (*ties(links, at, x, elements, bonds), *metal_ties(draft, at)),
         mobile=mobile,
-        links=np.array(_linked(_told(draft, [*links, *beyond, *beside]), at), np.int64).reshape(-1, 2),
+        links=np.array(_linked(_distinct(draft, [*links, *beyond, *beside]), at), np.int64).reshape(-1, 2),
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
         ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
@@ -244,7 +244,7 @@ def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int,
     return [(at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links]
 
 
-def _told(draft: Draft, links: list[Link]) -> list[Link]:
+def _distinct(draft: Draft, links: list[Link]) -> list[Link]:
     """Each bond once, those of the protein first."""
     protein = {id(member) for part in draft.parts if not part.obstacle for member in part.members}
     once = {frozenset(link.ends): link for link in links if not {*link.owners} <= protein}
@@ -312,10 +312,7 @@ def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Int
 
 
 def _formal_charge(atom: gemmi.Atom, member: Member, template: Template, beside: bool) -> int:
-    """Charge that the file gives an atom outside the protein, an ion's own if it gives none; of a thiolate.
-
-    A cysteine without its hydrogen would else be read again as half of a disulfide.
-    """
+    """Charge that the file gives an atom outside the protein, or an ion's own; and a thiolate."""
     if beside:
         return int(atom.charge or (round(template.charge[atom.name]) if len(member.atoms) == 1 else 0))
     is_thiolate = template.name.endswith("CYM") and not member.metals and not member.links

@@ -30,10 +30,7 @@ def protonate(
     ph: float,
     pka: Mapping[int, float] = _USUAL,
 ) -> list[tuple[Member, Template]]:
-    """Choose protonation states and add missing hydrogens, whose positions stay NaN.
-
-    States shown by residue names or hydrogens in the file are kept; others follow from the pH.
-    """
+    """Choose protonation states, as shown by names or hydrogens else by pH; hydrogens added stay NaN."""
     shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _shown(m) for m in draft.members}
     states = {id(m): shown[id(m)] or _at_ph(m, ph, pka) for m in draft.members}
     chosen, turned = settled(
@@ -149,7 +146,7 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
     """Rename and order the hydrogens of the file, drop those that do not fit, and add missing ones."""
     before = {a.name for a in member.atoms if a.is_hydrogen()}
     rename(member.atoms, template)
-    heavy = [a for a in member.atoms if not a.is_hydrogen()]
+    heavy = member.heavy
     bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
     strange, expected = 0, template.hydrogens
     named_for = {name: parent for parent, names in expected.items() for name in names}

@@ -67,29 +67,22 @@ _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.Connec
 
 @dataclass(frozen=True)
 class Reading:
-    """Options for reading a file.
+    """Options for reading a file."""
 
-    model: Number of the model in the file; the first by default.
-    altloc: Preferred alternate location, which some atom must have; by default, and where it is absent, the
-        one of highest occupancy.
-    keep: Molecules kept as fixed obstacles, as in :func:`protochain.load`; none by default.
-    strict: Refuse chain breaks and residues that would be left out of a chain.
-    forcefield: Force-field files whose residues are recognised besides the bundled ones.
-    chains: Names of the chains to take; all by default.
-    chemistry: Of ligands.
-    standard_residues: Convert modified residues to their standard parents, also those that have parameters.
-    assembly: Name of the biological assembly to build; none by default.
-    """
-
-    model: int | None = None
+    model: int | None = None  # Number of the model in the file; the first by default.
+    # Preferred alternate location, which some atom must have; by default, and where it is absent, the one of
+    # highest occupancy.
     altloc: str = ""
+    # Molecules kept as fixed obstacles, as in :func:`protochain.load`; none by default.
     keep: tuple[str, ...] = ()
-    strict: bool = False
+    strict: bool = False  # Refuse chain breaks and residues that would be left out of a chain.
+    # Force-field files whose residues are recognised besides the bundled ones.
     forcefield: tuple[Path, ...] = ()
-    chains: tuple[str, ...] = ()
-    chemistry: Chemistry = AS_KNOWN
+    chains: tuple[str, ...] = ()  # Names of the chains to take; all by default.
+    chemistry: Chemistry = AS_KNOWN  # Of ligands.
+    # Convert modified residues to their standard parents, also those that have parameters.
     standard_residues: bool = False
-    assembly: str = ""
+    assembly: str = ""  # Name of the biological assembly to build; none by default.
 
     def __post_init__(self) -> None:
         check_fields(
@@ -238,10 +231,7 @@ class _Reader:
         self.unknown: set[int] = set()
 
     def take(self, chain_id: str, places: Iterable[tuple[list[gemmi.Residue], str]]) -> None:
-        """Take the protein of a chain, in pieces without a break, and the molecules outside it.
-
-        Of places in the file, each with the letter of its alternates.
-        """
+        """Take the protein of a chain, in pieces without a break, and the molecules outside it."""
         self.chain_id = chain_id
         run: list[Member] = []
         for group, letter in places:
@@ -294,7 +284,7 @@ class _Reader:
         """Describe the choice among the alternate locations of a residue."""
         facts: dict[str, Any] = {"residue": _in_file(self.chain_id, found.residue)}
         if found.others:
-            facts |= {"taken": found.altloc, "occupancy": found.occupancy, "others": tuple(found.others)}
+            facts |= {"used": found.altloc, "occupancy": found.occupancy, "others": tuple(found.others)}
             return [Repair(Kind.ALTERNATES, facts)]
         if found.repeated:
             return [Repair(Kind.REPEATED, facts | {"atoms": tuple(found.repeated)})]
@@ -354,7 +344,7 @@ class _Reader:
         if member.parent:
             if self.reading.standard_residues:
                 return Why.ASKED
-            there = {atom.name for atom in member.atoms if not atom.is_hydrogen()} - {"OXT"}
+            there = {atom.name for atom in member.heavy} - {"OXT"}
             member.is_d = member.is_d or handedness(member, least=WELL_FORMED) < 0
             is_mirrored = member.is_d and there == {*self.known[parents.fullest(member.parent)].heavy}
             return Why.PARENT if member.name == "MSE" or is_mirrored else None
@@ -365,9 +355,7 @@ class _Reader:
         template = part.template(self.known, i)
         if template is None:
             return Why.END
-        there = {
-            template.synonyms.get(atom.name, atom.name) for atom in member.atoms if not atom.is_hydrogen()
-        }
+        there = {template.synonyms.get(atom.name, atom.name) for atom in member.heavy}
         return None if there - {"OXT"} == {*template.heavy} else Why.INCOMPLETE
 
     def _has_backbone(self, member: Member, built: tuple[str, ...]) -> bool:

@@ -16,10 +16,7 @@ _Graph = tuple[dict[str, tuple[str, int]], dict[str, set[str]]]
 
 
 def by_element(member: Member) -> Template:
-    """Template of a molecule as it is in the file: its elements and formal charges, and bonds by distance.
-
-    A hydrogen is bonded to the nearest heavy atom.
-    """
+    """Template of a molecule as it is in the file: elements and charges, bonds by distance."""
     atoms = member.atoms
     x = np.array([a.pos.tolist() for a in atoms])
     radius = np.array([a.element.covalent_r for a in atoms])

@@ -250,10 +250,7 @@ def component_type(name: str, residue: gemmi.Residue) -> str:
 
 
 def _drawn(structure: gemmi.Structure, known: set[str]) -> Iterator[dict[str, str]]:
-    """Bonds of the components whose CONECT records tell their orders, by giving a bond more than once.
-
-    Of those that are known to tell them, all bonds may be single.
-    """
+    """Bonds of components whose CONECT records give a bond more than once, and so tell orders."""
     at = {
         place.atom.serial: (place.residue.name, str(place.residue.seqid), place.chain.name, place.atom.name)
         for place in structure[0].all()

@@ -35,14 +35,10 @@ class Rank(IntEnum):
 
 
 class Words(NamedTuple):
-    """How a kind of repair is told.
+    """Words of a kind of repair."""
 
-    one: A template, whose fields are the facts of the repair.
-    many: What is said of several residues; by default what ``one`` says of its residue.
-    """
-
-    one: str
-    many: str = ""
+    one: str  # A template, whose fields are the facts of the repair.
+    many: str = ""  # What is said of several residues; by default what ``one`` says of its residue.
     rank: Rank = Rank.CHANGE
 
 
@@ -62,10 +58,10 @@ class Kind(Enum):
     ATOMS_NUMBERED = Words("atoms that share a name numbered in {count:n molecule}")
     ASSEMBLY = Words("assembly {name} built of {before:n chain}: chains {chains:8}")
     BLOCKS_LEFT_OUT = Words(
-        "data block {taken} used, others with atoms left out: {others:4}; give each its own file",
+        "data block {used} used, others with atoms left out: {others:4}; give each its own file",
         rank=Rank.LOSS,
     )
-    MODELS_LEFT_OUT = Words("model {taken} used, {count:n other model} left out", rank=Rank.LOSS)
+    MODELS_LEFT_OUT = Words("model {used} used, {count:n other model} left out", rank=Rank.LOSS)
     NO_END = Words(
         "the file ends at {residue} without an END record or a terminal oxygen: check that it is complete",
         rank=Rank.LOSS,
@@ -73,7 +69,7 @@ class Kind(Enum):
     # Of what is taken.
     DEUTERIUM = Words("{count:n deuterium atom} read as hydrogen")
     ALTERNATES = Words(
-        "{residue}: alternate location {taken} kept (occupancy {occupancy:.2f}), {others} left out",
+        "{residue}: alternate location {used} kept (occupancy {occupancy:.2f}), {others} left out",
         "alternate locations left out",
         Rank.LOSS,
     )
@@ -306,15 +302,12 @@ class Loss:
     """Heavy atoms of one residue of the file that are not in the structure.
 
     Waters, alternate locations, and what options leave out are not lost; ``left_out`` counts them too.
-
-    chain, number, name: Of the residue in the file; the number with its insertion code.
-    atoms: Names in the file.
     """
 
-    chain: str
+    chain: str  # Of the residue in the file; the number with its insertion code.
     number: str
     name: str
-    atoms: tuple[str, ...]
+    atoms: tuple[str, ...]  # Names in the file.
     why: Why
 
     def __str__(self) -> str:
@@ -324,16 +317,13 @@ class Loss:
 
 @dataclass(frozen=True)
 class Repair(Value):
-    """A change made to the contents of a file; its text is a sentence.
-
-    facts: What the words of the kind name, and more: ``residue`` (a ``residues.Residue``), ``atoms``,
-        ``count``, ``length`` (angstrom), ...
-    lost: What it takes away.
-    """
+    """A change made to the contents of a file; its text is a sentence."""
 
     kind: Kind
+    # What the words of the kind name, and more: ``residue`` (a ``residues.Residue``), ``atoms``, ``count``,
+    # ``length`` (angstrom), ...
     facts: Mapping[str, Any] = field(default_factory=dict, hash=False)
-    lost: tuple[Loss, ...] = ()
+    lost: tuple[Loss, ...] = ()  # What it takes away.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
@@ -381,11 +371,13 @@ def summarised(repairs: Iterable[Repair], say: Say = str) -> tuple[str, ...]:
     groups: dict[tuple[Rank, str], list[Repair]] = defaultdict(list)
     for repair in repairs:
         groups[_group(repair, say)].append(repair)
-    return tuple(_told(*group, groups[group], say) for group in sorted(groups, key=lambda group: group[0]))
+    return tuple(
+        _in_words(*group, groups[group], say) for group in sorted(groups, key=lambda group: group[0])
+    )
 
 
 def _group(repair: Repair, say: Say) -> tuple[Rank, str]:
-    """Rank of a repair in the summary, and what it says, alike for those that are told as one."""
+    """Rank of a repair in the summary, and what it says, alike for those in one line."""
     one, many, rank = repair.kind.value
     if rank is Rank.GAP:
         return rank, ""
@@ -394,7 +386,7 @@ def _group(repair: Repair, say: Say) -> tuple[Rank, str]:
     return rank, _filled(many or one.removeprefix("{residue}").removeprefix(":").lstrip(), repair, say)
 
 
-def _told(rank: Rank, what: str, alike: list[Repair], say: Say) -> str:
+def _in_words(rank: Rank, what: str, alike: list[Repair], say: Say) -> str:
     """Tell the repairs of a group as one; a single one as it is, unless it is the state of a histidine."""
     if rank is Rank.HISTIDINE:
         of: dict[str, list[str]] = defaultdict(list)

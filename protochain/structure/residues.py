@@ -139,14 +139,10 @@ def name_in_file(name: str, is_d: bool) -> str:
 
 @dataclass(frozen=True)
 class Residue:
-    """A residue by what a file calls it; its text is ``residue 17 GLU of chain A``.
+    """A residue by what a file calls it; its text is ``residue 17 GLU of chain A``."""
 
-    chain: Empty for a chain without an id.
-    number: With its insertion code.
-    """
-
-    chain: str
-    number: str
+    chain: str  # Empty for a chain without an id.
+    number: str  # With its insertion code.
     name: str
 
     def __str__(self) -> str:

@@ -42,11 +42,7 @@ _BOND, _ANGLE = 2.7e5, 500.0
 
 
 def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) -> list[Link]:
-    """Find the bonds between protein and obstacles, tell the residues about them, and report them.
-
-    What is as near as bonded atoms and not bonded is reported as an overlap, and a bond of the file that
-    cannot be as ignored. Of those found, ``settle`` returns the ones that springs are to hold.
-    """
+    """Find and report bonds of protein and obstacles, and overlaps; return those that springs are to hold."""
     protein, beside = (_heavy_atoms(p for p in draft.parts if p.obstacle is kept) for kept in (False, True))
     free = {*draft.glycosidic}
     near = [link for link in _near(draft, protein, beside) if _ends(link) not in free]
@@ -88,7 +84,7 @@ def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) 
 
 
 def _heavy_atoms(parts: Iterable[Part]) -> list[tuple[Member, gemmi.Atom]]:
-    return [(m, a) for part in parts for m in part.members if m.name != "HOH" for a in _heavy(m)]
+    return [(m, a) for part in parts for m in part.members if m.name != "HOH" for a in m.heavy]
 
 
 _Owned = Sequence[tuple[Member, gemmi.Atom]]
@@ -171,10 +167,7 @@ def stated_beside(draft: Draft) -> list[Link]:
 
 
 def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
-    """Whether a kept molecule moves: an ion that the protein alone holds, on all sides.
-
-    An ion of whose neighbours some are left out, as waters are, would be drawn to the others.
-    """
+    """Whether a kept molecule moves: an ion that the protein alone holds, on all sides."""
     ion = member.atoms[0]
     donors = sum(link.other_atom is ion and link.is_metal for link in links)
     if len(member.atoms) > 1 or donors < _SHELL.get(ion.element.name, _OTHER_SHELL):
@@ -183,7 +176,7 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
         return not draft.says_stays(member)
     others = (m for part in draft.parts if part.obstacle for m in part.members if m is not member)
     # Hydrogens have no positions yet.
-    heavy = (a for m in (*others, *draft.absent) for a in _heavy(m))
+    heavy = (a for m in (*others, *draft.absent) for a in m.heavy)
     return all(ion.pos.dist(a.pos) > STATED for a in heavy)
 
 
@@ -201,7 +194,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
         # Of a whole molecule near others are no bonds.
         joined = part.ligand is None and not part.is_strand and any(
             beside[k][0] is not part
-            for m in part.members for a in _heavy(m) for k in tree.query_ball_point(a.pos.tolist(), JOINED)
+            for m in part.members for a in m.heavy for k in tree.query_ball_point(a.pos.tolist(), JOINED)
         )  # fmt: skip
         if joined or tied & {id(m) for m in part.members}:
             part.mobile = False
@@ -217,7 +210,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
 
 def beside_of(draft: Draft) -> list[tuple[Part, Member, gemmi.Atom]]:
     """Heavy atoms of the molecules kept with the protein."""
-    return [(part, m, a) for part in draft.parts if part.obstacle for m in part.members for a in _heavy(m)]
+    return [(part, m, a) for part in draft.parts if part.obstacle for m in part.members for a in m.heavy]
 
 
 def strand_links(draft: Draft) -> list[Link]:
@@ -252,10 +245,6 @@ def metal_ties(draft: Draft, at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, 
     return tuple(found)
 
 
-def _heavy(member: Member) -> list[gemmi.Atom]:
-    return [a for a in member.atoms if not a.is_hydrogen()]
-
-
 def ties(
     links: Sequence[Link],
     at: Mapping[int, Mapping[str, int]],
@@ -263,10 +252,7 @@ def ties(
     element: Sequence[str],
     bonds: Integers,
 ) -> tuple[Tie, ...]:
-    """Springs that hold the bonds at the distances and angles of the input, if they are those of bonds.
-
-    x (na, 3) nm, bonds (n, 2) int.
-    """
+    """Springs that hold bonds (n, 2) as they are in the input x (na, 3), nm, if these are lengths."""
     heavy = np.array(element) != "H"
     near = neighbours(bonds[heavy[bonds].all(axis=1)], len(element))
     found: dict[tuple[int, ...], float] = {}

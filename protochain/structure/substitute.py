@@ -28,12 +28,7 @@ LETTERS = {letter: name for name, letter in STANDARD.items()}
 
 
 def substituted(structure: Structure, names: Mapping[int, str], **settings: Any) -> Structure:
-    """Build the side chains of residues anew, on rotamers, all at once, under the names given.
-
-    names: of residues of the protein by index, as LEU, or of a protonation state, as HID; their own build the
-    same side chain. All other heavy atoms stay where they are, bit for bit. settings: ``forcefield``,
-    ``ph``, ``disulfide``, ``ligand_charges`` of :func:`protochain.load`.
-    """
+    """Build side chains anew, on rotamers, all at once, under names by residue; other atoms stay."""
     made, kept, gone, noted = as_gemmi([structure]), list[int](), set[tuple[str, str]](), list[Repair]()
     first = np.searchsorted(structure.atom_residue, np.arange(structure.n_residues + 1))
     places = ((chain, residue) for chain in made[0] for residue in chain)

@@ -45,11 +45,9 @@ def last_of_ring(code: str) -> int:
 
 
 def sugar_centres(code: str) -> dict[str, tuple[str, str, str]]:
-    """Chiral atoms of a sugar by its letters, as ``YB``, each with three neighbours of positive volume.
-
-    In a Fischer projection the atoms before and after a centre point away from the viewer; before the
-    anomeric carbon is the oxygen of the ring, and that of the link is to the right in alpha-D-sugars.
-    """
+    """Chiral atoms of a sugar by its letters, as ``YB``, each with three neighbours of positive volume."""
+    # In a Fischer projection the atoms before and after a centre point away from the viewer; before the
+    # anomeric carbon is the oxygen of the ring, and that of the link is to the right in alpha-D-sugars.
     is_sialic, is_d = code in _SIALIC, code[0].isupper()
     first, sides = (4, "RLLRR") if is_sialic else (2, _FISCHER[code[0].upper()])
     amine = "C5" if is_sialic else "C2" if code[0] in "YWV" else ""

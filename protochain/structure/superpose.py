@@ -12,11 +12,7 @@ from protochain.structure.model import Structure
 
 
 def superpose(x: Floats, reference: Floats) -> Floats:
-    """Superpose points onto a reference with least RMSD.
-
-    x, reference (n, 3).
-    -> (n, 3): x rotated and translated onto ``reference`` (Kabsch, Acta Cryst. A32:922, 1976).
-    """
+    """Superpose x (n, 3) onto a reference with least RMSD (Kabsch, Acta Cryst. A32:922, 1976)."""
     turn, shift = motion(x, reference)
     return x @ turn.T + shift
 

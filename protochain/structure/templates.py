@@ -48,24 +48,16 @@ _FILES = ("protein.ff14SB.xml", "DNA.OL15.xml", "RNA.OL3.xml", "tip3p.xml")
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """Residue template of a force field.
+    """Residue template of a force field."""
 
-    name: Name in the force field: ``ALA``, ``NALA`` at the start of a chain, ``HIE``.
-    element: Element of each atom, by PDB name.
-    charge e.
-    bonds: Bonds within the residue.
-    synonyms: PDB name of every other name of an atom.
-    type: Atom type of each atom in the force field, by PDB name.
-    is_users: Whether it is from a file of the user's.
-    """
-
-    name: str
-    element: Mapping[str, str]
-    charge: Mapping[str, float]
-    bonds: tuple[tuple[str, str], ...]
-    synonyms: Mapping[str, str]
+    name: str  # Name in the force field: ``ALA``, ``NALA`` at the start of a chain, ``HIE``.
+    element: Mapping[str, str]  # Element of each atom, by PDB name.
+    charge: Mapping[str, float]  # e.
+    bonds: tuple[tuple[str, str], ...]  # Bonds within the residue.
+    synonyms: Mapping[str, str]  # PDB name of every other name of an atom.
+    # Atom type of each atom in the force field, by PDB name.
     type: Mapping[str, str] = field(default_factory=dict)
-    is_users: bool = False
+    is_users: bool = False  # Whether it is from a file of the user's.
 
     @cached_property
     def heavy(self) -> list[str]:
@@ -136,11 +128,7 @@ def _amber() -> Mapping[str, Template]:
 
 
 def _with_phosphate(inner: Template, end: Template) -> Template:
-    """Template of the 5' end of a strand with its phosphate, which has lost both hydrogens (pKa 1 and 6).
-
-    Charges are those of a nucleotide within a strand, but of the phosphate's three oxygens, which are equal;
-    in all it has the charge of the end without phosphate, and that of the phosphate.
-    """
+    """Template of a 5' end with its phosphate, without hydrogens (pKa 1, 6); its oxygens are equal."""
     oxygens = ("OP1", "OP2", "OP3")
     rest = sum(charge for name, charge in inner.charge.items() if name not in oxygens)
     share = (sum(end.charge.values()) - 2.0 - rest) / len(oxygens)
@@ -272,10 +260,7 @@ def _residue_names() -> dict[str, str]:
 
 
 def standard_name(name: str) -> tuple[str, str]:
-    """Return the PDB name of a residue, and the protonation state that the given name implies.
-
-    HIE and NHIE of Amber and HSE of CHARMM are HIS in the PDB; WAT and TIP3 are HOH.
-    """
+    """Return the PDB name of a residue, and the protonation state that the given name (HIE, HSE) implies."""
     if name in STATE_PARENT:
         return STATE_PARENT[name]
     if name in LINKED:
@@ -319,10 +304,7 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
 
 
 def _of_atoms(given: str, heavy: set[str]) -> str:
-    """Standard residue with these heavy atoms, unless an archive's component so named has them, too.
-
-    Programs call residues as they like: GLUP, ARN, RA, and A for the DNA of old files.
-    """
+    """Standard residue with these heavy atoms (GLUP, ARN, RA ...), unless an archive's component has them."""
     if given == "UNK" and {"N", "CA", "C"} <= heavy <= {"N", "CA", "C", "O", "CB", *_OF_ENDS}:
         return "ALA" if "CB" in heavy else "GLY"
     is_nucleic, is_amino = bool(heavy & {"C1'", "C1*"}), {"N", "CA", "C", "O", "CB"} < heavy
@@ -385,10 +367,7 @@ def template_name(residue: str) -> str:
 
 
 def other_names(atoms: Iterable[gemmi.Atom], template: Template) -> Iterator[str]:
-    """Yield names by which atoms of a modified residue mean its parent's: O1 is O, but not in a sulphate.
-
-    No atom may have the parent's name itself, and one that is bonded to it there must be near.
-    """
+    """Yield names by which atoms of a modified residue mean its parent's: O1 is O, but not in a sulphate."""
     there = {atom.name: atom for atom in atoms}
     for other, name in template.synonyms.items():
         if other in there and name not in there:

@@ -42,11 +42,7 @@ def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
 
 
 def of_structure(structure: Structure) -> list[Spring]:
-    """Springs of a structure, and an atom of each molecule kept with the protein that stays in place.
-
-    Or that no spring holds; of waters nothing is said, nor of sugars that the protein bears: where these have
-    no parameters, springs are to hold them.
-    """
+    """Springs of a structure; an atom of each kept molecule that stays, or is free, but waters, sugars."""
     residue = structure.atom_residue
 
     def address(atom: int) -> Address:

@@ -136,10 +136,7 @@ def check_format(path: Path) -> None:
 
 
 def check_fits(structure: Structure, path: Path) -> list[str]:
-    """Refuse a structure that does not fit the columns of a PDB file: it would be cut, or read as another.
-
-    mmCIF has label ids beside the chain ids, new ones where polymers that the file has apart are one chain.
-    """
+    """Refuse a structure that does not fit the columns of a PDB file: it would be cut, or read as another."""
     if format_of(path) != "PDB":
         now = (label for label, _ in _labels(structure)[0])
         pairs = dict.fromkeys(zip((label for label, _ in structure.residue_label), now, strict=False))
@@ -232,10 +229,7 @@ def _in_strands(structure: Structure) -> set[int]:
 
 
 def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
-    """Label ids of each residue, and the new names of those that are not the file's.
-
-    Where the file has none, the parts of a broken chain are different molecules: no program bonds them.
-    """
+    """Label ids of each residue, and new names; without a file's, the parts of a broken chain are apart."""
     known = structure.residue_label or (NO_LABEL,) * structure.n_residues
     held = {int(r) for r in structure.atom_residue[structure.kept]}
     chains = [str(chain_id) for chain_id in structure.residue_chain]
@@ -284,10 +278,7 @@ def _place(end: gemmi.AtomAddress) -> tuple[str, str, str]:
 
 
 def _connections(structure: Structure, stated: Iterable[gemmi.Connection]) -> Iterator[gemmi.Connection]:
-    """Bonds between residues, but not those along a chain, and what else the file states of its molecules.
-
-    Of two atoms of the protein, or of one and a molecule outside it, the structure knows all bonds.
-    """
+    """Bonds between residues, but not along a chain, and what the file states of molecules left out."""
     at: dict[tuple[str, str, str], int] = {}
     for k, (r, name) in enumerate(zip(structure.atom_residue.tolist(), structure.atom_name, strict=True)):
         at.setdefault((str(structure.residue_chain[r]), str(_seqid(structure, r)).strip(), str(name)), k)
@@ -416,10 +407,7 @@ def _pdb(
 
 
 def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, str, str], int]) -> None:
-    """Give CONECT records to bonds of components that programs need not know, and between residues.
-
-    These are molecules kept with the protein, waters excepted, modified residues and caps.
-    """
+    """Give CONECT records to bonds between residues, and of components that programs need not know."""
     out.assign_serial_numbers(numbered_ter=True)
     residues = [residue for chain in out[0] for residue in chain]
     serial = [{atom.name: atom.serial for atom in residue} for residue in residues]

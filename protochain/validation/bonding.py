@@ -17,12 +17,7 @@ _PHOSPHATE = ("OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 
 
 def hydrogen_bonds(structure: Structure, some: NDArray[np.bool_] | None = None) -> Integers:
-    """Hydrogen bonds by the criterion of Baker and Hubbard, as mdtraj finds them.
-
-    some (na,) bool.
-    -> (n, 3) int: Donor, hydrogen, acceptor: hydrogen and acceptor within 2.5 angstrom, the angle above 120
-        degrees.
-    """
+    """(n, 3) int: donor, hydrogen, acceptor by Baker and Hubbard (2.5 angstrom, 120 degrees), by mdtraj."""
     import mdtraj
 
     whole = to_mdtraj(structure)

@@ -24,14 +24,10 @@ _CLASS = {"ALA": "ALA", "PRO": "PRO", "VAL": "VAL", "THR": "VAL", "ILE": "VAL"}
 
 
 class Deviations(NamedTuple):
-    """C-beta deviations of the residues that have one.
+    """C-beta deviations of the residues that have one."""
 
-    residue (n,) int.
-    deviation (n,) angstrom.
-    """
-
-    residue: Integers
-    deviation: Floats
+    residue: Integers  # (n,) int.
+    deviation: Floats  # (n,) angstrom.
 
     @property
     def outliers(self) -> NDArray[np.int64]:
@@ -40,14 +36,9 @@ class Deviations(NamedTuple):
 
 
 def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviations:
-    """Measure how far each C-beta is from its ideal place, at positions x (na, 3) or the structure's own.
-
-    That place is the mean of two, built with ideal bond, angle and dihedral from either side of the backbone,
-    at the ideal distance from C-alpha. A D-amino acid that the file names so is measured by its mirror image;
-    any other has a deviation of some 2 angstrom.
-
-    Lovell et al., Proteins 50:437 (2003); ideal values as in mmtbx's cbetadev.
-    """
+    """Measure each C-beta's distance from its ideal place, at x (na, 3) or its own; D are mirrored."""
+    # Lovell et al., Proteins 50:437 (2003); ideal values as in mmtbx's cbetadev: the mean of two places,
+    # built with ideal bond, angle and dihedral from either side of the backbone.
     found = layout(structure)
     atoms = found.atoms("N", "CA", "C", "CB")
     residue = np.flatnonzero((atoms != NONE).all(axis=1) & (structure.residue_name != "GLY"))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.chains.contacts import joined
-from protochain.core.arrays import Floats, Integers, Value, cross, read_only
+from protochain.core.arrays import GOLDEN, Floats, Integers, Value, cross, read_only
 from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure, of_atoms
@@ -233,10 +233,7 @@ def _is_seen(structure: Structure, tree: cKDTree, pairs: Integers) -> NDArray[np
 
 
 def _has_free_dot(structure: Structure, tree: cKDTree, pairs: Integers, share: Floats) -> NDArray[np.bool_]:
-    """Whether a dot on the first atom deep in the second is in none bonded to it, and deeper in no other.
-
-    pairs (n, 2) int, share (m,).
-    """
+    """Whether a dot on the first atom of pairs (n, 2) is deep in the second, in none bonded, none deeper."""
     x, kinds = np.asarray(tree.data), _kinds(structure)
     first, second = pairs.T
     dots = _dots(x[first], x[second], kinds.radius[pairs], _allowance(kinds, pairs) + OVERLAP, share)
@@ -277,7 +274,7 @@ def _dots(a: Floats, b: Floats, radius: Floats, depth: Floats, share: Floats) ->
     sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
     aside = cross(axis, np.eye(3)[np.argmin(np.abs(axis), axis=1)])
     aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-9)
-    other, turn = cross(axis, aside), np.pi * (3.0 - np.sqrt(5.0)) * np.arange(len(share))
+    other, turn = cross(axis, aside), GOLDEN * np.arange(len(share))
     around = np.cos(turn)[:, None] * aside[:, None] + np.sin(turn)[:, None] * other[:, None]
     return np.asarray(
         a[:, None] + radius[:, :1, None] * (cosine[..., None] * axis[:, None] + sine[..., None] * around)

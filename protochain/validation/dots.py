@@ -11,27 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value, cross
+from protochain.core.arrays import Floats, Integers, Value, cross, sphere
 
-_GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
 _SAME = 1e-6
 """angstrom. Shorter distances between two places of the probe are rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dots(Value):
-    """Dots on a surface.
+    """Dots on a surface."""
 
-    x (n, 3) angstrom.
-    normal (n, 3): Unit vectors out of the molecule.
-    area (n,) angstrom^2: What each dot stands for.
-    probe (n, 3) angstrom: Centre of the probe that touches there.
-    """
-
-    x: Floats
-    normal: Floats
-    area: Floats
-    probe: Floats
+    x: Floats  # (n, 3) angstrom.
+    normal: Floats  # (n, 3): Unit vectors out of the molecule.
+    area: Floats  # (n,) angstrom^2: What each dot stands for.
+    probe: Floats  # (n, 3) angstrom: Centre of the probe that touches there.
 
     def __len__(self) -> int:
         return len(self.x)
@@ -43,10 +36,7 @@ class Dots(Value):
 def molecular_surface(
     x: Floats, radius: Floats, probe: float, density: float, wanted: NDArray[np.bool_] | None = None
 ) -> Dots:
-    """Cover the molecular surface with dots.
-
-    x (n, 3) angstrom, radius (n,) angstrom, probe angstrom, density 1/angstrom^2, wanted (n,) bool.
-    """
+    """Cover the molecular surface of x (n, 3), angstrom, where wanted (n,), with dots (1/angstrom^2)."""
     of = np.arange(len(x)) if wanted is None else np.flatnonzero(wanted)
     if not len(of):
         none = np.zeros((0, 3))
@@ -70,17 +60,10 @@ def _meets(x: Floats, reach: Floats, i: int, others: Integers) -> NDArray[np.boo
     return np.asarray((apart < reach[i] + reach[others]) & (others != i))
 
 
-def _sphere(n: int) -> Floats:
-    """(n, 3) float: unit vectors, evenly spread on a golden spiral."""
-    z = 1.0 - (2.0 * np.arange(n) + 1.0) / n
-    turn, r = _GOLDEN * np.arange(n), np.sqrt(1.0 - z * z)
-    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
-
-
 def _convex(x: Floats, radius: Floats, probe: float, density: float, i: int, its: Integers) -> Dots:
     """Dots on atom i where the probe is in no neighbour's way."""
     area = 4.0 * np.pi * radius[i] ** 2
-    way = _sphere(max(int(np.ceil(area * density)), 1))
+    way = sphere(max(int(np.ceil(area * density)), 1))
     share, reach = area / len(way), radius[i] + probe
     if len(its):
         arm = x[its] - x[i]
@@ -227,7 +210,7 @@ def _numbered(counts: Integers) -> tuple[Integers, Integers]:
 
 def _concave(x: Floats, rests: Floats, corners: Integers, probe: float, density: float) -> Dots:
     """Dots on the probe at rest (n, 3), in the triangles of the three atoms (n, 3) that it touches."""
-    way = _sphere(int(np.ceil(4.0 * np.pi * probe**2 * density)))
+    way = sphere(int(np.ceil(4.0 * np.pi * probe**2 * density)))
     arms = x[corners] - rests[:, None]
     flat = np.abs(np.linalg.det(arms)) < _SAME
     rests, arms = rests[~flat], arms[~flat]

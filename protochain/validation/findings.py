@@ -45,13 +45,10 @@ def _measured(measure: Callable[[Structure, Floats], _T]) -> cached_property[_T]
 
 @dataclass(frozen=True, eq=False)
 class Found(Value):
-    """What is found wrong with a structure at some positions.
-
-    x (na, 3) nm.
-    """
+    """What is found wrong with a structure at some positions."""
 
     structure: Structure
-    x: Floats
+    x: Floats  # (na, 3) nm.
 
     violations = _measured(violations)
     clashes = _measured(clashes)
@@ -183,18 +180,12 @@ RESIDUE_COLUMNS: Mapping[str, Callable[[Found], Any]] = {
 
 
 class Measure(NamedTuple):
-    """A number by which structures are compared.
+    """A number by which structures are compared."""
 
-    what: What it is, in words.
-    heading: In tables of a terminal; without one it is not in them.
-    value: Its value of a :class:`Found`.
-    whole: Whether it is a whole number.
-    """
-
-    what: str
-    heading: str
-    value: Callable[[Found], Any]
-    whole: bool = True
+    what: str  # What it is, in words.
+    heading: str  # In tables of a terminal; without one it is not in them.
+    value: Callable[[Found], Any]  # Its value of a :class:`Found`.
+    whole: bool = True  # Whether it is a whole number.
 
 
 MEASURES = {
@@ -257,14 +248,10 @@ MEASURES = {
 
 
 class Remaining(NamedTuple):
-    """Something in a result that a biologist may reject.
+    """Something in a result that a biologist may reject."""
 
-    what: What it is, in words.
-    places: Where a :class:`Found` has it.
-    """
-
-    what: str
-    places: Callable[[Found], list[str]]
+    what: str  # What it is, in words.
+    places: Callable[[Found], list[str]]  # Where a :class:`Found` has it.
 
 
 def _residues(found: Found, residues: Any) -> list[str]:

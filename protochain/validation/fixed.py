@@ -31,14 +31,12 @@ _BOND_SLACK = 0.3
 
 
 class FixedFaults(NamedTuple):
-    """What is wrong with molecules kept with the protein.
+    """What is wrong with molecules kept with the protein."""
 
-    bonds (n, 2) int: Atoms of their broken bonds: far longer or shorter than usual, or, of a molecule in
-        pieces, the nearest ones.
-    clashes (m, 2) int: Heavy atoms of theirs, and of theirs and the protein's, that overlap by 1.5 angstrom.
-    """
-
+    # (n, 2) int: Atoms of their broken bonds: far longer or shorter than usual, or, of a molecule in pieces,
+    # the nearest ones.
     bonds: Integers
+    # (m, 2) int: Heavy atoms of theirs, and of theirs and the protein's, that overlap by 1.5 angstrom.
     clashes: Integers
 
     def lines(self, structure: Structure, x: Floats) -> list[str]:
@@ -48,7 +46,7 @@ class FixedFaults(NamedTuple):
         ends = [[str(structure.atom(atom)) for atom in pair] for pair in pairs.tolist()]
         return [f"{a} and {b}, {by:.2f} angstrom apart" for (a, b), by in zip(ends, apart, strict=True)]
 
-    def said(self, structure: Structure, x: Floats) -> str:
+    def summary(self, structure: Structure, x: Floats) -> str:
         """How many there are, and the first of them; empty if there are none."""
         counts = [
             counted(len(pairs), what)
@@ -84,13 +82,9 @@ def _still(structure: Structure) -> Integers:
 
 
 def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
-    """Find broken bonds and clashes of what stands still, at positions x (na, 3) or the structure's own.
-
-    Bonds of nucleotides are those of their names, and of their strand where numbers go on; usual lengths are
-    those of Amber's OL15 and OL3 force fields, and a bond is broken when 0.3 angstrom off. Of other molecules
-    the bonds are only known by distance, so that a torn one shows when it leaves the molecule in pieces.
-
-    """
+    """Find broken bonds and clashes of what stands still, at positions x (na, 3) or the structure's own."""
+    # Bonds of nucleotides are those of their names, of Amber's OL15 and OL3, broken when 0.3 angstrom off. Of
+    # others they are only known by distance: a torn one shows when it leaves the molecule in pieces.
     none = np.empty((0, 2), dtype=np.int64)
     if not structure.kept.any():
         return FixedFaults(none, none)

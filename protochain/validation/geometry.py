@@ -21,13 +21,10 @@ _TABLE = Path(__file__).parent / "data" / "geometry.csv"
 
 @dataclass(frozen=True)
 class Norm:
-    """Usual value of a bond length or angle within a residue.
-
-    atoms: Two of a bond, three of an angle.
-    """
+    """Usual value of a bond length or angle within a residue."""
 
     residue: str
-    atoms: tuple[str, ...]
+    atoms: tuple[str, ...]  # Two of a bond, three of an angle.
     mean: float
     sigma: float
 
@@ -53,13 +50,7 @@ def slots() -> dict[tuple[str, str], int]:
 
 @cache
 def distances() -> tuple[Floats, Floats]:
-    """Usual distances between atoms of a residue, one or two bonds apart, and their standard deviations.
-
-    Angles become distances by the law of cosines, and their errors are propagated as if independent.
-
-    -> (20, 14, 14) angstrom.
-    -> (20, 14, 14) angstrom: By type, and by the places of two atoms; NaN for other pairs.
-    """
+    """Usual distances (20, 14, 14), angstrom, one or two bonds apart, and deviations, or NaN."""
     shape = (len(TYPES), WIDTH, WIDTH)
     mean, sigma = np.full(shape, np.nan), np.full(shape, np.nan)
     for wanted in (2, 3):
@@ -90,12 +81,7 @@ def _opposite(
 
 @of_atoms
 def places(structure: Structure) -> tuple[Integers, Integers]:
-    """Where the heavy atoms of a structure's amino acids are.
-
-    (nr, 14) int: Atom in each place of each residue, -1 if there is none; a terminus' second oxygen has no
-        place.
-    (nr,) int: Type of each residue; -1 for caps and molecules kept with the protein.
-    """
+    """Atom in each place of each residue (nr, 14), or -1, and its type (nr,), -1 of caps and kept ones."""
     names = [STATE_PARENT.get(name, (name, ""))[0] for name in structure.residue_name.tolist()]
     kind = np.array([TYPES.index(name) if name in STANDARD else -1 for name in names], dtype=np.int64)
     kind[structure.atom_residue[structure.kept]] = -1

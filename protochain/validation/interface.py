@@ -490,12 +490,7 @@ def _of_errors(
 
 
 def ipsae(errors: Floats, least: float = 1.0) -> float:
-    """IpSAE of one side aligned, the other scored.
-
-    errors (n, m) angstrom, least angstrom.
-
-    Dunbrack, bioRxiv 2025.02.10.637595, with the scale by the number of residues that each one aligns well.
-    """
+    """IpSAE of one side aligned, the other scored, by errors (n, m), angstrom (Dunbrack, bioRxiv 2025)."""
     well = errors < _SAE_ERROR
     n = well.sum(axis=1)
     scale = np.maximum(least, 1.24 * np.cbrt(np.maximum(n, 26) - 15) - 1.8)

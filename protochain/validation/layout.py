@@ -15,15 +15,12 @@ NONE = -1
 
 
 class Layout(NamedTuple):
-    """Amino acids of a structure, their atoms and neighbours.
+    """Amino acids of a structure, their atoms and neighbours."""
 
-    amino (nr,) bool: What has a backbone: no caps, and nothing that is kept with the protein.
-    atom: Index of the atom of that name in each amino acid, -1 where there is none.
-    before, after (nr,) int: Amino acids that a peptide bond joins to N and to C, -1 where there is none.
-    """
-
+    # (nr,) bool: What has a backbone: no caps, and nothing that is kept with the protein.
     amino: NDArray[np.bool_]
-    atom: dict[str, Integers]
+    atom: dict[str, Integers]  # Index of the atom of that name in each amino acid, -1 where there is none.
+    # (nr,) int: Amino acids that a peptide bond joins to N and to C, -1 where there is none.
     before: Integers
     after: Integers
 
@@ -64,11 +61,7 @@ def layout(structure: Structure) -> Layout:
 
 
 def dihedrals(x: Floats, atoms: Integers) -> Floats:
-    """Dihedrals of four atoms each, in degrees, from -180 to 180.
-
-    x (na, 3), atoms (n, 4) int.
-    -> (n,): IUPAC-IUB: positive if, seen along the middle bond, the far bond lies clockwise of the near one.
-    """
+    """Dihedrals (n,), degrees, -180 to 180, of atoms (n, 4) at x (na, 3), with the sign of IUPAC-IUB."""
     # Rows of x, y and z: numpy sums along an axis of three slowly.
     a, b, c, d = x.T[:, atoms.T].swapaxes(0, 1)
     axis = c - b

@@ -119,7 +119,7 @@ def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple
             strained,
             int(np.isfinite(_distances(tree, each, x)).sum()),
             int((np.isin(clashing.pairs, each.atoms) & ~structure.kept[clashing.pairs[:, ::-1]]).sum()),
-            _inverted(each, x),
+            tuple("=".join(each.ligand.molecule.names[i] for i in its) for its in _inverted(each, x)),
         )
         for each, strained in zip(structure.ligands, _strains(structure, x), strict=True)
     )
@@ -140,10 +140,9 @@ def _strains(structure: Structure, x: Floats) -> tuple[float | None, ...]:
     return tuple(value if np.isfinite(value) else None for value in found)
 
 
-def _inverted(bound: BoundLigand, x: Floats) -> tuple[str, ...]:
-    molecule = bound.ligand.molecule
-    found = inverted_atoms(molecule, x[bound.atoms[molecule.heavy]])
-    return tuple("=".join(molecule.names[i] for i in atoms) for atoms in found)
+def _inverted(bound: BoundLigand, x: Floats) -> list[tuple[int, ...]]:
+    """Stereocentres, and ends of double bonds, by their places in the molecule."""
+    return inverted_atoms(bound.ligand.molecule, x[bound.atoms[bound.ligand.molecule.heavy]])
 
 
 def inverted_double_bonds(structure: Structure, x: Floats) -> Integers:
@@ -151,7 +150,7 @@ def inverted_double_bonds(structure: Structure, x: Floats) -> Integers:
     found = [
         each.atoms[list(atoms)].tolist()
         for each in structure.ligands
-        for atoms in inverted_atoms(each.ligand.molecule, x[each.atoms[each.ligand.molecule.heavy]])
+        for atoms in _inverted(each, x)
         if len(atoms) == 2
     ]
     return np.array(found, dtype=np.int64).reshape(-1, 2)

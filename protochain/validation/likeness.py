@@ -39,16 +39,11 @@ LIKENESS = {
 
 @dataclass(frozen=True, eq=False)
 class Likeness(Value):
-    """Likeness of a structure to a reference.
+    """Likeness of a structure to a reference."""
 
-    measures: The keys of ``LIKENESS``; None where nothing can be measured.
-    lddt (nr,): lDDT of each residue of the structure, NaN where it matches none.
-    match: Residues of both.
-    """
-
-    measures: Mapping[str, Any]
-    lddt: Floats
-    match: Match
+    measures: Mapping[str, Any]  # The keys of ``LIKENESS``; None where nothing can be measured.
+    lddt: Floats  # (nr,): lDDT of each residue of the structure, NaN where it matches none.
+    match: Match  # Residues of both.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "measures", MappingProxyType(dict(self.measures)))
@@ -159,10 +154,7 @@ def _apart(a: Floats, b: Floats) -> Floats:
 def _named_alike(
     structure: Structure, place: Floats, residue: Integers, pairs: Integers, own: Integers, twin: Integers
 ) -> Integers:
-    """Atoms of the structure (n,), with twins exchanged in the residues that agree better so.
-
-    Only distances to atoms that have no twin count in this.
-    """
+    """Atoms (n,), twins exchanged in residues whose distances to atoms without twins agree better so."""
     ambiguous = own != twin
     noted = pairs[ambiguous[pairs].sum(axis=1) == 1]
     its = residue[np.where(ambiguous[noted[:, 0]], noted[:, 0], noted[:, 1])]

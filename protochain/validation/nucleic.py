@@ -35,23 +35,17 @@ _PERPENDICULAR = 2.9
 
 @dataclass(frozen=True, eq=False)
 class Nucleotides(Value):
-    """Sugars and base pairs of a structure.
+    """Sugars and base pairs of a structure."""
 
-    residue (n,) int: Nucleotides whose sugar is whole.
-    phase, amplitude (n,) degrees: Of its pseudorotation: Altona, Sundaralingam, J. Am. Chem. Soc. 94:8205
-        (1972).
-    delta (n,) degrees.
-    outlier (n,) bool: Delta is that of no sugar, or of a ribose not that which the phosphate after it asks
-        for.
-    pairs (k, 2) int: Residues whose bases are paired by the criteria of DSSR (Lu, Bussemaker, Olson, Nucleic
-        Acids Res. 43:e142, 2015), as biotite finds them; None without biotite.
-    """
-
-    residue: Integers
+    residue: Integers  # (n,) int: Nucleotides whose sugar is whole.
+    # (n,) degrees: Of its pseudorotation: Altona, Sundaralingam, J. Am. Chem. Soc. 94:8205 (1972).
     phase: Floats
     amplitude: Floats
-    delta: Floats
+    delta: Floats  # (n,) degrees.
+    # (n,) bool: Delta is that of no sugar, or of a ribose not that which the phosphate after it asks for.
     outlier: NDArray[np.bool_]
+    # (k, 2) int: Residues whose bases are paired by the criteria of DSSR (Lu, Bussemaker, Olson, Nucleic
+    # Acids Res. 43:e142, 2015), as biotite finds them; None without biotite.
     pairs: Integers | None
 
     @property

@@ -16,26 +16,17 @@ PERPENDICULAR = 90.0
 
 
 class Peptides(NamedTuple):
-    """Peptide bonds, each named after the residue of its nitrogen.
+    """Peptide bonds, each named after the residue of its nitrogen."""
 
-    residue (n,) int.
-    omega (n,) degrees.
-    proline (n,) bool: Whether that residue is a proline.
-    cis, twisted (n,) bool: Within 30 degrees of 0, and farther than that from both 0 and 180.
-    """
-
-    residue: Integers
-    omega: Floats
-    proline: NDArray[np.bool_]
-    cis: NDArray[np.bool_]
+    residue: Integers  # (n,) int.
+    omega: Floats  # (n,) degrees.
+    proline: NDArray[np.bool_]  # (n,) bool: Whether that residue is a proline.
+    cis: NDArray[np.bool_]  # (n,) bool: Within 30 degrees of 0, and farther than that from both 0 and 180.
     twisted: NDArray[np.bool_]
 
 
 def omegas(structure: Structure, x: Floats | None = None) -> Peptides:
-    """Measure omega, CA-C-N-CA, of every peptide bond, at positions x (na, 3) or the structure's own.
-
-    Source of the limits: Williams et al., Protein Sci. 27:293 (2018).
-    """
+    """Measure omegas, at x (na, 3) or its own (Williams et al., Protein Sci. 27:293, 2018)."""
     omega = peptides(structure, positions(structure, x))[2]
     residue = np.flatnonzero(np.isfinite(omega))
     omega = omega[residue]
@@ -46,10 +37,7 @@ def omegas(structure: Structure, x: Floats | None = None) -> Peptides:
 
 
 def isomerised_bonds(structure: Structure, x: Floats, reference: Floats) -> list[str]:
-    """Name the peptide bonds that went from trans to cis, or back, between two sets of positions.
-
-    As ``before residue 14 LYS of chain A (omega 178, now 4)``.
-    """
+    """Name the peptide bonds that changed: ``before residue 14 LYS of chain A (omega 178, now 4)``."""
     now, then = omegas(structure, x), omegas(structure, reference)
     size = np.abs(now.omega)
     crossed = np.where(then.cis, size > PERPENDICULAR, size < PERPENDICULAR)

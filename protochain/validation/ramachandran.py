@@ -27,21 +27,14 @@ _TABLES = Path(__file__).parent / "data" / "ramachandran.npz"
 
 
 class Ramachandran(NamedTuple):
-    """Residues with both phi and psi on the Ramachandran plot.
+    """Residues with both phi and psi on the Ramachandran plot."""
 
-    residue (n,) int.
-    phi, psi (n,) degrees.
-    kind (n,) int: Index of the class in ``CLASSES``.
-    score (n,): Share of the residues of its class that are rarer, from 0 to 1.
-    region (n,) int: 0 outlier, 1 allowed, 2 favoured.
-    """
-
-    residue: Integers
-    phi: Floats
-    psi: Floats
-    kind: Integers
-    score: Floats
-    region: Integers
+    residue: Integers  # (n,) int.
+    phi: Floats  # (n,) degrees.
+    psi: Floats  # (n,) degrees.
+    kind: Integers  # (n,) int: Index of the class in ``CLASSES``.
+    score: Floats  # (n,): Share of the residues of its class that are rarer, from 0 to 1.
+    region: Integers  # (n,) int: 0 outlier, 1 allowed, 2 favoured.
 
     @property
     def outliers(self) -> Integers:
@@ -55,10 +48,7 @@ class Ramachandran(NamedTuple):
 
 
 def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
-    """Place residues on the Ramachandran plot, as MolProbity does, at positions x (na, 3) or their own.
-
-    Tables: Top8000 (Williams et al., Protein Sci. 27:293, 2018), as in mmtbx's ramalyze.
-    """
+    """Place residues on the Ramachandran plot, as MolProbity (tables Top8000), at x (na, 3) or their own."""
     phi, psi, omega = peptides(structure, positions(structure, x))
     standard = np.isin(structure.residue_name, list(STANDARD))
     residue = np.flatnonzero(standard & np.isfinite(phi) & np.isfinite(psi))
@@ -71,10 +61,7 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
 
 
 def score(kind: Integers, phi: Floats, psi: Floats) -> Floats:
-    """Interpolate the tables between their four nearest points.
-
-    kind (n,) int, phi, psi (n,) degrees -> (n,).
-    """
+    """Interpolate the tables of kind (n,) between the four points nearest to phi, psi (n,), degrees."""
     table = tables()
     n = table.shape[1]
     (i, a), (j, b) = (_cell(angle) for angle in (phi, psi))

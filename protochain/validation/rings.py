@@ -100,10 +100,7 @@ def _threaded(structure: Structure, x: Floats) -> tuple[ThreadedRing, ...]:
 
 @of_atoms
 def rings(structure: Structure) -> tuple[tuple[int, ...], ...]:
-    """Rings of at most 20 atoms within residues or closed by bonds between side chains or ends of a chain.
-
-    The atoms of each are in their order around it.
-    """
+    """Rings of at most 20 atoms, in order, within residues or closed by side chains or ends of a chain."""
     of = structure.atom_residue
     heavy = (structure.atom_element != "H")[structure.bonds].all(axis=1)
     bonds = structure.bonds[heavy]
@@ -203,20 +200,14 @@ def _near(structure: Structure, x: Floats) -> tuple[Integers, Integers]:
 
 
 def _fan(corners: Floats) -> Floats:
-    """Triangles (n, 3, 3) from a point near the centre of a ring to its sides.
-
-    Not from the very centre: round-off would decide whether a bond through a corner of triangles meets one.
-    """
+    """Triangles (n, 3, 3) from near a ring's centre to its sides; at it, round-off would decide."""
     weights = 1.0 + 0.03 * np.arange(len(corners))
     apex = np.broadcast_to(weights @ corners / weights.sum(), corners.shape)
     return np.stack([apex, corners, np.roll(corners, -1, axis=0)], axis=1)
 
 
 def _least_area(corners: Floats) -> Integers:
-    """Corners (n - 2, 3) of the triangles of least total area that a polygon can be cut into.
-
-    By dynamic programming over the sides and diagonals: G. T. Klincsek, Ann. Discrete Math. 9:121 (1980).
-    """
+    """Corners (n - 2, 3) of a polygon's least triangles (G. T. Klincsek, Ann. Discrete Math. 9:121, 1980)."""
     n = len(corners)
     cost, best = np.zeros((n, n)), np.zeros((n, n), dtype=np.int64)
     for width in range(2, n):
@@ -237,10 +228,7 @@ def _least_area(corners: Floats) -> Integers:
 
 
 def _crossed(triangles: Floats, start: Floats, end: Floats) -> NDArray[np.bool_]:
-    """Whether lines (n,) from start to end go through an odd number of their triangles (n, m, 3, 3).
-
-    By volumes: the ends lie on two sides of the triangle, and the line on one side of its three edges.
-    """
+    """Whether lines (n,) from start to end go through an odd number of triangles (n, m, 3, 3), by volume."""
     along = (end - start)[:, None]
     a, b, c = (triangles[:, :, k] - start[:, None] for k in range(3))
     normal = cross(b - a, c - a)

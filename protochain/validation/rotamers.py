@@ -33,15 +33,11 @@ _WIDE = {
 
 
 class SideChains(NamedTuple):
-    """Side chains with all their dihedrals.
+    """Side chains with all their dihedrals."""
 
-    residue (n,) int.
-    rotamer (n,) str: Name of the nearest rotamer.
-    distance (n,): Distance from it in the dihedral that is farthest off, as a fraction of the limit.
-    """
-
-    residue: Integers
-    rotamer: NDArray[np.str_]
+    residue: Integers  # (n,) int.
+    rotamer: NDArray[np.str_]  # (n,) str: Name of the nearest rotamer.
+    # (n,): Distance from it in the dihedral that is farthest off, as a fraction of the limit.
     distance: Floats
 
     @property
@@ -51,10 +47,8 @@ class SideChains(NamedTuple):
 
 
 def side_chains(structure: Structure, x: Floats | None = None) -> SideChains:
-    """Find the nearest rotamer of each side chain, at positions x (na, 3) or the structure's own.
-
-    The limits were chosen for agreement with MolProbity's contours on 20 structures, without Arg and Lys.
-    """
+    """Find the nearest rotamer of each side chain, at positions x (na, 3) or the structure's own."""
+    # The limits were chosen for agreement with MolProbity's contours on 20 structures, without Arg and Lys.
     x = positions(structure, x)
     mirrored = structure.mirrored
     n = structure.n_residues

@@ -16,22 +16,16 @@ from protochain.validation.layout import peptides
 
 
 class Expected(NamedTuple):
-    """What stereocentres of a structure should be.
+    """What stereocentres of a structure should be."""
 
-    atoms (n, 4) int: Each, and three neighbours in an order in which they should span a positive volume.
-    unnamed (m,) int: Residues that are D-amino acids by their coordinates, under names of L.
-    """
-
+    # (n, 4) int: Each, and three neighbours in an order in which they should span a positive volume.
     atoms: Integers
-    unnamed: Integers
+    unnamed: Integers  # (m,) int: Residues that are D-amino acids by their coordinates, under names of L.
 
 
 @lru_cache(maxsize=2)
 def expected_stereocentres(structure: Structure) -> Expected:
-    """Find the stereocentres of protein, sugars and ligands, as names of residues or sources say.
-
-    D-amino acids under names of L keep what they have.
-    """
+    """Find the stereocentres that names of residues or sources say; D under names of L stay."""
     atoms, x = chiral_atoms(structure), structure.positions
     of, size = structure.atom_residue[atoms[:, 0]], volume(x[atoms])
     is_d = structure.mirrored[of]

@@ -6,7 +6,6 @@ import sys
 import numpy as np
 import pytest
 from distributed import LocalCluster
-from fixtures.repairs import sentences
 from fixtures.samples import STRUCTURES, chain, energy
 
 import protochain as pc
@@ -158,11 +157,6 @@ def test_an_alternate_location_that_no_atom_has_is_refused(name):
     words = "its atoms have A, B" if name == "1ejg.pdb" else "no atom of it has one"
     with pytest.raises(pc.ProtochainError, match=rf"{name}: .*'Z'.*{words}"):
         pc.load(STRUCTURES / name, altloc="Z")
-
-
-def test_an_alternate_location_that_some_atoms_have_is_preferred():
-    kept = [line for line in sentences(pc.load(STRUCTURES / "1ejg.pdb", altloc="B")) if "alternate" in line]
-    assert len(kept) > 5 and all("location B kept" in line for line in kept)
 
 
 def test_what_is_no_checkpoint_is_said_to_be_none(tmp_path, monkeypatch, capsys):

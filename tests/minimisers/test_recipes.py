@@ -184,7 +184,7 @@ def test_the_springs_of_a_restraint_are_in_the_metric():
     assert kept.method.direction.metric == Mass()
 
 
-def test_overlaps_are_parted_in_torsions_and_springs_let_go_one_after_the_other():
+def test_overlaps_are_parted_in_torsions_and_springs_released_one_after_the_other():
     c = crowded()
     s, (torsions, _) = c.structure, spaces(c)
     soft, *held, free = plan_of(RECIPES["lbfgs"], c)

@@ -100,7 +100,7 @@ def test_well_formed_residues_of_the_wrong_hand_become_right():
     ]
     assert r.stereocentres_corrected == r.structure.repairs[-2:] and sentences(r.structure)[-2:] == said
     assert r.record()["stereocentres_corrected"] == said
-    assert r.rounds[0].let_go == 2
+    assert r.rounds[0].released == 2
     assert not ChiralityRestraint.of(s)(r.x)[0]
 
 

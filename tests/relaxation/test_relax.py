@@ -123,7 +123,7 @@ def touching(structure, residue, x):
     return found
 
 
-def test_residues_in_trouble_and_their_neighbours_are_let_go_by_and_by(monkeypatch):
+def test_residues_in_trouble_and_their_neighbours_are_released_in_turn(monkeypatch):
     """The disulfide 16-26 of crambin joins what is far in sequence; springs lead to the input always."""
     s = load("1ejg.pdb")
     found = replace(violations(s), per_residue=np.arange(s.n_residues) == 15)
@@ -142,7 +142,7 @@ def test_residues_in_trouble_and_their_neighbours_are_let_go_by_and_by(monkeypat
             expected[touching(s, 15, done[1].x) & (expected == STIFF / k)] *= 0.1
             assert (expected == 0.1 * STIFF / k).sum() >= 2
         assert each.springs.weight[alpha] == pytest.approx(expected)
-    assert [each.round.let_go for each in done][:2] == [1, 5] and done[2].round.let_go > 6
+    assert [each.round.released for each in done][:2] == [1, 5] and done[2].round.released > 6
     assert [each.round.violations for each in done] == [1, 1, 1]
     assert len(relaxer.rounds(s.positions, excluded, 2)) == 2
     moved = s.positions + np.where(s.atom_residue == 15, 1.0, 0.0)[:, None]
@@ -178,7 +178,7 @@ def test_what_is_left_is_said():
 def test_excluded_residues_have_no_springs():
     s = load("1l2y.pdb")
     r = pc.relax(s, threads=1, exclude="resid 5:8 and name CA", solvent="vacuum")
-    assert r.rounds[0].let_go == 4
+    assert r.rounds[0].released == 4
     with pytest.raises(pc.ProtochainError, match="selects no atom"):
         pc.relax(s, exclude="resid 999")
 
@@ -382,7 +382,7 @@ def test_threaded_rings_are_freed():
     assert [ring.residue for ring in threaded_rings(s)] == [planted.ring_residue]
     r = pc.relax(s, threads=1, solvent="vacuum")
     assert r.status is pc.Status.CONVERGED and not threaded_rings(s, r.x)
-    assert r.rounds[0].let_go == 2 and r.ca_rmsd_angstrom < 0.5
+    assert r.rounds[0].released == 2 and r.ca_rmsd_angstrom < 0.5
 
 
 def test_the_budget_of_iterations_holds_while_rings_are_freed():

@@ -27,7 +27,7 @@ def test_a_planted_ring_is_freed_and_the_fold_kept(seed):
     r = pc.relax(s)
     assert r.status == "converged" and r.measures_end["threaded_rings"] == r.measures_end["violations"] == 0
     assert not models.threadings(r.structure) and r.ca_rmsd_angstrom < 0.4
-    assert r.rounds[0].let_go == len({plant.ring_residue, plant.threading_residue})
+    assert r.rounds[0].released == len({plant.ring_residue, plant.threading_residue})
 
 
 def test_a_torn_bond_of_a_file_is_closed(tmp_path):
@@ -54,7 +54,7 @@ def test_side_chains_that_springs_hold_against_one_another_give_way_in_a_second_
     r = pc.relax(s)
     first, second = r.rounds
     assert first.violations > 0 == second.violations and r.status == "converged"
-    assert first.let_go == 0 < second.let_go <= 12 and r.ca_rmsd_angstrom < 0.7
+    assert first.released == 0 < second.released <= 12 and r.ca_rmsd_angstrom < 0.7
     # The trace counts on through the rounds.
     evaluations = r.trace[:, 1]
     assert (np.diff(evaluations) >= 1).all()

@@ -30,7 +30,7 @@ def in_two_states(residue, occupancies, apart):
 
 def letters(structure):
     return {
-        r.facts["residue"].number: r.facts["taken"] for r in structure.repairs if r.kind is Kind.ALTERNATES
+        r.facts["residue"].number: r.facts["used"] for r in structure.repairs if r.kind is Kind.ALTERNATES
     }
 
 

@@ -86,17 +86,3 @@ def test_they_can_be_minimised_and_compared():
         pc.to_mdanalysis(load("ala10.pdb")), ("lbfgs",), max_evaluations=5, reference=held_by_mdtraj
     )
     assert k.quality.loc["start", "reference_rmsd_angstrom"] < 1e-4
-
-
-@pytest.mark.parametrize("wrong", [3, None, object(), {"a": 1}])
-def test_what_nothing_is_known_about_is_refused(wrong):
-    with pytest.raises(pc.ProtochainError, match="give a file, a Structure"):
-        pc.as_structure(wrong)
-
-
-def test_positions_that_do_not_fit_are_refused():
-    s = load("ala10.pdb")
-    with pytest.raises(pc.ProtochainError, match="3 positions do not fit a topology of 103 atoms"):
-        pc.as_structure((s.topology, s.positions[:3]))
-    with pytest.raises(pc.ProtochainError, match="not a number or beyond 100000 angstrom"):
-        pc.as_structure((s.topology, np.full((103, 3), np.nan)))

@@ -152,54 +152,14 @@ def test_the_same_atoms_written_otherwise_are_the_same_structure(kind, tmp_path)
         assert len(s.repairs) == len(straight.repairs) + 1
 
 
-def test_gzipped_and_standard_input(tmp_path, monkeypatch):
-    text = (STRUCTURES / "1l2y.pdb").read_bytes()
-    (tmp_path / "x.pdb.gz").write_bytes(gzip.compress(text))
-    s = pc.load(tmp_path / "x.pdb.gz")
-    assert s.name == "x" and np.array_equal(s.positions, load("1l2y.pdb").positions)
-    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(gzip.compress(text))))
-    assert np.array_equal(pc.load("-").positions, s.positions)
-    assert model_numbers("-") == [1] and pc.load("-", model=1).n_atoms == s.n_atoms
-    (tmp_path / "cut.pdb.gz").write_bytes(gzip.compress(text)[:-200])
-    with pytest.raises(pc.ProtochainError, match="not a whole gzip file"):
-        pc.load(tmp_path / "cut.pdb.gz")
-
-
-@pytest.mark.parametrize(
-    ("content", "why"),
-    [
-        (b"\x00\x01" * 50, "binary"),
-        (b"\x1f\x8b" + b"\x00" * 20, "gzip"),
-        (
-            b"ATOM      1  N   ALA A   x       1.000   2.000   3.000  1.00  0.00           N\nEND\n",
-            "columns 23-26",
-        ),
-        (
-            b"ATOM      1  N   ALA A   1       1.000   *****   3.000  1.00  0.00           N\nEND\n",
-            "columns 39-46",
-        ),
-    ],
-)
-def test_what_is_no_structure_is_refused_with_its_place(content, why, tmp_path):
-    (tmp_path / "x.pdb").write_bytes(content)
-    with pytest.raises(pc.ProtochainError, match=why) as refused:
-        pc.load(tmp_path / "x.pdb")
-    assert str(refused.value).startswith(str(tmp_path / "x.pdb"))
+def test_a_packed_file_is_read_from_standard_input(monkeypatch):
+    text = gzip.compress((STRUCTURES / "1l2y.pdb").read_bytes())
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
+    assert np.array_equal(pc.load("-").positions, load("1l2y.pdb").positions)
+    assert model_numbers("-") == [1] and pc.load("-", model=1).n_atoms == load("1l2y.pdb").n_atoms
 
 
 BEYOND_ASCII = [b"\xe9", "é".encode()]
-
-
-@pytest.mark.parametrize("letter", BEYOND_ASCII)
-@pytest.mark.parametrize(
-    "column", [14, 17, 18, 22, 27], ids=["atom", "altloc", "residue", "chain", "insertion"]
-)
-def test_a_name_that_is_not_ascii_is_refused_with_its_line_and_column(letter, column, tmp_path):
-    lines = [line.encode() for line in atoms_of("ala10.pdb")]
-    lines[6] = lines[6][: column - 1] + letter + lines[6][column:]
-    (tmp_path / "x.pdb").write_bytes(b"".join([*lines, b"END\n"]))
-    with pytest.raises(pc.ProtochainError, match=rf"x\.pdb: line 7: column {column} .* not ASCII"):
-        pc.load(tmp_path / "x.pdb")
 
 
 @pytest.mark.parametrize("letter", BEYOND_ASCII)
@@ -244,12 +204,6 @@ def test_too_much_is_refused(tmp_path, monkeypatch):
     (tmp_path / "one.cif").write_bytes(b"data_x\nloop_\n_atom_site.id\n" + b"1 " * 600_000)
     with pytest.raises(pc.ProtochainError, match="a line has over 1000000 characters"):
         parse(tmp_path / "one.cif")
-    monkeypatch.setattr("protochain.structure.files._BYTES", 1000)
-    with pytest.raises(pc.ProtochainError, match="larger than"):
-        parse(STRUCTURES / "1l2y.pdb")
-    (tmp_path / "bomb.pdb.gz").write_bytes(gzip.compress(b" " * 100_000))
-    with pytest.raises(pc.ProtochainError, match="larger than"):
-        parse(tmp_path / "bomb.pdb.gz")
 
 
 def test_the_other_location_can_be_asked_for():
@@ -320,12 +274,8 @@ def test_disulfides_can_be_asked_for_and_refused():
     assert "disulfide bonds left out, as requested: A:5-A:55, A:14-A:38, A:30-A:51" in sentences(free)
     one = pc.load(path, disulfide=["none", ("A:5", "A:55")])
     assert "as requested" in "".join(sentences(one)) and len(pc.build_chain(one).loops) == 1
-    for pair, why in (
-        (("A:5", "A:6"), "residue 6 LEU of chain A is no cysteine"),
-        (("A:5", "A:5"), "give two"),
-    ):
-        with pytest.raises(pc.ProtochainError, match=why):
-            pc.load(path, disulfide=[pair])
+    with pytest.raises(pc.ProtochainError, match="residue 6 LEU of chain A is no cysteine"):
+        pc.load(path, disulfide=[("A:5", "A:6")])
 
 
 @pytest.mark.parametrize(
@@ -348,12 +298,6 @@ def test_a_hydrogen_of_an_unknown_name_is_named_by_its_parent_and_that_is_said(t
     s = pc.load(written(tmp_path, lines))
     assert "1 hydrogen with an unknown name renamed after the parent atom" in sentences(s)
     assert np.array_equal(np.sort(s.atom_name), np.sort(load("1l2y.pdb").atom_name))
-
-
-def test_breaks_are_refused_when_that_is_asked(tmp_path):
-    gone = [line for line in atoms_of("1ubq.pdb") if not 30 <= int(line[22:26]) <= 33]
-    with pytest.raises(pc.ProtochainError, match=r"chain A is broken between 29 and 34 .* strict=True"):
-        pc.load(written(tmp_path, "".join(gone) + "END\n"), strict=True)
 
 
 def test_modified_residues_become_their_parents_and_d_stays_d(tmp_path):
@@ -507,17 +451,6 @@ def test_an_mmcif_file_without_its_last_mark_is_taken_if_its_atoms_are_whole(tmp
     )
 
 
-@pytest.mark.parametrize(
-    "name", ["4cup_missing.cif", "5pti_bpti.cif", "1as5_conotoxin.cif", "boltz2_5ht2c.cif"]
-)
-def test_real_mmcif_files_do_not_need_their_last_mark(name, tmp_path):
-    text = shared(name).read_text().rstrip()
-    assert text.endswith("#")
-    assert np.array_equal(
-        pc.load(written(tmp_path, text.removesuffix("#"), name)).positions, pc.load(shared(name)).positions
-    )
-
-
 def test_a_crosslink_that_the_file_does_not_state_is_kept(tmp_path):
     lines = atoms_of("1ubq.pdb")
     (carbon,) = [line for line in lines if line[12:26] == " CG  ASP A  58"]
@@ -568,10 +501,13 @@ def test_the_same_file_gives_the_same_bits_in_another_process():
     assert there.stdout.strip() == hashlib.sha256(pc.load(path).positions.tobytes()).hexdigest()
 
 
-@pytest.mark.parametrize("method", ["kcm-adaptive", "lbfgs", "hybrid", "openmm"])
 @pytest.mark.parametrize(
-    "name", ["1ejg_crambin.pdb", "3i40_insulin.pdb", "5vav_cyclic.pdb", "1a1p_compstatin.pdb"]
-)
+    ("name", "method"),
+    [
+        ("1ejg_crambin.pdb", "lbfgs"), ("3i40_insulin.pdb", "hybrid"), ("5vav_cyclic.pdb", "lbfgs"),
+        ("5vav_cyclic.pdb", "kcm-adaptive"), ("1a1p_compstatin.pdb", "openmm"),
+    ],
+)  # fmt: skip
 def test_rings_and_bridges_stay_closed(name, method):
     s = loaded(name)
     chain, energy = pc.build_chain(s), pc.energy(s)
@@ -579,12 +515,6 @@ def test_rings_and_bridges_stay_closed(name, method):
     for first, second in chain.loops.tolist():
         usual = 0.204 if s.atom_name[first] == "SG" else 0.1335
         assert abs(np.linalg.norm(r.x[first] - r.x[second]) - usual) < 0.015
-
-
-def test_the_largest_complex_loads():
-    s = loaded("4jsv_2750.pdb")
-    assert (s.n_residues, s.n_chains) == (2750 + 8, 8)
-    assert pc.build_chain(s).n_hinges > 10_000
 
 
 @pytest.fixture(params=["pipe", "device", "folder"])

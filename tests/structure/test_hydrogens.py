@@ -23,18 +23,27 @@ def added(s):
     return np.flatnonzero(s.atom_element == "H")
 
 
-@pytest.mark.parametrize("name", HEAVY_ONLY)
-def test_as_many_as_modeller_adds_at_the_same_atoms(name):
+def by_modeller(name):
+    """Positions of all atoms with OpenMM's hydrogens, by residue and name."""
     s = load(name)
     modeller = app.Modeller(s.topology, s.positions * unit.nanometer)
     modeller.delete([atom for atom in modeller.topology.atoms() if atom.element.symbol == "H"])
     modeller.addHydrogens(pH=7.0, platform=openmm.Platform.getPlatform("CPU"))
-    theirs = [
+    names = [
         (atom.residue.index, "H1" if atom.name == "H" and atom.residue.index in starts(s) else atom.name)
         for atom in modeller.topology.atoms()
     ]
+    return dict(zip(names, modeller.positions.value_in_unit(unit.nanometer), strict=True))
+
+
+@pytest.mark.parametrize("name", HEAVY_ONLY)
+def test_as_many_as_modeller_adds_at_the_same_atoms_and_of_no_higher_energy(name):
+    s, theirs = load(name), by_modeller(name)
     ours = list(zip(s.atom_residue.tolist(), s.atom_name.tolist(), strict=True))
     assert sorted(theirs) == sorted(ours)
+    x = np.array([theirs[key] for key in ours])
+    energy = pc.energy(s)
+    assert energy(s.positions)[0] < energy(x)[0]
 
 
 def starts(s):
@@ -63,23 +72,6 @@ def test_bonds_and_angles_are_the_force_fields(name):
     touched = triples[hydrogen[triples].any(axis=1)]
     expected = [usual[min(i, k), j, max(i, k)] for i, j, k in touched.tolist()]
     assert np.abs(angles(touched, s.positions) - expected).max() < BEND
-
-
-@pytest.mark.parametrize("name", HEAVY_ONLY)
-def test_their_energy_is_no_higher_than_after_modellers_minimisation(name):
-    s = load(name)
-    energy = pc.energy(s)
-    x = {}
-    modeller = app.Modeller(s.topology, s.positions * unit.nanometer)
-    modeller.delete([atom for atom in modeller.topology.atoms() if atom.element.symbol == "H"])
-    modeller.addHydrogens(pH=7.0, platform=openmm.Platform.getPlatform("CPU"))
-    for atom, at in zip(
-        modeller.topology.atoms(), modeller.positions.value_in_unit(unit.nanometer), strict=True
-    ):
-        name = "H1" if atom.name == "H" and atom.residue.index in starts(s) else atom.name
-        x[atom.residue.index, name] = at
-    theirs = np.array([x[key] for key in zip(s.atom_residue.tolist(), s.atom_name.tolist(), strict=True)])
-    assert energy(s.positions)[0] < energy(theirs)[0]
 
 
 def test_placement_turns_with_the_molecule():

@@ -86,15 +86,9 @@ def test_a_structure_says_what_it_is():
     told = pc.Structure("a<b", S.topology, S.positions, (noted("one"), noted("two")), {"waters": 3, "ZN": 1})
     assert repr(told) == "<Structure a<b: 2 chains, 4 residues, 14 atoms, 2 repairs>"
 
-    def row(name, value):
-        return f"<tr><th>{name}</th><td>{value}</td></tr>"
-
-    facts = [row("residues", 4), row("atoms", 14)]
-    told_facts = [row("left out", "3 waters; 1 ZN"), row("repairs", f"{noted('one')}; {noted('two')}")]
-    caption = "<table><caption>Structure {}</caption>{}</table>"
-    assert told._repr_html_() == caption.format("a&lt;b", "".join([row("chains", 2), *facts, *told_facts]))
-    nothing = [row("left out", "nothing"), row("repairs", "none")]
-    assert S._repr_html_() == caption.format("ring", "".join([row("chains", 1), *facts, *nothing]))
+    html = told._repr_html_()
+    assert "a&lt;b" in html and "3 waters; 1 ZN" in html and str(noted("two")) in html
+    assert "<th>left out</th><td>nothing</td>" in S._repr_html_()
 
 
 def test_positions_have_their_shape_and_are_numbers():

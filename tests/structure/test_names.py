@@ -4,7 +4,7 @@ import gemmi
 import numpy as np
 import pytest
 from fixtures.repairs import sentences
-from fixtures.samples import STRUCTURES, load, shared
+from fixtures.samples import STRUCTURES
 from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
@@ -265,35 +265,6 @@ def test_a_modified_d_amino_acid_is_known_by_its_atoms(tmp_path):
     s = pc.load(path)
     assert s.mirrored.tolist() == (s.residue_number == "42").tolist()
     assert "residue 42 HAR of chain A: converted to its D-amino acid DAR" in sentences(s)
-
-
-def test_disulfides_of_insulin_stay_when_another_is_asked_for(tmp_path):
-    """Its SSBOND records name three; a fourth is made by two more cysteines."""
-    text = (STRUCTURES / "3i40.pdb").read_text()
-    bonds = [line for line in text.splitlines() if line.startswith("SSBOND")]
-    s = pc.load(shared("3i40_insulin.pdb"))
-    assert len(pc.build_chain(s).loops) == 3 == max(3, len(bonds))
-    model = gemmi.read_pdb_string(text)
-    chosen = [r for chain in model[0] for r in chain if r.name == "SER"][:2]
-    places = []
-    for chain in model[0]:
-        for r in chain:
-            if any(r.seqid == each.seqid and r.name == each.name for each in chosen) and len(places) < 2:
-                r.name = "CYS"
-                for atom in r:
-                    if atom.name == "OG":
-                        atom.name, atom.element = "SG", gemmi.Element("S")
-                places.append(f"{chain.name}:{r.seqid}")
-    model.write_minimal_pdb(str(tmp_path / "x.pdb"))
-    assert len(places) == 2
-    more = pc.load(tmp_path / "x.pdb", disulfide="-".join(places))
-    only = pc.load(tmp_path / "x.pdb", disulfide=f"none,{'-'.join(places)}")
-
-    def bonded(structure):
-        sulphur = structure.atom_name == "SG"
-        return int(sulphur[structure.bonds].all(axis=1).sum())
-
-    assert (bonded(load("3i40.pdb")), bonded(more), bonded(only)) == (3, 4, 1)
 
 
 def test_an_unknown_name_of_a_mirrored_residue_is_that_of_its_atoms(tmp_path):

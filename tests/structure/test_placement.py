@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from protochain.core.arrays import sphere
 from protochain.structure import hydrogens as module
 from protochain.structure.hydrogens import place_hydrogens
 
@@ -170,8 +171,8 @@ def test_what_was_turned_before_counts_for_what_turns_after():
 def test_the_first_hydrogen_of_a_water_points_anywhere_and_the_second_follows():
     water = [("O", [0.0, 0, 0], -0.8), ("H", None, 0.4), ("H", None, 0.4), ("O", [0.0, 0.0, 0.28], -0.8)]
     x = placed(water, (0, 1), (0, 2))
-    sphere = module._sphere(36)
-    at(x[1], oracle(np.zeros(3), sphere, 0.096, [(np.array([0, 0, 0.28]), -0.32)]))
+    ways = sphere(36)
+    at(x[1], oracle(np.zeros(3), ways, 0.096, [(np.array([0, 0, 0.28]), -0.32)]))
     angle = np.degrees(np.arccos(x[1] @ x[2] / np.linalg.norm(x[1]) / np.linalg.norm(x[2])))
     assert angle == pytest.approx(104.52, abs=0.01)
     assert np.linalg.norm(x[1:3], axis=1) == pytest.approx([0.096, 0.096], abs=2e-6)
@@ -185,7 +186,7 @@ def test_directions_of_a_sphere_are_spread_on_a_golden_spiral():
             [np.sqrt(1 - h * h) * np.cos(t), np.sqrt(1 - h * h) * np.sin(t), h]
             for h, t in zip(z, turn, strict=True)
         ]
-        assert np.allclose(module._sphere(n), expected, atol=1e-15)
+        assert np.allclose(sphere(n), expected, atol=1e-15)
     assert module._unit(np.array([0.0, 3.0, 4.0])).tolist() == [0.0, 0.6, 0.8]
     assert module._unit(np.array([0.0, 0.5e-9, 0.0])).tolist() == [1.0, 0.0, 0.0]
     assert module._unit(np.array([0.0, 1.5e-9, 0.0])).tolist() == [0.0, 1.0, 0.0]

@@ -71,12 +71,6 @@ def test_a_cysteine_between_two_others_is_bonded_to_the_nearer_only(order):
     assert {first, second} == {near, middle}
 
 
-def test_a_cysteine_requested_in_two_bonds_is_refused():
-    members = [cysteine(number, 9.0 * number, 0, 0) for number in (1, 2, 3)]
-    with pytest.raises(pc.ProtochainError, match="A:2-A:3: A:1 and A:2 are bonded, and no cysteine has two"):
-        disulfides(drafted(*members), [("A:1", "A:2"), ("A:2", "A:3")])
-
-
 def ring_and_acceptors(*places):
     """A regular imidazole with acceptors 3 angstrom from a nitrogen, at an angle from its bisector."""
     names = ("CG", "ND1", "CE1", "NE2", "CD2")
@@ -157,9 +151,9 @@ def test_every_repair_is_told_once_alone_or_in_a_group():
     gap = Repair(Kind.GAP, {"last": last, "first": first, "length": 5.0})
     waters = Repair(Kind.WATERS_LEFT_OUT, {"count": 3, "remedy": EVERYTHING})
     lost = [
-        repair(Kind.ALTERNATES, ("A", "4", "SER"), taken="A", occupancy=0.6, others=("SER B",)),
+        repair(Kind.ALTERNATES, ("A", "4", "SER"), used="A", occupancy=0.6, others=("SER B",)),
         repair(Kind.NO_BACKBONE, ("A", "7", "GLY"), atom="N"),
-        Repair(Kind.MODELS_LEFT_OUT, {"taken": 1, "count": 9}),
+        Repair(Kind.MODELS_LEFT_OUT, {"used": 1, "count": 9}),
     ]
     changed = [
         noted("CB"),

@@ -51,19 +51,6 @@ def test_hydrogens_of_the_file_show_a_state(residue, state):
 
 
 @pytest.mark.parametrize(
-    ("name", "donor", "state"),
-    [
-        ("LYS", "NZ", "LYN"), ("LYS", "O", ""), ("CYS", "SG", "CYM"), ("CYS", "N", ""), ("HIS", "ND1", "HIE"),
-        ("HIS", "NE2", "HID"), ("HIS", "O", ""), ("ASP", "OD1", ""),
-    ],
-)  # fmt: skip
-def test_a_donor_has_no_hydrogen_between_it_and_its_metal(name, donor, state):
-    residue = named(name)
-    residue.metals.append(atom(donor, donor[0], [0.0, 0.0, 0.0]))
-    assert module._free_pair(residue) == state
-
-
-@pytest.mark.parametrize(
     ("name", "pka", "below", "above"),
     [
         ("ASP", 4.4, "ASH", ""), ("GLU", 4.4, "GLH", ""), ("HIS", 6.5, "HIP", ""), ("CYS", 8.5, "", "CYM"),
@@ -200,7 +187,7 @@ def test_a_ph_is_between_0_and_14():
         ("HIS", ["ND1"], [], "HIE"), ("HIS", ["NE2"], [], "HID"), ("HIS", [], ["ND1"], "HIE"),
         ("HIS", ["ND1", "NE2"], [], "HIE"), ("HIS", ["O"], [], ""), ("CYS", ["SG"], [], "CYM"),
         ("CYS", [], ["SG"], "CYM"), ("CYS", ["O"], [], ""), ("LYS", ["NZ"], [], "LYN"),
-        ("LYS", [], ["NZ"], ""), ("ASP", ["OD1"], [], ""),
+        ("LYS", ["O"], [], ""), ("LYS", [], ["NZ"], ""), ("CYS", ["N"], [], ""), ("ASP", ["OD1"], [], ""),
     ],
 )  # fmt: skip
 def test_a_pair_of_electrons_that_is_bonded_bears_no_hydrogen(name, metal, linked, state):

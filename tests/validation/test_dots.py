@@ -112,10 +112,7 @@ def test_the_median_is_by_area_and_both_sides_count():
     assert complementarity(below, above) == pytest.approx(0.5 * (1.0 + 0.8))
 
 
-@pytest.mark.parametrize(
-    ("name", "first", "second"),
-    [("3i40.pdb", "A", "B"), ("1ysa.pdb", "C", "D"), ("6bj9_model_0.cif.gz", "A", "B")],
-)
+@pytest.mark.parametrize(("name", "first", "second"), [("3i40.pdb", "A", "B"), ("1ysa.pdb", "C", "D")])
 def test_it_is_that_of_another_program(name, first, second):
     """Of the crate sc-rs, which follows CCP4's: its dots lie elsewhere, and there are some thousand."""
     s = load(name)
@@ -128,8 +125,6 @@ def test_it_is_that_of_another_program(name, first, second):
         a[np.linalg.norm(x[a][:, None] - x[b], axis=2).min(axis=1) < 8.0]
         for a, b in (heavy, heavy[::-1])
     ]  # fmt: skip
-    if name.startswith("6bj9"):
-        near = [a[s.residue_number[s.atom_residue[a]].astype(int) < 150] for a in near]
     given = [(x[a], s.atom_name[a].tolist(), names[a].tolist()) for a in near]
     found = shape_complementarity(s, s.positions, *near)
     assert found == pytest.approx(

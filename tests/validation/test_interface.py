@@ -21,6 +21,7 @@ from mdtraj.geometry.sasa import _ATOMIC_RADII
 from scipy.spatial.distance import cdist
 
 import protochain as pc
+from protochain.batches import scoring
 from protochain.structure.confidences import Confidence, confidence_in
 from protochain.structure.select import select, sides, touching_chains
 from protochain.validation import CONFIDENCES, SCORES
@@ -423,10 +424,11 @@ def test_a_model_has_its_confidences():
 def test_confidences_of_0_to_1_are_those_of_0_to_100(tmp_path):
     found = []
     for scale in (1.0, 0.01):
-        s = gemmi.read_structure(str(STRUCTURES / MODEL))
-        for place in s[0].all():
-            place.atom.b_iso = scale * round(place.atom.b_iso)
+        s = gemmi.read_structure(str(STRUCTURES / "3i40.pdb"))
+        for k, place in enumerate(s[0].all()):
+            place.atom.b_iso = scale * (60 + k % 39)
         path = tmp_path / f"{scale}_model_0.cif"
+        s.setup_entities()
         s.make_mmcif_document().write_file(str(path))
         (tmp_path / f"confidence_{scale}_model_0.json").write_text("{}")
         found.append(pc.score_interface(path, "A", "B", solvent="vacuum").scores)
@@ -465,30 +467,32 @@ def test_a_table_of_many_is_ranked_and_one_chain_is_told(three, capsys):
     assert text.count("<option value=") >= len(done) and "3i40.pdb A:B" in text
 
 
-@pytest.mark.parametrize("by", ["clashes", "unsatisfied_polar_atoms", "hydrogen_bonds", "contacts"])
-def test_fewer_clashes_and_more_bonds_rank_first(by, three, capsys):
-    """The complex as it is, and with a side 1.5 angstrom nearer to the other."""
+def test_the_best_by_each_column_rank_first_and_named_sides_alone_are_scored(three, capsys, monkeypatch):
+    """Complexes as they are, and one with a side 1.5 angstrom nearer to the other; scored once."""
     s = load("3i40.pdb")
     x, (one, other) = s.positions.copy(), masks(s, "A", "B")
     way = x[other].mean(0) - x[one].mean(0)
     x[one] += 0.15 * way / np.linalg.norm(way)
     pc.save(s.with_positions(x), three / "near.pdb")
-    run("score", three / "near.pdb", three / "3i40.pdb", "--interface", "A:B", "--rank", by,
-        "--solvent", "vacuum", "--json")  # fmt: skip
-    values = [row[by] for row in json.loads(capsys.readouterr().out)["results"]]
-    assert values == sorted(values, reverse=by in ("hydrogen_bonds", "contacts"))
-    assert by != "clashes" or values[0] < values[1]
+    files = [three / name for name in ("near.pdb", "3i40.pdb", "1ysa.pdb")]
+    jobs = [scoring.ScoreJob(path.name, path, pc.Setup(solvent="vacuum"), ("A:B",)) for path in files]
+    done = [*scoring.score_files(jobs, None)]
+    monkeypatch.setattr(scoring, "score_files", lambda jobs, _: done)
+    most = ("hydrogen_bonds", "contacts")
+    for by in ("clashes", "unsatisfied_polar_atoms", "energy_kj_mol", *most):
+        run("score", files[0], "--interface", "A:B", "--rank", by, "--json")
+        told = json.loads(capsys.readouterr().out)["results"]
+        values = [row[by] for row in told]
+        assert values == sorted(values, reverse=by in most) and values[0] != values[-1], by
+        assert {row["interface"] for row in told} == {"A:B"}
 
 
-def test_lower_energies_rank_first_and_named_sides_alone_are_scored(three, capsys, monkeypatch):
-    """Of a file and of standard input, which other processes could not read."""
+def test_standard_input_is_scored_beside_a_file(three, capsys, monkeypatch):
+    """Other processes could not read it."""
     monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO((three / "1ysa.pdb").read_bytes())))
-    run("score", three / "3i40.pdb", "-", "--interface", "A:B", "--rank", "energy_kj_mol",
-        "--solvent", "vacuum", "--json")  # fmt: skip
-    told = json.loads(capsys.readouterr().out)["results"]
-    energies = [row["energy_kj_mol"] for row in told]
-    assert len(told) == 2 and energies == sorted(energies)
-    assert {row["interface"] for row in told} == {"A:B"}
+    given = "--interface", "A:B", "--solvent", "vacuum", "--json"
+    assert run("score", three / "3i40.pdb", "-", *given) == 0
+    assert [row["interface"] for row in json.loads(capsys.readouterr().out)["results"]] == ["A:B", "A:B"]
 
 
 @pytest.mark.parametrize(

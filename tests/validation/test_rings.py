@@ -211,8 +211,3 @@ def test_a_large_ring_is_cut_into_the_triangles_of_least_area():
         assert area(corners, found) == pytest.approx(min(area(corners, cut) for cut in every(0, 7)))
         used = [frozenset(side) for a, b, c in found for side in combinations((a, b, c), 2)]
         assert {frozenset((k, (k + 1) % 8)) for k in range(8)} <= set(used)
-
-
-def test_positions_of_another_shape_are_refused():
-    with pytest.raises(pc.ProtochainError, match="x has shape"):
-        threaded_rings(load("1l2y.pdb"), np.zeros((3, 3)))

@@ -8,7 +8,9 @@ from fixtures.oracles import angles as slow_angles
 from fixtures.samples import load, shared
 
 import protochain as pc
+from protochain.validation.rings import threaded_rings
 from protochain.validation.strain import _angles, _lengths, _terms, strain
+from protochain.validation.violations import violations
 
 RT = 8.314462618e-3 * 300.0
 
@@ -128,6 +130,7 @@ def test_models_with_violations_have_some():
     assert sum(set(s.atom_name[pair]) == {"SG"} for pair in found.bonds) >= 8
 
 
-def test_positions_of_another_shape_are_refused():
+@pytest.mark.parametrize("measure", [strain, violations, threaded_rings])
+def test_positions_of_another_shape_are_refused(measure):
     with pytest.raises(pc.ProtochainError, match="x has shape"):
-        strain(load("1l2y.pdb"), np.zeros((3, 3)))
+        measure(load("1l2y.pdb"), np.zeros((3, 3)))

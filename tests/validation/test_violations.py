@@ -255,8 +255,3 @@ def test_a_chain_split_at_a_long_bond_violates_it(tmp_path):
     ]
     (tmp_path / "gap.pdb").write_text("".join(renumbered))
     assert not violations(pc.load(tmp_path / "gap.pdb"))
-
-
-def test_positions_of_another_shape_are_refused():
-    with pytest.raises(pc.ProtochainError, match="x has shape"):
-        violations(load("ala10.pdb"), np.zeros((3, 3)))

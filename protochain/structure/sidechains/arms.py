@@ -17,14 +17,10 @@ WIDTH = np.deg2rad(20.0)
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """What of a side chain can turn.
+    """What of a side chain can turn."""
 
-    axes: Atoms that define each dihedral, from the backbone outward.
-    outward: Atoms that each dihedral turns; the first turns them all.
-    """
-
-    axes: tuple[tuple[int, ...], ...]
-    outward: tuple[Integers, ...]
+    axes: tuple[tuple[int, ...], ...]  # Atoms that define each dihedral, from the backbone outward.
+    outward: tuple[Integers, ...]  # Atoms that each dihedral turns; the first turns them all.
 
     @property
     def moved(self) -> Integers:
@@ -55,11 +51,7 @@ def arm_of(bonded: Sequence[Sequence[int]], axes: Sequence[tuple[int, ...]]) -> 
 def backbone_of(
     bonded: Sequence[Sequence[int]], at: Mapping[str, int], x: Floats, mirror: int
 ) -> tuple[float, float]:
-    """Phi and psi, degrees, of a residue whose atoms are at x (na, 3); those of an end are usual ones.
-
-    ``bonded`` are the bonded atoms of each atom, ``at`` those of the residue by name; ``mirror`` -1 gives the
-    angles of the mirror image.
-    """
+    """Phi and psi, degrees, of a residue at x (na, 3), usual at ends; ``mirror`` -1: of its image."""
     own, angles = set(at.values()), list(BACKBONE)
     inner = [at[name] for name in ("N", "CA", "C")]
     for k, end in enumerate(("N", "C")):
@@ -72,11 +64,7 @@ def backbone_of(
 def around(
     chi: Floats, rarity: Floats, turns: Iterable[float], n_turned: int, width: float = WIDTH
 ) -> tuple[Floats, Floats]:
-    """Dihedrals about those of rotamers, and what each costs.
-
-    chi (n, n_chi) rad, rarity (n,), turns rad -> (n n_turns^n_turned, n_chi) rad.
-    -> (n n_turns^n_turned,): The rarity, and half the square of the turn in widths, rad.
-    """
+    """Dihedrals (m, n_chi) about those of rotamers chi (n, n_chi), rad, and their costs (m,)."""
     ways = list(product(turns, repeat=n_turned))
     steps = np.zeros((len(ways), chi.shape[1]))
     steps[:, :n_turned] = ways

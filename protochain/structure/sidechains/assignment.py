@@ -27,16 +27,11 @@ _Found = tuple[float, dict[int, int]]
 
 
 class Assignment(NamedTuple):
-    """The states chosen.
+    """The states chosen."""
 
-    states (n,) int: State of each site.
-    energy: Sum of the own and pair energies.
-    is_proven: Whether it is the global minimum; if not, the search was ended as too long.
-    """
-
-    states: Integers
-    energy: float
-    is_proven: bool
+    states: Integers  # (n,) int: State of each site.
+    energy: float  # Sum of the own and pair energies.
+    is_proven: bool  # Whether it is the global minimum; if not, the search was ended as too long.
 
 
 def best(

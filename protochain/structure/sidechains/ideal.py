@@ -37,36 +37,25 @@ _BACKBONE = ("N", "CA", "C", "O")
 
 @dataclass(frozen=True)
 class Branch:
-    """An atom of a side chain, placed from the three atoms before it.
-
-    before: Names of the atoms three, two and one bonds before it.
-    length, angle, dihedral: Angstrom, rad, rad.
-    chi: Index of the chi that turns it.
-    """
+    """An atom of a side chain, placed from the three atoms before it."""
 
     name: str
     element: str
-    before: tuple[str, str, str]
-    length: float
-    angle: float
-    dihedral: float
-    chi: int | None
+    before: tuple[str, str, str]  # Names of the atoms three, two and one bonds before it.
+    length: float  # Angstrom.
+    angle: float  # Rad.
+    dihedral: float  # Rad.
+    chi: int | None  # Index of the chi that turns it.
 
 
 @dataclass(frozen=True, eq=False)
 class Ideal:
-    """Ideal geometry of an L-amino acid.
+    """Ideal geometry of an L-amino acid."""
 
-    x angstrom: Heavy atoms.
-    bonds: Bonded atoms.
-    branches: The side chain beyond CB, in the order of building.
-    chi rad.
-    """
-
-    x: Mapping[str, Floats]
-    bonds: Mapping[str, tuple[str, ...]]
-    branches: tuple[Branch, ...]
-    chi: tuple[float, ...]
+    x: Mapping[str, Floats]  # angstrom: Heavy atoms.
+    bonds: Mapping[str, tuple[str, ...]]  # Bonded atoms.
+    branches: tuple[Branch, ...]  # The side chain beyond CB, in the order of building.
+    chi: tuple[float, ...]  # rad.
 
     def within(self, name: str, n: int) -> set[str]:
         """Names of the atoms at most n bonds from an atom, which is left out."""
@@ -106,10 +95,7 @@ def ideal(residue: str) -> Ideal:
 
 
 def conformers(residue: str, *backbone: float) -> tuple[Floats, Floats]:
-    """Dihedrals (n, n_chi), rad, and frequencies (n,) of the conformers of a side chain at phi and psi.
-
-    Those of proline are the two puckers of its ring, those of residues without a chi the only one.
-    """
+    """Dihedrals (n, n_chi), rad, and frequencies (n,) of conformers; proline's are its ring's two puckers."""
     chi, frequency = rotamers(residue, *backbone)
     if residue == "PRO":
         pucker = np.array(ideal(residue).chi)
@@ -130,11 +116,7 @@ def fixed_chi(residue: str, known: Mapping[str, Floats]) -> dict[int, float]:
 
 
 def grown(residue: str, known: Mapping[str, Floats], chi: Floats) -> Places:
-    """Place the missing atoms of a side chain for every set of dihedrals.
-
-    known angstrom, chi (n, n_chi) rad.
-    -> angstrom: The missing atoms.
-    """
+    """Place the missing atoms of a side chain for dihedrals (n, n_chi), rad; angstrom."""
     geometry, n = ideal(residue), len(chi)
     at: Places = dict(known)
     if "CB" in geometry.x and "CB" not in at:
@@ -161,10 +143,7 @@ def beta_carbon(residue: str, known: Mapping[str, Floats]) -> Floats:
 
 
 def bridged(residue: str, known: Mapping[str, Floats]) -> Places:
-    """Place missing atoms between atoms that are there, by their distances to those within two bonds.
-
-    -> angstrom: Empty where nothing is known beyond the missing atoms.
-    """
+    """Place atoms between atoms that are there, by distances within two bonds; angstrom, or empty."""
     geometry, found = ideal(residue), dict(known)
     chi, _ = conformers(residue)
     outward = [branch.name for branch in geometry.branches]

@@ -43,30 +43,21 @@ _BETAS = (3.2, 4.7)
 
 @dataclass(frozen=True, eq=False)
 class Choices:
-    """Conformers of a side chain.
-
-    names: Its missing atoms.
-    chi (n, n_chi) rad.
-    x (n, n_atoms, 3) angstrom.
-    cost (n,): Without the other residues that are built.
-    """
+    """Conformers of a side chain."""
 
     site: Site
-    names: tuple[str, ...]
-    chi: Floats
-    x: Floats
-    cost: Floats
+    names: tuple[str, ...]  # Its missing atoms.
+    chi: Floats  # (n, n_chi) rad.
+    x: Floats  # (n, n_atoms, 3) angstrom.
+    cost: Floats  # (n,): Without the other residues that are built.
 
 
 class Packed(NamedTuple):
-    """Side chains that were packed.
+    """Side chains that were packed."""
 
-    places angstrom: The missing atoms of each site.
-    is_proven: Whether no other combination of the conformers tried has a lower energy; if not, the search was
-        too long.
-    """
-
-    places: list[Places]
+    places: list[Places]  # angstrom: The missing atoms of each site.
+    # Whether no other combination of the conformers tried has a lower energy; if not, the search was too
+    # long.
     is_proven: bool
 
 
@@ -156,7 +147,7 @@ class _Surroundings:
     """Heavy atoms that are there."""
 
     def __init__(self, members: Sequence[Member]) -> None:
-        heavy = [(m, atom) for m in members for atom in m.atoms if not atom.is_hydrogen()]
+        heavy = [(m, atom) for m in members for atom in m.heavy]
         self.x = np.array([atom.pos.tolist() for _, atom in heavy])
         self.name = np.array([atom.name for _, atom in heavy])
         self.owner = np.array([id(member) for member, _ in heavy])

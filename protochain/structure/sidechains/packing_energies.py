@@ -119,10 +119,7 @@ class Kinds:
 
 @njit(cache=True, error_model="numpy")
 def table(x: Floats, others: Floats, contact: Floats, depth: Floats) -> Floats:
-    """Energies (n, m) of positions x (n, k, 3) and others (m, l, 3), angstrom.
-
-    ``contact`` and ``depth`` (k, l) are those of the pairs of atoms; a pair without a contact feels nothing.
-    """
+    """Energies (n, m) of x (n, k, 3) and others (m, l, 3), angstrom, by ``contact``, ``depth`` (k, l)."""
     found = np.zeros((len(x), len(others)))
     for k in range(x.shape[1]):
         for m in range(others.shape[1]):

@@ -22,19 +22,13 @@ _RISE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Sites, and the states of them that are left.
+    """Sites, and the states of them that are left."""
 
-    sites: As in the whole.
-    states: As in the whole.
-    pairs: By places in ``sites``.
-    constant: Energy of all that was decided.
-    """
-
-    sites: tuple[int, ...]
+    sites: tuple[int, ...]  # As in the whole.
     own: tuple[Floats, ...]
-    states: tuple[Integers, ...]
-    pairs: Pairs
-    constant: float
+    states: tuple[Integers, ...]  # As in the whole.
+    pairs: Pairs  # By places in ``sites``.
+    constant: float  # Energy of all that was decided.
 
     def kept(self, alive: Sequence[np.ndarray]) -> "Part":
         """Only these states (n_i,) bool of each site."""
@@ -109,10 +103,7 @@ def undominated(part: Part) -> list[np.ndarray]:
 
 @njit(cache=True)
 def _goldstein(own: Floats, rows: Floats, starts: Integers) -> np.ndarray:
-    """(n,) bool: states that no other one beats with every choice of the neighbours.
-
-    ``rows`` (n, sum of n_j) are the pair energies, those of neighbour k from column starts[k] on.
-    """
+    """(n,) bool: states that none beats, by pair energies ``rows`` of neighbours from column starts[k] on."""
     n, n_beside = len(own), len(starts) - 1
     least, most = own.copy(), own.copy()
     for r in range(n):
@@ -159,11 +150,9 @@ def bounded(part: Part) -> Part:
 
 @njit(cache=True)
 def _pass_messages(own: Floats, first: Integers, tables: Floats, start: Integers, edges: Integers) -> None:
-    """Share what each table and its two sites have together equally between the sites, again and again.
-
-    The energies of site i are own[first[i]:first[i + 1]], the table of an edge begins at its start. In the
-    end, the least of each row and column of a table is its sites', so that a separable table is zero.
-    """
+    """Share what each table and its two sites have together equally between the sites, again and again."""
+    # Site i has own[first[i]:first[i + 1]]. In the end the least of each row and column of a table is its
+    # sites', so that a separable table is zero.
     before = -np.inf
     for turn in range(_ROUNDS + 1):
         bound, is_last = 0.0, turn == _ROUNDS

@@ -11,15 +11,11 @@ from protochain.structure.sidechains.rotamers import BACKBONE
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A residue whose side chain is to be completed.
-
-    sign: 1, or -1 for a D-amino acid, which is built in the mirror.
-    before, after: Its neighbours in the chain.
-    """
+    """A residue whose side chain is to be completed."""
 
     member: Member
-    sign: int
-    before: Member | None
+    sign: int  # 1, or -1 for a D-amino acid, which is built in the mirror.
+    before: Member | None  # Its neighbours in the chain.
     after: Member | None
 
     @property
@@ -39,5 +35,5 @@ class Site:
         return phi, psi
 
     def _places(self, member: Member) -> Places:
-        heavy = (atom for atom in member.atoms if not atom.is_hydrogen())
+        heavy = member.heavy
         return {atom.name: self.sign * np.array(atom.pos.tolist()) for atom in heavy}
