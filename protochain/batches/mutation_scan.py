@@ -12,10 +12,11 @@ import numpy as np
 
 from protochain.batches.cluster import Processes, Submitted, at_work, shared
 from protochain.chains.setup import Setup
+from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.checks import at_least, checked, optional, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.storage import read_arrays, write_arrays, write_atomically
+from protochain.core.storage import write_atomically
 from protochain.energies.decomposed import residues_of
 from protochain.relaxation.mutations import COLUMNS, mutated, protocol, told
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -188,7 +189,9 @@ def run_scan(
     }  # fmt: skip
     rows: Rows = []
     if begun.exists() and resume:
-        read_arrays(begun, settings, "scan", "give another output, or leave out ", Argument("resume", True))
+        remedy = "give another output, or leave out ", Argument("resume", True)
+        with checkpoint(begun, settings, "scan", *remedy):
+            pass  # Its settings are the same.
         if table.exists():
             numbers = [each.key for each in COLUMNS if each.kind is not str]
             read: Any = pd.read_csv(
@@ -207,7 +210,7 @@ def run_scan(
         its = structure.residue(r)
         letters = "".join(each for each in letters if (its.chain, its.number, each) not in done)
         left += [(r, letters)] if letters else []
-    write_arrays(begun, {}, None, settings)
+    write_checkpoint(begun, {}, None, settings)
     total, interrupted = len(rows) + sum(len(letters) for _, letters in left), False
 
     def keep() -> "pd.DataFrame":

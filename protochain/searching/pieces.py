@@ -4,7 +4,6 @@ A step is a pure function of the state before it, and its random numbers depend 
 piece that is lost is done again, bit for bit, and where pieces begin and end changes nothing.
 """
 
-import math
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -17,9 +16,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from protochain.core.arrays import Floats, Value, read_only
+from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import Argument
 from protochain.core.interrupts import held_interrupts
-from protochain.core.storage import read_arrays, undamaged, write_arrays
 from protochain.searching.landscape import Landscape
 
 SECONDS = 5.0
@@ -163,28 +162,25 @@ def _begun(task: Path) -> tuple[Landscape, tuple[Method, ...]]:
 
 def write_piece(path: Path, state: Any, found: Finding, settings: Mapping[str, Any]) -> None:
     """Write the state after a piece, and what it found, atomically."""
-    its = {field.name: getattr(state, field.name) for field in fields(state)}
+    its = {name: getattr(state, name) for name in _names(state)}
     arrays = {f"state_{name}": value for name, value in its.items() if isinstance(value, np.ndarray)}
     numbers = {name: value for name, value in its.items() if not isinstance(value, np.ndarray)}
-    write_arrays(path, arrays | {"minima": found.minima, "samples": found.samples}, numbers, settings)
+    write_checkpoint(path, arrays | {"minima": found.minima, "samples": found.samples}, numbers, settings)
 
 
 def read_piece(path: Path, kind: type, settings: Mapping[str, Any]) -> tuple[Any, Finding]:
     """Read a piece of a search with the same settings."""
-    again = "search again with ", Argument("force", True)
-    arrays, numbers = read_arrays(path, settings, "search", *again)
-    with undamaged(path, *again):
-        for name, value in numbers.items():
-            if type(value) not in (int, float) or not math.isfinite(value):
-                raise ValueError(f"{name} is no number")
+    with checkpoint(path, settings, "search", "search again with ", Argument("force", True)) as kept:
+        arrays = kept.arrays
         if any(a.dtype.kind not in "fiub" for a in arrays.values()) or arrays["minima"].ndim != 2:
             raise ValueError("arrays of no numbers")
+        of_state = {name: arrays[f"state_{name}"] for name in _names(kind) if f"state_{name}" in arrays}
         state = kind(
-            **{
-                name.removeprefix("state_"): read_only(value, value.dtype.type)
-                for name, value in arrays.items()
-                if name.startswith("state_")
-            },
-            **{field.name: numbers[field.name] for field in fields(kind) if field.name in numbers},
+            **{name: read_only(value, value.dtype.type) for name, value in of_state.items()},
+            **{name: kept.number(name) for name in _names(kind) if name not in of_state},
         )
         return state, Finding(read_only(arrays["minima"]), read_only(arrays["samples"]))
+
+
+def _names(kind: Any) -> list[str]:
+    return [field.name for field in fields(kind)]
