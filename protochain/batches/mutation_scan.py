@@ -1,16 +1,14 @@
 """Every mutation of some sites, here or by many processes, and a table that a kill does not lose."""
 
-import pickle
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.batches.cluster import Processes, Submitted, at_work, shared
+from protochain.batches.cluster import Processes, each_done, reason, shared, unpickled
 from protochain.chains.setup import Setup
 from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.checks import at_least, checked, optional, text
@@ -50,28 +48,20 @@ class SiteJob:
 
     def run(self, threads: int) -> Iterator[dict[str, Any]]:
         """Make and relax each mutant; residues that move alike share the wild type."""
-        structure, relaxing, setup = _begun(self.task)
+        structure, relaxing, setup = unpickled(self.task)
         known: dict[tuple[int, ...], Relaxation] = {}
         for letter in self.letters:
             names = {self.residue: LETTERS[letter]}
             try:
                 its = mutated(structure, names, relaxing, replace(setup, threads=threads), known)
                 yield _site(structure, self.residue, letter) | its.record()
-            except ProtochainError as error:
-                yield _failed(structure, self.residue, letter, "refused", str(error))
-            except Exception as error:  # A bug met by one mutant must not stop the others.
-                yield _failed(structure, self.residue, letter, "error", f"{type(error).__name__}: {error}")
+            except Exception as error:
+                yield _failed(structure, self.residue, letter, *reason(error))
 
     def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
         """Rows of the mutants that are missing, where the process ended."""
-        structure = _begun(self.task)[0]
+        structure = unpickled(self.task)[0]
         return [_failed(structure, self.residue, each, status, message) for each in self.letters[len(done) :]]
-
-
-@lru_cache(maxsize=1)
-def _begun(path: Path) -> tuple[Structure, RelaxSettings, Setup]:
-    found: tuple[Structure, RelaxSettings, Setup] = pickle.loads(path.read_bytes())
-    return found
 
 
 def _site(structure: Structure, r: int, letter: str) -> dict[str, Any]:
@@ -157,16 +147,8 @@ def rows_of(
     """Rows of mutants, as they are done."""
     with shared((structure, relaxing, setup)) as path:
         each = [SiteJob(path, *job) for job in jobs]
-        if processes is None:
-            for job in each:
-                yield from job.run(setup.threads)  # type: ignore[arg-type]  # None is all
-            return
-        with at_work(processes) as workers:
-            running = Submitted(workers, processes, path.parent)
-            for job in each:
-                running.submit(job)
-            while len(running):
-                yield from running.ended()[1].result()
+        for _, rows in each_done(each, processes, setup.threads, path.parent):
+            yield from rows
 
 
 def _order(structure: Structure) -> Callable[[Any], tuple[int, str]]:

@@ -4,10 +4,8 @@ A step is a pure function of the state before it, and its random numbers depend 
 piece that is lost is done again, bit for bit, and where pieces begin and end changes nothing.
 """
 
-import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
@@ -15,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from protochain.batches.cluster import unpickled
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import Argument
@@ -145,19 +144,14 @@ class Piece(Value):
 
     def run(self, threads: int) -> Iterator[Done]:
         """Do it, on one thread."""
-        landscape, methods = _begun(self.task)
-        method = methods[self.walker]
-        yield Done(self.walker, *advance(landscape, method, self.state, self.budget, self.seconds))
+        landscape, methods = unpickled(self.task)
+        yield Done(
+            self.walker, *advance(landscape, methods[self.walker], self.state, self.budget, self.seconds)
+        )
 
     def lost(self, done: Sequence[Done], status: str, message: str, seconds: float) -> list[Done]:
         """Say why there is no more of it."""
         return [] if done else [Done(self.walker, self.state, None, message)]
-
-
-@lru_cache(maxsize=1)
-def _begun(task: Path) -> tuple[Landscape, tuple[Method, ...]]:
-    landscape, methods = pickle.loads(task.read_bytes())
-    return landscape, methods
 
 
 def write_piece(path: Path, state: Any, found: Finding, settings: Mapping[str, Any]) -> None:

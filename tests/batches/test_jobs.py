@@ -137,6 +137,7 @@ def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
     ("settings", "said"),
     [
         ({"methods": ()}, "methods: give at least one"),
+        ({"model": "first"}, "model 'first': give its number, or all, or a range such as 1-5"),
         ({"colour": 1}, f"no setting is called 'colour'; choose from {', '.join(NAMES)}"),
         ({"max_evaluations": 0}, "max_evaluations 0: give at least 1"),
         ({"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
@@ -246,6 +247,7 @@ def here(tmp_path, monkeypatch):
 def test_structures_of_a_folder_are_those_with_their_suffixes(here):
     assert names(["."]) == ["a", "b", "deep/c", "deep/d", "deep/g", "sum[1]"]
     assert names([here / "deep"]) == ["c", "d", "g"]
+    assert names(["deep/d.mmcif", "deep"]) == ["d", "c", "g"]  # in the order given, each once
     # A file that is named is taken, whatever its suffix; one that is missing is a job that fails.
     assert names(["e.txt", "XYZ.pdb"]) == ["e", "XYZ"] and names(["sum[1].pdb"]) == ["sum[1]"]
     assert find_jobs(["b.pdb"], BatchSettings())[0].path == here / "b.pdb"

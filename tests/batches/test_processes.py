@@ -1,8 +1,5 @@
 """Where a batch runs, and how its jobs are handed out."""
 
-import json
-import platform
-import subprocess
 import sys
 import threading
 from collections import deque
@@ -10,7 +7,6 @@ from concurrent.futures import Future
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import pandas as pd
 import pytest
 from fixtures.waiting import HANG
 
@@ -20,7 +16,6 @@ from protochain.batches.cluster import Processes, Workers, at_work
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables
-from protochain.core.subprocesses import own_python
 
 OWN = version("protochain")
 
@@ -100,15 +95,6 @@ def test_on_this_machine_a_thread_is_busy_on_each_core(processes, cores, count, 
             *range(count)
         ]
     assert dask.made == ()
-
-
-def test_dask_is_loaded_for_a_cluster_only():
-    script = (
-        "import sys; from protochain.batches.cluster import Processes, at_work\n"
-        "with at_work(Processes()): print({'distributed', 'dask', 'tornado'} & {*sys.modules})"
-    )
-    done = subprocess.run(own_python(script), capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
 
 
 def test_without_dask_a_batch_here_runs_and_a_cluster_names_what_to_install(monkeypatch):
@@ -248,30 +234,3 @@ def test_an_interrupt_keeps_what_is_done_and_hands_out_no_more(tables, tmp_path,
 
     assert batch_structures._work(ending.workers, jobs_of(9, tmp_path), tables, Processes(), 0, watch) is True
     assert tables.read()["structure"].nunique() == 2 and len(ending.submitted) == 5
-
-
-def test_the_summary_of_a_batch(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["protochain", "batch", "in"])
-    jobs, written = jobs_of(2, tmp_path), []
-    monkeypatch.setattr("protochain.batches.report.write_report", lambda *given: written.append(given))
-    made = Tables(tmp_path, resume=False)
-    made.finished([])
-    for job, status in zip(jobs, ("budget", "refused"), strict=True):
-        made.append([failure(job, "kcm", "budget", ""), failure(job, "lbfgs", status, "")])
-    batch_structures._finish(made, jobs)
-    made.close()
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    # JSON has no infinity.
-    settings = json.loads(json.dumps(jobs[0].settings.record() | {"max_rmsd": None}, default=str))
-    assert jobs[0].settings.max_rmsd == float("inf") and len(settings) > 20
-    names = ("protochain", "openmm", "gemmi", "numpy", "scipy", "numba", "pandas")
-    assert summary == {
-        "lost_atoms": {}, "far_molecules": {},
-        "table": "summary.csv", "n_structures": 2, "n_rows": 4, "status": {"budget": 3, "refused": 1},
-        "command": ["protochain", "batch", "in"], "python": platform.python_version(),
-        "versions": {name: version(name) for name in names}, "settings": settings,
-    }  # fmt: skip
-    ((folder, table, same),) = written
-    assert folder == tmp_path and same["n_rows"] == 4 and len(table) == 4
-    assert pd.read_parquet(tmp_path / "summary.parquet").shape == table.shape
-    assert (tmp_path / "summary.json").read_text().startswith('{\n  "n_structures": 2,\n')

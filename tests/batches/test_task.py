@@ -18,6 +18,7 @@ from protochain.batches import batch_structures, cluster, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child, ChildError
 from protochain.batches.task import thinned
+from protochain.core.errors import WriteError
 from protochain.core.subprocesses import own_python
 from protochain.minimisers.minimise_structure import minimise
 
@@ -85,7 +86,8 @@ def test_a_result_without_a_number_has_a_row_but_no_file(given, tmp_path, monkey
     [
         (pc.ProtochainError("why so"), "refused", "why so"), (MemoryError(), "killed", "out of memory"),
         (FileNotFoundError(2, "No such file", "a.xml"), "refused", "a.xml: No such file"),
-        (OSError("odd"), "refused", f"{ALA}: odd"), (KeyError("x"), "error", "KeyError: 'x'"),
+        (WriteError("a.pdb", "full", "", "free some"), "killed", "a.pdb: not written (full); free some"),
+        (OSError("odd\nly"), "refused", f"{ALA}: odd ly"), (KeyError("x"), "error", "KeyError: 'x'"),
     ],
 )  # fmt: skip
 def test_an_error_is_the_row_of_each_method_that_is_left(error, status, said, tmp_path, monkeypatch):
