@@ -171,7 +171,7 @@ def _command(words: list[str]) -> Cells:
     gc.set_threshold(*before[1])
     text = printed.buffer.getvalue().decode()
     told = json.loads(text) if "--json" in words and text else {}
-    if told:
+    if told and status == 0:
         results(words, told)
     return dict(_cells("", {"status": status, **seen})) | dict(_cells("json:", told))
 

@@ -12,9 +12,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from protochain.results import commit as commit_of
-from protochain.results import processor
-
 ROOT = Path(__file__).parents[2]
 sys.path.insert(1, str(ROOT / "analysis"))  # Where benchmarks find bench.
 SAMPLES = ROOT / "structures"
@@ -80,6 +77,8 @@ def write(
     A commit whose tree had other changes is marked "and changes"; inputs are named without their folders.
     The command is that of this process, or ``by``.
     """
+    from bench.provenance import processor
+
     path.parent.mkdir(parents=True, exist_ok=True)
     table.to_csv(path, index=False)
     row = {
@@ -158,7 +157,9 @@ CODE = (".", ":!analysis/results", ":!analysis/docs", ":!*.md")
 
 def commit() -> str:
     """Commit of the tree, by git."""
-    return commit_of(ROOT, *CODE)
+    from bench import provenance
+
+    return provenance.commit(ROOT, *CODE)
 
 
 def is_of_today(its: str) -> bool:

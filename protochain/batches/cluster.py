@@ -117,41 +117,38 @@ class Submitted:
 
     A job yields the rows of what it does by ``run(threads)``, and says by ``lost(done, status, message,
     seconds)`` which rows stand for those that are missing where its process ended.
-
-    folder: For those that write files.
     """
 
-    def __init__(self, workers: Workers, processes: Processes, folder: Path) -> None:
-        self.workers, self.given = workers, (folder, processes.threads, processes.time_limit)
+    def __init__(self, workers: Workers, processes: Processes) -> None:
+        self.workers, self.given = workers, (processes.threads, processes.time_limit)
         self._ended: SimpleQueue[tuple[Any, Any]] = SimpleQueue()
         self._running = set[Any]()  # Dask gives up what nobody holds.
 
     def __len__(self) -> int:
         return len(self._running)
 
-    def submit(self, job: Any, whose: Any = None) -> Any:
-        """Hand out a job, by which it is known when it ends, or by ``whose`` it is; return its future."""
+    def submit(self, job: Any) -> None:
+        """Hand out a job."""
         future = self.workers.submit(supervise, job, *self.given)
         self._running.add(future)
-        future.add_done_callback(lambda future: self._ended.put((whose or job, future)))
-        return future
+        future.add_done_callback(lambda future: self._ended.put((job, future)))
 
     def ended(self, timeout: float | None = None) -> tuple[Any, Any]:
-        """Wait for the next to end: whose it is, and its future; :class:`queue.Empty` after a timeout, s."""
-        whose, future = self._ended.get(timeout=timeout)
+        """Wait for the next to end: the job, and its future; :class:`queue.Empty` after a timeout, s."""
+        job, future = self._ended.get(timeout=timeout)
         self._running.remove(future)
-        return whose, future
+        return job, future
 
 
 def each_done(
-    jobs: Sequence[Any], processes: Processes | None, threads: int | None = None, folder: Path = Path()
+    jobs: Sequence[Any], processes: Processes | None, threads: int | None = None
 ) -> Iterator[tuple[Any, list[Any]]]:
     """Jobs with their rows: here, one after the other, on so many threads; or by processes, as they end."""
     if processes is None:
         yield from ((job, [*job.run(threads)]) for job in jobs)
         return
     with at_work(processes) as workers:
-        running = Submitted(workers, processes, folder)
+        running = Submitted(workers, processes)
         for job in jobs:
             running.submit(job)
         while len(running):

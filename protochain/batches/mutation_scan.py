@@ -147,7 +147,7 @@ def rows_of(
     """Rows of mutants, as they are done."""
     with shared((structure, relaxing, setup)) as path:
         each = [SiteJob(path, *job) for job in jobs]
-        for _, rows in each_done(each, processes, setup.threads, path.parent):
+        for _, rows in each_done(each, processes, setup.threads):
             yield from rows
 
 

@@ -61,32 +61,12 @@ class Finding(Value):
         )
 
 
-class State(Protocol):
-    """Where a walker is."""
-
-    @property
-    def n_done(self) -> int:
-        """Steps so far."""
-
-    @property
-    def n_evaluations(self) -> int:
-        """Evaluations so far."""
-
-    @property
-    def energy(self) -> Any:
-        """Energy, or those of replicas, kJ/mol."""
-
-    @property
-    def acceptance(self) -> float:
-        """Share of what was proposed that was accepted."""
-
-
 class Method(Protocol):
     """A way to search, of one walker: pure functions of a landscape and a state."""
 
     @property
     def state(self) -> type:
-        """Frozen dataclass of arrays and numbers."""
+        """Frozen dataclass: ``n_done``, ``n_evaluations``, ``energy``, ``acceptance``, arrays and numbers."""
 
     def begin(self, landscape: Landscape) -> tuple[Any, Finding]:
         """State at the start."""

@@ -7,7 +7,6 @@ import pytest
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.batches import relax_files
 from protochain.batches.jobs import failure
 
 
@@ -66,7 +65,7 @@ def test_results_without_their_settings_are_not_continued(tmp_path, monkeypatch)
     start_without_work(files, tmp_path, monkeypatch, **usual)
     (tmp_path / "settings.json").unlink()
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(pc.ProtochainError, match=r"holds results without settings\.json .*another folder"):
+    with pytest.raises(pc.ProtochainError, match=r"holds results without settings\.json.*another folder"):
         start_without_work(files, tmp_path, monkeypatch, resume=True, **usual)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     # The folder is not left locked, and without results there is nothing to doubt.
@@ -128,16 +127,6 @@ def test_settings_of_structures_that_are_left_out_are_kept(tmp_path, monkeypatch
     with pytest.raises(pc.ProtochainError, match=r"1l2y\.pdb with solvent vacuum\b"):
         go(first, second.replace("vacuum", "gbn2"), resume=True)
     assert go(first, second, resume=True) == [] and rows_of(output) == before
-
-
-def test_a_folder_relaxed_by_an_older_protochain_is_left_alone(tmp_path):
-    """Its settings had no methods, and its structures other names."""
-    (tmp_path / "relaxed.csv").write_text("structure,input,model,output,key,method,status\n")
-    (tmp_path / "settings.json").write_text('{"settings": {"preset": "predicted"}, "structures": {}}')
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(pc.ProtochainError, match="by an older protochain, which named structures otherwise"):
-        relax_files([STRUCTURES / "ala10.pdb"], tmp_path, resume=True)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name != ".lock"} == before
 
 
 def test_a_changed_force_field_or_version_is_another_setting(tmp_path, monkeypatch):

@@ -170,9 +170,9 @@ class Ending:
 
         monkeypatch.setattr(cluster, "SimpleQueue", Ended)
 
-    def submit(self, function, job, folder, threads, time_limit):
+    def submit(self, function, job, threads, time_limit):
         assert function is supervise
-        self.submitted.append((job, folder, threads, time_limit))
+        self.submitted.append((job, threads, time_limit))
         self.running.append((len(self.submitted) - 1, job, Future()))
         return self.running[-1][-1]
 
@@ -202,7 +202,7 @@ def test_jobs_are_handed_out_a_few_ahead_and_counted_as_they_end(tables, tmp_pat
     todo = jobs_of(6, tmp_path)
     processes = Processes(threads=2, time_limit=9.0)
     assert batch_structures._work(ending.workers, todo, tables, processes, 3, seen.append) is False
-    assert ending.submitted == [(job, tmp_path, 2, 9.0) for job in todo] and ending.most == 4
+    assert ending.submitted == [(job.into(tmp_path), 2, 9.0) for job in todo] and ending.most == 4
     assert [(p.total, p.done, p.failed, p.skipped) for p in seen] == [
         (9, 1, 0, 3), (9, 2, 1, 3), (9, 3, 1, 3), (9, 4, 1, 3), (9, 5, 1, 3), (9, 6, 1, 3),
     ]  # fmt: skip
