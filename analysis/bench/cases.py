@@ -17,12 +17,13 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from bench.cost import in_turn, timed
+from bench.lines import draw_lines
 from bench.page import Section, write_report
+from bench.provenance import made
 from protochain.core.arrays import Floats
 from protochain.core.errors import Argument, Fault, ProtochainError
 from protochain.core.storage import json_text
-from protochain.results.figures import Figure, draw_lines
-from protochain.results.provenance import made
+from protochain.results.figures import Figure
 from protochain.results.tables import save
 
 Kind = Literal["relative", "absolute", ""]

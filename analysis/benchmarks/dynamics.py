@@ -24,6 +24,7 @@ from scipy import constants
 
 import protochain as pc
 from bench import in_turn
+from bench.lines import draw_lines
 from protochain.dynamics import (
     Isolated,
     Langevin,
@@ -37,7 +38,6 @@ from protochain.dynamics import (
 )  # fmt: skip
 from protochain.energies import build_system, constrain_hydrogens
 from protochain.mechanics.multibody import sample_velocities
-from protochain.results import draw_lines
 
 LARGEST = "1ake_A.pdb"
 THREADS = 2

@@ -13,9 +13,6 @@ from time import monotonic
 import numpy as np
 import pandas as pd
 
-from protochain.results import commit as commit_of
-from protochain.results import processor
-
 ROOT = Path(__file__).parents[2]
 sys.path.insert(1, str(ROOT / "analysis"))  # Where benchmarks find bench.
 SAMPLES = ROOT / "structures"
@@ -84,6 +81,8 @@ def write(
     A commit whose tree had other changes is marked "and changes"; inputs are named without their folders.
     The command is that of this process, or ``by``; seconds are those since its last table, or ``seconds``.
     """
+    from bench.provenance import processor
+
     global _last
     if seconds is None:
         seconds, _last = monotonic() - _last, monotonic()
@@ -172,7 +171,9 @@ CODE = (
 
 def commit() -> str:
     """Commit of the tree, by git."""
-    return commit_of(ROOT, *CODE)
+    from bench import provenance
+
+    return provenance.commit(ROOT, *CODE)
 
 
 def is_of_today(its: str) -> bool:

@@ -33,8 +33,7 @@ def keep_settings(
         own = known | own
     elif _holds_results(folder / table):
         raise ProtochainError(
-            f"{folder}: holds results without {NAME} (deleted, or of an older version), so that their "
-            "settings are not known; give another folder"
+            f"{folder}: holds results without {NAME}: their settings are not known; give another folder"
         )
     text = json.dumps({"settings": settings, "structures": own}, indent=1, allow_nan=False)
     write_text(path, text)
@@ -86,11 +85,6 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, list[dict[str, Any]]]]:
         raise ProtochainError(
             f"{path}: holds no settings of a batch ({error}); give another folder"
         ) from None
-    if "methods" not in settings:
-        raise ProtochainError(
-            f"{path.parent}: was relaxed by an older protochain, which named structures otherwise; "
-            "give another folder"
-        )
     return settings, structures
 
 

@@ -275,12 +275,12 @@ def _work(
     """Run the jobs and append their rows as they arrive. Return whether it was interrupted."""
     began = perf_counter()
     waiting, window = iter(todo), _Window(workers)
-    running = Submitted(workers, processes, tables.folder.absolute())
+    running, folder = Submitted(workers, processes), tables.folder.absolute()
     done = failed = 0
     try:
         while True:
             for job in islice(waiting, max(0, window.size() - len(running))):
-                running.submit(job.anywhere, job)
+                running.submit(job.into(folder))
             if not len(running):
                 return False
             job, future = running.ended()

@@ -9,7 +9,6 @@ import pickle
 import queue
 import sys
 import threading
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -31,19 +30,10 @@ def main() -> None:
     _send(results, READY)
 
     while True:
-        job, folder, threads = jobs.get()
-        for row in _rows(job, folder, threads):
+        job, threads = jobs.get()
+        for row in job.run(threads):
             _send(results, row)
         _send(results, DONE)
-
-
-def _rows(job: Any, folder: Path, threads: int) -> Iterator[Any]:
-    """Rows of a job: jobs of files are settings, others know what they do, and need no more than that."""
-    if hasattr(job, "run"):
-        return job.run(threads)
-    from protochain.batches.task import run
-
-    return run(job, folder, threads)
 
 
 def _read(source: BinaryIO, jobs: "queue.Queue[Any]") -> None:

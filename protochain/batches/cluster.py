@@ -4,10 +4,10 @@ import logging
 import pickle
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from queue import SimpleQueue
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from protochain.batches.supervise import crew, started_early, supervise
 from protochain.core import defaults
 from protochain.core.checks import check_fields, integer, number, optional, text
-from protochain.core.errors import Argument, ProtochainError
+from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.extras import library
 from protochain.core.processors import processors
 
@@ -117,30 +117,58 @@ class Submitted:
 
     A job yields the rows of what it does by ``run(threads)``, and says by ``lost(done, status, message,
     seconds)`` which rows stand for those that are missing where its process ended.
-
-    folder: For those that write files.
     """
 
-    def __init__(self, workers: Workers, processes: Processes, folder: Path) -> None:
-        self.workers, self.given = workers, (folder, processes.threads, processes.time_limit)
+    def __init__(self, workers: Workers, processes: Processes) -> None:
+        self.workers, self.given = workers, (processes.threads, processes.time_limit)
         self._ended: SimpleQueue[tuple[Any, Any]] = SimpleQueue()
         self._running = set[Any]()  # Dask gives up what nobody holds.
 
     def __len__(self) -> int:
         return len(self._running)
 
-    def submit(self, job: Any, whose: Any = None) -> Any:
-        """Hand out a job, by which it is known when it ends, or by ``whose`` it is; return its future."""
+    def submit(self, job: Any) -> None:
+        """Hand out a job."""
         future = self.workers.submit(supervise, job, *self.given)
         self._running.add(future)
-        future.add_done_callback(lambda future: self._ended.put((whose or job, future)))
-        return future
+        future.add_done_callback(lambda future: self._ended.put((job, future)))
 
     def ended(self, timeout: float | None = None) -> tuple[Any, Any]:
-        """Wait for the next to end: whose it is, and its future; :class:`queue.Empty` after a timeout, s."""
-        whose, future = self._ended.get(timeout=timeout)
+        """Wait for the next to end: the job, and its future; :class:`queue.Empty` after a timeout, s."""
+        job, future = self._ended.get(timeout=timeout)
         self._running.remove(future)
-        return whose, future
+        return job, future
+
+
+def each_done(
+    jobs: Sequence[Any], processes: Processes | None, threads: int | None = None
+) -> Iterator[tuple[Any, list[Any]]]:
+    """Jobs with their rows: here, one after the other, on so many threads; or by processes, as they end."""
+    if processes is None:
+        yield from ((job, [*job.run(threads)]) for job in jobs)
+        return
+    with at_work(processes) as workers:
+        running = Submitted(workers, processes)
+        for job in jobs:
+            running.submit(job)
+        while len(running):
+            job, future = running.ended()
+            yield job, future.result()
+
+
+def reason(error: Exception, path: object = "") -> tuple[str, str]:
+    """Status and message of the row of what an error ended; ``path`` is what was worked on."""
+    match error:
+        case WriteError():  # With space it may be done: not what is wrong with this structure.
+            return "killed", str(error)
+        case ProtochainError():
+            return "refused", str(error)
+        case MemoryError():
+            return "killed", "out of memory"
+        case OSError():
+            return "refused", f"{error.filename or path}: {error.strerror or error}"
+        case _:  # A bug met by one job must not stop the others.
+            return "error", f"{type(error).__name__}: {error}"
 
 
 @contextmanager
@@ -158,6 +186,12 @@ def shared(values: tuple[Any, ...], folder: Path | None = None) -> Iterator[Path
                 Argument("workers"),
             ) from None  # fmt: skip
         yield path
+
+
+@lru_cache(maxsize=1)
+def unpickled(path: Path) -> Any:
+    """What :func:`shared` wrote: the jobs of a process have it in common."""
+    return pickle.loads(path.read_bytes())
 
 
 @contextmanager

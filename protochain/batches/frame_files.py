@@ -16,9 +16,10 @@ from protochain.batches.cluster import Processes
 from protochain.batches.frame_tasks import GAP, Task
 from protochain.batches.frames import FrameResult, over_frames
 from protochain.batches.table import lines, saved
+from protochain.core.checkpoints import Checkpoint, checkpoint, write_checkpoint
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.storage import check_writable, read_arrays, undamaged, write_arrays, writing
+from protochain.core.storage import check_writable, writing
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.files import format_of
 from protochain.structure.frames import Frames, open_frames
@@ -32,7 +33,6 @@ _KEEP_EVERY = 10.0
 """s between checkpoints: what is done after the last is done again."""
 _MOST_IN_TEXT = 20_000_000
 """Atoms of all models of a text file, which is made in memory."""
-_KIND = "run over frames"
 _NOTHING: Mapping[str, Any] = {"rows": 0, "sound": 0, "bytes": 0, "trajectory": None, "counts": {}}
 """What is kept of a run that has not begun."""
 FIRST = ("frame", "time_ps", "status", "message", GAP)
@@ -165,17 +165,17 @@ class _Files:
         """How far an interrupted run is sound; nothing of a new one."""
         if self.checkpoint.exists() and resume:
             remedy = "give another output, or begin anew with ", Argument("force", True)
-            kept: dict[str, Any] = read_arrays(self.checkpoint, self.settings, _KIND, *remedy)[1]
-            with undamaged(self.checkpoint, *remedy):
-                numbers = [kept["rows"], kept["sound"], kept["bytes"], *kept["counts"].values()]
-                if any(type(n) is not int or n < 0 for n in numbers) or sum(numbers[3:]) != kept["rows"]:
+            with checkpoint(self.checkpoint, self.settings, "run over frames", *remedy) as read:
+                kept: dict[str, Any] = {name: read.count(name) for name in ("rows", "sound", "bytes")}
+                kept |= {name: read.values[name] for name in ("trajectory", "counts")}
+                if sum(map(Checkpoint({}, kept["counts"]).count, kept["counts"])) != kept["rows"]:
                     raise ValueError("numbers that do not fit each other")
             if not kept["rows"]:
                 return _NOTHING
-            if not self.table.exists() or self.table.stat().st_size < kept["bytes"]:
-                raise ProtochainError(f"{self.table}: has lost rows since its checkpoint; ", *remedy)
-            with self.table.open("rb") as file:
-                done = file.read(kept["bytes"])
+            done = b""
+            if self.table.exists():
+                with self.table.open("rb") as file:
+                    done = file.read(kept["bytes"])
             if not done.endswith(b"\n") or done.count(b"\n") != kept["rows"] + 1:
                 raise ProtochainError(f"{self.table}: has other rows than its checkpoint; ", *remedy)
             return kept
@@ -220,7 +220,7 @@ class _Files:
             "rows": self.n_rows, "sound": self.n_sound, "bytes": self.file.tell(), "trajectory": place,
             "counts": dict(self.counts),
         }  # fmt: skip
-        write_arrays(self.checkpoint, {}, kept, self.settings)
+        write_checkpoint(self.checkpoint, {}, kept, self.settings)
         self.told = monotonic()
 
     def finish(self) -> None:

@@ -1,6 +1,5 @@
 """What is done to the frames of an ensemble, and the part of it that a process does."""
 
-import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -8,10 +7,10 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
 
+from protochain.batches.cluster import reason, unpickled
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
-from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies import Energy
 from protochain.energies.decomposed import TERMS, energy_terms
@@ -234,7 +233,7 @@ class FrameJob:
 @lru_cache(maxsize=1)
 def begun(path: Path, threads: int) -> tuple[Ensemble, Act, Any]:
     """Ensemble, task and frames of a file, ready."""
-    ensemble, task, source = pickle.loads(path.read_bytes())
+    ensemble, task, source = unpickled(path)
     reading = None if source is None else Reading(open_frames(source))
     return ensemble, task.begin(ensemble.structure, threads), reading
 
@@ -253,12 +252,8 @@ def row_of(ensemble: Ensemble, act: Act, frame: Frame) -> FrameRow:
             row | {"status": "measured", "message": ""} | found,
             structure.positions if x is None else x,
         )
-    except ProtochainError as error:
-        wrong = failed(frame, "refused", str(error))
-    except MemoryError:
-        wrong = failed(frame, "killed", "out of memory")
-    except Exception as error:  # A bug met by one frame must not stop the others.
-        wrong = failed(frame, "error", f"{type(error).__name__}: {error}")
+    except Exception as error:
+        wrong = failed(frame, *reason(error))
     return FrameRow(frame.index, row | wrong | {"seconds": perf_counter() - began}, None)
 
 

@@ -130,7 +130,7 @@ def over_frames(
         waiting: Iterator[Frame | int] = iter(frames if frames.path is None else frames.chosen)
         jobs = deque[FrameJob]()
         rows: dict[int, FrameRow] = {}
-        running, again = Submitted(workers, processes, path.parent), set[int]()
+        running, again = Submitted(workers, processes), set[int]()
         while True:
             # Counted from the oldest that is not done: results that wait for it do not pile up.
             while len(jobs) < _AHEAD * max(1, workers.count()) and (

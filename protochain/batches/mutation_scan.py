@@ -1,21 +1,20 @@
 """Every mutation of some sites, here or by many processes, and a table that a kill does not lose."""
 
-import pickle
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.batches.cluster import Processes, Submitted, at_work, shared
+from protochain.batches.cluster import Processes, each_done, reason, shared, unpickled
 from protochain.chains.setup import Setup
+from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.checks import at_least, checked, optional, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.storage import read_arrays, write_arrays, write_atomically
+from protochain.core.storage import write_atomically
 from protochain.energies.decomposed import residues_of
 from protochain.relaxation.mutations import COLUMNS, mutated, protocol, told
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -49,28 +48,20 @@ class SiteJob:
 
     def run(self, threads: int) -> Iterator[dict[str, Any]]:
         """Make and relax each mutant; residues that move alike share the wild type."""
-        structure, relaxing, setup = _begun(self.task)
+        structure, relaxing, setup = unpickled(self.task)
         known: dict[tuple[int, ...], Relaxation] = {}
         for letter in self.letters:
             names = {self.residue: LETTERS[letter]}
             try:
                 its = mutated(structure, names, relaxing, replace(setup, threads=threads), known)
                 yield _site(structure, self.residue, letter) | its.record()
-            except ProtochainError as error:
-                yield _failed(structure, self.residue, letter, "refused", str(error))
-            except Exception as error:  # A bug met by one mutant must not stop the others.
-                yield _failed(structure, self.residue, letter, "error", f"{type(error).__name__}: {error}")
+            except Exception as error:
+                yield _failed(structure, self.residue, letter, *reason(error))
 
     def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> Rows:
         """Rows of the mutants that are missing, where the process ended."""
-        structure = _begun(self.task)[0]
+        structure = unpickled(self.task)[0]
         return [_failed(structure, self.residue, each, status, message) for each in self.letters[len(done) :]]
-
-
-@lru_cache(maxsize=1)
-def _begun(path: Path) -> tuple[Structure, RelaxSettings, Setup]:
-    found: tuple[Structure, RelaxSettings, Setup] = pickle.loads(path.read_bytes())
-    return found
 
 
 def _site(structure: Structure, r: int, letter: str) -> dict[str, Any]:
@@ -156,16 +147,8 @@ def rows_of(
     """Rows of mutants, as they are done."""
     with shared((structure, relaxing, setup)) as path:
         each = [SiteJob(path, *job) for job in jobs]
-        if processes is None:
-            for job in each:
-                yield from job.run(setup.threads)  # type: ignore[arg-type]  # None is all
-            return
-        with at_work(processes) as workers:
-            running = Submitted(workers, processes, path.parent)
-            for job in each:
-                running.submit(job)
-            while len(running):
-                yield from running.ended()[1].result()
+        for _, rows in each_done(each, processes, setup.threads):
+            yield from rows
 
 
 def _order(structure: Structure) -> Callable[[Any], tuple[int, str]]:
@@ -188,7 +171,9 @@ def run_scan(
     }  # fmt: skip
     rows: Rows = []
     if begun.exists() and resume:
-        read_arrays(begun, settings, "scan", "give another output, or leave out ", Argument("resume", True))
+        remedy = "give another output, or leave out ", Argument("resume", True)
+        with checkpoint(begun, settings, "scan", *remedy):
+            pass  # Its settings are the same.
         if table.exists():
             numbers = [each.key for each in COLUMNS if each.kind is not str]
             read: Any = pd.read_csv(
@@ -207,7 +192,7 @@ def run_scan(
         its = structure.residue(r)
         letters = "".join(each for each in letters if (its.chain, its.number, each) not in done)
         left += [(r, letters)] if letters else []
-    write_arrays(begun, {}, None, settings)
+    write_checkpoint(begun, {}, None, settings)
     total, interrupted = len(rows) + sum(len(letters) for _, letters in left), False
 
     def keep() -> "pd.DataFrame":

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from protochain.batches.cluster import Processes, Submitted, at_work
+from protochain.batches.cluster import Processes, each_done, reason
 from protochain.chains.setup import Setup
 from protochain.core.errors import ProtochainError
 from protochain.structure.confidences import confidence_files, confidence_in
@@ -45,21 +45,15 @@ class ScoreJob:
             energy, given = native(setup.energy(structure)), confidence_in(confidence_files(self.path))
             for pair in pairs:
                 yield self.named, scored(structure, energy, *pair, sides(structure, *pair), given)
-        except ProtochainError as error:
-            yield self.named, str(error)
+        except Exception as error:
+            yield self.named, reason(error, self.path)[1]
 
     def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> list[Scored]:
         """Why interfaces are missing, where the process ended."""
         return [(self.named, f"{self.named}: {message}")]
 
 
-def score_files(jobs: Sequence[ScoreJob], processes: Processes | None) -> Iterator[Scored]:
+def score_files(jobs: Sequence[ScoreJob], processes: Processes | None) -> list[Scored]:
     """Score the interfaces of complexes, in their order; without processes in this one."""
-    if processes is None:
-        for job in jobs:
-            yield from job.run(None)
-        return
-    with at_work(processes) as workers:
-        running = Submitted(workers, processes, Path())
-        for future in [running.submit(job) for job in jobs]:
-            yield from future.result()
+    done = {id(job): rows for job, rows in each_done(jobs, processes)}
+    return [row for job in jobs for row in done[id(job)]]

@@ -10,7 +10,6 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from time import perf_counter
 from typing import IO, Any
 
@@ -57,7 +56,7 @@ class Child:
         self.listener.start()
         self.is_ready = False
 
-    def do(self, job: Any, folder: Path, time_limit: float) -> list[Any]:
+    def do(self, job: Any, time_limit: float) -> list[Any]:
         """Run a job in the child; return all its rows, even if the child ends before."""
         rows: list[Any] = []
         began = perf_counter()
@@ -65,7 +64,7 @@ class Child:
             if not self.is_ready:
                 self._next(began + _START, "the process that minimises did not start in time")
                 self.is_ready, began = True, perf_counter()
-            self._send((job, folder, self.threads))
+            self._send((job, self.threads))
             while True:
                 message = self._next(began + time_limit, f"time limit of {time_limit:g} s reached")
                 if isinstance(message, str) and message == DONE:
@@ -198,7 +197,7 @@ def crew(count: int) -> Iterator[Executor]:
                 child.kill()
 
 
-def supervise(job: Any, folder: Path, threads: int, time_limit: float) -> list[Any]:
+def supervise(job: Any, threads: int, time_limit: float) -> list[Any]:
     """Run a job in this thread's child, started where none is running: time_limit s."""
     child: Child | None = getattr(_here, "child", None)
     if child is None or not child.is_alive or child.threads != threads:
@@ -208,4 +207,4 @@ def supervise(job: Any, folder: Path, threads: int, time_limit: float) -> list[A
         children: _Children | None = getattr(_here, "children", None)
         if children is not None:
             children.add(child)
-    return child.do(job, folder, time_limit)
+    return child.do(job, time_limit)

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from protochain.batches.cluster import reason
 from protochain.batches.jobs import BatchSettings, Job, Row, origin
 from protochain.batches.naming import output_stem, poses_name
 from protochain.batches.page import write_page
 from protochain.chains.setup import Setup
-from protochain.core.errors import ProtochainError, WriteError
 from protochain.core.storage import regular
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.structure.confidences import copy_confidences
@@ -57,17 +57,8 @@ def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
             ends[row.record["method"]] = structure, end
             yield row
         write_page(folder, job, done, repairs, ends)
-    except WriteError as error:  # With space it may be done: not what is wrong with this structure.
-        yield from job.lost(done, "killed", str(error), perf_counter() - began)
-    except ProtochainError as error:
-        yield from job.lost(done, "refused", str(error), perf_counter() - began)
-    except MemoryError:
-        yield from job.lost(done, "killed", "out of memory", perf_counter() - began)
-    except OSError as error:
-        why = f"{error.filename or job.path}: {error.strerror or error}"
-        yield from job.lost(done, "refused", why, perf_counter() - began)
-    except Exception as error:  # A bug met by one structure must not stop the others.
-        yield from job.lost(done, "error", f"{type(error).__name__}: {error}", perf_counter() - began)
+    except Exception as error:
+        yield from job.lost(done, *reason(error, job.path), perf_counter() - began)
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:

@@ -63,6 +63,7 @@ def compare(
 ) -> None:
     """Minimise one structure by several methods; write tables, plots, structures and report.html."""
     from protochain.comparison import compare as run
+    from protochain.comparison.comparing import SETTINGS
     from protochain.comparison.folder import check_folder, files_of
     from protochain.core.storage import claimed
     from protochain.structure import load
@@ -82,7 +83,7 @@ def compare(
     with _one_bar_each(most) as watch:
         comparison = run(
             chain, chosen, energy, tolerance, reference=known, repeats=repeats, watch=watch,
-            **{name: value for name, value in vars(minimising).items() if name not in _NOT_COMPARED.split()},
+            **{name: value for name, value in vars(minimising).items() if name in SETTINGS},
         )  # fmt: skip
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
     page = comparison.report(output)

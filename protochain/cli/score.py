@@ -87,7 +87,7 @@ def score(
     with nullcontext() if processes is None else processes.started_early():
         from protochain.batches.scoring import ScoreJob, score_files
 
-        results = [*score_files([ScoreJob(*each, (*(interface or ()),)) for each in files], processes)]
+        results = score_files([ScoreJob(*each, (*(interface or ()),)) for each in files], processes)
     found: list[tuple[dict[str, Any], Interface | None]] = [
         (refused(result, file=name), None)
         if isinstance(result, str)

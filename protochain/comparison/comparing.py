@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from protochain.chains.articulate import with_energy
 from protochain.comparison.comparison import Comparison
 from protochain.core import defaults
 from protochain.core.arrays import Watcher
-from protochain.core.checks import at_least, checked, function, several
+from protochain.core.checks import at_least, checked, function, refuse_misplaced, refuse_unknown, several
 from protochain.core.errors import ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.minimisers import METHODS, Recipe, Solution, Status, recipe_of
+from protochain.minimisers.minimise_settings import MinimiseSettings
 from protochain.minimisers.minimise_structure import Minimisation, minimise_from
 from protochain.minimisers.start import Start
 from protochain.structure import as_structure
 from protochain.structure.matching import match
+
+SETTINGS = tuple(
+    each.name for each in fields(MinimiseSettings) if each.name not in ("tolerance", "restraint", "max_rmsd")
+)
+"""Of a minimisation, those that a comparison has too: what holds a run to its start is for one run."""
 
 
 @checked(methods=several, repeats=at_least(1), watch=function("method"))
@@ -27,14 +33,11 @@ def compare(
     methods: str | Sequence[Any] = defaults.COMPARED,
     energy: Any = None,
     tolerance: float = defaults.TOLERANCE,
-    max_evaluations: int = defaults.MAX_EVALUATIONS,
-    seed: int = defaults.SEED,
     *,
     repeats: int = defaults.REPEATS,
     reference: Any = None,
-    curvature: bool | None = None,
-    judge: str = defaults.JUDGE,
     watch: Callable[[str], Watcher] | None = None,
+    **settings: Any,
 ) -> Comparison:
     """Minimise one structure by several methods from the same prepared start.
 
@@ -46,17 +49,17 @@ def compare(
         As in :func:`protochain.minimise`.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`; one energy function serves all methods.
-    tolerance, max_evaluations, seed : float, int, int
+    tolerance : float
         As in :func:`protochain.minimise`.
     repeats : int
         Runs of each method that does not repeat exactly (it draws random numbers, or OpenMM sums on several
         threads), with consecutive seeds. The first is shown; ``Comparison.spread`` covers all.
     reference : Structure, path, or anything that :func:`protochain.as_structure` takes, optional
         Structure to measure the ends against, for example an experimental one.
-    curvature, judge : bool, str
-        As in :func:`protochain.minimise`.
     watch : callable, optional
         Given a method's name, returns the ``watch`` of its run.
+    **settings
+        As in :func:`protochain.minimise`: ``max_evaluations``, ``seed``, ``curvature``, ``judge``.
 
     Returns
     -------
@@ -83,31 +86,24 @@ def compare(
             )
     if not recipes:
         raise ProtochainError(f"no methods to compare; choose from {', '.join(METHODS)}")
-    runs = [
-        Minimisation(
-            recipe,
-            tolerance=tolerance,
-            max_evaluations=max_evaluations,
-            seed=seed,
-            curvature=curvature,
-            judge=judge,
-        )
-        for recipe in recipes.values()
-    ]
+    for name in settings:
+        refuse_misplaced("compare", name)
+        refuse_unknown(name, "setting", SETTINGS)
+    runs = [Minimisation(recipe, tolerance=tolerance, **settings) for recipe in recipes.values()]
     chain, energy = with_energy(structure, energy)
     known = None if reference is None else as_structure(reference)
     if known is not None:
         match(known, chain.structure)  # What cannot be measured is said before the work.
     for run in runs:
         run.recipe.check(energy)
-    start = Start(chain, energy, judge)
+    start = Start(chain, energy, runs[0].judge)
     plan = [(run, k) for run in runs for k in range(1 if run.recipe.repeats_exactly(energy) else repeats)]
     solutions: list[Solution] = []
     further: list[Solution] = []
     for run, k in plan:
         watcher = watch(run.recipe.name) if watch else None
         try:
-            solution = minimise_from(start, replace(run, seed=seed + k), watcher)
+            solution = minimise_from(start, replace(run, seed=run.seed + k), watcher)
         except KeyboardInterrupt:
             if not solutions:
                 raise

@@ -1,21 +1,16 @@
-"""Atomic writing of files, and checkpoints of arrays and plain values that cannot execute code."""
+"""Atomic writing of files, and folders of one process at a time."""
 
 import json
 import math
 import os
 import re
 import tempfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
-import numpy as np
-
-from protochain.core.arrays import Floats
-from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.core.errors import ProtochainError, WriteError
 
 
 def json_text(values: Any, indent: int | None = 2) -> str:
@@ -118,92 +113,3 @@ def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
         with suppress(OSError):  # Results are there.
             for each in made:
                 each.rmdir()
-
-
-def write_arrays(
-    path: Path, arrays: Mapping[str, np.ndarray], values: Any, settings: Mapping[str, Any]
-) -> None:
-    """Write a checkpoint (.npz): arrays, values that JSON can represent, and the settings of the run."""
-    text = json.dumps({"settings": dict(settings), "values": values})
-
-    def write(to: Path) -> None:
-        with to.open("wb") as file:
-            np.savez(file, allow_pickle=False, text=np.array(text), **arrays)
-
-    write_atomically(path, write)
-
-
-def read_arrays(
-    path: Path, settings: Mapping[str, Any], kind: str, *remedy: str | Argument
-) -> tuple[dict[str, np.ndarray], Any]:
-    """Read a checkpoint that :func:`write_arrays` wrote for a run with the same settings."""
-    try:
-        with regular(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            check_sizes(file)
-            arrays = dict(file)
-        text = json.loads(str(arrays.pop("text")))
-        written, values = {**text["settings"]}, text["values"]
-    except FileNotFoundError:
-        raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
-    except PermissionError as error:
-        raise ProtochainError(f"{path}: cannot be read ({error.strerror}); change its permissions") from None
-    except _DAMAGED:
-        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy) from None
-    if not {*list(settings)[:1]} <= set(written):
-        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy)
-    for name, value in settings.items():
-        if written.get(name) != value:
-            raise ProtochainError(
-                f"{path}: is of a run with ",
-                Argument(name),
-                f" {written.get(name)!r}, not {value!r}; repeat its settings",
-            )
-    return arrays, values
-
-
-def fitting(arrays: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Floats:
-    """Array of a checkpoint that a run can use."""
-    found = arrays.get(name)
-    if not isinstance(found, np.ndarray) or found.dtype != np.float64 or found.shape != shape:
-        raise ValueError(f"{name} is not {shape} numbers")
-    if not np.isfinite(found).all():
-        raise ValueError(f"{name} is not finite")
-    return found
-
-
-@contextmanager
-def undamaged(path: Path, *remedy: str | Argument) -> Iterator[None]:
-    """Say of which checkpoint it is that something does not fit."""
-    try:
-        yield
-    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
-        what = f"{type(error).__name__}: {error}"
-        raise ProtochainError(f"{path}: damaged checkpoint ({what}); ", *remedy) from None
-
-
-_DAMAGED = (
-    OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile, RuntimeError, zlib.error,
-    MemoryError,
-)  # fmt: skip
-"""What reading a damaged archive raises: by zipfile, by numpy, by json."""
-
-
-def check_sizes(file: Any, packed: bool = False) -> None:
-    """Refuse arrays that claim to be larger than what the archive holds of them: memory and time go first."""
-    for member in file.zip.infolist():
-        with file.zip.open(member) as stream:
-            version = np.lib.format.read_magic(stream)
-            head = (
-                np.lib.format.read_array_header_1_0
-                if version == (1, 0)
-                else np.lib.format.read_array_header_2_0
-            )
-            shape, _, dtype = head(stream)
-            claimed = math.prod(shape) * dtype.itemsize
-            most = _DEFLATED * member.compress_size if packed else member.compress_size
-            if claimed != member.file_size - stream.tell() or member.file_size > most:
-                raise ValueError(f"{member.filename}: {claimed} bytes")
-
-
-_DEFLATED = 1100
-"""Bytes that one of a deflated file may become, at most."""

@@ -1,6 +1,5 @@
 from .closure import Closure as Closure
 from .closure import closure_of as closure_of
-from .com_motion import remove_com_motion as remove_com_motion
 from .integrators import DormandPrince as DormandPrince
 from .integrators import ImplicitMidpoint as ImplicitMidpoint
 from .integrators import Leapfrog as Leapfrog

@@ -3,24 +3,16 @@
 import csv
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from protochain.core.arrays import Floats, frozen
+from protochain.core.checkpoints import Checkpoint, checkpoint, write_checkpoint
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.core.storage import (
-    check_writable,
-    fitting,
-    json_text,
-    read_arrays,
-    undamaged,
-    write_arrays,
-    write_text,
-    writing,
-)
+from protochain.core.storage import check_writable, json_text, write_text, writing
 from protochain.dynamics.loop import State
 from protochain.dynamics.thermostats import Bath
 from protochain.mechanics.motion.system import Phase
@@ -59,8 +51,8 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
         )
 
 
-def _read(path: Path, settings: Mapping[str, Any]) -> tuple[dict[str, np.ndarray], Any]:
-    return read_arrays(path / CHECKPOINT, settings, "simulation", *_AGAIN)
+def _kept(path: Path, settings: Mapping[str, Any]) -> AbstractContextManager[Checkpoint]:
+    return checkpoint(path / CHECKPOINT, settings, "simulation", *_AGAIN)
 
 
 _AGAIN = "start again with ", Argument("force", True)
@@ -72,7 +64,8 @@ pull, nm; values of hinges with springs, rad."""
 
 def constants_of(path: Path) -> dict[str, Floats]:
     """What the simulation in a folder measured at its start, by name."""
-    return _read(path, {})[0]
+    with _kept(path, {}) as kept:
+        return dict(kept.arrays)
 
 
 class Folder:
@@ -116,16 +109,15 @@ class Folder:
         columns_of: Callable[[State, Floats], list[str]],
     ) -> tuple[State, list[dict[str, float]], Floats]:
         """Open the files of an earlier run and truncate them to its last checkpoint: frame_interval ps."""
-        arrays, values = _read(self.path, self.settings)
-        with undamaged(self.path / CHECKPOINT, *_AGAIN):
-            state = _state(tree, arrays, values)
-            fitting(arrays, "memory", first(state.at).memory.shape)
-            self.start = fitting(arrays, "start", (structure.n_atoms, 3))
+        with _kept(self.path, self.settings) as kept:
+            state = _state(tree, kept)
+            kept.array("memory", first(state.at).memory.shape)
+            self.start = kept.array("start", (structure.n_atoms, 3))
             for name, own in self.constants.items():
-                fitting(arrays, name, own.shape)
-            listed = arrays["lists_at"]
-            lists_at = fitting(arrays, "lists_at", (structure.n_atoms if len(listed) else 0, 3))
-        self.stored = values
+                kept.array(name, own.shape)
+            listed = len(kept.arrays["lists_at"])
+            lists_at = kept.array("lists_at", (structure.n_atoms if listed else 0, 3))
+            self.stored = values = {name: kept.count(name) for name in _COUNTED}
         # All is read before any file is changed: a run that is refused leaves its folder as it was.
         log = self.log_part if self.log_part.exists() else self.log
         text = log.read_bytes()[: values["log_bytes"]] if log.exists() else b""
@@ -180,7 +172,7 @@ class Folder:
             "work": at.work, "loads": np.empty((0, len(at.qd))) if at.loads is None else at.loads,
             **{name: self.constants.get(name, np.empty(0)) for name in CONSTANTS},
         }  # fmt: skip
-        write_arrays(self.path / CHECKPOINT, arrays, values, self.settings)
+        write_checkpoint(self.path / CHECKPOINT, arrays, values, self.settings)
         self.stored = values
 
     def close(self, sound: bool) -> None:
@@ -234,20 +226,12 @@ def rescued(folder: Folder | None) -> Iterator[None]:
         ) from error
 
 
-_COUNTS, _NUMBERS = (
-    ("step", "frames", "trajectory_bytes", "log_bytes"), ("potential", "bath_energy", "damped", "time"),
-)  # fmt: skip
+_COUNTED = ("step", "frames", "trajectory_bytes", "log_bytes")
 
 
-def _state(tree: Tree, arrays: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> State:
+def _state(tree: Tree, kept: Checkpoint) -> State:
     """State of a checkpoint; a ValueError unless all of it fits the tree, as kernels count on."""
-    for name in _COUNTS:
-        if type(values[name]) is not int or values[name] < 0:
-            raise ValueError(f"{name} is {values[name]!r}")
-    for name in _NUMBERS:
-        if type(values[name]) not in (int, float):
-            raise ValueError(f"{name} is {values[name]!r}")
-    q = fitting(arrays, "q", (tree.n_q,))
+    arrays, q = kept.arrays, kept.array("q", (tree.n_q,))
     fresh = articulate(tree, pose(tree, q))
     shapes = {
         "q": (tree.n_q,), "qd": (tree.n_v,), "p": (tree.n_v,), "torque": (tree.n_v,),
@@ -256,14 +240,13 @@ def _state(tree: Tree, arrays: Mapping[str, np.ndarray], values: Mapping[str, An
         "root": fresh.root.shape, "memory": (arrays["memory"].size,), "work": (arrays["work"].size,),
         "loads": (len(arrays["loads"]), tree.n_v),
     }  # fmt: skip
-    a = {name: frozen(fitting(arrays, name, shape)) for name, shape in shapes.items()}
+    a = {name: frozen(kept.array(name, shape)) for name, shape in shapes.items()}
     if len(a["loads"]) and len(a["loads"]) != len(a["work"]):
         raise ValueError(f"work of {len(a['work'])} loads, not {len(a['loads'])}")
     factors = Articulated(
         tree, Frames(a["rotation"], a["origin"]), a["inertia"], a["gain"], a["pivot"], a["root"]
     )
-    at = Phase(
-        a["q"], a["qd"], a["p"], values["potential"], a["torque"], factors, values["time"], a["work"],
-        a["loads"] if len(a["loads"]) else None,
-    )  # fmt: skip
-    return State(values["step"], at, Bath(values["bath_energy"], a["memory"]), values["damped"])
+    potential, time, bath, damped = map(kept.number, ("potential", "time", "bath_energy", "damped"))
+    loads = a["loads"] if len(a["loads"]) else None
+    at = Phase(a["q"], a["qd"], a["p"], potential, a["torque"], factors, time, a["work"], loads)
+    return State(kept.count("step"), at, Bath(bath, a["memory"]), damped)

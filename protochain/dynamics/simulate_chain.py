@@ -40,7 +40,7 @@ from protochain.dynamics.simulation import Simulation, said_of
 from protochain.dynamics.thermostats import THERMOSTATS, build_thermostat
 from protochain.energies import Energy
 from protochain.energies.custom import EnergyFunction
-from protochain.mechanics.motion.system import Phase, StepTooLargeError, System, total
+from protochain.mechanics.motion.system import Potential, StepTooLargeError, System, total
 from protochain.structure.chirality import changed_stereocentres
 from protochain.structure.superpose import rmsd_angstrom
 
@@ -177,7 +177,8 @@ class _Run:
     freedoms: int
     pull: MovingSpring | None
     springs: HingeSprings | None
-    restraints: Restraints | None = None
+    biases: Mapping[str, Potential]
+    """What is added to the force field, by column of the log, and a pull that stands still."""
 
     @property
     def constants(self) -> dict[str, Floats]:
@@ -212,7 +213,7 @@ class _Run:
         """Row of the log, and positions to write; RMSDs are relative to positions ``start``."""
         s, at = self.settings, state.at
         x = place_atoms(self.chain, at.factors.frames)
-        biases = self._biases(at)
+        biases = {name: energy(at.q, at.factors)[0] for name, energy in self.biases.items()}
         bias = sum(biases.values())
         alpha = self.chain.structure.alpha_carbons
         row: dict[str, float] = {
@@ -233,19 +234,6 @@ class _Run:
         if self.pull is not None:
             row |= self.pull.row(at)
         return row, self.frame(x)
-
-    def _biases(self, at: Phase) -> dict[str, float]:
-        """Energies that the run has beside the force field's, kJ/mol: by column of the log, and of a pull."""
-        found = {}
-        if self.settings.fixman:
-            found["fixman_kj_mol"] = fixman(self.settings.thermal_energy, self.closure)(at.q, at.factors)[0]
-        if self.springs is not None:
-            found["hinge_springs_kj_mol"] = self.springs.potential(at.q, at.factors)[0]
-        if self.restraints is not None:
-            found["restraints_kj_mol"] = self.restraints(place_atoms(self.chain, at.factors.frames))[0]
-        if self.pull is not None and self.pull.speed == 0.0:
-            found["pull"] = self.pull.energy(at.time, at.factors.frames)
-        return found
 
 
 def freed(chain: Chain, settings: SimulationSettings) -> Chain:
@@ -287,16 +275,17 @@ def _prepare(
     pull = moving_spring(settings.pull, made, start) if settings.pull is not None else None
     if pull is not None:
         pull = replace(pull, start=float(_measured(constants, "pull_start", np.array([pull.start]))[0]))
-    parts = [chain_potential(made, varying)]
+    biases: dict[str, Potential] = {}
     if settings.fixman:
-        parts.append(fixman(settings.thermal_energy, closure))
+        biases["fixman_kj_mol"] = fixman(settings.thermal_energy, closure)
     if springs is not None:
-        parts.append(springs.potential)
-    restraints = Restraints.of(made.structure, settings.restraint) if settings.restraint else None
-    if restraints is not None:
-        parts.append(chain_potential(made, restraints))
+        biases["hinge_springs_kj_mol"] = springs.potential
+    if settings.restraint:
+        restraints = Restraints.of(made.structure, settings.restraint)
+        biases["restraints_kj_mol"] = chain_potential(made, restraints)
     if pull is not None and pull.speed == 0.0:
-        parts.append(pull.potential)
+        biases["pull"] = pull.potential
+    parts = [chain_potential(made, varying), *biases.values()]
     loads = (pull.load(),) if pull is not None and pull.speed != 0.0 else ()
     system = System(made.tree, parts[0] if len(parts) == 1 else total(parts), closure, loads=loads)
     if settings.pull is not None and pull is not None:
@@ -310,9 +299,7 @@ def _prepare(
         system, INTEGRATORS[settings.integrator], build_thermostat(settings.record(), kt, freedoms),
         settings.time_step, kt, settings.seed, removes, dampers(settings.hinge_springs, made, noise),
     )  # fmt: skip
-    return _Run(
-        made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs, restraints
-    )
+    return _Run(made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs, biases)
 
 
 def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats:

@@ -9,7 +9,7 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.storage import fitting, read_arrays, undamaged, write_arrays
+from protochain.core.checkpoints import checkpoint, fitting, write_checkpoint
 from protochain.minimisers.descent import DescentState
 from protochain.minimisers.loop import Snapshot, Unstarted
 from protochain.minimisers.metrics import Preconditioner
@@ -23,22 +23,20 @@ _KINDS = (Waypoint, Snapshot, Tally, Unstarted)
 def save_checkpoint(path: Path, waypoint: Waypoint, settings: Mapping[str, Any]) -> None:
     """Write a waypoint, with the settings of its run."""
     arrays: dict[str, np.ndarray] = {}
-    known: dict[int, Any] = {}
-    tree = _plain(waypoint, arrays, known)
-    write_arrays(path, arrays, tree, settings)
+    write_checkpoint(path, arrays, _plain(waypoint, arrays, {}), settings)
 
 
 def load_checkpoint(path: Path, plan: list[Stage], settings: Mapping[str, Any], x: Floats) -> Waypoint:
     """Read a waypoint of a plan: x (na, 3) nm."""
     remedy = "give a file that an earlier run wrote as its checkpoint"
-    arrays, tree = read_arrays(path, settings, "minimisation", remedy)
-    with undamaged(path, remedy):
+    with checkpoint(path, settings, "minimisation", remedy) as kept:
+        arrays, tree = kept.arrays, kept.values
         number, place = tree["fields"]["stage"], tree["fields"].get("at")
         if type(number) is not int or not 0 <= number < len(plan):
             raise ValueError(f"stage {number!r} of {len(plan)}")
         stage = plan[number]
         if stage.fit is not None and place is not None:
-            stage = stage.fit(stage, fitting({"at": arrays[place["array"]]}, "at", x.shape))
+            stage = stage.fit(stage, fitting(arrays[place["array"]], "at", x.shape))
         waypoint: Waypoint = _Reader(arrays, stage, x).value(tree)
         if type(waypoint) is not Waypoint:
             raise ValueError(f"{type(waypoint).__name__} in place of a waypoint")
@@ -108,8 +106,8 @@ class _Reader:
     def _evaluation(self, q: Any, energy: Any, torque: Any, residual: Any, restraint: Any) -> Evaluation:
         for name, number in (("energy", energy), ("residual", residual), ("restraint", restraint)):
             _fit(number, float, name, ())
-        place = self.stage.space.place(fitting({"q": q}, "q", self.q))
-        return Evaluation(place, energy, fitting({"torque": torque}, "torque", self.v), residual, restraint)
+        place = self.stage.space.place(fitting(q, "q", self.q))
+        return Evaluation(place, energy, fitting(torque, "torque", self.v), residual, restraint)
 
     def _own_hints(self, kind: type) -> dict[str, Any]:
         """What a descent's direction and rule say of their own memories."""
@@ -123,7 +121,7 @@ class _Reader:
 def _fit(value: Any, hint: Any, name: str, shape: tuple[int, ...]) -> None:
     """Refuse a value that is not of a type; arrays in it have a shape and are finite."""
     if isinstance(value, np.ndarray):
-        fitting({name: value}, name, shape)
+        fitting(value, name, shape)
     if not _is(value, hint):
         raise ValueError(f"{name} is of another type: {type(value).__name__}")
     if isinstance(value, tuple):

@@ -1,12 +1,10 @@
-"""Figures: their colours and axes, lines of error against cost, and how a page holds them."""
+"""Figures: their colours and axes, and how a page holds them."""
 
 import base64
 import io
-from itertools import cycle
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as PlainFigure
 
@@ -16,7 +14,6 @@ from protochain.core.figure import Figure as Figure
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 """Okabe and Ito's palette, dark colours first."""
 DASHES = ("-", "--", "-.", ":")
-_MARKERS = "osD^vPX*<>"
 
 
 def plain(ax: Axes) -> None:
@@ -39,33 +36,6 @@ def panels(
         number = f"{n}" if least >= n else f"{least} or {n}"
         raise ProtochainError(f"ax: give {number} Axes of matplotlib, as plt.subplots makes them")
     return axes[0].figure, axes
-
-
-def draw_lines(
-    ax: Axes, points: pd.DataFrame, x: str, y: str = "error", by: str = "method", least: float = 0.0
-) -> None:
-    """Draw a line with marks for each method, both axes logarithmic.
-
-    Parameters
-    ----------
-    ax : matplotlib Axes
-        Where to draw.
-    points : pandas.DataFrame
-        Points of all methods.
-    x, y, by : str
-        Columns: cost, value, and method.
-    least : float
-        Where smaller values are drawn. Those that are not finite are left out, and so is what costs nothing.
-    """
-    styles = zip(cycle(COLOURS), cycle(_MARKERS), strict=False)
-    for (method, own), (colour, marker) in zip(points.groupby(by, sort=False), styles, strict=False):
-        shown = own[np.isfinite(own[y]) & (own[x] > 0)]
-        value = shown[y].clip(lower=least)
-        ax.plot(shown[x], value, color=colour, marker=marker, markersize=4, label=str(method))
-    ax.set(xscale="log", yscale="log", xlabel=x)
-    if len(points):
-        ax.legend(frameon=False, fontsize=8)
-    plain(ax)
 
 
 def data_url(figure: PlainFigure) -> str:

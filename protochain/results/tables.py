@@ -1,20 +1,13 @@
-"""Tables of rows, and tables, figures and text in a folder."""
+"""Tables, figures and text in a folder."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, fields
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
 
 from protochain.core.storage import write_atomically
-
-
-def table_of(rows: Iterable[Any], kind: type) -> pd.DataFrame:
-    """Rows, values of a dataclass, as a table: with its columns even of none."""
-    return pd.DataFrame([asdict(row) for row in rows], columns=[field.name for field in fields(kind)])
 
 
 def save(folder: Path, files: Mapping[str, pd.DataFrame | Figure | str]) -> None:

@@ -4,11 +4,8 @@ A step is a pure function of the state before it, and its random numbers depend 
 piece that is lost is done again, bit for bit, and where pieces begin and end changes nothing.
 """
 
-import math
-import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
@@ -16,10 +13,11 @@ from typing import Any, Protocol
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from protochain.batches.cluster import unpickled
 from protochain.core.arrays import Floats, Value, read_only
+from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import Argument
 from protochain.core.interrupts import held_interrupts
-from protochain.core.storage import read_arrays, undamaged, write_arrays
 from protochain.searching.landscape import Landscape
 
 SECONDS = 5.0
@@ -63,32 +61,12 @@ class Finding(Value):
         )
 
 
-class State(Protocol):
-    """Where a walker is."""
-
-    @property
-    def n_done(self) -> int:
-        """Steps so far."""
-
-    @property
-    def n_evaluations(self) -> int:
-        """Evaluations so far."""
-
-    @property
-    def energy(self) -> Any:
-        """Energy, or those of replicas, kJ/mol."""
-
-    @property
-    def acceptance(self) -> float:
-        """Share of what was proposed that was accepted."""
-
-
 class Method(Protocol):
     """A way to search, of one walker: pure functions of a landscape and a state."""
 
     @property
     def state(self) -> type:
-        """Frozen dataclass of arrays and numbers."""
+        """Frozen dataclass: ``n_done``, ``n_evaluations``, ``energy``, ``acceptance``, arrays and numbers."""
 
     def begin(self, landscape: Landscape) -> tuple[Any, Finding]:
         """State at the start."""
@@ -146,45 +124,37 @@ class Piece(Value):
 
     def run(self, threads: int) -> Iterator[Done]:
         """Do it, on one thread."""
-        landscape, methods = _begun(self.task)
-        method = methods[self.walker]
-        yield Done(self.walker, *advance(landscape, method, self.state, self.budget, self.seconds))
+        landscape, methods = unpickled(self.task)
+        yield Done(
+            self.walker, *advance(landscape, methods[self.walker], self.state, self.budget, self.seconds)
+        )
 
     def lost(self, done: Sequence[Done], status: str, message: str, seconds: float) -> list[Done]:
         """Say why there is no more of it."""
         return [] if done else [Done(self.walker, self.state, None, message)]
 
 
-@lru_cache(maxsize=1)
-def _begun(task: Path) -> tuple[Landscape, tuple[Method, ...]]:
-    landscape, methods = pickle.loads(task.read_bytes())
-    return landscape, methods
-
-
 def write_piece(path: Path, state: Any, found: Finding, settings: Mapping[str, Any]) -> None:
     """Write the state after a piece, and what it found, atomically."""
-    its = {field.name: getattr(state, field.name) for field in fields(state)}
+    its = {name: getattr(state, name) for name in _names(state)}
     arrays = {f"state_{name}": value for name, value in its.items() if isinstance(value, np.ndarray)}
     numbers = {name: value for name, value in its.items() if not isinstance(value, np.ndarray)}
-    write_arrays(path, arrays | {"minima": found.minima, "samples": found.samples}, numbers, settings)
+    write_checkpoint(path, arrays | {"minima": found.minima, "samples": found.samples}, numbers, settings)
 
 
 def read_piece(path: Path, kind: type, settings: Mapping[str, Any]) -> tuple[Any, Finding]:
     """Read a piece of a search with the same settings."""
-    again = "search again with ", Argument("force", True)
-    arrays, numbers = read_arrays(path, settings, "search", *again)
-    with undamaged(path, *again):
-        for name, value in numbers.items():
-            if type(value) not in (int, float) or not math.isfinite(value):
-                raise ValueError(f"{name} is no number")
+    with checkpoint(path, settings, "search", "search again with ", Argument("force", True)) as kept:
+        arrays = kept.arrays
         if any(a.dtype.kind not in "fiub" for a in arrays.values()) or arrays["minima"].ndim != 2:
             raise ValueError("arrays of no numbers")
+        of_state = {name: arrays[f"state_{name}"] for name in _names(kind) if f"state_{name}" in arrays}
         state = kind(
-            **{
-                name.removeprefix("state_"): read_only(value, value.dtype.type)
-                for name, value in arrays.items()
-                if name.startswith("state_")
-            },
-            **{field.name: numbers[field.name] for field in fields(kind) if field.name in numbers},
+            **{name: read_only(value, value.dtype.type) for name, value in of_state.items()},
+            **{name: kept.number(name) for name in _names(kind) if name not in of_state},
         )
         return state, Finding(read_only(arrays["minima"]), read_only(arrays["samples"]))
+
+
+def _names(kind: Any) -> list[str]:
+    return [field.name for field in fields(kind)]

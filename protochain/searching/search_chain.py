@@ -319,7 +319,7 @@ def _work(
             return False
         given = walks.landscape, walks.methods
         with shared(given, walks.folder) as task, at_work(processes) as workers:
-            pieces = Submitted(workers, processes, task.parent)
+            pieces = Submitted(workers, processes)
             return _hand_out(walks, task, pieces, share, left, take, interrupts)
 
 

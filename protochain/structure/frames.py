@@ -21,9 +21,10 @@ from typing import IO, Any
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.checkpoints import check_sizes
 from protochain.core.checks import plain, shown
 from protochain.core.errors import Argument, ProtochainError, StructureError, refused
-from protochain.core.storage import check_sizes, regular
+from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.files import SUFFIXES, format_of, in_file_order, parse
 

@@ -7,7 +7,6 @@ import pytest
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.batches import relax_files
 from protochain.batches.jobs import failure
 
 
@@ -66,7 +65,7 @@ def test_results_without_their_settings_are_not_continued(tmp_path, monkeypatch)
     start_without_work(files, tmp_path, monkeypatch, **usual)
     (tmp_path / "settings.json").unlink()
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(pc.ProtochainError, match=r"holds results without settings\.json .*another folder"):
+    with pytest.raises(pc.ProtochainError, match=r"holds results without settings\.json.*another folder"):
         start_without_work(files, tmp_path, monkeypatch, resume=True, **usual)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     # The folder is not left locked, and without results there is nothing to doubt.
@@ -140,21 +139,9 @@ def test_damaged_settings_of_a_folder_are_refused_in_a_line(damaged, tmp_path, m
     assert start_without_work(*usual, methods="lbfgs") == ["ala10"]
     before = rows_of(tmp_path)
     (tmp_path / "settings.json").write_bytes(damaged)
-    with pytest.raises(
-        pc.ProtochainError, match=r"^[^\n]*settings.json: holds no settings[^\n]*$"
-    ):
+    with pytest.raises(pc.ProtochainError, match=r"^[^\n]*settings.json: holds no settings[^\n]*$"):
         start_without_work(*usual, methods="lbfgs", resume=True)
     assert rows_of(tmp_path) == before and (tmp_path / "settings.json").read_bytes() == damaged
-
-
-def test_a_folder_relaxed_by_an_older_protochain_is_left_alone(tmp_path):
-    """Its settings had no methods, and its structures other names."""
-    (tmp_path / "relaxed.csv").write_text("structure,input,model,output,key,method,status\n")
-    (tmp_path / "settings.json").write_text('{"settings": {"preset": "predicted"}, "structures": {}}')
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(pc.ProtochainError, match="by an older protochain, which named structures otherwise"):
-        relax_files([STRUCTURES / "ala10.pdb"], tmp_path, resume=True)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name != ".lock"} == before
 
 
 def test_a_changed_force_field_or_version_is_another_setting(tmp_path, monkeypatch):

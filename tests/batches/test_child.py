@@ -3,6 +3,7 @@
 import io
 import pickle
 import queue
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -33,8 +34,8 @@ def test_a_child_says_that_it_is_ready_and_sends_the_rows_of_each_job(monkeypatc
             self.jobs = args[1]
 
         def start(self):
-            self.jobs.put(("job 1", "folder", 2))
-            self.jobs.put(("job 2", "folder", 3))
+            self.jobs.put((SimpleNamespace(run=partial(run, "job 1")), 2))
+            self.jobs.put((SimpleNamespace(run=partial(run, "job 2")), 3))
 
     class Adjusted:
         def __init__(self, path):
@@ -44,8 +45,8 @@ def test_a_child_says_that_it_is_ready_and_sends_the_rows_of_each_job(monkeypatc
             log.append((self.path, text))
             raise PermissionError
 
-    def run(job, folder, threads):
-        yield f"{job} in {folder} by {threads}"
+    def run(job, threads):
+        yield f"{job} by {threads}"
         yield "second row"
 
     files = SimpleNamespace(
@@ -58,7 +59,6 @@ def test_a_child_says_that_it_is_ready_and_sends_the_rows_of_each_job(monkeypatc
     monkeypatch.setattr(child, "threading", SimpleNamespace(Thread=Reader))
     monkeypatch.setattr(child, "sys", SimpleNamespace(stdin=SimpleNamespace(buffer="standard input")))
     monkeypatch.setattr(child, "_warm_up", lambda: log.append(("warm", len(sent.getvalue()))))
-    monkeypatch.setattr("protochain.batches.task.run", run)
     with pytest.raises(Over):
         child.main()
     # What libraries print goes to standard error.
@@ -66,18 +66,9 @@ def test_a_child_says_that_it_is_ready_and_sends_the_rows_of_each_job(monkeypatc
     sent.seek(0)
     said = [pickle.load(sent) for _ in range(7)]
     assert said == [
-        "ready", "job 1 in folder by 2", "second row", "done", "job 2 in folder by 3", "second row", "done",
+        "ready", "job 1 by 2", "second row", "done", "job 2 by 3", "second row", "done",
     ]  # fmt: skip
     assert sent.read() == b""
-
-
-def test_a_child_warms_up_on_three_residues_with_one_thread(monkeypatch):
-    given = []
-    monkeypatch.setattr("protochain.minimisers.minimise", lambda *what, **more: given.append((*what, more)))
-    child._warm_up()
-    ((structure, energy, options),) = given
-    names = structure.residue_name.tolist()
-    assert names == ["GLY", "ALA", "GLY"] and energy.threads == 1 and options == {"max_evaluations": 3}
 
 
 class Pipe:
@@ -124,7 +115,7 @@ class Started:
     def kill(self):
         self.is_alive, self.killed = False, self.killed + 1
 
-    def do(self, job, folder, time_limit):
+    def do(self, job, time_limit):
         return [job, self]
 
 
@@ -137,7 +128,7 @@ def test_children_started_early_are_taken_up_or_ended(monkeypatch):
 
     def do(threads):
         monkeypatch.setattr(supervise, "_here", SimpleNamespace())  # As in a thread that has none.
-        return supervise.supervise("job", "folder", threads, 1.0)[1]
+        return supervise.supervise("job", threads, 1.0)[1]
 
     with supervise.started_early(100, 2):
         early = tuple(everyone)

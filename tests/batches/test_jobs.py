@@ -137,6 +137,7 @@ def test_settings_change_by_the_names_of_their_fields_or_of_the_setups():
     ("settings", "said"),
     [
         ({"methods": ()}, "methods: give at least one"),
+        ({"model": "first"}, "model 'first': give its number, or all, or a range such as 1-5"),
         ({"colour": 1}, f"no setting is called 'colour'; choose from {', '.join(NAMES)}"),
         ({"max_evaluations": 0}, "max_evaluations 0: give at least 1"),
         ({"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
@@ -246,6 +247,7 @@ def here(tmp_path, monkeypatch):
 def test_structures_of_a_folder_are_those_with_their_suffixes(here):
     assert names(["."]) == ["a", "b", "deep/c", "deep/d", "deep/g", "sum[1]"]
     assert names([here / "deep"]) == ["c", "d", "g"]
+    assert names(["deep/d.mmcif", "deep"]) == ["d", "c", "g"]  # in the order given, each once
     # A file that is named is taken, whatever its suffix; one that is missing is a job that fails.
     assert names(["e.txt", "XYZ.pdb"]) == ["e", "XYZ"] and names(["sum[1].pdb"]) == ["sum[1]"]
     assert find_jobs(["b.pdb"], BatchSettings())[0].path == here / "b.pdb"
@@ -393,7 +395,7 @@ def test_a_file_with_several_poses_is_a_job_for_each(tmp_path, monkeypatch):
     jobs = find_jobs(["protein.pdb"], BatchSettings(setup=pc.Setup(ligands=("poses.sdf",))))
     assert [job.name for job in jobs] == ["protein.poses_1", "protein.poses_2"]
     assert [job.settings.setup.ligands for job in jobs] == [(("", f"poses.sdf#{k}"),) for k in (1, 2)]
-    assert jobs[1].anywhere.settings.setup.ligands == (("", f"{tmp_path / 'poses.sdf'}#2"),)
+    assert jobs[1].into(tmp_path).settings.setup.ligands == (("", f"{tmp_path / 'poses.sdf'}#2"),)
     Path("poses.sdf").write_text("one\n$$$$\nmoved\n$$$$\n")
     again = find_jobs(["protein.pdb"], BatchSettings(setup=pc.Setup(ligands=("poses.sdf",))))
     assert {job.key for job in jobs}.isdisjoint(job.key for job in again)
@@ -406,8 +408,8 @@ def test_a_worker_in_another_folder_finds_poses_and_charges(tmp_path, monkeypatc
     (job,) = find_jobs(
         ["x.pdb"], BatchSettings(setup=pc.Setup(ligands=("pose.sdf",), ligand_charges="q.csv"))
     )
-    assert job.anywhere.settings.setup.ligands == (("", str(tmp_path / "pose.sdf")),)
-    assert job.anywhere.settings.setup.ligand_charges == str(tmp_path / "q.csv")
+    assert job.into(tmp_path).settings.setup.ligands == (("", str(tmp_path / "pose.sdf")),)
+    assert job.into(tmp_path).settings.setup.ligand_charges == str(tmp_path / "q.csv")
 
 
 def test_a_link_to_nothing_in_a_folder_is_a_row(here):

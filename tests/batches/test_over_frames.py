@@ -89,7 +89,7 @@ def in_this_process(monkeypatch, fate):
     """Do the jobs of processes here; what ``fate`` says of a frame happens to its process."""
     began = []
 
-    def supervise(job, folder, threads, time_limit):
+    def supervise(job, threads, time_limit):
         began.append(job.indices)
         rows = []
         for k, row in zip(job.indices, job.run(threads), strict=True):

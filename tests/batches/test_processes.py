@@ -1,8 +1,5 @@
 """Where a batch runs, and how its jobs are handed out."""
 
-import json
-import platform
-import subprocess
 import sys
 import threading
 from collections import deque
@@ -10,7 +7,6 @@ from concurrent.futures import Future
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import pandas as pd
 import pytest
 from fixtures.waiting import HANG
 
@@ -20,7 +16,6 @@ from protochain.batches.cluster import Processes, Workers, at_work
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables
-from protochain.core.subprocesses import own_python
 
 OWN = version("protochain")
 
@@ -102,15 +97,6 @@ def test_on_this_machine_a_thread_is_busy_on_each_core(processes, cores, count, 
     assert dask.made == ()
 
 
-def test_dask_is_loaded_for_a_cluster_only():
-    script = (
-        "import sys; from protochain.batches.cluster import Processes, at_work\n"
-        "with at_work(Processes()): print({'distributed', 'dask', 'tornado'} & {*sys.modules})"
-    )
-    done = subprocess.run(own_python(script), capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
-
-
 def test_without_dask_a_batch_here_runs_and_a_cluster_names_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with at_work(Processes(workers=1)) as workers:
@@ -184,9 +170,9 @@ class Ending:
 
         monkeypatch.setattr(cluster, "SimpleQueue", Ended)
 
-    def submit(self, function, job, folder, threads, time_limit):
+    def submit(self, function, job, threads, time_limit):
         assert function is supervise
-        self.submitted.append((job, folder, threads, time_limit))
+        self.submitted.append((job, threads, time_limit))
         self.running.append((len(self.submitted) - 1, job, Future()))
         return self.running[-1][-1]
 
@@ -216,7 +202,7 @@ def test_jobs_are_handed_out_a_few_ahead_and_counted_as_they_end(tables, tmp_pat
     todo = jobs_of(6, tmp_path)
     processes = Processes(threads=2, time_limit=9.0)
     assert batch_structures._work(ending.workers, todo, tables, processes, 3, seen.append) is False
-    assert ending.submitted == [(job, tmp_path, 2, 9.0) for job in todo] and ending.most == 4
+    assert ending.submitted == [(job.into(tmp_path), 2, 9.0) for job in todo] and ending.most == 4
     assert [(p.total, p.done, p.failed, p.skipped) for p in seen] == [
         (9, 1, 0, 3), (9, 2, 1, 3), (9, 3, 1, 3), (9, 4, 1, 3), (9, 5, 1, 3), (9, 6, 1, 3),
     ]  # fmt: skip
@@ -248,30 +234,3 @@ def test_an_interrupt_keeps_what_is_done_and_hands_out_no_more(tables, tmp_path,
 
     assert batch_structures._work(ending.workers, jobs_of(9, tmp_path), tables, Processes(), 0, watch) is True
     assert tables.read()["structure"].nunique() == 2 and len(ending.submitted) == 5
-
-
-def test_the_summary_of_a_batch(tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["protochain", "batch", "in"])
-    jobs, written = jobs_of(2, tmp_path), []
-    monkeypatch.setattr("protochain.batches.report.write_report", lambda *given: written.append(given))
-    made = Tables(tmp_path, resume=False)
-    made.finished([])
-    for job, status in zip(jobs, ("budget", "refused"), strict=True):
-        made.append([failure(job, "kcm", "budget", ""), failure(job, "lbfgs", status, "")])
-    batch_structures._finish(made, jobs)
-    made.close()
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    # JSON has no infinity.
-    settings = json.loads(json.dumps(jobs[0].settings.record() | {"max_rmsd": None}, default=str))
-    assert jobs[0].settings.max_rmsd == float("inf") and len(settings) > 20
-    names = ("protochain", "openmm", "gemmi", "numpy", "scipy", "numba", "pandas")
-    assert summary == {
-        "lost_atoms": {}, "far_molecules": {},
-        "table": "summary.csv", "n_structures": 2, "n_rows": 4, "status": {"budget": 3, "refused": 1},
-        "command": ["protochain", "batch", "in"], "python": platform.python_version(),
-        "versions": {name: version(name) for name in names}, "settings": settings,
-    }  # fmt: skip
-    ((folder, table, same),) = written
-    assert folder == tmp_path and same["n_rows"] == 4 and len(table) == 4
-    assert pd.read_parquet(tmp_path / "summary.parquet").shape == table.shape
-    assert (tmp_path / "summary.json").read_text().startswith('{\n  "n_structures": 2,\n')

@@ -18,6 +18,7 @@ from protochain.batches import batch_structures, cluster, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child, ChildError
 from protochain.batches.task import thinned
+from protochain.core.errors import WriteError
 from protochain.core.subprocesses import own_python
 from protochain.minimisers.minimise_structure import minimise
 
@@ -85,7 +86,8 @@ def test_a_result_without_a_number_has_a_row_but_no_file(given, tmp_path, monkey
     [
         (pc.ProtochainError("why so"), "refused", "why so"), (MemoryError(), "killed", "out of memory"),
         (FileNotFoundError(2, "No such file", "a.xml"), "refused", "a.xml: No such file"),
-        (OSError("odd"), "refused", f"{ALA}: odd"), (KeyError("x"), "error", "KeyError: 'x'"),
+        (WriteError("a.pdb", "full", "", "free some"), "killed", "a.pdb: not written (full); free some"),
+        (OSError("odd\nly"), "refused", f"{ALA}: odd ly"), (KeyError("x"), "error", "KeyError: 'x'"),
     ],
 )  # fmt: skip
 def test_an_error_is_the_row_of_each_method_that_is_left(error, status, said, tmp_path, monkeypatch):
@@ -148,8 +150,8 @@ def test_a_childs_rows_are_those_it_sends_until_it_is_done(tmp_path):
     job = job_of("kcm", "lbfgs")
     rows = [failure(job, method, "budget", "") for method in job.settings.methods]
     child = Scripted(*rows, "done", "more")
-    assert child.do(job, tmp_path, 60.0) == rows and not child.killed
-    assert child.sent == [(job, tmp_path, 1)] and child.messages.qsize() == 1
+    assert child.do(job, 60.0) == rows and not child.killed
+    assert child.sent == [(job, 1)] and child.messages.qsize() == 1
 
 
 def test_a_child_that_dies_or_is_late_leaves_rows_for_the_methods_left(tmp_path, monkeypatch):
@@ -159,14 +161,14 @@ def test_a_child_that_dies_or_is_late_leaves_rows_for_the_methods_left(tmp_path,
     first = failure(job, "kcm", "budget", "")
     child = Scripted(first, None)
     # Begun at 100; the last look at the clock is at 103.
-    assert child.do(job, tmp_path, 60.0) == [
+    assert child.do(job, 60.0) == [
         first, *(failure(job, method, "killed", "it died", 3.0) for method in ("lbfgs", "fire"))
     ]  # fmt: skip
     assert child.killed
     clock = iter([100.0, 100.5, 107.0, 107.5])
     child = Scripted(first)
     late = "time limit of 6.5 s reached"
-    assert child.do(job, tmp_path, 6.5) == [
+    assert child.do(job, 6.5) == [
         first, *(failure(job, method, "time-limit", late, 7.5) for method in ("lbfgs", "fire"))
     ]  # fmt: skip
     assert child.killed
@@ -265,7 +267,7 @@ def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(mo
     monkeypatch.setattr(Child, "kill", lambda self: (started.update(killed=True), self.said.close()))
     job = job_of("kcm", "lbfgs")
     # The time that it takes to start is not that of the first structure.
-    assert Child(3).do(job, tmp_path, 1.0) == [
+    assert Child(3).do(job, 1.0) == [
         failure(job, method, "time-limit", "the process that minimises did not start in time")
         for method in ("kcm", "lbfgs")
     ]
@@ -283,7 +285,7 @@ def test_a_child_is_ready_before_the_time_of_its_first_structure_begins(monkeypa
     job = job_of("kcm")
     child = Scripted("ready", failure(job, "kcm", "budget", ""), "done")
     child.is_ready = False
-    (row,) = child.do(job, tmp_path, 60.0)
+    (row,) = child.do(job, 60.0)
     assert row.record["status"] == "budget" and child.is_ready and not child.killed
 
 
@@ -303,8 +305,8 @@ def counted(monkeypatch):
         def end(self):
             self.is_alive = False
 
-        def do(self, job, folder, time_limit):
-            return [len(made), folder, time_limit]
+        def do(self, job, time_limit):
+            return [len(made), time_limit]
 
     monkeypatch.setattr(supervise, "Child", Counted)
     monkeypatch.setattr(supervise, "_here", threading.local())
@@ -313,12 +315,12 @@ def counted(monkeypatch):
 
 def test_a_thread_keeps_its_child_while_that_fits(counted, tmp_path):
     job = job_of("kcm")
-    assert supervise.supervise(job, tmp_path, 1, 5.0) == [1, tmp_path, 5.0]
-    assert supervise.supervise(job, tmp_path, 1, 6.0) == [1, tmp_path, 6.0] and not counted[0].killed
+    assert supervise.supervise(job, 1, 5.0) == [1, 5.0]
+    assert supervise.supervise(job, 1, 6.0) == [1, 6.0] and not counted[0].killed
     # Another number of threads, or a child that has died, needs a new one.
-    assert supervise.supervise(job, tmp_path, 2, 5.0)[0] == 2 and counted[0].killed
+    assert supervise.supervise(job, 2, 5.0)[0] == 2 and counted[0].killed
     counted[1].is_alive = False
-    assert supervise.supervise(job, tmp_path, 2, 5.0)[0] == 3 and counted[1].killed and not counted[2].killed
+    assert supervise.supervise(job, 2, 5.0)[0] == 3 and counted[1].killed and not counted[2].killed
 
 
 @pytest.mark.parametrize("error", [None, KeyboardInterrupt, ZeroDivisionError])
@@ -326,9 +328,7 @@ def test_children_end_with_the_crew_however_it_ends(error, counted, tmp_path):
     job, both = job_of("kcm"), threading.Barrier(2, timeout=HANG)
     with pytest.raises(error) if error else nullcontext(), supervise.crew(2) as executor:
         # Each waits for the other, so that both threads have one.
-        given = [
-            executor.submit(lambda: (both.wait(), supervise.supervise(job, tmp_path, 1, 5.0))) for _ in "ab"
-        ]
+        given = [executor.submit(lambda: (both.wait(), supervise.supervise(job, 1, 5.0))) for _ in "ab"]
         for future in given:
             future.result()
         assert len(counted) == 2 and all(child.is_alive for child in counted)
@@ -343,7 +343,7 @@ def test_a_child_that_is_started_while_its_crew_ends_is_ended_too(counted, tmp_p
     def late():
         begun.set()
         assert release.wait(HANG)
-        return supervise.supervise(job_of("kcm"), tmp_path, 1, 5.0)
+        return supervise.supervise(job_of("kcm"), 1, 5.0)
 
     class Children(supervise._Children):
         def end(self):

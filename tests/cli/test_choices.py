@@ -1,19 +1,15 @@
 """What is taken of a file, and where a result goes: chains, models, one file of many, standard output."""
 
 import json
-from importlib.metadata import version
-from pathlib import Path
 
 import gemmi
 import numpy as np
-import pandas as pd
 import pytest
 from fixtures.samples import STRUCTURES, load, shared
 
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs
-from protochain.batches.jobs import Row, origin
-from protochain.batches.table import COLUMNS, Tables, read_table
+from protochain.batches.table import Tables
 from protochain.batches.task import run
 
 ATOMS = [line for line in (STRUCTURES / "ala10.pdb").read_text().splitlines(True) if line[:4] == "ATOM"]
@@ -25,10 +21,6 @@ def three(tmp_path):
     text = "".join(f"MODEL {n:8d}\n{''.join(ATOMS)}ENDMDL\n" for n in (2, 3, 7))
     (tmp_path / "three.pdb").write_text(text + "END\n")
     return tmp_path / "three.pdb"
-
-
-def test_the_version_is_printed(protochain):
-    assert protochain("--version") == (0, f"protochain {version('protochain')}\n", "")
 
 
 @pytest.mark.parametrize("given", ["B", " B ,", ("B",)])
@@ -139,17 +131,6 @@ def test_a_structure_on_standard_output_is_alone_there(protochain, three):
     assert status == 0 and gemmi.read_pdb_string(out)[0].count_atom_sites() > 40 and "3 residues" in err
 
 
-def test_outputs_are_named_after_packed_inputs_and_not_packed(protochain, tmp_path):
-    (tmp_path / "x.cif.xz").write_bytes(b"")
-    from protochain.cli.options import named_after
-
-    for name, expected in (
-        ("x.cif.xz", ("x", ".cif")), ("pdb1abc.ent.gz", ("pdb1abc", ".pdb")), ("x.pdbx", ("x", ".cif")),
-        ("model.v2.pdb.bz2", ("model.v2", ".pdb")), ("-", ("stdin", ".pdb")),
-    ):  # fmt: skip
-        assert named_after(tmp_path / name if name != "-" else Path("-")) == expected
-
-
 def test_a_report_of_one_run_is_one_page_that_works_offline(protochain, tmp_path):
     status, out, _ = protochain(
         "minimise",
@@ -168,47 +149,6 @@ def test_a_report_of_one_run_is_one_page_that_works_offline(protochain, tmp_path
     assert f"{record['energy_end_reference_kj_mol']:.3f}" in page and record["report"] == "page.html"
     assert "<title>ala10 by lbfgs</title>" in page and "http-equiv" in page and 'src="http' not in page
     assert page.count("data:image/png") == 6 and "comparison" not in page.split("<style>")[0]
-
-
-def settings_of(tmp_path, text):
-    manifest = tmp_path / "work.csv"
-    manifest.write_text(text)
-    return [job.settings for job in find_jobs([], BatchSettings(), manifest)]
-
-
-def test_a_manifest_has_the_options_of_the_command_line(tmp_path):
-    path = STRUCTURES / "4pti.pdb"
-    first, second, third = settings_of(
-        tmp_path,
-        "path,restrain,starts,spread,disulfide,chain,max-rmsd\n"
-        f'{path},1000 100 0,,,"A:5-A:55,A:14-A:38",A,1.5\n{path},,4,20,none,,\n{path},,,,,,\n',
-    )
-    assert first.restraint == "1000 100 0" and first.max_rmsd == 1.5 and first.setup.chains == ("A",)
-    assert first.setup.disulfide == (("A:5", "A:55"), ("A:14", "A:38"))
-    assert (second.n_starts, second.setup.disulfide) == (4, ("none",))
-    assert second.spread == pytest.approx(np.radians(20))
-    assert third == BatchSettings() and third.setup.disulfide is None
-    assert len({str(each.record()) for each in (first, second, third)}) == 3
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("restrain\nx.pdb,strong", "'strong'"),
-        ("starts\nx.pdb,0", "starts 0"),
-        ("starts\nx.pdb,two", "two"),
-        ("spread\nx.pdb,30", "spread: is of several starts"),
-        ("spread\nx.pdb,0", "spread 0"),
-        ("restrain,starts\nx.pdb,100,3", "refer to each start's own structure"),
-        ("model\nx.pdb,5-1", "model '5-1'"),
-        ("disulfide\nx.pdb,5-55", "chain:number-chain:number"),
-        ("strengths\nx.pdb,1", "no setting is called 'strengths'"),
-    ],
-)
-def test_a_manifest_that_makes_no_sense_is_refused_with_its_line(line, said, tmp_path):
-    with pytest.raises(pc.ProtochainError, match=r"work\.csv: line 2: ") as refused:
-        settings_of(tmp_path, "path," + line + "\n")
-    assert said in str(refused.value)
 
 
 def test_a_batch_restrains_and_starts_as_single_runs_do(tmp_path):
@@ -231,77 +171,3 @@ def test_a_batch_restrains_and_starts_as_single_runs_do(tmp_path):
     assert rows["many"]["energy_end_reference_kj_mol"] == pytest.approx(many.best.end.energy, rel=1e-6)
     assert rows["many"]["evaluations"] == sum(each.n_evaluations for each in many.solutions)
     assert rows["many"]["energy_median_kj_mol"] == pytest.approx(many.summary()["energy_median_kj_mol"])
-
-
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        (("--no-disulfide",), {"disulfide": ("none",)}),
-        (
-            ("--disulfide", "A:5-A:55", "--chain", "A,B"),
-            {"disulfide": (("A:5", "A:55"),), "chains": ("A", "B")},
-        ),
-        (("--restrain", "100 0"), {"restraint": "100 0"}),
-        (("--starts", 4, "--spread", 20), {"n_starts": 4}),
-        (("--starts", 4), {"n_starts": 4, "spread": BatchSettings().spread}),
-    ],
-)
-def test_options_of_a_batch_arrive(options, expected, protochain, monkeypatch):
-    taken = []
-
-    def found(given, settings, manifest, output):
-        taken.append(vars(settings) | vars(settings.setup))
-        raise pc.ProtochainError("enough")
-
-    monkeypatch.setattr("protochain.batches.find_jobs", found)
-    status, _, err = protochain("batch", "x.pdb", "--dry-run", *options)
-    assert status == 2 and "enough" in err
-    assert {name: taken[0][name] for name in expected} == expected
-    if "--spread" in options:
-        assert taken[0]["spread"] == pytest.approx(np.radians(20))
-
-
-def test_a_range_of_models_is_a_job_for_each(three):
-    jobs = find_jobs([three], BatchSettings().changed(model="2-3,5"))
-    assert [(job.name, job.settings.setup.model) for job in jobs] == [
-        ("three.2", 2), ("three.3", 3), ("three.5", 5),
-    ]  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ["a.pdb.gz", "a.ent", "a.pdbx", "a.cif.xz", "a.pdb.bz2", "a.mmcif"])
-def test_folders_are_searched_for_packed_files_too(name, tmp_path):
-    (tmp_path / name).write_bytes(b"")
-    (tmp_path / "a.txt.gz").write_bytes(b"")
-    assert [(job.name, job.path.name) for job in find_jobs([tmp_path], BatchSettings())] == [("a", name)]
-
-
-def test_integers_stay_integers(tmp_path, three):
-    jobs = find_jobs([three], BatchSettings(("lbfgs",)).changed(model="2-3"))
-    whole = {
-        "method": "lbfgs",
-        "status": "converged",
-        "iterations": 7,
-        "evaluations": 12,
-        "n_atoms": 104,
-        "seed": 5,
-    }
-    failed = {"method": "lbfgs", "status": "refused", "message": "why", "seconds": 0.5}
-    point = {"iteration": 0, "evaluations": 1, "seconds": 0.0, "energy_kj_mol": 1.0}
-    tables = Tables(tmp_path / "out", resume=False)
-    tables.finished(jobs)
-    tables.append([Row(origin(jobs[0]) | whole, [point])])
-    tables.append([Row(origin(jobs[1]) | failed, [])])
-    tables.close()
-    table = tables.read()
-    table.to_parquet(tmp_path / "summary.parquet", index=False)
-    again = pd.read_parquet(tmp_path / "summary.parquet")
-    for name in ("iterations", "evaluations", "n_atoms", "n_hinges", "seed", "threads", "model"):
-        assert pd.api.types.is_integer_dtype(again[name]), name
-        assert pd.api.types.is_integer_dtype(table[name]), name
-    assert again["iterations"].tolist()[0] == 7 and again["iterations"].isna().tolist() == [False, True]
-    assert again["model"].tolist() == [2, 3]
-    for name in ("seconds", "energy_end_kj_mol", "max_rmsd_angstrom"):
-        assert pd.api.types.is_float_dtype(again[name]), name
-    assert set(COLUMNS) == set(again.columns)
-    traces = read_table(tmp_path / "out" / "traces.csv")
-    assert all(pd.api.types.is_integer_dtype(traces[name]) for name in ("iteration", "evaluations"))

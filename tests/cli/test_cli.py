@@ -1,5 +1,3 @@
-import importlib
-import io
 import json
 import os
 import signal
@@ -11,10 +9,6 @@ import pytest
 from fixtures.command_line import COMMAND
 from fixtures.samples import ROOT, STRUCTURES
 from fixtures.waiting import HANG, until
-
-from protochain.batches import Batch
-from protochain.cli import app
-from protochain.cli.options import batch_status
 
 
 def test_help_loads_nothing_heavy():
@@ -28,54 +22,11 @@ def test_help_loads_nothing_heavy():
     assert all(word in shown.stdout for word in ("minimise", "compare", "info", "build"))
 
 
-def test_json_is_one_object_and_the_files_are_there(protochain, tmp_path):
-    done = protochain(
-        "minimise", STRUCTURES / "3i40.pdb", "-o", "out.cif", "--json", "--max-evaluations", 30,
-        "--trace", "t.csv", "--trajectory", "t.xtc", "--seed", 5, "--threads", 1
-    )  # fmt: skip
-    assert done.returncode == 3
-    record = json.loads(done.stdout)
-    promised = {
-        "protochain", "input", "output", "method", "engine", "forcefield", "solvent", "hinges", "n_chains",
-        "n_residues", "n_atoms", "n_bodies", "n_hinges", "energy_start_kj_mol", "energy_end_kj_mol",
-        "energy_end_reference_kj_mol", "max_torque_end_kj_mol_rad", "rms_force_end_kj_mol_nm",
-        "ca_rmsd_angstrom", "iterations", "evaluations", "seconds", "seconds_preparation", "status",
-        "message", "left_out", "repairs", "seed", "threads",
-    }  # fmt: skip
-    assert promised <= set(record)
-    assert (record["status"], record["seed"], record["threads"], record["n_chains"]) == ("budget", 5, 1, 2)
-    assert record["left_out"] == {"waters": 35}
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.cif", "t.csv", "t.xtc"]
-    assert (tmp_path / "t.csv").read_text().startswith("iteration,evaluations,seconds,energy_kj_mol")
-
-
 def test_minimise_says_what_it_did_and_ends_with_0_when_converged(protochain, tmp_path):
     done = protochain("minimize", STRUCTURES / "ala10.pdb")
     assert done.returncode == 0
     assert "converged" in done.stdout and "written: ala10.cartesian.pdb" in done.stdout
     assert (tmp_path / "ala10.cartesian.pdb").exists()
-    assert max(map(len, done.stdout.splitlines())) <= 80
-
-
-def test_compare_writes_the_folder(protochain, tmp_path):
-    done = protochain("compare", STRUCTURES / "ala10.pdb", "--methods", "kcm,openmm", "--max-evaluations", 20)
-    assert done.returncode == 3
-    names = {path.name for path in (tmp_path / "ala10-comparison").iterdir()}
-    assert {"report.html", "summary.csv", "traces.csv", "ala10.kcm.pdb", "ala10.openmm.pdb"} <= names
-
-
-def test_info_describes_the_chain(protochain, tmp_path):
-    done = protochain("info", STRUCTURES / "1ejg.pdb", "--json")
-    facts = json.loads(done.stdout)
-    assert done.returncode == 0 and (facts["n_residues"], len(facts["loops"])) == (46, 3)
-    shown = protochain("info", STRUCTURES / "1ejg.pdb")
-    assert "alternate location" in shown.stdout
-
-
-def test_build_makes_a_file_that_loads(protochain, tmp_path):
-    assert protochain("build", "GPW", "-o", "new/gpw.pdb").returncode == 0
-    facts = json.loads(protochain("info", "new/gpw.pdb", "--json").stdout)
-    assert facts["n_residues"] == 3 and not [line for line in facts["repairs"] if "added" in line]
 
 
 @pytest.mark.parametrize(
@@ -150,29 +101,6 @@ def test_bad_input_is_one_line_and_status_2_and_writes_nothing(protochain, argum
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
-def test_options_of_a_run_arrive_and_are_recorded(protochain, tmp_path):
-    sample = STRUCTURES / "ala10.pdb"
-    done = protochain(
-        "minimise", sample, "--json", "--method", "lbfgs", "--move", "resid 3:8", "--max-rmsd", 0.5,
-        "--restrain", "100 0", "--max-evaluations", 6, "--checkpoint", "c.npz", "-o", "a.pdb"
-    )  # fmt: skip
-    record = json.loads(done.stdout)
-    assert (record["move"], record["max_rmsd_angstrom"]) == ("resid 3:8", 0.5)
-    assert record["restraint_kj_mol_nm2"] == [100.0, 0.0] and record["status"] == "budget"
-    done = protochain(
-        "minimise", sample, "--json", "--method", "lbfgs", "--move", "resid 3:8", "--max-rmsd", 0.5,
-        "--restrain", "100 0", "--resume", "c.npz", "-o", "a.pdb"
-    )  # fmt: skip
-    assert json.loads(done.stdout)["evaluations"] > 6
-    done = protochain(
-        "minimise", sample, "--json", "--method", "lbfgs", "--starts", 3, "--spread", 30, "-o", "b.pdb"
-    )  # fmt: skip
-    record = json.loads(done.stdout)
-    assert len(record["starts"]) == record["starts_summary"]["n_starts"] == 3
-    energies = [start["energy_end_reference_kj_mol"] for start in record["starts"]]
-    assert record["energy_end_reference_kj_mol"] == min(energies)
-
-
 def test_overlaps_are_named_before_a_run(protochain, tmp_path):
     lines = (STRUCTURES / "ala10.pdb").read_text().splitlines()
     atoms = [k for k, line in enumerate(lines) if line.startswith("ATOM")]
@@ -243,19 +171,6 @@ def test_what_is_taken_of_a_file_can_be_said(protochain, tmp_path):
         assert done.returncode == 2 and why in done.stderr and done.stderr.count("\n") == 1
 
 
-def test_every_model_can_be_minimised(protochain, tmp_path):
-    lines = [line for line in (STRUCTURES / "ala10.pdb").read_text().splitlines(True) if line[:4] == "ATOM"]
-    (tmp_path / "two.pdb").write_text(
-        "".join(f"MODEL {n:8d}\n{''.join(lines)}ENDMDL\n" for n in (1, 5)) + "END\n"
-    )
-    done = protochain("minimise", "two.pdb", "--model", "all", "--json", "-o", "out.pdb")
-    records = json.loads(done.stdout)["models"]
-    assert [(each["model"], each["output"]) for each in records] == [(1, "out.1.pdb"), (5, "out.5.pdb")]
-    assert records[0]["energy_end_kj_mol"] == records[1]["energy_end_kj_mol"]
-    assert {path.name for path in tmp_path.iterdir()} == {"two.pdb", "out.1.pdb", "out.5.pdb"}
-    assert protochain("minimise", "two.pdb", "--model", "all", "--trace", "t.csv").returncode == 2
-
-
 def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(protochain, tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "a.pdb").write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
@@ -280,56 +195,3 @@ def test_a_batch_lists_its_work_does_it_and_says_how_it_ended(protochain, tmp_pa
     again = protochain(*work, "--resume", "--json")
     assert again.returncode == 4
     assert json.loads(again.stdout)["status"] == {"converged": 1, "refused": 1}
-
-
-def test_a_batch_takes_names_with_nuls_between_and_refuses_to_do_nothing(protochain, tmp_path, monkeypatch):
-    for name in ("a b.pdb", "c\nd.pdb"):
-        (tmp_path / name).write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
-    for flag in ("-0", "--null", "--json"):
-        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(b"a b.pdb\0c\nd.pdb\0")))
-        listed = protochain("batch", "-", flag, "--dry-run")
-        assert listed.returncode == 0, listed.stderr
-        assert "a b" in listed.stdout and "d" in listed.stdout
-    nothing = protochain("batch", "none.pdb", "-o", "out")
-    assert nothing.returncode == 2 and "none.pdb: not found" in nothing.stderr
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("ends", "interrupted", "status"),
-    [
-        ((("converged", "a.pdb"), ("converged", "b.pdb")), False, 0),
-        ((("converged", "a.pdb"), ("converged", "b.pdb")), True, 130),
-        ((("converged", "a.pdb"), ("refused", "")), False, 4),
-        ((("budget", "a.pdb"), ("stalled", "b.pdb")), False, 3),
-        ((("refused", ""), ("killed", "")), False, 1),
-        ((("refused", ""), ("killed", "")), True, 130),
-        ((("refused", ""), ("refused", "")), False, 2),
-        ((), False, 1),
-    ],
-)
-def test_a_batchs_exit_status_tells_all_converged_from_some_results_from_none(
-    ends, interrupted, status, tmp_path
-):
-    rows = "".join(f"{end},{output}\n" for end, output in ends)
-    (tmp_path / "summary.csv").write_text(f"status,output\n{rows}")
-    assert batch_status(Batch(tmp_path, interrupted)) == status
-
-
-@pytest.mark.parametrize(
-    ("ends", "status"),
-    [
-        (("converged", "converged"), 0), (("converged", "budget"), 3), (("budget", "converged"), 3),
-        (("converged", "interrupted"), 130), (("interrupted",), 130),
-    ],
-)  # fmt: skip
-def test_models_end_with_0_only_if_all_converged(ends, status, tmp_path, monkeypatch, capsys):
-    atoms, _, _ = (STRUCTURES / "ala10.pdb").read_text().partition("END")
-    (tmp_path / "two.pdb").write_text("".join(f"MODEL     {n:4}\n{atoms}ENDMDL\n" for n in (1, 2)))
-    left = iter(ends)
-    # The package has a command of the module's name.
-    command = importlib.import_module("protochain.cli.minimise")
-    monkeypatch.setattr(command, "_solved", lambda *_: {"status": next(left)})
-    arguments = ["minimise", str(tmp_path / "two.pdb"), "--model", "all", "--json"]
-    assert app([*arguments, "-o", str(tmp_path / "out.pdb")], standalone_mode=False) == status
-    assert [each["status"] for each in json.loads(capsys.readouterr().out)["models"]] == list(ends)

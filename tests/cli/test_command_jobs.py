@@ -160,12 +160,6 @@ def test_simulate_ends_by_how_the_run_ended(simulated, capsys):
     assert told.err == "protochain: a.pdb: why; the frames until then are in a-simulation/*.part.*\n"
 
 
-def test_json_has_null_for_what_json_does_not_know(simulated, capsys):
-    simulated.done.record = lambda: {"x": math.nan, "of": [math.inf, {"y": -math.inf}]}
-    run("simulate", "a.pdb", "--json")
-    assert json.loads(capsys.readouterr().out).items() >= {"x": None, "of": [None, {"y": None}]}.items()
-
-
 def test_simulate_refuses_before_it_reads(simulated):
     for options in (("--steps", -1), ("--checkpoint-every", 0), ("--time-step", 0), ("--trajectory", "avi")):
         assert refusal("simulate", "a.pdb", *options)
@@ -267,6 +261,7 @@ def test_a_dry_batch_lists_its_jobs(batched, capsys, monkeypatch):
         ({"converged": "a"}, True, 130), ({"converged": "a", "refused": None}, False, 4), ({"budget": "a"},
         False, 3),
         ({"refused": None}, False, 2), ({"refused": None}, True, 130), ({"converged": "a"}, False, 0),
+        ({"refused": None, "killed": None}, False, 1), ({}, False, 1),
     ],
 )  # fmt: skip
 def test_a_batch_ends_by_its_results_and_says_if_it_was_interrupted(

@@ -183,26 +183,6 @@ def test_many_starts_are_explored(options, spread, asked, tmp_path, monkeypatch,
     assert json.loads(capsys.readouterr().out)["starts"] == [1]
 
 
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        *((("--starts", 2, f"--{name}", "c.dcd"), name) for name in ("checkpoint", "resume", "trajectory")),
-        *((("--model", "1-3", f"--{name}", "c.html"), name) for name in ("trace", "checkpoint", "report")),
-        (("--trajectory", "t.avi"), "t.avi"),
-        (("-o", "a.xyz"), "a.xyz"), (("-o", "t.pdb", "--trace", "t.pdb"), "t.pdb"),
-        (("-o", "in.pdb"), "in.pdb"),
-        (("--method", "odd"), "cartesian"), (("--tolerance", -1), "tolerance -1"),
-        (("--max-evaluations", -1), "max_evaluations -1"), (("--max-rmsd", -1), "max_rmsd -1"),
-        (("--restrain", "odd"), "odd"), (("--report", "r.pdf"), ".html"), (("-o", "-", "--json"), "json"),
-    ],
-)  # fmt: skip
-def test_minimise_refuses_before_it_reads(options, named, asked, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("in.pdb").write_text("")
-    assert named in refusal("minimise", "in.pdb", *options)
-    assert asked.prepared == [] and [path.name for path in tmp_path.iterdir()] == ["in.pdb"]
-
-
 def test_minimise_may_be_forced_and_refuses_what_does_not_fit(asked, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("in.pdb").write_text("")

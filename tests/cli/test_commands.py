@@ -114,6 +114,7 @@ def test_statuses_are_what_the_interface_promises(capsys):
     [
         ("in/a.b.pdb", "a.b", ".pdb"), ("a.CIF", "a", ".cif"), ("a.mmcif.GZ", "a", ".cif"),
         ("a.ent.gz", "a", ".pdb"),
+        ("x.cif.xz", "x", ".cif"), ("model.v2.pdb.bz2", "model.v2", ".pdb"), ("x.pdbx", "x", ".cif"),
         ("-", "stdin", ".pdb"), ("a", "a", ".pdb"), ("a.gz", "a", ".pdb"),
     ],
 )  # fmt: skip

@@ -18,7 +18,6 @@ from typer.exceptions import TyperException
 
 import protochain as pc
 from protochain.batches import cluster
-from protochain.batches.child import _rows
 from protochain.chains.setup import Setup
 from protochain.cli import as_said
 from protochain.cli.options import BAD_INPUT
@@ -178,10 +177,10 @@ def here(made, tmp_path, monkeypatch):
     arrived = []
 
     class Calls:
-        def submit(self, call, job, folder, threads, time_limit):
+        def submit(self, call, job, threads, time_limit):
             arrived.append((threads, time_limit))
             done = Future()
-            done.set_result([*_rows(job, folder, threads)])
+            done.set_result([*job.run(threads)])
             return done
 
     @contextmanager

@@ -253,10 +253,9 @@ def test_a_worker_elsewhere_finds_the_force_field(tmp_path, here):
     (here / "own.xml").write_text("<ForceField/>")
     settings = BatchSettings(("relax",)).changed(forcefield="amber14,own.xml")
     job = Job("x", tmp_path / "x.pdb", settings, "key")
-    assert job.anywhere.settings.setup.forcefield == f"amber14,{here / 'own.xml'}"
-    assert job.anywhere == replace(job, settings=job.anywhere.settings)
+    assert job.into(tmp_path).settings.setup.forcefield == f"amber14,{here / 'own.xml'}"
     usual = replace(job, settings=BatchSettings(("relax",)))
-    assert usual.anywhere is usual
+    assert usual.into(here) == replace(usual, folder=here)
 
 
 def test_models_of_a_file_are_several():

@@ -20,8 +20,9 @@ from protochain.batches import table as tables
 from protochain.cli import main
 from protochain.cli.minimise import _Frames
 from protochain.comparison.folder import clear
+from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import WriteError
-from protochain.core.storage import claimed, read_arrays, write_arrays, write_atomically
+from protochain.core.storage import claimed, write_atomically
 from protochain.structure.trajectory import TrajectoryFile
 
 SAMPLE = STRUCTURES / "ala10.pdb"
@@ -170,7 +171,8 @@ def test_a_simulation_that_fills_the_disk_goes_on_when_there_is_space(suffix, tm
     frames = mdtraj.load(
         str(cut / f"trajectory.{suffix}"), top=mdtraj.Topology.from_openmm(c.structure.topology)
     )
-    _, values = read_arrays(cut / "checkpoint.npz", {}, "run")
+    with checkpoint(cut / "checkpoint.npz", {}, "run") as kept:
+        values = kept.values
     assert frames.n_frames == len(pd.read_csv(cut / "log.csv")) == values["frames"] > 10
     on = pc.simulate(c, e, output=cut, resume=True, **settings)
     assert np.array_equal(on.q, whole.q)
@@ -232,9 +234,9 @@ def test_output_that_nobody_can_take_is_one_line(tmp_path, monkeypatch, capsys):
 
 
 def test_a_checkpoint_of_the_disk_is_read_as_it_was(tmp_path):
-    write_arrays(tmp_path / "c.npz", {"a": np.arange(3)}, {"b": 1}, {"c": 2})
-    arrays, values = read_arrays(tmp_path / "c.npz", {"c": 2}, "run")
-    assert arrays["a"].tolist() == [0, 1, 2] and values == {"b": 1}
+    write_checkpoint(tmp_path / "c.npz", {"a": np.arange(3)}, {"b": 1}, {"c": 2})
+    with checkpoint(tmp_path / "c.npz", {"c": 2}, "run") as kept:
+        assert kept.arrays["a"].tolist() == [0, 1, 2] and kept.values == {"b": 1}
 
 
 # --- Folders of comparisons
@@ -353,4 +355,4 @@ def test_settings_of_a_checkpoint_that_are_no_mapping_are_refused(tmp_path):
     path = tmp_path / "x.npz"
     np.savez(path, text=np.array(json.dumps({"settings": 1.5, "values": {}})))
     with pytest.raises(pc.ProtochainError, match="is no checkpoint"):
-        read_arrays(path, {"task": "x"}, "run")
+        checkpoint(path, {"task": "x"}, "run").__enter__()

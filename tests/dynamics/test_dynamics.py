@@ -23,8 +23,8 @@ from protochain.dynamics import (
     StepTooLargeError,
     System,
     fixman,
-    remove_com_motion,
 )  # fmt: skip
+from protochain.dynamics.com_motion import remove_com_motion
 from protochain.dynamics.loop import noise
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import lobatto

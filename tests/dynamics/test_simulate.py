@@ -11,7 +11,7 @@ import mdtraj
 import numpy as np
 import pandas as pd
 import pytest
-from fixtures.command_line import COMMAND, protochain, refusal, run
+from fixtures.command_line import COMMAND, refusal, run
 from fixtures.samples import ROOT, STRUCTURES, chain, energy, load
 from fixtures.tolerances import ROUND_OFF_NM
 from fixtures.waiting import HANG, until
@@ -433,7 +433,7 @@ def test_after_kill_9_a_run_goes_on_as_if_nothing_had_been(suffix, tmp_path, cap
     assert (whole / "last.pdb").read_bytes() == (cut / "last.pdb").read_bytes()
 
 
-def test_ctrl_c_leaves_a_run_to_go_on_with(tmp_path):
+def test_ctrl_c_leaves_a_run_to_go_on_with(protochain, tmp_path):
     arguments = ["simulate", STRUCTURES / "ala10.pdb", "--steps", 1_000_000, "--every", 20, "-o", "run"]
     process = subprocess.Popen(
         [*COMMAND, *map(str, arguments)], cwd=tmp_path, text=True, stdout=subprocess.PIPE,
@@ -449,17 +449,15 @@ def test_ctrl_c_leaves_a_run_to_go_on_with(tmp_path):
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["status"] == "interrupted" and summary["steps"] // 20 == len(rows) - 1
     more = (len(rows) + 1) * 20
-    assert protochain(*arguments[:3], more, *arguments[4:], "--resume", cwd=tmp_path).returncode == 0
+    assert protochain(*arguments[:3], more, *arguments[4:], "--resume").returncode == 0
     assert len(pd.read_csv(tmp_path / "run" / "log.csv")) == len(rows) + 2
 
 
 # --- What goes wrong
 
 
-def test_a_step_too_large_is_named_and_nothing_is_written_as_if_good(tmp_path):
-    done = protochain(
-        "simulate", STRUCTURES / "ala10.pdb", "--steps", 2000, "--time-step", 60, "-o", "run", cwd=tmp_path
-    )
+def test_a_step_too_large_is_named_and_nothing_is_written_as_if_good(protochain, tmp_path):
+    done = protochain("simulate", STRUCTURES / "ala10.pdb", "--steps", 2000, "--time-step", 60, "-o", "run")
     assert done.returncode == 1
     assert "unstable after" in done.stderr and "time step" in done.stderr and "Traceback" not in done.stderr
     assert done.stdout == ""
@@ -518,9 +516,9 @@ def test_every_setting_is_a_keyword_of_the_call_with_its_default(kind):
     assert {name: keywords[name].default for name, _ in settings_of(kind)} == vars(kind())
 
 
-def test_usage_errors_are_one_line(tmp_path):
+def test_usage_errors_are_one_line(protochain, tmp_path):
     source = STRUCTURES / "ala10.pdb"
-    done = protochain("simulate", source, "-o", "run", "--thermostat", "oven", cwd=tmp_path)
+    done = protochain("simulate", source, "-o", "run", "--thermostat", "oven")
     assert done.returncode == 2 and "oven" in done.stderr and len(done.stderr.splitlines()) == 1
     told = refusal("simulate", source, "-o", tmp_path / "run", "--resume")
     assert "checkpoint" in told and "\n" not in told and not (tmp_path / "run").exists()

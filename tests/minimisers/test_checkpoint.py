@@ -8,7 +8,7 @@ import pytest
 from fixtures.quadratics import Flat, positive
 
 import protochain as pc
-from protochain.core.storage import read_arrays, write_arrays
+from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.minimisers.checkpoint import _plain, load_checkpoint, save_checkpoint
 from protochain.minimisers.descent import Descent, DescentState
 from protochain.minimisers.lbfgs import LBFGS
@@ -119,9 +119,10 @@ def state(tree):
 def test_a_damaged_checkpoint_is_refused(change, why, tmp_path):
     path = tmp_path / "run.npz"
     save_checkpoint(path, kept(), {})
-    arrays, tree = read_arrays(path, {}, "run")
+    with checkpoint(path, {}, "run") as found:
+        arrays, tree = found.arrays, found.values
     change(tree)
-    write_arrays(path, arrays, tree, {})
+    write_checkpoint(path, arrays, tree, {})
     with pytest.raises(pc.ProtochainError) as refusal:
         load_checkpoint(path, plan(Flat(matrix=np.eye(3))), {}, X)
     assert str(refusal.value).startswith(f"{path}: damaged checkpoint ({why}")
@@ -141,10 +142,11 @@ def test_a_damaged_checkpoint_is_refused(change, why, tmp_path):
 def test_every_array_fits_the_freedoms_before_it_is_used(change, why, tmp_path):
     path, step, space = tmp_path / "run.npz", np.array([1.0, 2.0, 3.0]), Flat(matrix=np.eye(3))
     save_checkpoint(path, kept(((step, step + 1.0, 14.0),)), {})
-    arrays, tree = read_arrays(path, {}, "run")
+    with checkpoint(path, {}, "run") as found:
+        arrays, tree = found.arrays, found.values
     assert len(arrays) == 11
     for name, array in arrays.items():
-        write_arrays(path, {**arrays, name: change(array)}, tree, {})
+        write_checkpoint(path, {**arrays, name: change(array)}, tree, {})
         space.made.clear()
         with pytest.raises(pc.ProtochainError, match="damaged checkpoint") as refusal:
             load_checkpoint(path, plan(space), {}, X)
@@ -163,7 +165,7 @@ def test_an_array_that_claims_more_than_the_file_holds_is_not_made(tmp_path):
             )
             file.writestr(f"{len(shape)}{shape[0]}.npy", head.getvalue() + bytes(32))
     with pytest.raises(pc.ProtochainError, match="is no checkpoint of a run; give another"):
-        read_arrays(path, {}, "run", "give another")
+        checkpoint(path, {}, "run", "give another").__enter__()
 
 
 def test_a_packed_archive_is_no_checkpoint(tmp_path):
@@ -171,4 +173,4 @@ def test_a_packed_archive_is_no_checkpoint(tmp_path):
     np.savez_compressed(path, q=np.zeros(10_000_000), text=np.array('{"settings": {}, "values": 1}'))
     assert path.stat().st_size < 100_000
     with pytest.raises(pc.ProtochainError, match="is no checkpoint"):
-        read_arrays(path, {}, "run")
+        checkpoint(path, {}, "run").__enter__()

@@ -121,6 +121,7 @@ FURTHER = {
         "hinges",
     ),
     "explore": ("tolerance", "max_evaluations", "watch"),
+    "compare": ("max_evaluations", "seed", "curvature", "judge"),
     "relax": (
         "protocol",
         "tolerance",

@@ -77,11 +77,11 @@ def test_a_search_that_is_interrupted_and_resumed_finds_the_same_bits(
 def test_a_search_in_processes_that_fail_finds_the_same_bits(peptide, whole, tmp_path, monkeypatch):
     failed, supervise = [], cluster.supervise
 
-    def failing(job, folder, threads, limit):
+    def failing(job, threads, limit):
         if len(failed) < 2:
             failed.append(job.walker)
             return job.lost([], "killed", "the process was ended by SIGKILL", 1.0)
-        return supervise(job, folder, threads, limit)
+        return supervise(job, threads, limit)
 
     monkeypatch.setattr(cluster, "supervise", failing)
     found = pc.search(*peptide, "hopping", 1500, output=tmp_path, workers=2, **SMALL)

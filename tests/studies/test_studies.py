@@ -12,7 +12,7 @@ from fixtures.samples import ROOT
 from scipy.linalg import eigh
 
 import protochain as pc
-from bench import studies
+from bench import provenance, studies
 from bench.__main__ import main
 from bench.cases import Found
 from bench.studies import stability, study
@@ -22,7 +22,6 @@ from bench.studies.stability import cells, dynamics, mechanics, page, solvers
 from protochain.core.errors import Fault
 from protochain.core.processors import processors
 from protochain.mechanics.multibody import HingeKind, mass_matrix, pose, random_tree
-from protochain.results import provenance
 
 
 def test_precision_counts_what_it_took(tmp_path, monkeypatch):

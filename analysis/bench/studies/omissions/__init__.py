@@ -12,10 +12,10 @@ from threadpoolctl import threadpool_limits
 
 from bench.cases import Found, table
 from bench.page import Section, write_report
+from bench.provenance import made
 from bench.studies.omissions import energies, runs
 from bench.studies.omissions.cells import COLUMNS, Material, run_omission
 from protochain.results.figures import COLOURS, Figure
-from protochain.results.provenance import made
 from protochain.results.tables import save
 from protochain.structure import from_sequence, load
 

@@ -11,6 +11,7 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from bench.page import Section, write_report
+from bench.provenance import made
 from bench.studies.precision import (
     closures,
     energies,
@@ -24,7 +25,6 @@ from bench.studies.precision import (
 from bench.studies.precision.curves import Kind, plot, points_of, said
 from protochain.core.errors import ProtochainError
 from protochain.core.processors import processors
-from protochain.results.provenance import made
 from protochain.results.tables import save
 
 KINDS = {

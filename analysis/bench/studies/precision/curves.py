@@ -8,7 +8,8 @@ import pandas as pd
 from matplotlib.ticker import NullFormatter
 
 from bench.cases import CURVES, Point, table
-from protochain.results.figures import Figure, draw_lines
+from bench.lines import draw_lines
+from protochain.results.figures import Figure
 
 _LEAST = 1e-21
 """Where an error of nothing is drawn, on a logarithmic axis."""

@@ -10,12 +10,12 @@ from pathlib import Path
 import pandas as pd
 
 from bench.page import Section, write_report
+from bench.provenance import made
 from bench.studies.stability.cells import ROWS, Part, cases_of, ordered, run_cells
 from bench.studies.stability.page import counts, picture
 from bench.studies.stability.solvers import write_solvers
 from protochain.core.errors import ProtochainError
 from protochain.core.processors import processors
-from protochain.results.provenance import made
 from protochain.results.tables import save
 
 READING = (

@@ -12,9 +12,10 @@ import numpy as np
 import pandas as pd
 
 from bench.cost import in_turn
+from bench.lines import draw_lines
 from bench.studies.precision.solvers import SOLVERS, Solver, backward_error, dense, posed
 from protochain.mechanics.multibody import HingeKind, multiply_mass, solve_mass
-from protochain.results.figures import Figure, draw_lines
+from protochain.results.figures import Figure
 from protochain.results.tables import save
 
 DENSE_UP_TO = 3000

@@ -1,0 +1,131 @@
+"""Checkpoints: arrays, plain values and the settings of a run, in a file that cannot execute code."""
+
+import json
+import math
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.errors import Argument, ProtochainError
+from protochain.core.storage import regular, write_atomically
+
+
+def write_checkpoint(
+    path: Path, arrays: Mapping[str, np.ndarray], values: Any, settings: Mapping[str, Any]
+) -> None:
+    """Write a checkpoint (.npz): arrays, values that JSON can represent, and the settings of the run."""
+    text = json.dumps({"settings": dict(settings), "values": values})
+
+    def write(to: Path) -> None:
+        with to.open("wb") as file:
+            np.savez(file, allow_pickle=False, text=np.array(text), **arrays)
+
+    write_atomically(path, write)
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What a file holds, each part looked up by its name, kind and shape: a ValueError if it does not fit."""
+
+    arrays: Mapping[str, np.ndarray]
+    values: Any
+
+    def array(self, name: str, shape: tuple[int, ...]) -> Floats:
+        """Finite numbers of a shape."""
+        return fitting(self.arrays[name], name, shape)
+
+    def count(self, name: str) -> int:
+        """Whole number from 0 on."""
+        return _plain(self.values[name], name, (int,), 0)
+
+    def number(self, name: str) -> float:
+        """Finite number."""
+        return _plain(self.values[name], name, (int, float))
+
+
+def fitting(found: Any, name: str, shape: tuple[int, ...]) -> Floats:
+    """Array of a checkpoint that a run can use."""
+    if not isinstance(found, np.ndarray) or found.dtype != np.float64 or found.shape != shape:
+        raise ValueError(f"{name} is not {shape} numbers")
+    if not np.isfinite(found).all():
+        raise ValueError(f"{name} is not finite")
+    return found
+
+
+def _plain(value: Any, name: str, kinds: tuple[type, ...], least: float = -math.inf) -> Any:
+    if type(value) not in kinds or not least <= value < math.inf:
+        raise ValueError(f"{name} is {value!r}")
+    return value
+
+
+@contextmanager
+def checkpoint(
+    path: Path, settings: Mapping[str, Any], kind: str, *remedy: str | Argument
+) -> Iterator[Checkpoint]:
+    """Read what :func:`write_checkpoint` wrote for a run with the same settings.
+
+    What does not fit, here or to whoever uses it inside the ``with``, is refused with the file and a remedy.
+    """
+    try:
+        with regular(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            check_sizes(file)
+            arrays = dict(file)
+        text = json.loads(str(arrays.pop("text")))
+        written, values = {**text["settings"]}, text["values"]
+    except FileNotFoundError:
+        raise ProtochainError(f"{path}: not found; give the checkpoint of an earlier run") from None
+    except PermissionError as error:
+        raise ProtochainError(f"{path}: cannot be read ({error.strerror}); change its permissions") from None
+    except _DAMAGED:
+        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy) from None
+    if not {*list(settings)[:1]} <= set(written):
+        raise ProtochainError(f"{path}: is no checkpoint of a {kind}; ", *remedy)
+    for name, value in settings.items():
+        if written.get(name) != value:
+            raise ProtochainError(
+                f"{path}: is of a run with ",
+                Argument(name),
+                f" {written.get(name)!r}, not {value!r}; repeat its settings",
+            )
+    try:
+        yield Checkpoint(arrays, values)
+    except ProtochainError:
+        raise
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise ProtochainError(f"{path}: damaged checkpoint ({what}); ", *remedy) from None
+
+
+_DAMAGED = (
+    OSError, EOFError, AttributeError, ValueError, KeyError, TypeError, BadZipFile, RuntimeError, zlib.error,
+    MemoryError,
+)  # fmt: skip
+"""What reading a damaged archive raises: by zipfile, by numpy, by json."""
+
+
+def check_sizes(file: Any, packed: bool = False) -> None:
+    """Refuse arrays that claim to be larger than what the archive holds of them: memory and time go first."""
+    for member in file.zip.infolist():
+        with file.zip.open(member) as stream:
+            version = np.lib.format.read_magic(stream)
+            head = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
+            shape, _, dtype = head(stream)
+            claimed = math.prod(shape) * dtype.itemsize
+            most = _DEFLATED * member.compress_size if packed else member.compress_size
+            if claimed != member.file_size - stream.tell() or member.file_size > most:
+                raise ValueError(f"{member.filename}: {claimed} bytes")
+
+
+_DEFLATED = 1100
+"""Bytes that one of a deflated file may become, at most."""
