@@ -105,7 +105,7 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     # By default Python looks for garbage after each 700 new objects, also while 1700 modules are loaded: a
     # tenth of the time of a short run.
-    gc.set_threshold(100_000, 20, 100)
+    gc.set_threshold(1_000_000, 20, 100)
     # Nor does it look for any at the end, where all memory is given back anyway: an eighth of a short run.
     atexit.register(gc.freeze)
     warnings.formatwarning = lambda message, *_: f"protochain: {message}\n"

@@ -22,7 +22,7 @@ from protochain.energies.native.reading import UnsupportedForceError
 from protochain.energies.native.terms import Bonded, Terms, compile_system
 from protochain.energies.protocol import Energy
 from protochain.minimisers import near_kernels as kernels
-from protochain.minimisers.cholesky import Factor, elimination_order, factorise
+from protochain.minimisers.cholesky import elimination_order, factorise
 from protochain.minimisers.spring_model import Gradients, Springs, on_moving
 
 REACH = 0.4
@@ -236,12 +236,6 @@ def springs_of(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Spring
     return Springs(np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts]))
 
 
-def order_at(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Integers:
-    """Order of elimination of the atoms that move, for the pairs that are coupled at x."""
-    at = curvature(terms, x, free_wells(terms, x, moving))
-    return elimination_order(int(moving.sum()), _among(at.pairs, moving)[0])
-
-
 def _among(pairs: Integers, moving: NDArray[np.bool_]) -> tuple[Integers, NDArray[np.bool_]]:
     """Pairs of atoms that both move, as places among these, and which pairs they are."""
     both = np.asarray(moving[pairs].all(axis=1))
@@ -249,18 +243,18 @@ def _among(pairs: Integers, moving: NDArray[np.bool_]) -> tuple[Integers, NDArra
 
 
 def near_solver(
-    terms: NearTerms, x: Floats, moving: NDArray[np.bool_], order: Integers, near: Springs | None = None,
+    terms: NearTerms, x: Floats, moving: NDArray[np.bool_], near: Springs | None = None,
     tether: Floats | None = None,
 ) -> Callable[[Floats], Floats]:  # fmt: skip
     """Solver for the model of the Hessian in Cartesian coordinates.
 
-    x (na, 3) nm, moving (na,) bool, order (n,) int, tether (na,).
+    x (na, 3) nm, moving (na,) bool, tether (na,).
     """
     if near is None:
         at = curvature(terms, x, free_wells(terms, x, moving))
     else:
         at = curvature(terms, x, (near.pairs, near.stiffness, np.zeros(len(near.pairs))))
-    return _solver(at, moving, FLOOR if tether is None else (FLOOR + tether)[:, None], order)
+    return _solver(at, moving, FLOOR if tether is None else (FLOOR + tether)[:, None])
 
 
 def soft_solver(
@@ -268,13 +262,11 @@ def soft_solver(
 ) -> Callable[[Floats], Floats]:
     """Solver as of :func:`near_solver` with all pairs coupled and another floor, kJ/mol/nm^2."""
     at = curvature(terms, x, free_wells(terms, x, moving), 0.0)
-    return _solver(at, moving, floor, elimination_order(int(moving.sum()), _among(at.pairs, moving)[0]))
+    return _solver(at, moving, floor)
 
 
-def _solver(
-    at: Curvature, moving: NDArray[np.bool_], added: float | Floats, order: Integers
-) -> Callable[[Floats], Floats]:
+def _solver(at: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:
     at.own[:, ::4] += added
     pairs, both = _among(at.pairs, moving)
-    factor: Factor = factorise(order, at.own[moving], pairs, at.shared[both])
-    return on_moving(moving, factor.solve)
+    order = elimination_order(int(moving.sum()), pairs)
+    return on_moving(moving, factorise(order, at.own[moving], pairs, at.shared[both]).solve)

@@ -108,9 +108,14 @@ class CurvatureState:
         return Stop.SADDLE if self.is_saddle else Stop.NO_DESCENT
 
     @property
+    def is_spent(self) -> bool:
+        """Whether no more products are allowed; a saddle point is worth those that tell the way off it."""
+        return len(self.vectors) >= (MOST if self.ritz < -LEAST else self.most)
+
+    @property
     def eigenvalue_at_most(self) -> float | None:
         """Upper limit of the lowest eigenvalue, where the search ended before it was found."""
-        enough = self.value is not None and len(self.vectors) < self.most
+        enough = self.value is not None and not self.is_spent
         return None if enough or self.left or not np.isfinite(self.ritz) else self.ritz
 
     @property
@@ -173,7 +178,7 @@ class Curvature:
             gain = float(abs(state.residuals[0] @ new))
             others = WEIGHT * float(abs(state.residuals[1] @ other))
             little = SHARE * max(abs(state.ritz), LEAST)
-            if max(gain, others, state.fall) < little or n >= state.most:
+            if max(gain, others, state.fall) < little or state.is_spent:
                 return None
             new = new if gain >= others else other
         vector = _orthonormal(new, (*rigid, *state.vectors))

@@ -262,12 +262,6 @@ class Cartesian:
     def _springs(self) -> spring_model.Springs:
         return spring_model.covalent(self.structure)
 
-    @cached_property
-    def _order(self) -> Integers:
-        """Order of elimination: that of the structure, so that resumed runs have the same."""
-        assert self.terms is not None
-        return curvature.order_at(self.terms, self.structure.positions, self.moving)
-
     def start(self, x: Floats) -> Floats:
         """Coordinates at x."""
         return x.flatten()
@@ -317,7 +311,7 @@ class Cartesian:
             )
         else:
             own = None if near_by is None else near_by(self.structure, at.x, 3)
-            make = partial(curvature.near_solver, self.terms, at.x, self.moving, self._order, own, tether)
+            make = partial(curvature.near_solver, self.terms, at.x, self.moving, own, tether)
         solve = make() if len(self.moving) < _LARGE else run_interruptible(make, held=True)
         return self._in_frames(at.x, solve)
 

@@ -1,6 +1,6 @@
 """Step rules: how far to step along a direction."""
 
-import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -15,6 +15,12 @@ SMALLEST = 1e-8
 
 _DECREASE, _FLATTER = 1e-4, 0.9
 """Constants of the strong Wolfe conditions for quasi-Newton steps, as in Nocedal and Wright."""
+
+_MOST = 10
+"""Doublings, and later points between two, at most."""
+
+_Along = Callable[[float], float]
+_Point = tuple[float, ...]
 
 
 class Rule(Protocol):
@@ -156,7 +162,8 @@ class Armijo:
 class StrongWolfe:
     """Search for a step length that meets the strong Wolfe conditions.
 
-    Nocedal, Wright, *Numerical Optimization* (2006), algorithms 3.5 and 3.6, as implemented in scipy.
+    Nocedal, Wright, *Numerical Optimization* (2006), algorithms 3.5 and 3.6, as scipy has them: half of scipy
+    would be read to call one.
     """
 
     def init(self, at: Evaluation) -> None:
@@ -173,51 +180,94 @@ class StrongWolfe:
             and first.energy <= at.energy - _DECREASE * falls
             and abs(first.torque @ direction) <= _FLATTER * falls
         ):
-            # Three of four searches would end here; to call one costs as much as the energy of a peptide.
             return 1.0, first, None
-        from scipy.optimize import line_search  # Seldom needed, and half of scipy to read.
-
         tried = {1.0: first}
 
-        def point(length: Floats) -> Evaluation:
-            key = float(length[0])
-            if key not in tried:
-                tried[key] = problem.evaluate(problem.move(at.q, key * direction))
-            return tried[key]
+        def point(length: float) -> Evaluation:
+            if length not in tried:
+                tried[length] = problem.evaluate(problem.move(at.q, length * direction))
+            return tried[length]
 
-        def height(length: Floats) -> float:
+        def height(length: float) -> float:
             # NaN would be neither higher nor lower than the start, and pass for a fall.
             found = point(length)
             return found.energy if found.is_finite else np.inf
 
-        def slope(length: Floats) -> Floats:
-            return np.array([-point(length).torque @ direction])
+        def slope(length: float) -> float:
+            return -float(point(length).torque @ direction)
 
-        def lowest() -> float:
-            return min((found.energy for found in tried.values() if found.is_finite), default=np.inf)
-
-        with warnings.catch_warnings():
-            # A failed search returns None.
-            warnings.simplefilter("ignore")
-            length = line_search(
-                height,
-                slope,
-                np.zeros(1),
-                np.ones(1),
-                gfk=np.array([-falls]),
-                old_fval=at.energy,
-                c1=_DECREASE,
-                c2=_FLATTER,
-                maxiter=10,
-            )[0]
+        length = _searched(height, slope, at.energy, falls)
         if length is None:
             # Against a stiff contact, or on a long lever, the interpolation may fail at too long a step.
+            def lowest() -> float:
+                return min((found.energy for found in tried.values() if found.is_finite), default=np.inf)
+
             size = np.max(np.abs(direction))
             nearest = min(tried)
             while nearest * size > SMALLEST and not lowest() < at.energy:
                 nearest *= 0.1
-                point(np.array([nearest]))
+                point(nearest)
             if not lowest() < at.energy:
                 return None
             length = next(key for key, found in tried.items() if found.is_finite and found.energy == lowest())
-        return float(length), tried[float(length)], None
+        return length, tried[length], None
+
+
+def _searched(height: _Along, slope: _Along, start: float, falls: float) -> float | None:
+    """Length that meets the conditions (algorithm 3.5), or after ten doublings; None if none is found."""
+    before, its_height, its_slope = 0.0, start, -falls
+    length, found = 1.0, height(1.0)
+    for k in range(_MOST):
+        if found > start - _DECREASE * length * falls or (k and found >= its_height):
+            return _zoomed(height, slope, start, falls, (before, its_height, its_slope), (length, found))
+        now = slope(length)
+        if abs(now) <= _FLATTER * falls:
+            return length
+        if now >= 0.0:
+            return _zoomed(height, slope, start, falls, (length, found, now), (before, its_height))
+        before, its_height, its_slope = length, found, now
+        length *= 2.0
+        found = height(length)
+    return length
+
+
+def _zoomed(
+    height: _Along, slope: _Along, start: float, falls: float, low: _Point, high: _Point
+) -> float | None:
+    """Length between two (algorithm 3.6): low with a height and a slope, high with a height."""
+    other: _Point = ()
+    for _ in range(_MOST + 1):
+        wide = high[0] - low[0]
+        left, right = sorted((low[0], high[0]))
+        cubic = _cubic(*low, *high, *other[:2]) if other else np.nan
+        for length, share in ((cubic, 0.2), (_parabola(*low, *high), 0.1)):
+            if left + share * wide <= length <= right - share * wide:
+                break
+        else:
+            length = low[0] + 0.5 * wide
+        found = height(length)
+        if found > start - _DECREASE * length * falls or found >= low[1]:
+            other, high = high, (length, found)
+            continue
+        now = slope(length)
+        if abs(now) <= _FLATTER * falls:
+            return length
+        other, high = (high, low[:2]) if now * wide >= 0.0 else (low, high)
+        low = (length, found, now)
+    return None
+
+
+def _cubic(a: float, fa: float, slope: float, b: float, fb: float, c: float, fc: float) -> float:
+    """Minimum of the cubic through three points, with a slope at the first; NaN without one."""
+    b, c = b - a, c - a
+    with np.errstate(all="ignore"):
+        right = np.array([fb - fa - slope * b, fc - fa - slope * c])
+        both = np.dot([[c**2, -(b**2)], [-(c**3), b**3]], right) / np.float64((b * c) ** 2 * (b - c))
+        return float(a + (-both[1] + np.sqrt(both[1] * both[1] - 3 * both[0] * slope)) / (3 * both[0]))
+
+
+def _parabola(a: float, fa: float, slope: float, b: float, fb: float) -> float:
+    """Minimum of the parabola through two points, with a slope at the first; not finite without one."""
+    b -= a
+    with np.errstate(all="ignore"):
+        return float(a - slope / (2.0 * ((fb - fa - slope * b) / np.float64(b * b))))

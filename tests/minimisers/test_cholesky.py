@@ -67,17 +67,3 @@ def test_an_order_keeps_the_factor_of_a_chain_as_sparse_as_the_chain():
     place = elimination_order(n, shuffled)
     assert sorted(place.tolist()) == list(range(n))
     assert len(_pattern(place, shuffled)[1]) == n - 1
-
-
-def test_an_order_that_fills_the_factor_is_replaced():
-    """A hub that all others are coupled to, eliminated first, couples all of them to one another."""
-    n = 700
-    pairs = np.column_stack([np.zeros(n - 1, dtype=np.int64), np.arange(1, n)])
-    own, shared = np.tile(np.eye(3).ravel() * n, (n, 1)), np.tile(-np.eye(3).ravel(), (n - 1, 1))
-    factor = factorise(np.arange(n), own, pairs, shared)
-    assert len(factor.rows) == n - 1 and factor.place[0] >= n - 2
-    dense = n * np.eye(n)
-    dense[0, 1:] = dense[1:, 0] = -1.0
-    right = np.linspace(-1.0, 2.0, 3 * n)
-    expected = np.linalg.solve(dense, right.reshape(n, 3)).ravel()
-    assert np.abs(factor.solve(right) - expected).max() < 1e-12

@@ -1,7 +1,5 @@
 """The metric of the near terms against second derivatives of each term, by differences of its energy."""
 
-from dataclasses import replace
-
 import numpy as np
 import openmm
 import pytest
@@ -13,7 +11,6 @@ from protochain.chains.chain import pose
 from protochain.energies.native.terms import compile_system
 from protochain.mechanics import multibody
 from protochain.minimisers import curvature
-from protochain.minimisers.cholesky import elimination_order
 from protochain.minimisers.curvature import COUPLED, FLOOR, REACH, near_terms
 from protochain.minimisers.near_kernels import STIFFEST, bends, free_pairs, turns, well_stiffness
 from protochain.minimisers.problem import evaluate
@@ -198,10 +195,9 @@ def test_the_solver_leaves_fixed_atoms_alone_and_counts_tethers():
     at = curvature.curvature(terms, x, curvature.free_wells(terms, x, moving))
     dense = dense_of(at, s.n_atoms) + np.diag(np.repeat(FLOOR + tether, 3))
     free, torque = np.repeat(moving, 3), rng.normal(size=3 * s.n_atoms)
-    order = curvature.order_at(terms, s.positions, moving)
-    step = curvature.near_solver(terms, x, moving, order, tether=tether)(torque)
+    step = curvature.near_solver(terms, x, moving, tether=tether)(torque)
     assert dense[np.ix_(free, free)] @ step[free] == pytest.approx(torque[free], rel=1e-8, abs=1e-9)
-    assert not step[~free].any() and sorted(order) == list(range(moving.sum()))
+    assert not step[~free].any()
 
 
 def test_stiffness_in_torsions_is_the_model_seen_by_them():
@@ -254,13 +250,3 @@ def test_impropers_of_charmm_count_and_dihedrals_are_each_there_once():
     )
     seen = [tuple(min(row, row[::-1])) for row in terms.dihedrals.tolist()]
     assert len(set(seen)) == len(seen)
-
-
-def test_the_order_of_elimination_is_that_of_the_start():
-    c, e = chain("ala10.pdb"), energy("ala10.pdb")
-    atoms = spaces(c, near_terms(e))[1]
-    moved = evaluate(atoms, e, (c.structure.positions + 0.01).ravel())
-    first, again = atoms.stiffness(moved), replace(atoms, structure=c.structure).stiffness(moved)
-    torque = np.arange(3.0 * c.n_atoms)
-    assert np.array_equal(first(torque), again(torque))
-    assert len(elimination_order(3, np.array([[0, 1]]))) == 3

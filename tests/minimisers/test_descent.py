@@ -1,13 +1,10 @@
 """Metrics, directions and step rules against dense algebra, differences and their own definitions."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from fixtures.molecules import crowded
-from fixtures.oracles import bond_lengths
 from fixtures.samples import chain, energy, load
-from fixtures.tolerances import DIFFERENCE, GEOMETRY_NM
+from fixtures.tolerances import DIFFERENCE
 from scipy.optimize import minimize
 from scipy.sparse.csgraph import shortest_path
 
@@ -15,15 +12,11 @@ import protochain as pc
 from protochain.chains.chain import pose
 from protochain.chains.contacts import joined, near_pairs, radii
 from protochain.mechanics import multibody
-from protochain.minimisers import KCM, LBFGS, RECIPES, Descent, Fire, Newton, StrongWolfe, spring_model
-from protochain.minimisers.kcm import by_largest, by_length, by_sign
+from protochain.minimisers import LBFGS, Descent, Newton, StrongWolfe, spring_model
 from protochain.minimisers.loop import Stop, run
-from protochain.minimisers.metrics import Euclidean, Mass, Stiffness
-from protochain.minimisers.newton import PseudoTransient, conjugate_gradients
 from protochain.minimisers.problem import Problem
 from protochain.minimisers.restraints import Leash, SoftRepulsion, Sum, Tethers
-from protochain.minimisers.spaces import Cartesian, Positions, Torsions
-from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed
+from protochain.minimisers.spaces import Torsions
 
 
 def problem_of(name, budget=5000, hinges="phi psi chi"):
@@ -105,58 +98,6 @@ def test_a_spring_at_contact_is_as_stiff_as_a_lennard_jones_well_and_softens_out
     assert near.stiffness[distance > touch].max() < near.stiffness[distance < 0.9 * touch].max()
 
 
-@pytest.mark.parametrize("hinges", ["phi psi chi", "phi psi chi angles"])
-def test_metrics_solve_with_their_matrices(hinges):
-    c = chain("3i40.pdb", hinges)
-    space = Torsions(c)
-    at = Problem(space, energy("3i40.pdb"), 1).evaluate(c.q0)
-    torque = np.random.default_rng(0).normal(size=c.n_v)
-    posed = pose(c, c.q0)
-    scaled = np.outer(space.scale, space.scale)
-    mass = scaled * pc.mass_matrix(c, posed)
-    assert mass @ Mass().at(space, at)(torque) == pytest.approx(torque, abs=1e-8)
-    stiff = scaled * spring_model.torsion_stiffness(c, posed)
-    stiff += spring_model.TORSION_FLOOR * np.eye(c.n_v)
-    assert stiff @ Stiffness().at(space, at)(torque) == pytest.approx(torque, abs=1e-8)
-    assert np.array_equal(Euclidean().at(space, at)(torque), torque)
-
-
-def test_stiffness_of_free_atoms_is_that_of_springs_and_leaves_the_others_alone():
-    s = load("ala10.pdb")
-    moving = np.random.default_rng(0).random(s.n_atoms) < 0.6
-    space = Cartesian(s, moving)
-    at = Problem(space, energy("ala10.pdb"), 1).evaluate(s.positions.flatten())
-    bonded, near = spring_model.covalent(s), spring_model.contacts(s, s.positions, 3)
-    dense = spring_matrix(s.n_atoms, bonded.pairs, bonded.stiffness, s.positions)
-    contact = spring_matrix(s.n_atoms, near.pairs, near.stiffness, s.positions)
-    blocks = np.kron(np.eye(s.n_atoms), np.ones((3, 3)))
-    dense += blocks * contact + spring_model.CARTESIAN_FLOOR * np.eye(3 * s.n_atoms)
-    free = np.repeat(moving, 3)
-    force, step = (space.outward(at.x, each) for each in (at.torque, space.stiffness(at)(at.torque)))
-    assert dense[np.ix_(free, free)] @ step[free] == pytest.approx(force[free], rel=1e-9, abs=1e-7)
-    assert not step[~free].any() and not force[~free].any()
-
-
-def test_bonds_are_stiffer_than_angles_and_these_than_dihedrals():
-    s = load("ala10.pdb")
-    graph = np.full((s.n_atoms, s.n_atoms), np.inf)
-    graph[s.bonds[:, 0], s.bonds[:, 1]] = 1.0
-    bonds = shortest_path(graph, directed=False)
-    found = spring_model.covalent(s)
-    expected = np.array([spring_model.BOND, spring_model.ANGLE, spring_model.DIHEDRAL])
-    assert (np.diff(expected) < 0).all()
-    assert np.array_equal(found.stiffness, expected[bonds[tuple(found.pairs.T)].astype(int) - 1])
-
-
-def test_the_residual_of_free_atoms_is_the_mean_over_those_that_move():
-    s = load("ala10.pdb")
-    moving = np.arange(s.n_atoms) % 4 == 0
-    forces = np.random.default_rng(0).normal(size=(s.n_atoms, 3))
-    space = Cartesian(s, moving)
-    torque = space.torque(Positions(s.positions.flatten()), forces)
-    assert space.residual(torque) == pytest.approx(np.sqrt(np.mean(forces[moving] ** 2)), rel=1e-14)
-
-
 def test_hydrogens_are_not_tethered():
     s = load("ala10.pdb")
     tethers, light = Tethers.of_heavy_atoms(s, 300.0), s.atom_element == "H"
@@ -182,126 +123,12 @@ def test_restraining_forces_are_minus_the_gradient(kind):
         assert -numeric == pytest.approx(np.sum(f * direction), rel=1e-5)
 
 
-def test_kcm_norms():
-    torque = np.array([3.0, -4.0, 0.0])
-    assert np.array_equal(by_largest(torque), torque / 4)
-    assert np.array_equal(by_length(torque), torque / 5)
-    assert np.array_equal(by_sign(torque), [1.0, -1.0, 0.0])
-
-
-def test_a_fixed_angle_ends_in_a_cycle_as_large_as_it_and_the_step_rules_cure_it():
-    ends = {}
-    for angle in (0.04, 0.005):
-        c, problem = problem_of("1l2y.pdb", 1500)
-        ending, points = walked(problem, Descent(KCM(), Fixed(angle)), c.q0)
-        assert ending.stop is Stop.BUDGET
-        for before, after in pairwise(points[-50:]):
-            assert np.abs(after.q - before.q).max() == pytest.approx(angle, rel=1e-9)
-        ends[angle] = np.median([point.residual for point in points[-200:]])
-    assert ends[0.04] > 1.5 * ends[0.005] > 200.0
-    for rule in (AcceptReject(0.005), Armijo(0.005, window=5), Decaying(0.02, 20.0)):
-        c, problem = problem_of("1l2y.pdb", 1500)
-        ending, points = walked(problem, Descent(KCM(), rule), c.q0)
-        assert np.median([point.residual for point in points[-200:]]) < 0.5 * ends[0.005]
-
-
-def test_decaying_steps_shorten_as_they_say():
-    c, problem = problem_of("ala10.pdb", 40)
-    _, points = walked(problem, Descent(KCM(), Decaying(0.01, 10.0)), c.q0)
-    turns = [np.abs(b.q - a.q).max() for a, b in pairwise(points)]
-    assert turns == pytest.approx(0.01 / (1 + np.arange(len(turns)) / 10.0), rel=1e-9)
-
-
-def test_accept_reject_never_climbs_and_grows_by_its_factor():
-    c, problem = problem_of("1l2y.pdb", 150)
-    _, points = walked(problem, Descent(KCM(), AcceptReject(0.0005)), c.q0)
-    assert all(b.energy < a.energy for a, b in pairwise(points))
-    turns = np.array([np.abs(b.q - a.q).max() for a, b in pairwise(points)])
-    exponents = np.log(turns[1:] / turns[:-1] / 1.2) / np.log(0.5)
-    assert np.allclose(exponents, np.round(exponents), atol=1e-6) and exponents.min() > -1e-6
-
-
-def test_armijo_looks_back_over_its_window():
-    c, problem = problem_of("1l2y.pdb", 300)
-    _, points = walked(problem, Descent(KCM(), Armijo(0.01, window=4)), c.q0)
-    values = [point.energy for point in points]
-    assert all(value < max(values[max(0, k - 4) : k]) for k, value in enumerate(values) if k)
-    assert any(b > a for a, b in pairwise(values))
-
-
-def hessian_at(problem, at, h=1e-5):
-    rows = []
-    for unit in np.eye(len(at.torque)):
-        ends = [problem.evaluate(problem.move(at.q, sign * h * unit)).torque for sign in (-1, 1)]
-        rows.append((ends[0] - ends[1]) / (2 * h))
-    return (np.array(rows) + np.array(rows).T) / 2
-
-
-def test_conjugate_gradients_solve_with_the_hessian():
-    c, problem = problem_of("ala10.pdb", 20000)
-    low = walked(problem, Descent(LBFGS(), StrongWolfe()), c.q0, 0.1)[0].last.state.at
-    at = problem.evaluate(problem.move(low.q, 1e-3 * np.random.default_rng(0).normal(size=c.n_v)))
-    hessian = hessian_at(problem, at)
-    for shift in (0.0, 500.0):
-        solve = problem.space.stiffness(at)
-        turn = conjugate_gradients(problem, at, solve, shift, 1e-6, 200)
-        expected = np.linalg.solve(hessian + shift * np.eye(c.n_v), at.torque)
-        assert turn == pytest.approx(expected, abs=1e-3 * np.abs(expected).max())
-
-
-def test_conjugate_gradients_stop_at_negative_curvature_and_still_descend():
-    c, problem = problem_of("1l2y.pdb", 1000)
-    at = problem.evaluate(c.q0)
-    turn = conjugate_gradients(problem, at, np.copy, 0.0, 1e-8, 60)
-    assert turn @ at.torque > 0
-    # On a hill top every direction is of negative curvature: along the torque then.
-    hill = Problem(Torsions(c), lambda x: tuple(-part for part in energy("1l2y.pdb")(x)), 1000)
-    top = walked(problem, Descent(Newton(), StrongWolfe()), c.q0, 0.01)[0].last.state.at
-    shifted = hill.evaluate(hill.move(top.q, 1e-4 * np.ones(c.n_v)))
-    assert np.array_equal(conjugate_gradients(hill, shifted, np.copy, 0.0, 0.1, 10), shifted.torque)
-
-
 def test_newton_converges_faster_and_faster():
     c, problem = problem_of("1l2y.pdb")
     ending, points = walked(problem, Descent(Newton(), StrongWolfe()), c.q0, 1e-3)
     assert ending.stop is Stop.TOLERANCE
     residuals = [point.residual for point in points]
     assert residuals[-1] < 0.05 * residuals[-2] < residuals[-3]
-
-
-def test_pseudo_transient_steps_begin_along_the_torques_and_grow_as_these_fall():
-    c, problem = problem_of("1l2y.pdb")
-    method = PseudoTransient(time_step=1e-4)
-    first = method.init(problem, problem.evaluate(c.q0))
-    second = method.step(problem, first)
-    turn = second.at.q - c.q0
-    assert turn == pytest.approx(first.time_step * first.at.torque, abs=0.1 * np.abs(turn).max())
-    third = method.step(problem, second)
-    grown = np.linalg.norm(second.at.torque) / np.linalg.norm(third.at.torque)
-    assert third.time_step == pytest.approx(second.time_step * grown)
-    assert walked(problem, PseudoTransient(), c.q0)[0].stop is Stop.TOLERANCE
-
-
-def test_fire_moves_by_newtons_second_law_and_stops_when_it_climbs():
-    c, problem = problem_of("1l2y.pdb")
-    method = Fire(time_step=1e-5)
-    first = method.init(problem, problem.evaluate(c.q0))
-    second = method.step(problem, first)
-    push = pc.solve_mass(c, pose(c, c.q0), first.at.torque)
-    assert second.at.q - c.q0 == pytest.approx(1e-10 * push, rel=1e-6, abs=1e-15)
-    against = type(second)(**{**vars(second), "velocity": -push})
-    assert method.step(problem, against).time_step == 0.5 * second.time_step
-    assert walked(problem, Fire(), c.q0)[0].stop is Stop.TOLERANCE
-
-
-def test_every_setting_descends_from_the_same_start():
-    c, _ = problem_of("ala10.pdb")
-    for name, recipe in RECIPES.items():
-        if not recipe.keeps_geometry:
-            continue
-        _, problem = problem_of("ala10.pdb", 300)
-        _, points = walked(problem, recipe.runs[0].method, c.q0)
-        assert problem.best.energy < points[0].energy - 2.0, name
 
 
 def scipy_evaluations(name):
@@ -339,23 +166,3 @@ def test_torques_of_open_angles_are_minus_the_gradient():
     ]
     numeric = -np.diff(np.array(ends)[:, ::-1], axis=1).ravel() / (2 * h)
     assert np.linalg.norm(tau - numeric) < DIFFERENCE * np.linalg.norm(tau)
-
-
-def test_damped_dynamics_ends_in_a_minimum_and_keeps_the_geometry():
-    c, e = chain("ala10.pdb"), energy("ala10.pdb")
-    r = pc.minimise(c, e, "md")
-    assert r.status == "converged" and r.end.energy < r.start.energy - 20.0
-    before, after = (bond_lengths(c.structure.bonds, x) for x in (c.structure.positions, r.x))
-    assert np.abs(after - before).max() < GEOMETRY_NM
-    # At 0 K only friction changes the total energy: the potential falls with hardly a step back.
-    energies = r.trace["energy_kj_mol"].to_numpy()[:1000]
-    assert np.sum(np.maximum(np.diff(energies), 0.0)) < 0.2 * (energies[0] - energies[-1])
-
-
-def test_annealing_climbs_first_depends_on_its_seed_and_repeats():
-    c, e = chain("ala10.pdb"), energy("ala10.pdb")
-    first, again, other = (pc.minimise(c, e, "anneal", seed=seed) for seed in (1, 1, 2))
-    assert np.array_equal(first.q, again.q) and not np.array_equal(first.q, other.q)
-    energies = first.trace["energy_kj_mol"]
-    assert energies.iloc[:500].max() > first.start.energy
-    assert first.status == other.status == "converged" and first.end.energy < first.start.energy

@@ -1,7 +1,6 @@
 import json
 import signal
 from importlib.metadata import version
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -12,13 +11,8 @@ from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, TRACED_FORCE
 import protochain as pc
 from protochain.chains.contacts import overlaps
 from protochain.cli import main
-from protochain.minimisers import KCM, LBFGS, METHODS, Descent, Status, StrongWolfe
-from protochain.minimisers.lbfgs import quasi_newton
-from protochain.minimisers.loop import Stop, run
-from protochain.minimisers.problem import Evaluation, Problem
+from protochain.minimisers import METHODS, Status
 from protochain.minimisers.solution import SIZES, TRACE_COLUMNS
-from protochain.minimisers.spaces import Positions, Torsions
-from protochain.minimisers.steps import Fixed
 from protochain.minimisers.verdict import verdict
 from protochain.structure.chirality import changed_stereocentres
 from protochain.structure.superpose import superpose
@@ -141,61 +135,6 @@ def test_an_engine_that_climbs_is_caught_and_the_start_returned():
     assert r.end == r.start and np.array_equal(r.x, chain("1l2y.pdb").structure.positions)
 
 
-def test_kcm_is_as_published():
-    c, e = chain("1l2y.pdb"), energy("1l2y.pdb").reference
-    problem = Problem(Torsions(c), e, 100)
-    points = []
-    run(problem, Descent(KCM(), Fixed(0.002)), c.q0, 1e-6, 1000, points.append)
-    assert len(points) == problem.n_evaluations == 100
-    for before, after in pairwise(points):
-        turn = after.q - before.q
-        assert np.abs(turn).max() == pytest.approx(0.002, rel=1e-9)
-        assert np.allclose(turn, 0.002 * before.torque / np.abs(before.torque).max(), atol=1e-14)
-
-
-def test_the_two_loop_recursion_is_the_dense_bfgs_inverse():
-    rng = np.random.default_rng(0)
-    n, root = 6, rng.normal(size=(6, 6))
-    hessian = root @ root.T + np.eye(n)
-    steps = rng.normal(size=(4, n))
-    pairs = tuple((s, hessian @ s, s @ hessian @ s) for s in steps)
-    s, y, _ = pairs[-1]
-    inverse = (s @ y) / (y @ y) * np.eye(n)
-    for s, y, _ in pairs:
-        left = np.eye(n) - np.outer(s, y) / (s @ y)
-        inverse = left @ inverse @ left.T + np.outer(s, s) / (s @ y)
-    torque = rng.normal(size=n)
-    assert np.allclose(quasi_newton(torque, pairs), inverse @ torque, rtol=1e-10)
-    assert np.array_equal(quasi_newton(torque, ()), torque)
-
-
-def test_a_line_search_meets_the_strong_wolfe_conditions():
-    c = chain("1l2y.pdb")
-    problem = Problem(Torsions(c), energy("1l2y.pdb").reference, 50)
-    at = problem.evaluate(c.q0)
-    direction = 1e-4 * at.torque / at.residual
-    length, found, _ = StrongWolfe().step(problem, at, direction, None)
-    slope = -at.torque @ direction
-    assert found.energy <= at.energy + 1e-4 * length * slope
-    assert abs(found.torque @ direction) <= 0.9 * abs(slope)
-    assert np.allclose(found.q, problem.move(at.q, length * direction))
-
-
-def test_lbfgs_never_accepts_a_higher_energy():
-    c = chain("1ejg.pdb")
-    points = []
-    run(
-        Problem(Torsions(c), energy("1ejg.pdb"), 60),
-        Descent(LBFGS(), StrongWolfe()),
-        c.q0,
-        1e-3,
-        1000,
-        points.append,
-    )
-    values = [point.energy for point in points]
-    assert len(values) > 40 and all(b < a for a, b in pairwise(values))
-
-
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("budget", [1, 2, 3])
 def test_a_tiny_budget_gives_a_result_no_worse_than_the_start(method, budget):
@@ -212,14 +151,6 @@ def test_the_budget_is_kept_to_the_last_evaluation():
     assert r.n_evaluations == 19 and r.status == Status.BUDGET and "19 evaluations" in r.message
     # Two before the clock starts, one for the energy reported.
     assert counted.calls == 19 + 3
-
-
-def test_a_fixed_step_that_is_too_long_stalls_and_returns_the_start():
-    c, e = chain("1hel.pdb"), energy("1hel.pdb")
-    problem = Problem(Torsions(c), e, 200)
-    ending = run(problem, Descent(KCM(), Fixed(0.5)), c.q0, 1.0, 20, lambda at: None)
-    assert ending.stop is Stop.CIRCLING
-    assert problem.best.energy == pytest.approx(e(c.structure.positions)[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("method", ["kcm", "lbfgs"])
@@ -336,34 +267,6 @@ def test_atoms_at_one_point_end_in_a_verdict(method):
     json.dumps(r.record(), allow_nan=False)
 
 
-def test_a_line_search_goes_on_towards_a_wall():
-    class Wall:
-        """Falls by 1 for every unit until a wall at 1e-6."""
-
-        def move(self, q, step):
-            return q + step
-
-        def evaluate(self, q):
-            inside = q[0] < 1e-6
-            energy, torque = (-q[0], 1.0) if inside else (1e9 * (q[0] + 1) ** 3, -3e9 * (q[0] + 1) ** 2)
-            return Evaluation(Positions(q), float(energy), np.array([torque]), abs(torque))
-
-    wall = Wall()
-    length, found, _ = StrongWolfe().step(wall, wall.evaluate(np.zeros(1)), np.array([0.5]), None)
-    assert 0 < 0.5 * length < 1e-6 and found.energy < 0
-
-
-def test_overlaps_are_found_by_distance_and_bonds():
-    s = load("1l2y.pdb")
-    assert not overlaps(s, s.positions)
-    x = s.positions.copy()
-    far = np.flatnonzero((s.atom_residue == 17) & (s.atom_name == "CG"))[0]
-    x[far] = x[0] + [0.05, 0.0, 0.0]
-    named = str(overlaps(s, x)[0])
-    assert "atom CG of residue 18 PRO of chain A" in named and "atom N of residue 1 ASN of chain A" in named
-    assert "0.50 angstrom apart" in named
-
-
 def test_a_start_at_the_minimum_is_recognised_at_once():
     once = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", tolerance=0.1)
     assert once.status == Status.CONVERGED
@@ -383,17 +286,3 @@ def test_one_thread_gives_the_same_bits_twice(method):
     one = pc.energy(load("1l2y.pdb"), threads=1)
     first, second = (pc.minimise(chain("1l2y.pdb"), one, method, max_evaluations=120) for _ in range(2))
     assert np.array_equal(first.x, second.x) and first.end == second.end
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ({"method": "magic"}, "method 'magic' is not known; choose from kcm, kcm-2norm"),
-        ({"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
-        ({"tolerance": float("nan")}, "tolerance nan"),
-        ({"max_evaluations": 0}, "at least 1"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(options, word):
-    with pytest.raises(pc.ProtochainError, match=word):
-        pc.minimise(chain("ala10.pdb"), **options)

@@ -11,13 +11,10 @@ from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM
 
 import protochain as pc
 from protochain.chains.contacts import OVERLAP, overlaps
-from protochain.minimisers import LBFGS, BudgetSpentError, Descent, Run, Status, StrongWolfe
-from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
-from protochain.minimisers.loop import Ending, Snapshot, Stop, Unstarted
-from protochain.minimisers.problem import Evaluation, Problem, Tally
-from protochain.minimisers.restraints import Hold, Leash
-from protochain.minimisers.spaces import Positions, Torsions
-from protochain.minimisers.stages import SINGLE_PRECISION_ENDS, Stage, lowest, parting, walk
+from protochain.minimisers import Status
+from protochain.minimisers.loop import Stop
+from protochain.minimisers.spaces import Torsions
+from protochain.minimisers.stages import parting, walk
 from protochain.minimisers.verdict import verdict
 
 FREE = ("lbfgs", "cartesian", "hybrid")
@@ -64,14 +61,6 @@ def test_overlaps_say_what_can_part_them():
     assert shares == sorted(shares) and shares[-1] < OVERLAP
 
 
-def test_a_minimum_of_atoms_inside_one_another_is_a_clash():
-    c = crowded()
-    status, message = verdict(Stop.TOLERANCE, True, "all is well", c.structure, c.structure.positions, 5)
-    assert status == Status.CLASH and message.startswith("clash: atom")
-    at_rest = load("1l2y.pdb")
-    assert verdict(Stop.TOLERANCE, True, "", at_rest, at_rest.positions, 5)[0] == Status.CONVERGED
-
-
 @pytest.mark.parametrize("met", [True, False])
 def test_an_interrupt_is_not_hidden_by_a_clash(met):
     s = crowded().structure
@@ -79,27 +68,6 @@ def test_an_interrupt_is_not_hidden_by_a_clash(met):
     assert status == Status.INTERRUPTED and message == "interrupted after 5 evaluations: so far"
     for stop in set(Stop) - {Stop.INTERRUPTED}:
         assert verdict(stop, met, "", s, s.positions, 5)[0] == Status.CLASH
-
-
-def at_height(energy, q):
-    return Evaluation(Positions(np.full(3, q)), energy, np.zeros(3), 0.0)
-
-
-@pytest.mark.parametrize(
-    ("stop", "end", "best", "answer"),
-    [
-        (Stop.TOLERANCE, -3.0, -4.0, 2.0),
-        (Stop.TOLERANCE, 0.0, -4.0, 2.0),
-        (Stop.TOLERANCE, 1.0, -4.0, 1.0),
-        (Stop.NO_DESCENT, -3.0, -4.0, 1.0),
-        (Stop.TOLERANCE, 1.0, None, 0.0),
-    ],
-)
-def test_an_end_above_the_start_is_no_answer(stop, end, best, answer):
-    start, low = at_height(0.0, 0.0), None if best is None else at_height(best, 1.0)
-    problem = Problem(Torsions(chain("ala10.pdb")), energy("ala10.pdb"), 9, tally=Tally(9, low))
-    ending = Ending(stop, Snapshot(Unstarted(at_height(end, 2.0)), start, problem.tally, 3, None))
-    assert np.array_equal(lowest(problem, ending, start.q), np.full(3, answer))
 
 
 @pytest.mark.parametrize("method", FREE)
@@ -114,37 +82,6 @@ def test_stronger_restraints_hold_tighter_and_count_for_nothing_in_the_energy(me
         assert r.trace["energy_kj_mol"].iloc[-1] == pytest.approx(r.end.energy, abs=1e-6)
         moved.append(np.sqrt(np.mean(np.sum((r.x - s.positions)[heavy] ** 2, axis=1))))
     assert moved[1] < 0.3 * moved[0]
-
-
-def test_each_strength_comes_with_whatever_else_restrains():
-    s = load("ala10.pdb")
-    x = s.positions.copy()
-    x[:, 0] *= 1.1
-    moved, heavy = x, s.atom_element != "H"
-    spring = 0.5 * np.sum((x - s.positions)[heavy] ** 2)
-    leash, _ = Leash(s, 0.1)(x)
-    assert leash > 1.0
-
-    def term(x):
-        return 7.0 - 3.0 * float(np.sum(x - moved)), np.full_like(x, 3.0)
-
-    def energies(hold):
-        return [None if part is None else part(x)[0] for part in hold.restraints(s)]
-
-    strengths = (100.0, 10.0, 0.0)
-    alone = [strength * spring for strength in strengths]
-    assert energies(Hold(strengths)) == [*map(pytest.approx, alone[:2]), None]
-    for hold, more in (
-        (Hold(strengths, 0.1), leash),
-        (Hold(strengths, term=term), 7.0),
-        (Hold(strengths, 0.1, term), leash + 7.0),
-    ):
-        assert energies(hold) == pytest.approx([each + more for each in alone])
-        assert energies(Hold((), hold.max_rmsd, hold.term)) == pytest.approx([more])
-    assert energies(Hold()) == [None]
-    (held,) = Hold((100.0,), term=term).restraints(s)
-    pull = np.where(heavy[:, None], 100.0 * (s.positions - x), 0.0) + 3.0
-    assert held(x)[1] == pytest.approx(pull, abs=1e-9)
 
 
 def test_a_ramp_of_restraints_ends_free():
@@ -189,17 +126,6 @@ def test_a_chain_that_holds_what_stays_does_not_move_as_a_whole():
     assert pc.build_chain(s, move="chainID A").n_v == pc.build_chain(s, move="chainID A").n_hinges + 6
 
 
-def test_selections_that_cannot_be_are_refused():
-    s = load("1l2y.pdb")
-    for selection, word in (
-        ("rezid 5", "cannot be read"),
-        ("resid 300", "selects no atom"),
-        ("name OXT", "no bond"),
-    ):
-        with pytest.raises(pc.ProtochainError, match=word):
-            pc.build_chain(s, move=selection)
-
-
 def test_open_angles_change_and_lower_the_energy_further():
     s, e = load("1l2y.pdb"), energy("1l2y.pdb")
     c = pc.build_chain(s, "phi psi chi angles")
@@ -232,90 +158,6 @@ def test_starts_take_a_file_and_the_default_energy():
     found = pc.explore(STRUCTURES / "ala10.pdb", None, "lbfgs", 2, seed=3, max_evaluations=20)
     again = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 2, seed=3, max_evaluations=20)
     assert [s.end.energy for s in found.solutions] == [s.end.energy for s in again.solutions]
-
-
-class Ended:
-    """A method whose run ends as told, and which notes that it was run."""
-
-    def __init__(self, name, stop, ran):
-        self.name, self.stop, self.ran = name, stop, ran
-
-    def init(self, problem, at):
-        self.ran.append(self.name)
-        return Unstarted(at)
-
-    def step(self, problem, state):
-        if self.stop is Stop.BUDGET:
-            raise BudgetSpentError
-        if self.stop is Stop.INTERRUPTED:
-            raise KeyboardInterrupt
-
-    def stage(self, space, after=()):
-        value = np.nan if self.stop is Stop.NON_FINITE else 1.0
-        return Stage(
-            space,
-            self,
-            lambda x: (value, np.zeros_like(x)),
-            1.0 if self.stop is Stop.TOLERANCE else -1.0,
-            patience=-1 if self.stop is Stop.CIRCLING else 10,
-            after=after,
-        )
-
-
-@pytest.mark.parametrize(
-    ("stop", "ran", "complete"),
-    [
-        (Stop.TOLERANCE, "first again last", True), (Stop.NO_DESCENT, "first again last", True),
-        (Stop.NON_FINITE, "first again last", True), (Stop.CIRCLING, "first last", True),
-        (Stop.BUDGET, "first", False), (Stop.INTERRUPTED, "first", False),
-    ],
-)  # fmt: skip
-def test_a_stage_runs_after_the_endings_it_names_and_what_is_left_out_is_said(stop, ran, complete):
-    c, done = chain("ala10.pdb"), []
-    space = Torsions(c)
-    first = Ended("first", stop, done).stage(space)
-    again = Ended("again", Stop.TOLERANCE, done).stage(space, SINGLE_PRECISION_ENDS)
-    last = Ended("last", Stop.TOLERANCE, done).stage(space)
-    outcome = walk([first, again, last], c.structure.positions, 100, None, lambda *_: None)
-    assert done == ran.split() and outcome.complete is complete
-    assert outcome.stop is (Stop.TOLERANCE if complete else stop)
-    # A stage that would have run in certain cases only is not missing.
-    assert walk([first, again], c.structure.positions, 100, None, lambda *_: None).complete
-    cut_off = walk([first, last], c.structure.positions, 100, None, lambda *_: None)
-    assert cut_off.complete is (complete and stop is not Stop.NON_FINITE)
-
-
-def test_single_precision_is_followed_by_double_and_double_by_nothing():
-    c = chain("ala10.pdb")
-    space, single, double = Torsions(c), pc.energy(c.structure, engine="openmm"), energy("ala10.pdb")
-
-    def engines(run, e):
-        return [(stage.energy, stage.after) for stage in run.stages(space, e, 1.0, None)]
-
-    ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.NON_FINITE)
-    assert engines(Run(None), single) == [(single, ()), (single.reference, ends)]
-    assert engines(Run(None), double) == [(double, ())]
-    assert engines(Run(None, continued=False), single) == [(single, ())]
-
-
-def test_a_checkpoint_keeps_the_pairs_of_lbfgs_to_the_bit(tmp_path):
-    c = chain("ala10.pdb")
-    plan = [Stage(Torsions(c), Descent(LBFGS(memory=5), StrongWolfe()), energy("ala10.pdb"), 1e-9)]
-
-    def walked(max_evaluations, resume=None):
-        return walk(plan, c.structure.positions, max_evaluations, None, lambda *_: None, resume)
-
-    kept = walked(12).waypoint
-    save_checkpoint(tmp_path / "run.npz", kept, {})
-    read = load_checkpoint(tmp_path / "run.npz", plan, {}, c.structure.positions)
-    before, after = kept.last.state, read.last.state
-    assert len(after.memory) == len(before.memory) == 5
-    for mine, theirs in zip(after.memory, before.memory, strict=True):
-        assert all(np.array_equal(a, b) for a, b in zip(mine, theirs, strict=True))
-    assert after.preconditioner.age == before.preconditioner.age > 0 and after.rule == before.rule
-    assert np.array_equal(after.preconditioner.made_at.q, before.preconditioner.made_at.q)
-    ends = [walked(20, resume).q for resume in (kept, read)]
-    assert np.array_equal(*ends) and not np.array_equal(ends[0], after.at.q)
 
 
 RESUMED = ("kcm", "kcm-decaying", "kcm-stiffness", "kcm-armijo", "kcm-transient", "fire", "newton", "lbfgs",
@@ -387,31 +229,3 @@ def test_the_number_of_threads_changes_no_bit_of_a_result(method):
         for threads in (1, 2)
     )
     assert np.array_equal(one.x, two.x) and one.end == two.end
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ({"restraint": -1.0}, "none below 0"),
-        ({"restraint": (1.0, float("nan"))}, "none below 0"),
-        ({"max_rmsd": 0.0}, "max_rmsd 0"),
-        ({"method": "openmm", "max_rmsd": 1.0}, "cannot be held"),
-    ],
-)
-def test_restraints_that_make_no_sense_are_refused(options, word):
-    with pytest.raises(pc.ProtochainError, match=word):
-        pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), **options)
-
-
-@pytest.mark.parametrize(
-    ("options", "word"),
-    [
-        ({"n_starts": 0}, "at least 1"),
-        ({"spread": 0.0}, "above 0"),
-        ({"max_rmsd": 1.0}, "each start's own"),
-        ({"restraint": (10.0,)}, "each start's own"),
-    ],
-)
-def test_starts_that_make_no_sense_are_refused(options, word):
-    with pytest.raises(pc.ProtochainError, match=word):
-        pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", **options)

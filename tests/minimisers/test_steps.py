@@ -5,8 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from fixtures.quadratics import along, evaluation
+from scipy.optimize import line_search
 
-from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe
+from protochain.minimisers.steps import AcceptReject, Armijo, Decaying, Fixed, StrongWolfe, _searched
 
 
 def heights(told, elsewhere=100.0):
@@ -132,6 +133,36 @@ def test_a_fall_without_an_end_is_followed_for_ten_doublings():
     problem, at, direction = along(lambda t: -t, lambda t: 1.0)
     length, found, _ = StrongWolfe().step(problem, at, direction, None)
     assert problem.energy.asked == [2.0**k for k in range(11)] and (length, found.energy) == (1024.0, -1024.0)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_the_line_search_asks_for_the_same_points_as_scipys():
+    """Waves on a parabola, some with a wall beyond which there is no energy."""
+    n = failed = 0
+    for seed in range(600):
+        r = np.random.default_rng(seed)
+        size, fast, phase = np.exp(r.normal(size=6)), np.exp(1.5 * r.normal(size=6)), r.uniform(0, 6, 6)
+        wall = np.exp(2 * r.normal()) if seed % 3 == 0 else np.inf
+        asked = []
+
+        def height(t, size=size, fast=fast, phase=phase, wall=wall, asked=asked):
+            asked.append(t := float(np.squeeze(t)))
+            return float(size @ np.sin(fast * t + phase)) + 0.1 * t * t if t < wall else np.inf
+
+        def slope(t, size=size, fast=fast, phase=phase, wall=wall):
+            t = float(np.squeeze(t))
+            return float(size * fast @ np.cos(fast * t + phase)) + 0.2 * t if t < wall else np.nan
+
+        if slope(0.0) < 0.0:
+            one, start = np.ones(1), height(0.0)
+            theirs = line_search(
+                height, lambda t, slope=slope: slope(t) * np.ones(1), 0 * one, one, slope(0.0) * one, start
+            )[0]
+            before = asked[1:]
+            asked.clear()
+            assert _searched(height, slope, start, -slope(0.0)) == theirs and asked == before
+            n, failed = n + 1, failed + (theirs is None)
+    assert n > 200 and 0 < failed < n
 
 
 def test_a_line_search_that_fails_beside_a_lower_point_takes_that_point():

@@ -215,29 +215,37 @@ def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> N
 
 
 def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force]]) -> Bonded:
-    pairs, parameters = [], []
-    for first, second, qq, sigma, epsilon in rows(force, "getNumExceptions", "getExceptionParameters"):
-        b6 = 4.0 * epsilon * sigma**6
-        pairs.append((min(first, second), max(first, second)))
-        parameters.append([b6 * sigma**6, b6, qq * COULOMB])
-    place = {pair: i for i, pair in enumerate(pairs)}
+    read = np.array(rows(force, "getNumExceptions", "getExceptionParameters"), dtype=float).reshape(-1, 5)
+    pairs = np.sort(read[:, :2].astype(np.int64), axis=1)
+    parameters = np.column_stack([_well(*read[:, 3:].T), read[:, 2] * COULOMB])
+    key = [force.getNumParticles(), 1]
+    keys = pairs @ key
+    order = np.argsort(keys)
     for custom in found.get("CustomBondForce", []):
         names = [custom.getPerBondParameterName(i) for i in range(custom.getNumPerBondParameters())]
         known = bare(custom.getEnergyFunction()) == "4*epsilon*((sigma/r)^12-(sigma/r)^6)"
         if not known or sorted(names) != ["epsilon", "sigma"]:
             raise UnsupportedForceError(f"CustomBondForce {custom.getEnergyFunction()!r}")
-        for i in range(custom.getNumBonds()):
-            first, second, values = custom.getBondParameters(i)
-            pair = min(first, second), max(first, second)
-            if pair not in place:
-                raise UnsupportedForceError("CustomBondForce between atoms that are no exception")
-            sigma, epsilon = values[names.index("sigma")], values[names.index("epsilon")]
-            b6 = 4.0 * epsilon * sigma**6
-            parameters[place[pair]][0] += b6 * sigma**6
-            parameters[place[pair]][1] += b6
-    return Bonded(
-        np.array(pairs, dtype=np.int64).reshape(-1, 2), np.array(parameters, dtype=float).reshape(-1, 3)
-    )
+        bonds = rows(custom, "getNumBonds", "getBondParameters")
+        if not bonds:
+            continue
+        own = np.sort([bond[:2] for bond in bonds], axis=1) @ key
+        place = np.searchsorted(keys, own, sorter=order)
+        if not np.isin(own, keys).all():
+            raise UnsupportedForceError("CustomBondForce between atoms that are no exception")
+        values = np.array([bond[2] for bond in bonds]).T
+        np.add.at(
+            parameters[:, :2],
+            order[place],
+            _well(values[names.index("sigma")], values[names.index("epsilon")]),
+        )
+    return Bonded(pairs, parameters)
+
+
+def _well(sigma: Floats, epsilon: Floats) -> Floats:
+    """A and B (n, 2) of A/r^12 - B/r^6."""
+    b6 = 4.0 * epsilon * sigma**6
+    return np.column_stack([b6 * sigma**6, b6])
 
 
 def _types_of(table: openmm.CustomNonbondedForce, force: openmm.NonbondedForce) -> list[float]:
