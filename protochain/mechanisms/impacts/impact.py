@@ -55,8 +55,8 @@ class Impact(Value):
     work : float
         Change of the kinetic energy.
     dissipation : float
-        What contacts and closing loops take of it: -P (u- + u+)/2 over their impulses P. It is not negative by
-        Poisson's and Stronge's laws; by Newton's it may be, with friction.
+        What contacts and closing loops take of it: -P (u- + u+)/2 over their impulses P. By Poisson's and
+        Stronge's laws it is not negative; by Newton's it may be, with friction.
     """
 
     qd: Floats
