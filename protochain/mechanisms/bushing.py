@@ -68,13 +68,7 @@ class Bushing(Between):
             self.fix(**{name: not_negative(getattr(self, name), f"{self.label}: its {name}", (6,))})
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return its wrenches.
-
-        Raises
-        ------
-        MechanicsError
-            If a body is not there.
-        """
+        """Return its wrenches."""
         ends, points = self.ends(bodies)
         a, b = ends[0].tolist()
         # The axes of b as they lie in a at rest.

@@ -82,13 +82,7 @@ class Closing(Between):
             self.fix(axis_b=direction(self.axis_b, f"{self.label}: its axis_b"))
 
     def bind(self, bodies: Bodies) -> LoopJoints:
-        """Return its equations.
-
-        Raises
-        ------
-        MechanicsError
-            If a body is not there.
-        """
+        """Return its equations."""
         (ends,), (points,) = self.ends(bodies)
         # Axes of the joint in the world as built, then in the frame of each body.
         world = bodies.built.rotation(self.a[0]) @ with_z_along(self.axis)

@@ -213,13 +213,7 @@ class Contact(Named):
         return balls
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return the elastic force with its energy, the rest as a load, and the anchors of friction.
-
-        Raises
-        ------
-        MechanicsError
-            If a body is not there, or a shape cannot be touched.
-        """
+        """Return the elastic force with its energy, the rest as a load, and the anchors of friction."""
         found = finder(bodies, self.balls, self.other, self.label)
         law, rub = self.law, self.friction or Friction(0.0, 0.0)
         constants = (law.stiffness, law.exponent, law.damping, rub.coefficient, rub.stiffness, rub.damping)

@@ -69,13 +69,7 @@ class HingeFriction(Named):
             raise MechanicsError(f"{self.label}: its speed is zero; give one far below those of the motion")
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return its torques as a load.
-
-        Raises
-        ------
-        MechanicsError
-            If the hinge is not there, fixed or a ball, or a screw.
-        """
+        """Return its torques as a load."""
         b, (_, freedom) = bodies.hinge(self.hinge, self.label), bodies.freedom(self.hinge, self.label)
         turn, slide = bodies.tree.twist[b]
         if self.coefficient and turn and slide:

@@ -78,13 +78,7 @@ class Spring(Between):
             self.fix(rest=float(not_negative(self.rest, f"{self.label}: its rest")))
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return its forces.
-
-        Raises
-        ------
-        MechanicsError
-            If a body is not there, or its ends meet as built and it has a length at rest.
-        """
+        """Return its forces."""
         ends, points = self.ends(bodies)
         places = [bodies.built.point(*end) for end in (self.a, self.b)]
         built = float(np.linalg.norm(places[1] - places[0]))

@@ -53,13 +53,7 @@ class AppliedForce(Named):
         )
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return it as a load.
-
-        Raises
-        ------
-        MechanicsError
-            If the body is not there, or the world.
-        """
+        """Return it as a load."""
         b, label = bodies.number(self.body, self.label), f"{self.label}: its"
         if b < 0:
             raise MechanicsError(f"{self.label}: the world does not move; name a body")
@@ -112,13 +106,7 @@ class HingeTorque(Named):
         self.fix(value=_law(self.value, (), f"{self.label}: its value"))
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return it as a load.
-
-        Raises
-        ------
-        MechanicsError
-            If there is no such hinge, or it is fixed.
-        """
+        """Return it as a load."""
         freedom = bodies.freedom(self.hinge, self.label)[1]
         value, by_state = _of_state(self.value)
 

@@ -258,7 +258,8 @@ class Mechanism:
         Raises
         ------
         MechanicsError
-            If an element names what there is not, bodies and hinges are no trees, or a body has no inertia.
+            If an element names what there is not, or what cannot have it, as a fixed hinge a torsion; if
+            bodies and hinges are no trees, or a body has no inertia.
         """
         if not self._bodies:
             raise MechanicsError("the mechanism is empty; add a body by body()")

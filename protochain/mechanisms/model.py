@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     pass
 
 from protochain.mechanisms.assembly import Assembly, NamedLoad, Row
-from protochain.mechanisms.run import Run
+from protochain.mechanisms.run import ROUNDED, Run
 
 _LOOK = 256
 """Rows from one look at the balance of energy to the next."""
@@ -272,17 +272,15 @@ class _Simulation:
 
     def look(self, row: int = -1) -> None:
         """Look at the energy of a row, by default the latest."""
-        time, *_, potential, _, _ = self.rows[row]
+        time = self.rows[row][0]
         (_, before), (kinetic, after) = (self.unspent(self.rows[k]) for k in (0, row))
         lack = after - before
         if abs(lack) <= self.balance * kinetic < np.inf:
             return
         # Perhaps there was more before: this row may be a turning point.
-        largest = Run(self.model, self.rows, (), self.start).in_motion
-        # What is held, and does not move, has rounding alone: of its weights times its size.
-        size = abs(potential) + np.max(np.abs(self.start.torque * self.model.tree.units), initial=0.0)
-        floor = 1e3 * np.finfo(float).eps * size
-        if not (abs(lack) <= self.balance * largest + floor and np.isfinite(lack)):
+        run = Run(self.model, self.rows, (), self.start)
+        largest = run.in_motion
+        if not (abs(lack) <= self.balance * largest + ROUNDED * run.held and np.isfinite(lack)):
             raise UnbalancedError(
                 f"by time {time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "
                 f"without work: the time step {self.time_step:g} is too long; {self.remedy}"

@@ -71,13 +71,7 @@ class Motor(Named):
         return Driven(hinge, lambda time: (held, 0.0, 0.0))
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return its torques as a load.
-
-        Raises
-        ------
-        MechanicsError
-            If a hinge is not there, fixed, driven or a ball.
-        """
+        """Return its torques as a load."""
         tree, names = bodies.tree, tuple(self.follow)
         places, freedoms = np.array([bodies.freedom(name, self.label) for name in names]).T
         if np.any(taken := np.isin(freedoms, tree.driven_v)):

@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 from protochain.mechanisms.assembly import Motion
 
+ROUNDED = 1e3 * float(np.finfo(float).eps)
+"""Of the energy that is held: what rounding may make of it."""
+
 
 class Audit(NamedTuple):
     """What does not add up, each relative to the largest of its kind in the run.
@@ -28,7 +31,8 @@ class Audit(NamedTuple):
     Parameters
     ----------
     energy : float
-        Largest change of energy that is neither work nor an event's, of the largest energy in motion.
+        Largest change of energy that is neither work nor an event's, of the largest energy in motion; where
+        nothing moves, of the energy held.
     momentum, spin : float or None
         Largest change of momentum, and of that about the origin, of the sum of those of the bodies; None if
         something acts from outside, as the jump of an event that does not pass may.
@@ -179,7 +183,7 @@ class Run(Motion):
             Largest errors, relative.
         """
         lack = self.total - np.sum(self.work, axis=1) - self.jumps
-        scale = self.in_motion
+        scale = self.in_motion if self.in_motion > ROUNDED * self.held else self.held
         energy = float(np.max(np.abs(lack - lack[0])) / scale) if scale > 0.0 else 0.0
         loops = self._opened() if self.model.bodies.joints is not None else (None, None)
         strikes = {each.name for each in self.model.events if not each.passes}
@@ -211,3 +215,9 @@ class Run(Motion):
         """Largest energy that moves: kinetic, that of a change of the potential, of work, of events."""
         parts = self.kinetic, self.potential - self.potential[0], self.work - self.work[0], self.jumps
         return max(float(np.max(np.abs(part), initial=0.0)) for part in parts)
+
+    @property
+    def held(self) -> float:
+        """Energy of what is held, of which rounding may move a part: its potential, weights by its size."""
+        torques = np.abs(self.end.torque * self.model.tree.units)
+        return float(abs(self.potential[-1]) + np.max(torques, initial=0.0))

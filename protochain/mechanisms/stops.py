@@ -57,13 +57,7 @@ class Stop(Named):
         self.fix(low=low, high=high, stiffness=k, damping=c)
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return its elastic torque, and that of the damper as a load.
-
-        Raises
-        ------
-        MechanicsError
-            If there is no such hinge, it is fixed or a ball, or begins beyond its limits.
-        """
+        """Return its elastic torque, and that of the damper as a load."""
         place, freedom = bodies.freedom(self.hinge, self.label)
         unit = bodies.unit(self.hinge)
         bound = Stopped(place, freedom, self.low * unit, self.high * unit, self.stiffness, self.damping)

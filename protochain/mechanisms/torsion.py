@@ -48,13 +48,7 @@ class Torsion(Named):
             self.fix(rest=number(self.rest, f"{self.label}: its rest"))
 
     def bind(self, bodies: Bodies) -> Acting:
-        """Return its torques.
-
-        Raises
-        ------
-        MechanicsError
-            If there is no such hinge, or it is fixed.
-        """
+        """Return its torques."""
         place, freedom = bodies.freedom(self.hinge, self.label)
         rest = bodies.q[place] if self.rest is None else self.rest * bodies.unit(self.hinge)
         row = Torsions(

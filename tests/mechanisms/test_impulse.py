@@ -451,6 +451,21 @@ def test_the_work_of_a_blow_is_impulse_times_mean_velocity(seed, closed):
     assert found.work == pytest.approx(gained, rel=1e-8, abs=1e-10)
 
 
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("law", ["poisson", "stronge"])
+def test_no_impact_gives_energy_and_what_it_takes_is_all_that_the_blow_does_not_give(seed, law):
+    """The dissipation inequality; the blow's own work by its mean velocity while it alone acts, first."""
+    factors, qd, rng = struck(seed)
+    loops = random_loops(factors, rng) if seed % 2 else None
+    points = touching(factors, rng, 1 + seed % 3, rng.uniform(0.0, 1.5), rng.uniform())
+    external = {2: tuple(rng.normal(size=(2, 3)))}
+    found = impact(factors, qd, points, law, loops, "in turn", external)
+    blown, m = impact(factors, qd, [], external=external), mass_matrix(factors.tree, factors.frames)
+    lost = 0.5 * (blown.qd @ m @ blown.qd - found.qd @ m @ found.qd)
+    assert found.dissipation == pytest.approx(lost, rel=1e-8, abs=1e-9) and found.dissipation > -1e-9
+    assert found.work == pytest.approx(blown.work - lost, rel=1e-8, abs=1e-9)
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_a_ball_at_rest_is_driven_into_the_floor_and_comes_back(law):
     mass, radius, inertia, e = 2.0, 0.3, 0.1, 0.6

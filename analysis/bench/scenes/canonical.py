@@ -11,7 +11,8 @@ bodies that bend by shapes             ``mechanisms.flexible``, with what stiffe
 
 Chosen are links of 1 m and 1 kg in a plane, hinged end to end, EI 3 N m^2, two shapes of bending each; the
 first hinge is free: nothing depends on its angle, and its momentum is the whole chain's spin. Left out:
-loops, whose rows the recursion does not have.
+loops, whose rows the recursion does not have, and dampers, which momenta alone do not tell of; ``bending``
+refuses both. Its system is stepped by hand: ``Run`` and ``view``, which are of rigid bodies, are left out.
 """
 
 from collections.abc import Callable, Iterator

@@ -74,23 +74,23 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     >>> bool(np.allclose(multibody.inverse_dynamics(tree, q, rest, qdd), tau))
     True
     """
-    for values, name in ((qd, "qd"), (tau, "tau")):
-        finite(values, (tree.n_v,), name)
+    q, qd = floats(q, (tree.n_q,), "q"), finite(qd, (tree.n_v,), "qd")
+    loads = np.zeros((tree.n_bodies, 6))
     if wrench is not None:
-        finite(wrench, (tree.n_bodies, 6), "wrench")
-    return accelerations(tree, q, qd, tau, wrench)
+        loads += finite(wrench, loads.shape, "wrench")
+    return _solved(tree, q, qd, finite(tau, (tree.n_v,), "tau").copy(), loads)
 
 
-def accelerations(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Floats | None = None) -> Floats:
+def accelerations(tree: Tree, q: Floats, qd: Floats, tau: Floats) -> Floats:
     """Accelerations (n_v,) as :func:`forward_dynamics`, of motions that may diverge."""
-    if wrench is None:
-        loads = np.zeros((tree.n_bodies, 6))
-    else:
-        loads = floats(wrench, (tree.n_bodies, 6), "wrench").copy()
-    x = floats(tau, (tree.n_v,), "tau").copy()
+    q, qd = floats(q, (tree.n_q,), "q"), floats(qd, (tree.n_v,), "qd")
+    return _solved(tree, q, qd, floats(tau, (tree.n_v,), "tau").copy(), np.zeros((tree.n_bodies, 6)))
+
+
+def _solved(tree: Tree, q: Floats, qd: Floats, x: Floats, loads: Floats) -> Floats:
+    """Overwrite torques in ``x`` by accelerations, and the external ``loads``."""
     if not tree.is_plain:
         return _by_parts(tree, q, qd, x, loads)
-    q, qd = floats(q, (tree.n_q,), "q"), floats(qd, (tree.n_v,), "qd")
     refuse_singular(_forward(tree.links, tree.bodies, q, qd, loads, x), q)
     return x
 

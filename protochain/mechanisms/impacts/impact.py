@@ -54,6 +54,9 @@ class Impact(Value):
         Impulses of the rows of the loops.
     work : float
         Change of the kinetic energy.
+    dissipation : float
+        What contacts and closing loops take of it: -P (u- + u+)/2 over their impulses P. By Poisson's and
+        Stronge's laws it is not negative; by Newton's it may be, with friction.
     """
 
     qd: Floats
@@ -63,6 +66,7 @@ class Impact(Value):
     compression: Floats
     loops: Floats
     work: float
+    dissipation: float
 
 
 def impact(
@@ -178,8 +182,8 @@ def _after(struck: Struck, local: Floats, compression: Floats, work: float) -> I
     impulse, seen, left = (
         frozen(np.einsum("kij,ki->kj", struck.axes, x.reshape(k, 3))) for x in (local, before[m:], after[m:])
     )
-    work += 0.5 * float(impulses @ (before + after))
-    return Impact(frozen(qd), impulse, seen, left, read_only(compression), frozen(loops), work)
+    lost = -0.5 * float(impulses @ (before + after))
+    return Impact(frozen(qd), impulse, seen, left, read_only(compression), frozen(loops), work - lost, lost)
 
 
 def loads_of(bodies: Bodies, rows: Rows, impulses: Floats) -> Floats:

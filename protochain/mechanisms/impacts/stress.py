@@ -43,8 +43,8 @@ def impulse_stress(
     Raises
     ------
     MechanicsError
-        If the impact had loops, the rows of which do not say where in a body their joints bear; or of
-        external, as :func:`impact`.
+        If the impact had loops, the rows of which do not say where in a body their joints bear; of bodies
+        that bend; or of external, as :func:`impact`.
 
     Notes
     -----
@@ -53,6 +53,8 @@ def impulse_stress(
     outward body; of its couple C, which tells of no place, [C]/2 is taken, the part that makes S symmetric.
     O(n).
     """
+    if not isinstance(factors, Articulated):
+        raise MechanicsError("impulse stress: shapes of bodies that bend do not say where forces pass")
     tree, frames, bodies = factors.tree, factors.frames, RigidBodies(factors)
     if len(found.loops):
         raise MechanicsError(

@@ -15,7 +15,9 @@ stability of designs                                ``stability``: centre of pre
 ==================================================  =====================================================
 
 Left out: both tracks under the digging vehicle, whose shoes take steps as short as the cubes', for which it
-stands on feet; buckets of triangles under cubes, whose plates are boxes; and hydraulics, for which lengths of
+stands on feet; a track in soil that gives way, whose heap would need thousands of cubes under each shoe, so
+that it rolls on rigid ground; why it creeps by 1 %, of which only that its pins move in their seats was seen;
+buckets of triangles under cubes, whose plates are boxes; and hydraulics, for which lengths of
 cylinders are prescribed, and forces found.
 """
 

@@ -10,9 +10,10 @@ contact of flanks                        ``geometry``: involutes and tip corners
 stiffness of teeth                       by ISO 6336, and by finite elements (``ELEMENTS``)
 =======================================  ================================================================
 
-Beyond it: shifted teeth; back flanks with play, on which gears rattle (``rattle``). Under torque back flanks
-do not meet, and are left out. Left out altogether: its second example, of which nothing is known; friction,
-wheels that tilt, and teeth whose stiffness depends on where they are touched.
+Beyond it: shifted teeth; friction of flanks; a second pair, of numbers chosen (``SECOND``), as its own are
+not known; back flanks with play, on which gears rattle (``rattle``). Under torque back flanks do not meet,
+and are left out. Left out altogether: wheels that tilt, and teeth whose stiffness depends on where they are
+touched: the force along a flank is that of one stiffness, ISO's or the one by finite elements.
 """
 
 from collections.abc import Iterator
@@ -48,6 +49,8 @@ ELEMENTS = 23.3e9
 Without what their flanks give about the contact; together 16.1e9 N/m^2 at 300 N/mm, where ISO 6336 has
 16.3e9 for such teeth, and takes 14e9 for most.
 """
+SECOND = GearPair((31, 47), 3e-3, float(np.radians(25.0)))
+FRICTION = 0.05
 STEP = 1e-6
 """s: two thirds of a radian of the fastest vibration, of teeth on their flanks."""
 PUBLISHED = "by hand, of the tip circles"
@@ -74,7 +77,7 @@ def run(quick: bool = False) -> Scene:
     }
     work, found = _work(gear, 3e-4 if quick else 1e-3, quick)
     checks = (*_checks(gear), *_moving(gear, traces, sweep, pitches), *_ratios(stiffness), *found)
-    checks += tuple(rattle.checks(quick))
+    checks += (*rattle.checks(quick), *_rubbing())
     left = _left_out(gear, 2e-4 if quick else 1e-3)
     return Scene(
         "gear", "spur gears: teeth on springs, flanks that press on each other", checks, work,
@@ -203,6 +206,26 @@ def _moving(
     )
     energy = _undamped(gear, 2e-4)
     yield vanishes("change of energy without damping", energy, 1e-8, "the start")
+
+
+def _rubbing(n: int = 64) -> Iterator[Found]:
+    """What friction takes of the power while a pair of teeth passes, place by place; and of a motion."""
+    for pair in (GearPair(), SECOND):
+        gear, taken = Gear(pair, torque=0.1, friction=FRICTION), []
+        for place in (np.arange(n) + 0.5) / n * pair.base_pitch:
+            model, q = at_rest(gear, float(place))
+            qd = np.zeros_like(q)
+            for k, rate in enumerate((gear.speed, gear.speed / gear.ratio)):
+                qd[model.bodies.freedom(f"wheel {k}")[1]] = rate
+            torques = meshing_of(model).resist(0.0, q, qd, model.start().factors.frames).torques
+            taken.append(-qd @ torques / (gear.torque * gear.speed))
+        begin, end = (abs(each) / pair.base_pitch for each in pair.path)
+        turns = np.pi * sum(1.0 / teeth for teeth in pair.teeth)
+        oracle = FRICTION * turns * (1.0 - begin - end + begin**2 + end**2)
+        name = "share of the power that friction takes, {} and {} teeth".format(*pair.teeth)
+        yield check(name, float(np.mean(taken)), oracle, 0.01, "Ohlendorf's H_v, load shared evenly")
+    moved = started(replace(Gear(), friction=FRICTION), 2e-4).simulate(2e-4, STEP)
+    yield vanishes("audit of energy, with friction", moved.audit().energy, 1e-6, "energy less work is kept")
 
 
 def _undamped(gear: Gear, until: float) -> float:

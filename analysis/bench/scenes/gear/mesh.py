@@ -19,6 +19,8 @@ from protochain.mechanisms.assembly import Assembly
 from protochain.mechanisms.contact import Law, lankarani_nikravesh
 
 NO_TOOTH = -1
+SLOW = 1e-3
+"""m/s, below which friction falls to nothing."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +36,7 @@ class Gear:
     tooth: Inertia of the teeth relative to steel; what they lack is the wheel's, so that both together stay.
     backlash: Play between the back flanks, m along their line of action, while the front ones touch;
         infinite: they are left out.
+    friction: Coulomb's, of flanks that slide on each other.
     """
 
     pair: GearPair = field(default_factory=GearPair)
@@ -44,6 +47,7 @@ class Gear:
     damping: float = 0.07
     tooth: float = 1.0
     backlash: float = np.inf
+    friction: float = 0.0
 
     def __post_init__(self) -> None:
         check_fields(self, torque=number)
@@ -105,6 +109,7 @@ class Flanks:
     pair: Geometry.
     law: Normal force.
     backlash: Play of the back flanks.
+    friction: Coulomb's.
     wheels: Hinges of the driving and of the driven wheel.
     teeth: Hinge of each tooth, empty for one that is part of its wheel.
     """
@@ -112,6 +117,7 @@ class Flanks:
     pair: GearPair
     law: Law
     backlash: float
+    friction: float
     wheels: tuple[str, str]
     teeth: tuple[tuple[str, ...], tuple[str, ...]]
 
@@ -123,12 +129,17 @@ class Flanks:
         for own, names in zip(freedoms, self.teeth, strict=True):
             own += [bodies.freedom(name)[1] if name else NO_TOOTH for name in names]
         bases = [wheel.base for wheel in self.pair.wheels]
-        numbers = (*bases, self.pair.base_pitch, *self.pair.path, self.pair.across, self.backlash)
+        arms = [wheel.pitch * np.sin(wheel.pressure_angle) for wheel in self.pair.wheels]
+        numbers = (
+            *bases, self.pair.base_pitch, *self.pair.path, self.pair.across, self.backlash, self.friction,
+            *arms,
+        )  # fmt: skip
         meshing = Meshing(
             read_only(freedoms[0], np.int64), read_only(freedoms[1], np.int64), read_only(numbers),
             self.pair.corners, read_only([self.law.stiffness, self.law.exponent, self.law.damping]),
         )  # fmt: skip
-        return Acting(meshing, Load(meshing.resist) if self.law.damping else None, True, True)
+        loses = self.law.damping or self.friction
+        return Acting(meshing, Load(meshing.resist) if loses else None, True, True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +148,8 @@ class Meshing:
 
     one, other (1 + teeth,) int: Freedoms of each wheel and of its teeth, -1 for a tooth that is part of the
         wheel.
-    numbers (7,): Base radii, base pitch, beginning and end of the path of contact; across a tooth, play.
+    numbers (10,): Base radii, base pitch, beginning and end of the path of contact; across a tooth, play;
+        friction, from the pitch point along the line of action to either base circle.
     corners: Tip corners: :attr:`GearPair.corners`.
     law (3,): Stiffness, exponent, damping.
     """
@@ -153,7 +165,7 @@ class Meshing:
         return self._press(q, q, torques, 0)[0]
 
     def resist(self, time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
-        """Torques of damping."""
+        """Torques of damping and friction."""
         torques = np.zeros(len(qd))
         self._press(q, qd, torques, 1)
         return Applied(torques=torques)
@@ -177,11 +189,11 @@ def _press(
     one: Integers, other: Integers, numbers: Floats, first: tuple[float, ...], second: tuple[float, ...],
     law: Floats, q: Floats, qd: Floats, torques: Floats, part: int,
 ) -> tuple[float, Floats]:  # fmt: skip
-    """Add torques of the elastic force (part 0), of its damping (1) or of both (2); energy, and each pair.
+    """Add torques of the elastic force (part 0), of what loses energy (1) or of both (2); energy, each pair.
 
     Back flanks are the front flanks of the mirror image, in which everything turns the other way.
     """
-    r1, r2, pitch, begin, end, across, play = numbers
+    r1, r2, pitch, begin, end, across, play, friction, arm_1, arm_2 = numbers
     sides = 1 if play == np.inf else 2
     most = int((end - begin) / pitch) + 3
     pairs, energy, count = np.zeros((sides * most, 4)), 0.0, 0
@@ -212,13 +224,19 @@ def _press(
             pressed = max(0.0, elastic * (1.0 + law[2] * closing))
             force = elastic if part == 0 else pressed - elastic if part == 1 else pressed
             pairs[count - 1, 2] = force
-            force *= sign
-            torques[one[0]] -= force * by_1 * r1
-            torques[other[0]] -= force * by_2 * r2
+            turn_1, turn_2 = force * by_1 * r1, force * by_2 * r2
+            if part > 0 and friction > 0.0:
+                # Across the line of action, at the flanks' radii of curvature.
+                rho_1, rho_2 = arm_1 + pairs[count - 1, 0], arm_2 - pairs[count - 1, 0]
+                slide = sign * (rho_1 * rate_1 - rho_2 * rate_2)
+                drag = friction * pressed * slide / np.sqrt(slide * slide + SLOW * SLOW)
+                turn_1, turn_2 = turn_1 + drag * rho_1, turn_2 - drag * rho_2
+            torques[one[0]] -= sign * turn_1
+            torques[other[0]] -= sign * turn_2
             if tooth_1 >= 0:
-                torques[tooth_1] -= force * by_1 * r1
+                torques[tooth_1] -= sign * turn_1
             if tooth_2 >= 0:
-                torques[tooth_2] -= force * by_2 * r2
+                torques[tooth_2] -= sign * turn_2
     return energy, pairs[:count]
 
 
@@ -262,7 +280,7 @@ def gears(
             m.hinge(name, body, name, axis=axis, q=start.get(name, 0.0))
             m.torsion(name, name, gear.tooth_stiffness[k], damping=gear.tooth_damping[k])
         names.append(tuple(f"tooth {k} {n}" if n in own else "" for n in range(wheel.teeth)))
-    m.force(
-        "flanks", Flanks(gear.pair, gear.flank, gear.backlash, ("wheel 0", "wheel 1"), (names[0], names[1]))
-    )
+    m.force("flanks", Flanks(
+        gear.pair, gear.flank, gear.backlash, gear.friction, ("wheel 0", "wheel 1"), (names[0], names[1])
+    ))  # fmt: skip
     return m.build()

@@ -1,4 +1,7 @@
-"""A search for the ten per cent: over the axle's spring, its damper and the equilibrator."""
+"""A search for what the ten per cent can be: the least share of each case, in one table.
+
+Over the axle's spring, its damper and the equilibrator.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,6 +19,7 @@ from protochain.core.errors import MechanicsError
 
 CASES = (
     ("shot", Gun()), ("shot, no couple", Gun(offset=0.0)), ("blow to the deck", Gun(charge=0.0, blow=BLOW)),
+    ("blow to the deck, no couple", Gun(charge=0.0, blow=BLOW, offset=0.0)),
 )  # fmt: skip
 EARLY, LATE = "until the projectile has left", "until the next shot"
 DECK = 1e7

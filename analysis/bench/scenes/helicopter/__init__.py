@@ -5,7 +5,7 @@ What is known of it from others, and where it is:
 
 =======================================  ==================================================================
 fuselage, transmission on mounts, rotor  ``parts``: free bodies; the shaft turns as prescribed
-blades that bend                         ``parts``: segments, in modes: two of flap, one of lag and torsion
+blades that bend                         ``parts``: segments, in modes: three of flap, one of lag, torsion
 legs with springs, dampers and friction  ``legs``: they push only
 touchdown, limits of sink and drift      ``landing``, ``safety``: by bisection, with a map of what is safe
 landing on a slope                       ``safety``
@@ -14,7 +14,8 @@ ground resonance                         ``resonance``: Hammond's, J. Am. Helico
 =======================================  ==================================================================
 
 Rigid blades have a closed form. Left out: cyclic pitch and forward flight, whose lift is not that of a hover;
-an engine: the shaft is driven.
+an engine, its torque and what the rotor's speed does in take-off: the shaft turns as prescribed, and drag of
+the blades, which an engine works against, is not modelled.
 """
 
 from dataclasses import replace

@@ -31,8 +31,8 @@ HEIGHT = 1.2
 """m. The fuselage's centre of mass above the feet."""
 RATE = 45.0
 AIR, SLOPE = 1.225, 5.7
-MODES = {"y": 2, "z": 1, "x": 1}
-"""Modes of a blade: flap, lag and torsion."""
+MODES = {"y": 3, "z": 1, "x": 1}
+"""Modes of a blade: flap, lag and torsion. With three of flap the tip swings as free, to 1 %."""
 WEIGHT = (FUSELAGE + TRANSMISSION + BLADES * BLADE_MASS) * GRAVITY
 LEGS = Legs(
     "fuselage", [(x, y, -HEIGHT) for x in (1.0, -1.0) for y in (1.0, -1.0)], 6e4, 3e3, 500.0, 0.8
@@ -44,7 +44,7 @@ class Design:
     """What differs from case to case.
 
     cells: Cells of each blade; 0 for rigid ones.
-    modes: Whether blades bend in two modes of flap, and one of lag and torsion each, instead of freely.
+    modes: Whether blades bend in three modes of flap, and one of lag and torsion each, instead of freely.
     mounts: Whether the transmission is on its mounts, instead of fixed.
     legs: Legs, if the ground is near.
     speed: Rate of the shaft, unless ``motion`` gives it.
@@ -120,7 +120,7 @@ def build(given: Design) -> Helicopter:
 def groups(blades: tuple[Segments, ...]) -> list[tuple[list[str], int]]:
     """Hinges of each blade about each axis, and how many modes they have."""
     return [
-        ([name for name in blade.hinges if name[-1] == axis], count)
+        (names := [name for name in blade.hinges if name[-1] == axis], min(count, len(names)))
         for blade in blades
         for axis, count in MODES.items()
     ]

@@ -6,13 +6,17 @@ After Lidstrom (2015), of which the outline is known. What it treats, and where 
 impulses on trees of rigid bodies        ``impacts.impact``: any tree, with and without loops
 laws of restitution, Coulomb's friction  one point, or several, together or in turn
 two rods whose tip strikes a floor       ``systems.rods``: of Kane and Levinson, *Dynamics* (1985)
+dissipation of each impact               ``Impact.dissipation``: never negative by Poisson's and Stronge's
 uniqueness                               starts that must agree; a priori: ``impacts.friction_bound``
 impulses that are given                  ``impact(external=)``
 impulse stress                           ``impacts.impulse_stress``: its mean in each rigid body
 bodies that bend                         ``impact`` of a ``impacts.Bending``
 =======================================  ==============================================================
 
-Left out: waves in bodies, since instantaneous impulses move all of a body at once; stress where loops bear.
+Left out: waves in bodies, since instantaneous impulses move all of a body at once; and Cauchy's impulse
+tensor as a field. Momentum and impulses settle its divergence and its mean; of rigid bodies the rest is open,
+in bodies that bend shapes give displacements of sections, not stress within them, and rows of loops do not
+say where in a body their joints bear.
 """
 
 from collections.abc import Iterator
