@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from protochain.core.palette import looks
 from protochain.core.storage import write_atomically
 from protochain.results.columns import heading
-from protochain.results.figures import COLOURS, data_url, panels, plain
+from protochain.results.figures import data_url, panels, plain
 from protochain.results.page import write_page
 from protochain.structure.losses import loss_lines
 

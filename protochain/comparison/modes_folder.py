@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 
 from protochain.comparison.modes import NormalModes
 from protochain.core.markup import counted
+from protochain.core.palette import COLOURS
 from protochain.core.storage import json_text, write_text
 from protochain.results.columns import Column, of_energy, of_losses, of_structure, record
-from protochain.results.figures import COLOURS, data_url, panels
+from protochain.results.figures import data_url, panels
 from protochain.results.page import write_page
 from protochain.results.provenance import command_line
 from protochain.results.tables import save

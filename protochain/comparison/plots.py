@@ -1,7 +1,6 @@
 """Figures of a comparison: safe for colour-blind readers, and readable in grey by line style."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,8 @@ from matplotlib.figure import Figure as PlainFigure
 from matplotlib.ticker import MaxNLocator
 
 from protochain.core.arrays import Floats
-from protochain.results.figures import COLOURS, DASHES, panels, plain
+from protochain.core.palette import COLOURS, looks
+from protochain.results.figures import panels, plain
 from protochain.validation.ramachandran import ALLOWED, FAVOURED, tables
 
 _LOG_FROM = 1e4
@@ -88,18 +88,14 @@ Styles = dict[str, dict[str, Any]]
 
 def _styles(methods: Iterable[str]) -> Styles:
     """Colour and line style of each method, the same in every figure of a comparison."""
-    return {
-        method: {"color": colour, "linestyle": dash, "label": method}
-        for method, colour, dash in zip(methods, cycle(COLOURS), cycle(DASHES))
-    }
+    return {method: look.line(method) for method, look in looks(methods).items()}
 
 
 def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: Styles) -> None:
     """Draw a column of the traces against evaluations and against seconds, one line per method."""
     for method, run in traces.groupby("method", sort=False):
         for ax, cost in zip(axes, ("evaluations", "seconds"), strict=False):
-            # A line through one point would be invisible.
-            ax.plot(run[cost], run[value], marker="o" if len(run) == 1 else "", **styles[str(method)])
+            ax.plot(run[cost], run[value], **styles[str(method)])
     for ax, label in zip(axes, ("energy evaluations", "seconds"), strict=False):
         ax.set_xlabel(label)
     axes[0].legend(frameon=False)
@@ -172,9 +168,9 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
                 largest = of[list(names)].abs().max(axis=1)
                 top.plot(place, largest, ".", ms=4, color=COLOURS[colour], label=f"{stated}, largest")
         else:
-            top.plot(place, of["torsions_degrees"], **styles[name])
+            top.plot(place, of["torsions_degrees"], **styles[name] | {"linewidth": 1.2})
         if len(axes) > 1:
-            bottom.plot(place, of["ca_moved_angstrom"], **styles[name] | {"lw": 1.2})
+            bottom.plot(place, of["ca_moved_angstrom"], **styles[name] | {"linewidth": 1.2})
     top.set(ylabel="change of torsions, degrees", ylim=(0, None))
     if changes:
         top.legend(frameon=False, ncols=3)

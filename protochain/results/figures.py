@@ -2,7 +2,10 @@
 
 import base64
 import io
-from itertools import cycle
+from collections.abc import Callable
+from functools import partial
+from importlib.resources import as_file, files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,13 +13,13 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as PlainFigure
 
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, ProtochainError
 from protochain.core.figure import Figure as Figure
+from protochain.core.palette import looks
+from protochain.core.storage import write_atomically
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's palette, dark colours first."""
-DASHES = ("-", "--", "-.", ":")
-_MARKERS = "osD^vPX*<>"
+FORMATS = (".svg", ".pdf", ".png")
+"""Of figures for papers."""
 
 
 def plain(ax: Axes) -> None:
@@ -57,11 +60,11 @@ def draw_lines(
     least : float
         Where smaller values are drawn. Those that are not finite are left out, and so is what costs nothing.
     """
-    styles = zip(cycle(COLOURS), cycle(_MARKERS), strict=False)
-    for (method, own), (colour, marker) in zip(points.groupby(by, sort=False), styles, strict=False):
+    styles = looks(points[by].astype(str).unique())
+    for method, own in points.groupby(by, sort=False):
         shown = own[np.isfinite(own[y]) & (own[x] > 0)]
-        value = shown[y].clip(lower=least)
-        ax.plot(shown[x], value, color=colour, marker=marker, markersize=4, label=str(method))
+        look = styles[str(method)].line(str(method)) | {"markevery": None}
+        ax.plot(shown[x], shown[y].clip(lower=least), **look)
     ax.set(xscale="log", yscale="log", xlabel=x)
     if len(points):
         ax.legend(frameon=False, fontsize=8)
@@ -71,5 +74,24 @@ def draw_lines(
 def data_url(figure: PlainFigure) -> str:
     """Figure as a data URL for a page."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150)
+    figure.savefig(buffer, format="png", dpi=150, transparent=True)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def check_figure(path: Path | None) -> None:
+    """Refuse a file of no format of figures, before any work is done."""
+    if path is not None and path.suffix.lower() not in FORMATS:
+        raise ProtochainError(Argument("figure"), f" {path}: give a name that ends in {', '.join(FORMATS)}")
+
+
+def write_figure(path: Path, draw: Callable[[], PlainFigure]) -> None:
+    """Write a figure for a paper, drawn in the package's style, as the ending of its name has it."""
+    import matplotlib.style
+
+    kind = path.suffix.lower().removeprefix(".")
+    dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    with (
+        as_file(files("protochain.results") / "static" / "paper.mplstyle") as style,
+        matplotlib.style.context(str(style)),
+    ):
+        write_atomically(path, partial(draw().savefig, format=kind, metadata=dated))

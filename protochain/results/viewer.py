@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats
+from protochain.core.palette import START, looks
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.results.figures import COLOURS
 from protochain.results.page import render
 from protochain.structure import Structure, as_structure
 from protochain.structure.superpose import motion
@@ -57,7 +57,7 @@ def scene(
     return {
         "models": models,
         "library": library(),
-        "colours": ("#999999", *COLOURS),
+        "colours": (START, *(look.colour for look in looks(ends).values())),
         "colourings": stated,
         "chosen": next((k for k, each in enumerate(stated) if each["name"] == chosen), -1),
         "residues": _residues(first, suffix),

@@ -14,7 +14,8 @@ from bench.cases import Found, table
 from bench.page import Section, write_report
 from bench.studies.omissions import energies, runs
 from bench.studies.omissions.cells import COLUMNS, Material, run_omission
-from protochain.results.figures import COLOURS, Figure
+from protochain.core.palette import COLOURS
+from protochain.results.figures import Figure
 from protochain.results.provenance import made
 from protochain.results.tables import save
 from protochain.structure import from_sequence, load
