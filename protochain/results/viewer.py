@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats
+from protochain.core.arrays import Floats, Integers
 from protochain.core.palette import START, looks
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.results.page import render
@@ -57,6 +57,7 @@ def scene(
     return {
         "models": models,
         "library": library(),
+        "library_at": "",
         "colours": (START, *(look.colour for look in looks(ends).values())),
         "colourings": stated,
         "chosen": next((k for k, each in enumerate(stated) if each["name"] == chosen), -1),
@@ -113,11 +114,16 @@ def _lengths(vectors: Floats) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
-def pockets(structure: Structure, *ends: Floats) -> list[dict[str, Any]]:
-    """What the viewer of pockets needs: each ligand and the residues that are near it at any end.
+def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[str, Any]]:
+    """What the viewer of pockets needs: each ligand, residues near it at any end, its hydrogen bonds.
 
-    *ends (na, 3) nm.
+    bonds (n, 2) int: donors and acceptors. *ends (na, 3) nm.
     """
+    of = structure.atom_residue
+
+    def atom(k: int) -> dict[str, Any]:
+        (place,) = selected([int(of[k])])
+        return place | {"atom": str(structure.atom_name[k])}
 
     def selected(residues: Iterable[int]) -> list[dict[str, Any]]:
         return [
@@ -134,7 +140,14 @@ def pockets(structure: Structure, *ends: Floats) -> list[dict[str, Any]]:
             for r in structure.atom_residue[cKDTree(x[each.atoms]).query(x)[0] < _POCKET].tolist()
         }
         name = str(structure.residue(own))
-        found.append({"name": name, "ligand": selected([own]), "near": selected(sorted(near - {own}))})
+        found.append(
+            {
+                "name": name,
+                "ligand": selected([own]),
+                "near": selected(sorted(near - {own})),
+                "bonds": [[atom(i), atom(j)] for i, j in bonds.tolist() if (of[i] == own) != (of[j] == own)],
+            }
+        )
     return found
 
 
@@ -145,7 +158,7 @@ class View:
         self.shown = shown
 
     def _repr_html_(self) -> str:
-        page = render("viewer.html", **scene(self.shown))
+        page = render("viewer.html", alone=True, **scene(self.shown))
         frame = 'sandbox="allow-scripts" style="width: 100%; height: 34rem; border: 0"'
         return f'<iframe {frame} srcdoc="{escape(page)}"></iframe>'
 
