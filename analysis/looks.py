@@ -55,7 +55,8 @@ AUDIT = r"""() => {
   const words = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
   for (let text = words.nextNode(); text; text = words.nextNode()) {
     const of = text.parentElement, style = getComputedStyle(of), said = text.textContent.trim().slice(0, 40);
-    if (!said || ["SCRIPT", "STYLE", "NOSCRIPT", "OPTION"].includes(of.tagName) || !of.checkVisibility()) continue;
+    const silent = ["SCRIPT", "STYLE", "NOSCRIPT", "OPTION"].includes(of.tagName);
+    if (!said || silent || !of.checkVisibility()) continue;
     const [a, b] = [luminance(rgba(style.color)), luminance(ground(of))].sort((x, y) => y - x);
     const least = parseFloat(style.fontSize) >= 24 ? 3 : 4.5, ratio = (a + 0.05) / (b + 0.05);
     if (ratio < least) found.add(`contrast ${ratio.toFixed(1)} of "${said}"`);
@@ -66,7 +67,8 @@ AUDIT = r"""() => {
   }
   for (const each of document.querySelectorAll("img")) if (!each.alt) found.add("image without words");
   for (const each of document.querySelectorAll("input, select, button")) {
-    const name = each.getAttribute("aria-label") || each.textContent || [...(each.labels || [])].map((l) => l.textContent).join("");
+    const labels = [...(each.labels || [])].map((label) => label.textContent).join("");
+    const name = each.getAttribute("aria-label") || each.textContent || labels;
     if (!name.trim()) found.add(`nameless ${each.tagName}`);
   }
   const ids = [...document.querySelectorAll("[id]")].map((each) => each.id);
@@ -76,7 +78,8 @@ AUDIT = r"""() => {
   if (document.querySelectorAll("h1").length !== 1) found.add("not one h1");
   for (const table of document.querySelectorAll("table")) {
     if (!table.querySelector("th")) found.add("table without headings");
-    if (table.getBoundingClientRect().width > innerWidth && !table.closest(".scroll")) found.add("table over the edge");
+    const over = table.getBoundingClientRect().width > innerWidth;
+    if (over && !table.closest(".scroll")) found.add("table over the edge");
   }
   return [...found];
 }"""
@@ -114,9 +117,14 @@ def prepared(folder: Path) -> None:
 
 def words_of(name: str, inputs: Path) -> list[str]:
     """Words of the command that makes a page, with the paths of its files."""
+
     def path(word: str) -> str:
         beside = word.rpartition(".")[2] in ("pdb", "sdf") and word not in ("out.pdb", "frames.pdb")
-        return str(next(each / word for each in (STRUCTURES, inputs) if (each / word).exists())) if beside else word
+        return (
+            str(next(each / word for each in (STRUCTURES, inputs) if (each / word).exists()))
+            if beside
+            else word
+        )
 
     return [path(word) for word in shlex.split(PAGES[name])]
 

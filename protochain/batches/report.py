@@ -1,8 +1,10 @@
 """Page of a whole batch: counts of statuses, distributions, and rows with the worst first."""
 
+import re
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,15 +12,22 @@ from matplotlib.figure import Figure
 from protochain.core.palette import looks
 from protochain.core.storage import write_atomically
 from protochain.results.columns import heading
-from protochain.results.figures import data_url, panels, plain
-from protochain.results.page import write_page
+from protochain.results.figures import panels, plain
+from protochain.results.page import explored, write_page
 from protochain.structure.losses import loss_lines
 
 if TYPE_CHECKING:
     import pandas as pd
 
-WORST = 200
-"""Rows shown on the page; the table has all."""
+_SHOWN = {
+    "structure", "method", "status", "ca_rmsd_angstrom", "energy_end_reference_kj_mol", "violations_end",
+    "clashscore_end", "ramachandran_outliers_end", "seconds",
+}  # fmt: skip
+"""Columns that the page shows at first, of those that it has."""
+_NOT_ON_PAGE = (
+    "energy_.*_kj_mol|.*_eigenvalue_.*|.*_beside_.*|n_(bodies|hinges|chains|lost_atoms)|seed|threads"
+)
+"""Columns of numbers that are in the table alone, but for energies at start and end."""
 
 USABLE = "energy_end_reference_kj_mol"
 
@@ -43,11 +52,23 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
         lost=loss_lines(table.to_dict("records")),
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
         statistics=quartiles.assign(quantity=quartiles["quantity"].map(heading)),
-        rows=rows.head(WORST).to_dict("records"),
-        total=len(rows),
-        pages=_pages(folder / "pages") if len(table) else set(),
-        figures={name: data_url(figure) for name, figure in figures.items()},
+        data=_data(rows, _pages(folder / "pages") if len(table) else set()),
+        judges=[each for each in table["judge"].dropna().unique() if each],
     )
+
+
+def _data(rows: "pd.DataFrame", pages: set[str]) -> dict[str, Any]:
+    """Rows of the page, the worst first, each with the page of its structure."""
+    kept = [
+        str(name) for name in rows.select_dtypes("number")
+        if name in (USABLE, "energy_start_kj_mol") or not re.fullmatch(_NOT_ON_PAGE, str(name))
+    ]  # fmt: skip
+    links = [f"pages/{quote(name)}.html" if name in pages else None for name in rows["structure"]]
+    first = ["structure", "method", "status"]
+    kept.sort(key=lambda name: name not in _SHOWN)
+    varying = [name for name in kept if name in _SHOWN or rows[name].nunique() > 1]
+    drop = rows[[*first, *varying]].assign(energy_drop_kj_mol_per_residue=_drop(rows))
+    return explored(drop.assign(message=rows["message"]), _SHOWN, links, "method")
 
 
 def _pages(folder: Path) -> set[str]:
@@ -101,12 +122,12 @@ def plot_distribution(
 ) -> Figure:
     """Plot the cumulative distribution of a quantity, a line for each method."""
     figure, (ax,) = panels(None, 1, (5.2, 3.6))
-    for k, (method, own) in enumerate(values.astype(float).groupby(methods, sort=False)):
+    styles = looks(methods.astype(str).unique())
+    for method, own in values.astype(float).groupby(methods, sort=False):
         there = np.sort(own.dropna().to_numpy())
         if len(there):
             share = 100.0 * np.arange(1, len(there) + 1) / len(there)
-            style = ("-", "--", "-.", ":")[k % 4]
-            ax.step(there, share, where="post", color=COLOURS[k % 7], linestyle=style, label=str(method))
+            ax.step(there, share, where="post", **styles[str(method)].line(str(method)))
     ax.set_xlabel(label)
     ax.set_ylabel(f"{of} up to this value, %")
     ax.set_ylim(0, 101)

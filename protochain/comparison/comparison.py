@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 _PACKAGES = ("openmm", "gemmi", "numpy", "scipy", "numba", "mdtraj", "MDAnalysis", "tmtools", "pandas")
 
 _LEAST_OF_TM = 30
-"""Residues below which a TM-score says little: d0, the distance it is scaled by, is made for longer chains."""
+"""Residues below which a TM-score says little: its scale is made for longer chains."""
 
 
 @dataclass(frozen=True, eq=False)

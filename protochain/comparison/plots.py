@@ -183,8 +183,8 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
     if len(axes) > 1:
         bottom.set(ylabel="C-alpha moved, angstrom", ylim=(0, None))
     bottom.set_xlabel("residue")
-    of = next(iter(changes.values()), None)
-    named = {} if of is None else residue_places(of["chain"].to_numpy(), of["residue"].to_numpy())
+    first = [each[["chain", "residue"]].to_numpy().T for each in changes.values()][:1]
+    named = residue_places(*first[0]) if first else {}
     for panel in axes:
         panel.set_xticks([*named], [*named.values()])
         plain(panel)
@@ -230,7 +230,7 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
 
 
 def ramachandran_ground(panel: Axes) -> None:
-    """Draw what is favoured, dark grey, and allowed, light grey, of most residues; both axes are in degrees."""
+    """Draw what is favoured, dark grey, and allowed, light grey, of most residues; axes in degrees."""
     most = tables()[0].T
     grid = np.linspace(-179.0, 179.0, len(most))
     panel.contourf(grid, grid, most, levels=[ALLOWED[0], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])

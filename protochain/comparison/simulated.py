@@ -39,7 +39,7 @@ def write_simulated(
     every = -(-len(log) // _MOST)
     frames = [
         superposed(structure.with_positions(each.x), structure)
-        for k, each in enumerate(open_frames(trajectory)) if k % every == 0
+        for k, each in enumerate(open_frames(trajectory)) if k % every == 0 and each.x is not None
     ]  # fmt: skip
     times = log["time_ps"].to_numpy()[::every][: len(frames)]
     suffix, heavy = common_suffix([structure]), structure.atom_element != "H"
@@ -65,6 +65,7 @@ def write_simulated(
         coordinates=[each.astype(int).ravel().tolist() for each in shown],
         times=[round(float(t), 4) for t in times[::skip]],
         library=library(),
+        library_at="",
         run=of_run("openmm", "gemmi", "numpy", "scipy", "numba"),
     )
 
@@ -98,7 +99,7 @@ def _log(log: pd.DataFrame) -> Figure:
 
 
 def rmsf(structure: Structure, frames: Iterable[Structure]) -> Floats:
-    """(n,) float, angstrom: root mean square fluctuation of each C-alpha about its mean, of superposed ones."""
+    """(n,) float, angstrom: root mean square fluctuation of each C-alpha of superposed frames."""
     x = np.array([each.positions[structure.alpha_carbons] for each in frames])
     return np.asarray(ANGSTROM_PER_NM * np.sqrt(((x - x.mean(axis=0)) ** 2).sum(axis=-1).mean(axis=0)))
 

@@ -8,6 +8,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers
@@ -63,6 +64,12 @@ def scene(
         "chosen": next((k for k, each in enumerate(stated) if each["name"] == chosen), -1),
         "residues": _residues(first, suffix),
     }
+
+
+def residue_keys(structure: Structure) -> NDArray[np.str_]:
+    """(nr,) str: chain, number and insertion code of each residue, as viewers tell them of an atom."""
+    number = np.char.add(structure.residue_number, structure.residue_insertion_code)
+    return np.char.add(np.char.add(np.char.strip(structure.residue_chain), ":"), number)
 
 
 def _residues(structure: Structure, suffix: str) -> list[str]:

@@ -14,9 +14,9 @@ import pandas as pd
 from bench.cases import Point
 from protochain.chains.articulate import build_chain
 from protochain.core import defaults
+from protochain.core.palette import looks
 from protochain.energies import energy
 from protochain.minimisers import RECIPES, minimise
-from protochain.core.palette import looks
 from protochain.results.figures import Figure, plain
 from protochain.results.tables import save
 from protochain.structure import Structure, from_sequence, load
