@@ -137,7 +137,7 @@ def pages_of(name: str, folder: Path, inputs: Path) -> list[Path]:
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
         if done.returncode not in (0, 3):
             raise SystemExit(f"{shlex.join(command)}: {done.stderr}")
-    return sorted(folder.rglob("*.html"))[:2]
+    return sorted(folder.rglob("*.html"), key=lambda page: (len(page.parts), page))[:2]
 
 
 def looked_at(browser: Any, file: Path, picture: Path | None = None) -> Iterator[str]:

@@ -35,13 +35,8 @@ USABLE = "energy_end_reference_kj_mol"
 def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -> None:
     """Write ``report.html``, ``statistics.csv``, ``energy.png``, ``rmsd.png`` and ``seconds.png``."""
     usable = table[table[USABLE].notna()]
-    methods = usable["method"]
-    figures = {
-        "energy": plot_distribution(_drop(usable), methods, "energy drop, kJ/mol per residue"),
-        "rmsd": plot_distribution(usable["ca_rmsd_angstrom"], methods, "C-alpha RMSD to the start, angstrom"),
-        "seconds": plot_distribution(usable["seconds"], methods, "seconds"),
-    }
-    for stem, figure in figures.items():
+    for stem, (values, label) in _measured(usable).items():
+        figure = plot_distribution(values, usable["method"], label)
         write_atomically(folder / f"{stem}.png", partial(figure.savefig, dpi=150))
     rows, quartiles = worst_first(table), statistics(table)
     write_atomically(folder / "statistics.csv", lambda to: quartiles.to_csv(to, index=False))
@@ -117,11 +112,29 @@ def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
     )
 
 
-def plot_distribution(
-    values: "pd.Series", methods: "pd.Series", label: str, of: str = "structures"
-) -> Figure:
+def plot_distributions(table: "pd.DataFrame") -> Figure:
+    """Plot the distributions of energy drop, RMSD and seconds side by side, a line for each method."""
+    figure, axes = panels(None, 3, (7.2, 2.6), sharey=True)
+    table = table[table[USABLE].notna()]
+    for ax, (values, label) in zip(axes, _measured(table).values(), strict=True):
+        plot_distribution(values, table["method"], label.replace(", kJ", ",\nkJ").replace(" to", "\nto"), ax)
+    for ax in axes[1:]:
+        ax.set_ylabel("")
+    return figure
+
+
+def _measured(table: "pd.DataFrame") -> dict[str, tuple["pd.Series", str]]:
+    """What is drawn of a batch, by the stem of its file, with its label."""
+    return {
+        "energy": (_drop(table), "energy drop, kJ/mol per residue"),
+        "rmsd": (table["ca_rmsd_angstrom"], "C-alpha RMSD to the start, angstrom"),
+        "seconds": (table["seconds"], "seconds"),
+    }
+
+
+def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None) -> Figure:
     """Plot the cumulative distribution of a quantity, a line for each method."""
-    figure, (ax,) = panels(None, 1, (5.2, 3.6))
+    figure, (ax,) = panels(ax, 1, (5.2, 3.6))
     styles = looks(methods.astype(str).unique())
     for method, own in values.astype(float).groupby(methods, sort=False):
         there = np.sort(own.dropna().to_numpy())
@@ -129,7 +142,7 @@ def plot_distribution(
             share = 100.0 * np.arange(1, len(there) + 1) / len(there)
             ax.step(there, share, where="post", **styles[str(method)].line(str(method)))
     ax.set_xlabel(label)
-    ax.set_ylabel(f"{of} up to this value, %")
+    ax.set_ylabel("structures up to this value, %")
     ax.set_ylim(0, 101)
     plain(ax)
     if ax.lines:

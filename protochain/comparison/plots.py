@@ -236,7 +236,7 @@ def ramachandran_ground(panel: Axes) -> None:
     panel.contourf(grid, grid, most, levels=[ALLOWED[0], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])
     ticks = range(-180, 181, 90)
     panel.set(xlim=(-180, 180), ylim=(-180, 180), xticks=ticks, yticks=ticks)
-    panel.set_aspect("equal")
+    panel.set_box_aspect(1.0)
 
 
 def _plain_text(text: str) -> str:

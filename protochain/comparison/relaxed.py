@@ -48,7 +48,7 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
 
 _NAMED = 10
 """Residues that are named of each kind."""
-_MOVED, _TURNED = 0.5, 30.0
+_MOVED, _TURNED = 0.1, 10.0
 """Angstrom of a C-alpha, and degrees of torsions (root mean square), from which on residues are named."""
 _NO_PAIRS = np.empty((0, 2), dtype=np.int64)
 

@@ -1,7 +1,7 @@
 """One look for each method in all figures and pages: colours safe for the colour-blind, lines, markers."""
 
 from collections.abc import Iterable
-from itertools import product
+from itertools import cycle, product
 from typing import Any, NamedTuple
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#7444C8", "#5C6670", "#6E6A20")
@@ -48,9 +48,8 @@ _KNOWN = (
 
 
 def looks(names: Iterable[str]) -> dict[str, Look]:
-    """Look of each name: of a known method its own, of others those that no known one has, in order."""
-    others = iter((*_ALL[len(_KNOWN) :], *_ALL) * 8)
-    found: dict[str, Look] = {}
-    for name in names:
-        found[name] = _ALL[_KNOWN.index(name)] if name in _KNOWN else next(others)
-    return found
+    """Look of each name: of a known method its own, of others those that are left, in order."""
+    names = tuple(names)
+    own = {name: _ALL[_KNOWN.index(name)] for name in names if name in _KNOWN}
+    left = cycle([look for look in _ALL if look not in own.values()])
+    return {name: own[name] if name in own else next(left) for name in names}

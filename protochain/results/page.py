@@ -26,6 +26,10 @@ def write_page(path: Path, template: str, /, **variables: Any) -> None:
     write_text(path, render(template, **variables))
 
 
+_COUNTED = ("frame", "rank", "time_ps")
+"""Columns whose histograms say nothing."""
+
+
 def explored(
     table: "pd.DataFrame",
     shown: Collection[str] = (),
@@ -39,7 +43,7 @@ def explored(
     numbers = set(table.select_dtypes("number"))
     columns = [
         {"key": str(name), "title": heading(str(name)), "number": name in numbers,
-         "shown": not shown or name in shown}
+         "drawn": name in numbers and name not in _COUNTED, "shown": not shown or name in shown}
         for name in table
     ]  # fmt: skip
     cells = [

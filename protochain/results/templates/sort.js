@@ -64,7 +64,7 @@ function explore(box, { columns, rows, links, by, looks }) {
     body.replaceChildren(...which.slice(0, most).map((k) => make("tr", {}, ...places.map((column) => cell(k, column)))));
     count.textContent = `${Math.min(most, which.length)} of ${which.length} rows${which.length < rows.length ? `, ${rows.length} without filters` : ""}`;
     more.hidden = which.length <= most;
-    drawings.replaceChildren(...places.filter((column) => columns[column].number).map((column) => histogram(which, column)).filter(Boolean));
+    drawings.replaceChildren(...places.filter((column) => columns[column].drawn).map((column) => histogram(which, column)).filter(Boolean));
   }
   function histogram(which, column) {
     const values = which.map((k) => [by < 0 ? "" : rows[k][by], rows[k][column]]).filter(([, value]) => value !== null);
@@ -95,7 +95,7 @@ function explore(box, { columns, rows, links, by, looks }) {
   controls.append(search);
   columns.forEach(({ number, title }, column) => {
     const values = number ? [] : [...new Set(rows.map((row) => row[column]).filter((value) => value !== null))];
-    if (values.length < 2 || values.length > 12 || (column === 0 && values.length === rows.length)) return;
+    if (values.length < 2 || values.length > 12 || values.some((value) => value.length > 40) || (column === 0 && values.length === rows.length)) return;
     const choice = make("select", { onchange: () => {
       if (choice.value) only.set(column, choice.value.slice(1)); else only.delete(column);
       draw();

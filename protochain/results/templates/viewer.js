@@ -10,7 +10,7 @@ function makeViewer(id) {
   tools.className = "tools";
   box.replaceWith(stage);
   stage.append(box, tools);
-  const viewer = $3Dmol.createViewer(id, { backgroundColor: ground(), preserveDrawingBuffer: true });
+  const viewer = $3Dmol.createViewer(id, { id: `${id}-canvas`, backgroundColor: ground(), preserveDrawingBuffer: true });
   dark.addEventListener("change", () => { viewer.setBackgroundColor(ground()); viewer.render(); });
   const add = (words, act) => {
     const button = document.createElement("button");
