@@ -17,7 +17,7 @@ from typing import Any
 STRUCTURES = Path(__file__).resolve().parents[1] / "structures"
 PAGES = {
     "minimise": "minimise 1l2y.pdb -o out.pdb --max-evaluations 60 --report page.html",
-    "compare": "compare 1l2y.pdb -o out --figure paper.svg --methods lbfgs,kcm,hybrid,cartesian,openmm --max-evaluations 200",
+    "compare": "compare 1l2y.pdb -o out --methods lbfgs,kcm,hybrid,cartesian --max-evaluations 100",
     "relax": "relax 1l2y.pdb -o out.pdb --report page.html",
     "ligand": "relax 1l2y.pdb --ligand pose.sdf -o out.pdb --report page.html",
     "energy": "energy 1l2y.pdb --report page.html",

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as PlainFigure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.figure import Figure as Figure
@@ -25,6 +26,13 @@ FORMATS = (".svg", ".pdf", ".png")
 def plain(ax: Axes) -> None:
     """Keep the left and bottom axes only, with a faint grid."""
     ax.spines[["top", "right"]].set_visible(False)
+    if ax.get_xscale() == "log":
+        low, high = sorted(ax.get_xlim())
+        few = high < 100.0 * low  # Powers of ten alone would be one tick, or none.
+        subs = (1.0, 2.0, 5.0) if few else (1.0,)
+        ax.xaxis.set(major_locator=LogLocator(subs=subs), minor_formatter=NullFormatter())
+        if few:
+            ax.xaxis.set_major_formatter("{x:g}")
     ax.grid(True, which="major", alpha=0.25)
 
 

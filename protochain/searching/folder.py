@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 
 from protochain.core.arrays import Floats
 from protochain.core.palette import COLOURS, START, looks
@@ -93,11 +92,6 @@ def drawn(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> Figure
         right.step(found[:, 0], fallen, where="post", **look.line(name))
     right.set(xlabel="energy evaluations of a walk", ylabel="lowest so far, above\nthe lowest of all, kJ/mol")
     right.set_xscale("log")
-    right.xaxis.set(
-        major_locator=LogLocator(subs=(1.0, 2.0, 5.0)),
-        major_formatter="{x:g}",
-        minor_formatter=NullFormatter(),
-    )
     if len(runs) <= 8:
         right.legend(fontsize=8)
     plain(left)

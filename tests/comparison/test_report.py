@@ -264,7 +264,7 @@ def test_the_audit_sees_what_is_wrong(browser, tmp_path):
         "table without headings": "<table><tr><td>1</td></tr></table>",
     }  # fmt: skip
     page = browser.new_page(viewport={"width": 390, "height": 400})
-    for fault, html in {"": "<p>well</p>"} | faulty:
+    for fault, html in [("", "<p>well</p>"), *faulty.items()]:
         page.set_content(f'<html lang="en"><title>t</title><h1>h</h1>{html}</html>')
         found = page.evaluate(looks.AUDIT)
         assert bool(found) == bool(fault) and all(fault in line for line in found[:1]), (fault, found)

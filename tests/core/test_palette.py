@@ -40,7 +40,7 @@ def test_no_two_colours_look_alike(eyes):
 
 
 def test_colours_stand_out_from_white_as_from_dark_ground():
-    """WCAG 1.4.11: 3:1, on white; on a page's dark ground 2.5:1, of viewers, which do not turn colours over."""
+    """WCAG 1.4.11: 3:1 on white; 2.5:1 on the dark ground of viewers."""
     for colour in COLOURS:
         luminance = XYZ[1] @ linear(colour)
         assert 1.05 / (luminance + 0.05) > 3.0 and (luminance + 0.05) / (0.011 + 0.05) > 2.5, colour
