@@ -29,6 +29,7 @@ OPTIONS: dict[str, tuple[Any, str]] = {
     "jobs": (int, "of kcm: processes [default: 1]"),
     "starts": (int, "of kcm: perturbed starts of each kind [default: 20]"),
     "evaluations": (int, "of kcm: most of a run [default: 20000]"),
+    "figure": (Path, "of kcm: also its figure for a paper; FILE.svg, .pdf or .png"),
 }
 """Options that are keywords of some studies: how each is read, and its help."""
 

@@ -1,14 +1,11 @@
 """Lines of error against cost."""
 
-from itertools import cycle
-
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from protochain.results.figures import COLOURS, plain
-
-MARKERS = "osD^vPX*<>"
+from protochain.core.palette import looks
+from protochain.results.figures import plain
 
 
 def draw_lines(
@@ -27,11 +24,11 @@ def draw_lines(
     least : float
         Where smaller values are drawn. Those that are not finite are left out, and so is what costs nothing.
     """
-    styles = zip(cycle(COLOURS), cycle(MARKERS), strict=False)
-    for (method, own), (colour, marker) in zip(points.groupby(by, sort=False), styles, strict=False):
+    styles = looks(points[by].astype(str).unique())
+    for method, own in points.groupby(by, sort=False):
         shown = own[np.isfinite(own[y]) & (own[x] > 0)]
-        value = shown[y].clip(lower=least)
-        ax.plot(shown[x], value, color=colour, marker=marker, markersize=4, label=str(method))
+        look = styles[str(method)].line(str(method)) | {"markevery": None}
+        ax.plot(shown[x], shown[y].clip(lower=least), **look)
     ax.set(xscale="log", yscale="log", xlabel=x)
     if len(points):
         ax.legend(frameon=False, fontsize=8)

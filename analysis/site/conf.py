@@ -1,14 +1,20 @@
 """The pages, notebooks and reference of the repository as a site.
 
-    pip install ".[test]" && sphinx-build -W -c analysis/site . DIR
+    pip install ".[test]" && python analysis/site/build.py DIR
 
 Pages stay where they are and read as well on GitHub; notebooks are shown as they are stored, none is run.
+It is built from a copy, and what it shows needs no network: mathematics is MathML, made here.
 """
 
 from importlib import import_module
 from inspect import isclass, ismodule, isroutine
 from pathlib import Path
 from tomllib import loads
+
+from docutils import nodes
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+from sphinx.writers.html5 import HTML5Translator
 
 HERE = Path(__file__).parent
 _project = loads((HERE.parents[1] / "pyproject.toml").read_text())["project"]
@@ -22,12 +28,13 @@ include_patterns = [
     "analysis/results/README.md", "analysis/workflows/README.md", "analysis/packaging/README.md",
     "analysis/plugins/README.md",
 ]  # fmt: skip
-extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "numpydoc"]
 
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["math"]  # as GitHub has it
 nb_execution_mode = "off"  # they are stored with what they show
+html_math_renderer = "mathml"
 suppress_warnings = ["myst-nb.lexer"]  # notebooks name no language: all are in Python, which is the default
 
 autodoc_typehints = "none"
@@ -38,6 +45,8 @@ html_theme = "furo"
 html_title = project
 html_extra_path = ["root"]
 html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 
 PACKAGES = (
     "batches", "comparison", "mechanics.motion", "mechanics.multibody", "dynamics", "energies",
@@ -67,4 +76,24 @@ def write_reference(folder: Path) -> None:
             page.write_text(text)
 
 
-write_reference(HERE / "reference")
+def as_mathml(translator: HTML5Translator, node: nodes.math | nodes.math_block) -> None:
+    """Write mathematics as MathML, which browsers draw by themselves."""
+    is_block = isinstance(node, nodes.math_block)
+    made = convert(node.astext(), display="block" if is_block else "inline")
+    translator.body.append(f'<div class="math">{made}</div>' if is_block else made)
+    raise nodes.SkipNode
+
+
+def plain_output(app: Sphinx, doctree: nodes.document) -> None:
+    """Blocks of pages that name no language are what a terminal prints: no colours, as of Python."""
+    if str(doctree.get("source", "")).endswith(".md"):
+        for block in doctree.findall(nodes.literal_block):
+            if block.get("language", "default") in ("default", "none", "python3"):
+                block["language"] = "text"
+
+
+def setup(app: Sphinx) -> None:
+    """Write the reference, in the folder that is built from; mathematics; plain output."""
+    app.connect("config-inited", lambda app, _: write_reference(Path(app.srcdir) / "analysis/site/reference"))
+    app.connect("doctree-read", plain_output)
+    app.add_html_math_renderer("mathml", (as_mathml, None), (as_mathml, None))

@@ -1,29 +1,36 @@
-"""Page of a run over frames: how they ended, and the distribution of all that differs between them."""
+"""Page of a run over frames: how they ended, and what differs between them, along the frames."""
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from protochain.batches.frame_files import FramesRun
-from protochain.batches.report import WORST, plot_distribution
+from protochain.core.palette import looks
 from protochain.results.columns import heading
-from protochain.results.figures import data_url
-from protochain.results.page import write_page
+from protochain.results.figures import data_url, panels, plain
+from protochain.results.page import explored, write_page
 from protochain.results.provenance import of_run
 
 _FIRST = ("energy", "violations", "ca_rmsd", "rmsd", "clashscore", "total")
 """What is drawn first, by how its name begins."""
 _NO_QUANTITIES = ("frame", "time_ps", "output_frame")
-_MOST_FIGURES = 16
+_MOST_FIGURES = 12
+_WORST = ("violations_end", "clashscore_end", "violations", "clashscore", "ca_rmsd_angstrom")
+"""What tells most of damage, where a run measures it."""
 
 
 def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
     """Write the page of a run, one file that works offline."""
     table = run.table
-    usable = table[~table["status"].isin(["refused", "killed", "error", "time-limit"])]
+    usable = table[_usable(table)]
     numbers = usable.drop(columns=[*_NO_QUANTITIES], errors="ignore").select_dtypes("number")
     varying = numbers.loc[:, numbers.nunique() > 1]
-    others = table[~table["status"].isin(["converged", "measured"])]
+    figure = _along(usable["frame"], varying)
+    rows, by = _worst_first(table)
+    kept = ["frame", "status", *varying, "message"]
+    first = ["frame", "status", *sorted(map(str, varying), key=lambda name: not name.startswith(_FIRST))[:7]]
     write_page(
         path,
         "frames.html",
@@ -32,38 +39,47 @@ def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
         total=len(table),
         table=run.csv.name,
         counts=pd.DataFrame([{"frames": len(table), **run.counts}]),
-        statistics=quartiles(varying),
-        figures=_figures(varying),
-        others=others.head(WORST)[["frame", "status", "message"]].to_dict("records"),
-        n_others=len(others),
+        figure=figure and data_url(figure),
+        data=explored(rows[kept], [*first, "message"] if rows["message"].notna().any() else first),
+        worst_by=heading(by),
         run=of_run("openmm", "gemmi", "numpy", "scipy", "numba", "MDAnalysis", "pandas"),
     )
 
 
-def quartiles(numbers: pd.DataFrame) -> pd.DataFrame:
-    """Quartiles of each column, a row each."""
-    at = {"lowest": 0.0, "first quartile": 0.25, "median": 0.5, "third quartile": 0.75, "highest": 1.0}
-    rows = [
-        {"quantity": heading(name), **{stated: values.quantile(q) for stated, q in at.items()}}
-        for name, values in ((str(name), numbers[name]) for name in numbers)
-    ]
-    return pd.DataFrame(rows, columns=["quantity", *at])
+def _worst_first(table: pd.DataFrame) -> tuple[pd.DataFrame, str]:
+    """Rows without a result first, then those with something left; in each by what tells most of damage."""
+    by = next((name for name in _WORST if name in table and table[name].notna().any()), "frame")
+    bad = np.select([~_usable(table), ~table["status"].isin(["converged", "measured"])], [0, 1], 2)
+    far = -table[by].astype(float) if by != "frame" else table[by]
+    return table.assign(_bad=bad, _far=far).sort_values(["_bad", "_far"], kind="stable")[[*table]], by
 
 
-def _figures(numbers: pd.DataFrame) -> dict[str, str]:
-    """Distributions; those of start and end of a quantity are drawn together."""
+def _usable(table: pd.DataFrame) -> pd.Series:
+    return ~table["status"].isin(["refused", "killed", "error", "time-limit"])
+
+
+def _along(frame: pd.Series, numbers: pd.DataFrame) -> Figure | None:
+    """Curves against the frame; those of start and end of a quantity are drawn together."""
     pairs: dict[str, dict[str, str]] = {}
-    for name in numbers:
-        when = next((when for when in ("start", "end_reference", "end") if f"_{when}" in str(name)), "")
-        pairs.setdefault(str(name).replace(f"_{when}", "") if when else str(name), {})[when.split("_")[0]] = (
-            str(name)
-        )
-    ranked = sorted(pairs, key=lambda name: not name.startswith(_FIRST))
-    drawn: dict[str, str] = {}
-    for name in ranked[:_MOST_FIGURES]:
-        its = pairs[name]
-        long = pd.concat([numbers[column].rename("value") for column in its.values()], keys=its.keys())
-        ends = pd.Series(long.index.get_level_values(0), index=long.index).replace("", "frames")
-        figure = plot_distribution(long, ends, heading(name), of="frames")
-        drawn[heading(name)] = data_url(figure)
-    return drawn
+    for name in map(str, numbers):
+        when = next((when for when in ("start", "end_reference", "end") if f"_{when}" in name), "")
+        quantity = name.replace(f"_{when}", "") if when else name
+        pairs.setdefault(quantity, {})[when.split("_")[0]] = name
+    drawn = sorted(pairs, key=lambda name: not name.startswith(_FIRST))[:_MOST_FIGURES]
+    if not drawn or len(frame) < 2:
+        return None
+    rows = -(-len(drawn) // 2)
+    figure, axes = panels(None, (rows, 2), (8, 1.9 * rows), sharex=True)
+    for ax, name in zip(axes, drawn, strict=False):
+        for (when, column), look in zip(pairs[name].items(), looks(pairs[name]).values(), strict=True):
+            ax.plot(frame, numbers[column], **look.line(when) | {"linewidth": 1.2})
+        ax.set_title(heading(name), fontsize="small")
+        if len(pairs[name]) > 1:
+            ax.legend(frameon=False, fontsize=7)
+        plain(ax)
+    for k, ax in enumerate(axes):
+        ax.set_visible(k < len(drawn))
+        if k + 2 >= len(drawn):
+            ax.set_xlabel("frame")
+            ax.tick_params(labelbottom=True)
+    return figure

@@ -4,16 +4,19 @@ from collections.abc import Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from protochain.batches.jobs import Job, Row
+from protochain.core.palette import looks
+from protochain.core.storage import write_text
 from protochain.minimisers.record import SHOWN
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.results.columns import Column
 from protochain.results.page import write_page as fill
 from protochain.results.terms import energies_by_term
+from protochain.results.viewer import DISPLACEMENT, library, scene
 from protochain.structure import Structure
 from protochain.structure.losses import loss_lines
 from protochain.structure.repairs import Repair
@@ -58,9 +61,31 @@ def write_page(
         terms=energies_by_term({row.record["method"]: row.record for row in rows}),
         lost=loss_lines(row.record for row in rows),
         curves=curves(rows),
+        looks={name: look.svg for name, look in looks(row.record["method"] for row in rows).items()},
         width=WIDTH,
         height=HEIGHT,
+        **_viewed(folder, path, ends),
     )
+
+
+_MOST_ATOMS = 20_000
+"""Atoms of a structure that its page shows: more would be megabytes, and there may be thousands of pages."""
+
+
+def _viewed(
+    folder: Path, path: Path, ends: Mapping[str, tuple[Structure, Structure | None]]
+) -> dict[str, Any]:
+    """Variables of the viewer, whose library is beside the pages, once for all of them."""
+    found = {method: end for method, (_, end) in ends.items() if end is not None}
+    start = next((start for start, _ in ends.values()), None)
+    if start is None or not found or start.n_atoms > _MOST_ATOMS:
+        return {"models": []}
+    shared = folder / "pages" / "viewer.js"
+    if not shared.exists():
+        write_text(shared, library())
+    at = "../" * (len(path.relative_to(folder).parent.parts) - 1) + shared.name
+    same = {method: end for method, end in found.items() if end.n_atoms == start.n_atoms}
+    return scene({"start": start, **same}, chosen=DISPLACEMENT) | {"library_at": at, "library": ""}
 
 
 def _changes(ends: Mapping[str, tuple[Structure, Structure | None]]) -> "pd.DataFrame":

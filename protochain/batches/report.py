@@ -1,23 +1,33 @@
 """Page of a whole batch: counts of statuses, distributions, and rows with the worst first."""
 
+import re
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from protochain.core.palette import looks
 from protochain.core.storage import write_atomically
 from protochain.results.columns import heading
-from protochain.results.figures import COLOURS, data_url, panels, plain
-from protochain.results.page import write_page
+from protochain.results.figures import panels, plain
+from protochain.results.page import explored, write_page
 from protochain.structure.losses import loss_lines
 
 if TYPE_CHECKING:
     import pandas as pd
 
-WORST = 200
-"""Rows shown on the page; the table has all."""
+_SHOWN = {
+    "structure", "method", "status", "ca_rmsd_angstrom", "energy_end_reference_kj_mol", "violations_end",
+    "clashscore_end", "ramachandran_outliers_end", "seconds",
+}  # fmt: skip
+"""Columns that the page shows at first, of those that it has."""
+_NOT_ON_PAGE = (
+    "energy_.*_kj_mol|.*_eigenvalue_.*|.*_beside_.*|n_(bodies|hinges|chains|lost_atoms)|seed|threads"
+)
+"""Columns of numbers that are in the table alone, but for energies at start and end."""
 
 USABLE = "energy_end_reference_kj_mol"
 
@@ -25,13 +35,8 @@ USABLE = "energy_end_reference_kj_mol"
 def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -> None:
     """Write ``report.html``, ``statistics.csv``, ``energy.png``, ``rmsd.png`` and ``seconds.png``."""
     usable = table[table[USABLE].notna()]
-    methods = usable["method"]
-    figures = {
-        "energy": plot_distribution(_drop(usable), methods, "energy drop, kJ/mol per residue"),
-        "rmsd": plot_distribution(usable["ca_rmsd_angstrom"], methods, "C-alpha RMSD to the start, angstrom"),
-        "seconds": plot_distribution(usable["seconds"], methods, "seconds"),
-    }
-    for stem, figure in figures.items():
+    for stem, (values, label) in _measured(usable).items():
+        figure = plot_distribution(values, usable["method"], label)
         write_atomically(folder / f"{stem}.png", partial(figure.savefig, dpi=150))
     rows, quartiles = worst_first(table), statistics(table)
     write_atomically(folder / "statistics.csv", lambda to: quartiles.to_csv(to, index=False))
@@ -42,11 +47,23 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
         lost=loss_lines(table.to_dict("records")),
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
         statistics=quartiles.assign(quantity=quartiles["quantity"].map(heading)),
-        rows=rows.head(WORST).to_dict("records"),
-        total=len(rows),
-        pages=_pages(folder / "pages") if len(table) else set(),
-        figures={name: data_url(figure) for name, figure in figures.items()},
+        data=_data(rows, _pages(folder / "pages") if len(table) else set()),
+        judges=[each for each in table["judge"].dropna().unique() if each],
     )
+
+
+def _data(rows: "pd.DataFrame", pages: set[str]) -> dict[str, Any]:
+    """Rows of the page, the worst first, each with the page of its structure."""
+    kept = [
+        str(name) for name in rows.select_dtypes("number")
+        if name in (USABLE, "energy_start_kj_mol") or not re.fullmatch(_NOT_ON_PAGE, str(name))
+    ]  # fmt: skip
+    links = [f"pages/{quote(name)}.html" if name in pages else None for name in rows["structure"]]
+    first = ["structure", "method", "status"]
+    kept.sort(key=lambda name: name not in _SHOWN)
+    varying = [name for name in kept if name in _SHOWN or rows[name].nunique() > 1]
+    drop = rows[[*first, *varying]].assign(energy_drop_kj_mol_per_residue=_drop(rows))
+    return explored(drop.assign(message=rows["message"]), _SHOWN, links, "method")
 
 
 def _pages(folder: Path) -> set[str]:
@@ -95,19 +112,37 @@ def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":
     )
 
 
-def plot_distribution(
-    values: "pd.Series", methods: "pd.Series", label: str, of: str = "structures"
-) -> Figure:
+def plot_distributions(table: "pd.DataFrame") -> Figure:
+    """Plot the distributions of energy drop, RMSD and seconds side by side, a line for each method."""
+    figure, axes = panels(None, 3, (7.2, 2.6), sharey=True)
+    table = table[table[USABLE].notna()]
+    for ax, (values, label) in zip(axes, _measured(table).values(), strict=True):
+        plot_distribution(values, table["method"], label.replace(", kJ", ",\nkJ").replace(" to", "\nto"), ax)
+    for ax in axes[1:]:
+        ax.set_ylabel("")
+    return figure
+
+
+def _measured(table: "pd.DataFrame") -> dict[str, tuple["pd.Series", str]]:
+    """What is drawn of a batch, by the stem of its file, with its label."""
+    return {
+        "energy": (_drop(table), "energy drop, kJ/mol per residue"),
+        "rmsd": (table["ca_rmsd_angstrom"], "C-alpha RMSD to the start, angstrom"),
+        "seconds": (table["seconds"], "seconds"),
+    }
+
+
+def plot_distribution(values: "pd.Series", methods: "pd.Series", label: str, ax: Any = None) -> Figure:
     """Plot the cumulative distribution of a quantity, a line for each method."""
-    figure, (ax,) = panels(None, 1, (5.2, 3.6))
-    for k, (method, own) in enumerate(values.astype(float).groupby(methods, sort=False)):
+    figure, (ax,) = panels(ax, 1, (5.2, 3.6))
+    styles = looks(methods.astype(str).unique())
+    for method, own in values.astype(float).groupby(methods, sort=False):
         there = np.sort(own.dropna().to_numpy())
         if len(there):
             share = 100.0 * np.arange(1, len(there) + 1) / len(there)
-            style = ("-", "--", "-.", ":")[k % 4]
-            ax.step(there, share, where="post", color=COLOURS[k % 7], linestyle=style, label=str(method))
+            ax.step(there, share, where="post", **styles[str(method)].line(str(method)))
     ax.set_xlabel(label)
-    ax.set_ylabel(f"{of} up to this value, %")
+    ax.set_ylabel("structures up to this value, %")
     ax.set_ylim(0, 101)
     plain(ax)
     if ax.lines:

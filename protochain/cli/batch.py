@@ -10,6 +10,7 @@ from protochain.chains.setup import Setup
 from protochain.cli.options import (
     CONVERGED,
     AsJson,
+    FigureFile,
     Manifest,
     Scheduler,
     batch_status,
@@ -56,6 +57,7 @@ def batch(
     null: ByNul = False,
     resume: Resume = False,
     dry_run: DryRun = False,
+    figure: FigureFile = None,
     as_json: AsJson = False,
     *,
     minimising: MinimiseSettings,
@@ -68,7 +70,9 @@ def batch(
     from protochain.batches import batch as run
     from protochain.batches.cluster import Processes
     from protochain.batches.jobs import listed
+    from protochain.batches.report import plot_distributions
     from protochain.batches.table import files_of
+    from protochain.results.figures import check_figure, write_figure
 
     settings = BatchSettings(
         words(methods), setup=setup, relaxing=relaxing, **vars(minimising), **vars(starting)
@@ -85,11 +89,14 @@ def batch(
         else:
             print_jobs(jobs)
         raise typer.Exit(CONVERGED)
-    check_outputs(inputs_of(setup, manifest), files_of(output))
+    check_figure(figure)
+    check_outputs(inputs_of(setup, manifest), [*files_of(output), *([figure] if figure else [])])
     with Processes(workers, scheduler, threads, time_limit).started_early(), batch_progress() as watch:
         done = run(
             given, output, manifest=manifest, resume=resume, watch=watch, workers=workers,
             scheduler=scheduler, threads=threads, time_limit=time_limit, **vars(settings),
         )  # fmt: skip
+    if figure:
+        write_figure(figure, partial(plot_distributions, done.table))
     show = partial(print_batch, done.table, str(done.report))
     end_folder(output, show, as_json, done.interrupted, batch_status(done))

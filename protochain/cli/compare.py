@@ -12,6 +12,7 @@ import typer
 from protochain.chains.setup import Setup
 from protochain.cli.options import (
     AsJson,
+    FigureFile,
     Input,
     check_outputs,
     exit_status,
@@ -55,6 +56,7 @@ def compare(
             help="Largest torque (kJ/mol/rad) at convergence, or RMS force (kJ/mol/nm) where all atoms move."
         ),
     ] = defaults.TOLERANCE,
+    figure: FigureFile = None,
     as_json: AsJson = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the comparison in DIR.")] = False,
     *,
@@ -66,6 +68,7 @@ def compare(
     from protochain.comparison.comparing import SETTINGS
     from protochain.comparison.folder import check_folder, files_of
     from protochain.core.storage import claimed
+    from protochain.results.figures import check_figure, write_figure
     from protochain.structure import load
 
     most = minimising.max_evaluations
@@ -73,7 +76,9 @@ def compare(
     at_least(1)(repeats, "repeats")
     output = output or Path(f"{named_after(source)[0]}-comparison")
     check_folder(output, force)
-    check_outputs(inputs_of(setup, source, reference), files_of(output, named_after(source)[0], chosen))
+    check_figure(figure)
+    outputs = [*files_of(output, named_after(source)[0], chosen), *([figure] if figure else [])]
+    check_outputs(inputs_of(setup, source, reference), outputs)
     context.with_resource(claimed(output, "comparison"))
     known = load(reference) if reference else None
     chain, energy, preparation = prepare(source, setup)
@@ -87,6 +92,8 @@ def compare(
         )  # fmt: skip
     comparison = replace(comparison, origin={"input": str(source), "seconds_preparation": preparation})
     page = comparison.report(output)
+    if figure:
+        write_figure(figure, comparison.plot_energy)
     summary = comparison.summary()
     missing = chosen[len(comparison.solutions) :]
     if missing:

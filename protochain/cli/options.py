@@ -47,6 +47,9 @@ Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
+FigureFile = Annotated[
+    Path | None, typer.Option("--figure", metavar="FILE", help="Figure for a paper; FILE.svg, .pdf or .png.")
+]
 LigandOut = Annotated[
     Path | None,
     typer.Option(

@@ -39,6 +39,9 @@ from protochain.validation.ramachandran import ramachandran
 
 _PACKAGES = ("openmm", "gemmi", "numpy", "scipy", "numba", "mdtraj", "MDAnalysis", "tmtools", "pandas")
 
+_LEAST_OF_TM = 30
+"""Residues below which a TM-score says little: its scale is made for longer chains."""
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -315,10 +318,11 @@ def _write_files(comparison: Comparison, directory: Path) -> Path:
 
 
 def _figures(comparison: Comparison) -> dict[str, Figure]:
+    turning = (comparison.traces["max_torque_kj_mol_rad"] > 0.0).any()
     return {
         "energy": comparison.plot_energy(),
         "work_precision": comparison.plot_work_precision(),
-        "torque": comparison.plot_torque(),
+        **({"torque": comparison.plot_torque()} if turning else {}),
         "rmsd": comparison.plot_rmsd(),
         "displacement": comparison.plot_displacement(),
         "differences": comparison.plot_differences(),
@@ -329,6 +333,9 @@ def _figures(comparison: Comparison) -> dict[str, Figure]:
 def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Figure]) -> str:
     """Render ``report.html``: verdicts, tables, plots, repairs and provenance in one offline file."""
     of_one = len(comparison.solutions) == 1
+    quality = comparison.quality.reset_index()
+    if comparison.structure.n_protein_residues < _LEAST_OF_TM:
+        quality = quality.drop(columns=[name for name in quality if "tm_score" in str(name)])
     method = comparison.solutions[0].method if of_one else ""
     return render(
         "report.html",
@@ -340,7 +347,8 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Fi
         rows=comparison.table.to_dict("records"),
         lost=loss_lines(summary["results"]),
         rmsd=comparison.rmsd,
-        quality=comparison.quality,
+        several=not of_one,
+        quality=quality,
         changes=totals_of(comparison.differences),
         bonds_changed=joined(comparison.differences, "bonds"),
         terms=energies_by_term({row["method"]: row for row in summary["results"]}),

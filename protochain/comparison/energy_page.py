@@ -9,13 +9,10 @@ from protochain.comparison.colourings import of_energies
 from protochain.energies.decomposed import TERMS, energy_terms
 from protochain.energies.protocol import Energy
 from protochain.results.columns import heading
-from protochain.results.page import write_page
+from protochain.results.page import explored, write_page
 from protochain.results.provenance import command_line
 from protochain.results.viewer import scene
 from protochain.structure import Structure
-
-_SHOWN = 25
-"""Residues listed: those of the largest totals."""
 
 
 def write_energies(
@@ -24,6 +21,8 @@ def write_energies(
     """Write the page of an energy, one file that works offline."""
     terms = energy_terms(structure, "term", between=between, energy=energy).T
     residues = energy_terms(structure, "residue", between=between, energy=energy)
+    ranked = residues.loc[residues["total"].abs().sort_values(ascending=False).index]
+    own = [name for name in residues if name not in (*TERMS, "total")]
     (first, *_) = colourings = list(of_energies({structure.name: residues[list(TERMS)].to_numpy().T}))
     write_page(
         path,
@@ -32,7 +31,7 @@ def write_energies(
         between=between,
         energy=energy,
         terms=_with_units(terms[terms.any(axis=1)]).rename_axis("term").rename(heading).reset_index(),
-        largest=_with_units(residues.loc[residues["total"].abs().nlargest(_SHOWN).index]),
+        data=explored(_with_units(ranked[[*own, "total", *TERMS]])),
         command=command_line(),
         **scene({structure.name: structure}, colourings, first.name),
     )

@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 
 from protochain.comparison.modes import NormalModes
 from protochain.core.markup import counted
+from protochain.core.palette import COLOURS
 from protochain.core.storage import json_text, write_text
 from protochain.results.columns import Column, of_energy, of_losses, of_structure, record
-from protochain.results.figures import COLOURS, data_url, panels
+from protochain.results.figures import data_url, panels
 from protochain.results.page import write_page
 from protochain.results.provenance import command_line
 from protochain.results.tables import save
@@ -123,6 +124,7 @@ def write_modes(
         figure=shown,
         colours=COLOURS,
         library=library(),
+        library_at="",
         format=suffix.removeprefix("."),
         models=[text(each) for each in (structure, *ends)],
         amplitude=amplitude,
@@ -135,7 +137,7 @@ def write_modes(
 
 def _figure(table: pd.DataFrame, name: str) -> Figure:
     """B factors of the C-alphas along the sequence, and those of the file as far as there are any."""
-    figure, (axes,) = panels(None, 1, (10, 3.2))
+    figure, (axes,) = panels(None, 1, (8, 2.8))
     places = np.arange(1, len(table) + 1)
     filed = table["ca_b_factor_in_file_angstrom2"]
     axes.plot(places, table["ca_b_factor_angstrom2"], color=COLOURS[0], label="modes")

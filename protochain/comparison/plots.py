@@ -1,7 +1,7 @@
 """Figures of a comparison: safe for colour-blind readers, and readable in grey by line style."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import cycle
+from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,8 @@ from matplotlib.figure import Figure as PlainFigure
 from matplotlib.ticker import MaxNLocator
 
 from protochain.core.arrays import Floats
-from protochain.results.figures import COLOURS, DASHES, panels, plain
+from protochain.core.palette import COLOURS, looks
+from protochain.results.figures import panels, plain
 from protochain.validation.ramachandran import ALLOWED, FAVOURED, tables
 
 _LOG_FROM = 1e4
@@ -22,7 +23,7 @@ _SAME = 0.1
 
 def plot_energy(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """Energy against evaluations and against seconds."""
-    _, axes = panels(ax, 2, (10, 4.2), sharey=True)
+    _, axes = panels(ax, 2, (8, 3.6), sharey=True)
     styles = _styles(traces["method"].unique())
     traces = traces[np.isfinite(traces["energy_kj_mol"])]
     if traces.empty:
@@ -43,7 +44,7 @@ def plot_work_precision(
     """Energy above the lowest end against evaluations and against seconds (work-precision diagram)."""
     groups = {name: methods for name, methods in groups.items() if methods}
     n = len(groups)
-    _, every = panels(ax, (n, 2), (10, 0.6 + 3.6 * n), least=2 * n, sharex="col", sharey=True)
+    _, every = panels(ax, (n, 2), (8, 0.6 + 3.2 * n), least=2 * n, sharex="col", sharey=True)
     grid = every.reshape(n, 2)
     lowest = traces["method"].map(work.set_index("method")["lowest_kj_mol"])
     best = traces.groupby("method", sort=False)["energy_kj_mol"].cummin()
@@ -59,7 +60,7 @@ def plot_work_precision(
 
 def plot_torque(traces: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """Largest torque against evaluations and against seconds."""
-    _, axes = panels(ax, 2, (10, 4.2), sharey=True)
+    _, axes = panels(ax, 2, (8, 3.6), sharey=True)
     styles = _styles(traces["method"].unique())
     drawn = traces["max_torque_kj_mol_rad"] > 0.0
     free = traces.loc[~drawn, "method"].unique()
@@ -77,7 +78,8 @@ def _titled(axes: Any, ax: Any, title: str) -> PlainFigure:
     """Figure of the Axes, with a title: above all panels of a new one, above the first of given ones."""
     figure: PlainFigure = axes[0].figure
     if ax is None:
-        figure.suptitle(title)
+        wide = int(11 * figure.get_figwidth())
+        figure.suptitle("\n".join(fill(line, wide) for line in title.split("\n")))
     else:
         axes[0].set_title(title, fontsize="medium")
     return figure
@@ -88,18 +90,14 @@ Styles = dict[str, dict[str, Any]]
 
 def _styles(methods: Iterable[str]) -> Styles:
     """Colour and line style of each method, the same in every figure of a comparison."""
-    return {
-        method: {"color": colour, "linestyle": dash, "label": method}
-        for method, colour, dash in zip(methods, cycle(COLOURS), cycle(DASHES))
-    }
+    return {method: look.line(method) for method, look in looks(methods).items()}
 
 
 def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: Styles) -> None:
     """Draw a column of the traces against evaluations and against seconds, one line per method."""
     for method, run in traces.groupby("method", sort=False):
         for ax, cost in zip(axes, ("evaluations", "seconds"), strict=False):
-            # A line through one point would be invisible.
-            ax.plot(run[cost], run[value], marker="o" if len(run) == 1 else "", **styles[str(method)])
+            ax.plot(run[cost], run[value], **styles[str(method)])
     for ax, label in zip(axes, ("energy evaluations", "seconds"), strict=False):
         ax.set_xlabel(label)
     axes[0].legend(frameon=False)
@@ -110,7 +108,11 @@ def _draw_runs(axes: Sequence[Axes], traces: pd.DataFrame, value: str, styles: S
 
 def plot_rmsd(traces: pd.DataFrame, rmsd: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """C-alpha RMSD to the start along each run, and between all ends."""
-    _, axes = panels(ax, 2, (10, 4.2), width_ratios=(1.3, 1))
+    alone = traces["method"].nunique() == 1
+    if alone and ax is None:
+        _, axes = panels(None, 1, (6, 3.2))
+    else:
+        _, axes = panels(ax, 2, (8, 3.6), width_ratios=(1.3, 1))
     left = axes[0]
     styles = _styles(traces["method"].unique())
     for method, run in traces.groupby("method", sort=False):
@@ -142,7 +144,7 @@ def _draw_between(right: Axes, rmsd: pd.DataFrame) -> None:
 
 def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -> PlainFigure:
     """Displacement of each C-alpha from the start."""
-    _, axes = panels(ax, 1, (10, 3.8))
+    _, axes = panels(ax, 1, (8, 3.2))
     (panel,) = axes
     place = np.arange(1, len(displacements) + 1)
     for method, style in _styles(displacements.columns[3:]).items():
@@ -162,7 +164,7 @@ def plot_displacement(displacements: pd.DataFrame, title: str, ax: Any = None) -
 
 def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: Any = None) -> PlainFigure:
     """Change of torsions along the sequence, over how far the C-alphas moved."""
-    _, axes = panels(ax, (2, 1), (10, 6), least=1)
+    _, axes = panels(ax, (2, 1), (8, 5), least=1)
     top, bottom = axes[0], axes[-1]
     styles = _styles(changes)
     for name, of in changes.items():
@@ -172,16 +174,17 @@ def plot_differences(changes: Mapping[str, pd.DataFrame], title: str = "", ax: A
                 largest = of[list(names)].abs().max(axis=1)
                 top.plot(place, largest, ".", ms=4, color=COLOURS[colour], label=f"{stated}, largest")
         else:
-            top.plot(place, of["torsions_degrees"], **styles[name])
+            top.plot(place, of["torsions_degrees"], **styles[name] | {"linewidth": 1.2})
         if len(axes) > 1:
-            bottom.plot(place, of["ca_moved_angstrom"], **styles[name] | {"lw": 1.2})
+            bottom.plot(place, of["ca_moved_angstrom"], **styles[name] | {"linewidth": 1.2})
     top.set(ylabel="change of torsions, degrees", ylim=(0, None))
     if changes:
         top.legend(frameon=False, ncols=3)
     if len(axes) > 1:
         bottom.set(ylabel="C-alpha moved, angstrom", ylim=(0, None))
     bottom.set_xlabel("residue")
-    named = _places(next(iter(changes.values()))) if changes else {}
+    first = [each[["chain", "residue"]].to_numpy().T for each in changes.values()][:1]
+    named = residue_places(*first[0]) if first else {}
     for panel in axes:
         panel.set_xticks([*named], [*named.values()])
         plain(panel)
@@ -193,9 +196,8 @@ _PLACES = 12
 """Residues that an axis names, more where there are as many chains."""
 
 
-def _places(residues: pd.DataFrame) -> dict[int, str]:
+def residue_places(chain: Any, number: Any) -> dict[int, str]:
     """Names of some residues along an axis, by place from 1: the first of each chain, and some between."""
-    chain, number = residues["chain"].to_numpy(), residues["residue"].to_numpy()
     starts = np.flatnonzero(np.append(True, chain[1:] != chain[:-1])[: len(chain)]).tolist()
     step = 5 * max(1, round(len(chain) / _PLACES / 5))
     between = [k for k in range(step, len(chain), step) if min(abs(k - start) for start in starts) > step / 2]
@@ -210,14 +212,9 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
     shape = (rows, columns) if ax is None else len(angles)
     size = (3.4 * columns, 3.3 * rows)
     _, axes = panels(ax, shape, size, least=len(angles), sharex=True, sharey=True)
-    most = tables()[0].T
-    grid = np.linspace(-179.0, 179.0, len(most))
     for panel, (name, values) in zip(axes, angles.items(), strict=False):
-        panel.contourf(grid, grid, most, levels=[ALLOWED[0], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])
+        ramachandran_ground(panel)
         panel.scatter(values[:, 0], values[:, 1], s=9, color=COLOURS[0])
-        ticks = range(-180, 181, 90)
-        panel.set(xlim=(-180, 180), ylim=(-180, 180), xticks=ticks, yticks=ticks)
-        panel.set_aspect("equal")
         panel.set_title(name, fontsize="medium")
     for k, panel in enumerate(axes):
         panel.set_visible(k < len(angles))
@@ -227,10 +224,19 @@ def plot_ramachandran(angles: dict[str, Floats], title: str, ax: Any = None) -> 
         if ax is not None or k % columns == 0:
             panel.set_ylabel("psi, degrees")
     if ax is None:
-        stated = "phi and psi; dark grey favoured, light grey allowed, but for Gly, Pro, pre-Pro, Ile, Val"
-        return _titled(axes, ax, f"{_plain_text(title)}: {stated}")
+        return _titled(axes, ax, f"{_plain_text(title)}: phi and psi")
     figure: PlainFigure = axes[0].figure
     return figure
+
+
+def ramachandran_ground(panel: Axes) -> None:
+    """Draw what is favoured, dark grey, and allowed, light grey, of most residues; axes in degrees."""
+    most = tables()[0].T
+    grid = np.linspace(-179.0, 179.0, len(most))
+    panel.contourf(grid, grid, most, levels=[ALLOWED[0], FAVOURED, 1.0], colors=["#dddddd", "#aaaaaa"])
+    ticks = range(-180, 181, 90)
+    panel.set(xlim=(-180, 180), ylim=(-180, 180), xticks=ticks, yticks=ticks)
+    panel.set_box_aspect(1.0)
 
 
 def _plain_text(text: str) -> str:

@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from protochain.comparison.colourings import colourings
 from protochain.comparison.differences import Differences, joined, of_ends, totals_of
 from protochain.comparison.plots import plot_differences
@@ -13,8 +15,10 @@ from protochain.results.figures import data_url
 from protochain.results.page import write_page
 from protochain.results.provenance import command_line
 from protochain.results.terms import energies_by_term
-from protochain.results.viewer import DISPLACEMENT, pockets, scene
+from protochain.results.viewer import DISPLACEMENT, pockets, residue_keys, scene
 from protochain.structure.losses import loss_lines
+from protochain.validation.bonding import hydrogen_bonds
+from protochain.validation.findings import Found
 
 
 def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path) -> None:
@@ -22,9 +26,11 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
     strength = relaxation.settings.strength
     changes = of_ends(relaxation.ends())
     figure = plot_differences({name: each.residues for name, each in changes.items()}, relaxation.start.name)
+    bonds = hydrogen_bonds(relaxation.structure)[:, [0, 2]] if relaxation.start.ligands else _NO_PAIRS
     write_page(
         path,
         "relaxed.html",
+        named=named_residues(relaxation, changes),
         record=record,
         rows=before_and_after(record),
         terms=energies_by_term({"end": record}),
@@ -35,9 +41,59 @@ def write_relaxed(relaxation: Relaxation, record: Mapping[str, Any], path: Path)
         command=command_line(),
         name=strength.name,
         source=strength.source,
-        pockets=pockets(relaxation.start, relaxation.start.positions, relaxation.x),
+        pockets=pockets(relaxation.start, bonds, relaxation.start.positions, relaxation.x),
         **coloured(relaxation, changes),
     )
+
+
+_NAMED = 10
+"""Residues that are named of each kind."""
+_MOVED, _TURNED = 0.1, 10.0
+"""Angstrom of a C-alpha, and degrees of torsions (root mean square), from which on residues are named."""
+_NO_PAIRS = np.empty((0, 2), dtype=np.int64)
+
+
+def named_residues(
+    relaxation: Relaxation, changes: Mapping[str, Differences]
+) -> dict[str, list[tuple[str, str]]]:
+    """Residues that a reader looks at first, by what they are: place in the viewer, and words."""
+    s = relaxation.start
+    before, after = (_outliers(Found(s, x)) for x in (s.positions, relaxation.x))
+    named = {f"New {kind}": [(r, "") for r in sorted(its - before[kind])] for kind, its in after.items()} | {
+        f"Gone {kind}": [(r, "") for r in sorted(before[kind] - its)] for kind, its in after.items()
+    }
+    place = {where: r for r, where in enumerate(residue_keys(s).tolist())}
+    for each in changes.values():
+        of = each.residues
+        where = [place.get(f"{chain.strip()}:{number}", -1)
+                 for chain, number in zip(of["chain"], of["residue"], strict=True)]  # fmt: skip
+        for what, column, least, unit in (
+            ("Moved most", "ca_moved_angstrom", _MOVED, " angstrom"),
+            ("Turned most", "torsions_degrees", _TURNED, " degrees"),
+        ):
+            most = of.assign(where=where)[of[column] >= least].nlargest(_NAMED, column)
+            named[what] = [
+                (r, f", {value:.2g}{unit}" if value < 10 else f", {value:.0f}{unit}")
+                for r, value in zip(most["where"], most[column], strict=True) if r >= 0
+            ]  # fmt: skip
+    keys = residue_keys(s)
+    return {
+        what: [(str(keys[r]), f"{s.residue(r)}{words}") for r, words in its[:_NAMED]]
+        for what, its in named.items() if its
+    }  # fmt: skip
+
+
+def _outliers(found: Found) -> dict[str, set[int]]:
+    """Residues of each kind of outlier."""
+    of, rama = found.structure.atom_residue, found.ramachandran
+    return {
+        "violations": set(found.violations.residues.tolist()),
+        "clashes": set(of[found.clashes.pairs].ravel().tolist()),
+        "Ramachandran outliers": set(rama.residue[rama.region == 0].tolist()),
+        "rotamer outliers": set(found.side_chains.outliers.tolist()),
+        "C-beta outliers": set(found.cbeta.outliers.tolist()),
+        "inverted stereocentres": set(of[found.inverted_stereocentres].tolist()),
+    }
 
 
 def coloured(relaxation: Relaxation, changes: Mapping[str, Differences] = {}) -> dict[str, Any]:

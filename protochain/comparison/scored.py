@@ -5,13 +5,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import pandas as pd
 
 from protochain.chains.setup import Setup
-from protochain.results.page import write_page
+from protochain.results.page import explored, write_page
 from protochain.results.provenance import command_line
-from protochain.results.viewer import library
-from protochain.structure.model import Structure
+from protochain.results.viewer import library, residue_keys
 from protochain.structure.select import sides
 from protochain.structure.write import as_text, common_suffix
 from protochain.validation.interface import CONFIDENCES, SCORES, Interface
@@ -31,12 +30,13 @@ def write_scored(
         path,
         "interfaces.html",
         rows=rows,
+        data=_ranked(rows, [key for key in known if any(row[key] is not None for row in rows)]),
         rank=rank,
         known=known,
-        shown=[key for key in known if any(row[key] is not None for row in rows)],
         models=[_model(each, row) for each, row in zip(interfaces[:_MOST], rows, strict=False)],
         full=_FULL,
         library=library(),
+        library_at="",
         command=command_line(),
         forcefield=setup.forcefield,
         solvent=setup.solvent,
@@ -44,11 +44,31 @@ def write_scored(
     )
 
 
+_FIRST = (
+    "rank", "file", "interface", "energy_kj_mol", "buried_area_angstrom2", "shape_complementarity",
+    "hydrogen_bonds", "salt_bridges", "unsatisfied_polar_atoms", "clashes", "ipsae", "pdockq2",
+)  # fmt: skip
+"""Columns that are shown at first."""
+
+
+def _ranked(rows: Sequence[Mapping[str, Any]], scores: Sequence[str]) -> dict[str, Any]:
+    """Rows with their place, for a page."""
+    table = pd.DataFrame(
+        [
+            {"rank": place, "file": Path(row["file"]).name, "interface": row["interface"]}
+            | {key: row[key] for key in scores}
+            for place, row in enumerate(rows, 1)
+        ],
+        columns=["rank", "file", "interface", *scores],
+    )
+    return explored(table.infer_objects(), _FIRST)
+
+
 def _model(interface: Interface, row: Mapping[str, Any]) -> dict[str, Any]:
     """What the viewer needs of an interface: its atoms, the residues of either side, shares of some."""
     structure = interface.structure
     suffix = common_suffix([structure])
-    places = _places(structure)
+    places = residue_keys(structure)
     table = interface.residues
     return {
         "name": f"{Path(row['file']).name} {interface.name}",
@@ -62,9 +82,3 @@ def _model(interface: Interface, row: Mapping[str, Any]) -> dict[str, Any]:
             )
         },
     }
-
-
-def _places(structure: Structure) -> np.ndarray:
-    """(nr,) str: chain and number of each residue, as the viewer tells them of an atom."""
-    number = np.char.add(structure.residue_number, structure.residue_insertion_code)
-    return np.char.add(np.char.add(np.char.strip(structure.residue_chain), ":"), number)

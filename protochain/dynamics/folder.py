@@ -23,7 +23,7 @@ from protochain.structure.trajectory import TrajectoryFile, check_trajectory
 from protochain.structure.write import common_suffix
 
 CHECKPOINT = "checkpoint.npz"
-_STALE = (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv")
+_STALE = (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv", "report.html")
 _PART = "log.part.csv"
 
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
+from protochain.core.palette import COLOURS
 from protochain.core.storage import write_text
 from protochain.mechanisms.assemble import quaternion
 from protochain.mechanisms.assembly import Motion
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
     from protochain.core.figure import Figure
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-"""Okabe and Ito's palette."""
 _FINE = 1e-4
 """To what places are rounded, by the size of the picture."""
 _MOST = 40_000

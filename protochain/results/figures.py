@@ -2,23 +2,35 @@
 
 import base64
 import io
+from collections.abc import Callable
+from functools import partial
+from importlib.resources import as_file, files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as PlainFigure
+from matplotlib.ticker import LogLocator, NullFormatter
 
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, ProtochainError
 from protochain.core.figure import Figure as Figure
+from protochain.core.storage import write_atomically
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Okabe and Ito's palette, dark colours first."""
-DASHES = ("-", "--", "-.", ":")
+FORMATS = (".svg", ".pdf", ".png")
+"""Of figures for papers."""
 
 
 def plain(ax: Axes) -> None:
     """Keep the left and bottom axes only, with a faint grid."""
     ax.spines[["top", "right"]].set_visible(False)
+    if ax.get_xscale() == "log":
+        low, high = sorted(ax.get_xlim())
+        few = high < 100.0 * low  # Powers of ten alone would be one tick, or none.
+        subs = (1.0, 2.0, 5.0) if few else (1.0,)
+        ax.xaxis.set(major_locator=LogLocator(subs=subs), minor_formatter=NullFormatter())
+        if few:
+            ax.xaxis.set_major_formatter("{x:g}")
     ax.grid(True, which="major", alpha=0.25)
 
 
@@ -41,5 +53,24 @@ def panels(
 def data_url(figure: PlainFigure) -> str:
     """Figure as a data URL for a page."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=150)
+    figure.savefig(buffer, format="png", dpi=150, transparent=True)
     return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+
+
+def check_figure(path: Path | None) -> None:
+    """Refuse a file of no format of figures, before any work is done."""
+    if path is not None and path.suffix.lower() not in FORMATS:
+        raise ProtochainError(Argument("figure"), f" {path}: give a name that ends in {', '.join(FORMATS)}")
+
+
+def write_figure(path: Path, draw: Callable[[], PlainFigure]) -> None:
+    """Write a figure for a paper, drawn in the package's style, as the ending of its name has it."""
+    import matplotlib.style
+
+    kind = path.suffix.lower().removeprefix(".")
+    dated = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    with (
+        as_file(files("protochain.results") / "static" / "paper.mplstyle") as style,
+        matplotlib.style.context(str(style)),
+    ):
+        write_atomically(path, partial(draw().savefig, format=kind, metadata=dated))

@@ -1,13 +1,19 @@
 """Pages: self-contained HTML from the templates of the package, which work offline."""
 
+import math
+from collections.abc import Collection, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader
 
+from protochain.core.palette import looks
 from protochain.core.storage import write_text
-from protochain.results.columns import heading
+from protochain.results.columns import flat, heading
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def render(template: str, /, **variables: Any) -> str:
@@ -18,6 +24,48 @@ def render(template: str, /, **variables: Any) -> str:
 def write_page(path: Path, template: str, /, **variables: Any) -> None:
     """Write a page, filled from a template."""
     write_text(path, render(template, **variables))
+
+
+_COUNTED = ("frame", "rank", "time_ps")
+"""Columns whose histograms say nothing."""
+
+
+def explored(
+    table: "pd.DataFrame",
+    shown: Collection[str] = (),
+    links: Sequence[str | None] | None = None,
+    by: str | None = None,
+) -> dict[str, Any]:
+    """Rows that a page searches, filters, sorts and draws, in numbers that are short.
+
+    shown: Columns that are shown at first, or all. by: Column that tells lines of histograms apart.
+    """
+    numbers = set(table.select_dtypes("number"))
+    columns = [
+        {"key": str(name), "title": heading(str(name)), "number": name in numbers,
+         "drawn": name in numbers and name not in _COUNTED, "shown": not shown or name in shown}
+        for name in table
+    ]  # fmt: skip
+    cells = [
+        [_short(value) for value in table[name].astype(float).tolist()] if name in numbers
+        else [flat(value) for value in table[name].astype(object).where(table[name].notna(), None)]
+        for name in table
+    ]  # fmt: skip
+    names = [] if by is None else [str(name) for name in table[by].unique()]
+    return {
+        "columns": columns,
+        "rows": [list(row) for row in zip(*cells, strict=True)],
+        "links": links,
+        "by": -1 if by is None else table.columns.get_loc(by),
+        "looks": {name: look.svg for name, look in looks(["", *names]).items()},
+    }
+
+
+def _short(value: Any) -> int | float | None:
+    """Number as JSON has it: None where it is not finite."""
+    if value is None or not math.isfinite(value):
+        return None
+    return int(value) if value == int(value) else float(f"{value:.6g}")
 
 
 def write_scan(path: Path, title: str, text: str, figure: Any, table: Any) -> None:

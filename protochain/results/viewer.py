@@ -8,11 +8,12 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats
+from protochain.core.arrays import Floats, Integers
+from protochain.core.palette import START, looks
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.results.figures import COLOURS
 from protochain.results.page import render
 from protochain.structure import Structure, as_structure
 from protochain.structure.superpose import motion
@@ -57,11 +58,18 @@ def scene(
     return {
         "models": models,
         "library": library(),
-        "colours": ("#999999", *COLOURS),
+        "library_at": "",
+        "colours": (START, *(look.colour for look in looks(ends).values())),
         "colourings": stated,
         "chosen": next((k for k, each in enumerate(stated) if each["name"] == chosen), -1),
         "residues": _residues(first, suffix),
     }
+
+
+def residue_keys(structure: Structure) -> NDArray[np.str_]:
+    """(nr,) str: chain, number and insertion code of each residue, as viewers tell them of an atom."""
+    number = np.char.add(structure.residue_number, structure.residue_insertion_code)
+    return np.char.add(np.char.add(np.char.strip(structure.residue_chain), ":"), number)
 
 
 def _residues(structure: Structure, suffix: str) -> list[str]:
@@ -113,11 +121,16 @@ def _lengths(vectors: Floats) -> Floats:
     return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
-def pockets(structure: Structure, *ends: Floats) -> list[dict[str, Any]]:
-    """What the viewer of pockets needs: each ligand and the residues that are near it at any end.
+def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[str, Any]]:
+    """What the viewer of pockets needs: each ligand, residues near it at any end, its hydrogen bonds.
 
-    *ends (na, 3) nm.
+    bonds (n, 2) int: donors and acceptors. *ends (na, 3) nm.
     """
+    of = structure.atom_residue
+
+    def atom(k: int) -> dict[str, Any]:
+        (place,) = selected([int(of[k])])
+        return place | {"atom": str(structure.atom_name[k])}
 
     def selected(residues: Iterable[int]) -> list[dict[str, Any]]:
         return [
@@ -134,7 +147,14 @@ def pockets(structure: Structure, *ends: Floats) -> list[dict[str, Any]]:
             for r in structure.atom_residue[cKDTree(x[each.atoms]).query(x)[0] < _POCKET].tolist()
         }
         name = str(structure.residue(own))
-        found.append({"name": name, "ligand": selected([own]), "near": selected(sorted(near - {own}))})
+        found.append(
+            {
+                "name": name,
+                "ligand": selected([own]),
+                "near": selected(sorted(near - {own})),
+                "bonds": [[atom(i), atom(j)] for i, j in bonds.tolist() if (of[i] == own) != (of[j] == own)],
+            }
+        )
     return found
 
 
@@ -145,7 +165,7 @@ class View:
         self.shown = shown
 
     def _repr_html_(self) -> str:
-        page = render("viewer.html", **scene(self.shown))
+        page = render("viewer.html", alone=True, **scene(self.shown))
         frame = 'sandbox="allow-scripts" style="width: 100%; height: 34rem; border: 0"'
         return f'<iframe {frame} srcdoc="{escape(page)}"></iframe>'
 

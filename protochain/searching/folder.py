@@ -9,8 +9,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from protochain.core.arrays import Floats
+from protochain.core.palette import COLOURS, START, looks
 from protochain.core.storage import json_text, write_text
-from protochain.results.figures import COLOURS, data_url, panels
+from protochain.results.figures import data_url, panels, plain
 from protochain.results.page import write_page
 from protochain.results.tables import save
 from protochain.results.viewer import scene
@@ -74,19 +75,25 @@ def drawn(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> Figure
 
     walks: of each (n, 2), evaluations and energy of what it found.
     """
-    figure, (left, right) = panels(None, 2, (10, 3.6))
-    left.scatter(
-        table["ca_rmsd_to_lowest_angstrom"], table["above_lowest_kj_mol"], s=12,
-        c=[COLOURS[(each - 1) % len(COLOURS)] for each in table["cluster"]],
-    )  # fmt: skip
-    left.set_xlabel("C-alpha RMSD to the lowest, angstrom; a colour each cluster")
-    left.set_ylabel("energy above the lowest, kJ/mol")
-    for walker, found in enumerate(walks):
-        right.step(
-            found[:, 0], np.minimum.accumulate(found[:, 1]) - lowest, where="post",
-            color=COLOURS[walker % len(COLOURS)],
-        )  # fmt: skip
-    right.set_xlabel("energy evaluations of a walk; a line each")
-    right.set_ylabel("lowest so far, above the lowest of all, kJ/mol")
+    figure, (left, right) = panels(None, 2, (8, 3.4))
+    clusters = table["cluster"].to_numpy()
+    for k, (colour, marker) in enumerate(zip((*COLOURS, START), "osD^vPX.", strict=True), 1):
+        own = table[clusters == k if k <= len(COLOURS) else clusters > len(COLOURS)]
+        if len(own):
+            left.scatter(
+                own["ca_rmsd_to_lowest_angstrom"], own["above_lowest_kj_mol"], s=14, color=colour,
+                marker=marker, label=f"{k}" if k <= len(COLOURS) else "others",
+            )  # fmt: skip
+    left.set(xlabel="C-alpha RMSD to the lowest, angstrom", ylabel="energy above the lowest, kJ/mol")
+    left.legend(title="cluster", fontsize=8)
+    runs = {f"walk {number}": found for number, found in enumerate(walks, 1)}
+    for (name, found), look in zip(runs.items(), looks(runs).values(), strict=True):
+        fallen = np.minimum.accumulate(found[:, 1]) - lowest
+        right.step(found[:, 0], fallen, where="post", **look.line(name))
+    right.set(xlabel="energy evaluations of a walk", ylabel="lowest so far, above\nthe lowest of all, kJ/mol")
     right.set_xscale("log")
+    if len(runs) <= 8:
+        right.legend(fontsize=8)
+    plain(left)
+    plain(right)
     return figure

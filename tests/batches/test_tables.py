@@ -16,8 +16,8 @@ from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
 from protochain.batches.report import WORST, plot_distribution, statistics, worst_first, write_report
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
+from protochain.core.palette import COLOURS
 from protochain.minimisers import record
-from protochain.results.figures import COLOURS
 from protochain.results.terms import energies_by_term
 
 TWO = BatchSettings(methods=("lbfgs", "kcm"))

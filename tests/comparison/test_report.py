@@ -4,14 +4,18 @@ import dataclasses
 import io
 import itertools
 
+import looks
 import matplotlib.image
 import numpy as np
+import pandas as pd
 import pytest
+from fixtures.drawings import faults
 from fixtures.samples import chain, energy
 from fixtures.waiting import until
 
 import protochain as pc
-from protochain.results.page import render
+from protochain.core.figure import Figure
+from protochain.results.page import explored, render, templates
 from protochain.results.viewer import Colouring, scene
 
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
@@ -173,45 +177,142 @@ def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_pa
     drawn = picture(page, "#pocket-viewer")[5:-5, 5:-5, :3]
     assert np.mean(np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1) > 0.003
     page.locator("#pocket-shown input").first.uncheck()
+    # A name goes to its residue, in the first viewer that has it.
+    name = page.locator("button.residue").first
+    name.click()
+    assert page.locator("#viewer").get_attribute("data-at") == name.get_attribute("data-residue")
+    first = picture(page, "#viewer")
+    page.locator("#between").fill("0")
+    assert not np.array_equal(first, picture(page, "#viewer"))
+    page.get_by_text("Spin").first.click()
+    page.get_by_text("Reset").first.click()
+    with page.expect_download() as saved:
+        page.get_by_text("Save picture").first.click()
+    assert matplotlib.image.imread(saved.value.path()).std() > 0.01
     assert said == []
 
 
-PAGES = {
-    "minimise": "minimise {peptide} -o out.pdb --max-evaluations 30 --report page.html",
-    "relax": "relax {peptide} -o out.pdb --report page.html",
-    "frames": "relax {models} --frames all --workers 1 -o frames.pdb --report page.html",
-    "energy": "energy {peptide} --report page.html",
-    "score": "score {dimer} --solvent vacuum --report page.html",
-    "modes": "modes {peptide} -o out --modes 2",
-    "search": "search AAA -o out --evaluations 300 --walkers 1 --workers 1",
-    "batch": "batch {peptide} {dimer} -o out --methods lbfgs --max-evaluations 20 --workers 1",
-    "relaxed folder": "relax {peptide} {models} -o out --workers 1",
-}
-"""Commands that write pages, but for compare, above, and mechanisms, in test_pictures.py."""
-
-
-@pytest.mark.parametrize("name", PAGES)
-def test_a_page_fits_a_phone_and_is_dark_where_one_asks(browser, name, tmp_path, monkeypatch):
+def test_pages_of_a_folder_share_one_viewer(browser, tmp_path, monkeypatch):
     from fixtures.command_line import run
-    from fixtures.frames import models
     from fixtures.samples import STRUCTURES
 
     monkeypatch.chdir(tmp_path)
-    peptide = chain("ala10.pdb").structure
-    two = models(peptide, np.stack([peptide.positions] * 2), tmp_path / "models.pdb")
-    its = {"peptide": STRUCTURES / "ala10.pdb", "dimer": STRUCTURES / "3i40.pdb", "models": two}
-    run(*(word.format(**its) for word in PAGES[name].split()))
-    files = sorted(tmp_path.rglob("*.html"))
-    assert files
-    for file in files:
-        page, said, _ = opened(browser, file, width=390)
-        assert page.evaluate("document.documentElement.scrollWidth") <= 390, file.name
-        for scheme, is_dark in (("light", False), ("dark", True)):
-            page.emulate_media(color_scheme=scheme)
-            ground = matplotlib.image.imread(io.BytesIO(page.screenshot()))[3, 3, :3]
-            assert ground.max() < 0.25 if is_dark else ground.min() > 0.75, (file.name, scheme)
-        assert said == []
-        page.close()
+    run("relax", STRUCTURES / "ala10.pdb", STRUCTURES / "1l2y.pdb", "-o", "out", "--workers", "1")
+    pages = sorted((tmp_path / "out" / "pages").glob("*.html"))
+    assert len(pages) == 2 and all(each.stat().st_size < 200_000 for each in pages)
+    page, said, _ = opened(browser, pages[0])
+    page.wait_for_selector("#viewer[data-models='2'] canvas")
+    page.goto((tmp_path / "out" / "report.html").as_uri())
+    page.locator(".explore tbody a").first.click()
+    page.wait_for_selector("#viewer[data-models='2'] canvas")
+    assert said == []
+
+
+def test_the_page_of_a_simulation_plays_its_frames(browser, tmp_path, monkeypatch):
+    from fixtures.command_line import run
+    from fixtures.samples import STRUCTURES
+
+    monkeypatch.chdir(tmp_path)
+    run("simulate", STRUCTURES / "ala10.pdb", "-o", "out", "--steps", "200", "--every", "20")
+    page, said, _ = opened(browser, tmp_path / "out" / "report.html")
+    page.wait_for_selector("#viewer[data-frame='0'] canvas")
+    first = picture(page, "#viewer")
+    page.locator("#frame").fill("10")
+    page.wait_for_selector("#viewer[data-frame='10']")
+    assert (
+        not np.array_equal(first, picture(page, "#viewer")) and page.locator("#time").inner_text() == "1 ps"
+    )
+    page.locator("#play").click()
+    until(lambda: page.locator("#viewer").get_attribute("data-frame") != "10")
+    assert said == []
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """What the commands of looks.py read beside the package's structures."""
+    folder = tmp_path_factory.mktemp("inputs")
+    looks.prepared(folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", [name for name in looks.PAGES if name not in ("compare", "ligand")])
+def test_a_page_is_sound_at_both_widths_light_and_dark(browser, name, inputs, tmp_path, monkeypatch):
+    """Of the page, by AUDIT; of its figures, no text over an edge or another, and units."""
+    from fixtures.command_line import run
+
+    wrong, save = [], Figure.savefig
+
+    def looked_at(figure, *args, **options):
+        wrong.extend(faults(figure))
+        save(figure, *args, **options)
+
+    monkeypatch.setattr(Figure, "savefig", looked_at)
+    monkeypatch.chdir(tmp_path)
+    assert run(*looks.words_of(name, inputs)) in (0, 3)
+    files = looks.pages_of(name, tmp_path, inputs)
+    assert files and wrong == []
+    assert [line for file in files for line in looks.looked_at(browser, file)] == []
+
+
+def test_the_audit_sees_what_is_wrong(browser, tmp_path):
+    """Each fault of a page without any is told."""
+    faulty = {
+        "scrolls to the side": '<div style="width: 2000px">wide</div>',
+        "contrast": '<p style="color: #999; background: #ccc">pale</p>',
+        "cut": '<div style="overflow: hidden; width: 3rem; white-space: nowrap">too long</div>',
+        "image without words": '<img src="data:,">', "nameless": "<button></button>",
+        "table without headings": "<table><tr><td>1</td></tr></table>",
+    }  # fmt: skip
+    page = browser.new_page(viewport={"width": 390, "height": 400})
+    for fault, html in [("", "<p>well</p>"), *faulty.items()]:
+        page.set_content(f'<html lang="en"><title>t</title><h1>h</h1>{html}</html>')
+        found = page.evaluate(looks.AUDIT)
+        assert bool(found) == bool(fault) and all(fault in line for line in found[:1]), (fault, found)
+
+
+def many_rows(n):
+    """Page of a batch's table of n rows, with one that is bad and one name that is markup."""
+    values = np.linspace(1.0, 2.0, n)
+    table = pd.DataFrame({
+        "structure": [EVIL, *(f"s{k}" for k in range(1, n))],
+        "method": np.where(np.arange(n) % 2, "kcm", "lbfgs"),
+        "status": ["error", *["converged"] * (n - 1)], "seconds": values, "seed": 0,
+    })  # fmt: skip
+    data = explored(table, ("structure", "status", "method", "seconds"), [*["page.html"] * n], "method")
+    table = templates().from_string(
+        '{% extends "page.html" %}{% from "tables.html" import explored %}{% block title %}t{% endblock %}'
+        '{% block body %}{{ explored(data, "rows") }}{% endblock %}'
+    )
+    return table.render(data=data), values
+
+
+def test_a_table_of_ten_thousand_rows_is_searched_filtered_and_sorted(browser, tmp_path):
+    text, values = many_rows(10_000)
+    (tmp_path / "page.html").write_text(text)
+    page, said, _ = opened(browser, tmp_path / "page.html", 390)
+    page.wait_for_selector(".explore[data-rows='10000']")
+    rows = page.locator("tbody tr")
+    # Few of them are drawn at once, whatever there are: 10,000 rows are there as soon as a hundred.
+    assert rows.count() == 100 and rows.first.locator("td").first.inner_text() == EVIL
+    heading = page.locator("thead th", has_text="seconds").locator("button")
+    heading.click()
+    heading.click()
+    drawn = [float(each) for each in page.locator("tbody tr td:nth-child(4)").all_inner_texts()]
+    assert drawn == pytest.approx(values[::-1][:100], abs=6e-4)
+    page.select_option("label:has-text('status') select", "=error")
+    assert rows.count() == 1 and "1 of 1 rows" in page.locator("output").inner_text()
+    page.select_option("label:has-text('status') select", "")
+    page.locator("input[type=search]").fill("s999")
+    assert rows.count() == 11
+    with page.expect_download() as saved:
+        page.get_by_text("Save rows as CSV").click()
+    kept = pd.read_csv(saved.value.path())
+    assert len(kept) == 11 and [*kept] == ["structure", "method", "status", "seconds", "seed"]
+    assert page.locator(".histograms svg polyline").count() == 2
+    assert (
+        page.locator(".histograms svg").first.get_attribute("aria-label").startswith("Histogram of seconds")
+    )
+    assert said == []
 
 
 def test_the_page_of_modes_moves(browser, tmp_path):

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 def site(tmp_path_factory):
     """Folder of the site: of warnings, such as a link to nothing, none passes."""
     folder = tmp_path_factory.mktemp("site")
-    command = [sys.executable, "-m", "sphinx", "-q", "-W", "-c", "analysis/site", ".", str(folder)]
+    command = [sys.executable, "analysis/site/build.py", str(folder)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     return folder

@@ -21,6 +21,7 @@ from bench.studies.kcm_cases import ENERGIES, MODELS, MOST, N_STARTS, Case, meas
 from bench.studies.kcm_plots import SHOWN as TRACED_METHODS
 from protochain.core.errors import ProtochainError
 from protochain.core.storage import regular, write_text, writing
+from protochain.results.figures import check_figure
 from protochain.results.tables import save
 
 MINUTES = 60.0
@@ -46,9 +47,11 @@ def run(
     jobs: int = 1,
     starts: int = N_STARTS,
     evaluations: int = MOST,
+    figure: Path | None = None,
 ) -> Iterator[pd.DataFrame]:
     """Add runs to ``runs.csv``, then write the tables, figures and ``summary.md`` that follow from it."""
     _check(minutes, jobs, starts, evaluations)
+    check_figure(figure)
     path = output / "runs.csv"
     for table in (each for each in inputs if each.suffix == ".csv"):
         _adopt(table, output)
@@ -60,7 +63,7 @@ def run(
         append(path, row)
         yield pd.DataFrame([{name: row.get(name) for name in SHOWN}])
     _add_traces(output, [task[0] for task in tasks])
-    yield from kcm_summary.write(output, stored(path), {_key(task) for task in tasks})
+    yield from kcm_summary.write(output, stored(path), {_key(task) for task in tasks}, figure)
 
 
 def planned(

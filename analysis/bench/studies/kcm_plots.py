@@ -1,14 +1,14 @@
 """The figure of the study of KCM against dynamics."""
 
 from collections.abc import Mapping
-from itertools import cycle
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from bench.studies.kcm_cases import AT
-from protochain.results.figures import COLOURS, DASHES, Figure, plain
+from protochain.core.palette import COLOURS, looks
+from protochain.results.figures import Figure, plain
 
 SHOWN = ("kcm-0.005", "kcm-metric", "md-1", "md-10", "lbfgs")
 """Methods of the panels of energies."""
@@ -21,10 +21,7 @@ def plot(tables: Mapping[str, pd.DataFrame], traces: pd.DataFrame | None) -> Fig
     figure = Figure(figsize=(11, 8), layout="constrained")
     axes = figure.subplot_mosaic([["shares", "shares"], ["energy", "cost"]])
     shares, energy, cost = axes["shares"], axes["energy"], axes["cost"]
-    style: dict[str, dict[str, Any]] = {
-        name: {"color": colour, "linestyle": dash, "label": name}
-        for name, colour, dash in zip(SHOWN, cycle(COLOURS), cycle(DASHES), strict=False)
-    }
+    style = {name: look.line(name) for name, look in looks(SHOWN).items()}
     if traces is not None and len(traces):
         for name, own in traces.groupby("method", sort=False):
             energy.plot(own["evaluations"], own["energy_kj_mol"], **style[str(name)])

@@ -9,6 +9,7 @@ of its starts: they speak of proteins like these.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from bench.studies.kcm_cases import (
     TRIALS,
     same_minimum,
 )
+from protochain.results.figures import write_figure
 from protochain.results.tables import save
 
 START = ["protein", "model", "energy", "start", "seed"]
@@ -84,16 +86,20 @@ SECONDS = (0.1, 1.0, 10.0)
 _RESAMPLES = 4000
 
 
-def write(output: Path, runs: pd.DataFrame, planned: set[tuple[Any, ...]]) -> Iterator[pd.DataFrame]:
+def write(
+    output: Path, runs: pd.DataFrame, planned: set[tuple[Any, ...]], paper: Path | None = None
+) -> Iterator[pd.DataFrame]:
     """Write and yield what follows from the runs: tables, the figure, and ``summary.md``."""
     made = tables(runs)
     if not made:
         return
     save(output, {f"{name}.csv": table for name, table in made.items()})
     traces = output / "traces.csv"
-    figure = kcm_plots.plot(made, pd.read_csv(traces) if traces.exists() else None)
+    draw = partial(kcm_plots.plot, made, pd.read_csv(traces) if traces.exists() else None)
+    if paper:
+        write_figure(paper, draw)
     lines = [counts(runs, planned), *words(runs, made["contrasts"])]
-    save(output, {"kcm.png": figure, "summary.md": "\n\n".join(["# KCM against dynamics", *lines]) + "\n"})
+    save(output, {"kcm.png": draw(), "summary.md": "\n\n".join(["# KCM against dynamics", *lines]) + "\n"})
     yield made["contrasts"]
     yield pd.DataFrame({"summary": lines})
 

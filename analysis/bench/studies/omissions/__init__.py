@@ -15,7 +15,8 @@ from bench.page import Section, write_report
 from bench.provenance import made
 from bench.studies.omissions import energies, runs
 from bench.studies.omissions.cells import COLUMNS, Material, run_omission
-from protochain.results.figures import COLOURS, Figure
+from protochain.core.palette import COLOURS
+from protochain.results.figures import Figure
 from protochain.results.tables import save
 from protochain.structure import from_sequence, load
 

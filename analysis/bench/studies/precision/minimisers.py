@@ -6,7 +6,6 @@ except OpenMM's.
 """
 
 from collections.abc import Iterator, Sequence
-from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +14,10 @@ import pandas as pd
 from bench.cases import Point
 from protochain.chains.articulate import build_chain
 from protochain.core import defaults
+from protochain.core.palette import looks
 from protochain.energies import energy
 from protochain.minimisers import RECIPES, minimise
-from protochain.results.figures import COLOURS, DASHES, Figure, plain
+from protochain.results.figures import Figure, plain
 from protochain.results.tables import save
 from protochain.structure import Structure, from_sequence, load
 
@@ -112,13 +112,13 @@ def plot(traces: pd.DataFrame, ends: pd.DataFrame) -> Figure:
     ):
         methods = [m for m in traces["method"].unique() if RECIPES[m].keeps_geometry == in_torsions]
         for ax, cost in zip(row, ("evaluations", "seconds"), strict=True):
-            for method, colour, dash in zip(methods, cycle(COLOURS), cycle(DASHES)):
+            for method, look in looks(methods).items():
                 own = traces[traces["method"] == method]
                 grid = np.geomspace(1.0 if cost == "evaluations" else 1e-3, own[cost].max(), 200)
                 curve = np.median(
                     [_above(run, ends, cost, grid) for _, run in own.groupby("structure")], axis=0
                 )
-                ax.plot(grid, np.maximum(curve, 1e-2), color=colour, linestyle=dash, label=method)
+                ax.plot(grid, np.maximum(curve, 1e-2), **look.line(method))
             ax.set(xscale="log", yscale="log", xlabel=cost, title=name)
             ax.legend(frameon=False, fontsize=8)
             plain(ax)

@@ -1,0 +1,130 @@
+"""Page of a simulation: its log along time, fluctuations, the Ramachandran plot, and frames in the viewer."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from protochain.comparison.plots import ramachandran_ground, residue_places
+from protochain.core.arrays import Floats
+from protochain.core.palette import COLOURS, looks
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.results.columns import heading
+from protochain.results.figures import data_url, panels, plain
+from protochain.results.page import write_page
+from protochain.results.provenance import of_run
+from protochain.results.viewer import library, superposed
+from protochain.structure import Structure
+from protochain.structure.write import as_text, common_suffix
+from protochain.validation.ramachandran import ramachandran
+
+_MOST, _SHOWN, _ATOMS = 400, 60, 200_000
+"""Frames that figures are of; frames in the viewer, and atoms of all of them, each some ten bytes."""
+_DRAWN = (
+    ("energy, kJ/mol", ("potential_kj_mol", "conserved_kj_mol")),
+    ("temperature, K", ("temperature_k",)),
+    ("C-alpha RMSD to the start, angstrom", ("ca_rmsd_angstrom",)),
+)
+
+
+def write_simulated(
+    structure: Structure, log: pd.DataFrame, record: Mapping[str, Any], trajectory: Path, path: Path
+) -> None:
+    """Write the page of a simulation, one file that works offline; a row of the log is a frame."""
+    from protochain.structure.frames import open_frames
+
+    every = -(-len(log) // _MOST)
+    frames = [
+        superposed(structure.with_positions(each.x), structure)
+        for k, each in enumerate(open_frames(trajectory)) if k % every == 0 and each.x is not None
+    ]  # fmt: skip
+    times = log["time_ps"].to_numpy()[::every][: len(frames)]
+    suffix, heavy = common_suffix([structure]), structure.atom_element != "H"
+    skip = -(-len(frames) // max(2, min(_SHOWN, _ATOMS // max(1, int(heavy.sum())))))
+    shown = [np.rint(100.0 * ANGSTROM_PER_NM * each.positions[heavy]) for each in frames[::skip]]
+    write_page(
+        path,
+        "simulated.html",
+        name=structure.name,
+        length=float(log["time_ps"].iloc[-1]),
+        record=record,
+        structure=structure,
+        n_frames=len(log),
+        trajectory=trajectory.name,
+        averages=averages(log),
+        figures={
+            "log": data_url(_log(log)),
+            "rmsf": data_url(_fluctuations(structure, frames)),
+            "ramachandran": data_url(_ramachandran(frames, times)),
+        },
+        text=as_text(frames[0], suffix, hydrogens=False),
+        format=suffix.removeprefix("."),
+        coordinates=[each.astype(int).ravel().tolist() for each in shown],
+        times=[round(float(t), 4) for t in times[::skip]],
+        library=library(),
+        library_at="",
+        run=of_run("openmm", "gemmi", "numpy", "scipy", "numba"),
+    )
+
+
+def averages(log: pd.DataFrame) -> pd.DataFrame:
+    """Mean, standard deviation, lowest, highest and drift of each quantity of a log, a row each."""
+    time, rows = log["time_ps"].to_numpy(), []
+    for name in (each for each in log.columns if each not in ("step", "time_ps", "seconds")):
+        values = log[name].to_numpy(dtype=float)
+        drift = np.polyfit(time, values, 1)[0] if np.isfinite(values).all() and np.ptp(time) > 0.0 else np.nan
+        rows.append([heading(str(name)), values.mean(), values.std(), values.min(), values.max(), drift])
+    columns = ["quantity", "mean", "standard deviation", "lowest", "highest", "drift, per ps"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _log(log: pd.DataFrame) -> Figure:
+    """What the log has, against time: quantities of one unit in one panel."""
+    drawn = [(label, [name for name in names if name in log]) for label, names in _DRAWN]
+    drawn = [(label, names) for label, names in drawn if names]
+    figure, axes = panels(None, (len(drawn), 1), (8, 2.1 * len(drawn)), sharex=True)
+    for ax, (label, names) in zip(axes, drawn, strict=True):
+        named = {heading(name).split(",")[0]: name for name in names}
+        for look, (stated, name) in zip(looks(named).values(), named.items(), strict=True):
+            ax.plot(log["time_ps"], log[name], **look.line(stated) | {"marker": "", "linewidth": 1.2})
+        ax.set_ylabel(label.replace(", ", ",\n") if len(label) > 20 else label)
+        if len(names) > 1:
+            ax.legend(frameon=False, fontsize=8)
+        plain(ax)
+    axes[-1].set_xlabel("time, ps")
+    return figure
+
+
+def rmsf(structure: Structure, frames: Iterable[Structure]) -> Floats:
+    """(n,) float, angstrom: root mean square fluctuation of each C-alpha of superposed frames."""
+    x = np.array([each.positions[structure.alpha_carbons] for each in frames])
+    return np.asarray(ANGSTROM_PER_NM * np.sqrt(((x - x.mean(axis=0)) ** 2).sum(axis=-1).mean(axis=0)))
+
+
+def _fluctuations(structure: Structure, frames: list[Structure]) -> Figure:
+    figure, (ax,) = panels(None, 1, (8, 2.6))
+    values, of = rmsf(structure, frames), structure.atom_residue[structure.alpha_carbons]
+    ax.plot(np.arange(1, len(values) + 1), values, color=COLOURS[0], marker="o", markersize=3)
+    number = np.char.add(structure.residue_number, structure.residue_insertion_code)
+    named = residue_places(structure.residue_chain[of], number[of])
+    ax.set_xticks([*named], [*named.values()])
+    ax.set(xlabel="residue", ylabel="RMSF of C-alpha, angstrom", ylim=(0.0, None))
+    plain(ax)
+    return figure
+
+
+def _ramachandran(frames: list[Structure], times: Floats) -> Figure:
+    """Phi and psi of all frames, coloured by time."""
+    figure, (ax,) = panels(None, 1, (4.8, 3.8))
+    found = [ramachandran(each) for each in frames]
+    ramachandran_ground(ax)
+    points = ax.scatter(
+        np.concatenate([its.phi for its in found]), np.concatenate([its.psi for its in found]), s=5,
+        c=np.repeat(times, [len(its.phi) for its in found]), cmap="viridis", linewidths=0,
+    )  # fmt: skip
+    ax.set(xlabel="phi, degrees", ylabel="psi, degrees")
+    figure.colorbar(points, ax=ax, label="time, ps")
+    return figure

@@ -1,0 +1,65 @@
+"use strict";
+// What all viewers of pages share: a ground that follows the scheme, buttons, names of residues, and jumps.
+const placeOf = (atom) => `${(atom.chain ?? "").trim()}:${atom.resi}${(atom.icode ?? "").trim()}`;
+const namedAtom = (atom) => `${atom.resn} ${placeOf(atom)}, atom ${atom.atom}`;
+const stages = [];
+function makeViewer(id) {
+  const box = document.getElementById(id), stage = document.createElement("div"), tools = document.createElement("div");
+  const dark = matchMedia("(prefers-color-scheme: dark)"), ground = () => (dark.matches ? "#1b1b1b" : "white");
+  stage.className = "stage";
+  tools.className = "tools";
+  box.replaceWith(stage);
+  stage.append(box, tools);
+  const viewer = $3Dmol.createViewer(id, { id: `${id}-canvas`, backgroundColor: ground(), preserveDrawingBuffer: true });
+  dark.addEventListener("change", () => { viewer.setBackgroundColor(ground()); viewer.render(); });
+  const add = (words, act) => {
+    const button = document.createElement("button");
+    Object.assign(button, { type: "button", textContent: words });
+    button.addEventListener("click", () => act(button));
+    tools.append(button);
+  };
+  let home = {}, spins = false;
+  add("Reset", () => { viewer.removeAllLabels(); viewer.zoomTo(home); viewer.render(); });
+  add("Spin", (button) => { spins = !spins; viewer.spin(spins ? "y" : false); button.setAttribute("aria-pressed", spins); });
+  add("Full screen", () => (document.fullscreenElement ? document.exitFullscreen() : stage.requestFullscreen()));
+  add("Save picture", () => {
+    const link = document.createElement("a");
+    link.download = `${document.title}.png`;
+    link.href = viewer.pngURI();
+    link.click();
+  });
+  stage.addEventListener("fullscreenchange", () => { viewer.resize(); viewer.render(); });
+  const readout = document.createElement("output");
+  readout.textContent = "Point at a residue for its name, click to go there.";
+  tools.append(readout);
+  const label = (atom, words) => viewer.addLabel(words, { position: atom, fontSize: 13, backgroundOpacity: 0.75 });
+  // To the C-alpha of a residue, or its first atom; false where no model has it.
+  const jump = (place) => {
+    const found = viewer.selectedAtoms({ predicate: (atom) => placeOf(atom) === place });
+    if (!found.length) return false;
+    const atom = found.find((each) => each.atom === "CA") ?? found[0];
+    viewer.removeAllLabels();
+    label(atom, `${atom.resn} ${place}`);
+    viewer.addStyle({ predicate: (each) => placeOf(each) === place }, { stick: { radius: 0.12 } });
+    viewer.zoomTo({ predicate: (each) => placeOf(each) === place });
+    viewer.zoom(0.35);
+    viewer.render();
+    readout.textContent = `${atom.resn} ${place}`;
+    box.dataset.at = place;
+    return true;
+  };
+  // Before a style is given, which decides what can be pointed at.
+  const attend = () => {
+    viewer.setHoverDuration(60);
+    viewer.setHoverable({}, true, (atom) => { readout.textContent = namedAtom(atom); }, () => {});
+    viewer.setClickable({}, true, (atom) => jump(placeOf(atom)));
+  };
+  const look = (at = {}) => { home = at; viewer.zoomTo(at); viewer.render(); };
+  stages.push({ stage, jump });
+  return { viewer, box, attend, look, label };
+}
+document.addEventListener("click", (event) => {
+  const place = event.target.closest?.("[data-residue]")?.dataset.residue;
+  const found = place && stages.find((each) => each.jump(place));
+  if (found) found.stage.scrollIntoView({ block: "nearest" });
+});
