@@ -9,8 +9,11 @@ from typing import Any, Protocol
 
 from protochain.batches.cluster import reason, unpickled
 from protochain.chains.setup import Setup
+from protochain.comparison.deviation import DOCKED, docked
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
+from protochain.core.errors import Argument, ProtochainError
+from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.energies import Energy
 from protochain.energies.decomposed import TERMS, energy_terms
@@ -23,7 +26,9 @@ from protochain.results.columns import Column, flat, record
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.frames import Frame, Reading, open_frames
+from protochain.structure.select import sides, sides_named, touching_chains
 from protochain.validation.findings import MEASURES, Found
+from protochain.validation.interface import MAKEUP, RESIDUES, SCORES, native, scored
 from protochain.validation.likeness import LIKENESS, likeness
 
 Act = Callable[[Structure], tuple[dict[str, Any], Floats | None]]
@@ -160,6 +165,52 @@ class EnergyFrames:
     def settings(self) -> dict[str, Any]:
         """Plain values on which the rows depend."""
         return _plain(self.setup) | {"between": self.between}
+
+
+@dataclass(frozen=True)
+class ScoreFrames:
+    """Score an interface of each frame, as :func:`protochain.score_interface`.
+
+    interface: Its sides, as ``A,B:C``; by default the only two chains in contact.
+    relax: Whether each frame is relaxed first.
+    reference: Complex from which the sides of a frame deviate.
+    """
+
+    setup: Setup
+    interface: str | None = None
+    relax: bool = False
+    reference: Structure | None = None
+    name = "score"
+    at_a_time = 1
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The sides, their scores, and RMSDs from the reference."""
+        return ("interface", *SCORES, *MAKEUP, *RESIDUES, *(DOCKED if self.reference else ()))
+
+    def begin(self, structure: Structure, threads: int | None) -> Act:
+        """Find the sides, and build the energy."""
+        pairs = [sides_named(structure, self.interface)] if self.interface else touching_chains(structure)
+        if len(pairs) != 1:
+            what = f"{counted(len(pairs), 'pair')} of its chains are in contact; give "
+            raise ProtochainError(f"{structure.name}: {what}", Argument("interface"))
+        parts = sides(structure, *pairs[0])
+        energy = native(_with_threads(self.setup, threads).energy(structure))
+
+        def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
+            _begin_anew(energy, frame.positions)
+            if self.relax:
+                frame = relax_structure(frame, energy, RelaxSettings()).structure
+            row = scored(frame, energy, *pairs[0], parts).record()
+            row |= docked(self.reference, frame, *pairs[0]) if self.reference else {}
+            return {key: row[key] for key in self.columns}, None
+
+        return act
+
+    def settings(self) -> dict[str, Any]:
+        """Plain values on which the rows depend."""
+        given = {"interface": self.interface, "relax": self.relax}
+        return _plain(self.setup) | given | {"reference": self.reference and self.reference.name}
 
 
 _OF_PARTS = ("interaction", "desolvation", "sum")

@@ -7,7 +7,11 @@ from typing import Any
 
 from protochain.batches.cluster import Processes, each_done, reason
 from protochain.chains.setup import Setup
+from protochain.comparison.deviation import docked
 from protochain.core.errors import ProtochainError
+from protochain.relaxation.relax_settings import RelaxSettings
+from protochain.relaxation.relax_structure import relax_structure
+from protochain.structure import Structure
 from protochain.structure.confidences import confidence_files, confidence_in
 from protochain.structure.select import sides, sides_named, touching_chains
 from protochain.validation.interface import Interface, native, scored
@@ -22,12 +26,16 @@ class ScoreJob:
 
     path: ``-`` is standard input.
     interfaces: Sides, as ``A,B:C``; all chains in contact by default.
+    relax: Whether it is relaxed first.
+    reference: Complex from which its sides deviate.
     """
 
     name: str
     path: Path
     setup: Setup
     interfaces: tuple[str, ...] = ()
+    relax: bool = False
+    reference: Structure | None = None
 
     @property
     def named(self) -> str:
@@ -43,8 +51,12 @@ class ScoreJob:
             if not pairs:
                 raise ProtochainError(f"{self.named}: no two of its chains are in contact; give a complex")
             energy, given = native(setup.energy(structure)), confidence_in(confidence_files(self.path))
+            if self.relax:
+                structure = relax_structure(structure, energy, RelaxSettings()).structure
             for pair in pairs:
-                yield self.named, scored(structure, energy, *pair, sides(structure, *pair), given)
+                its = scored(structure, energy, *pair, sides(structure, *pair), given)
+                off = docked(self.reference, structure, *pair) if self.reference else {}
+                yield self.named, replace(its, scores={**its.scores, **off})
         except Exception as error:
             yield self.named, reason(error, self.path)[1]
 

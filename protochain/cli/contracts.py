@@ -10,7 +10,7 @@ from protochain.batches.frame_tasks import EnergyFrames
 from protochain.chains.setup import Setup
 from protochain.comparison import folder as of_comparison
 from protochain.comparison import modes_folder as of_modes
-from protochain.comparison.deviation import RmsdFrames
+from protochain.comparison.deviation import DOCKED, RmsdFrames
 from protochain.comparison.differences import TORSIONS
 from protochain.comparison.work import WITHIN
 from protochain.dynamics import simulation
@@ -27,7 +27,7 @@ from protochain.results.schema import OTHERS, Contract, cell
 from protochain.searching.search_settings import SearchSettings
 from protochain.validation import MEASURES
 from protochain.validation.findings import RESIDUE_COLUMNS
-from protochain.validation.interface import CONFIDENCES, SCORES
+from protochain.validation.interface import CONFIDENCES, MAKEUP, RESIDUES, SCORES
 from protochain.validation.ligands import LIGAND_COLUMNS, LIGAND_ENDS
 from protochain.validation.likeness import LIKENESS
 from protochain.validation.nucleic import NUCLEOTIDE_COLUMNS
@@ -68,7 +68,7 @@ _OF_RELAXING = (*of_relaxing.COLUMNS, *of_relaxing.INTERFACE_COLUMNS)
 _KNOWN: Kinds = {
     **_OTHERS,
     **{each.key: each.kind for each in (*of_minimising.COLUMNS, *_OF_RELAXING, *of_modes.COLUMNS)},
-    **{key: number(each) for key, each in {**MEASURES, **SCORES, **CONFIDENCES}.items()},
+    **{key: number(each) for key, each in {**MEASURES, **SCORES, **MAKEUP, **CONFIDENCES}.items()},
     **dict.fromkeys((*LIKENESS, *TERMS), float | None),
 }
 _KNOWN |= zip(
@@ -236,7 +236,10 @@ _LISTED = {
     **_optional({"changes": _TOTALS, "bonds_changed": [_BOND]}),
 }  # fmt: skip
 _MODEL = {"file": str | None, "model": int | None}
-_SCORED = _row(["file", "structure", "interface", *SCORES, *CONFIDENCES, "message"])
+_OF_FRAMES_SCORED = ["interface", *SCORES, *MAKEUP, *RESIDUES]
+_SCORED = {
+    **_row(["file", "structure", *_OF_FRAMES_SCORED, *CONFIDENCES, "message"]), **_optional(_row(DOCKED))
+}  # fmt: skip
 _SHARES = {
     **_row("side chain residue name energy_kj_mol interaction_kj_mol desolvation_kj_mol"),
     **_row("buried_area_angstrom2 contacts hydrogen_bonds salt_bridges clashes unsatisfied_polar_atoms"),
@@ -345,8 +348,11 @@ CONTRACTS: Mapping[str, Contract] = {
         },
     ),
     "score": Contract(
-        (_SCORES_TOLD | {"results": [_SCORED, _FAILED]},),
-        {"--csv": (_cells(_optional(_SCORED), _row("file message")),), "--residues": (_cells(_SHARES),)},
+        (_SCORES_TOLD | {"results": [_SCORED, _FAILED]}, _FRAMES_TOLD),
+        {
+            "--csv": (_cells(_optional(_SCORED), _row("file message")),), "--residues": (_cells(_SHARES),),
+            "--trajectory": (_frames(_OF_FRAMES_SCORED, DOCKED),),
+        },
     ),
     "energy": Contract(
         (*(_ENERGIES_TOLD | {"rows": [kind]} for kind in _BY), _FRAMES_TOLD),

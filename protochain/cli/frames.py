@@ -238,5 +238,6 @@ _SHOWN_COLUMNS = (
     "violations_start", "violations_end", "energy_start_kj_mol", "energy_end_reference_kj_mol",
     "ca_rmsd_angstrom", "seconds", "violations", "clashscore_per_1000_atoms", "ramachandran_outliers",
     "rotamer_outliers", "lddt", "total_kj_mol", "sum_total_kj_mol", "rmsd_angstrom", "tm_score",
+    "energy_kj_mol", "buried_area_angstrom2", "packing",
 )  # fmt: skip
 """Columns whose medians are printed, of those that a table has."""

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.chains.setup import Setup
+from protochain.cli import frames as of_frames
+from protochain.cli.frames import Chosen, Resume, Trajectory
 from protochain.cli.options import (
     AsJson,
     check_outputs,
@@ -19,15 +21,17 @@ from protochain.cli.options import (
 )
 from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.checks import refuse_unknown
+from protochain.core.errors import Argument, ProtochainError
 from protochain.core.markup import counted
 
 if TYPE_CHECKING:
+    from protochain.batches.frame_tasks import Task
     from protochain.validation import Interface
 
 _SHOWN = {
     "energy_kj_mol": "energy", "buried_area_angstrom2": "area", "shape_complementarity": "Sc",
-    "hydrogen_bonds": "H bonds", "salt_bridges": "salt", "unsatisfied_polar_atoms": "unsat.",
-    "clashes": "clashes", "contacts": "contacts",
+    "hydrogen_bonds": "H bonds", "salt_bridges": "salt", "packing": "pack.",
+    "unsatisfied_polar_atoms": "unsat.", "clashes": "clashes", "contacts": "contacts",
     "interface_plddt": "pLDDT", "iptm": "ipTM", "pae_angstrom": "PAE",
     "ipsae": "ipSAE", "pdockq": "pDockQ", "pdockq2": "pDockQ2",
 }  # fmt: skip
@@ -60,25 +64,50 @@ def score(
     workers: Annotated[
         int | None, typer.Option(help="Of several files: processes [default: all cores].")
     ] = None,
+    relax: Annotated[
+        bool, typer.Option("--relax", help="Relax each first, as protochain relax does.")
+    ] = False,
+    reference: Annotated[
+        Path | None, typer.Option(help="Complex with these sides, as designed: RMSD of either from it.")
+    ] = None,
+    trajectory: Trajectory = None,
+    frames: Chosen = None,
+    resume: Resume = False,
     as_json: AsJson = False,
     *,
     setup: Setup,
 ) -> None:
     """Score the interfaces of complexes: energy, area, bonds, fit of the surfaces, clashes, confidence.
 
-    Complexes are read as they are, with what they lack added; relax them first.
+    Complexes are read as they are, with what they lack added; relax them first, or with --relax. Of frames
+    of one complex, a row for each goes to a CSV.
     """
     from protochain.batches.cluster import Processes
     from protochain.chains.contacts import overlapping
-    from protochain.validation.interface import CONFIDENCES, SCORES
+    from protochain.structure.matching import measurable
+    from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES
 
-    known = {**SCORES, **CONFIDENCES}
+    known = {**SCORES, **MAKEUP, **CONFIDENCES}
+    origin = measurable(reference) if reference else None
+    reads = [reference] if reference else []
+
+    def task() -> "Task":
+        from protochain.batches.frame_tasks import ScoreFrames
+
+        if len(interface or ()) > 1:
+            raise ProtochainError("frames: give one ", Argument("interface"))
+        return ScoreFrames(setup, interface[0] if interface else None, relax, origin)
+
+    of_frames.run_if_asked(
+        context, inputs, trajectory, frames, setup, task, csv, refused="rank residues report",
+        alone="resume", workers=workers, resume=resume, as_json=as_json, reads=reads,
+    )  # fmt: skip
     if rank is not None:
         refuse_unknown(rank, "rank", known)
     check_page(report)
     files = files_of(inputs, setup)
     outputs = [path for path in (csv, residues, report) if path]
-    check_outputs(inputs_of(setup, *(path for _, path, _ in files)), outputs)
+    check_outputs(inputs_of(setup, *reads, *(path for _, path, _ in files)), outputs)
     # A process cannot read this one's standard input.
     alone = len(files) == 1 or any(str(path) == "-" for _, path, _ in files)
     if alone:
@@ -87,7 +116,8 @@ def score(
     with nullcontext() if processes is None else processes.started_early():
         from protochain.batches.scoring import ScoreJob, score_files
 
-        results = score_files([ScoreJob(*each, (*(interface or ()),)) for each in files], processes)
+        jobs = [ScoreJob(*each, (*(interface or ()),), relax, origin) for each in files]
+        results = score_files(jobs, processes)
     found: list[tuple[dict[str, Any], Interface | None]] = [
         (refused(result, file=name), None)
         if isinstance(result, str)
@@ -102,7 +132,7 @@ def score(
         if n := len(overlapping(structure, structure.positions)[0]):
             crowded = True
             what = f"{counted(n, 'pair')} of atoms overlap{'s' * (n == 1)}: its energies mean nothing"
-            print(f"{structure.name}: {what}; relax first: protochain relax", file=sys.stderr)
+            print(f"{structure.name}: {what}; relax first, with --relax", file=sys.stderr)
     of_residues = [its.residues.assign(file=row["file"], interface=its.name) for row, its in good]
     if report:
         from protochain.comparison.scored import write_scored

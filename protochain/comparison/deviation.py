@@ -11,11 +11,10 @@ import pandas as pd
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import checked, selection
 from protochain.core.errors import ProtochainError, StructureError
-from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure import Structure
 from protochain.structure.matching import Match, match, measurable, models_of, tm_score
-from protochain.structure.select import select
-from protochain.structure.superpose import motion
+from protochain.structure.select import select, sides
+from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
 
 ALPHA = "name CA"
 """Selection of the C-alpha atoms, in MDAnalysis syntax."""
@@ -90,11 +89,10 @@ def deviation(reference: Any, model: Any, align: str = ALPHA, measure: str = ALP
     aligned = _atoms(reference, model, found, align)
     measured = aligned if measure == align else _atoms(reference, model, found, measure)
     turn, shift = motion(model.positions[aligned[1]], reference.positions[aligned[0]])
-    off = model.positions[measured[1]] - reference.positions[measured[0]]
-    moved = model.positions[measured[1]] @ turn.T + shift - reference.positions[measured[0]]
+    x, y = model.positions[measured[1]], reference.positions[measured[0]]
     return Deviation(
-        _root_mean_square(moved), _root_mean_square(off), tm_score(reference, model, found),
-        len(aligned[0]), len(measured[0]), found,
+        deviation_angstrom(x @ turn.T + shift, y), deviation_angstrom(x, y),
+        tm_score(reference, model, found), len(aligned[0]), len(measured[0]), found,
     )  # fmt: skip
 
 
@@ -149,6 +147,23 @@ def rmsd_table(
     return pd.DataFrame(rows)
 
 
+DOCKED = ("ca_rmsd_1_angstrom", "ca_rmsd_2_angstrom", "hotspot_rmsd_angstrom")
+"""Columns of :func:`docked`."""
+
+
+def docked(reference: Structure, model: Structure, first: str, second: str) -> dict[str, float]:
+    """C-alpha RMSD of either side of a complex, superposed by itself, and of the second with the first."""
+    found, pairs = match(reference, model), list[tuple[Floats, Floats]]()
+    for side in sides(reference, first, second):
+        own = np.flatnonzero(side[reference.atom_residue])
+        at = _atoms(reference, model, found, f"name CA and index {' '.join(map(str, own.tolist()))}")
+        pairs.append((model.positions[at[1]], reference.positions[at[0]]))
+    (x, y), (moved, kept) = pairs
+    turn, shift = motion(x, y)
+    values = rmsd_angstrom(x, y), rmsd_angstrom(moved, kept), deviation_angstrom(moved @ turn.T + shift, kept)
+    return dict(zip(DOCKED, values, strict=True))
+
+
 @dataclass(frozen=True)
 class RmsdFrames:
     """Measure the deviation of every frame of an ensemble from a reference.
@@ -191,7 +206,3 @@ def _atoms(reference: Structure, model: Structure, found: Match, selection: str)
         raise ProtochainError(f"{model.name}: no atom of {selection!r} matches {reference.name}")
     first, second = np.array(pairs, dtype=np.int64).T
     return first, second
-
-
-def _root_mean_square(off: Floats) -> float:
-    return float(ANGSTROM_PER_NM * np.sqrt(np.mean(np.sum(off**2, axis=1))))

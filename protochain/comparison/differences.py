@@ -13,12 +13,11 @@ from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.results.columns import heading
 from protochain.structure import as_structure
-from protochain.structure.convert import to_mdtraj
 from protochain.structure.matching import Match, match
 from protochain.structure.model import Structure
 from protochain.structure.residues import CHI
 from protochain.structure.superpose import motion, rmsd_angstrom
-from protochain.validation.bonding import hydrogen_bonds, salt_bridges
+from protochain.validation.bonding import FOLD, hydrogen_bonds, salt_bridges, secondary_structure
 from protochain.validation.layout import NONE, dihedrals, layout, peptides
 from protochain.validation.rotamers import side_chains
 
@@ -32,7 +31,6 @@ _FLIPS = {("ASP", 1), ("GLU", 2), ("PHE", 1), ("TYR", 1)}
 _CONTACT, _APART = 4.5, 4
 """Angstrom between heavy atoms of residues in contact, and least distance along the chain."""
 _RMSD, _TURN, _DOMAIN = "ca_rmsd_angstrom", "turn_degrees", "domain"
-_STRUCTURE = {"H": "helix", "E": "strand", "C": "loop"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +100,7 @@ def _in_words(key: str) -> str:
         part = key.removeprefix(f"{quantity}_")
         if part != key:
             what, _, unit = heading(quantity).partition(", ")
-            if not part.startswith(_DOMAIN) and part not in _STRUCTURE.values():
+            if not part.startswith(_DOMAIN) and part not in FOLD.values():
                 part = f"chain {part}"
             return f"{what} of {part.replace('_', ' ')}, {unit}"
     return heading(key)
@@ -164,7 +162,7 @@ def differences(before: Any, after: Any) -> Differences:
         {
             "chain": first.residue_chain[found.reference], "residue": number[found.reference],
             "name": first.residue_name[found.reference],
-            "secondary_structure": _secondary(first)[found.reference], "domain": domains,
+            "secondary_structure": secondary_structure(first)[found.reference], "domain": domains,
             **dict(zip(TORSIONS, turned.T, strict=True)),
             "torsions_degrees": _root_mean_square(turned),
             "rotamer_before": names[0], "rotamer_after": names[1], "ca_moved_angstrom": moved,
@@ -226,14 +224,6 @@ def _rotamers(s: Structure, residues: Integers) -> np.ndarray:
     near = ~np.isin(sides.residue, sides.outliers)
     names[sides.residue[near]] = sides.rotamer[near]
     return np.asarray(names[residues])
-
-
-def _secondary(s: Structure) -> np.ndarray:
-    """helix, strand or loop of each residue, by DSSP; empty for what is no amino acid."""
-    import mdtraj
-
-    codes = mdtraj.compute_dssp(to_mdtraj(s))[0]
-    return np.array([_STRUCTURE.get(str(code), "") for code in codes])
 
 
 def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFrame, dict[str, int]]:

@@ -2,9 +2,7 @@
 
 from typing import Any
 
-import mdtraj
 import numpy as np
-from numpy.typing import NDArray
 
 from protochain.chains.chain import Chain
 from protochain.chains.contacts import overlaps
@@ -15,6 +13,7 @@ from protochain.minimisers import Solution
 from protochain.structure import Structure, as_structure, ca_rmsd
 from protochain.structure.matching import tm_score
 from protochain.validation import measures
+from protochain.validation.bonding import hydrogen_bonds, secondary_structure
 
 
 @checked(chain=instance(Chain, "pc.build_chain(structure)"))
@@ -57,13 +56,13 @@ def quality(structure: Any, start: Any = None, chain: Chain | None = None) -> di
     off = ca_rmsd(structure, structure.positions, start)
     lengths = _bond_lengths(structure) - _bond_lengths(start)
     angles = _bond_angles(structure) - _bond_angles(start)
-    score = tm_score(start, structure)
+    score, folds = tm_score(start, structure), [secondary_structure(each) for each in (structure, start)]
     alone = _alone(structure, chain)
     return {
         "radius_of_gyration_angstrom": alone.pop("radius_of_gyration_angstrom"),
         "ca_rmsd_to_start_angstrom": off,
         "tm_score_to_start": score if np.isfinite(score) else None,
-        "secondary_structure_kept": float(np.mean(dssp(structure) == dssp(start))),
+        "secondary_structure_kept": float(np.mean(folds[0] == folds[1])),
         **alone,
         "bond_length_change_rms_angstrom": ANGSTROM_PER_NM * _root_mean_square(lengths),
         "bond_angle_change_rms_degrees": float(np.degrees(_root_mean_square(angles))),
@@ -75,7 +74,7 @@ def _alone(structure: Structure, chain: Chain | None) -> dict[str, Any]:
     return {
         "radius_of_gyration_angstrom": radius_of_gyration(structure),
         "overlaps": len(overlaps(structure, structure.positions, chain)),
-        "hydrogen_bonds": hydrogen_bonds(structure),
+        "hydrogen_bonds": len(hydrogen_bonds(structure)),
         **measures(structure),
     }
 
@@ -85,21 +84,6 @@ def radius_of_gyration(structure: Structure) -> float:
     share = structure.atom_mass / structure.atom_mass.sum()
     arms = structure.positions - share @ structure.positions
     return float(ANGSTROM_PER_NM * np.sqrt(share @ np.sum(arms**2, axis=1)))
-
-
-def dssp(structure: Structure) -> NDArray[np.str_]:
-    """Secondary structure (nr,), H, E, C, or NA outside proteins: mdtraj's DSSP (Kabsch, Sander 1983)."""
-    return np.asarray(mdtraj.compute_dssp(_trajectory(structure), simplified=True)[0])
-
-
-def hydrogen_bonds(structure: Structure) -> int:
-    """Number of hydrogen bonds by mdtraj's Baker-Hubbard criterion (120 degrees, 2.5 angstrom)."""
-    return len(mdtraj.baker_hubbard(_trajectory(structure), freq=0.0, periodic=False))
-
-
-def _trajectory(structure: Structure) -> Any:
-    topology = mdtraj.Topology.from_openmm(structure.topology)
-    return mdtraj.Trajectory(structure.positions[None].astype(np.float32), topology)
 
 
 def _bond_lengths(structure: Structure) -> Floats:

@@ -13,7 +13,7 @@ from protochain.results.provenance import command_line
 from protochain.results.viewer import library, residue_keys
 from protochain.structure.select import sides
 from protochain.structure.write import as_text, common_suffix
-from protochain.validation.interface import CONFIDENCES, SCORES, Interface
+from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES, Interface
 
 _MOST = 20
 """Interfaces whose structures are on the page: each is up to a megabyte."""
@@ -25,7 +25,7 @@ def write_scored(
     interfaces: Sequence[Interface], rows: Sequence[Mapping[str, Any]], path: Path, setup: Setup, rank: str
 ) -> None:
     """Write the page of scored interfaces, one file that works offline."""
-    known = {**SCORES, **CONFIDENCES}
+    known = {**SCORES, **MAKEUP, **CONFIDENCES}
     write_page(
         path,
         "interfaces.html",

@@ -2,7 +2,7 @@
 
 from protochain.validation.clashes import Clashes, clashes
 from protochain.validation.findings import MEASURES
-from protochain.validation.interface import CONFIDENCES, SCORES, Interface, score_interface
+from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES, Interface, score_interface
 from protochain.validation.ligands import LigandFound
 from protochain.validation.likeness import LIKENESS, likeness
 from protochain.validation.result import Validation
@@ -14,6 +14,7 @@ from protochain.validation.violations import Violations, violations
 __all__ = [
     "CONFIDENCES",
     "LIKENESS",
+    "MAKEUP",
     "MEASURES",
     "SCORES",
     "Clashes",

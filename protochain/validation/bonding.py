@@ -1,4 +1,4 @@
-"""Hydrogen bonds and salt bridges."""
+"""Hydrogen bonds, salt bridges, and secondary structure."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,3 +39,14 @@ def salt_bridges(structure: Structure) -> set[tuple[int, int]]:
     x = structure.positions * ANGSTROM_PER_NM
     near = cKDTree(x[plus]).query_ball_tree(cKDTree(x[minus]), _SALT)
     return {(int(of[plus[i]]), int(of[minus[j]])) for i, its in enumerate(near) for j in its}
+
+
+def secondary_structure(structure: Structure) -> NDArray[np.str_]:
+    """(nr,) helix, strand or loop by mdtraj's DSSP (Kabsch, Sander 1983); empty for what is no amino acid."""
+    import mdtraj
+
+    codes = mdtraj.compute_dssp(to_mdtraj(structure))[0]
+    return np.array([FOLD.get(str(code), "") for code in codes])
+
+
+FOLD = {"H": "helix", "E": "strand", "C": "loop"}

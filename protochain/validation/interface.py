@@ -26,9 +26,10 @@ from protochain.structure.convert import as_structure, to_mdtraj
 from protochain.structure.model import Structure
 from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.select import contacts, sides
-from protochain.validation.bonding import hydrogen_bonds, salt_bridges
+from protochain.validation.bonding import hydrogen_bonds, salt_bridges, secondary_structure
 from protochain.validation.clashes import clashes
-from protochain.validation.complementarity import shape_complementarity
+from protochain.validation.complementarity import shape_complementarity, united_radii
+from protochain.validation.packing import packing
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,13 +56,18 @@ SCORES: Mapping[str, Score] = MappingProxyType(
         "generalised_born_kj_mol": Score("generalised-Born energy between the sides", -1),
         "bonded_kj_mol": Score("energy of bonds that join the sides"),
         "desolvation_kj_mol": Score("what either side loses of its own solvation", -1),
+        "energy_1_kj_mol": Score("of the energy of binding the share of the first side", -1),
+        "energy_2_kj_mol": Score("of the energy of binding the share of the second side", -1),
         "energy_per_area_kj_mol_nm2": Score("energy of binding by buried area", -1),
-        "buried_area_angstrom2": Score("accessible area that both sides lose", 1),
+        "energy_per_residue_kj_mol": Score("energy of binding by residues in contact", -1),
+        "buried_area_angstrom2": Score("accessible area that both sides lose, of all atoms", 1),
+        "buried_heavy_area_angstrom2": Score("the same as if there were no hydrogens", 1),
         "buried_polar_1_angstrom2": Score("of it polar, of the first side"),
         "buried_apolar_1_angstrom2": Score("of it apolar, of the first side"),
         "buried_polar_2_angstrom2": Score("of it polar, of the second side"),
         "buried_apolar_2_angstrom2": Score("of it apolar, of the second side"),
         "shape_complementarity": Score("Sc of Lawrence and Colman", 1),
+        "packing": Score("share of the volume between the sides that atoms fill", 1),
         "hydrogen_bonds": Score("hydrogen bonds across", 1, whole=True),
         "salt_bridges": Score("salt bridges across", 1, whole=True),
         "unsatisfied_polar_atoms": Score(
@@ -75,6 +81,26 @@ SCORES: Mapping[str, Score] = MappingProxyType(
     }
 )
 """Columns of a scored interface, in the order of tables."""
+MAKEUP: Mapping[str, Score] = MappingProxyType(
+    {
+        f"{key}_percent_{k}": Score(f"{what}, {side} side", better)
+        for k, side in ((1, "first"), (2, "second"))
+        for key, what, better in (
+            ("hydrogen_bonds", "hydrogen bonds across for 100 residues in contact", 1),
+            ("unsatisfied", "unsatisfied polar atoms for 100 residues in contact", -1),
+            ("hydrophobic", "residues in contact that are one of ACFILMPVWY", 1),
+            ("contact_helix", "residues in contact in helices", 0),
+            ("contact_sheet", "residues in contact in sheets", 0),
+            ("contact_loop", "residues in contact in loops", 0),
+            ("helix", "residues in helices", 0),
+            ("sheet", "residues in sheets", 0),
+            ("loop", "residues in loops", 0),
+        )
+    }
+)
+"""Columns of what the sides are made of, in percent."""
+RESIDUES = ("contact_residues_1", "contact_residues_2")
+"""Columns of rows: residues of either side in contact."""
 CONFIDENCES: Mapping[str, Score] = MappingProxyType(
     {
         "interface_plddt": Score("pLDDT of the residues in contact", 1),
@@ -95,6 +121,8 @@ _ONE_PLACE = 2e-5
 """nm apart: mdtraj takes 1e-5 for one place."""
 _HIDDEN = 1.0
 """angstrom^2 of accessible area, that of its hydrogens included, below which a polar atom is buried."""
+_HYDROPHOBIC = ("ALA", "CYS", "PHE", "ILE", "LEU", "MET", "PRO", "VAL", "TRP", "TYR")
+"""BindCraft's: Pacesa et al., Nature 646:483 (2025)."""
 _APOLAR = ("C", "S", "SE", "F", "CL", "BR", "I")
 _SOLVATED = ("generalised_born", "surface")
 _NONBONDED = ("lennard_jones", "coulomb", *_SOLVATED)
@@ -120,7 +148,7 @@ class Interface(Value):
     first, second : str
         The two sides, as given.
     scores : mapping of str to int or float
-        The keys of ``SCORES`` and ``CONFIDENCES``; None where there is nothing to measure.
+        The keys of ``SCORES``, ``MAKEUP`` and ``CONFIDENCES``; None where there is nothing to measure.
     residues : pandas.DataFrame
         A row for each residue in contact, or of which area is buried: ``side`` (1 or 2), ``chain``,
         ``residue``, ``name``, its shares of the energy (``energy_kj_mol``, ``interaction_kj_mol``,
@@ -147,8 +175,11 @@ class Interface(Value):
         return f"{self.first}:{self.second}"
 
     def record(self) -> dict[str, Any]:
-        """Flat row: structure, sides, and the scores."""
-        return {"structure": self.structure.name, "interface": self.name, **self.scores}
+        """Flat row: structure, sides, scores, and the residues of either side in contact, as ``A5,A8``."""
+        its = self.residues[self.residues["contacts"] > 0]
+        names = its["chain"] + its["residue"]
+        row = {"structure": self.structure.name, "interface": self.name, **self.scores}
+        return row | {key: ",".join(names[its["side"] == k]) for k, key in enumerate(RESIDUES, 1)}
 
     def __repr__(self) -> str:
         its = self.scores
@@ -160,7 +191,7 @@ class Interface(Value):
         )
 
     def _repr_html_(self) -> str:
-        words = {**SCORES, **CONFIDENCES}
+        words = {**SCORES, **MAKEUP, **CONFIDENCES}
         rows = {
             words[key].what: f"{value:.4g}" if isinstance(value, float) else "-" if value is None else value
             for key, value in self.scores.items()
@@ -257,9 +288,11 @@ def scored(
     found: dict[str, Any] = {**_confidences(structure, parts, touching, given)}
     for each in made:
         found |= each.scores
-    area = found["buried_area_angstrom2"]
-    found["energy_per_area_kj_mol_nm2"] = found["energy_kj_mol"] / area * ANGSTROM_PER_NM**2 if area else None
-    scores = {key: found[key] for key in (*SCORES, *CONFIDENCES)}
+    found |= _makeup(structure, parts, touching, found)
+    bound, area, n = found["energy_kj_mol"], found["buried_area_angstrom2"], len(np.unique(touching))
+    found["energy_per_area_kj_mol_nm2"] = bound / area * ANGSTROM_PER_NM**2 if area else None
+    found["energy_per_residue_kj_mol"] = bound / n if n else None
+    scores = {key: found[key] for key in (*SCORES, *MAKEUP, *CONFIDENCES)}
     scores = {key: value if value is None or np.isfinite(value) else None for key, value in scores.items()}
     columns = {
         "side": np.where(parts[0], 1, 2), "chain": structure.residue_chain,
@@ -289,6 +322,7 @@ def _energetic(structure: Structure, energy: NativeEnergy, parts: Sides) -> _Sco
         **{f"{name}_kj_mol": terms[name] for name in ("lennard_jones", "coulomb", "generalised_born")},
         "bonded_kj_mol": sum(value for name, value in terms.items() if name not in _NONBONDED),
         "desolvation_kj_mol": float(desolvation.sum()),
+        **{f"energy_{k}_kj_mol": float(shares[side].sum()) for k, side in enumerate(parts, 1)},
     }  # fmt: skip
     return _Scored(scores, {
         "energy_kj_mol": shares, "interaction_kj_mol": between.sum(axis=0),
@@ -301,8 +335,12 @@ def _buried(structure: Structure, parts: Sides) -> tuple[_Scored, tuple[Floats, 
     of, polar = structure.atom_residue, _polar(structure)
     masks = [part[of] for part in parts]
     together, lost = _areas(structure, *masks)
+    heavy = [mask & (structure.atom_element != "H") for mask in masks]
+    spheres = [(ANGSTROM_PER_NM * structure.positions[its], united_radii(structure)[its]) for its in heavy]
     scores = {
         "buried_area_angstrom2": float(lost.sum()),
+        "buried_heavy_area_angstrom2": float(_areas(structure, *heavy)[1].sum()),
+        "packing": packing(*spheres[0], *spheres[1]),
         **{
             f"buried_{kind}_{k + 1}_angstrom2": float(lost[masks[k] & its].sum())
             for k in (0, 1) for kind, its in (("polar", polar), ("apolar", ~polar))
@@ -323,6 +361,29 @@ def _touching(structure: Structure, touching: Integers) -> _Scored:
         "contacts_per_residue": 2.0 * len(touching) / sum(sides_of) if sum(sides_of) else None,
     }  # fmt: skip
     return _Scored(scores, {"contacts": _counted(touching, structure)})
+
+
+def _makeup(
+    structure: Structure, parts: Sides, touching: Integers, found: Mapping[str, Any]
+) -> dict[str, float | None]:
+    """Columns of ``MAKEUP``; shares of amino acids, None of a side without any."""
+    fold, scores = secondary_structure(structure), dict[str, float | None]()
+    for k, part in enumerate(parts):
+        near = np.unique(touching[:, k])
+        per = 100.0 / len(near) if len(near) else None
+        counts = {"hydrogen_bonds": found["hydrogen_bonds"], "unsatisfied": found["unsatisfied_polar_atoms"]}
+        shares = {key: None if per is None else per * n for key, n in counts.items()}
+        amino = near[fold[near] != ""]
+        shares["hydrophobic"] = _percent(np.isin(structure.residue_name[amino], _HYDROPHOBIC))
+        for kind, name in (("helix", "helix"), ("sheet", "strand"), ("loop", "loop")):
+            shares[f"contact_{kind}"] = _percent(fold[amino] == name)
+            shares[kind] = _percent(fold[part & (fold != "")] == name)
+        scores |= {f"{key}_percent_{k + 1}": value for key, value in shares.items()}
+    return scores
+
+
+def _percent(which: NDArray[np.bool_]) -> float | None:
+    return 100.0 * float(which.mean()) if len(which) else None
 
 
 def _bonded(structure: Structure, parts: Sides, together: Floats, lost: Floats) -> _Scored:

@@ -8,14 +8,10 @@ from fixtures.samples import load
 
 import protochain as pc
 from protochain.comparison import quality as module
-from protochain.comparison.quality import (
-    dssp,
-    hydrogen_bonds,
-    quality,
-    radius_of_gyration,
-)
+from protochain.comparison.quality import quality, radius_of_gyration
 from protochain.structure.superpose import displacements
 from protochain.validation import MEASURES, measures
+from protochain.validation.bonding import hydrogen_bonds, secondary_structure
 
 
 def test_the_radius_of_gyration_weighs_masses():
@@ -57,14 +53,11 @@ def chain():
 def test_helices_and_hydrogen_bonds_are_those_of_mdtraj():
     s = load("1l2y.pdb")
     frames = pc.to_mdtraj(s)
-    kinds = dssp(s)
-    assert kinds.tolist() == mdtraj.compute_dssp(frames, simplified=True)[0].tolist() and set(kinds) == {
-        "H",
-        "C",
-    }
+    kinds = {"helix": "H", "strand": "E", "loop": "C"}
+    letters = [kinds[kind] for kind in secondary_structure(s).tolist()]
+    assert letters == mdtraj.compute_dssp(frames, simplified=True)[0].tolist() and {*letters} == {"H", "C"}
     found = mdtraj.baker_hubbard(frames, freq=0.0, periodic=False)
-    assert hydrogen_bonds(s) == len(found) > 5
-    assert np.array_equal(module._trajectory(s).xyz[0], s.positions.astype(np.float32))
+    assert quality(s)["hydrogen_bonds"] == len(hydrogen_bonds(s)) == len(found) > 5
 
 
 def test_a_row_of_quality_has_every_measure(chain):
@@ -90,7 +83,7 @@ def test_a_row_of_quality_has_every_measure(chain):
     assert 0.0 < row["tm_score_to_start"] < 1.0 and row["secondary_structure_kept"] == 1.0
     unchanged = quality(chain, chain)
     names = ("hydrogen_bonds", "bond_length_change_rms_angstrom", "bond_angle_change_rms_degrees")
-    assert [unchanged[name] for name in names] == [hydrogen_bonds(chain), 0.0, 0.0]
+    assert [unchanged[name] for name in names] == [len(hydrogen_bonds(chain)), 0.0, 0.0]
     assert {key: row[key] for key in MEASURES} == measures(end) != measures(chain)
     assert unchanged["ca_rmsd_to_start_angstrom"] < 1e-6 and unchanged["overlaps"] == 0
     short = pc.from_sequence("AA")
@@ -102,5 +95,5 @@ def test_a_row_of_quality_has_every_measure(chain):
 
 def test_what_is_kept_of_the_structure_is_a_fraction(chain, monkeypatch):
     kinds = iter([np.array(list("HHECC")), np.array(list("HHHHC"))])
-    monkeypatch.setattr(module, "dssp", lambda s: next(kinds))
+    monkeypatch.setattr(module, "secondary_structure", lambda s: next(kinds))
     assert quality(chain, chain)["secondary_structure_kept"] == 0.6

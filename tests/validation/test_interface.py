@@ -16,16 +16,19 @@ import pandas as pd
 import pytest
 from fixtures.command_line import refusal, run
 from fixtures.samples import STRUCTURES, energy, load, shared
-from fixtures.tolerances import NATIVE_ENERGY, TWIN_AREA
+from fixtures.tolerances import NATIVE_ENERGY, PACKING, PACKING_OF_SPHERES, TWIN_AREA
 from mdtraj.geometry.sasa import _ATOMIC_RADII
 from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.batches import scoring
 from protochain.structure.confidences import Confidence, confidence_in
 from protochain.structure.select import select, sides, touching_chains
-from protochain.validation import CONFIDENCES, SCORES
+from protochain.validation import CONFIDENCES, MAKEUP, SCORES
+from protochain.validation.complementarity import united_radii
 from protochain.validation.interface import _unsatisfied
+from protochain.validation.packing import PROBE, REACH, packing
 
 MODEL, BESIDE = "6bj9_model_0.cif.gz", "confidence_6bj9_model_0.json"
 
@@ -76,6 +79,10 @@ def test_terms_are_those_between_two_parts_and_shares_add_up():
         k = place[row.residue, row.chain]
         assert row.interaction_kj_mol == pytest.approx(by_residue[k])
         assert row.energy_kj_mol == found.shares[k]
+    for k, side in enumerate(sides(s, "A", "B"), 1):
+        assert found.scores[f"energy_{k}_kj_mol"] == pytest.approx(found.shares[side].sum())
+    n = found.scores["residues_1"] + found.scores["residues_2"]
+    assert found.scores["energy_per_residue_kj_mol"] == pytest.approx(found.scores["energy_kj_mol"] / n)
 
 
 @pytest.mark.parametrize(("name", "first", "second"), [("3i40.pdb", "A", "B"), ("1ysa.pdb", "C,D", "A,B")])
@@ -92,6 +99,9 @@ def test_areas_are_those_of_another_program(name, first, second):
         its[mask] = biotite.structure.sasa(there, point_number=5000, vdw_radii=radius[mask])
         return its
 
+    heavy = s.atom_element != "H"
+    bare = area(one & heavy) + area(other & heavy) - area((one | other) & heavy)
+    assert found["buried_heavy_area_angstrom2"] == pytest.approx(bare.sum(), rel=0.005)
     lost = area(one) + area(other) - area(one | other)
     assert found["buried_area_angstrom2"] == pytest.approx(lost.sum(), rel=0.005)
     bears = {i: j for pair in s.bonds.tolist() for i, j in (pair, pair[::-1])}
@@ -165,6 +175,67 @@ def test_unsatisfied_polar_atoms_are_buried_by_the_other_side_and_without_a_bond
     assert found.scores["unsatisfied_polar_atoms"] == count > 0
 
 
+def test_equal_spheres_in_a_close_packing_fill_their_known_share():
+    """Touching in rows, pi / sqrt(18); apart by a tenth, with holes that no probe enters, as much less."""
+    radius = 1.7
+    cell = np.array([[0.0, 0.0, 0.0], [0.5, 0.5, 0.0], [0.5, 0.0, 0.5], [0.0, 0.5, 0.5]])
+    corners = np.stack(np.meshgrid(*[np.arange(-3, 3)] * 3), axis=-1).reshape(-1, 1, 3)
+    for wider in (1.0, 1.1):
+        x = wider * 2.0 * np.sqrt(2.0) * radius * (corners + cell).reshape(-1, 3)
+        one = x[:, 2] < -1e-9
+        size = np.full(len(x), radius)
+        found = packing(x[one], size[one], x[~one], size[~one])
+        assert found == pytest.approx(np.pi / np.sqrt(18.0) / wider**3, abs=PACKING_OF_SPHERES)
+
+
+def test_packing_is_that_of_points_at_random():
+    """A point is void unless a probe that holds it fits: its centre is tried at 3000 places around."""
+    s = load("3i40.pdb")
+    heavy = s.atom_element != "H"
+    x, radius, parts = 10.0 * s.positions, united_radii(s), [mask & heavy for mask in masks(s, "A", "B")]
+    rng = np.random.default_rng(1)
+    near = x[parts[0]][cdist(x[parts[0]], x[parts[1]]).min(1) < 9.0]
+    points = rng.uniform(near.min(0) - 5.0, near.max(0) + 5.0, (40_000, 3))
+    off = [(cdist(points, x[its]) - radius[its]).min(1) for its in parts]
+    between = np.maximum(*off) < REACH
+    void = points[between & (np.minimum(*off) >= 0.0)]
+    ball = rng.normal(size=(3000, 3))
+    ball *= (PROBE * rng.uniform(size=3000) ** (1 / 3) / np.linalg.norm(ball, axis=1))[:, None]
+    both = parts[0] | parts[1]
+    closed = 0
+    for point in void:
+        its = both & (np.linalg.norm(x - point, axis=1) < 6.0)
+        closed += not ((cdist(point + ball, x[its]) - radius[its]).min(1) >= PROBE).any()
+    filled = between.sum() - len(void)
+    found = scored("3i40.pdb", "A", "B").scores["packing"]
+    assert filled > 3000 and found == pytest.approx(filled / (filled + closed), abs=PACKING)
+    loose = x + np.outer(parts[1], [0.0, 0.0, 1.5])
+    apart = packing(loose[parts[0]], radius[parts[0]], loose[parts[1]], radius[parts[1]])
+    assert apart < found
+
+
+def test_what_the_sides_are_made_of_is_counted():
+    """As BindCraft counts, but within 5 angstrom of heavy atoms; secondary structure by another DSSP call."""
+    s, its = load("3i40.pdb"), scored("3i40.pdb", "A", "B")
+    codes = mdtraj.compute_dssp(pc.to_mdtraj(s))[0]
+    row = its.record()
+    for k, side in enumerate(sides(s, "A", "B"), 1):
+        names = row[f"contact_residues_{k}"].split(",")
+        place = np.char.add(s.residue_chain, s.residue_number)
+        near = np.isin(place, names) & side
+        assert near.sum() == len(names) == its.scores[f"residues_{k}"] > 5
+        letters = gemmi.one_letter_code(s.residue_name[near].tolist())
+        apolar = sum(letter in "ACFILMPVWY" for letter in letters)
+        assert row[f"hydrophobic_percent_{k}"] == pytest.approx(100.0 * apolar / len(names))
+        assert row[f"hydrogen_bonds_percent_{k}"] == pytest.approx(100.0 * row["hydrogen_bonds"] / len(names))
+        lost = row["unsatisfied_polar_atoms"] / len(names)
+        assert row[f"unsatisfied_percent_{k}"] == pytest.approx(100.0 * lost)
+        for kind, code in (("helix", "H"), ("sheet", "E"), ("loop", "C")):
+            assert row[f"contact_{kind}_percent_{k}"] == pytest.approx(100.0 * (codes[near] == code).mean())
+            own = codes[side & np.isin(codes, [*"HEC"])]
+            assert row[f"{kind}_percent_{k}"] == pytest.approx(100.0 * (own == code).mean())
+
+
 def test_nitrogens_of_proline_are_satisfied_without_a_bond():
     """Between residues; at the start of a chain the nitrogen has hydrogens to give."""
     s = pc.from_sequence("PAPA")
@@ -183,7 +254,7 @@ def test_of_sides_that_do_not_touch_all_is_nothing():
         "contacts", "residues_1", "residues_2",
     ):  # fmt: skip
         assert found[key] == 0, key
-    for key in ("shape_complementarity", "energy_per_area_kj_mol_nm2", "contacts_per_residue"):
+    for key in ("shape_complementarity", "energy_per_area_kj_mol_nm2", "contacts_per_residue", "packing"):
         assert found[key] is None, key
     # r^-6 at some 8 nm, of some thousand atoms.
     assert abs(found["lennard_jones_kj_mol"]) < 1e-2
@@ -193,7 +264,7 @@ def test_of_sides_that_do_not_touch_all_is_nothing():
 def test_sides_change_places():
     there, back = scored("3i40.pdb", "A", "B").scores, scored("3i40.pdb", "B", "A").scores
     swapped = {key.replace("_1", "_x").replace("_2", "_1").replace("_x", "_2"): v for key, v in back.items()}
-    assert there.keys() == swapped.keys() == {**SCORES, **CONFIDENCES}.keys()
+    assert there.keys() == swapped.keys() == {**SCORES, **MAKEUP, **CONFIDENCES}.keys()
     for key, value in there.items():
         assert swapped[key] == (None if value is None else pytest.approx(value)), key
 
@@ -465,6 +536,46 @@ def test_a_table_of_many_is_ranked_and_one_chain_is_told(three, capsys):
         assert sums[row["file"], row["interface"]] == pytest.approx(row["buried_area_angstrom2"])
     text = page.read_text()
     assert text.count("<option value=") >= len(done) and "3i40.pdb A:B" in text
+
+
+def test_frames_are_scored_and_their_sides_compared_with_a_reference(three, capsys):
+    """The first as it is; in the second a side is moved by 2 angstrom, in the third both as one."""
+    s = load("3i40.pdb")
+    other = masks(s, "A", "B")[1]
+    turned = Rotation.from_rotvec([0.3, 0.1, 0.2]).apply(s.positions.copy())
+    x = np.array([s.positions, s.positions + np.outer(other, [0.0, 0.2, 0.0]), turned])
+    np.savez(three / "f.npz", positions=x, unit="nm")
+    out = three / "scored.csv"
+    given = ["--trajectory", three / "f.npz", "--reference", three / "3i40.pdb", "--solvent", "vacuum"]
+    assert run("score", three / "3i40.pdb", *given, "--csv", out, "--workers", "1") == 0
+    table = pd.read_csv(out)
+    assert table["interface"].tolist() == ["A:B"] * 3
+    assert table["hotspot_rmsd_angstrom"].to_numpy() == pytest.approx([0.0, 2.0, 0.0], abs=1e-3)
+    for key in ("ca_rmsd_1_angstrom", "ca_rmsd_2_angstrom"):
+        assert table[key].to_numpy() == pytest.approx(0.0, abs=1e-3)
+    for k in range(2):
+        its = pc.score_interface(s.with_positions(x[k]), "A", "B", solvent="vacuum").record()
+        for key in ("energy_kj_mol", "packing", "hydrogen_bonds", "contact_residues_2"):
+            assert table[key][k] == (its[key] if isinstance(its[key], str) else pytest.approx(its[key]))
+    assert table["energy_kj_mol"][2] == pytest.approx(table["energy_kj_mol"][0], rel=1e-4)
+    capsys.readouterr()
+    several = ["--interface", "A:B", "--interface", "B:A"]
+    assert "give one --interface" in refusal("score", three / "3i40.pdb", *given[:2], *several)
+
+
+def test_a_complex_that_overlaps_is_relaxed_and_deviates_from_its_reference(three, capsys):
+    s = load("3i40.pdb")
+    one, other = masks(s, "A", "B")
+    way = s.positions[one].mean(0) - s.positions[other].mean(0)
+    x = s.positions + np.outer(other, 0.2 * way / np.linalg.norm(way))
+    pc.save(s.with_positions(x), three / "near.pdb")
+    rows = []
+    for more in ((), ("--relax", "--reference", three / "3i40.pdb")):
+        run("score", three / "near.pdb", "--interface", "A:B", "--solvent", "vacuum", "--json", *more)
+        rows.append(json.loads(capsys.readouterr().out)["results"][0])
+    assert rows[0]["clashes"] > 20 > rows[1]["clashes"]
+    assert rows[1]["energy_kj_mol"] < 0.0 < rows[0]["energy_kj_mol"]
+    assert 0.5 < rows[1]["hotspot_rmsd_angstrom"] < 2.5 and rows[1]["ca_rmsd_2_angstrom"] < 1.0
 
 
 def test_the_best_by_each_column_rank_first_and_named_sides_alone_are_scored(three, capsys, monkeypatch):

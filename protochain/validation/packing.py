@@ -1,0 +1,60 @@
+"""Packing of two sides of an interface: the share of the volume between them that their atoms fill.
+
+Of what a probe of 1.4 angstrom cannot reach, within 2.8 angstrom of the atoms of both sides: 1 without
+voids, 0.74 of spheres in a close packing. It asks what Rosetta's packstat does (Sheffler, Baker, Protein Sci.
+18:229, 2009), but by the volumes of Richards (J. Mol. Biol. 82:1, 1974), not by a trained scale.
+"""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from protochain.core.arrays import Floats
+
+PROBE, REACH, GRID = 1.4, 2.8, 0.4
+"""angstrom: water; from either side; between points."""
+_STEP = 0.1
+"""angstrom between sizes of balls."""
+_FEW = 4
+"""Nearest centres of which one is that of the nearest surface."""
+
+
+def packing(x: Floats, radius: Floats, other: Floats, its: Floats) -> float:
+    """Packing of spheres of two sides: x, other (n, 3), radius, its (n,), angstrom; NaN if none are near."""
+    if not len(x) or not len(other):
+        return float("nan")
+    both, largest = 2.0 * REACH + its.max(), max(radius.max(), its.max())
+    near = cKDTree(other).query(x, distance_upper_bound=both + radius.max())[0] < both + radius
+    between = _around(x[near], radius.max() + REACH)
+    for place, size in ((x, radius), (other, its)):
+        between = between[_outside(between, place, size, REACH) < REACH]
+    x, radius = np.concatenate([x, other]), np.concatenate([radius, its])
+    off = _outside(between, x, radius, largest)
+    filled, void = int((off < 0.0).sum()), between[off >= 0.0]
+    empty = _around(void, PROBE)
+    room = np.minimum(_outside(empty, x, radius, 2.0 * PROBE), 2.0 * PROBE - _STEP)
+    # A ball without atoms that holds a probe: with one at each point of its surface none is left out.
+    for least in np.arange(PROBE, 2.0 * PROBE, _STEP):
+        if (some := (room >= least) & (room < least + _STEP)).any():
+            void = void[cKDTree(empty[some]).query(void, distance_upper_bound=least)[0] > least]
+    return filled / (filled + len(void)) if filled else float("nan")
+
+
+def _around(x: Floats, reach: float) -> Floats:
+    """(n, 3) points of the grid within reach of any of x, and of the nearest point of the grid to it."""
+    reach += GRID
+    n = int(reach / GRID) + 1
+    steps = np.stack(np.meshgrid(*[np.arange(-n, n + 1)] * 3), axis=-1).reshape(-1, 3)
+    steps = steps[np.sum((GRID * steps) ** 2, axis=1) <= reach**2]
+    own = np.rint(x / GRID).astype(np.int64)
+    low = own.min(axis=0, initial=0) - n
+    shape = tuple((own.max(axis=0, initial=0) - low + n + 1).tolist())
+    row = np.array([shape[1] * shape[2], shape[2], 1])
+    there = np.zeros(shape, dtype=bool)
+    there.ravel()[((own - low) @ row)[:, None] + steps @ row] = True
+    return GRID * (np.argwhere(there) + low)
+
+
+def _outside(points: Floats, x: Floats, radius: Floats, most: float) -> Floats:
+    """(n,) distance of points from the nearest sphere's surface, inf beyond ``most``."""
+    far, which = cKDTree(x).query(points, _FEW, distance_upper_bound=radius.max() + most)
+    return np.min(far - np.append(radius, 0.0)[which], axis=1)
