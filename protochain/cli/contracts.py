@@ -217,6 +217,7 @@ _SEARCHED = {
     **_row("interrupted temperature_lowest_k temperature_highest_k temperatures_k n_hinges hinges"),
     **_row("forcefield solvent engine device engine_reason"), **_RUN,
     **{name: kind for name, kind in get_type_hints(SearchSettings).items() if name != "temperatures"},
+    "restraint": list[str] | None,
 }  # fmt: skip
 _MINIMUM = _row(
     "minimum energy_kj_mol above_lowest_kj_mol ca_rmsd_to_lowest_angstrom cluster conformer helix_share "

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, pose
+from protochain.chains.restraint_list import Restraints
 from protochain.core.arrays import Floats, Value
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.units import MOLAR_GAS
@@ -78,13 +79,16 @@ class Landscape(Value):
         Whose coordinates are its torsions and nothing else.
     energy : Energy
         With all terms.
+    restraints : Restraints, optional
+        Added to the energy.
     """
 
     chain: Chain
     energy: Energy
+    restraints: Restraints | None = None
 
     @classmethod
-    def of(cls, chain: Chain, energy: Energy) -> Landscape:
+    def of(cls, chain: Chain, energy: Energy, restraint: Any = ()) -> Landscape:
         """Fix the root of a chain.
 
         Raises
@@ -103,7 +107,7 @@ class Landscape(Value):
             )  # fmt: skip
         if not fixed.n_v:
             raise ProtochainError(f"{name}: no bond turns with hinges {chain.opened!r}; open more of them")
-        return cls(fixed, energy)
+        return cls(fixed, energy, Restraints.of(fixed.structure, restraint) if restraint else None)
 
     @cached_property
     def _varying(self) -> Energy:
@@ -131,7 +135,7 @@ class Landscape(Value):
         """Descend by L-BFGS to a largest torque, kJ/mol/rad, from torsions (n,), which may overlap."""
         # Sums have an order that neighbour lists set: it must not depend on what was evaluated before.
         self._varying.list_at(self.positions(q))
-        problem = Problem(self._space, self._varying, _MOST)
+        problem = Problem(self._space, self._varying, _MOST, self.restraints)
         method = RECIPES["lbfgs"].runs[0].method
         descend(problem, method, q, tolerance, PATIENCE, lambda at: None)
         best = problem.best
@@ -145,7 +149,7 @@ class Landscape(Value):
             return best.energy
         judge = self.energy.reference
         judge.list_at(best.pose.x)
-        return judge(best.pose.x)[0]
+        return judge(best.pose.x)[0] + best.restraint
 
     def sweep(self, q: Floats, temperature: float, time_step: float, n_trajectories: int, seed: int) -> Swept:
         """Sample torsions from exp(-E/kT) by trajectories with Fixman's potential.
@@ -168,7 +172,8 @@ class Landscape(Value):
             evaluations[0] += 1
             return own(q, factors)
 
-        system = System(self.chain.tree, total([potential, bias]))
+        held = [chain_potential(self.chain, self.restraints)] if self.restraints else []
+        system = System(self.chain.tree, total([potential, *held, bias]))
         thermostat = HybridMonteCarlo(kt, TRAJECTORY_LENGTH)
         propagator = Propagator(system, Leapfrog(), thermostat, time_step, kt, seed, False)
         energies = []

@@ -154,7 +154,9 @@ class Search(Value):
         )
 
     def _free(self, q: Floats, energy: float) -> tuple[float, float]:
-        """Free energies with stiff and with rigid bonds, kJ/mol."""
+        """Free energies with stiff and with rigid bonds, kJ/mol; NaN with restraints."""
+        if self.landscape.restraints:
+            return np.nan, np.nan
         chain, temperature = self.chain, self.settings.temperatures[0]
         free = build_chain(chain, root="free")
         second = hessian(chain, self.energy_function, q)
@@ -244,7 +246,7 @@ class Search(Value):
         from protochain.results.provenance import of_run
 
         known = [state for state in self.states if state is not None]
-        its = {name: value for name, value in vars(self.settings).items() if name != "temperatures"}
+        its = {name: value for name, value in self.settings.record().items() if name != "temperatures"}
         return {
             "structure": self.chain.structure.name,
             "energy_lowest_kj_mol": self.energy,

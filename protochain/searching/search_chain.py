@@ -84,6 +84,7 @@ def search(
     n_replicas: int = defaults.N_REPLICAS,
     pilot: int = defaults.PILOT,
     seed: int = defaults.SEED,
+    restraint: Any = (),
     output: str | Path | None = None,
     resume: bool = False,
     force: bool = False,
@@ -118,6 +119,9 @@ def search(
     seed : int
         Seed of all random numbers: the same seed gives the same bits, killed or not, on any number of
         processes.
+    restraint : Restraint, str, path-like, or sequence of them
+        As of :func:`protochain.minimise`, of one form: lines, or a file of them. All energies of the search
+        have theirs in them.
     output : path-like, optional
         Folder for pieces, from which the search can go on, tables, structures, ``summary.json`` and
         ``report.html``.
@@ -156,7 +160,7 @@ def search(
         raise ProtochainError(Argument("resume", True), ": give the folder of the search as output")
     if folder is not None:
         check_folder(folder, resume, force)
-    landscape = Landscape.of(*with_energy(chain, energy))
+    landscape = Landscape.of(*with_energy(chain, energy), settings.restraint)
     processes = Processes(workers, scheduler, 1, _LONG) if workers or scheduler else None
     with nullcontext() if folder is None else claimed(folder, "search", resume):
         walks = _Walks(landscape, settings, folder, running)
@@ -220,8 +224,7 @@ class _Walks:
         ]
         self.identity = {
             "search": settings.method,
-            **{name: value for name, value in vars(settings).items() if name != "method"},
-            "temperatures": list(settings.temperatures),
+            **{name: value for name, value in settings.record().items() if name != "method"},
             "hinges": landscape.chain.opened,
             "move": landscape.chain.move,
             "engine": landscape.energy.engine,

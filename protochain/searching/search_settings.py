@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from protochain.chains.restraint_lines import Restraint, read_restraints
 from protochain.core import defaults
 from protochain.core.checks import Check, at_least, flag, limited, number, one_of, optional, plain, shown
 from protochain.core.errors import refused
@@ -63,6 +64,15 @@ class SearchSettings(Settings):
         int,
     )
     seed: int = setting(defaults.SEED, "Seed of all random numbers.", at_least(0), int)
+    restraint: tuple[Restraint, ...] = setting(
+        (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
+        read_restraints, list[str], "--restrain", metavar="LINE|FILE",
+    )  # fmt: skip
+
+    def record(self) -> dict[str, Any]:
+        """Return the settings as plain values by name."""
+        plain = vars(self) | {"restraint": [str(each) for each in self.restraint] or None}
+        return plain | {"temperatures": [*self.temperatures]}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,6 +13,7 @@ import pytest
 
 import protochain as pc
 from protochain.batches import cluster
+from protochain.chains.restraint_list import Restraints
 from protochain.searching import csa, search_chain
 from protochain.searching.hopping import ADAPTED, metropolis
 from protochain.searching.landscape import Descended, Landscape
@@ -120,6 +121,28 @@ def test_minima_are_minima_with_their_energies(peptide, whole):
             assert np.max(np.abs(pc.pull_back(chain, at, forces))) < 0.11
     structure = whole["hopping"].structure(2)
     assert energy(structure.positions)[0] == pytest.approx(whole["hopping"].energies[1], abs=1e-6)
+
+
+@pytest.mark.parametrize("method", ["hopping", "tempering"])
+def test_a_restraint_holds_all_minima_and_samples_and_is_in_their_energies(method, peptide, tmp_path):
+    line = "dihedral phi@A:2 50 70 4000"
+    more = {**SMALL, "n_replicas": 2, "pilot": 3} if method == "tempering" else SMALL
+    given = {"restraint": [line], "output": tmp_path / "s", **more}
+    found = pc.search(*peptide, method, options(method)[0] // 2, **given)
+    held = Restraints.of(found.chain.structure, [line])
+    for q, value in zip(found.q[:4], found.energies[:4], strict=True):
+        x = pc.pose(found.chain, q).x
+        assert value == pytest.approx(peptide[1](x)[0] + held(x)[0], abs=1e-6)
+        assert 45.0 < np.degrees(held.values(x)[0]) < 75.0
+    for each in found.findings:
+        for row in each.samples[-3:].reshape(-1, found.chain.n_hinges + 1):
+            x = pc.pose(found.chain, row[1:]).x
+            assert row[0] == pytest.approx(peptide[1](x)[0] + held(x)[0], abs=1e-6)
+            assert 30.0 < np.degrees(held.values(x)[0]) < 90.0
+    assert found.minima["free_energy_kj_mol"].isna().all()
+    assert json.loads((tmp_path / "s" / "summary.json").read_text())["restraint"] == [line]
+    with pytest.raises(pc.ProtochainError, match="restraint"):
+        pc.search(*peptide, method, 9000, resume=True, **{**given, "restraint": ()})
 
 
 def test_the_size_of_turns_is_adapted_and_then_stays(peptide):

@@ -560,7 +560,7 @@ def test_frames_are_scored_and_their_sides_compared_with_a_reference(three, caps
     assert table["energy_kj_mol"][2] == pytest.approx(table["energy_kj_mol"][0], rel=1e-4)
     capsys.readouterr()
     several = ["--interface", "A:B", "--interface", "B:A"]
-    assert "give one --interface" in refusal("score", three / "3i40.pdb", *given[:2], *several)
+    assert "give one interface" in refusal("score", three / "3i40.pdb", *given[:2], *several)
 
 
 def test_a_complex_that_overlaps_is_relaxed_and_deviates_from_its_reference(three, capsys):
