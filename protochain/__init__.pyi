@@ -1,5 +1,7 @@
 from .batches import Batch as Batch
 from .batches import batch as batch
+from .batches.ensembles import Clusters as Clusters
+from .batches.ensembles import cluster_frames as cluster_frames
 from .batches.frames import FrameResult as FrameResult
 from .batches.frames import relax_frames as relax_frames
 from .batches.mutation_scan import scan_mutations as scan_mutations

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 
 from protochain.batches.cluster import reason, unpickled
 from protochain.chains.setup import Setup
-from protochain.comparison.deviation import DOCKED, docked
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
 from protochain.core.errors import Argument, ProtochainError
@@ -186,10 +185,14 @@ class ScoreFrames:
     @property
     def columns(self) -> tuple[str, ...]:
         """The sides, their scores, and RMSDs from the reference."""
+        from protochain.comparison.deviation import DOCKED
+
         return ("interface", *SCORES, *MAKEUP, *RESIDUES, *(DOCKED if self.reference else ()))
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
         """Find the sides, and build the energy."""
+        from protochain.comparison.deviation import docked
+
         pairs = [sides_named(structure, self.interface)] if self.interface else touching_chains(structure)
         if len(pairs) != 1:
             what = f"{counted(len(pairs), 'pair')} of its chains are in contact; give "

@@ -7,7 +7,6 @@ from typing import Any
 
 from protochain.batches.cluster import Processes, each_done, reason
 from protochain.chains.setup import Setup
-from protochain.comparison.deviation import docked
 from protochain.core.errors import ProtochainError
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.relax_structure import relax_structure
@@ -44,6 +43,8 @@ class ScoreJob:
 
     def run(self, threads: int | None) -> Iterator[Scored]:
         """Score each interface."""
+        from protochain.comparison.deviation import docked
+
         setup = self.setup if threads is None else replace(self.setup, threads=threads)
         try:
             structure = setup.load(self.path)

@@ -30,7 +30,7 @@ _COMMANDS = {
     "minimise": "minimise", "relax": "relax", "compare": "compare", "batch": "batch", "simulate": "simulate",
     "modes": "modes", "validate": "validate", "score": "score", "energy": "energy", "rmsd": "rmsd",
     "info": "inspect", "build": "inspect", "mutate": "mutate", "scan": "scan",
-    "search": "search", "schema": "schema",
+    "search": "search", "ensemble": "ensemble", "schema": "schema",
 }  # fmt: skip
 """Name of each command, which is that of its function, and the module that has it."""
 _NO_RESULT = "interrupted before there was a result"

@@ -212,6 +212,10 @@ _FLUCTUATION = _row(
     "ca_fluctuation_angstrom ca_b_factor_angstrom2 b_factor_angstrom2 ca_b_factor_in_file_angstrom2"
 )
 
+_CLUSTER = {"cluster": int, "frames": int, "medoid": int, "distance_mean": float, "message": str}
+_CLUSTERED = {"frame": int, "cluster": int, "medoid": bool, "distance_to_medoid": float}
+_FLUCTUATING = _row("ca_fluctuation_angstrom") | _optional(_row("ca_fluctuation_after_angstrom"))
+
 _SEARCHED = {
     **_row("structure energy_lowest_kj_mol n_minima evaluations steps acceptance round_trips seconds"),
     **_row("interrupted temperature_lowest_k temperature_highest_k temperatures_k n_hinges hinges"),
@@ -329,6 +333,11 @@ CONTRACTS: Mapping[str, Contract] = {
         },
         ("modes.csv", "summary.json", "report.html"),
         (r"^fluctuations\.csv$", r"^minimum\.(pdb|cif)", r"^mode-\d+\.(dcd|xtc)$"),
+    ),
+    "ensemble": Contract(
+        (_row("input by results files", results=[_CLUSTER], files=list[str]),),
+        {"--csv": (_cells(_CLUSTERED),), "--residues": (_cells(_RESIDUE, _FLUCTUATING),)},
+        (), (_STRUCTURE,),
     ),
     "search": Contract(
         (_SEARCHED,),

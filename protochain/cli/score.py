@@ -88,7 +88,6 @@ def score(
     from protochain.validation.interface import CONFIDENCES, MAKEUP, SCORES
 
     known = {**SCORES, **MAKEUP, **CONFIDENCES}
-    origin = measurable(reference) if reference else None
     reads = [reference] if reference else []
 
     def task() -> "Task":
@@ -96,7 +95,9 @@ def score(
 
         if len(interface or ()) > 1:
             raise ProtochainError("frames: give one ", Argument("interface"))
-        return ScoreFrames(setup, interface[0] if interface else None, relax, origin)
+        return ScoreFrames(
+            setup, interface[0] if interface else None, relax, reference and measurable(reference)
+        )
 
     of_frames.run_if_asked(
         context, inputs, trajectory, frames, setup, task, csv, refused="rank residues report",
@@ -116,6 +117,7 @@ def score(
     with nullcontext() if processes is None else processes.started_early():
         from protochain.batches.scoring import ScoreJob, score_files
 
+        origin = measurable(reference) if reference else None
         jobs = [ScoreJob(*each, (*(interface or ()),), relax, origin) for each in files]
         results = score_files(jobs, processes)
     found: list[tuple[dict[str, Any], Interface | None]] = [

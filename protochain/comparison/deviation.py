@@ -3,10 +3,9 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-import pandas as pd
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import checked, selection
@@ -15,6 +14,9 @@ from protochain.structure import Structure
 from protochain.structure.matching import Match, match, measurable, models_of, tm_score
 from protochain.structure.select import select, sides
 from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 ALPHA = "name CA"
 """Selection of the C-alpha atoms, in MDAnalysis syntax."""
@@ -129,8 +131,10 @@ def rmsd(reference: Any, model: Any, align: str = ALPHA, measure: str | None = N
 
 def rmsd_table(
     reference: str | Path, models: Sequence[str | Path], align: str = ALPHA, measure: str = ALPHA
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Measure many files against one: one row per model of each file, failures included."""
+    import pandas as pd
+
     first = measurable(reference)
     select(first, align), select(first, measure)
     rows = []

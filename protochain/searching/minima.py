@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
-from scipy.spatial.distance import squareform
 
+from protochain.batches.ensembles import grouped, rmsds
 from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, Integers
-from protochain.core.units import MOLAR_GAS
-from protochain.structure.superpose import rmsd_angstrom
+from protochain.core.units import ANGSTROM_PER_NM, MOLAR_GAS
 
 if TYPE_CHECKING:
     from protochain.chains.hinges import Hinge
@@ -88,14 +86,9 @@ def clusters(positions: Sequence[Floats]) -> Integers:
 
     By average linkage over the RMSD of pairs, superposed.
     """
-    m = len(positions)
-    if m < 2:
-        return np.ones(m, dtype=np.int64)
-    away = np.zeros((m, m))
-    for i in range(m):
-        for j in range(i):
-            away[i, j] = away[j, i] = rmsd_angstrom(positions[i], positions[j])
-    found = fcluster(linkage(squareform(away, checks=False), "average"), ALIKE, "distance")
+    if len(positions) < 2:
+        return np.ones(len(positions), dtype=np.int64)
+    found, _ = grouped(ANGSTROM_PER_NM * rmsds(positions), ALIKE)
     _, first = np.unique(found, return_index=True)
     renamed = {int(found[k]): number for number, k in enumerate(sorted(first.tolist()), 1)}
     return np.array([renamed[int(each)] for each in found], dtype=np.int64)

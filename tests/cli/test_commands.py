@@ -309,7 +309,12 @@ READ = {
     "scan": {"source": "{0} phi@A:3=-60", "forcefield": "phi@A:3=-60 --forcefield amber14,{0}"},
     "modes": {"source": "{0}", "to": "--to {0}", "forcefield": "--forcefield amber14,{0}"},
     "validate": {"inputs": "{0}", "reference": "--reference {0}"},
-    "score": {"inputs": "{0}", "forcefield": "--forcefield amber14,{0}"},
+    "score": {
+        "inputs": "{0}",
+        "forcefield": "--forcefield amber14,{0}",
+        "reference": "--reference {0}",
+    },
+    "ensemble": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "energy": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
     "rmsd": {"reference": "{0} b.pdb", "models": "b.pdb {0}"},
     "info": {"source": "{0}", "forcefield": "--forcefield amber14,{0}"},
@@ -337,6 +342,9 @@ WRITTEN = {
     "score": {
         "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),
         "report": ("--report {0}", "a.html"),
+    },
+    "ensemble": {
+        "output": ("-o {0}", "a.pdb"), "csv": ("--csv {0}", "a.csv"), "residues": ("--residues {0}", "a.csv"),
     },
     "energy": {"output": ("-o {0}", "a.csv"), "report": ("--report {0}", "a.html")},
     "rmsd": {"output": ("-o {0}", "a.csv")},
@@ -388,7 +396,7 @@ def test_no_output_of_any_command_is_an_input(command, read, written, file, tmp_
         asked = READ[command][read].format(given)
         # All have a structure beside the input that is in danger.
         lacks = not {"source", "inputs", "models", "reference"} & {read} or (command, read) in (
-            ("compare", "reference"), ("validate", "reference"),
+            ("compare", "reference"), ("validate", "reference"), ("score", "reference"),
         )  # fmt: skip
         said = refusal(
             command, *(["in.pdb"] * lacks), *asked.split(), *WRITTEN[command][written][0].format(file).split()

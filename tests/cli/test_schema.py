@@ -134,6 +134,15 @@ def test_score(told, tmp_path):
     found = told("score", STRUCTURES / "3i40.pdb", "peptide.pdb", *given)
     assert [set(each) == {"file", "message"} for each in found["results"]] == [False, True]
     tables("score", None, **options)
+    of_frames = ["--frames", "all", "--workers", "1", "--reference", STRUCTURES / "3i40.pdb"]
+    told("score", STRUCTURES / "3i40.pdb", *of_frames, "--csv", tmp_path / "f.csv")
+    tables("score", None, **{"--trajectory": tmp_path / "f.csv"})
+
+
+def test_ensemble(told, tmp_path):
+    options = {f"--{name}": tmp_path / f"{name}.csv" for name in ("csv", "residues")}
+    told("ensemble", "models.pdb", *[word for pair in options.items() for word in pair])
+    tables("ensemble", None, **options)
 
 
 def test_energy_of_frames(told, tmp_path):

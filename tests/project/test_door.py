@@ -60,6 +60,7 @@ REQUIRED = {
     "batch": lambda: ([FILE], "never-written"),
     "build_chain": lambda: (S(),),
     "ca_rmsd": lambda: (S(), S().positions, S().positions),
+    "cluster_frames": lambda: (S(), S().positions[None]),
     "compare": lambda: (C(),),
     "deviation": lambda: (S(), S()),
     "differences": lambda: (S(), S()),

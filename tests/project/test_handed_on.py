@@ -177,8 +177,8 @@ CHAINS = {
     "normal_modes": lambda r: pc.normal_modes(r, k=1).chain,
 }
 COORDINATES = {
-    "as_structure", "deviation", "differences", "energy_from", "quality", "rmsd", "save", "save_ligands",
-    "to_mdanalysis", "to_mdtraj", "to_simulation", "touching_chains", "validate", "view",
+    "as_structure", "cluster_frames", "deviation", "differences", "energy_from", "quality", "rmsd", "save",
+    "save_ligands", "to_mdanalysis", "to_mdtraj", "to_simulation", "touching_chains", "validate", "view",
 }  # fmt: skip
 """Calls that need neither energy nor chain."""
 NO_RESULT = {

@@ -1,0 +1,172 @@
+"""Ensembles: which frames are alike, the middle one of each cluster, and how far residues fluctuate."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import squareform
+
+from protochain.batches.frames import ensemble_of
+from protochain.chains.chain import dihedrals
+from protochain.chains.setup import Setup
+from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.checks import checked, limited, number, one_of, optional, selection
+from protochain.core.errors import ProtochainError
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.minimisers.solution import alpha_residues
+from protochain.structure import Structure
+from protochain.structure.dihedrals import finder
+from protochain.structure.select import select as chosen
+from protochain.structure.superpose import superpose
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+WITHIN = {"rmsd": 2.0, "torsions": 30.0}
+"""angstrom, degrees: average distance of the members of a cluster, by default."""
+_MOST = 5000
+"""Frames: the distances of all pairs are held in memory."""
+_ROUNDS = 3
+"""Superpositions on the mean, which then moves by less than a thousandth of an angstrom."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clusters(Value):
+    """Clusters of the frames of an ensemble.
+
+    Parameters
+    ----------
+    table : pandas.DataFrame
+        A row a frame: ``frame``, ``cluster`` (from 1, the largest first), ``medoid`` (whether it is the frame
+        that is nearest to all others of its cluster) and ``distance_to_medoid``, angstrom or degrees.
+    medoids : tuple of Structure
+        The medoid of each cluster.
+    fluctuations : pandas.DataFrame
+        A row a residue: ``chain``, ``residue``, ``name``, ``ca_fluctuation_angstrom``, the root-mean-square
+        deviation of its C-alpha from the mean of all frames, superposed on it.
+    """
+
+    table: "pd.DataFrame"
+    medoids: tuple[Structure, ...]
+    fluctuations: "pd.DataFrame"
+
+    def __repr__(self) -> str:
+        return f"<Clusters: {len(self.medoids)} of {len(self.table)} frames>"
+
+
+@checked(
+    by=one_of(tuple(WITHIN)), measure=selection,
+    within=optional(limited(number, lambda w: w >= 0.0, "give angstrom or degrees, none below 0")),
+)  # fmt: skip
+def cluster_frames(
+    top: Any, frames: Any = None, select: Any = None, *, by: str = "rmsd", within: float | None = None,
+    measure: str = "name CA", **settings: Any,
+) -> Clusters:  # fmt: skip
+    """Cluster the frames of an ensemble, and measure how far its residues fluctuate.
+
+    Parameters
+    ----------
+    top, frames, select : as of :func:`protochain.relax_frames`
+        Structure, its frames, and which of them to take; all are read into memory.
+    by : str
+        ``rmsd`` of selected atoms, superposed, or ``torsions``: the root mean square of the differences of
+        phi and psi.
+    within : float, angstrom or degrees, optional
+        Average distance at which clusters are cut: 2 angstrom, or 30 degrees.
+    measure : str
+        Atoms of the RMSD.
+    **settings
+        Fields of :class:`protochain.Setup`, for a file.
+
+    Returns
+    -------
+    Clusters
+        By average linkage (scipy); a medoid has the least sum of distances to its cluster.
+
+    Raises
+    ------
+    ProtochainError
+        If there is no frame, one cannot be used, or there are more than 5000.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/ala10.pdb")
+    >>> pc.cluster_frames(s, s.positions[[None, None]]).table["cluster"].tolist()
+    [1, 1]
+    """
+    import pandas as pd
+
+    setup = Setup(**settings)
+    ensemble, its = ensemble_of(top, frames, select, setup)
+    if not 0 < len(its) <= _MOST:
+        raise ProtochainError(f"{its.source}: {len(its)} frames; give 1 to {_MOST}, as every tenth by ::10")
+    structure, numbers = ensemble.structure, [*its.chosen]
+    alpha, atoms = structure.alpha_carbons, np.flatnonzero(chosen(structure, measure))
+    fours = _backbone(structure) if by == "torsions" else np.empty((0, 4), dtype=np.int64)
+    if by == "torsions" and not len(fours):
+        raise ProtochainError(f"{structure.name}: has no phi or psi to cluster by; cluster by rmsd")
+    x = [ensemble.at(frame).positions for frame in its]
+    away = _turns(x, fours) if by == "torsions" else ANGSTROM_PER_NM * rmsds([each[atoms] for each in x])
+    labels, middle = grouped(away, WITHIN[by] if within is None else within)
+    table = pd.DataFrame({
+        "frame": numbers, "cluster": labels, "medoid": np.isin(np.arange(len(x)), middle),
+        "distance_to_medoid": away[np.arange(len(x)), middle[labels - 1]],
+    })  # fmt: skip
+    return Clusters(
+        table, tuple(structure.with_positions(x[k]) for k in middle.tolist()),
+        alpha_residues(structure).assign(ca_fluctuation_angstrom=fluctuations([each[alpha] for each in x])),
+    )  # fmt: skip
+
+
+def rmsds(x: Sequence[Floats]) -> Floats:
+    """(m, m) RMSD of all pairs of m sets of points (n, 3), superposed, in their unit."""
+    at = np.array([each - each.mean(axis=0) for each in x])
+    square, found = np.sum(at**2, axis=(1, 2)), np.zeros((len(at), len(at)))
+    for i in range(1, len(at)):
+        covariance = np.einsum("na,mnb->mab", at[i], at[:i])
+        sums = np.linalg.svd(covariance, compute_uv=False)
+        sums[:, 2] *= np.sign(np.linalg.det(covariance))
+        left = square[i] + square[:i] - 2.0 * sums.sum(axis=1)
+        found[i, :i] = found[:i, i] = np.sqrt(np.maximum(left, 0.0) / at.shape[1])
+    return found
+
+
+def grouped(away: Floats, within: float) -> tuple[Integers, Integers]:
+    """Cluster (m,), from 1, the largest first, and medoid of each, by average linkage of distances (m, m)."""
+    m = len(away)
+    tree = linkage(squareform(away, checks=False), "average") if m > 1 else np.empty((0, 4))
+    found = fcluster(tree, within, "distance") if m > 1 else np.ones(1, dtype=np.int64)
+    _, first, counts = np.unique(found, return_index=True, return_counts=True)
+    order = np.lexsort([first, -counts])
+    labels = np.argsort(order)[found - 1] + 1
+    members = [np.flatnonzero(labels == k) for k in range(1, len(order) + 1)]
+    middle = [own[np.argmin(away[np.ix_(own, own)].sum(axis=1))] for own in members]
+    return labels, np.array(middle)
+
+
+def fluctuations(x: list[Floats]) -> Floats:
+    """RMS deviations (n,), angstrom, of m sets of points (n, 3), nm, superposed on their mean."""
+    mean = x[0]
+    for _ in range(_ROUNDS):
+        at = np.array([superpose(each, mean) for each in x])
+        mean = read_only(at.mean(axis=0))
+    return np.asarray(ANGSTROM_PER_NM * np.sqrt(np.mean(np.sum((at - mean) ** 2, axis=2), axis=0)))
+
+
+def _backbone(structure: Structure) -> Integers:
+    """(m, 4) int: atoms of phi and psi."""
+    _, its = finder(structure, ("phi", "psi"))
+    rows = [atoms for r in range(structure.n_residues) for *_, atoms in its(r) if None not in atoms]
+    return np.array(rows, dtype=np.int64).reshape(-1, 4)
+
+
+def _turns(x: list[Floats], fours: Integers) -> Floats:
+    """(m, m) root mean square of the differences of dihedrals, degrees."""
+    q = np.array([dihedrals(each[fours]) for each in x])
+    off = np.zeros((len(q), len(q)))
+    for i in range(len(q)):
+        turn = q - q[i]
+        off[i] = np.sqrt(np.mean((turn - 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))) ** 2, axis=1))
+    return np.degrees(off)

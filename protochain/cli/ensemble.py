@@ -1,0 +1,77 @@
+"""``protochain ensemble``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from protochain.chains.setup import Setup
+from protochain.cli.frames import Chosen, Trajectory
+from protochain.cli.options import AsJson, Input, check_outputs, inputs_of, named_after, with_settings
+from protochain.cli.rows import conclude, print_rows
+from protochain.core.markup import counted
+
+if TYPE_CHECKING:
+    from protochain.batches.ensembles import Clusters
+
+
+@with_settings(setup="hinges root move rigid_protein engine device terms solvent cutoff accuracy threads")
+def ensemble(
+    source: Input,
+    trajectory: Trajectory = None,
+    frames: Chosen = None,
+    by: Annotated[str, typer.Option(help="rmsd or torsions (phi and psi).")] = "rmsd",
+    within: Annotated[
+        float | None, typer.Option(help="Average distance in a cluster [default: 2 angstrom, or 30 degrees].")
+    ] = None,
+    measure: Annotated[str, typer.Option(help="Atoms of the RMSD, a selection.")] = "name CA",
+    after: Annotated[
+        Path | None, typer.Option(help="The same frames after a run: fluctuations before and after.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", help="Medoids, as models [default: NAME.medoids.pdb].")
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(help="CSV to write: cluster of each frame.")] = None,
+    residues: Annotated[Path | None, typer.Option(help="CSV to write: fluctuation of each residue.")] = None,
+    as_json: AsJson = False,
+    *,
+    setup: Setup,
+) -> None:
+    """Cluster the frames of one structure, write the middle one of each, and tell how residues fluctuate."""
+    from protochain.batches.ensembles import cluster_frames
+    from protochain.structure import save
+
+    output = output or Path(f"{named_after(source)[0]}.medoids.pdb")
+    outputs = [output, *(path for path in (csv, residues) if path)]
+    reads = [path for path in (trajectory, after) if path]
+    check_outputs(inputs_of(setup, source, *reads), outputs)
+
+    def read(its: Path | None) -> "Clusters":
+        return cluster_frames(source, its, frames, by=by, within=within, measure=measure, **vars(setup))
+
+    found = read(trajectory)
+    table = found.fluctuations
+    if after:
+        moved = read(after).fluctuations["ca_fluctuation_angstrom"]
+        table = table.assign(ca_fluctuation_after_angstrom=moved)
+    save(found.medoids, output)
+    its = found.table
+    rows = [
+        {
+            "cluster": k + 1, "frames": int((its["cluster"] == k + 1).sum()), "medoid": int(frame),
+            "distance_mean": float(its.loc[its["cluster"] == k + 1, "distance_to_medoid"].mean()),
+            "message": "",
+        }
+        for k, frame in enumerate(its.loc[its["medoid"]].sort_values("cluster")["frame"])
+    ]  # fmt: skip
+
+    def show(rows: list[dict[str, object]]) -> None:
+        unit = "angstrom" if by == "rmsd" else "degrees"
+        headings = ("cluster", "frames", "medoid", f"mean distance, {unit}")
+        print_rows(headings, [[row[key] for key in (*row,)[:4]] for row in rows], texts=0)
+        worst = table.nlargest(3, "ca_fluctuation_angstrom")
+        named = [f"{r.chain}:{r.residue} {r.ca_fluctuation_angstrom:.1f}" for r in worst.itertuples()]
+        print(f"{counted(len(its), 'frame')}; C-alphas that fluctuate most, angstrom: {', '.join(named)}")
+
+    tables = {csv: lambda: its, residues: lambda: table}
+    conclude(rows, tables, show, as_json, [output], input=str(source), by=by)
