@@ -265,7 +265,7 @@ def test_no_modules_import_one_another_in_a_circle():
 def test_tests_lie_in_folders_as_in_the_package_and_share_only_fixtures():
     tests = ROOT / "tests"
     parts = {path.name for path in PACKAGE.iterdir() if path.is_dir()}
-    parts |= {"project", "records", "scenes", "studies"}
+    parts |= {"project", "records", "scenes", "studies", "tasks"}
     for path in tests.rglob("*.py"):
         assert not any(name.startswith(("test_", "conftest")) for name in imports(path)), path
         if path.name.startswith("test_"):
