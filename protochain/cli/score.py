@@ -95,9 +95,8 @@ def score(
 
         if len(interface or ()) > 1:
             raise ProtochainError("frames: give one ", Argument("interface"))
-        return ScoreFrames(
-            setup, interface[0] if interface else None, relax, reference and measurable(reference)
-        )
+        origin = measurable(reference) if reference else None
+        return ScoreFrames(setup, interface[0] if interface else None, relax, origin)
 
     of_frames.run_if_asked(
         context, inputs, trajectory, frames, setup, task, csv, refused="rank residues report",

@@ -218,7 +218,7 @@ def _rubbing(n: int = 64) -> Iterator[Found]:
             for k, rate in enumerate((gear.speed, gear.speed / gear.ratio)):
                 qd[model.bodies.freedom(f"wheel {k}")[1]] = rate
             torques = meshing_of(model).resist(0.0, q, qd, model.start().factors.frames).torques
-            taken.append(-qd @ torques / (gear.torque * gear.speed))
+            taken.append(-qd @ np.asarray(torques) / (gear.torque * gear.speed))
         begin, end = (abs(each) / pair.base_pitch for each in pair.path)
         turns = np.pi * sum(1.0 / teeth for teeth in pair.teeth)
         oracle = FRICTION * turns * (1.0 - begin - end + begin**2 + end**2)
