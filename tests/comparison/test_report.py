@@ -105,7 +105,7 @@ def test_a_colour_is_that_of_its_residue(browser, tmp_path, suffix, monkeypatch)
     alone = np.zeros(s.n_residues)
     alone[6] = 1.0
     made = scene({EVIL: s}, [Colouring(EVIL, {EVIL: alone})], EVIL)
-    (tmp_path / "page.html").write_text(render("viewer.html", **made))
+    (tmp_path / "page.html").write_text(render("viewer.html", alone=True, **made))
     page, said, _ = opened(browser, tmp_path / "page.html")
     page.wait_for_selector("#viewer[data-models='1'] canvas")
     page.select_option("#style", "stick")
