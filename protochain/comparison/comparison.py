@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
+from protochain.comparison import plots
 from protochain.comparison.colourings import colourings
 from protochain.comparison.deviation import deviation
 from protochain.comparison.differences import Differences, joined, of_ends, totals_of
@@ -186,52 +187,38 @@ class Comparison:
 
         In all plots, ``ax`` is where to draw: Axes of matplotlib, as many as panels, or one for the first.
         """
-        from protochain.comparison.plots import plot_energy
-
-        return plot_energy(self.traces, self.structure.name, ax)
+        return plots.plot_energy(self.traces, self.structure.name, ax)
 
     def plot_work_precision(self, ax: Any = None) -> "Figure":
         """Energy above the lowest end with the same degrees of freedom, against evaluations and seconds."""
-        from protochain.comparison.plots import plot_work_precision
-
         groups = {
             "torsions only": [s.method for s in self.solutions if s.keeps_geometry],
             "all atoms free": [s.method for s in self.solutions if not s.keeps_geometry],
         }
-        return plot_work_precision(self.traces, self.work, groups, self.structure.name, ax)
+        return plots.plot_work_precision(self.traces, self.work, groups, self.structure.name, ax)
 
     def plot_torque(self, ax: Any = None) -> "Figure":
         """Largest torque against evaluations and seconds, of runs in torsions."""
-        from protochain.comparison.plots import plot_torque
-
-        return plot_torque(self.traces, self.structure.name, ax)
+        return plots.plot_torque(self.traces, self.structure.name, ax)
 
     def plot_rmsd(self, ax: Any = None) -> "Figure":
         """C-alpha RMSD to the start along each run, and between all ends."""
-        from protochain.comparison.plots import plot_rmsd
-
-        return plot_rmsd(self.traces, self.rmsd, self.structure.name, ax)
+        return plots.plot_rmsd(self.traces, self.rmsd, self.structure.name, ax)
 
     def plot_displacement(self, ax: Any = None) -> "Figure":
         """Displacement of each C-alpha, one line per method."""
-        from protochain.comparison.plots import plot_displacement
-
-        return plot_displacement(self.displacements, self.structure.name, ax)
+        return plots.plot_displacement(self.displacements, self.structure.name, ax)
 
     def plot_differences(self, ax: Any = None) -> "Figure":
         """Change of each residue's torsions, and how far its C-alpha moved, one line per method."""
-        from protochain.comparison.plots import plot_differences
-
         changes = {name: each.residues for name, each in self.differences.items()}
-        return plot_differences(changes, self.structure.name, ax)
+        return plots.plot_differences(changes, self.structure.name, ax)
 
     def plot_ramachandran(self, ax: Any = None) -> "Figure":
         """Ramachandran plots of the start and of every end."""
-        from protochain.comparison.plots import plot_ramachandran
-
         found = {name: ramachandran(end) for name, end in self.ends().items()}
         angles = {name: np.column_stack([its.phi, its.psi]) for name, its in found.items()}
-        return plot_ramachandran(angles, self.structure.name, ax)
+        return plots.plot_ramachandran(angles, self.structure.name, ax)
 
     def summary(self) -> dict[str, Any]:
         """Records, RMSDs, versions and command line, to check or repeat the comparison."""
