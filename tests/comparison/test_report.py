@@ -257,7 +257,7 @@ def test_a_page_is_sound_at_both_widths_light_and_dark(browser, name, inputs, tm
 def test_the_audit_sees_what_is_wrong(browser, tmp_path):
     """Each fault of a page without any is told."""
     faulty = {
-        "scrolls to the side": '<div style="width: 2000px">wide</div>', 
+        "scrolls to the side": '<div style="width: 2000px">wide</div>',
         "contrast": '<p style="color: #999; background: #ccc">pale</p>',
         "cut": '<div style="overflow: hidden; width: 3rem; white-space: nowrap">too long</div>',
         "image without words": '<img src="data:,">', "nameless": "<button></button>",
