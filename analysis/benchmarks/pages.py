@@ -25,7 +25,8 @@ FENCED = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 PAGES = (ROOT / "README.md", *sorted((ROOT / "analysis").rglob("*.md")))
 MARKED = re.compile(r"(<!-- table ([\w-]+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 GUIDES = (
-    "relax", "minimise", "dynamics", "complexes", "search", "structures", "cluster", "files", "python",
+    "ten-minutes", "coming-from", "words", "relax", "minimise", "dynamics", "complexes", "search",
+    "structures", "cluster", "files", "python",
     "commands", "mechanisms", "theory",
 )  # fmt: skip
 """Pages of analysis/docs in the order of the contents; those of measured/ follow, by name."""

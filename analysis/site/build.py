@@ -7,21 +7,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 ROOT = Path(__file__).resolve().parents[2]
-COPIED = "*.md", "pyproject.toml", "LICENSE", "CITATION.cff", "analysis", "structures"
+LINKED = "protochain", "structures", "tests"
 
 
 def build(folder: Path) -> int:
     """Copy what pages are made of, and let Sphinx make them; a warning is an error. Return the status."""
     with TemporaryDirectory() as made:
         source = Path(made) / "protochain"
-        source.mkdir()
-        for each in (path for pattern in COPIED for path in ROOT.glob(pattern)):
-            if each.is_dir():
-                shutil.copytree(
-                    each, source / each.name, ignore=shutil.ignore_patterns("__pycache__", "reference")
-                )
-            else:
-                shutil.copy(each, source / each.name)
+        left_out = shutil.ignore_patterns("__pycache__", "reference")
+        shutil.copytree(ROOT / "analysis", source / "analysis", ignore=left_out)
+        for each in (path for path in ROOT.iterdir() if path.is_file()):
+            shutil.copy(each, source)
+        for name in LINKED:
+            (source / name).symlink_to(ROOT / name)
         command = [sys.executable, "-m", "sphinx", "-q", "-W", "-c", "analysis/site", ".", str(folder)]
         return subprocess.run(command, cwd=source).returncode
 

@@ -48,7 +48,7 @@ def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
         statistics=quartiles.assign(quantity=quartiles["quantity"].map(heading)),
         data=_data(rows, _pages(folder / "pages") if len(table) else set()),
-        judges=[each for each in table["judge"].dropna().unique() if each],
+        judges=[each for each in table["judge"].dropna().unique() if each] if "judge" in table else [],
     )
 
 

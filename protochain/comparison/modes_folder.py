@@ -124,7 +124,6 @@ def write_modes(
         figure=shown,
         colours=COLOURS,
         library=library(),
-        library_at="",
         format=suffix.removeprefix("."),
         models=[text(each) for each in (structure, *ends)],
         amplitude=amplitude,

@@ -36,7 +36,6 @@ def write_scored(
         models=[_model(each, row) for each, row in zip(interfaces[:_MOST], rows, strict=False)],
         full=_FULL,
         library=library(),
-        library_at="",
         command=command_line(),
         forcefield=setup.forcefield,
         solvent=setup.solvent,

@@ -65,7 +65,6 @@ def write_simulated(
         coordinates=[each.astype(int).ravel().tolist() for each in shown],
         times=[round(float(t), 4) for t in times[::skip]],
         library=library(),
-        library_at="",
         run=of_run("openmm", "gemmi", "numpy", "scipy", "numba"),
     )
 

@@ -76,8 +76,7 @@ class Hinge(Named):
     kind: Kind of its motion.
     at, axis (3,): Origin of the child at q = 0, and the hinge's axis, in the parent's axes.
     rotation (3, 3): Axes of the child at q = 0, as columns, in those of the parent; by default the same.
-    q, qd: Coordinate and rate at the start; of a ball a rotation vector, and the angular velocity relative to
-        the parent, axes of the child.
+    q, qd: Coordinate and rate at the start; of a ball a rotation vector, and the child's angular velocity.
     pitch: Slide of a screw per radian.
     """
 

@@ -49,7 +49,7 @@ def _adds(make: Callable[P, Named], doc: str) -> Callable[Concatenate["Mechanism
     own = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
     signature = taken.replace(parameters=[own, *taken.parameters.values()], return_annotation=None)
     method.__signature__ = signature  # type: ignore[attr-defined]  # which functions have
-    method.__doc__ = "\n".join([doc, *(make.__doc__ or "").splitlines()[1:]])
+    method.__doc__ = "\n\n".join([doc, *(make.__doc__ or "").split("\n\n")[1:]])
     return method
 
 

@@ -58,7 +58,6 @@ def scene(
     return {
         "models": models,
         "library": library(),
-        "library_at": "",
         "colours": (START, *(look.colour for look in looks(ends).values())),
         "colourings": stated,
         "chosen": next((k for k, each in enumerate(stated) if each["name"] == chosen), -1),

@@ -77,7 +77,7 @@ function explore(box, { columns, rows, links, by, looks }) {
       if (!counts.has(name)) counts.set(name, new Array(BINS).fill(0));
       counts.get(name)[Math.min(BINS - 1, Math.max(0, Math.floor(BINS * (value - low) / (high - low))))] += 1;
     }
-    const top = Math.max(...[...counts.values()].flat()), part = (value) => `${told(Number(value.toPrecision(3))).replace(/\.?0+$/, "")}`;
+    const top = Math.max(...[...counts.values()].flat()), part = (value) => told(Number(value.toPrecision(3))).replace(/(\.\d*?)0+$/, "$1").replace(/\.$/, "");
     const lines = [...counts].map(([name, own]) => {
       const points = own.flatMap((n, k) => [[10 * k, 60 - 56 * n / top], [10 * k + 10, 60 - 56 * n / top]]);
       return `<polyline fill="none" stroke-width="2" ${looks[name] ?? looks[""]} points="0,60 ${points.map((p) => p.join(",")).join(" ")} 240,60"/>`;
