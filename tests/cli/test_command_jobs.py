@@ -27,7 +27,8 @@ SIMULATE, FIRST, BATCH = (
 def simulated(monkeypatch, tmp_path):
     """What is prepared, minimised and simulated."""
     monkeypatch.chdir(tmp_path)
-    done = SimpleNamespace(record=lambda: {"r": 1.0}, is_sound=True, ending="completed", message="why")
+    done = SimpleNamespace(record=lambda: {"r": 1.0}, is_sound=True, ending="completed", message="why",
+                           trajectory=None)  # fmt: skip
     seen = SimpleNamespace(
         prepared=[], foretold=[], runs=[], shown=[], given=[], checked=[], setups=[], done=done,
         chain=SimpleNamespace(q0="q0", structure="s"), relaxed="converged", troubled=False,
