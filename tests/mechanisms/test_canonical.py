@@ -7,7 +7,6 @@ import pytest
 from fixtures.bending_trees import some, two_links
 from scipy.integrate import solve_ivp
 
-from bench.scenes import run
 from bench.scenes.canonical import by_hand
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import HingeKind
@@ -71,13 +70,3 @@ def test_what_has_no_momenta_is_refused():
     for route in ("articulated", "blocks", "dense"):
         with pytest.raises(MechanicsError, match=r"singular|no inertia"):
             rates_of(empty, bent, np.zeros(4), route)
-
-
-def test_the_scene_is_right():
-    found = run("canonical", quick=True)
-    assert found.wrong == () and len(found.checks) == 8
-    assert [each.name for each in found.extremes if each.verdict == "refused"] == ["a driven hinge"]
-    assert {"accelerations", "momenta, articulated", "momenta, blocks", "momenta, dense"} == set(
-        found.work["method"]
-    )
-    assert set(found.tables["costs"]["links"]) == {3, 30}

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from fixtures.tolerances import DIFFERENCE
 
-from bench.scenes import run
 from bench.scenes.backhoe.checks import Turning
 from bench.scenes.backhoe.machine import CYLINDERS, DESIGNS, hold, posture, vehicle
 from bench.scenes.backhoe.stability import force_angle
@@ -22,15 +21,6 @@ from protochain.mechanisms import Mechanism
 
 SQUARE = np.array([(1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0)])
 DOWN = np.array([0.0, 0.0, -10.0])
-
-
-@pytest.mark.slow
-def test_a_backhoe_is_right():
-    found = run("backhoe", quick=True)
-    assert found.wrong == () and len(found.checks) == 14
-    assert {each.verdict for each in found.extremes} == {"right", "refused"} and len(found.extremes) == 11
-    assert all(each.ratio > 1.0 for each in found.left_out)
-    assert found.tables["designs"]["least_angle_deg"].item() > 0.0
 
 
 @pytest.mark.parametrize(("name", "angle"), [("boom", -0.5), ("stick", 1.7), ("bucket", -2.0)])

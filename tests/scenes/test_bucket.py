@@ -3,18 +3,7 @@
 import numpy as np
 import pytest
 
-from bench.scenes import run
 from bench.scenes.bucket.backhoe import EDGE, backhoe, reach
-
-
-@pytest.mark.slow
-def test_a_bucket_in_soil_is_right():
-    found = run("bucket", quick=True)
-    assert found.wrong == () and len(found.checks) == 9
-    outcomes = {each.verdict for each in found.extremes}
-    assert outcomes == {"right", "refused"} and len(found.extremes) == 17
-    soil = found.tables["soil"]
-    assert soil["work"].iloc[-1] > 0.0 and np.all(np.diff(soil["dissipated"]) >= 0.0)
 
 
 def test_the_edge_goes_where_it_is_sent():

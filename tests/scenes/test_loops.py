@@ -2,15 +2,7 @@
 
 import numpy as np
 
-from bench.scenes import run
 from bench.scenes.loops import by_lagrange, period
-
-
-def test_loops_are_right():
-    found = run("loops", quick=True)
-    assert found.wrong == ()
-    assert {each.verdict for each in found.extremes} == {"right", "refused"}
-    assert len(found.tables["costs"]) == 3
 
 
 def test_the_oracles_are_right_where_they_are_known():
