@@ -142,7 +142,7 @@ _BATCH_TABLES = {
 }
 _BATCH_FILES = ("statistics.csv", "energy.png", "rmsd.png", "seconds.png")
 _STRUCTURE = r"\.(pdb|cif)(\.(gz|bz2|xz|zst))?$"
-_BATCH_MORE = (r"^pages/.+\.html$", _STRUCTURE, r"\.(json|npz)$")
+_BATCH_MORE = (r"^pages/(.+\.html|viewer\.js)$", _STRUCTURE, r"\.(json|npz)$")
 
 
 def _of_batch(columns: Iterable[str], others: Iterable[str]) -> Kinds:
