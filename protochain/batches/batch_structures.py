@@ -13,6 +13,7 @@ from protochain.batches.batch_settings import keep_settings
 from protochain.batches.cluster import Processes, Submitted, Workers, at_work
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, find_jobs, refuse_unknown
 from protochain.batches.table import OF_INTERFACE, SUMMARY, Tables, earlier_rows, read_table
+from protochain.batches.task import Task
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import checked, flag, function, number, path, several
@@ -280,14 +281,14 @@ def _work(
     try:
         while True:
             for job in islice(waiting, max(0, window.size() - len(running))):
-                running.submit(job.into(folder))
+                running.submit(Task(job.anywhere(), folder))
             if not len(running):
                 return False
-            job, future = running.ended()
+            task, future = running.ended()
             if future.cancelled():
                 return True  # The connection to the scheduler is lost.
             with held_interrupts() as interrupts:
-                rows = _rows(future, job)
+                rows = _rows(future, task)
                 tables.append(rows)
             done += 1
             failed += all("output" not in row.record for row in rows)
@@ -335,11 +336,11 @@ class _Window:
         return _AHEAD * max(self.count, 1)
 
 
-def _rows(future: Any, job: Job) -> list[Row]:
+def _rows(future: Any, task: Task) -> list[Row]:
     """Return the rows of a job, or rows with the error of its worker."""
     error = future.exception()
     said = f"no worker finished this structure: {error}"
-    rows: list[Row] = job.lost([], "killed", said, 0.0) if error else future.result()
+    rows: list[Row] = task.lost([], "killed", said, 0.0) if error else future.result()
     return rows
 
 

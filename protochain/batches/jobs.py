@@ -221,23 +221,20 @@ class Job:
         The setup's model is a number, or None for the first.
     key : str
         SHA-256 of the file's content, the settings, and the version of protochain.
-    folder : Path
-        Where its files are written, once it is handed out.
     """
 
     name: str
     path: Path
     settings: BatchSettings
     key: str
-    folder: Path = Path()
 
     @property
     def identity(self) -> tuple[str, str]:
         """Name and key: rows of an earlier file or other settings have another."""
         return self.name, self.key
 
-    def into(self, folder: Path) -> "Job":
-        """The same job for a worker, started in any folder, that writes to this one: files by whole paths."""
+    def anywhere(self) -> "Job":
+        """The same job for a worker, which may have been started in another folder: files by whole paths."""
         setup = self.settings.setup
         files = {str(file): str(file.absolute()) for file in _files(setup)}
         whole = ",".join(files.get(part, part) for part in force_field_parts(setup.forcefield))
@@ -248,14 +245,7 @@ class Job:
         )
         charges = files.get(setup.ligand_charges, setup.ligand_charges)
         moved = {"forcefield": whole, "ligands": ligands, "ligand_charges": charges}
-        settings = self.settings.changed(**moved) if files else self.settings
-        return replace(self, settings=settings, folder=folder)
-
-    def run(self, threads: int) -> "Iterator[Row]":
-        """Minimise or relax it by all methods; write its structures and its page."""
-        from protochain.batches.task import run
-
-        return run(self, self.folder, threads)
+        return replace(self, settings=self.settings.changed(**moved)) if files else self
 
     def lost(self, done: "Sequence[Row]", status: str, message: str, seconds: float) -> "list[Row]":
         """Rows of the methods that were not done when the process ended."""

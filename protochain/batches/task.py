@@ -1,7 +1,7 @@
 """One job of a batch: run all methods, yield rows and traces, write files."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -45,20 +45,31 @@ def thinned(trace: "pd.DataFrame") -> list[dict[str, float]]:
     ]
 
 
-def run(job: Job, folder: Path, threads: int) -> Iterator[Row]:
-    """Minimise or relax a structure by all methods of a job; write its structures and its page."""
-    began = perf_counter()
-    done: list[Row] = []
-    ends: dict[str, tuple[Structure, Structure | None]] = {}
-    try:
-        for row, structure, end in _solve(job, folder, threads):
-            done.append(row)
-            repairs = structure.repairs
-            ends[row.record["method"]] = structure, end
-            yield row
-        write_page(folder, job, done, repairs, ends)
-    except Exception as error:
-        yield from job.lost(done, *reason(error, job.path), perf_counter() - began)
+@dataclass(frozen=True)
+class Task:
+    """Job of a batch, and the folder of its files."""
+
+    job: Job
+    folder: Path
+
+    def run(self, threads: int) -> Iterator[Row]:
+        """Minimise or relax a structure by all methods; write its structures and its page."""
+        job, began = self.job, perf_counter()
+        done: list[Row] = []
+        ends: dict[str, tuple[Structure, Structure | None]] = {}
+        try:
+            for row, structure, end in _solve(job, self.folder, threads):
+                done.append(row)
+                repairs = structure.repairs
+                ends[row.record["method"]] = structure, end
+                yield row
+            write_page(self.folder, job, done, repairs, ends)
+        except Exception as error:
+            yield from job.lost(done, *reason(error, job.path), perf_counter() - began)
+
+    def lost(self, done: Sequence[Row], status: str, message: str, seconds: float) -> list[Row]:
+        """Rows of the methods that were not done when the process ended."""
+        return self.job.lost(done, status, message, seconds)
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:

@@ -132,14 +132,14 @@ def minimise(
                 break
     with beside_structure(output):
         _print(records, as_json, isinstance(setup.model, str))
-    raise typer.Exit(_status(records, len(runs)))
+    raise typer.Exit(_status(records))
 
 
-def _status(records: list[dict[str, Any]], n_runs: int) -> int:
+def _status(records: list[dict[str, Any]]) -> int:
     """Exit status of all runs."""
     lost = any("not_written" in record for record in records)
     done = exit_status(record["status"] for record in records)
-    return UNCONVERGED if done == CONVERGED and (lost or len(records) < n_runs) else done
+    return UNCONVERGED if done == CONVERGED and lost else done
 
 
 def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tuple[Setup, Path]]:

@@ -19,7 +19,7 @@ from protochain.batches.page import write_page
 from protochain.batches.report import write_report
 from protochain.batches.supervise import Child
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables
-from protochain.batches.task import run
+from protochain.batches.task import Task
 from protochain.core.defaults import METHOD
 from protochain.minimisers import record
 
@@ -171,23 +171,23 @@ def test_a_hang_a_death_and_an_odd_file_end_one_job_each(folder, tmp_path, monke
     )
     (short,) = find_jobs([folder / "deep"], BatchSettings(methods=("lbfgs",), max_evaluations=20))
     late = After(lambda child: monkeypatch.setattr(supervise, "perf_counter", lambda: 1e9))
-    rows = late.do(long.into(tmp_path), time_limit=HANG)
+    rows = late.do(Task(long.anywhere(), tmp_path), time_limit=HANG)
     assert [row.record["status"] for row in rows] == ["converged", "time-limit"]
     assert f"{HANG:g} s" in rows[1].record["message"] and not late.is_alive
     monkeypatch.undo()
     dying = After(lambda child: child.process.kill())
-    rows = dying.do(long.into(tmp_path), time_limit=HANG)
+    rows = dying.do(Task(long.anywhere(), tmp_path), time_limit=HANG)
     assert [row.record["status"] for row in rows] == ["converged", "killed"]
     assert "SIGKILL" in rows[-1].record["message"]
     child = Child(threads=1)
-    assert [row.record["status"] for row in child.do(short.into(tmp_path), HANG)] == ["converged"]
+    assert [row.record["status"] for row in child.do(Task(short.anywhere(), tmp_path), HANG)] == ["converged"]
     child.kill()
 
 
 def test_a_child_does_not_outlive_its_worker(folder, tmp_path):
     (long,) = find_jobs([STRUCTURES / "1hel.pdb"], BatchSettings(methods=("kcm",), max_evaluations=10**9))
     child = Child(threads=1)
-    child._send((long.into(tmp_path), 1))
+    child._send((Task(long.anywhere(), tmp_path), 1))
     child.process.stdin.close()
     assert child.process.wait(timeout=HANG) == 0
     child.kill()
@@ -199,7 +199,7 @@ def test_names_are_escaped_on_pages(tmp_path):
     path = tmp_path / f"{EVIL.replace('/', '|')}.pdb"
     path.write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
     (job,) = find_jobs([path], BatchSettings(methods=("lbfgs",), max_evaluations=3))
-    list(run(job, tmp_path, 1))
+    list(Task(job, tmp_path).run(1))
     (page,) = (tmp_path / "pages").iterdir()
     assert "<script>" not in page.read_text() and "&lt;script&gt;" in page.read_text()
 

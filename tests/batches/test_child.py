@@ -71,6 +71,15 @@ def test_a_child_says_that_it_is_ready_and_sends_the_rows_of_each_job(monkeypatc
     assert sent.read() == b""
 
 
+def test_a_child_warms_up_on_three_residues_with_one_thread(monkeypatch):
+    given = []
+    monkeypatch.setattr("protochain.minimisers.minimise", lambda *what, **more: given.append((*what, more)))
+    child._warm_up()
+    ((structure, energy, options),) = given
+    names = structure.residue_name.tolist()
+    assert names == ["GLY", "ALA", "GLY"] and energy.threads == 1 and options == {"max_evaluations": 3}
+
+
 class Pipe:
     """A pipe that notes its end."""
 

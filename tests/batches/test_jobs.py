@@ -395,7 +395,7 @@ def test_a_file_with_several_poses_is_a_job_for_each(tmp_path, monkeypatch):
     jobs = find_jobs(["protein.pdb"], BatchSettings(setup=pc.Setup(ligands=("poses.sdf",))))
     assert [job.name for job in jobs] == ["protein.poses_1", "protein.poses_2"]
     assert [job.settings.setup.ligands for job in jobs] == [(("", f"poses.sdf#{k}"),) for k in (1, 2)]
-    assert jobs[1].into(tmp_path).settings.setup.ligands == (("", f"{tmp_path / 'poses.sdf'}#2"),)
+    assert jobs[1].anywhere().settings.setup.ligands == (("", f"{tmp_path / 'poses.sdf'}#2"),)
     Path("poses.sdf").write_text("one\n$$$$\nmoved\n$$$$\n")
     again = find_jobs(["protein.pdb"], BatchSettings(setup=pc.Setup(ligands=("poses.sdf",))))
     assert {job.key for job in jobs}.isdisjoint(job.key for job in again)
@@ -408,8 +408,8 @@ def test_a_worker_in_another_folder_finds_poses_and_charges(tmp_path, monkeypatc
     (job,) = find_jobs(
         ["x.pdb"], BatchSettings(setup=pc.Setup(ligands=("pose.sdf",), ligand_charges="q.csv"))
     )
-    assert job.into(tmp_path).settings.setup.ligands == (("", str(tmp_path / "pose.sdf")),)
-    assert job.into(tmp_path).settings.setup.ligand_charges == str(tmp_path / "q.csv")
+    assert job.anywhere().settings.setup.ligands == (("", str(tmp_path / "pose.sdf")),)
+    assert job.anywhere().settings.setup.ligand_charges == str(tmp_path / "q.csv")
 
 
 def test_a_link_to_nothing_in_a_folder_is_a_row(here):

@@ -13,9 +13,10 @@ from fixtures.waiting import HANG
 import protochain as pc
 from protochain.batches import batch_structures, cluster
 from protochain.batches.cluster import Processes, Workers, at_work
-from protochain.batches.jobs import BatchSettings, Job, Row, failure
+from protochain.batches.jobs import BatchSettings, Job, Row
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables
+from protochain.batches.task import Task
 
 OWN = version("protochain")
 
@@ -178,7 +179,7 @@ class Ending:
 
     def end(self, number, job, future):
         record = RESULT if number in self.usable else {}
-        rows = [failure(job, method, "budget", "") for method in job.settings.methods]
+        rows = job.lost([], "budget", "", 0.0)
         if number == self.lost_at:
             assert future.cancel()
         elif number in self.failed_at:
@@ -202,7 +203,7 @@ def test_jobs_are_handed_out_a_few_ahead_and_counted_as_they_end(tables, tmp_pat
     todo = jobs_of(6, tmp_path)
     processes = Processes(threads=2, time_limit=9.0)
     assert batch_structures._work(ending.workers, todo, tables, processes, 3, seen.append) is False
-    assert ending.submitted == [(job.into(tmp_path), 2, 9.0) for job in todo] and ending.most == 4
+    assert ending.submitted == [(Task(job.anywhere(), tmp_path), 2, 9.0) for job in todo] and ending.most == 4
     assert [(p.total, p.done, p.failed, p.skipped) for p in seen] == [
         (9, 1, 0, 3), (9, 2, 1, 3), (9, 3, 1, 3), (9, 4, 1, 3), (9, 5, 1, 3), (9, 6, 1, 3),
     ]  # fmt: skip

@@ -52,7 +52,7 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
     shift[alpha] = 0.01 * (s.positions[alpha] - s.positions[alpha].mean(axis=0))
     given.shifts["kcm"] = shift
     job = job_of("kcm", "openmm", "lbfgs", tolerance=2.0, max_evaluations=9, seed=4)
-    first, *others = list(task.run(job, tmp_path, 1))
+    first, *others = list(task.Task(job, tmp_path).run(1))
     assert [call[1] for call in given.calls] == ["openmm", "kcm", "lbfgs"]
     more = {"restraint": "", "max_rmsd": np.inf, "curvature": None, "judge": "auto"}
     more |= {"tolerance": 2.0, "max_evaluations": 9, "seed": 4}
@@ -75,7 +75,7 @@ def test_methods_run_with_the_jobs_settings_openmm_first(given, tmp_path):
 
 def test_a_result_without_a_number_has_a_row_but_no_file(given, tmp_path, monkeypatch):
     monkeypatch.setattr(pc.Solution, "is_usable", False)
-    (row,) = task.run(job_of("cartesian", max_rmsd=7.0, restraint="50 0"), tmp_path, 1)
+    (row,) = task.Task(job_of("cartesian", max_rmsd=7.0, restraint="50 0"), tmp_path).run(1)
     assert given.calls[0][3].items() >= {"restraint": "50 0", "max_rmsd": 7.0, "curvature": None}.items()
     assert "output" not in row.record and [path.name for path in tmp_path.iterdir()] == ["pages"]
     assert row.record["message"] and row.trace[0]["iteration"] == 0
@@ -103,14 +103,14 @@ def test_an_error_is_the_row_of_each_method_that_is_left(error, status, said, tm
     clock = iter([10.0, 11.0, 11.5, 14.0, 99.0])
     monkeypatch.setattr(task, "perf_counter", lambda: next(clock))
     job = job_of("kcm", "lbfgs", "fire")
-    first, *others = task.run(job, tmp_path, 1)
+    first, *others = task.Task(job, tmp_path).run(1)
     assert first.record["method"] == "kcm" and first.record["seconds_preparation"] == 0.5
     assert others == [failure(job, method, status, said, 4.0) for method in ("lbfgs", "fire")]
     assert begun == ["kcm", "lbfgs"]
 
 
 def test_a_file_that_is_missing_is_refused(tmp_path):
-    (row,) = task.run(job_of("lbfgs", path=tmp_path / "none.pdb"), tmp_path, 1)
+    (row,) = task.Task(job_of("lbfgs", path=tmp_path / "none.pdb"), tmp_path).run(1)
     assert row.record["status"] == "refused" and "none.pdb" in row.record["message"] and row.trace == []
 
 

@@ -10,7 +10,7 @@ from fixtures.samples import STRUCTURES, load, shared
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.table import Tables
-from protochain.batches.task import run
+from protochain.batches.task import Task
 
 ATOMS = [line for line in (STRUCTURES / "ala10.pdb").read_text().splitlines(True) if line[:4] == "ATOM"]
 
@@ -160,7 +160,7 @@ def test_a_batch_restrains_and_starts_as_single_runs_do(tmp_path):
         jobs = find_jobs([path], settings.changed(**own))
         tables = Tables(tmp_path / name, resume=False)
         tables.finished(jobs)
-        tables.append(run(jobs[0], tmp_path / name, 1))
+        tables.append(Task(jobs[0], tmp_path / name).run(1))
         tables.close()
         rows[name] = tables.read().iloc[0]
     alone = pc.minimise(load("ala10.pdb"), energy, "lbfgs", max_evaluations=60, restraint=1e5)

@@ -310,3 +310,16 @@ def test_compare_ends_by_its_methods_and_names_those_left_out(ends, status, comp
     said = capsys.readouterr().err
     assert found == status and ("a.pdb" in said) == (status == 1)
     assert all((name in said) == (len(ends) < 2) for name in ["md", "kcm"][len(ends) :])
+
+
+@pytest.mark.parametrize(
+    ("ends", "status"),
+    [
+        (("converged", "converged"), 0), (("converged", "budget"), 3), (("budget", "converged"), 3),
+        (("converged", "interrupted"), 130), (("interrupted",), 130), (("converged", "lost"), 3),
+    ],
+)  # fmt: skip
+def test_models_end_with_0_only_if_all_converged_and_are_written(ends, status):
+    command = importlib.import_module("protochain.cli.minimise")
+    lost = {"status": "converged", "not_written": "no space"}
+    assert command._status([lost if end == "lost" else {"status": end} for end in ends]) == status

@@ -24,7 +24,7 @@ from protochain.batches.jobs import Job
 from protochain.batches.page import SHOWN_RELAXED
 from protochain.batches.table import COLUMNS as OF_MINIMISED
 from protochain.batches.table import RELAXED_COLUMNS as OF_RELAXED
-from protochain.batches.task import run as run_job
+from protochain.batches.task import Task
 from protochain.cli.relaxing import print_relaxed, tell_plan
 from protochain.comparison.relaxed import coloured, write_relaxed
 from protochain.relaxation.record import before_and_after
@@ -236,7 +236,7 @@ def test_what_does_not_fit_a_pdb_file_is_written_as_mmcif(tmp_path):
     long.rename_chain("A", "AB")
     long.make_mmcif_document().write_file(str(tmp_path / "long.pdb"))
     (job,) = find_jobs([tmp_path / "long.pdb"], BatchSettings(("relax",)).changed(solvent="vacuum"))
-    (row,) = run_job(job, tmp_path / "out", 1)
+    (row,) = Task(job, tmp_path / "out").run(1)
     assert row.record["output"] == "long.relaxed.cif"
     assert {*pc.load(tmp_path / "out" / "long.relaxed.cif").residue_chain} == {"AB"}
 
@@ -244,7 +244,7 @@ def test_what_does_not_fit_a_pdb_file_is_written_as_mmcif(tmp_path):
 def test_a_protocols_force_field_is_that_of_relax_alone(tmp_path):
     settings = BatchSettings(("relax", "lbfgs"), max_evaluations=5).changed(protocol="alphafold")
     (job,) = find_jobs([STRUCTURES / "ala10.pdb"], settings)
-    rows = {row.record["method"]: row.record for row in run_job(job, tmp_path, 1)}
+    rows = {row.record["method"]: row.record for row in Task(job, tmp_path).run(1)}
     assert (rows["relax"]["forcefield"], rows["relax"]["solvent"]) == ("amber99sb", "vacuum")
     assert (rows["lbfgs"]["forcefield"], rows["lbfgs"]["solvent"]) == ("amber14", "obc2")
 
@@ -253,9 +253,9 @@ def test_a_worker_elsewhere_finds_the_force_field(tmp_path, here):
     (here / "own.xml").write_text("<ForceField/>")
     settings = BatchSettings(("relax",)).changed(forcefield="amber14,own.xml")
     job = Job("x", tmp_path / "x.pdb", settings, "key")
-    assert job.into(tmp_path).settings.setup.forcefield == f"amber14,{here / 'own.xml'}"
+    assert job.anywhere().settings.setup.forcefield == f"amber14,{here / 'own.xml'}"
     usual = replace(job, settings=BatchSettings(("relax",)))
-    assert usual.into(here) == replace(usual, folder=here)
+    assert usual.anywhere() == usual
 
 
 def test_models_of_a_file_are_several():

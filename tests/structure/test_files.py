@@ -21,7 +21,7 @@ from pdbfixer.pdbfixer import substitutions
 
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs
-from protochain.batches.task import run
+from protochain.batches.task import Task
 from protochain.structure import residues
 from protochain.structure.files import parse
 from protochain.structure.read import model_numbers
@@ -569,7 +569,7 @@ def test_what_is_no_file_is_no_checkpoint(endless):
 def test_what_is_no_file_is_a_row_of_a_batch(endless, tmp_path):
     (tmp_path / "list.csv").write_text("path\nodd.pdb\n")
     (job,) = find_jobs([], BatchSettings(), manifest=tmp_path / "list.csv")
-    (row,) = run(job, tmp_path / "out", 1)
+    (row,) = Task(job, tmp_path / "out").run(1)
     assert row.record["status"] == "refused" and "is not a regular file" in row.record["message"]
 
 
@@ -581,7 +581,7 @@ def test_a_pipe_that_a_shell_has_opened_is_read():
     try:
         assert pc.load(f"/dev/fd/{reads}").fingerprint == load("ala10.pdb").fingerprint
         (job,) = find_jobs([f"/dev/fd/{reads}"], BatchSettings())
-        (row,) = run(job, Path("out"), 1)
+        (row,) = Task(job, Path("out")).run(1)
         assert row.record["status"] == "refused"
     finally:
         os.close(reads)

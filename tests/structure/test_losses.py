@@ -10,7 +10,7 @@ import protochain as pc
 from protochain.batches.batch_structures import _finish
 from protochain.batches.jobs import BatchSettings, find_jobs
 from protochain.batches.table import Tables, read_table
-from protochain.batches.task import run as run_job
+from protochain.batches.task import Task
 from protochain.chains.setup import Setup
 from protochain.cli.relaxing import print_folder
 from protochain.structure.losses import loss_lines
@@ -101,7 +101,7 @@ def test_a_folder_says_it_in_its_last_lines_its_table_its_summary_and_its_pages(
     tables = Tables(folder, False, "relaxed", {"relax"})
     tables.finished(jobs)
     for job in jobs:
-        tables.append(list(run_job(job, folder, 1)))
+        tables.append(list(Task(job, folder).run(1)))
     _finish(tables, jobs)
     tables.close()
     table = read_table(folder / "relaxed.csv")
