@@ -32,14 +32,11 @@ class AnnealingState:
 
 @dataclass(frozen=True)
 class Annealing:
-    """Langevin dynamics of rigid bodies while the temperature falls linearly to zero.
+    """Langevin dynamics of rigid bodies while the temperature falls linearly to zero: at 0 K damped dynamics.
 
-    Simulated annealing: Kirkpatrick, Gelatt, Vecchi, Science 220:671 (1983). At 0 K from rest it is damped
-    dynamics.
+    Source: Kirkpatrick, Gelatt, Vecchi, Science 220:671 (1983).
 
-    temperature K: Initial temperature.
-    n_steps: Number of time steps.
-    friction 1/ps: Of the thermostat.
+    temperature K: Initial; friction 1/ps, of the thermostat.
     time_step ps: Shortened where a freedom would turn by more than ``LONGEST_TURN``.
     seed: Of the random forces and initial velocities.
     """

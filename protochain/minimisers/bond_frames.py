@@ -20,7 +20,7 @@ from protochain.mechanics.multibody.algebra import (
     scale,
     subtract,
     vector,
-)
+)  # fmt: skip
 
 SWEEPS = 4
 """Over all bonds. With one a run takes a tenth more evaluations, with eight no fewer."""
@@ -38,12 +38,8 @@ def legs_of(bonds: Integers, mass: Floats) -> Integers:
     ends = both_ways(bonds)
     atom, other = ends[np.lexsort((ends[:, 1], -mass[ends[:, 1]], ends[:, 0]))].T
     # The last atoms look beyond the end.
-    first, count, other = (
-        np.searchsorted(atom, np.arange(n)),
-        np.bincount(atom, minlength=n),
-        [*other, -1, -1],
-    )
-    near = np.array(other)[first[:, None] + np.arange(2)]
+    first, count = np.searchsorted(atom, np.arange(n)), np.bincount(atom, minlength=n)
+    near = np.array([*other, -1, -1])[first[:, None] + np.arange(2)]
     near[count < 2, 1] = near[count < 1, 0] = -1
     found = np.column_stack([np.arange(n), near])
     found[count == 0] = -1
@@ -62,11 +58,8 @@ def _axes(x: Floats, legs: Integers, i: int) -> tuple[Vector, Vector, Vector]:
         at = vector(x, origin)
         along, aside = subtract(vector(x, first), at), subtract(vector(x, last), at)
         normal = cross(along, aside)
-        length, breadth, area = (
-            np.sqrt(dot(along, along)),
-            np.sqrt(dot(aside, aside)),
-            np.sqrt(dot(normal, normal)),
-        )
+        length, breadth = np.sqrt(dot(along, along)), np.sqrt(dot(aside, aside))
+        area = np.sqrt(dot(normal, normal))
         if length > _SHORT and area > _THIN * length * breadth:
             along, normal = scale(1.0 / length, along), scale(1.0 / area, normal)
             return along, cross(normal, along), normal

@@ -111,11 +111,8 @@ def _pattern(place: Integers, pairs: Integers) -> tuple[Integers, Integers, Inte
         start[i + 1] += start[i]
         first[i + 1] += first[i]
     filled, seen = start[:-1].copy(), np.full(n, -1, np.int64)
-    rows, column, at = (
-        np.empty(start[n], np.int64),
-        np.empty(start[n], np.int64),
-        np.empty(start[n], np.int64),
-    )
+    rows, column = np.empty(start[n], np.int64), np.empty(start[n], np.int64)
+    at = np.empty(start[n], np.int64)
     for i in range(n):
         seen[i], free = i, first[i]
         for m in range(begin[i], begin[i + 1]):
@@ -205,14 +202,9 @@ def _eliminate(
 
 @kernel
 def _solve(
-    place: Integers,
-    start: Integers,
-    rows: Integers,
-    blocks: Floats,
-    inverse: Floats,
-    right: Floats,
+    place: Integers, start: Integers, rows: Integers, blocks: Floats, inverse: Floats, right: Floats,
     x: Floats,
-) -> None:
+) -> None:  # fmt: skip
     """Solve L L^T x = b, from the first column to the last and back."""
     n = len(place)
     y = np.empty((n, 3))

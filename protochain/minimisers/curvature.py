@@ -261,8 +261,7 @@ def soft_solver(
     terms: NearTerms, x: Floats, moving: NDArray[np.bool_], floor: float
 ) -> Callable[[Floats], Floats]:
     """Solver as of :func:`near_solver` with all pairs coupled and another floor, kJ/mol/nm^2."""
-    at = curvature(terms, x, free_wells(terms, x, moving), 0.0)
-    return _solver(at, moving, floor)
+    return _solver(curvature(terms, x, free_wells(terms, x, moving), 0.0), moving, floor)
 
 
 def _solver(at: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:

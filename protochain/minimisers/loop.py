@@ -51,10 +51,8 @@ class Method(Protocol):
 class Snapshot:
     """A run between two iterations, with all that its continuation depends on.
 
-    state: The method's.
     start: First point of the run.
-    lists_at (na, 3): Positions at which the energy's neighbour lists were built: they set the order of its
-        sums.
+    lists_at (na, 3): Where the energy's neighbour lists were built: they set the order of its sums.
     """
 
     state: State

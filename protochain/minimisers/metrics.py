@@ -85,10 +85,8 @@ class Damped(Stiffness):
     """The model of all atoms, damped in proportion to the RMS force: far from a minimum steps are short.
 
     A regularised Newton method (Li, Fukushima, Qi, Yamashita, Comput. Optim. Appl. 28:131, 2004): soft
-    freedoms do not run ahead of stiff ones, so that a start leads to a minimum near it. Near the minimum
-    nothing of the damping is left.
+    freedoms do not run ahead of stiff ones, so that a start leads to a minimum near it.
 
-    refresh_every: Iterations between two computations of the matrix.
     damping 1/nm: Added to the diagonal, times the RMS force.
     """
 

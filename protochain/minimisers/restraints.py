@@ -186,8 +186,7 @@ def tethers_in(restraint: Force | None) -> Floats | None:
 class Hold:
     """Restraints of a minimisation to its start.
 
-    strengths kJ/mol/nm^2: Springs from the heavy atoms to their initial positions, one strength after the
-        other.
+    strengths kJ/mol/nm^2: Springs from the heavy atoms to their initial positions, one after the other.
     max_rmsd angstrom: C-alpha RMSD to the start that may not be exceeded.
     term: Any other restraint: positions (na, 3) in nm to energy and forces.
     listed: Distances, dihedrals and positions.

@@ -84,7 +84,6 @@ class CurvatureState:
     value: The lowest eigenvalue; None while it is sought.
     is_saddle, confirmed, left: Whether it is a saddle point, whether lower points were sought beside it, and
         whether ``at`` is one.
-    most: Products at most.
     """
 
     at: Evaluation

@@ -121,9 +121,7 @@ def of_moving(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
 class Waypoint:
     """State of a walk when it stopped.
 
-    stage: Index in the plan.
-    before: Iterations of the stages before.
-    last: Of the loop.
+    stage: Index in the plan; before: iterations of the stages before.
     at (na, 3): Positions that the stage was fitted to, if it was.
     ended: Name of the ending of the stage before, if there was one.
     """
@@ -141,8 +139,7 @@ class Outcome:
 
     q (n_q,): Coordinates in that space.
     restraint: Of the last stage run.
-    complete: Whether no stage was left out.
-    waypoint: For a checkpoint; None if nothing was computed.
+    complete: Whether no stage was left out; waypoint: for a checkpoint, None if nothing was computed.
     lowest_eigenvalue: Of the Hessian at q, if a stage found it.
     eigenvalue_at_most: What a search that did not end knows of it.
     """

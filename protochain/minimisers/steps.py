@@ -199,17 +199,12 @@ class StrongWolfe:
         length = _searched(height, slope, at.energy, falls)
         if length is None:
             # Against a stiff contact, or on a long lever, the interpolation may fail at too long a step.
-            def lowest() -> float:
-                return min((found.energy for found in tried.values() if found.is_finite), default=np.inf)
-
-            size = np.max(np.abs(direction))
-            nearest = min(tried)
-            while nearest * size > SMALLEST and not lowest() < at.energy:
+            size, nearest, length = np.max(np.abs(direction)), min(tried), min(tried, key=height)
+            while nearest * size > SMALLEST and not height(length) < at.energy:
                 nearest *= 0.1
-                point(nearest)
-            if not lowest() < at.energy:
+                length = min((length, nearest), key=height)
+            if not height(length) < at.energy:
                 return None
-            length = next(key for key, found in tried.items() if found.is_finite and found.energy == lowest())
         return length, tried[length], None
 
 

@@ -41,10 +41,7 @@ def repacked(
 
     Each may stay as it is, or take the dihedrals of a rotamer, turned by up to 12 degrees; bond lengths,
     bond angles and the backbone stay. The choice is the global minimum of the force field's energy between
-    them and with all that stays, softened as is usual for rigid rotamers.
-
-    moving (na,) bool.
-
+    them and with all that stays, softened as is usual for rigid rotamers. moving (na,) bool.
     Rotamers are those of the backbone: Shapovalov, Dunbrack, Structure 19:844 (2011).
     """
     chosen = troubled(structure) if residues is None else _checked(structure, residues)

@@ -218,8 +218,7 @@ def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force
     read = np.array(rows(force, "getNumExceptions", "getExceptionParameters"), dtype=float).reshape(-1, 5)
     pairs = np.sort(read[:, :2].astype(np.int64), axis=1)
     parameters = np.column_stack([_well(*read[:, 3:].T), read[:, 2] * COULOMB])
-    key = [force.getNumParticles(), 1]
-    keys = pairs @ key
+    keys = pairs @ (key := [force.getNumParticles(), 1])
     order = np.argsort(keys)
     for custom in found.get("CustomBondForce", []):
         names = [custom.getPerBondParameterName(i) for i in range(custom.getNumPerBondParameters())]
@@ -233,12 +232,8 @@ def _exceptions(force: openmm.NonbondedForce, found: dict[str, list[openmm.Force
         place = np.searchsorted(keys, own, sorter=order)
         if not np.isin(own, keys).all():
             raise UnsupportedForceError("CustomBondForce between atoms that are no exception")
-        values = np.array([bond[2] for bond in bonds]).T
-        np.add.at(
-            parameters[:, :2],
-            order[place],
-            _well(values[names.index("sigma")], values[names.index("epsilon")]),
-        )
+        sizes = np.array([bond[2] for bond in bonds]).T[[names.index("sigma"), names.index("epsilon")]]
+        np.add.at(parameters[:, :2], order[place], _well(*sizes))
     return Bonded(pairs, parameters)
 
 
