@@ -93,7 +93,7 @@ def cluster_frames(
     Examples
     --------
     >>> s = pc.load("structures/ala10.pdb")
-    >>> pc.cluster_frames(s, s.positions[[None, None]]).table["cluster"].tolist()
+    >>> pc.cluster_frames(s, np.array([s.positions, s.positions])).table["cluster"].tolist()
     [1, 1]
     """
     import pandas as pd

@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from protochain.batches.ensembles import Clusters
 
 
-@with_settings(setup="hinges root move rigid_protein engine device terms solvent cutoff accuracy threads")
+@with_settings(
+    setup="hinges root move rigid_protein engine device terms solvent cutoff accuracy threads "
+    "trust_forcefield"
+)
 def ensemble(
     source: Input,
     trajectory: Trajectory = None,
