@@ -55,7 +55,7 @@ PATHS = {
     "score": f"c.pdb --solvent vacuum {LIGAND}",
     "score several": "c.pdb d.pdb --solvent vacuum",
     "score frames": "m.pdb --frames all --interface B:A --solvent vacuum",
-    "ensemble": "c.pdb --trajectory x.dcd --csv e.csv --residues r.csv",
+    "ensemble": "n.pdb --frames all --csv e.csv --residues r.csv",
     "energy": "c.pdb --solvent vacuum",
     "energy frames": "m.pdb --frames all --solvent vacuum",
     "mutate": "p.pdb A2G --solvent vacuum",
@@ -82,7 +82,7 @@ VALUES = {
     "interface": "A:B", "methods": "lbfgs,newton", "reference": "d.pdb", "to": "q.pdb",
     "csv": "t.csv", "residues": "r.csv", "changes": "ch.csv", "rank": "energy_kj_mol", "by": "residue",
     "between": "A:1-A:5", "align": "name C", "measure": "name N", "temperatures": "310-500", "hours": "1e-9",
-    "within": "1e3", "after": "m.pdb",
+    "within": "1e-3", "after": "m.pdb",
     "thermostat": "none", "integrator": "midpoint", "loops": "closed", "hydrogen_mass": "2",
     "hinge_springs": "phi 40", "temperature": "310", "time_step": "0.5", "friction": "3",
     "amplitude": "2", "evaluations": "400", "workers": "3", "time_limit": "77",
@@ -143,7 +143,9 @@ def made(tmp_path_factory):
     ]
     model = "".join([*one, "TER\n", *other, "TER\n", *ligand])
     (folder / "c.pdb").write_text(f"{model}END\n")
-    (folder / "d.pdb").write_text("".join([*one, "TER\n", *far, "TER\n", *ligand, "END\n"]))
+    apart = "".join([*one, "TER\n", *far, "TER\n", *ligand])
+    (folder / "d.pdb").write_text(f"{apart}END\n")
+    (folder / "n.pdb").write_text(f"MODEL        1\n{model}ENDMDL\nMODEL        2\n{apart}ENDMDL\nEND\n")
     (folder / "m.pdb").write_text("".join(f"MODEL        {n}\n{model}ENDMDL\n" for n in (1, 2)) + "END\n")
     (folder / "e.pdb").write_text(f"REMARK\n{model}END\n")
     (folder / "list.csv").write_text("path\ne.pdb\n")

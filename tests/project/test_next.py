@@ -73,7 +73,7 @@ def test_models_that_overlap_are_to_be_relaxed_first(tmp_path, capsys):
     x[of_b] += 0.5 * (x[~of_b].mean(axis=0) - x[of_b].mean(axis=0))
     pc.save(s.with_positions(x), tmp_path / "crowd.pdb")
     assert run("score", tmp_path / "crowd.pdb") == 3
-    assert "relax first: protochain relax" in capsys.readouterr().err
+    assert "relax first, with --relax" in capsys.readouterr().err
 
 
 def test_an_energy_of_ase_is_one_of_ours():
@@ -89,6 +89,18 @@ def test_an_energy_of_ase_is_one_of_ours():
     r, other = (pc.minimise(chain("ala10.pdb"), each, "lbfgs", max_evaluations=8) for each in (e, own))
     assert r.start.energy == pytest.approx(other.start.energy, rel=1e-9)
     assert r.end.energy < r.start.energy
+
+
+def test_xtb_gives_forces_of_its_energy():
+    ase = pytest.importorskip("tblite.ase")
+    s = pc.from_sequence("A")
+    e = pc.energy_from(ase.TBLite(method="GFN2-xTB", verbosity=0), s)
+    forces, ends = e(s.positions)[1], []
+    for step in (1e-4, -1e-4):
+        x = s.positions.copy()
+        x[4, 1] += step
+        ends.append(e(x)[0])
+    assert -(ends[0] - ends[1]) / 2e-4 == pytest.approx(forces[4, 1], rel=1e-3, abs=1.0)
 
 
 def test_another_potential_of_ase_runs():
