@@ -93,7 +93,7 @@ def test_an_energy_of_ase_is_one_of_ours():
 
 def test_xtb_gives_forces_of_its_energy():
     ase = pytest.importorskip("tblite.ase")
-    s = pc.from_sequence("A")
+    s = pc.from_sequence("GG")
     e = pc.energy_from(ase.TBLite(method="GFN2-xTB", verbosity=0), s)
     forces, ends = e(s.positions)[1], []
     for step in (1e-4, -1e-4):
