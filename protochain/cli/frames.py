@@ -231,7 +231,19 @@ def _medians(done: "FramesRun") -> str:
     )
     named = [name for name in columns if name not in ("violations_start", "violations_end")]
     medians = [f"{heading(name).replace(', ', ' ')} {table[name].median():.4g}" for name in named]
-    return "; ".join([*sums, f"medians: {', '.join(medians)}"])
+    highest = []
+    for name in [name for name in _WORST if name in columns and table[name].nunique() > 1][:1]:
+        rows = pd.read_csv(done.csv, usecols=["frame", name]).nlargest(3, name)
+        frames = ", ".join(f"{row['frame']:.0f} ({row[name]:.4g})" for row in rows.to_dict("records"))
+        highest.append(f"highest {heading(name).replace(', ', ' ')}: frames {frames}")
+    return "; ".join([*sums, f"medians: {', '.join(medians)}", *highest])
+
+
+_WORST = (
+    "violations_end", "violations", "energy_end_reference_kj_mol", "total_kj_mol", "rmsd_angstrom",
+    "energy_kj_mol",
+)  # fmt: skip
+"""What the worst frames are named by: the first of these that differs between frames."""
 
 
 _SHOWN_COLUMNS = (

@@ -82,6 +82,8 @@ def test_other_commands_write_a_row_a_frame(here, capsys):
             False,
             False,
         ]
+    worst = pd.read_csv("e.csv").nlargest(1, "total_kj_mol")["frame"].item()
+    assert f"highest total kJ/mol: frames {worst} (" in capsys.readouterr().out
     structure = load(SMALL)
     x = next(iter(open_frames(here / "x.dcd", 3))).x
     assert pd.read_csv("r2.csv")["rmsd_angstrom"][1] == pytest.approx(

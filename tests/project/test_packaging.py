@@ -41,8 +41,8 @@ def test_the_recipe_renders():
 
 
 def test_extras_are_those_that_are_named():
-    of_devices, of_work = {"cuda12", "cuda13", "hip"}, {"ligands", "pka", "umbrella", "xtb", "robots", "cluster"}
-    named = {*of_devices, *of_work, "notebook", "test", "dev"}
+    of_work = {"ligands", "pka", "umbrella", "xtb", "robots", "cluster"}
+    named = {"cuda12", "cuda13", "hip", *of_work, "notebook", "test", "dev"}
     assert named == {*PROJECT["optional-dependencies"]}
 
 
