@@ -22,7 +22,7 @@ from protochain.cli.minimise import _Frames
 from protochain.comparison.folder import clear
 from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import WriteError
-from protochain.core.storage import claimed, write_atomically
+from protochain.core.storage import claimed, json_text, write_atomically
 from protochain.structure.trajectory import TrajectoryFile
 
 SAMPLE = STRUCTURES / "ala10.pdb"
@@ -356,3 +356,10 @@ def test_settings_of_a_checkpoint_that_are_no_mapping_are_refused(tmp_path):
     np.savez(path, text=np.array(json.dumps({"settings": 1.5, "values": {}})))
     with pytest.raises(pc.ProtochainError, match="is no checkpoint"):
         checkpoint(path, {"task": "x"}, "run").__enter__()
+
+
+def test_what_is_written_as_json_has_no_infinity():
+    values = {"max_rmsd": np.inf, "deep": [{"x": -np.inf}, (np.nan, 1.5)], "path": Path("a"), "n": 3}
+    assert json.loads(json_text(values), parse_constant=pytest.fail) == {
+        "max_rmsd": None, "deep": [{"x": None}, [None, 1.5]], "path": "a", "n": 3,
+    }  # fmt: skip
