@@ -309,7 +309,7 @@ def test_a_table_of_ten_thousand_rows_is_searched_filtered_and_sorted(browser, t
     kept = pd.read_csv(saved.value.path())
     assert len(kept) == 11 and [*kept] == ["structure", "method", "status", "seconds", "seed"]
     assert page.locator(".histograms svg polyline").count() == 2
-    ends = [float(each) for each in page.locator(".histograms svg text").all_inner_texts()[:2]]
+    ends = [float(each) for each in page.locator(".histograms svg text").all_text_contents()[:2]]
     assert ends == pytest.approx([kept["seconds"].min(), kept["seconds"].max()], rel=6e-3)
     assert (
         page.locator(".histograms svg").first.get_attribute("aria-label").startswith("Histogram of seconds")
