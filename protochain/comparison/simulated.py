@@ -117,7 +117,7 @@ def _fluctuations(structure: Structure, frames: list[Structure]) -> Figure:
 
 def _ramachandran(frames: list[Structure], times: Floats) -> Figure:
     """Phi and psi of all frames, coloured by time."""
-    figure, (ax,) = panels(None, 1, (4.8, 3.8))
+    figure, (ax,) = panels(None, 1, (6.0, 3.8))
     found = [ramachandran(each) for each in frames]
     ramachandran_ground(ax)
     points = ax.scatter(
