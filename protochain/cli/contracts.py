@@ -322,7 +322,8 @@ CONTRACTS: Mapping[str, Contract] = {
         (*_names(table.files_of(Path())), *_BATCH_FILES), _BATCH_MORE,
     ),
     "simulate": Contract(
-        (_SIMULATED,), {"log.csv": (_cells(_LOG),)}, ("log.csv", "summary.json", "checkpoint.npz"),
+        (_SIMULATED,), {"log.csv": (_cells(_LOG),)},
+        ("log.csv", "summary.json", "checkpoint.npz", "report.html"),
         (r"^trajectory\.(dcd|xtc)$", r"^last\.(pdb|cif)$"),
     ),
     "modes": Contract(
