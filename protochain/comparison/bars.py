@@ -7,6 +7,7 @@ from time import monotonic
 from weakref import finalize
 
 from protochain.core.arrays import Floats, Watcher
+from protochain.core.checks import at_least, checked, optional
 
 _SHOWN = {
     "energy_kj_mol": "{:.1f} kJ/mol",
@@ -20,13 +21,16 @@ _EVERY = 0.1
 """s between two that are shown."""
 
 
-def progress(title: str = "") -> Watcher:
+@checked(total=optional(at_least(1)))
+def progress(title: str = "", total: int | None = None) -> Watcher:
     """Show a progress bar, with the stage of the run: ``minimise(..., watch=pc.progress("lbfgs"))``.
 
     Parameters
     ----------
     title : str
         Name of the bar. With ``compare(..., watch=pc.progress)``, each run has a bar named after its method.
+    total : int, optional
+        Steps or evaluations that are expected, as ``n_steps`` of a simulation: the time left is shown, too.
 
     Returns
     -------
@@ -34,27 +38,28 @@ def progress(title: str = "") -> Watcher:
         Watcher for :func:`protochain.minimise` and :func:`protochain.simulate`. The bar closes when the
         watcher is no longer referenced.
     """
-    return _Bar(title)
+    return _Bar(title, total)
 
 
 class _Bar:
-    """Watcher of a run; the number of evaluations is not known in advance."""
+    """Watcher of a run."""
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, total: int | None) -> None:
         from rich.console import Console
-        from rich.progress import Progress, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
         from rich.table import Column
 
         # A notebook shows what a terminal is sent, too, if that is one line without colours.
         console = Console(stderr=True, force_terminal=True, force_jupyter=False, color_system=None)
         text = "{task.description}{task.completed:.0f} {task.fields[unit]}{task.fields[now]}"
         line = TextColumn(text, markup=False, table_column=Column(no_wrap=True))
+        left = (TextColumn("left"), TimeRemainingColumn()) if total else ()
         self.bar = Progress(
-            line, TimeElapsedColumn(), console=console, auto_refresh=False,
+            line, TimeElapsedColumn(), *left, console=console, auto_refresh=False,
             redirect_stdout=False, redirect_stderr=False,
         )  # fmt: skip
         self.title = f"{title}: " if title else ""
-        self.task = self.bar.add_task(self.title, total=None, unit="evaluations", now="")
+        self.task = self.bar.add_task(self.title, total=total, unit="evaluations", now="")
         self.shown = 0.0
         self.bar.start()
         finalize(self, self.bar.stop)

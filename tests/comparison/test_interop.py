@@ -130,13 +130,14 @@ def test_a_bar_counts_what_was_done_and_ends(kind, monkeypatch):
         r = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", watch=watch)
         said = f"{r.n_evaluations} evaluations"
     else:
-        watch = pc.progress("motion")
+        watch = pc.progress("motion", total=40)
         pc.simulate(chain("ala10.pdb"), energy("ala10.pdb"), n_steps=40, every=10, watch=watch)
         said = "40 steps"
     del watch
     gc.collect()  # A compiler that ran meanwhile may have kept its callers' frames.
     last = shown.getvalue().split("\r")[-1]
     assert said in last and "\n" in last and ("kJ/mol" in last or " K" in last)
+    assert ("left 0:00:00" in last) == (kind == "simulate")
 
 
 def test_a_bar_names_the_stage(monkeypatch):
