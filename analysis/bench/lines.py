@@ -7,6 +7,8 @@ from matplotlib.axes import Axes
 from protochain.core.palette import looks
 from protochain.results.figures import plain
 
+__all__ = ["draw_lines"]
+
 
 def draw_lines(
     ax: Axes, points: pd.DataFrame, x: str, y: str = "error", by: str = "method", least: float = 0.0

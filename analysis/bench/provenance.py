@@ -8,6 +8,8 @@ from pathlib import Path
 from protochain.core.processors import processors
 from protochain.results.provenance import versions
 
+__all__ = ["commit", "made", "processor"]
+
 
 def made(threads: str, libraries: Sequence[str] = ("openmm", "numpy", "scipy", "numba")) -> dict[str, str]:
     """Machine, threads, versions of the package, of Python and of some libraries, and commit."""

@@ -16,6 +16,7 @@ from distributed import LocalCluster
 from fixtures import models
 from fixtures.command_line import refusal, refusal_as_said, run
 from fixtures.samples import STRUCTURES, load, shared
+from fixtures.texts import explored
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
@@ -188,7 +189,7 @@ def test_a_batch_relaxes_beside_other_methods_as_relax_alone(predictions, cluste
         }
         assert ends == {"report.html", output, of_relax.loc[name, "output"]}
         assert all((here / "out" / end).exists() for end in ends)
-        assert f'href="pages/{name}.html"' in b.report.read_text()
+        assert f"pages/{name}.html" in explored(b.report.read_text())[1]
     points = b.traces.query("structure == 'model.pdb' and method == 'relax'")
     assert points["evaluations"].iloc[-1] <= row["evaluations"] and len(points) > 2
     assert json.loads((here / "out" / "summary.json").read_text())["settings"]["stiffness"] == 2000

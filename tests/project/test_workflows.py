@@ -42,7 +42,7 @@ def test_a_step_is_of_this_version(path):
 )
 def test_folders_of_predictors_are_taken_as_the_page_says(name, tmp_path, monkeypatch):
     page = (WORKFLOWS / "README.md").read_text(encoding="utf-8")
-    patterns = re.findall(r'^protochain relax "(.*)" -o relaxed$', page, re.MULTILINE)
+    patterns = re.findall(r'^protochain relax "(.*)" -o relaxed(?:-boltz)?$', page, re.MULTILINE)
     monkeypatch.chdir(tmp_path)
     (tmp_path / name).parent.mkdir(parents=True)
     pc.save(pc.from_sequence("GAVS"), tmp_path / name)
