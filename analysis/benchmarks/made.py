@@ -171,9 +171,9 @@ CODE = (
 
 def commit() -> str:
     """Commit of the tree, by git."""
-    from bench import provenance
+    from bench.provenance import commit as commit_of
 
-    return provenance.commit(ROOT, *CODE)
+    return commit_of(ROOT, *CODE)
 
 
 def is_of_today(its: str) -> bool:
