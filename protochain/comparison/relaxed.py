@@ -60,7 +60,7 @@ def named_residues(
     s = relaxation.start
     before, after = (_outliers(Found(s, x)) for x in (s.positions, relaxation.x))
     named = {f"New {kind}": [(r, "") for r in sorted(its - before[kind])] for kind, its in after.items()} | {
-        f"Gone {kind}": [(r, "") for r in sorted(before[kind] - its)] for kind, its in after.items()
+        f"Resolved {kind}": [(r, "") for r in sorted(before[kind] - its)] for kind, its in after.items()
     }
     place = {where: r for r, where in enumerate(residue_keys(s).tolist())}
     for each in changes.values():

@@ -5,6 +5,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Iterator
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 
@@ -13,14 +14,20 @@ def versions(*libraries: str) -> dict[str, str]:
     return {name: version(name) for name in ("protochain", *libraries)}
 
 
+def command() -> list[str]:
+    """Words of the command of this process, as they were typed: ``python -m protochain`` names no file."""
+    as_module = Path(sys.argv[0]).parts[-2:] == ("protochain", "__main__.py")
+    return ["python", "-m", "protochain", *sys.argv[1:]] if as_module else sys.argv
+
+
 def command_line() -> str:
     """Command of this process, as a shell takes it."""
-    return shlex.join(sys.argv)
+    return shlex.join(command())
 
 
 def of_run(*libraries: str) -> dict[str, Any]:
     """Command line, Python and versions of this process."""
-    return {"command": sys.argv, "python": platform.python_version(), "versions": versions(*libraries)}
+    return {"command": command(), "python": platform.python_version(), "versions": versions(*libraries)}
 
 
 def remarks(

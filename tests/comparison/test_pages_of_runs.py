@@ -1,0 +1,86 @@
+"""What pages of runs are made of: named residues, averages, fluctuations, figures for papers, commands."""
+
+import re
+import sys
+
+import numpy as np
+import pandas as pd
+import pytest
+from fixtures.command_line import refusal
+from fixtures.samples import load
+from matplotlib.figure import Figure
+
+import protochain as pc
+from protochain.comparison.relaxed import named_residues
+from protochain.comparison.simulated import averages, rmsf
+from protochain.results.figures import write_figure
+from protochain.results.provenance import command_line
+from protochain.validation.findings import Found
+
+
+def test_residues_that_are_named_are_those_whose_outliers_came_and_went():
+    relaxation = pc.relax(load("1l2y.pdb"))
+    before, after = (
+        set(Found(relaxation.start, x).side_chains.outliers.tolist())
+        for x in (relaxation.start.positions, relaxation.x)
+    )
+    named = named_residues(relaxation, {})
+    for what, its in (("Resolved", before - after), ("New", after - before)):
+        places = {place for place, _ in named.get(f"{what} rotamer outliers", ())}
+        assert places == {f"A:{relaxation.start.residue_number[r]}" for r in its}
+    assert before - after  # Else nothing is shown.
+
+
+def test_averages_of_a_log_are_those_of_a_straight_line():
+    time = np.arange(5.0)
+    log = pd.DataFrame({"step": time, "time_ps": time, "temperature_k": 2.0 + 3.0 * time})
+    (row,) = averages(log).to_numpy().tolist()
+    assert row == [
+        row[0],
+        pytest.approx(8.0),
+        pytest.approx(3.0 * np.sqrt(2.0)),
+        2.0,
+        14.0,
+        pytest.approx(3.0),
+    ]
+
+
+def test_a_residue_that_goes_to_and_fro_fluctuates_by_as_much():
+    s = load("ala10.pdb")
+    size = np.linspace(0.0, 0.09, s.n_residues)
+    by = np.outer(size[s.atom_residue], [0.0, 0.6, 0.8])
+    assert rmsf(s, [s.with_positions(s.positions + sign * by) for sign in (1, -1)]) == pytest.approx(
+        10.0 * size
+    )
+
+
+@pytest.mark.parametrize(("suffix", "head"), [(".svg", b"<?xml"), (".pdf", b"%PDF"), (".png", b"\x89PNG")])
+def test_a_figure_has_the_format_of_its_name_and_is_the_same_twice(suffix, head, tmp_path):
+    def draw():
+        figure = Figure()
+        figure.subplots().plot([0, 1], [1, 0])
+        return figure
+
+    written = []
+    for name in "ab":
+        write_figure(tmp_path / f"{name}{suffix}", draw)
+        written.append((tmp_path / f"{name}{suffix}").read_bytes())
+    assert written[0].startswith(head)
+    same = (re.sub(rb'(?:id|href|clip-path)="[^"]*"', b"", each) for each in written)
+    assert len(set(same)) == 1
+
+
+def test_a_figure_of_no_format_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pc.save(load("ala10.pdb"), tmp_path / "a.pdb")
+    assert "ends in .svg, .pdf, .png" in refusal("compare", "a.pdb", "-o", "out", "--figure", "f.doc")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("program", "shown"),
+    [("/x/protochain/__main__.py", "python -m protochain"), ("/x/bin/protochain", "/x/bin/protochain")],
+)
+def test_a_command_is_shown_as_it_was_typed(program, shown, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [program, "relax", "a b.pdb"])
+    assert command_line() == f"{shown} relax 'a b.pdb'"
