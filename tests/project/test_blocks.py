@@ -1,4 +1,4 @@
-"""Code of the pages: each block runs as it stands, after those under its heading, or is marked a sketch."""
+"""Code of the pages: each block runs as it stands, after those before it, or is marked a sketch."""
 
 import gzip
 import os
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from fixtures.frames import models, saved, shaken
 from fixtures.samples import ROOT, STRUCTURES, load
-from fixtures.texts import Block, fenced
+from fixtures.texts import fenced
 from rdkit import Chem
 from rdkit.Chem import AllChem
 
@@ -27,16 +27,21 @@ SYNOPSIS = ROOT / "analysis" / "docs" / "commands.md"
 
 
 def scripts():
-    """Blocks of a page in a language under one heading, joined: as a reader types them."""
+    """Blocks of a page in a language, joined: as a reader types them one after the other in a folder.
+
+    Sections with a slow block are left to the slow tests, which run the whole page.
+    """
     for page in PAGES:
-        joined: dict[tuple[str, str], list[Block]] = {}
-        for block in fenced(page):
-            if block.language in LANGUAGES and block.mark != "sketch":
-                joined.setdefault((block.heading, block.language), []).append(block)
-        for (heading, language), its in joined.items():
-            marks = [pytest.mark.slow] if any(block.mark == "slow" for block in its) else []
-            name = f"{page.relative_to(ROOT)}-{heading}-{language}"
-            yield pytest.param(language, "\n".join(block.text for block in its), id=name, marks=marks)
+        for language in sorted(LANGUAGES):
+            its = [each for each in fenced(page) if each.language == language and each.mark != "sketch"]
+            slow = {each.heading for each in its if each.mark == "slow"}
+            quick = [each for each in its if each.heading not in slow]
+            name = f"{page.relative_to(ROOT)}-{language}"
+            if quick:
+                yield pytest.param(language, "\n".join(each.text for each in quick), id=name)
+            if slow:
+                text = "\n".join(each.text for each in its)
+                yield pytest.param(language, text, id=f"{name}-slow", marks=pytest.mark.slow)
 
 
 @pytest.fixture(scope="module")
