@@ -6,6 +6,7 @@ makes the pages in DIR by the commands below, leaves those there already as they
 ``DIR/looks/NAME-WIDTH-SCHEME.png`` by Chromium. It ends with status 1 if a page fails the audit.
 """
 
+import argparse
 import os
 import shlex
 import subprocess
@@ -182,6 +183,8 @@ def main(folder: Path, names: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) < 2 or not set(sys.argv[2:]) <= set(PAGES):
-        raise SystemExit(f"{__doc__}\nNAME: {', '.join(PAGES)}")
-    raise SystemExit(main(Path(sys.argv[1]).resolve(), sys.argv[2:]))
+    own = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    own.add_argument("folder", type=Path, metavar="DIR")
+    own.add_argument("names", nargs="*", metavar="NAME", choices=[*PAGES, []], help=", ".join(PAGES))
+    asked = own.parse_args()
+    raise SystemExit(main(asked.folder.resolve(), asked.names))
