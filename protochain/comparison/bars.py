@@ -22,7 +22,7 @@ _EVERY = 0.1
 
 
 @checked(total=optional(at_least(1)))
-def progress(title: str = "", total: int | None = None) -> Watcher:
+def progress(title: str = "", *, total: int | None = None) -> Watcher:
     """Show a progress bar, with the stage of the run: ``minimise(..., watch=pc.progress("lbfgs"))``.
 
     Parameters
