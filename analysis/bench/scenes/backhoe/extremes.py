@@ -176,7 +176,7 @@ def limits(quick: bool) -> Iterator[Found]:
             label = f"rough slope, {off:+g} degrees from the one that tips it"
             yield judged(label, partial(_tips_on_slope, off))
         yield judged("a track climbs 10 degrees", partial(_climbs, 10.0, 0.8))
-    yield judged("ground 100 times as stiff", partial(_stiff, 100.0, 1e-3, 0.05))
+    yield judged("ground 100 times as stiff", partial(_stiff, 100.0, 5e-4, 0.05))
     yield judged("ground 1000 times as stiff", partial(_stiff, 1e3, 1e-3, 0.05), Fault.STEP)
     yield judged("no soil", _without_soil)
     yield judged("the bucket is driven into the floor", _crushed, Fault.OVERLAP)
