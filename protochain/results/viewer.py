@@ -74,7 +74,7 @@ def residue_keys(structure: Structure) -> NDArray[np.str_]:
 def _residues(structure: Structure, suffix: str) -> list[str]:
     """Chain, number and insertion code of each residue, as the viewer reads them; of mmCIF it reads no codes.
 
-    Residues that only these tell apart have no name then, rather than the colour of another.
+    Residues that only these distinguish have no name then, rather than the colour of another.
     """
     chain, number = structure.residue_chain, structure.residue_number
     if suffix == ".pdb":
@@ -88,7 +88,7 @@ DISPLACEMENT = "displacement, angstrom"
 _FULL_RED = 2.0
 """Angstrom of displacement from which on the colour is the same; less where little moved as far."""
 _MOST = 0.98
-"""Share of the values that the colours tell apart: a side chain that turned must not leave others grey."""
+"""Share of the values that the colours distinguish: a side chain that turned must not leave others grey."""
 
 
 def _of_atoms(structure: Structure, away: Mapping[str, Floats]) -> dict[str, Any]:

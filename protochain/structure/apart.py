@@ -98,7 +98,7 @@ _HYDROGENS = {"ACE": ("HY",), "NME": ("HT", "HNT"), "NH2": ("HT",)}
 
 
 def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
-    """Refuse chains that lie upon others, as models that no MODEL record tells apart."""
+    """Refuse chains that lie upon others, as models that no MODEL record separates."""
     owner = [k for k, chain in enumerate(chains) for residue in chain if _is_amino(residue)]
     x = [r.get_ca().pos.tolist() for chain in chains for r in chain if _is_amino(r)]
     close = KDTree(x).query_pairs(_UPON, output_type="ndarray") if x else np.empty((0, 2), dtype=int)

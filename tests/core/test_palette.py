@@ -1,4 +1,4 @@
-"""Colours of methods: told apart by the colour-blind, seen on white and on dark, the same on every page."""
+"""Colours of methods: distinct to the colour-blind, seen on white and on dark, the same on every page."""
 
 import itertools
 
