@@ -51,7 +51,7 @@ html_css_files = ["site.css"]
 PACKAGES = (
     "batches", "comparison", "mechanics.motion", "mechanics.multibody", "dynamics", "energies",
     "ligands", "mechanisms", "mechanisms.flexible", "mechanisms.impacts", "minimisers", "relaxation",
-    "results", "searching", "structure", "validation",
+    "searching", "structure", "validation",
 )  # fmt: skip
 """Of the reference, beside what ``import protochain`` has: a page each. A name is on its first page."""
 

@@ -1,15 +1,24 @@
 """The site: it is built without a warning, holds every public name, and is read on a phone."""
 
+import ast
 import re
 import subprocess
 import sys
+from importlib import import_module
 
 import pytest
 from fixtures.public_names import PUBLIC
 from fixtures.samples import ROOT
 
 InventoryFile = pytest.importorskip("sphinx.util.inventory").InventoryFile
-pytestmark = pytest.mark.slow
+
+
+def test_a_package_of_the_reference_lists_its_names():
+    """Without a build, so that the fast tests notice it: a package without them ends the build."""
+    tree = ast.parse((ROOT / "analysis/site/conf.py").read_text())
+    named = {ast.unparse(node.targets[0]): node.value for node in tree.body if isinstance(node, ast.Assign)}
+    for package in ast.literal_eval(named["PACKAGES"]):
+        assert import_module(f"protochain.{package}").__all__, package
 
 
 @pytest.fixture(scope="module")
@@ -22,6 +31,7 @@ def site(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_the_reference_holds_every_public_name(site):
     inventory = InventoryFile.loads((site / "objects.inv").read_bytes(), uri="")
     shown = {name for kind, entries in inventory.data.items() if kind.startswith("py:") for name in entries}
@@ -30,6 +40,7 @@ def test_the_reference_holds_every_public_name(site):
     assert {name for name in PUBLIC if name.count(".") == 1} <= shown
 
 
+@pytest.mark.slow
 def test_pages_name_no_place_of_this_machine_and_no_markup(site):
     pages = list(site.rglob("*.html"))
     assert len(pages) > 50
@@ -39,6 +50,7 @@ def test_pages_name_no_place_of_this_machine_and_no_markup(site):
         assert ":func:" not in text and ":class:" not in text, page
 
 
+@pytest.mark.slow
 def test_no_page_is_wider_than_a_phone_and_all_are_dark_where_one_asks(site, browser):
     page = browser.new_page(viewport={"width": 390, "height": 300})
     for path in (site / "analysis").rglob("*.html"):
