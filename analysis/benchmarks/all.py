@@ -146,9 +146,7 @@ KCM_RUNS = "analysis/results/kcm_runs.csv analysis/results/kcm_traces.csv"
 JOBS = (
     Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling mechanics_steps"),
     Job("engines", f"{HERE}/engines.py energies -o DIR", 6),
-    Job("engines-cutoff", f"{HERE}/engines.py cutoff -o DIR", 4),
     Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 30, threads=1),
-    Job("engines-openings", f"{HERE}/engines.py openings -o DIR", 2, threads=1),
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
     Job("device", f"{HERE}/device.py -o DIR", 3),
     Job("large", f"{HERE}/large.py -o DIR", 10, writes="large large_exponents"),
@@ -166,7 +164,6 @@ JOBS = (
     Job("guide", f"{HERE}/guide.py -o DIR", 1),
     Job("startup", f"{HERE}/startup.py --install -o DIR", 6, writes="startup startup_parts"),
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
-    Job("files-closures", f"{HERE}/files.py closures --more MORE -o DIR", 5),
     Job("kinds", f"{HERE}/kinds.py -o DIR", 15),
     Job("fuzz", f"{HERE}/fuzz.py -o DIR", 20),
     Job("race", f"{HERE}/race.py {HELD} --custom 450 -o DIR", 12, writes="race_gbsa race_obc2 race_vacuum"),
@@ -238,7 +235,6 @@ JOBS = (
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),
     Job("dynamics-cost", f"{HERE}/dynamics.py cost --more MORE -o DIR", 2),
     Job("dynamics-speed", f"{HERE}/dynamics.py speed --more MORE -o DIR", 8),
-    Job("dynamics-tree", f"{HERE}/dynamics.py tree --more MORE -o DIR", 5),
     Job("dipeptide", f"{HERE}/dipeptide.py --kept KEPT -o DIR", 10, continues=True),
     Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4, writes="batch batch_costs"),
     Job(

@@ -2,7 +2,7 @@
 
     python analysis/benchmarks/dynamics.py [STUDY ...] [-o DIR] [--quick] [--more FOLDER]
 
-STUDY is any of energy, steps, cost, speed, tree (all by default). Each prints a table; with -o they are
+STUDY is any of energy, steps, cost, speed (all by default). Each prints a table; with -o they are
 written, as dynamics_STUDY.csv, and drawn where a picture says more. The largest structure, 1ake_A.pdb, comes
 from --more.
 """
@@ -214,30 +214,6 @@ def speed(options: argparse.Namespace) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def by_tree(options: argparse.Namespace) -> pd.DataFrame:
-    """10 ps at constant energy from one start: far pairs by a tree, and all pairs one by one."""
-    structure = pc.load(SAMPLES / "1l2y.pdb" if options.quick else options.more / LARGEST)
-    chain = pc.build_chain(structure)
-    ps, rows, tree = 0.1 if options.quick else 10.0, [], 1e-3
-    energies = [pc.energy(structure, accuracy=accuracy, threads=THREADS) for accuracy in (tree, "exact")]
-    q = pc.minimise(chain, energies[0], "lbfgs", 10.0, max_evaluations=300).q
-    warm = pc.simulate(chain, energies[0], q, n_steps=round(25 * ps), friction=10.0, seed=1)
-    for accuracy, energy in zip((tree, "exact"), energies, strict=True):
-        m = pc.simulate(
-            warm.chain, energy, warm.q, time_step=0.004, n_steps=round(250 * ps), thermostat="none", every=5,
-            seed=2,
-        )  # fmt: skip
-        rows.append(
-            {
-                "structure": structure.name, "atoms": structure.n_atoms, "accuracy": accuracy,
-                "time_ps": ps, "status": str(m.ending), "error_kj_mol": m.trace["total_kj_mol"].std(),
-                "drift_kj_mol_ps_100_atoms": m.drift,
-            }
-        )  # fmt: skip
-        print(rows[-1], flush=True)
-    return pd.DataFrame(rows)
-
-
 def draw(table: pd.DataFrame, path: Path) -> None:
     """Energy error against time step and against cost."""
     figure, axes = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained", sharey=True)
@@ -257,7 +233,7 @@ def sizes(samples: tuple[str, ...], options: argparse.Namespace) -> list[Path]:
     return files[:1] if options.quick else files
 
 
-STUDIES = {"energy": energy_error, "steps": largest_steps, "cost": cost, "speed": speed, "tree": by_tree}
+STUDIES = {"energy": energy_error, "steps": largest_steps, "cost": cost, "speed": speed}
 
 
 def parser() -> argparse.ArgumentParser:

@@ -3,16 +3,14 @@
     python analysis/benchmarks/engines.py [STUDY ...] [-o DIR] [--quick] [--threads N]
 
 Medians of calls taken in turn in one process, and their ratios; OpenMM's implicit solvents as its force field
-builds them (CustomGBForce), OBC2 also as GBSAOBCForce. STUDY is any of energies, that comparison; cutoff, at
-growing sizes (copies of ubiquitin side by side); accuracy, error against seconds of a processor by trees and
-cutoffs, at growing sizes; openings, by what a tree counts as far and the order of its expansions; and moving,
-what leaving out constant terms saves, and what the chain's sweeps add (all by default).
+builds them (CustomGBForce), OBC2 also as GBSAOBCForce. STUDY is any of energies, that comparison; accuracy,
+error against seconds of a processor by trees and cutoffs, at growing sizes (copies of ubiquitin side by
+side); and moving, what leaving out constant terms saves, and what the chain's sweeps add (all by default).
 """
 
 import argparse
 from collections.abc import Callable, Iterator
 from functools import partial
-from itertools import cycle
 from time import perf_counter, process_time
 
 import made
@@ -27,7 +25,7 @@ from tables import SOLVENTS
 
 import protochain as pc
 from bench import in_turn
-from protochain.energies import Energy, NativeEnergy, Opening, OpenMMEnergy
+from protochain.energies import Energy, NativeEnergy, OpenMMEnergy
 
 DEFAULT = ("1l2y", "4pti", "1ubq", "1hel")
 COPIES = 4
@@ -116,23 +114,6 @@ def energies(threads: int, quick: bool) -> Iterator[dict[str, object]]:
         yield from against_openmm(*several, f"{COPIES} x 1ubq", threads, 1.5)
 
 
-def with_cutoff(threads: int, quick: bool) -> Iterator[dict[str, object]]:
-    """Time for each atom at growing sizes."""
-    s = pc.load(SAMPLES / "1ubq.pdb")
-    seconds = 0.2 if quick else 3.0
-    for n in (2,) if quick else (2, 4, 8, 16, 41):
-        topology, x = copies(s, n)
-        vacuum, obc2 = (
-            NativeEnergy(OpenMMEnergy(system(topology, solvent, CUTOFF)), threads)
-            for solvent in (None, "obc2")
-        )
-        # Everything moved by 1 nm and back: no list holds.
-        there_and_back = cycle([x, x + 1.0])
-        ms = medians({"vacuum": partial(vacuum, x), "obc2": partial(obc2, x)}, seconds)
-        ms |= medians({"anew": lambda e=obc2, moved=there_and_back: e(next(moved))}, seconds)
-        yield {"atoms": len(x)} | {f"{name}_us_an_atom": 1e3 * taken / len(x) for name, taken in ms.items()}
-
-
 ACCURACIES = (1e-2, 1e-3, 1e-4)
 """kJ/mol/nm, RMS error of the forces asked of a tree."""
 CUTOFFS = (1.0, 2.0, 3.0)
@@ -165,24 +146,6 @@ def by_accuracy(threads: int, quick: bool) -> Iterator[dict[str, object]]:
                 yield against.row(solvent, f"cutoff {cutoff:g} nm", cut)
                 if n <= 16 and solvent != "gbn2" and cutoff == CUTOFFS[1]:
                     yield against.row(solvent, f"OpenMM CPU, cutoff {cutoff:g} nm", cut.by_openmm)
-
-
-ANGLES = (0.35, 0.5, 0.65)
-ORDERS = (4, 6, 8, 10)
-
-
-def by_opening(threads: int, quick: bool) -> Iterator[dict[str, object]]:
-    """Error against seconds of a processor, on one thread, by opening angle and order of the expansions."""
-    s = pc.load(SAMPLES / "1ubq.pdb")
-    for n in (3,) if quick else (4, 16):
-        topology, x = copies(s, n)
-        for solvent in ("obc2",) if quick else ("obc2", "vacuum"):
-            exact, _ = in_solvent(topology, solvent)
-            against = Against(exact, x)
-            for angle in ANGLES[1:2] if quick else ANGLES:
-                for order in ORDERS[:2] if quick else ORDERS:
-                    tree = exact.by_tree(Opening(angle, order))
-                    yield {"angle": angle, "order": order} | against.row(solvent, "tree", tree)
 
 
 def in_solvent(topology: app.Topology, solvent: str) -> tuple[NativeEnergy, Callable[[float], NativeEnergy]]:
@@ -300,9 +263,7 @@ def torques(c: pc.Chain, f: np.ndarray) -> np.ndarray:
 
 STUDIES = {
     "energies": ("engines", energies),
-    "cutoff": ("engines_cutoff", with_cutoff),
     "accuracy": ("engines_accuracy", by_accuracy),
-    "openings": ("engines_openings", by_opening),
     "moving": ("engines_moving", left_out),
 }
 
@@ -329,7 +290,7 @@ def main() -> None:
                 options.output.mkdir(parents=True, exist_ok=True)
                 curves(table).savefig(options.output / f"{name}.png", dpi=110)
             of = table["structure"].unique() if "structure" in table else ["copies of 1ubq"]
-            threads = 1 if measure in (by_accuracy, by_opening) else options.threads
+            threads = 1 if measure is by_accuracy else options.threads
             made.write(table, options.output / f"{name}.csv", of, threads)
 
 

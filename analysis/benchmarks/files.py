@@ -1,8 +1,8 @@
-"""Files of all kinds: what each is taken as and how long that takes; closures of rings and bridges.
+"""Files of all kinds: what each is read as, and how long that takes.
 
     python analysis/benchmarks/files.py [STUDY ...] [-o DIR] [--quick] [--more FOLDER]
 
-STUDY is any of table, speed, closures (all by default). Each prints a table; with -o they are written too, as
+STUDY is table or speed (both by default). Each prints a table; with -o they are written too, as
 files_STUDY.csv. Files are those of --more; with --quick, samples.
 """
 
@@ -22,13 +22,7 @@ from pdbfixer import PDBFixer
 
 import protochain as pc
 
-CLOSED = (
-    "1ejg_crambin.pdb", "3i40_insulin.pdb", "1v6p_cobrotoxin_amber.pdb", "5vav_cyclic.pdb",
-    "1a1p_compstatin.pdb",
-)  # fmt: skip
 MEASURED = ("4pti_bpti.pdb", "1ubq_ubiquitin.pdb", "1hel_lysozyme.pdb", "1ake_A.pdb", "4jsv_2750.pdb")
-METHODS = ("kcm", "lbfgs", "md", "hybrid", "openmm")
-BUDGET = 3000
 
 
 def table(options: argparse.Namespace) -> pd.DataFrame:
@@ -89,31 +83,7 @@ def _by_openmm(path: Path) -> None:
     modeller.addHydrogens(app.ForceField("amber14/protein.ff14SB.xml"), pH=7.0, platform=platform)
 
 
-def closures(options: argparse.Namespace) -> pd.DataFrame:
-    """Lengths of the bonds that close loops, before and after each method, OBC2."""
-    rows = []
-    for name in ("1ejg.pdb",) if options.quick else CLOSED:
-        s = pc.load(options.more / name)
-        chain, energy = pc.build_chain(s), pc.energy(s)
-        first, second = chain.loops.T
-        row: dict[str, object] = {
-            "structure": s.name,
-            "loops": len(chain.loops),
-            **_lengths("start", s.positions, first, second),
-        }
-        for method in METHODS:
-            r = pc.minimise(chain, energy, method, 1.0, 100 if options.quick else BUDGET)
-            row |= _lengths(method, r.x, first, second)
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
-def _lengths(name: str, x: np.ndarray, first: np.ndarray, second: np.ndarray) -> dict[str, float]:
-    lengths = 10.0 * np.linalg.norm(x[first] - x[second], axis=1)
-    return {f"{name}_shortest_angstrom": lengths.min(), f"{name}_longest_angstrom": lengths.max()}
-
-
-STUDIES = {"table": table, "speed": speed, "closures": closures}
+STUDIES = {"table": table, "speed": speed}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -121,10 +91,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main() -> None:
-    named = {"speed": MEASURED, "closures": CLOSED}
     options = parser().parse_args()
     options.more = SAMPLES if options.quick else options.more
-    made.study(options, STUDIES, "files", lambda name, _: named.get(name, ()))
+    made.study(options, STUDIES, "files", lambda name, _: MEASURED if name == "speed" else ())
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ FILES, OPTIONS = 5000, 2000
 
 
 def counted(ended: list[judge.Outcome]) -> pd.DataFrame:
-    """A row a kind: how many, taken, refused, and at fault."""
+    """A row a kind: how many, taken, refused, and at fault; the longest and the largest process."""
     rows = []
     for kind in dict.fromkeys(each.kind for each in ended):
         own = [each for each in ended if each.kind == kind]
@@ -36,6 +36,8 @@ def counted(ended: list[judge.Outcome]) -> pd.DataFrame:
             {
                 "kind": kind, "files": len(own), "taken": len(own) - refused - len(wrong),
                 "refused": refused, "faults": len(wrong),
+                "seconds": round(max(each.seconds for each in own), 1),
+                "megabytes": round(max(each.megabytes for each in own)),
                 "what": "; ".join(f"{n} {name}" for name, n in what.most_common()),
             }
         )  # fmt: skip

@@ -32,13 +32,6 @@ table_of_rows(
     ("drift below 0.01", "{quiet_fs} fs"), ("stable", "{stable_fs} fs"),
 )  # fmt: skip
 table_of_rows(
-    "dynamics-tree", "dynamics_tree.csv",
-    ("structure", "{structure}"), ("atoms", "{atoms}"),
-    ("far pairs", lambda r: "one by one" if r["accuracy"] == "exact" else f"tree, {r['accuracy']}"),
-    ("over ps", "{time_ps:g}"), ("error kJ/mol", "{error_kj_mol:.2g}"),
-    ("drift kJ/mol/ps per 100 atoms", "{drift_kj_mol_ps_100_atoms:.1e}"),
-)  # fmt: skip
-table_of_rows(
     "dynamics-cost", "dynamics_cost.csv",
     ("structure", "{structure}"), ("atoms", "{atoms}"), ("hinges", "{hinges}"),
     ("energy and torques", "{energy_and_torques_ms:.2f}"), ("rest of the step", "{rest_ms:.2f}"),

@@ -15,11 +15,6 @@ table_of_rows(
     ("OpenMM CPU ms", "{openmm_ms:.2f}"), ("native ms", "{native_ms:.2f}"), ("ratio", ratio_of("ratio")),
     ("ns per pair", "{ns_a_pair:.2f}"), ("times the lower bound", "{times_the_floor:.1f}"),
 )  # fmt: skip
-table_of_rows(
-    "engines-cutoff", "engines_cutoff.csv",
-    ("atoms", "{atoms:.0f}"), ("cutoff 1.0 nm, vacuum: us per atom", "{vacuum_us_an_atom:.2f}"),
-    ("OBC2: us per atom", "{obc2_us_an_atom:.2f}"), ("OBC2, new lists", "{anew_us_an_atom:.2f}"),
-)  # fmt: skip
 ERRORS: tuple[tuple[str, Cell], ...] = (
     ("ms of a processor", "{processor_ms:.1f}"), ("of all pairs", "{of_all_pairs:.2f}"),
     ("force off kJ/mol/nm", "{rms_force_off_kj_mol_nm:.1e}"),
@@ -29,11 +24,6 @@ table_of_rows(
     "engines-accuracy", "engines_accuracy.csv",
     ("atoms", "{atoms}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("by", "{by}"),
     *ERRORS,
-)  # fmt: skip
-table_of_rows(
-    "engines-openings", "engines_openings.csv",
-    ("atoms", "{atoms}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]), ("angle", "{angle:g}"),
-    ("order", "{order}"), *ERRORS,
 )  # fmt: skip
 table_of_rows(
     "device", "device.csv",

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from tables import Cell, markdown, of_rows, paragraph, table, table_of_rows
+from tables import markdown, of_rows, paragraph, table, table_of_rows
 
 table_of_rows(
     "files-speed", "files_speed.csv",
@@ -11,23 +11,6 @@ table_of_rows(
     ("PDBFixer and addHydrogens", "{openmm_seconds:.2f}"),
 )  # fmt: skip
 
-
-def _lengths(name: str) -> Cell:
-    """Column of ranges of bond lengths."""
-
-    def shown(row: pd.Series) -> str:
-        low, high = (f"{row[f'{name}_{which}_angstrom']:.3f}" for which in ("shortest", "longest"))
-        return low if low == high else f"{low} to {high}"
-
-    return shown
-
-
-table_of_rows(
-    "files-closures", "files_closures.csv",
-    ("structure", lambda r: r["structure"].replace("_", ", ")), ("loops", "{loops}"),
-    ("start", _lengths("start")),
-    *((f"`{name}`", _lengths(name)) for name in ("kcm", "lbfgs", "md", "hybrid", "openmm")),
-)  # fmt: skip
 
 EQUAL = 1e-6
 """Relative difference of energies that count as equal."""
