@@ -625,3 +625,13 @@ def test_ions_whose_waters_are_left_out_stay_in_place():
                 assert np.linalg.norm(np.subtract(*r.x[list(tie.atoms)])) == pytest.approx(
                     tie.rest, abs=SITE_NM
                 )
+
+
+def test_a_carbonyl_missing_at_a_kept_cap_is_added_and_the_bond_is_an_amides(tmp_path):
+    text = shared("1grm_gramicidin.pdb").read_text()
+    lines = [line for line in text.splitlines(keepends=True) if line[12:26] != " O   TRP A  15"]
+    (tmp_path / "cut.pdb").write_text("".join(lines))
+    whole, cut = pc.load(shared("1grm_gramicidin.pdb")), pc.load(tmp_path / "cut.pdb")
+    assert cut.n_atoms == whole.n_atoms
+    pc.save(cut, tmp_path / "again.cif")
+    assert pc.load(tmp_path / "again.cif").n_atoms == whole.n_atoms
