@@ -77,7 +77,7 @@ class Graph:
         marked = sorted((x for x in groups if groups[x].keys() <= {*flagged}), key=lambda x: self.order(a, x))
         at = [x for x in groups if groups[x].keys() <= {*absent} and (x in marked or len(groups[x]) == 1)]
         at = at or marked[:1]
-        if len(at) > 1 and self.atoms[a][0] == _C:  # A carbonyl beside what leaves has not left: it is missing.
+        if len(at) > 1 and self.atoms[a][0] == _C:  # A carbonyl has not left, too: it is missing.
             at = [x for x in at if self.atoms[x][0] != _O or self.order(a, x) == 1]
         for x in at:  # Of an acid a hydroxyl leaves, whatever its oxygens are called.
             self.turn(x)
