@@ -124,7 +124,9 @@ _BONDED = 0.25
 
 
 def _pairs(structure: Structure, x: Floats, at: dict[int, dict[str, int]]) -> Integers | None:
-    atoms = [k for its in at.values() for k in its.values()]
+    # A molecule of any kind may bear a nucleotide's name: a base is bonded to a sugar by a nitrogen.
+    bases = [its for its in at.values() if "C1'" in its and its.keys() & {"N1", "N9"}]
+    atoms = [k for its in bases for k in its.values()]
     if not atoms:
         return np.empty((0, 2), dtype=np.int64)
     try:

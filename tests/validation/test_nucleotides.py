@@ -83,3 +83,17 @@ def test_the_table_says_what_each_nucleotide_is_paired_with(duplex):
     table = pc.validate(duplex).nucleotide_table
     assert table.loc[0, ["chain", "residue", "name", "paired_with"]].tolist() == ["A", "1", "DC", "B:24"]
     assert len(table) == 24 and pc.validate(STRUCTURES / "ala10.pdb").nucleotide_table.empty
+
+
+def test_what_only_bears_a_nucleotides_name_has_no_base(tmp_path):
+    """Carbons far from the protein, under DA: kept by element, and no base of a pair."""
+    lines = (STRUCTURES / "1l2y.pdb").read_text().splitlines(keepends=True)
+    protein = [line for line in lines if line.startswith("ATOM")]
+    ring = [
+        f"{'HETATM':6}{line[6:17]} DA Z   1    {float(line[30:38]) + 50:8.3f}{line[38:]}"
+        for line in protein if line[17:26] == "TRP A   6" and line[12:16].strip() in ("CE2", "CZ2", "CH2", "CZ3")
+    ]  # fmt: skip
+    (tmp_path / "named.pdb").write_text("".join([*protein, "TER\n", *ring, "END\n"]))
+    structure = pc.load(tmp_path / "named.pdb", keep="all")
+    assert "DA" in structure.residue_name
+    assert pc.validate(structure).measures["base_pairs"] == 0
