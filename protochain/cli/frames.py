@@ -77,11 +77,7 @@ def run_if_asked(
     alone: str = "workers resume",
     **how: Any,
 ) -> None:
-    """Go over frames if they are asked for, and exit with the status.
-
-    ``task``, made while processes start, names the table if no name is given; ``refused`` are options that
-    do not go with frames, ``alone`` those that go with nothing else.
-    """
+    """Go over frames if asked for, and exit; options ``refused`` are none of these, ``alone`` only theirs."""
     if not are_asked(trajectory, frames):
         return refuse(
             context, alone, "is of frames, of which there are none without ", Argument("trajectory")
@@ -144,10 +140,7 @@ def run(
     as_json: bool = False,
     reads: Sequence[Path] = (),
 ) -> int:
-    """Go over frames, with a bar; write table, trajectory and page, print what became of them.
-
-    The exit status is that of a batch.
-    """
+    """Go over frames; write table, trajectory and page, print what became of them; return the exit status."""
     from protochain.batches.frame_files import files_of, run_frames
     from protochain.cli.terminal import frames_progress
 

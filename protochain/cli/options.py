@@ -61,12 +61,9 @@ Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace
 
 
 def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Replace a command's keyword-only parameters, classes of settings, by the options of their fields.
+    """Replace keyword-only parameters, classes of settings, by options of their fields, but ``without``."""
 
-    ``without`` names, for a parameter, fields that are no options of this command. An option of two classes
-    is given to both; one that the command has itself is its own.
-    """
-
+    # An option of two classes is given to both; one that the command has itself is its own.
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         parameters = inspect.signature(command).parameters.values()
         own = [each for each in parameters if each.kind is not each.KEYWORD_ONLY]
@@ -397,11 +394,7 @@ def written(
     ligands: Path | None,
     trace: Path | None = None,
 ) -> dict[str, Any]:
-    """Write a structure, what was asked for beside it, and what a predictor wrote beside its input.
-
-    The record, with ``more`` and the names of all that is written, is returned. A run without a result that
-    could be written ends the command; a full disk loses only what does not fit, which is said.
-    """
+    """Write a structure and all beside it, as far as the disk holds it; return the record, or end without."""
     from protochain.core.storage import write_atomically
     from protochain.structure.confidences import copy_confidences
 

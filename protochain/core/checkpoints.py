@@ -69,10 +69,7 @@ def _plain(value: Any, name: str, kinds: tuple[type, ...], least: float = -math.
 def checkpoint(
     path: Path, settings: Mapping[str, Any], kind: str, *remedy: str | Argument
 ) -> Iterator[Checkpoint]:
-    """Read what :func:`write_checkpoint` wrote for a run with the same settings.
-
-    What does not fit, here or to whoever uses it inside the ``with``, is refused with the file and a remedy.
-    """
+    """Read one of a run with the same settings; what does not fit, also inside the ``with``, is refused."""
     try:
         with regular(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             check_sizes(file)

@@ -21,11 +21,7 @@ _TOLERANCE = 1.0
 
 
 def strain(parameters: Parameters, x: Floats, elements: Integers) -> float:
-    """Return the strain of a molecule at positions.
-
-    x (na, 3) nm, elements (na,) int.
-    -> kJ/mol: NaN where the energy is not finite, as of atoms at one place.
-    """
+    """Strain of a molecule at x (na, 3), kJ/mol; NaN where the energy is not finite, as at one place."""
     every = np.ones(len(x), dtype=bool)
     placed = nearest_minimum(parameters, x, np.asarray(elements) == 1)
     free = nearest_minimum(parameters, placed, every)

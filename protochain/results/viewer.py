@@ -27,16 +27,11 @@ _ALL_ATOMS = 5000
 
 @dataclass(frozen=True)
 class Colouring:
-    """A quantity that colours the residues of structures.
+    """A quantity that colours the residues of structures."""
 
-    name: What the page calls it, with its unit.
-    values: By the names of structures; those that are not here keep a colour of their own. NaN where unknown.
-    is_signed: Of two colours about zero; else of one, from the lowest to the highest.
-    """
-
-    name: str
-    values: Mapping[str, Floats]
-    is_signed: bool = False
+    name: str  # What the page calls it, with its unit.
+    values: Mapping[str, Floats]  # By the names of structures, NaN where unknown; others keep their colour.
+    is_signed: bool = False  # Of two colours about zero; else of one, from the lowest to the highest.
 
 
 def scene(
@@ -72,10 +67,7 @@ def residue_keys(structure: Structure) -> NDArray[np.str_]:
 
 
 def _residues(structure: Structure, suffix: str) -> list[str]:
-    """Chain, number and insertion code of each residue, as the viewer reads them; of mmCIF it reads no codes.
-
-    Residues that only these distinguish have no name then, rather than the colour of another.
-    """
+    """Names of residues for the viewer, which reads no codes of mmCIF: empty where they distinguish two."""
     chain, number = structure.residue_chain, structure.residue_number
     if suffix == ".pdb":
         number = np.char.add(number, structure.residue_insertion_code)
@@ -121,10 +113,7 @@ def _lengths(vectors: Floats) -> Floats:
 
 
 def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[str, Any]]:
-    """What the viewer of pockets needs: each ligand, residues near it at any end, its hydrogen bonds.
-
-    bonds (n, 2) int: donors and acceptors. *ends (na, 3) nm.
-    """
+    """Each ligand, residues near it at any end (na, 3), nm, and its bonds (n, 2), donors and acceptors."""
     of = structure.atom_residue
 
     def atom(k: int) -> dict[str, Any]:

@@ -46,27 +46,18 @@ class Frame(Value):
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Frames of an ensemble, or some of them; may be iterated more than once.
+    """Frames of an ensemble, or some of them; may be iterated more than once."""
 
-    source: What they are read from, for messages.
-    count: Number of all frames of the source.
-    n_atoms: Atoms of a frame.
-    read: Takes places of frames, one after the other, and yields each as it is taken.
-    chosen: Places of the frames that are wanted.
-    names: Atoms of a frame as :class:`protochain.structure.model.Origin` names them; empty if the source does
-        not say.
-    path: File from which other processes can read them.
-    sequence: Of a protein of which a frame has N, CA, C and O of each residue, in that order, and no others;
-        X if the file does not tell it.
-    """
-
-    source: str
-    count: int
+    source: str  # What they are read from, for messages.
+    count: int  # Of all frames of the source.
     n_atoms: int
-    read: Callable[[Iterable[int]], Iterator[Frame]]
-    chosen: Sequence[int]
-    names: tuple[str, ...] = ()
-    path: Path | None = None
+    read: Callable[
+        [Iterable[int]], Iterator[Frame]
+    ]  # Takes places of frames, and yields each as it is taken.
+    chosen: Sequence[int]  # Places of those that are wanted.
+    names: tuple[str, ...] = ()  # Of atoms, as ``Origin`` has them; empty if the source does not say.
+    path: Path | None = None  # File from which other processes can read them.
+    # Of a protein of which a frame has N, CA, C and O of each residue alone; X if the file does not tell it.
     sequence: str = ""
 
     def __len__(self) -> int:

@@ -56,14 +56,7 @@ def _without_hydrogens(structure: Structure) -> tuple[Any, Any]:
 
 
 class TrajectoryFile:
-    """Writer of frames to ``NAME.part.dcd``, renamed when the ``with`` block ends.
-
-    path: Ends in ``.dcd`` or ``.xtc``.
-    structure: Structure that gives the topology.
-    interval ps: Time between frames.
-    kept: Continue a file from this number of frames and bytes; the rest is cut off.
-    hydrogens: Whether to write them.
-    """
+    """Writer to ``NAME.part.dcd``, renamed at the end, of frames after ``kept`` frames and bytes."""
 
     def __init__(
         self,
