@@ -65,11 +65,14 @@ class Task:
                 yield row
             write_page(self.folder, job, done, repairs, ends)
         except Exception as error:
-            yield from job.lost(done, *reason(error, job.path), perf_counter() - began)
+            yield from self.lost(done, *reason(error, job.path), perf_counter() - began)
 
     def lost(self, done: Sequence[Row], status: str, message: str, seconds: float) -> list[Row]:
         """Rows of the methods that were not done when the process ended."""
-        return self.job.lost(done, status, message, seconds)
+        finished = {row.record["method"] for row in done}
+        told = {"status": status, "message": " ".join(message.split()), "seconds": seconds}
+        left = [method for method in self.job.settings.methods if method not in finished]
+        return [Row(origin(self.job) | {"method": method} | told, []) for method in left]
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:

@@ -75,7 +75,10 @@ def schema(kind: Kind) -> Schema:
     if origin is Literal:
         return {"enum": [*args]}
     if origin in (Union, UnionType):
-        return _union([schema(each) for each in args])
+        schemas = [schema(each) for each in args]
+        # Plain types in one list, which is shorter.
+        is_plain = all({*each} == {"type"} for each in schemas)
+        return {"type": [each["type"] for each in schemas]} if is_plain else {"anyOf": schemas}
     if origin in (list, tuple):
         return {"type": "array", "items": schema(args[0])}
     if origin is dict:
@@ -96,13 +99,6 @@ def _object(kinds: Mapping[str, Kind], needed: Sequence[str]) -> Schema:
 
 def _told(name: str) -> Schema:
     return {"description": heading(name)} if any(name.endswith(unit) for unit in UNITS) else {}
-
-
-def _union(schemas: Sequence[Schema]) -> Schema:
-    """Plain types in one list, which is shorter than ``anyOf``."""
-    if all({*each} == {"type"} for each in schemas):
-        return {"type": [each["type"] for each in schemas]}
-    return {"anyOf": [*schemas]}
 
 
 def cell(kind: Kind) -> Kind:

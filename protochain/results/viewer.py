@@ -40,12 +40,17 @@ def scene(
     """Variables of the viewer's template, with all structures superposed on the first."""
     (first_name, first), *others = shown.items()
     ends = {name: superposed(each, first) for name, each in others}
-    away = {name: ANGSTROM_PER_NM * _lengths(each.positions - first.positions) for name, each in ends.items()}
+    moved = {name: each.positions - first.positions for name, each in ends.items()}
+    away = {name: ANGSTROM_PER_NM * np.linalg.norm(by, axis=1) for name, by in moved.items()}
     suffix = common_suffix(shown.values())
     # Displacements are of atoms: they go where the viewer reads a number of each, the column of B factors.
     texts = {first_name: first} | {name: replace(each, b_factor=away[name]) for name, each in ends.items()}
     models = [
-        {"name": name, "format": suffix.removeprefix("."), "text": _text(each, suffix)}
+        {
+            "name": name,
+            "format": suffix.removeprefix("."),
+            "text": as_text(each, suffix, hydrogens=each.n_atoms <= _ALL_ATOMS),
+        }
         for name, each in texts.items()
     ]
     stated = [_of_atoms(first, away)] if ends else []
@@ -106,10 +111,6 @@ def _of_residues(colouring: Colouring, names: Sequence[str]) -> dict[str, Any]:
     return {
         "name": colouring.name, "low": low, "high": high, "is_signed": colouring.is_signed, "values": values,
     }  # fmt: skip
-
-
-def _lengths(vectors: Floats) -> Floats:
-    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[str, Any]]:
@@ -190,10 +191,6 @@ def superposed(structure: Structure, start: Structure) -> Structure:
     alpha = start.alpha_carbons
     turn, shift = motion(structure.positions[alpha], start.positions[alpha])
     return structure.with_positions(structure.positions @ turn.T + shift)
-
-
-def _text(structure: Structure, suffix: str) -> str:
-    return as_text(structure, suffix, hydrogens=structure.n_atoms <= _ALL_ATOMS)
 
 
 @cache

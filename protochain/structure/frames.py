@@ -235,13 +235,12 @@ def _xdr(path: Path, kind: "_Kind") -> Frames:
                         frame = file.read()
                 except (OSError, EOFError, StopIteration, RuntimeError, ValueError) as error:
                     why = f"cannot be read ({error})"
-                yield Frame(k, None, why=why) if why else _of_xdr(k, frame)
+                if why:
+                    yield Frame(k, None, why=why)
+                else:
+                    yield Frame(k, _own(frame.x), _box(frame.box), float(frame.time))
 
     return _all_of(path, len(begins), n_atoms, read)
-
-
-def _of_xdr(k: int, frame: Any) -> Frame:
-    return Frame(k, _own(frame.x), _box(frame.box), float(frame.time))
 
 
 def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], int]:
@@ -272,18 +271,18 @@ def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], in
     return np.array(begins, dtype=np.int64), damaged, n_atoms
 
 
-def _xtc_end(head: bytes, n_atoms: int) -> int:
+def xtc_end(head: bytes, n_atoms: int) -> int:
     """Bytes of a frame of XTC by its head; 0 if that is none."""
     if len(head) < 8 or struct.unpack(">i", head[4:8])[0] != n_atoms:
         return 0
     if n_atoms <= _XTC_FEW:
         return _XTC_RAW + 12 * n_atoms
-    if len(head) < _XTC_HEAD:
-        return _XTC_HEAD
+    if len(head) < XTC_HEAD:
+        return XTC_HEAD
     again, _, *limits, small, n_bytes = struct.unpack(">if8i", head[52:])
     spans = [high - low for low, high in zip(limits[:3], limits[3:], strict=True)]
     is_sound = again == n_atoms and min(spans) >= 0 and max(spans) < _XTC_SPAN and small in _XTC_SIZES
-    return _XTC_HEAD + 4 * -(-n_bytes // 4) if is_sound and 0 <= n_bytes <= 16 * n_atoms else 0
+    return XTC_HEAD + 4 * -(-n_bytes // 4) if is_sound and 0 <= n_bytes <= 16 * n_atoms else 0
 
 
 def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
@@ -292,7 +291,7 @@ def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
     if n_atoms <= _XTC_FEW:
         return True
     file.seek(begin)
-    head = file.read(_XTC_HEAD)
+    head = file.read(XTC_HEAD)
     *limits, small, n_bytes = struct.unpack(">8i", head[60:])
     spans = [high - low + 1 for low, high in zip(limits[:3], limits[3:], strict=True)]
     full = sum(map(int.bit_length, spans)) if max(spans) > _XTC_APART else math.prod(spans).bit_length()
@@ -308,7 +307,7 @@ def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
     return i == n_atoms and at <= 8 * n_bytes
 
 
-_XTC_HEAD, _XTC_RAW, _XTC_FEW = 92, 56, 9
+XTC_HEAD, _XTC_RAW, _XTC_FEW = 92, 56, 9
 """Bytes of a frame before coordinates that are compressed, and others; atoms up to which they are not."""
 _XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
 """Largest span of coordinates in units of the precision; bits of small differences; span from which axes are
@@ -348,7 +347,7 @@ class _Kind:
     is_sound: Callable[[IO[bytes], int, int], bool] = lambda *_: True
 
 
-_XTC = _Kind("XTC", struct.pack(">i", 1995), 8, 4, _XTC_HEAD, _xtc_end, _xtc_is_sound)
+_XTC = _Kind("XTC", struct.pack(">i", 1995), 8, 4, XTC_HEAD, xtc_end, _xtc_is_sound)
 _TRR = _Kind("TRR", struct.pack(">3i", 1993, 13, 12) + b"GMX_trn_file", 24, 64, _TRR_HEAD, _trr_end)
 
 
