@@ -21,7 +21,7 @@ from typing import IO, Any
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.checkpoints import check_sizes
+from protochain.core.checkpoints import check_sizes, head_of
 from protochain.core.checks import plain, shown
 from protochain.core.errors import Argument, ProtochainError, StructureError, refused
 from protochain.core.storage import regular
@@ -454,8 +454,7 @@ def _npz(path: Path) -> Frames:
     """Arrays of numpy; the positions are read frame by frame from the archive."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            check_sizes(file, packed=True)
-            shapes = {name: _header(path, name)[0] for name in file.files}
+            shapes = check_sizes(file, packed=True)
             of_backbones = {"pos", "node_orientations"} <= shapes.keys()
             name = next((name for name in ("positions", "pos") if name in shapes), None)
             unit = "nm" if of_backbones else str(file["unit"]) if "unit" in shapes else ""
@@ -497,19 +496,6 @@ def _npz(path: Path) -> Frames:
 _UNITS = {"nm": 1.0, "nanometer": 1.0, "angstrom": ANGSTROM_PER_NM, "A": ANGSTROM_PER_NM}
 
 
-def _header(
-    path: Path, name: str, file: IO[bytes] | None = None
-) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and type of an array of an archive."""
-    if file is None:
-        with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as opened:
-            return _header(path, name, opened)
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read(file)
-    return tuple(shape), bool(fortran), dtype
-
-
 def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator[tuple[int, list[Any]]]:
     """Rows of arrays of an archive, one after the other."""
     with ExitStack() as stack:
@@ -517,7 +503,7 @@ def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator
             stack.enter_context(stack.enter_context(zipfile.ZipFile(path)).open(f"{name}.npy"))
             for name in names
         ]
-        heads = [(*_header(path, name, file), file.tell()) for name, file in zip(names, rows, strict=True)]
+        heads = [(*head_of(file), file.tell()) for file in rows]
         for name, (_, fortran, dtype, _) in zip(names, heads, strict=True):
             if fortran or dtype.hasobject:
                 raise StructureError(f"{path}: {name} is not in C order; write it again by numpy.savez")
