@@ -255,6 +255,12 @@ class Row:
     trace: list[dict[str, float]]
 
 
+def failure(job: Job, method: str, status: str, message: str, seconds: float = 0.0) -> Row:
+    """Return the row of a method without a result; ``status`` and ``message`` give the reason."""
+    record = origin(job) | {"method": method, "status": status, "message": " ".join(message.split())}
+    return Row(record | {"seconds": seconds}, [])
+
+
 def origin(job: Job) -> dict[str, Any]:
     """Return the columns that identify the structure of a row."""
     model = job.settings.setup.model
