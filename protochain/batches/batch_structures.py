@@ -33,6 +33,9 @@ _AHEAD = 4
 RELAXED = "relaxed"
 """Stem of the name of the table of relaxed structures."""
 
+_RECOUNT = 5.0
+"""s between counts of the workers: a cluster may grow."""
+
 
 @dataclass(frozen=True)
 class BatchProgress:
@@ -272,12 +275,12 @@ def _work(
 ) -> bool:
     """Run the jobs and append their rows as they arrive. Return whether it was interrupted."""
     began = perf_counter()
-    waiting = iter(todo)
+    waiting, window = iter(todo), _Window(workers)
     running, folder = Submitted(workers, processes), tables.folder.absolute()
     done = failed = 0
     try:
         while True:
-            for job in islice(waiting, max(0, _AHEAD * max(workers.count(), 1) - len(running))):
+            for job in islice(waiting, max(0, window.size() - len(running))):
                 running.submit(Task(job.anywhere(), folder))
             if not len(running):
                 return False
@@ -319,6 +322,18 @@ def _line(rows: Sequence[Row]) -> str:
             line = f"{record['status']}: {record['message']}"
         lines += [] if line in lines else [line]
     return f"{rows[0].record['structure']}: {'; '.join(lines)}"
+
+
+class _Window:
+    """Number of jobs to have handed out, so that memory does not grow with the batch."""
+
+    def __init__(self, workers: Workers) -> None:
+        self.workers, self.counted, self.count = workers, -_RECOUNT, 0
+
+    def size(self) -> int:
+        if perf_counter() - self.counted > _RECOUNT:
+            self.count, self.counted = self.workers.count(), perf_counter()
+        return _AHEAD * max(self.count, 1)
 
 
 def _rows(future: Any, task: Task) -> list[Row]:
