@@ -83,17 +83,11 @@ class Processes:
 
 @dataclass(frozen=True)
 class Workers:
-    """Who does the jobs.
+    """Who does the jobs."""
 
-    submit: As of :class:`concurrent.futures.Executor`; its futures know ``add_done_callback``, ``result``,
-        ``exception`` and ``cancelled``.
-    count: Returns how many jobs are done at a time, now.
-    dashboard: Address of Dask's dashboard, if there is one.
-    """
-
-    submit: Callable[..., Any]
-    count: Callable[[], int]
-    dashboard: str = ""
+    submit: Callable[..., Any]  # As of :class:`concurrent.futures.Executor`, or of Dask.
+    count: Callable[[], int]  # Of jobs that are done at a time, now.
+    dashboard: str = ""  # Address of Dask's, if there is one.
 
 
 @contextmanager
@@ -113,11 +107,10 @@ def at_work(processes: Processes) -> Iterator[Workers]:
 
 
 class Submitted:
-    """Jobs that were handed to workers, in the order in which they end.
+    """Jobs that were handed to workers, in the order in which they end."""
 
-    A job yields the rows of what it does by ``run(threads)``, and says by ``lost(done, status, message,
-    seconds)`` which rows stand for those that are missing where its process ended.
-    """
+    # A job yields the rows of what it does by ``run(threads)``, and says by ``lost(done, status, message,
+    # seconds)`` which rows stand for those that are missing where its process ended.
 
     def __init__(self, workers: Workers, processes: Processes) -> None:
         self.workers, self.given = workers, (processes.threads, processes.time_limit)

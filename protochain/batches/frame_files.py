@@ -43,22 +43,14 @@ Watch = Callable[[int, int, FrameResult], None]
 
 @dataclass(frozen=True)
 class FramesRun:
-    """What a run over frames wrote.
+    """What a run over frames wrote."""
 
-    csv: A row a frame.
-    trajectory: Frames that could be used, in their order.
-    topology: Structure with the atoms of the trajectory.
-    counts: Frames of each status.
-    written: Frames in the trajectory.
-    interrupted: Whether it was stopped before all frames were done.
-    """
-
-    csv: Path
-    trajectory: Path | None = None
-    topology: Path | None = None
-    counts: Mapping[str, int] = field(default_factory=dict)
-    written: int = 0
-    interrupted: bool = False
+    csv: Path  # A row a frame.
+    trajectory: Path | None = None  # Of the frames that could be used, in their order.
+    topology: Path | None = None  # Structure with the atoms of the trajectory.
+    counts: Mapping[str, int] = field(default_factory=dict)  # Of frames, by status.
+    written: int = 0  # Frames in the trajectory.
+    interrupted: bool = False  # Whether it was stopped before all frames were done.
 
     @cached_property
     def table(self) -> "pd.DataFrame":

@@ -35,18 +35,17 @@ Act = Callable[[Structure], tuple[dict[str, Any], Floats | None]]
 
 
 class Task(Protocol):
-    """What is done to every frame; pickled once for each process.
-
-    columns: What a row says beside ``frame``, ``time_ps`` and ``message``.
-    at_a_time: Frames that a process gets at a time.
-    """
+    """What is done to every frame; pickled once for each process."""
 
     @property
     def name(self) -> str: ...  # noqa: D102 (of a protocol)
     @property
-    def columns(self) -> tuple[str, ...]: ...  # noqa: D102 (of a protocol)
+    def columns(self) -> tuple[str, ...]:
+        """What a row says beside ``frame``, ``time_ps`` and ``message``."""
+
     @property
-    def at_a_time(self) -> int: ...  # noqa: D102 (of a protocol)
+    def at_a_time(self) -> int:
+        """Frames that a process gets at a time."""
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
         """Prepare, once, what all frames of a structure share."""
@@ -55,16 +54,27 @@ class Task(Protocol):
         """Plain values on which the rows depend."""
 
 
-@dataclass(frozen=True)
-class RelaxFrames:
-    """Relax each frame: :func:`protochain.relax`, with one energy for all.
+class _Plain:
+    """Base of tasks that are frozen values."""
 
-    energy: In place of that of the setup.
-    """
+    def settings(self) -> dict[str, Any]:
+        """Plain values on which the rows depend."""
+        found = dict[str, Any]()
+        for name, value in vars(self).items():
+            if isinstance(value, Setup | RelaxSettings):
+                found |= {key: its for key, its in vars(value).items() if key != "threads"}
+            elif name != "energy":
+                found[name] = value.name if isinstance(value, Structure) else value
+        return found
+
+
+@dataclass(frozen=True)
+class RelaxFrames(_Plain):
+    """Relax each frame: :func:`protochain.relax`, with one energy for all."""
 
     relaxing: RelaxSettings
     setup: Setup
-    energy: Energy | None = None
+    energy: Energy | None = None  # In place of that of the setup.
     name = "relax"
     at_a_time = 1
 
@@ -91,13 +101,9 @@ class RelaxFrames:
 
         return act
 
-    def settings(self) -> dict[str, Any]:
-        """Plain values on which the rows depend."""
-        return _plain(self.setup) | vars(self.relaxing)
-
 
 @dataclass(frozen=True)
-class ValidateFrames:
+class ValidateFrames(_Plain):
     """What is wrong with each frame, and its likeness to a reference, as :func:`protochain.validate`."""
 
     setup: Setup
@@ -121,20 +127,13 @@ class ValidateFrames:
 
         return act
 
-    def settings(self) -> dict[str, Any]:
-        """Plain values on which the rows depend."""
-        return _plain(self.setup) | {"reference": self.reference and self.reference.name}
-
 
 @dataclass(frozen=True)
-class EnergyFrames:
-    """Tell what the energy of each frame is made of, as :func:`protochain.energy_terms` by term.
-
-    between: Two parts, of whose interaction it is.
-    """
+class EnergyFrames(_Plain):
+    """Tell what the energy of each frame is made of, as :func:`protochain.energy_terms` by term."""
 
     setup: Setup
-    between: str | None = None
+    between: str | None = None  # Two parts, of whose interaction it is.
     name = "energy"
     at_a_time = 8
 
@@ -161,24 +160,15 @@ class EnergyFrames:
 
         return act
 
-    def settings(self) -> dict[str, Any]:
-        """Plain values on which the rows depend."""
-        return _plain(self.setup) | {"between": self.between}
-
 
 @dataclass(frozen=True)
-class ScoreFrames:
-    """Score an interface of each frame, as :func:`protochain.score_interface`.
-
-    interface: Its sides, as ``A,B:C``; by default the only two chains in contact.
-    relax: Whether each frame is relaxed first.
-    reference: Complex from which the sides of a frame deviate.
-    """
+class ScoreFrames(_Plain):
+    """Score an interface of each frame, as :func:`protochain.score_interface`."""
 
     setup: Setup
-    interface: str | None = None
-    relax: bool = False
-    reference: Structure | None = None
+    interface: str | None = None  # Its sides, as ``A,B:C``; by default the only two chains in contact.
+    relax: bool = False  # First.
+    reference: Structure | None = None  # Complex from which the sides of a frame deviate.
     name = "score"
     at_a_time = 1
 
@@ -210,17 +200,8 @@ class ScoreFrames:
 
         return act
 
-    def settings(self) -> dict[str, Any]:
-        """Plain values on which the rows depend."""
-        given = {"interface": self.interface, "relax": self.relax}
-        return _plain(self.setup) | given | {"reference": self.reference and self.reference.name}
-
 
 _OF_PARTS = ("interaction", "desolvation", "sum")
-
-
-def _plain(setup: Setup) -> dict[str, Any]:
-    return {name: value for name, value in vars(setup).items() if name != "threads"}
 
 
 def _with_threads(setup: Setup, threads: int | None) -> Setup:
@@ -256,14 +237,10 @@ class FrameRow(Value):
 
 @dataclass(frozen=True)
 class FrameJob:
-    """Some frames, for a process.
+    """Some frames, for a process."""
 
-    task: Pickled ensemble, task and file of the frames.
-    frames: Frames, or their places in the file, which the process reads: damaged ones may end it.
-    """
-
-    task: Path
-    frames: tuple[Frame | int, ...]
+    task: Path  # Pickled ensemble, task and file of the frames.
+    frames: tuple[Frame | int, ...]  # Or their places in the file, which it reads: damaged ones may end it.
 
     @property
     def indices(self) -> tuple[int, ...]:

@@ -8,7 +8,6 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -247,20 +246,10 @@ class Job:
         moved = {"forcefield": whole, "ligands": ligands, "ligand_charges": charges}
         return replace(self, settings=self.settings.changed(**moved)) if files else self
 
-    def lost(self, done: "Sequence[Row]", status: str, message: str, seconds: float) -> "list[Row]":
-        """Rows of the methods that were not done when the process ended."""
-        finished = {row.record["method"] for row in done}
-        left = [method for method in self.settings.methods if method not in finished]
-        return [failure(self, method, status, message, seconds) for method in left]
-
 
 @dataclass(frozen=True)
 class Row:
-    """Result of one method for one structure.
-
-    record: A line of ``summary.csv``.
-    trace: Lines of ``traces.csv``, thinned.
-    """
+    """Result of one method for one structure: its line of ``summary.csv``, and lines of ``traces.csv``."""
 
     record: dict[str, Any]
     trace: list[dict[str, float]]
@@ -405,33 +394,28 @@ def _is_structure(path: Path) -> bool:
     return bool(format_of(path)) and (path.is_file() or not path.exists())
 
 
-@contextmanager
-def _legible(manifest: Path) -> Iterator[None]:
-    """Refuse a file that is no CSV in UTF-8."""
-    try:
-        yield
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ProtochainError(f"{manifest}: cannot be read ({error}); write it as CSV in UTF-8") from None
-
-
 def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
     if not regular(manifest).exists():
         raise ProtochainError(f"{manifest}: not found; give a CSV file with a column 'path'")
-    with manifest.open(newline="", encoding="utf-8-sig") as file, _legible(manifest):
-        reader = csv.DictReader(file, restkey="", restval="")
-        if "path" not in (reader.fieldnames or ()):
-            raise ProtochainError(f"{manifest}: has no column 'path'")
-        found = []
-        for row in reader:
-            try:
-                if "" in row:
-                    raise ProtochainError("more cells than columns")
-                own = settings.read({k: v for k, v in row.items() if k != "path"})
-            except ProtochainError as error:
-                raise ProtochainError(f"{manifest}: line {reader.line_num}: ", *error.parts) from error
-            path = manifest.parent / row["path"].strip()
-            found.append(_Found(path, own, path.parent))
-        return found
+    try:
+        with manifest.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.DictReader(file, restkey="", restval="")
+            names, rows = reader.fieldnames or (), [(reader.line_num, row) for row in reader]
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ProtochainError(f"{manifest}: cannot be read ({error}); write it as CSV in UTF-8") from None
+    if "path" not in names:
+        raise ProtochainError(f"{manifest}: has no column 'path'")
+    found = []
+    for line, row in rows:
+        try:
+            if "" in row:
+                raise ProtochainError("more cells than columns")
+            own = settings.read({k: v for k, v in row.items() if k != "path"})
+        except ProtochainError as error:
+            raise ProtochainError(f"{manifest}: line {line}: ", *error.parts) from error
+        path = manifest.parent / row["path"].strip()
+        found.append(_Found(path, own, path.parent))
+    return found
 
 
 def _poses(found: _Found) -> list[_Found]:

@@ -36,15 +36,11 @@ _MOST = 15.0
 
 @dataclass(frozen=True)
 class SiteJob:
-    """All mutations of a residue, for a process.
+    """All mutations of a residue, for a process."""
 
-    task: Pickled structure and settings.
-    letters: Those that it becomes.
-    """
-
-    task: Path
+    task: Path  # Pickled structure and settings.
     residue: int
-    letters: str
+    letters: str  # Those that it becomes.
 
     def run(self, threads: int) -> Iterator[dict[str, Any]]:
         """Make and relax each mutant; residues that move alike share the wild type."""

@@ -15,22 +15,14 @@ from protochain.structure.files import split_name
 
 @dataclass(frozen=True)
 class Wanted:
-    """What is to be named.
+    """What is to be named."""
 
-    path: Absolute.
-    root: Folder that was given, or that of the file: names of the folders below it are part of the name.
-    model: Number of the model.
-    key: Hash of content and settings.
-    methods: What is done to it: each result is a file.
-    pose: Name of the pose of a ligand that is added to it, one of several.
-    """
-
-    path: Path
-    root: Path
+    path: Path  # Absolute.
+    root: Path  # Given, or that of the file: names of the folders below it are part of the name.
     model: int | str | None
-    key: str
-    methods: tuple[str, ...]
-    pose: str = ""
+    key: str  # Hash of content and settings.
+    methods: tuple[str, ...]  # What is done to it: each result is a file.
+    pose: str = ""  # Name of the pose of a ligand that is added to it, one of several.
 
     @property
     def source(self) -> tuple[str, str]:

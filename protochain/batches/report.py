@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from protochain.core.palette import looks
 from protochain.core.storage import write_atomically
-from protochain.results.columns import heading
 from protochain.results.figures import panels, plain
 from protochain.results.page import explored, write_page
 from protochain.structure.losses import loss_lines
@@ -33,21 +32,19 @@ USABLE = "energy_end_reference_kj_mol"
 
 
 def write_report(folder: Path, table: "pd.DataFrame", summary: dict[str, Any]) -> None:
-    """Write ``report.html``, ``statistics.csv``, ``energy.png``, ``rmsd.png`` and ``seconds.png``."""
+    """Write ``report.html``, ``energy.png``, ``rmsd.png`` and ``seconds.png``."""
     usable = table[table[USABLE].notna()]
     for stem, (values, label) in _measured(usable).items():
         figure = plot_distribution(values, usable["method"], label)
         write_atomically(folder / f"{stem}.png", partial(figure.savefig, dpi=150))
-    rows, quartiles = worst_first(table), statistics(table)
-    write_atomically(folder / "statistics.csv", lambda to: quartiles.to_csv(to, index=False))
+    pages = {str(path.relative_to(folder / "pages")) for path in (folder / "pages").rglob("*.html")}
     write_page(
         folder / "report.html",
         "batch.html",
         summary=summary,
         lost=loss_lines(table.to_dict("records")),
         counts=table.groupby("method", sort=False)["status"].value_counts().unstack(fill_value=0),
-        statistics=quartiles.assign(quantity=quartiles["quantity"].map(heading)),
-        data=_data(rows, _pages(folder / "pages") if len(table) else set()),
+        data=_data(worst_first(table), pages),
         judges=[each for each in table["judge"].dropna().unique() if each] if "judge" in table else [],
     )
 
@@ -58,48 +55,12 @@ def _data(rows: "pd.DataFrame", pages: set[str]) -> dict[str, Any]:
         str(name) for name in rows.select_dtypes("number")
         if name in (USABLE, "energy_start_kj_mol") or not re.fullmatch(_NOT_ON_PAGE, str(name))
     ]  # fmt: skip
-    links = [f"pages/{quote(name)}.html" if name in pages else None for name in rows["structure"]]
+    links = [f"pages/{quote(name)}.html" if f"{name}.html" in pages else None for name in rows["structure"]]
     first = ["structure", "method", "status"]
     kept.sort(key=lambda name: name not in _SHOWN)
     varying = [name for name in kept if name in _SHOWN or rows[name].nunique() > 1]
     drop = rows[[*first, *varying]].assign(energy_drop_kj_mol_per_residue=_drop(rows))
     return explored(drop.assign(message=rows["message"]), _SHOWN, links, "method")
-
-
-def _pages(folder: Path) -> set[str]:
-    """Names of the structures that have a page."""
-    return {path.relative_to(folder).as_posix().removesuffix(".html") for path in folder.rglob("*.html")}
-
-
-def statistics(table: "pd.DataFrame") -> "pd.DataFrame":
-    """Return the quartiles of the quantities whose distributions are drawn."""
-    import pandas as pd
-
-    usable = table[table[USABLE].notna()]
-    columns = {
-        "energy_drop_kj_mol_per_residue": _drop(usable),
-        **{
-            name: usable[name]
-            for name in (
-                "ca_rmsd_angstrom",
-                "ca_rmsd_to_openmm_angstrom",
-                "violations_start",
-                "violations_end",
-                "evaluations",
-                "seconds",
-            )
-            if name in usable
-        },
-    }
-    quantiles = {"first_quartile": 0.25, "median": 0.5, "third_quartile": 0.75, "highest": 1.0}
-    rows = []
-    for method, own in usable.groupby("method", sort=False):
-        for name, values in columns.items():
-            there = values[own.index].astype(float).dropna()
-            if len(there):
-                row = {stated: there.quantile(at) for stated, at in quantiles.items()}
-                rows.append({"method": method, "quantity": name, **row})
-    return pd.DataFrame(rows, columns=["method", "quantity", *quantiles])
 
 
 def worst_first(table: "pd.DataFrame") -> "pd.DataFrame":

@@ -21,20 +21,14 @@ Scored = tuple[str, Interface | str]
 
 @dataclass(frozen=True)
 class ScoreJob:
-    """A complex whose interfaces are scored.
-
-    path: ``-`` is standard input.
-    interfaces: Sides, as ``A,B:C``; all chains in contact by default.
-    relax: Whether it is relaxed first.
-    reference: Complex from which its sides deviate.
-    """
+    """A complex whose interfaces are scored."""
 
     name: str
-    path: Path
+    path: Path  # ``-`` is standard input.
     setup: Setup
-    interfaces: tuple[str, ...] = ()
-    relax: bool = False
-    reference: Structure | None = None
+    interfaces: tuple[str, ...] = ()  # Sides, as ``A,B:C``; all chains in contact by default.
+    relax: bool = False  # First.
+    reference: Structure | None = None  # Complex from which its sides deviate.
 
     @property
     def named(self) -> str:

@@ -34,10 +34,7 @@ class ChildError(Exception):
 
 
 class Child:
-    """A process that runs one job after the other.
-
-    threads: Threads for its libraries.
-    """
+    """A process that runs one job after the other, with so many threads for its libraries."""
 
     def __init__(self, threads: int) -> None:
         self.threads = threads
@@ -179,11 +176,7 @@ def _begun(threads: int) -> Child:
 
 @contextmanager
 def crew(count: int) -> Iterator[Executor]:
-    """Threads that each :func:`supervise` with a child of its own.
-
-    At the end, whatever the reason, jobs that have not begun are cancelled, and all children are ended, also
-    in the middle of a job.
-    """
+    """Threads that each :func:`supervise` with a child, which is ended at the end, also within a job."""
     children = _Children()
     executor = ThreadPoolExecutor(count, "crew", lambda: setattr(_here, "children", children))
     try:

@@ -67,17 +67,10 @@ def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
 
 
 class Tables:
-    """``summary.csv`` and ``traces.csv`` of a folder, written by one process at a time.
+    """``summary.csv`` and ``traces.csv`` of a folder, with columns of methods, written by one process."""
 
-    folder: Created if it does not exist.
-    resume: Continue the batch in it; otherwise it may not hold one.
-    name: Stem of the name of the table.
-    methods: Those of its rows: its columns are theirs, and those that it has.
-    further: More columns.
-
-    All rows of a structure are appended by one system call, after its traces: a process that is killed has
-    written all of them or none. A loss of power may leave an incomplete row, which is discarded on resuming.
-    """
+    # All rows of a structure are appended by one system call, after its traces: a process that is killed has
+    # written all of them or none. A loss of power may leave an incomplete row, discarded on resuming.
 
     def __init__(
         self,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from protochain.batches.cluster import reason
-from protochain.batches.jobs import BatchSettings, Job, Row, origin
+from protochain.batches.jobs import BatchSettings, Job, Row, failure, origin
 from protochain.batches.naming import output_stem, poses_name
 from protochain.batches.page import write_page
 from protochain.chains.setup import Setup
@@ -65,11 +65,13 @@ class Task:
                 yield row
             write_page(self.folder, job, done, repairs, ends)
         except Exception as error:
-            yield from job.lost(done, *reason(error, job.path), perf_counter() - began)
+            yield from self.lost(done, *reason(error, job.path), perf_counter() - began)
 
     def lost(self, done: Sequence[Row], status: str, message: str, seconds: float) -> list[Row]:
         """Rows of the methods that were not done when the process ended."""
-        return self.job.lost(done, status, message, seconds)
+        finished = {row.record["method"] for row in done}
+        left = [method for method in self.job.settings.methods if method not in finished]
+        return [failure(self.job, method, status, message, seconds) for method in left]
 
 
 def _solve(job: Job, folder: Path, threads: int) -> Iterator[tuple[Row, "Structure", "Structure | None"]]:

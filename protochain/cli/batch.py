@@ -7,20 +7,7 @@ from typing import Annotated
 import typer
 
 from protochain.chains.setup import Setup
-from protochain.cli.options import (
-    CONVERGED,
-    AsJson,
-    FigureFile,
-    Manifest,
-    Scheduler,
-    batch_status,
-    check_outputs,
-    end_folder,
-    inputs_of,
-    print_json,
-    refuse,
-    with_settings,
-)
+from protochain.cli import options
 from protochain.cli.terminal import batch_progress, print_batch, print_jobs
 from protochain.core import defaults
 from protochain.core.checks import words
@@ -43,22 +30,22 @@ Resume = Annotated[bool, typer.Option("--resume", help="Continue in the folder, 
 DryRun = Annotated[bool, typer.Option("--dry-run", help="List the structures and stop.")]
 
 
-@with_settings(setup="trust_forcefield")
+@options.with_settings(setup="trust_forcefield")
 def batch(
     context: typer.Context,
     inputs: Inputs = None,
     output: Output = Path("batch"),
     methods: Methods = defaults.METHOD,
-    manifest: Manifest = None,
+    manifest: options.Manifest = None,
     workers: Workers = None,
-    scheduler: Scheduler = None,
+    scheduler: options.Scheduler = None,
     threads: Threads = defaults.BATCH_THREADS,
     time_limit: TimeLimit = defaults.TIME_LIMIT,
     null: ByNul = False,
     resume: Resume = False,
     dry_run: DryRun = False,
-    figure: FigureFile = None,
-    as_json: AsJson = False,
+    figure: options.FigureFile = None,
+    as_json: options.AsJson = False,
     *,
     minimising: MinimiseSettings,
     starting: StartSettings,
@@ -78,19 +65,19 @@ def batch(
         words(methods), setup=setup, relaxing=relaxing, **vars(minimising), **vars(starting)
     )
     if "-" not in (inputs or ()):
-        refuse(context, "null", "is of names on standard input, which is not asked for (-)")
+        options.refuse(context, "null", "is of names on standard input, which is not asked for (-)")
     # Standard input can be read only once.
     given = [line for each in inputs or () for line in (listed(null) if each == "-" else [each])]
     if dry_run:
         jobs = find_jobs(given, settings, manifest, output)
         if as_json:
             found = [{"structure": j.name, "methods": j.settings.methods, "input": str(j.path)} for j in jobs]
-            print_json({"structures": found})
+            options.print_json({"structures": found})
         else:
             print_jobs(jobs)
-        raise typer.Exit(CONVERGED)
+        raise typer.Exit(options.CONVERGED)
     check_figure(figure)
-    check_outputs(inputs_of(setup, manifest), [*files_of(output), *([figure] if figure else [])])
+    options.check_outputs([manifest], [*files_of(output), figure], setup)
     with Processes(workers, scheduler, threads, time_limit).started_early(), batch_progress() as watch:
         done = run(
             given, output, manifest=manifest, resume=resume, watch=watch, workers=workers,
@@ -99,4 +86,4 @@ def batch(
     if figure:
         write_figure(figure, partial(plot_distributions, done.table))
     show = partial(print_batch, done.table, str(done.report))
-    end_folder(output, show, as_json, done.interrupted, batch_status(done))
+    options.end_folder(output, show, as_json, done.interrupted, options.batch_status(done))

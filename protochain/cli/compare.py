@@ -10,20 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from protochain.chains.setup import Setup
-from protochain.cli.options import (
-    AsJson,
-    FigureFile,
-    Input,
-    check_outputs,
-    exit_status,
-    fail,
-    inputs_of,
-    named_after,
-    prepare,
-    print_json,
-    print_lost,
-    with_settings,
-)
+from protochain.cli import options
 from protochain.cli.terminal import foretell, print_table, run_progress, typical_evaluations
 from protochain.core import defaults
 from protochain.core.checks import at_least, words
@@ -38,10 +25,10 @@ _NOT_COMPARED = "tolerance restraint max_rmsd"
 """Settings of a minimisation that a comparison does not have, or has a default of its own for."""
 
 
-@with_settings(minimising=_NOT_COMPARED, setup="move rigid_protein")
+@options.with_settings(minimising=_NOT_COMPARED, setup="move rigid_protein")
 def compare(
     context: typer.Context,
-    source: Input,
+    source: options.Input,
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder [default: NAME-comparison].")
     ] = None,
@@ -56,8 +43,8 @@ def compare(
             help="Largest torque (kJ/mol/rad) at convergence, or RMS force (kJ/mol/nm) where all atoms move."
         ),
     ] = defaults.TOLERANCE,
-    figure: FigureFile = None,
-    as_json: AsJson = False,
+    figure: options.FigureFile = None,
+    as_json: options.AsJson = False,
     force: Annotated[bool, typer.Option("--force", help="Replace the comparison in DIR.")] = False,
     *,
     minimising: MinimiseSettings,
@@ -74,14 +61,14 @@ def compare(
     most = minimising.max_evaluations
     chosen = _chosen(methods, tolerance, most)
     at_least(1)(repeats, "repeats")
-    output = output or Path(f"{named_after(source)[0]}-comparison")
+    output = output or Path(f"{options.named_after(source)[0]}-comparison")
     check_folder(output, force)
     check_figure(figure)
-    outputs = [*files_of(output, named_after(source)[0], chosen), *([figure] if figure else [])]
-    check_outputs(inputs_of(setup, source, reference), outputs)
+    outputs = [*files_of(output, options.named_after(source)[0], chosen), figure]
+    options.check_outputs([source, reference], outputs, setup)
     context.with_resource(claimed(output, "comparison"))
     known = load(reference) if reference else None
-    chain, energy, preparation = prepare(source, setup)
+    chain, energy, preparation = options.prepare(source, setup)
     typical = sum(typical_evaluations(method, most) for method in chosen)
     foretell(source, chain, energy, typical, len(chosen) * most)
     context.with_resource(held_interrupts())
@@ -99,15 +86,15 @@ def compare(
     if missing:
         print(f"protochain: interrupted: {', '.join(missing)} left out", file=sys.stderr)
     if as_json:
-        print_json(summary | {"output": str(output)})
+        options.print_json(summary | {"output": str(output)})
     else:
         print_table(summary["results"])
-        print_lost(summary["results"])
+        options.print_lost(summary["results"])
         print(f"written: {page} with tables, plots and structures in its folder")
     if not any(solution.is_usable for solution in comparison.solutions):
-        raise SystemExit(fail(f"{source}: no method gave a usable structure; {page} says why"))
+        raise SystemExit(options.fail(f"{source}: no method gave a usable structure; {page} says why"))
     statuses = [str(solution.status) for solution in comparison.solutions]
-    raise typer.Exit(exit_status(statuses, interrupted=bool(missing)))
+    raise typer.Exit(options.exit_status(statuses, interrupted=bool(missing)))
 
 
 def _chosen(methods: str, tolerance: float, max_evaluations: int) -> tuple[str, ...]:

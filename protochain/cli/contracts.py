@@ -49,7 +49,7 @@ _OTHERS = {
             coverage identity contacts_kept phi psi omega chi1 chi2 chi3 chi4 frequency_per_cm
             eigenvalue_per_ps2 collectivity residual overlap cumulative_overlap log_det_hessian
             ramachandran_percent secondary_structure_kept tm_score_to_start reference_tm_score
-            reference_coverage at median first_quartile third_quartile highest evaluations_median total
+            reference_coverage at evaluations_median total
             acceptance helix_share helix_share_error exchanges slope slope_error share share_error
             """),
         (bool, "violation rotamer_outlier pucker_outlier repeats_exactly interrupted"),
@@ -136,11 +136,8 @@ _BATCH: Kinds = {
     **_row("n_structures table n_rows"), "status": dict[str, int], "lost_atoms": dict[str, str],
     "far_molecules": dict[str, str], **_RUN, "settings": dict[str, Any],
 }  # fmt: skip
-_BATCH_TABLES = {
-    "traces.csv": (_cells(_row(table.TRACE_COLUMNS)),),
-    "statistics.csv": (_cells(_row("method quantity first_quartile median third_quartile highest")),),
-}
-_BATCH_FILES = ("statistics.csv", "energy.png", "rmsd.png", "seconds.png")
+_BATCH_TABLES = {"traces.csv": (_cells(_row(table.TRACE_COLUMNS)),)}
+_BATCH_FILES = ("energy.png", "rmsd.png", "seconds.png")
 _STRUCTURE = r"\.(pdb|cif)(\.(gz|bz2|xz|zst))?$"
 _BATCH_MORE = (r"^pages/(.+\.html|viewer\.js)$", _STRUCTURE, r"\.(json|npz)$")
 

@@ -7,17 +7,8 @@ import typer
 
 from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
+from protochain.cli import options
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
-from protochain.cli.options import (
-    AsJson,
-    Input,
-    check_outputs,
-    check_page,
-    inputs_of,
-    print_files,
-    print_json,
-    with_settings,
-)
 from protochain.core.errors import ProtochainError
 
 if TYPE_CHECKING:
@@ -29,10 +20,10 @@ _MOST_ROWS = 25
 """Rows that are printed; those of the largest totals."""
 
 
-@with_settings(setup="hinges root move rigid_protein engine device terms")
+@options.with_settings(setup="hinges root move rigid_protein engine device terms")
 def energy(
     context: typer.Context,
-    source: Input,
+    source: options.Input,
     by: Annotated[str, typer.Option(help="term, residue, or pair of residues.")] = "term",
     between: Annotated[
         str | None,
@@ -46,7 +37,7 @@ def energy(
     frames: Chosen = None,
     workers: Workers = None,
     resume: Resume = False,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
     *,
     setup: Setup,
 ) -> None:
@@ -58,7 +49,7 @@ def energy(
     from protochain.core.storage import write_atomically
     from protochain.energies.decomposed import energy_terms
 
-    check_page(report)
+    options.check_page(report)
 
     def task() -> "Task":
         from protochain.batches.frame_tasks import EnergyFrames
@@ -70,7 +61,7 @@ def energy(
         refused="by report", workers=workers, resume=resume, as_json=as_json,
     )  # fmt: skip
     files = [path for path in (output, report) if path]
-    check_outputs(inputs_of(setup, source), files)
+    options.check_outputs([source], files, setup)
     structure = setup.load(source)
     energy = setup.energy(structure)
     try:
@@ -86,14 +77,14 @@ def energy(
 
         write_energies(structure, energy, report, between)
     if as_json:
-        print_json({
+        options.print_json({
             "input": str(source), "by": by, "between": between, "unit": "kJ/mol", "solvent": setup.solvent,
             "forcefield": setup.forcefield, "rows": table.to_dict("records"),
             "files": [*map(str, files)],
         })  # fmt: skip
     else:
         _print(table, by)
-        print_files(*files)
+        options.print_files(*files)
 
 
 def _print(table: "DataFrame", by: str) -> None:

@@ -7,7 +7,7 @@ import typer
 
 from protochain.chains.setup import Setup
 from protochain.cli.frames import Chosen, Trajectory
-from protochain.cli.options import AsJson, Input, check_outputs, inputs_of, named_after, with_settings
+from protochain.cli.options import AsJson, Input, check_outputs, named_after, with_settings
 from protochain.cli.rows import conclude, print_rows
 from protochain.core.markup import counted
 
@@ -45,9 +45,7 @@ def ensemble(
     from protochain.structure import save
 
     output = output or Path(f"{named_after(source)[0]}.medoids.pdb")
-    outputs = [output, *(path for path in (csv, residues) if path)]
-    reads = [path for path in (trajectory, after) if path]
-    check_outputs(inputs_of(setup, source, *reads), outputs)
+    check_outputs([source, trajectory, after], [output, csv, residues], setup)
 
     def read(its: Path | None) -> "Clusters":
         return cluster_frames(source, its, frames, by=by, within=within, measure=measure, **vars(setup))

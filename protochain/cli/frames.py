@@ -9,19 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from protochain.cli.options import (
-    check_outputs,
-    check_page,
-    exit_status,
-    fail,
-    inputs_of,
-    is_one_file,
-    named_after,
-    print_changes,
-    print_files,
-    print_json,
-    refuse,
-)
+from protochain.cli import options
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.markup import counted
@@ -59,7 +47,7 @@ def are_asked(trajectory: Path | None, frames: str | None) -> bool:
 
 def only(given: Sequence[str | Path]) -> Path:
     """The one structure that frames are of."""
-    if len(given) != 1 or not is_one_file(str(given[0])):
+    if len(given) != 1 or not options.is_one_file(str(given[0])):
         raise ProtochainError("frames are of one structure; give one file before ", Argument("trajectory"))
     return Path(given[0])
 
@@ -77,20 +65,16 @@ def run_if_asked(
     alone: str = "workers resume",
     **how: Any,
 ) -> None:
-    """Go over frames if they are asked for, and exit with the status.
-
-    ``task``, made while processes start, names the table if no name is given; ``refused`` are options that
-    do not go with frames, ``alone`` those that go with nothing else.
-    """
+    """Go over frames if asked for, and exit; options ``refused`` are none of these, ``alone`` only theirs."""
     if not are_asked(trajectory, frames):
-        return refuse(
+        return options.refuse(
             context, alone, "is of frames, of which there are none without ", Argument("trajectory")
         )
-    refuse(context, refused, "is none of frames")
+    options.refuse(context, refused, "is none of frames")
     source = only(given)
     with started_early(setup, how["workers"]):
         its = task()
-        table = table or Path(f"{named_after(source)[0]}.{_ENDINGS.get(its.name, its.name)}.csv")
+        table = table or Path(f"{options.named_after(source)[0]}.{_ENDINGS.get(its.name, its.name)}.csv")
         how.setdefault("force", not how["resume"])
         raise typer.Exit(run(source, trajectory, frames, setup, its, table, **how))
 
@@ -122,7 +106,7 @@ def opened(
         raise ProtochainError("frames: standard input is read once; give a file")
     ensemble, chosen = ensemble_of(source, trajectory, frames, setup)
     noted = [each for each in ensemble.structure.repairs if each.kind is not Kind.MODELS_LEFT_OUT]
-    print_changes(source, replace(ensemble.structure, repairs=tuple(noted)))
+    options.print_changes(source, replace(ensemble.structure, repairs=tuple(noted)))
     return ensemble, chosen
 
 
@@ -144,17 +128,13 @@ def run(
     as_json: bool = False,
     reads: Sequence[Path] = (),
 ) -> int:
-    """Go over frames, with a bar; write table, trajectory and page, print what became of them.
-
-    The exit status is that of a batch.
-    """
+    """Go over frames; write table, trajectory and page, print what became of them; return the exit status."""
     from protochain.batches.frame_files import files_of, run_frames
     from protochain.cli.terminal import frames_progress
 
     processes = _processes(setup, workers, time_limit)
-    outputs = [*files_of(table, output), *([report] if report else [])]
-    check_outputs(inputs_of(setup, source, trajectory, *reads), outputs, force)
-    check_page(report)
+    options.check_outputs([source, trajectory, *reads], [*files_of(table, output), report], setup, force)
+    options.check_page(report)
     ensemble, chosen = opened(source, trajectory, frames, setup)
     with frames_progress(task.name, len(chosen)) as watch:
         done = run_frames(
@@ -166,7 +146,7 @@ def run(
 
         write_report(done, task.name, chosen.source, report)
     if as_json:
-        print_json({
+        options.print_json({
             "input": str(source), "trajectory": str(trajectory or source),
             "frames": sum(done.counts.values()), "counts": dict(done.counts), "csv": str(done.csv),
             "output": str(done.trajectory) if done.trajectory else None, "written": done.written,
@@ -176,9 +156,9 @@ def run(
     else:
         _print(done, report)
     if done.interrupted:
-        fail("interrupted; --resume does the rest")
+        options.fail("interrupted; --resume does the rest")
     usable = bool(done.counts.get("measured") or done.counts.get("converged") or done.written)
-    return exit_status(Counter(done.counts).elements(), usable=usable, interrupted=done.interrupted)
+    return options.exit_status(Counter(done.counts).elements(), usable=usable, interrupted=done.interrupted)
 
 
 def _print(done: "FramesRun", report: Path | None) -> None:
@@ -190,7 +170,7 @@ def _print(done: "FramesRun", report: Path | None) -> None:
         if parted := _parted(done):
             print(parted)
     trajectory = done.trajectory if done.written and not done.interrupted else None
-    print_files(trajectory, done.topology, done.csv, report)
+    options.print_files(trajectory, done.topology, done.csv, report)
 
 
 _PARTED = 10.0

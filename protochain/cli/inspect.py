@@ -9,32 +9,21 @@ from typing import Annotated, Any
 import typer
 
 from protochain.chains.setup import Setup
-from protochain.cli.options import (
-    STANDARD_OUTPUT,
-    AsJson,
-    Input,
-    as_option,
-    beside_structure,
-    check_names,
-    check_outputs,
-    print_json,
-    with_settings,
-    write_models,
-)
+from protochain.cli import options
 from protochain.core.checks import force_field_parts
 from protochain.core.markup import counted
 
 
-@with_settings(setup="engine device move rigid_protein terms solvent cutoff accuracy threads")
+@options.with_settings(setup="engine device move rigid_protein terms solvent cutoff accuracy threads")
 def info(
-    source: Input,
+    source: options.Input,
     energy: Annotated[
         bool, typer.Option("--energy", help="Set up the default energy, too, and tell what computes it.")
     ] = False,
     device: Annotated[
         bool, typer.Option("--device", help="Tell which GPUs there are, and what would compute the energy.")
     ] = False,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
     *,
     setup: Setup,
 ) -> None:
@@ -65,7 +54,7 @@ def info(
         "loops": [f"{structure.describe(a)} - {structure.describe(b)}" for a, b in chain.loops.tolist()],
         "left_out": dict(structure.left_out),
         "lost_atoms": lost_atoms(structure.losses),
-        "repairs": [each.told(str if as_json else as_option) for each in structure.repairs],
+        "repairs": [each.told(str if as_json else options.as_option) for each in structure.repairs],
         "overlaps": [f"{each}; {each.remedy}" for each in overlaps(structure, structure.positions, chain)],
         "seconds_import": imported - began,
         "seconds_preparation": loaded - imported,
@@ -83,7 +72,7 @@ def info(
 
         facts |= {"device": chosen(setup.device, structure.n_atoms), "devices": devices()}
     if as_json:
-        print_json(facts)
+        options.print_json(facts)
         return
     for key, value in facts.items():
         if isinstance(value, list):
@@ -103,19 +92,19 @@ def build(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="PDB or mmCIF file; - is standard output, in PDB format.")
     ],
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Build an extended all-atom chain from a sequence."""
     from protochain.structure import from_sequence
 
-    check_names(output, None, None, as_json)
-    check_outputs([], [output])
+    options.check_names(output, None, None, as_json)
+    options.check_outputs([], [output])
     structure = from_sequence(sequence)
-    write_models([structure], output, ".pdb", ())
+    options.write_models([structure], output, ".pdb", ())
     if as_json:
         facts = {"n_residues": structure.n_residues, "n_atoms": structure.n_atoms}
-        return print_json({"output": str(output), **facts})
-    with beside_structure(output):
-        where = "standard output" if str(output) == STANDARD_OUTPUT else output
+        return options.print_json({"output": str(output), **facts})
+    with options.beside_structure(output):
+        where = "standard output" if str(output) == options.STANDARD_OUTPUT else output
         size = f"{counted(structure.n_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}"
         print(f"written: {where} ({size})")

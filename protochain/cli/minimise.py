@@ -11,41 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self
 import typer
 
 from protochain.chains.setup import ALL_MODELS, Setup, models_asked
-from protochain.cli.options import (
-    CONVERGED,
-    STANDARD_OUTPUT,
-    UNCONVERGED,
-    AsJson,
-    Force,
-    Input,
-    LigandOut,
-    Report,
-    beside_structure,
-    check_names,
-    check_outputs,
-    check_structure,
-    exit_status,
-    inputs_of,
-    named_after,
-    prepare,
-    print_files,
-    print_json,
-    print_lost,
-    refuse,
-    with_settings,
-    write_models,
-    written,
-)
-from protochain.cli.terminal import (
-    TROUBLED,
-    foretell,
-    print_distribution,
-    print_outlook,
-    print_table,
-    print_written,
-    run_progress,
-    typical_evaluations,
-)
+from protochain.cli import options, terminal
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts
@@ -72,20 +38,20 @@ Trajectory = Annotated[Path | None, typer.Option(help="DCD or XTC with a frame f
 OneFile = Annotated[bool, typer.Option("--one-file", help="Write all models into one file.")]
 
 
-@with_settings()
+@options.with_settings()
 def minimise(
     context: typer.Context,
-    source: Input,
+    source: options.Input,
     output: Output = None,
     method: Method = defaults.METHOD,
     angle: Angle = None,
     trace: Trace = None,
     trajectory: Trajectory = None,
-    report: Report = None,
-    ligand_out: LigandOut = None,
+    report: options.Report = None,
+    ligand_out: options.LigandOut = None,
     one_file: OneFile = False,
-    as_json: AsJson = False,
-    force: Force = False,
+    as_json: options.AsJson = False,
+    force: options.Force = False,
     *,
     minimising: MinimiseSettings,
     saving: CheckpointSettings,
@@ -101,20 +67,20 @@ def minimise(
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
     Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
     if starting.n_starts > 1:
-        refuse(context, "checkpoint resume trajectory", "belongs to one run, and there are several starts")
+        why = "belongs to one run, and there are several starts"
+        options.refuse(context, "checkpoint resume trajectory", why)
     beside = {"report": report, "ligands": ligand_out, "trace": trace}
-    stem, suffix = named_after(source)
+    stem, suffix = options.named_after(source)
     output = output or Path(f"{stem}.{getattr(chosen, 'name', method)}{suffix}")
-    check_names(output, report, ligand_out, as_json)
+    options.check_names(output, report, ligand_out, as_json)
     if trajectory:
         check_trajectory(trajectory)
     if isinstance(setup.model, str):
         single = "trace trajectory checkpoint resume report ligand_out"
-        refuse(context, single, "belongs to one model, and there may be several")
+        options.refuse(context, single, "belongs to one model, and there may be several")
     runs = _runs(source, output, setup, one_file)
-    more = [Path(path) for path in (trajectory, saving.checkpoint, *beside.values()) if path]
-    outputs = [*dict.fromkeys(path for _, path in runs), *more]
-    check_outputs(inputs_of(setup, source, saving.resume), outputs, force)
+    outputs = [*dict.fromkeys(path for _, path in runs), trajectory, saving.checkpoint, *beside.values()]
+    options.check_outputs([source, saving.resume], outputs, setup, force)
 
     settings: dict[str, Any] = {"method": chosen, **vars(minimising)}
     if starting.n_starts == 1:
@@ -123,14 +89,14 @@ def minimise(
         refuse_held(minimising.restraint, minimising.max_rmsd)
         solve = partial(_often, **vars(starting), **settings)
     most = minimising.max_evaluations
-    lengths = starting.n_starts * typical_evaluations(chosen, most), starting.n_starts * most
+    lengths = starting.n_starts * terminal.typical_evaluations(chosen, most), starting.n_starts * most
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file) as write:
         for own, path in runs:
             records.append(_solved(context, source, own, path, chosen, solve, lengths, write, beside))
             if records[-1]["status"] == "interrupted":
                 break
-    with beside_structure(output):
+    with options.beside_structure(output):
         _print(records, as_json, isinstance(setup.model, str))
     raise typer.Exit(_status(records))
 
@@ -138,8 +104,8 @@ def minimise(
 def _status(records: list[dict[str, Any]]) -> int:
     """Exit status of all runs."""
     lost = any("not_written" in record for record in records)
-    done = exit_status(record["status"] for record in records)
-    return UNCONVERGED if done == CONVERGED and lost else done
+    done = options.exit_status(record["status"] for record in records)
+    return options.UNCONVERGED if done == options.CONVERGED and lost else done
 
 
 def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tuple[Setup, Path]]:
@@ -157,7 +123,7 @@ def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tupl
         return [(setup, output)]
     if str(source) == "-":
         raise ProtochainError(Argument("model"), f" {setup.model}: needs a file; standard input is read once")
-    if str(output) == STANDARD_OUTPUT and not one_file:
+    if str(output) == options.STANDARD_OUTPUT and not one_file:
         raise ProtochainError("output -: several models are several files; give --one-file to join them")
     numbers = tuple(model_numbers(source))
     asked = numbers if setup.model == ALL_MODELS else models_asked(setup.model)
@@ -180,7 +146,7 @@ class _Writer:
         """Write the structure of a solution, or keep it for the end."""
         self.done.append(solution)
         if not self.one_file:
-            write_models([solution.structure], path, self.suffix, solution.provenance())
+            options.write_models([solution.structure], path, self.suffix, solution.provenance())
 
     def __enter__(self) -> Self:
         return self
@@ -192,7 +158,7 @@ class _Writer:
             noted = (
                 f"MODEL {s.structure.model_number}: {line}" for s in self.done for line in s.provenance()
             )
-            write_models(models, self.output, self.suffix, noted)
+            options.write_models(models, self.output, self.suffix, noted)
 
 
 def _solved(
@@ -207,17 +173,18 @@ def _solved(
     beside: dict[str, Path | None],
 ) -> dict[str, Any]:
     """Prepare and minimise one model, write it, and return its record."""
-    chain, energy, preparation = prepare(source, setup)
-    check_structure(chain.structure, output, beside["ligands"])
-    troubled = print_outlook(source, chain.structure, method)
+    chain, energy, preparation = options.prepare(source, setup)
+    options.check_structure(chain.structure, output, beside["ligands"])
+    troubled = terminal.print_outlook(source, chain.structure, method)
     typical, most = lengths
-    foretell(source, chain, energy, min(most, (TROUBLED if troubled else 1) * typical), most)
+    times = terminal.TROUBLED if troubled else 1
+    terminal.foretell(source, chain, energy, min(most, times * typical), most)
     context.with_resource(held_interrupts())
     solution, told = solve(chain, energy)
     model = {} if setup.model is None else {"model": setup.model}
     origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
     done = partial(write, solution, output)
-    return written(solution, told | model | origin, done, setup, _write_page, **beside)
+    return options.written(solution, told | model | origin, done, setup, _write_page, **beside)
 
 
 def _write_page(solution: "Solution", record: dict[str, Any], path: Path) -> None:
@@ -236,7 +203,7 @@ def _once(
     lost: list[str] = []
     with (
         _Frames(trajectory, chain.structure, lost) as frames,
-        run_progress(
+        terminal.run_progress(
             settings["method"], settings["max_evaluations"], frames if trajectory else None
         ) as watch,
         _warnings(lost),
@@ -298,22 +265,24 @@ def _often(chain: "Chain", energy: "Energy", **settings: Any) -> tuple["Solution
     """Minimise from many starts; return the best solution, and what its record says of all."""
     from protochain.minimisers import explore
 
-    with run_progress(settings["method"], settings["max_evaluations"]) as watch:
+    with terminal.run_progress(settings["method"], settings["max_evaluations"]) as watch:
         found = explore(chain, energy, watch=watch, **settings)
     return found.best, found.overall()
 
 
 def _print(records: list[dict[str, Any]], as_json: bool, of_models: bool) -> None:
     if as_json:
-        print_json({"models": records} if of_models else records[0])
+        options.print_json({"models": records} if of_models else records[0])
         return
     for record in records:
         if "starts_summary" in record:
-            print_distribution(record["starts_summary"])
-    print_table(records)
-    print_lost(
+            terminal.print_distribution(record["starts_summary"])
+    terminal.print_table(records)
+    options.print_lost(
         [r | {"structure": f"{r['structure']} model {r['model']}"} for r in records] if of_models else records
     )
     for record in records:
-        print_written(record)
-        print_files(*record.get("confidences", ()), record.get("ligands_written"), record.get("report"))
+        terminal.print_written(record)
+        options.print_files(
+            *record.get("confidences", ()), record.get("ligands_written"), record.get("report")
+        )

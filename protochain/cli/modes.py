@@ -7,20 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.chains.setup import Setup
+from protochain.cli import options
 from protochain.cli.first import METHOD, foretell_both, minimised_first
-from protochain.cli.options import (
-    CONVERGED,
-    UNCONVERGED,
-    AsJson,
-    Input,
-    check_outputs,
-    inputs_of,
-    named_after,
-    prepare,
-    print_json,
-    print_lost,
-    with_settings,
-)
 from protochain.cli.terminal import print_outlook
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
@@ -43,10 +31,10 @@ Output = Annotated[
 ]
 
 
-@with_settings()
+@options.with_settings()
 def modes(
     context: typer.Context,
-    source: Input,
+    source: options.Input,
     output: Output = None,
     modes: Annotated[int, typer.Option(help="Number of modes, the lowest first.")] = 20,
     to: Annotated[
@@ -59,7 +47,7 @@ def modes(
     amplitude: Annotated[float, typer.Option(help="Of swings: RMSD of the C-alphas, angstrom.")] = 1.0,
     trajectory: Annotated[str, typer.Option(help="Format of swings: dcd or xtc.")] = defaults.TRAJECTORY,
     relax: Annotated[bool, typer.Option(help="Minimise first, if it is no minimum.")] = True,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
     *,
     setup: Setup,
 ) -> None:
@@ -76,12 +64,12 @@ def modes(
 
     check_modes(modes, method)
     temperature, amplitude = checked_temperature(temperature), checked_amplitude(amplitude)
-    stem, suffix = named_after(source)
+    stem, suffix = options.named_after(source)
     output = output or Path(f"{stem}-modes")
     check_trajectory(output / f"mode-1.{trajectory}")
-    check_outputs(inputs_of(setup, source, to), files_of(output, modes, suffix, trajectory))
+    options.check_outputs([source, to], files_of(output, modes, suffix, trajectory), setup)
     other = measurable(to) if to else None
-    chain, energy, preparation = prepare(source, setup)
+    chain, energy, preparation = options.prepare(source, setup)
     # Two evaluations for each row of the Hessian, or for some 700 products; analytic, it is a hundred.
     evaluations = 100 if applies(energy) else 2 * min(chain.n_v, DENSE)
     foretell_both(source, chain, energy, evaluations, int(relax))
@@ -97,10 +85,10 @@ def modes(
         other=other,
     )  # fmt: skip
     if as_json:
-        print_json(record)
+        options.print_json(record)
     else:
         _print(found, record)
-    raise typer.Exit(CONVERGED if found.is_minimum else UNCONVERGED)
+    raise typer.Exit(options.CONVERGED if found.is_minimum else options.UNCONVERGED)
 
 
 def _relaxed(source: Path, chain: "Chain", energy: "Energy") -> tuple["Floats", str]:
@@ -132,5 +120,5 @@ def _print(found: "NormalModes", record: dict[str, Any]) -> None:
         print(f"entropy at {record['temperature_k']:g} K: {record['entropy_kj_mol_k']:.4f} kJ/mol/K")
     if record["largest_stable_step_ps"] is not None:
         print(f"longest stable step of the leapfrog: {1000.0 * record['largest_stable_step_ps']:.1f} fs")
-    print_lost([record])
+    options.print_lost([record])
     print(f"written: {record['output']}")

@@ -8,29 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.chains.setup import Setup
-from protochain.cli.options import (
-    INTERRUPTED,
-    AsJson,
-    Force,
-    Input,
-    Report,
-    Scheduler,
-    beside_structure,
-    check_names,
-    check_outputs,
-    check_page,
-    check_structure,
-    exit_status,
-    fail,
-    inputs_of,
-    named_after,
-    print_changes,
-    print_files,
-    print_json,
-    refuse,
-    with_settings,
-    write_models,
-)
+from protochain.cli import options
 from protochain.cli.relax import Resume, Workers
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
@@ -53,10 +31,10 @@ _OWN = "preset tolerance interface"
 _OF_RELAX = " ".join(name for name in vars(RelaxSettings()) if name not in _OWN.split())
 
 
-@with_settings(setup=_WITHOUT, relaxing=f"{_OF_RELAX} {_OWN.replace(' interface', '')}")
+@options.with_settings(setup=_WITHOUT, relaxing=f"{_OF_RELAX} {_OWN.replace(' interface', '')}")
 def mutate(
     context: typer.Context,
-    source: Input,
+    source: options.Input,
     mutations: Annotated[
         str | None, typer.Argument(metavar="A:L45F,B:...", help="Mutations, all in one mutant.")
     ] = None,
@@ -68,13 +46,13 @@ def mutate(
         str | None, typer.Option(metavar="A:1-50", help="In place of mutations: each residue by itself.")
     ] = None,
     into: Annotated[str, typer.Option(metavar="A|AVL|all", help="Of a scan: what each becomes.")] = "A",
-    report: Report = None,
+    report: options.Report = None,
     workers: Workers = None,
-    scheduler: Scheduler = None,
+    scheduler: options.Scheduler = None,
     time_limit: Annotated[float, typer.Option(help="Of a scan: seconds of a site.")] = defaults.TIME_LIMIT,
     resume: Resume = False,
-    as_json: AsJson = False,
-    force: Force = False,
+    as_json: options.AsJson = False,
+    force: options.Force = False,
     *,
     relaxing: RelaxSettings,
     setup: Setup,
@@ -95,29 +73,29 @@ def mutate(
                   resume=resume, as_json=as_json, force=force)
         )  # fmt: skip
     assert mutations is not None
-    refuse(context, "into workers scheduler time_limit resume report", "is of a scan")
-    stem, suffix = named_after(source)
+    options.refuse(context, "into workers scheduler time_limit resume report", "is of a scan")
+    stem, suffix = options.named_after(source)
     output = output or Path(f"{stem}.mutant{suffix}")
-    check_names(output, None, None, as_json)
-    check_outputs(inputs_of(setup, source), [output], force)
+    options.check_names(output, None, None, as_json)
+    options.check_outputs([source], [output], setup, force)
     began = perf_counter()
     structure = setup.load(source)
-    check_structure(structure, output, None)
-    print_changes(source, structure)
+    options.check_structure(structure, output, None)
+    options.print_changes(source, structure)
     names = places_of(structure, mutations)
     origin = {"input": str(source), "output": str(output), "seconds_preparation": perf_counter() - began}
     done = mutated(structure, names, relaxing, setup, {})
 
     if not done.mutant.is_usable:
-        raise SystemExit(fail(f"{source}: {done.mutant.message}; nothing is written"))
-    write_models([done.structure], output, suffix, done.mutant.provenance())
+        raise SystemExit(options.fail(f"{source}: {done.mutant.message}; nothing is written"))
+    options.write_models([done.structure], output, suffix, done.mutant.provenance())
     if as_json:
-        print_json(done.record() | origin)
+        options.print_json(done.record() | origin)
     else:
-        with beside_structure(output):
+        with options.beside_structure(output):
             _print(done)
-            print_files(output)
-    raise typer.Exit(exit_status([str(done.mutant.status)]))
+            options.print_files(output)
+    raise typer.Exit(options.exit_status([str(done.mutant.status)]))
 
 
 def _print(done: "Mutation") -> None:
@@ -144,13 +122,13 @@ def _scan(
     from protochain.cli.rows import print_rows
     from protochain.cli.terminal import count_progress
 
-    table = output or Path(f"{named_after(source)[0]}.mutations.csv")
-    check_page(report)
-    check_outputs(inputs_of(setup, source), [table, *([report] if report else [])], force)
+    table = output or Path(f"{options.named_after(source)[0]}.mutations.csv")
+    options.check_page(report)
+    options.check_outputs([source], [table, report], setup, force)
     processes = Processes(how[0], how[1], setup.threads or 1, how[2])
     with processes.started_early():
         structure = setup.load(source)
-        print_changes(source, structure)
+        options.print_changes(source, structure)
         with count_progress("mutate") as watch:
             found, interrupted = run_scan(
                 structure, sites, into, relaxing, setup, table, processes, resume, watch
@@ -163,11 +141,12 @@ def _scan(
     rows: Any = found.astype(object).where(found.notna(), None).to_dict("records")
     if as_json:
         files = [str(path) for path in (table, report) if path]
-        print_json({"input": str(source), "sites": sites, "into": into, "results": rows, "files": files})
+        noted = {"input": str(source), "sites": sites, "into": into}
+        options.print_json(noted | {"results": rows, "files": files})
     elif rows:
         shown = [key for key in _SHOWN if any(row[key] is not None for row in rows)]
         print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)
-        print_files(table, report)
+        options.print_files(table, report)
     if interrupted:
-        return fail("interrupted; --resume does the rest", INTERRUPTED)
-    return exit_status(row["status"] for row in rows)
+        return options.fail("interrupted; --resume does the rest", options.INTERRUPTED)
+    return options.exit_status(row["status"] for row in rows)

@@ -61,12 +61,9 @@ Force = Annotated[bool, typer.Option("--force", help="Allow an output to replace
 
 
 def with_settings(**without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Replace a command's keyword-only parameters, classes of settings, by the options of their fields.
+    """Replace keyword-only parameters, classes of settings, by options of their fields, but ``without``."""
 
-    ``without`` names, for a parameter, fields that are no options of this command. An option of two classes
-    is given to both; one that the command has itself is its own.
-    """
-
+    # An option of two classes is given to both; one that the command has itself is its own.
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         parameters = inspect.signature(command).parameters.values()
         own = [each for each in parameters if each.kind is not each.KEYWORD_ONLY]
@@ -279,13 +276,6 @@ def as_option(part: Argument | Angle) -> str:
     return option if part.value in (None, True) else f"{option} {part.value}"
 
 
-def inputs_of(setup: Setup, *given: str | Path | None) -> list[Path]:
-    """All files that a command reads: those given, and the user's among those of the force field."""
-    from protochain.structure.prepare import user_files
-
-    return [*(Path(each) for each in given if each is not None), *user_files(setup.forcefield)]
-
-
 def has_poses(setup: Setup) -> bool:
     """Whether several poses of a ligand are given, each of which is added by itself."""
     if not setup.poses:
@@ -324,11 +314,18 @@ def _name(path: Path) -> str:
     return str(path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path)
 
 
-def check_outputs(inputs: Sequence[Path], outputs: Sequence[Path], force: bool | None = None) -> None:
+def check_outputs(
+    reads: Sequence[str | Path | None],
+    writes: Sequence[str | Path | None],
+    setup: Setup | None = None,
+    force: bool | None = None,
+) -> None:
     """Refuse, before any work, outputs that would replace an input or one another or cannot be written."""
     from protochain.core.storage import check_writable
+    from protochain.structure.prepare import user_files
 
-    outputs = [path for path in outputs if str(path) != STANDARD_OUTPUT]
+    inputs = [*(Path(each) for each in reads if each), *(user_files(setup.forcefield) if setup else ())]
+    outputs = [Path(path) for path in writes if path and str(path) != STANDARD_OUTPUT]
     for output, count in Counter(path.absolute() for path in outputs).items():
         if count > 1:
             raise ProtochainError(f"{output}: is given for two outputs; give each its own")
@@ -397,11 +394,7 @@ def written(
     ligands: Path | None,
     trace: Path | None = None,
 ) -> dict[str, Any]:
-    """Write a structure, what was asked for beside it, and what a predictor wrote beside its input.
-
-    The record, with ``more`` and the names of all that is written, is returned. A run without a result that
-    could be written ends the command; a full disk loses only what does not fit, which is said.
-    """
+    """Write a structure and all beside it, as far as the disk holds it; return the record, or end without."""
     from protochain.core.storage import write_atomically
     from protochain.structure.confidences import copy_confidences
 

@@ -20,10 +20,7 @@ def printable(text: str) -> str:
 
 
 class Printable:
-    """Stream that writes what is printable.
-
-    raw: Gets it.
-    """
+    """Stream that writes what is printable to another."""
 
     def __init__(self, raw: TextIO) -> None:
         self.raw = raw

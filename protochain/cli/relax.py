@@ -12,32 +12,8 @@ import typer
 
 from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
+from protochain.cli import options
 from protochain.cli.frames import Chosen, Trajectory
-from protochain.cli.options import (
-    UNCONVERGED,
-    AsJson,
-    Force,
-    LigandOut,
-    Manifest,
-    Report,
-    Scheduler,
-    batch_status,
-    beside_structure,
-    check_names,
-    check_outputs,
-    check_structure,
-    end_folder,
-    exit_status,
-    has_poses,
-    inputs_of,
-    is_one_file,
-    print_files,
-    print_json,
-    refuse,
-    with_settings,
-    write_models,
-    written,
-)
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -71,22 +47,22 @@ Resume = Annotated[
 ]
 
 
-@with_settings(setup="hinges terms")
+@options.with_settings(setup="hinges terms")
 def relax(
     context: typer.Context,
     inputs: Inputs = None,
     output: Output = None,
-    manifest: Manifest = None,
-    report: Report = None,
-    ligand_out: LigandOut = None,
+    manifest: options.Manifest = None,
+    report: options.Report = None,
+    ligand_out: options.LigandOut = None,
     workers: Workers = None,
-    scheduler: Scheduler = None,
+    scheduler: options.Scheduler = None,
     time_limit: TimeLimit = defaults.TIME_LIMIT,
     resume: Resume = False,
     trajectory: Trajectory = None,
     frames: Chosen = None,
-    as_json: AsJson = False,
-    force: Force = False,
+    as_json: options.AsJson = False,
+    force: options.Force = False,
     *,
     relaxing: RelaxSettings,
     setup: Setup,
@@ -98,11 +74,11 @@ def relax(
     with models, every frame is relaxed, into one trajectory and a table.
     """
     setup = relaxing.setup(setup)
-    several = manifest or has_poses(setup) or isinstance(setup.model, str)
+    several = manifest or options.has_poses(setup) or isinstance(setup.model, str)
     if of_frames.are_asked(trajectory, frames):
         if several:
             others = Argument("manifest"), ", ", Argument("model"), " all or poses"
-            refuse(context, "trajectory frames", "is of one structure, not of ", *others)
+            options.refuse(context, "trajectory frames", "is of one structure, not of ", *others)
         output = _beside(trajectory or of_frames.only(inputs or [])) if output is None else output
         of_frames.run_if_asked(
             context, inputs or [], trajectory, frames, setup, partial(_task, relaxing, setup, output),
@@ -110,11 +86,11 @@ def relax(
             report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
             hydrogens=relaxing.keep_hydrogens, as_json=as_json,
         )  # fmt: skip
-    if inputs and len(inputs) == 1 and is_one_file(inputs[0]) and not (several or scheduler):
-        refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
+    if inputs and len(inputs) == 1 and options.is_one_file(inputs[0]) and not (several or scheduler):
+        options.refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, ligand_out, as_json, force))
-    refuse(context, "report", "several structures have report.html in their folder")
-    refuse(context, "force", "several structures go to a folder, and replace no input")
+    options.refuse(context, "report", "several structures have report.html in their folder")
+    options.refuse(context, "force", "several structures go to a folder, and replace no input")
     if ligand_out and not setup.poses:
         raise ProtochainError(Argument("ligand_out"), ": several structures need poses; give --ligand POSES")
     from protochain.batches.cluster import Processes
@@ -169,11 +145,11 @@ def _one(
     output = Path(relaxed_name(source)) if output is None else output
     if output.is_dir():
         output = output / relaxed_name(source)
-    check_names(output, report, ligand_out, as_json)
-    check_outputs(inputs_of(setup, source), [output, *(each for each in (report, ligand_out) if each)], force)
+    options.check_names(output, report, ligand_out, as_json)
+    options.check_outputs([source], [output, report, ligand_out], setup, force)
     began = perf_counter()
     structure = setup.load(source)
-    check_structure(structure, output, ligand_out)
+    options.check_structure(structure, output, ligand_out)
     energy = setup.energy(structure)
     preparation = perf_counter() - began
     seconds = tell_plan(source, structure, energy, setup.move)
@@ -184,15 +160,15 @@ def _one(
 
         def write() -> None:
             how = result.provenance(), relaxing.keep_hydrogens
-            write_models([result.structure], output, suffix_of(source), *how)
+            options.write_models([result.structure], output, suffix_of(source), *how)
 
-        record = written(result, origin, write, setup, _write_page, report, ligand_out)
+        record = options.written(result, origin, write, setup, _write_page, report, ligand_out)
     if as_json:
-        print_json(record)
+        options.print_json(record)
     else:
-        with beside_structure(output):
+        with options.beside_structure(output):
             print_relaxed(result, record)
-    return UNCONVERGED if "not_written" in record else exit_status([record["status"]])
+    return options.UNCONVERGED if "not_written" in record else options.exit_status([record["status"]])
 
 
 def _write_page(result: "Relaxation", record: dict[str, Any], path: Path) -> None:
@@ -240,7 +216,7 @@ def _several(
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
     for path in beside:
         check_ligand_file(path)
-    check_outputs(inputs_of(setup, manifest), [*files_of(folder, RELAXED), *beside])
+    options.check_outputs([manifest], [*files_of(folder, RELAXED), *beside], setup)
     _tell_frames(inputs)
     with batch_progress() as watch:
         done = relax_files(
@@ -252,6 +228,6 @@ def _several(
 
     def show() -> None:
         print_folder(done.table, folder)
-        print_files(*beside)
+        options.print_files(*beside)
 
-    end_folder(folder, show, as_json, done.interrupted, batch_status(done))
+    options.end_folder(folder, show, as_json, done.interrupted, options.batch_status(done))

@@ -7,26 +7,14 @@ from typing import Annotated
 import typer
 
 from protochain.chains.setup import Setup
-from protochain.cli.options import (
-    AsJson,
-    Input,
-    Report,
-    check_outputs,
-    check_page,
-    inputs_of,
-    named_after,
-    prepare,
-    print_files,
-    print_json,
-    with_settings,
-)
+from protochain.cli import options
 from protochain.cli.terminal import count_progress
 from protochain.core.errors import ProtochainError
 
 
-@with_settings()
+@options.with_settings()
 def scan(
-    source: Input,
+    source: options.Input,
     grids: Annotated[
         list[str],
         typer.Argument(metavar="'phi A:3=-180:180:10'...", help="Hinges, and first, last and step, degrees."),
@@ -34,9 +22,9 @@ def scan(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", help="CSV to write [default: NAME.scan.csv].")
     ] = None,
-    report: Report = None,
+    report: options.Report = None,
     relax: Annotated[bool, typer.Option(help="Minimise all other hinges at each point.")] = False,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
     *,
     setup: Setup,
 ) -> None:
@@ -47,11 +35,11 @@ def scan(
     from protochain.results.page import write_scan
 
     asked = dict(_read(each) for each in grids)
-    table = output or Path(f"{named_after(source)[0]}.scan.csv")
-    check_page(report)
+    table = output or Path(f"{options.named_after(source)[0]}.scan.csv")
+    options.check_page(report)
     files = [table, *([report] if report else [])]
-    check_outputs(inputs_of(setup, source), files)
-    chain, energy, _ = prepare(source, setup)
+    options.check_outputs([source], files, setup)
+    chain, energy, _ = options.prepare(source, setup)
     with count_progress("scan") as watch:
         found = run(chain, energy, asked, relax=relax, watch=watch)
     write_atomically(table, lambda to: found.to_csv(to, index=False))
@@ -62,11 +50,11 @@ def scan(
     lowest: dict[str, float] = found.nsmallest(1, ENERGY)[[*asked, ENERGY]].to_dict("records")[0]  # type: ignore[assignment]  # of texts
     if as_json:
         told = {"input": str(source), "n_points": len(found), "lowest": lowest}
-        print_json(told | {"files": [*map(str, files)]})
+        options.print_json(told | {"files": [*map(str, files)]})
     else:
         at = ", ".join(f"{name} {lowest[name]:g}" for name in asked)
         print(f"{len(found)} points; the lowest, {lowest[ENERGY]:.2f} kJ/mol, at {at} degrees")
-        print_files(*files)
+        options.print_files(*files)
 
 
 def _read(given: str) -> tuple[str, list[float]]:

@@ -9,16 +9,8 @@ import typer
 
 from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
+from protochain.cli import options
 from protochain.cli.frames import Chosen, Resume, Trajectory
-from protochain.cli.options import (
-    AsJson,
-    check_outputs,
-    check_page,
-    files_of,
-    inputs_of,
-    refuse,
-    with_settings,
-)
 from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.checks import refuse_unknown
 from protochain.core.errors import Argument, ProtochainError
@@ -38,7 +30,7 @@ _SHOWN = {
 """Columns of the terminal; kJ/mol and square angstrom."""
 
 
-@with_settings(setup="hinges root move rigid_protein engine device terms")
+@options.with_settings(setup="hinges root move rigid_protein engine device terms")
 def score(
     context: typer.Context,
     inputs: Annotated[
@@ -73,7 +65,7 @@ def score(
     trajectory: Trajectory = None,
     frames: Chosen = None,
     resume: Resume = False,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
     *,
     setup: Setup,
 ) -> None:
@@ -104,14 +96,13 @@ def score(
     )  # fmt: skip
     if rank is not None:
         refuse_unknown(rank, "rank", known)
-    check_page(report)
-    files = files_of(inputs, setup)
-    outputs = [path for path in (csv, residues, report) if path]
-    check_outputs(inputs_of(setup, *reads, *(path for _, path, _ in files)), outputs)
+    options.check_page(report)
+    files = options.files_of(inputs, setup)
+    options.check_outputs([*reads, *(path for _, path, _ in files)], [csv, residues, report], setup)
     # A process cannot read this one's standard input.
     alone = len(files) == 1 or any(str(path) == "-" for _, path, _ in files)
     if alone:
-        refuse(context, "workers", "is of several files, none of them standard input")
+        options.refuse(context, "workers", "is of several files, none of them standard input")
     processes = None if alone else Processes(workers, threads=setup.threads or 1)
     with nullcontext() if processes is None else processes.started_early():
         from protochain.batches.scoring import ScoreJob, score_files

@@ -8,19 +8,7 @@ from typing import Annotated
 import typer
 
 from protochain.chains.setup import OF_ENERGY, Setup
-from protochain.cli.options import (
-    CONVERGED,
-    INTERRUPTED,
-    AsJson,
-    Scheduler,
-    check_outputs,
-    end_folder,
-    inputs_of,
-    named_after,
-    prepare,
-    refuse,
-    with_settings,
-)
+from protochain.cli import options
 from protochain.cli.terminal import print_search, search_progress
 from protochain.core.processors import processors
 from protochain.core.settings import settings_of
@@ -35,14 +23,14 @@ Output = Annotated[
 Workers = Annotated[int | None, typer.Option(help="Processes of one thread [default: all cores].")]
 
 
-@with_settings(setup="threads root")
+@options.with_settings(setup="threads root")
 def search(
     context: typer.Context,
     source: Source,
     output: Output = None,
     workers: Workers = None,
-    scheduler: Scheduler = None,
-    as_json: AsJson = False,
+    scheduler: options.Scheduler = None,
+    as_json: options.AsJson = False,
     *,
     searching: SearchSettings,
     running: SearchRunSettings,
@@ -53,29 +41,29 @@ def search(
     from protochain.searching.search_chain import check_folder
     from protochain.structure import from_sequence
 
-    named = str(source) if is_sequence(source) else named_after(source)[0]
+    named = str(source) if is_sequence(source) else options.named_after(source)[0]
     output = output or Path(f"{named}-search")
     check_folder(output, running.resume, running.force)
     setup = replace(setup, threads=1)
     if is_sequence(source):
         for name, its in settings_of(Setup):
             if name not in (*OF_ENERGY, "hinges", "move"):
-                refuse(
+                options.refuse(
                     context, f"{name} {its.word[0] if its.word else ''}", "is of files; this is a sequence"
                 )
         structure = from_sequence(str(source))
         chain, energy = setup.chain(structure), setup.energy(structure)
     else:
-        check_outputs(inputs_of(setup, source), [output / name for name in ("summary.json", "report.html")])
-        chain, energy, _ = prepare(source, setup)
+        options.check_outputs([source], [output / "summary.json", output / "report.html"], setup)
+        chain, energy, _ = options.prepare(source, setup)
     count = min(processors(), searching.n_walkers) if workers is None else workers
     with search_progress(named) as watch:
         done = run(
             chain, energy, output=output, workers=count, scheduler=scheduler, watch=watch,
             **vars(running), **vars(searching),
         )  # fmt: skip
-    status = INTERRUPTED if done.interrupted else CONVERGED
-    end_folder(output, partial(print_search, done, output), as_json, done.interrupted, status)
+    status = options.INTERRUPTED if done.interrupted else options.CONVERGED
+    options.end_folder(output, partial(print_search, done, output), as_json, done.interrupted, status)
 
 
 def is_sequence(source: Path) -> bool:

@@ -8,20 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from protochain.chains.setup import Setup
+from protochain.cli import options
 from protochain.cli.first import METHOD, foretell_both, minimised_first
-from protochain.cli.options import (
-    CONVERGED,
-    INTERRUPTED,
-    AsJson,
-    Input,
-    check_outputs,
-    fail,
-    inputs_of,
-    named_after,
-    prepare,
-    print_json,
-    with_settings,
-)
 from protochain.cli.terminal import TROUBLED, print_outlook, print_simulation, simulation_progress
 from protochain.core.interrupts import held_interrupts
 from protochain.dynamics.simulate_settings import Pull, RunSettings, SimulationSettings
@@ -41,13 +29,13 @@ Output = Annotated[
 Relax = Annotated[bool, typer.Option(help="Minimise first, by turning hinges.")]
 
 
-@with_settings()
+@options.with_settings()
 def simulate(
     context: typer.Context,
-    source: Input,
+    source: options.Input,
     output: Output = None,
     relax: Relax = True,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
     *,
     running: RunSettings,
     simulation: SimulationSettings,
@@ -63,10 +51,10 @@ def simulate(
     from protochain.dynamics.simulate_chain import freed
 
     simulation = replace(simulation, pull=pulling)
-    output = output or Path(f"{named_after(source)[0]}-simulation")
+    output = output or Path(f"{options.named_after(source)[0]}-simulation")
     check_folder(output, running.trajectory, running.resume, running.force)
-    check_outputs(inputs_of(setup, source), files_of(output, running.trajectory))
-    chain, energy, preparation = prepare(source, setup)
+    options.check_outputs([source], files_of(output, running.trajectory), setup)
+    chain, energy, preparation = options.prepare(source, setup)
     if simulation.pull or simulation.hinge_springs:
         freed(chain, simulation)  # What is not there is said before the work.
     relax = relax and not running.resume
@@ -90,13 +78,13 @@ def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
     """Print what a simulation came to, and exit."""
     record = {**done.record(), **beside}
     if as_json:
-        print_json(record)
+        options.print_json(record)
     elif done.is_sound:
         print_simulation(record)
     if not done.is_sound:
         where = f"the frames until then are in {beside['output']}/*.part.*"
-        raise SystemExit(fail(f"{beside['input']}: {done.message}; {where}"))
-    raise typer.Exit(CONVERGED if done.ending == "completed" else INTERRUPTED)
+        raise SystemExit(options.fail(f"{beside['input']}: {done.message}; {where}"))
+    raise typer.Exit(options.CONVERGED if done.ending == "completed" else options.INTERRUPTED)
 
 
 def _relaxed(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":

@@ -42,10 +42,7 @@ _LONG = 30.0
 
 
 class _Progress:
-    """A bar on a terminal; elsewhere a line a minute on standard error.
-
-    typical, most: Steps or evaluations that such runs take, and that this one may take at most.
-    """
+    """A bar on a terminal; elsewhere a line a minute. Runs take ``typical`` steps, ``most`` at most."""
 
     def __init__(self, name: str, typical: int, most: int) -> None:
         from rich.progress import BarColumn, Progress, TextColumn
@@ -136,10 +133,7 @@ def run_progress(
     each: "Callable[[Any], None] | None" = None,
     writes: bool = True,
 ) -> Iterator["Watcher"]:
-    """Show stage, energy, torque, evaluations and the time left of a run.
-
-    ``each`` gets all positions; ``writes`` says whether the result will be written.
-    """
+    """Show how far a run is; ``each`` gets all positions, ``writes`` says whether its result is written."""
     name = method if isinstance(method, str) else method.name
     progress = _RunProgress(name, typical_evaluations(method, max_evaluations), max_evaluations)
     progress.each, progress.writes = each, writes

@@ -10,7 +10,7 @@ import typer
 from protochain.chains.setup import Setup
 from protochain.cli import frames as of_frames
 from protochain.cli.frames import Chosen, Resume, Trajectory, Workers
-from protochain.cli.options import AsJson, check_outputs, files_of, inputs_of, with_settings
+from protochain.cli.options import AsJson, check_outputs, files_of, with_settings
 from protochain.cli.rows import Rows, conclude, joined, print_rows, refused, table_of
 from protochain.core.errors import ProtochainError
 from protochain.core.markup import counted
@@ -79,8 +79,7 @@ def validate(
         reads=[reference] if reference else [],
     )  # fmt: skip
     files = files_of(inputs, setup)
-    outputs = [path for path in (csv, residues, changes) if path]
-    check_outputs(inputs_of(setup, reference, *(path for _, path, _ in files)), outputs)
+    check_outputs([reference, *(path for _, path, _ in files)], [csv, residues, changes], setup)
     if changes and not reference:
         raise ProtochainError(f"changes {changes}: changes are from a reference; give one")
     compared = measurable(reference) if reference else None

@@ -69,10 +69,7 @@ def _plain(value: Any, name: str, kinds: tuple[type, ...], least: float = -math.
 def checkpoint(
     path: Path, settings: Mapping[str, Any], kind: str, *remedy: str | Argument
 ) -> Iterator[Checkpoint]:
-    """Read what :func:`write_checkpoint` wrote for a run with the same settings.
-
-    What does not fit, here or to whoever uses it inside the ``with``, is refused with the file and a remedy.
-    """
+    """Read one of a run with the same settings; what does not fit, also inside the ``with``, is refused."""
     try:
         with regular(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             check_sizes(file)
@@ -110,21 +107,24 @@ _DAMAGED = (
 """What reading a damaged archive raises: by zipfile, by numpy, by json."""
 
 
-def check_sizes(file: Any, packed: bool = False) -> None:
-    """Refuse arrays that claim to be larger than what the archive holds of them: memory and time go first."""
+def head_of(stream: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and type of an array of an archive, of which the rest of the stream are the numbers."""
+    version, form = np.lib.format.read_magic(stream), np.lib.format
+    return (form.read_array_header_1_0 if version == (1, 0) else form.read_array_header_2_0)(stream)
+
+
+def check_sizes(file: Any, packed: bool = False) -> dict[str, tuple[int, ...]]:
+    """Shapes of arrays, refused if they claim more than the archive holds: memory and time go first."""
+    shapes = {}
     for member in file.zip.infolist():
         with file.zip.open(member) as stream:
-            version = np.lib.format.read_magic(stream)
-            head = (
-                np.lib.format.read_array_header_1_0
-                if version == (1, 0)
-                else np.lib.format.read_array_header_2_0
-            )
-            shape, _, dtype = head(stream)
+            shape, _, dtype = head_of(stream)
             claimed = math.prod(shape) * dtype.itemsize
             most = _DEFLATED * member.compress_size if packed else member.compress_size
             if claimed != member.file_size - stream.tell() or member.file_size > most:
                 raise ValueError(f"{member.filename}: {claimed} bytes")
+            shapes[member.filename.removesuffix(".npy")] = shape
+    return shapes
 
 
 _DEFLATED = 1100

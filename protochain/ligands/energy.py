@@ -47,40 +47,76 @@ class Parameters(Value):
 
 def terms(parameters: Parameters, x: Floats) -> dict[str, float]:
     """Energies at positions: x (na, 3) nm."""
-    i, j = x[parameters.bonds.atoms.T]
-    angles, dihedrals = _angles(x[parameters.angles.atoms]), _dihedrals(x[parameters.torsions.atoms])
-    length, k_bond = parameters.bonds.parameters.T
-    angle, k_angle = parameters.angles.parameters.T
-    periodicity, phase, k_torsion = parameters.torsions.parameters.T
-    pairs, lj, coulomb = parameters.pairs()
-    one, other = pairs.T
-    r = np.linalg.norm(x[one] - x[other], axis=1)
-    sigma = 0.5 * (parameters.sigma[one] + parameters.sigma[other])
-    well = np.sqrt(parameters.epsilon[one] * parameters.epsilon[other])
-    s6 = (sigma / r) ** 6
-    qq = parameters.charge[one] * parameters.charge[other]
-    found = {
-        "bonds": 0.5 * k_bond * (np.linalg.norm(i - j, axis=1) - length) ** 2,
-        "angles": 0.5 * k_angle * (angles - angle) ** 2,
-        "torsions": k_torsion * (1.0 + np.cos(periodicity * dihedrals - phase)),
-        "lj": lj * 4.0 * well * (s6 * s6 - s6),
-        "coulomb": coulomb * COULOMB * qq / r,
-    }
-    return {name: float(np.sum(values)) for name, values in found.items()}
+    function = Function(parameters)
+    i, j = function.pairs
+    with np.errstate(all="ignore"):
+        coulomb = float(np.sum(function.charges / np.linalg.norm(x[i] - x[j], axis=1)))
+        return function(x)[0] | {"coulomb": coulomb}
 
 
-def _angles(at: Floats) -> Floats:
-    """Angles (n,) at the middle of three points (n, 3, 3)."""
-    u, v = at[:, 0] - at[:, 1], at[:, 2] - at[:, 1]
-    across = np.linalg.norm(np.cross(u, v), axis=1)
-    found: Floats = np.arctan2(across, np.sum(u * v, axis=1))
-    return found
+class Function:
+    """Energies by term, without Coulomb's, and their gradient, with what does not depend on positions."""
 
+    def __init__(self, parameters: Parameters) -> None:
+        self.of = parameters
+        pairs, lj, coulomb = parameters.pairs()
+        self.pairs = one, other = pairs.T
+        self.sigma = 0.5 * (parameters.sigma[one] + parameters.sigma[other])
+        self.well = lj * np.sqrt(parameters.epsilon[one] * parameters.epsilon[other])
+        self.charges = coulomb * COULOMB * parameters.charge[one] * parameters.charge[other]
 
-def _dihedrals(at: Floats) -> Floats:
-    """Dihedrals (n,) of four points (n, 4, 3)."""
-    u, v, w = at[:, 1] - at[:, 0], at[:, 2] - at[:, 1], at[:, 3] - at[:, 2]
-    m, n = np.cross(u, v), np.cross(v, w)
-    y = np.sum(u * n, axis=1) * np.linalg.norm(v, axis=1)
-    found: Floats = np.arctan2(y, np.sum(m * n, axis=1))
-    return found
+    def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
+        """Energies, kJ/mol, and gradient (na, 3), kJ/mol/nm, at x (na, 3) nm."""
+        gradient = np.zeros_like(x)
+        parts = {"bonds": self._bonds, "angles": self._angles, "torsions": self._torsions, "lj": self._wells}
+        return {name: part(x, gradient) for name, part in parts.items()}, gradient
+
+    def _bonds(self, x: Floats, gradient: Floats) -> float:
+        (i, j), (rest, k) = self.of.bonds.atoms.T, self.of.bonds.parameters.T
+        along = x[i] - x[j]
+        r = np.linalg.norm(along, axis=1)
+        pull = (k * (r - rest) / r)[:, None] * along
+        np.add.at(gradient, i, pull)
+        np.add.at(gradient, j, -pull)
+        return float(0.5 * np.sum(k * (r - rest) ** 2))
+
+    def _angles(self, x: Floats, gradient: Floats) -> float:
+        (i, j, k), (rest, stiffness) = self.of.angles.atoms.T, self.of.angles.parameters.T
+        u, v = x[i] - x[j], x[k] - x[j]
+        normal = np.cross(u, v)
+        across = np.linalg.norm(normal, axis=1)
+        angle = np.arctan2(across, np.sum(u * v, axis=1))
+        slope = (stiffness * (angle - rest) / np.maximum(across, 1e-12))[:, None]
+        at_i = slope * np.cross(u, normal) / np.sum(u * u, axis=1)[:, None]
+        at_k = slope * np.cross(normal, v) / np.sum(v * v, axis=1)[:, None]
+        for atoms, force in ((i, at_i), (k, at_k), (j, -at_i - at_k)):
+            np.add.at(gradient, atoms, force)
+        return float(0.5 * np.sum(stiffness * (angle - rest) ** 2))
+
+    def _torsions(self, x: Floats, gradient: Floats) -> float:
+        (i, j, k, m), (n, phase, height) = self.of.torsions.atoms.T, self.of.torsions.parameters.T
+        u, v, w = x[j] - x[i], x[k] - x[j], x[m] - x[k]
+        a, b = np.cross(u, v), np.cross(v, w)
+        length = np.linalg.norm(v, axis=1)
+        turn = np.arctan2(np.sum(u * b, axis=1) * length, np.sum(a * b, axis=1))
+        slope = -n * height * np.sin(n * turn - phase)
+        # Blondel, Karplus, J. Comput. Chem. 17:1132 (1996).
+        at_i = -(slope * length / np.maximum(np.sum(a * a, axis=1), 1e-18))[:, None] * a
+        at_m = (slope * length / np.maximum(np.sum(b * b, axis=1), 1e-18))[:, None] * b
+        square = length**2
+        first, last = ((np.sum(each * v, axis=1) / square)[:, None] for each in (u, w))
+        at_j = -(1.0 + first) * at_i + last * at_m
+        at_k = first * at_i - (1.0 + last) * at_m
+        for atoms, force in ((i, at_i), (j, at_j), (k, at_k), (m, at_m)):
+            np.add.at(gradient, atoms, force)
+        return float(np.sum(height * (1.0 + np.cos(n * turn - phase))))
+
+    def _wells(self, x: Floats, gradient: Floats) -> float:
+        i, j = self.pairs
+        along = x[i] - x[j]
+        square = np.sum(along * along, axis=1)
+        s6 = (self.sigma**2 / square) ** 3
+        push = (self.well * (24.0 * s6 - 48.0 * s6 * s6) / square)[:, None] * along
+        np.add.at(gradient, i, push)
+        np.add.at(gradient, j, -push)
+        return float(np.sum(4.0 * self.well * (s6 * s6 - s6)))

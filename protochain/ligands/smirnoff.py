@@ -103,7 +103,7 @@ def parametrised(
     """Give a molecule the parameters of a force field."""
     found = _Typing(molecule, force_field)
     found.refuse_unhandled({"LibraryCharges"} if own_charges else set())
-    types = found.of("vdW", _as_it_is, ((i,) for i in range(molecule.n_atoms)))
+    types = found.of("vdW", lambda atoms: atoms, ((i,) for i in range(molecule.n_atoms)))
     bonds = found.of("Bonds", _one_way, map(tuple, molecule.bonds.tolist()))
     angles = found.of("Angles", _one_way, found.angles())
     torsions = found.of("ProperTorsions", _one_way, found.torsions())
@@ -186,10 +186,6 @@ class _Typing:
         for i, j in self.molecule.bonds.tolist():
             ends = ((a, b) for a in self.near[i] for b in self.near[j])
             yield from ((a, i, j, b) for a, b in ends if len({a, i, j, b}) == 4)
-
-
-def _as_it_is(atoms: Atoms) -> Atoms:
-    return atoms
 
 
 def _one_way(atoms: Atoms) -> Atoms:

@@ -38,22 +38,14 @@ def kind_of(name: str) -> Kind:
 
 @dataclass(frozen=True)
 class Column:
-    """A column of the record.
+    """A column of the record."""
 
-    key: Name in JSON and CSV, with its unit.
-    value: Value of what is recorded.
-    kind: What values are, for schemas and for reading tables, unless the key tells.
-    heading: Heading in short tables, which leave out columns without one.
-    short: Heading where 80 characters must hold all columns.
-    width: Characters of a number there.
-    """
-
-    key: str
-    value: Callable[[Any], Any]
-    heading: str = ""
-    short: str = ""
-    width: int = 8
-    kind: Kind = None
+    key: str  # Name in JSON and CSV, with its unit.
+    value: Callable[[Any], Any]  # Of what is recorded.
+    heading: str = ""  # In short tables, which leave out columns without one.
+    short: str = ""  # Heading where 80 characters must hold all columns.
+    width: int = 8  # Characters of a number there.
+    kind: Kind = None  # What values are, for schemas and for reading tables, unless the key tells.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", self.kind or kind_of(self.key))

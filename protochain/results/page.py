@@ -36,10 +36,7 @@ def explored(
     links: Sequence[str | None] | None = None,
     by: str | None = None,
 ) -> dict[str, Any]:
-    """Rows that a page searches, filters, sorts and draws, in numbers that are short.
-
-    shown: Columns that are shown at first, or all. by: Column that tells lines of histograms apart.
-    """
+    """Rows that a page searches: columns ``shown`` at first, or all, and ``by`` for lines of histograms."""
     numbers = set(table.select_dtypes("number"))
     columns = [
         {"key": str(name), "title": heading(str(name)), "number": name in numbers,

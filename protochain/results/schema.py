@@ -17,25 +17,17 @@ _PLAIN = {str: "string", bool: "boolean", int: "integer", float: "number", NoneT
 
 @dataclass(frozen=True)
 class Contract:
-    """What a command prints and writes.
+    """What a command prints and writes."""
 
-    json: What ``--json`` prints is one of them.
-    tables: By the name of the CSV or the option that names it: one of these is a row.
-    files: Names that its folder always has, in it.
-    more: Patterns of the names of other files there.
-    """
-
-    json: tuple[Kind, ...] = ()
+    json: tuple[Kind, ...] = ()  # What ``--json`` prints is one of them.
+    # By the name of the CSV or the option that names it: one of these is a row.
     tables: Mapping[str, tuple[Kind, ...]] = field(default_factory=dict)
-    files: tuple[str, ...] = ()
-    more: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()  # Names that its folder always has, in it.
+    more: tuple[str, ...] = ()  # Patterns of the names of other files there.
 
 
 def document(command: str, version: int, contract: Contract) -> Schema:
-    """Schema of what a command prints; of its tables and its folder in ``$defs``.
-
-    A table is an array of its rows, in which an empty cell is null; a folder is an array of the names in it.
-    """
+    """Schema of what a command prints; of tables, arrays of rows, and its folder, of names, in ``$defs``."""
     defs: dict[str, Schema] = {
         name: {"type": "array", "items": _one_of(rows)} for name, rows in contract.tables.items()
     }
@@ -83,7 +75,10 @@ def schema(kind: Kind) -> Schema:
     if origin is Literal:
         return {"enum": [*args]}
     if origin in (Union, UnionType):
-        return _union([schema(each) for each in args])
+        schemas = [schema(each) for each in args]
+        # Plain types in one list, which is shorter.
+        is_plain = all({*each} == {"type"} for each in schemas)
+        return {"type": [each["type"] for each in schemas]} if is_plain else {"anyOf": schemas}
     if origin in (list, tuple):
         return {"type": "array", "items": schema(args[0])}
     if origin is dict:
@@ -104,13 +99,6 @@ def _object(kinds: Mapping[str, Kind], needed: Sequence[str]) -> Schema:
 
 def _told(name: str) -> Schema:
     return {"description": heading(name)} if any(name.endswith(unit) for unit in UNITS) else {}
-
-
-def _union(schemas: Sequence[Schema]) -> Schema:
-    """Plain types in one list, which is shorter than ``anyOf``."""
-    if all({*each} == {"type"} for each in schemas):
-        return {"type": [each["type"] for each in schemas]}
-    return {"anyOf": [*schemas]}
 
 
 def cell(kind: Kind) -> Kind:

@@ -27,16 +27,11 @@ _ALL_ATOMS = 5000
 
 @dataclass(frozen=True)
 class Colouring:
-    """A quantity that colours the residues of structures.
+    """A quantity that colours the residues of structures."""
 
-    name: What the page calls it, with its unit.
-    values: By the names of structures; those that are not here keep a colour of their own. NaN where unknown.
-    is_signed: Of two colours about zero; else of one, from the lowest to the highest.
-    """
-
-    name: str
-    values: Mapping[str, Floats]
-    is_signed: bool = False
+    name: str  # What the page calls it, with its unit.
+    values: Mapping[str, Floats]  # By the names of structures, NaN where unknown; others keep their colour.
+    is_signed: bool = False  # Of two colours about zero; else of one, from the lowest to the highest.
 
 
 def scene(
@@ -45,12 +40,17 @@ def scene(
     """Variables of the viewer's template, with all structures superposed on the first."""
     (first_name, first), *others = shown.items()
     ends = {name: superposed(each, first) for name, each in others}
-    away = {name: ANGSTROM_PER_NM * _lengths(each.positions - first.positions) for name, each in ends.items()}
+    moved = {name: each.positions - first.positions for name, each in ends.items()}
+    away = {name: ANGSTROM_PER_NM * np.linalg.norm(by, axis=1) for name, by in moved.items()}
     suffix = common_suffix(shown.values())
     # Displacements are of atoms: they go where the viewer reads a number of each, the column of B factors.
     texts = {first_name: first} | {name: replace(each, b_factor=away[name]) for name, each in ends.items()}
     models = [
-        {"name": name, "format": suffix.removeprefix("."), "text": _text(each, suffix)}
+        {
+            "name": name,
+            "format": suffix.removeprefix("."),
+            "text": as_text(each, suffix, hydrogens=each.n_atoms <= _ALL_ATOMS),
+        }
         for name, each in texts.items()
     ]
     stated = [_of_atoms(first, away)] if ends else []
@@ -72,10 +72,7 @@ def residue_keys(structure: Structure) -> NDArray[np.str_]:
 
 
 def _residues(structure: Structure, suffix: str) -> list[str]:
-    """Chain, number and insertion code of each residue, as the viewer reads them; of mmCIF it reads no codes.
-
-    Residues that only these distinguish have no name then, rather than the colour of another.
-    """
+    """Names of residues for the viewer, which reads no codes of mmCIF: empty where they distinguish two."""
     chain, number = structure.residue_chain, structure.residue_number
     if suffix == ".pdb":
         number = np.char.add(number, structure.residue_insertion_code)
@@ -116,15 +113,8 @@ def _of_residues(colouring: Colouring, names: Sequence[str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _lengths(vectors: Floats) -> Floats:
-    return np.asarray(np.linalg.norm(vectors, axis=1))
-
-
 def pockets(structure: Structure, bonds: Integers, *ends: Floats) -> list[dict[str, Any]]:
-    """What the viewer of pockets needs: each ligand, residues near it at any end, its hydrogen bonds.
-
-    bonds (n, 2) int: donors and acceptors. *ends (na, 3) nm.
-    """
+    """Each ligand, residues near it at any end (na, 3), nm, and its bonds (n, 2), donors and acceptors."""
     of = structure.atom_residue
 
     def atom(k: int) -> dict[str, Any]:
@@ -201,10 +191,6 @@ def superposed(structure: Structure, start: Structure) -> Structure:
     alpha = start.alpha_carbons
     turn, shift = motion(structure.positions[alpha], start.positions[alpha])
     return structure.with_positions(structure.positions @ turn.T + shift)
-
-
-def _text(structure: Structure, suffix: str) -> str:
-    return as_text(structure, suffix, hydrogens=structure.n_atoms <= _ALL_ATOMS)
 
 
 @cache

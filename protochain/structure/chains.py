@@ -26,10 +26,7 @@ _SAME = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class PairSums(Value):
-    """Sums over the matched points of each pair of k chains of a reference and m of a model.
-
-    By them a superposition of any of the pairs is found and judged without going through the points again.
-    """
+    """Sums over points of pairs of k chains and m, by which any of them are superposed."""
 
     weight: Floats  # (k, m): Number of points; 0 for chains that may not be paired.
     own: Floats  # (k, m, 3): Sums of the points of the model and of the reference.

@@ -140,13 +140,7 @@ def _site(draft: Draft, part: Part, i: int) -> Site:
     if not handedness(member) and not member.is_d and _is_misnamed(part, i):
         sign = -1
         draft.note(Kind.BUILT_AS_D, residue=member.residue)
-    return Site(member, sign, *_neighbours(part, i))
-
-
-def _neighbours(part: Part, i: int) -> tuple[Member | None, Member | None]:
-    n = len(part.members)
-    before = part.members[i - 1] if i or part.cyclic else None
-    return before, part.members[(i + 1) % n] if i + 1 < n or part.cyclic else None
+    return Site(member, sign, *part.around(i))
 
 
 def _is_misnamed(part: Part, i: int) -> bool:
@@ -159,7 +153,7 @@ def _is_misnamed(part: Part, i: int) -> bool:
 
 def _phi(part: Part, i: int) -> float:
     """Dihedral phi, rad; zero where there is none."""
-    before, _ = _neighbours(part, i)
+    before, _ = part.around(i)
     atoms = [
         before.atom("C") if before else None,
         *(part.members[i].atom(name) for name in residues.BACKBONE),
@@ -215,7 +209,7 @@ def _oxygen(draft: Draft, part: Part, i: int) -> Floats:
     """(3,) float, angstrom: oxygen in the plane of a peptide bond, or where a C terminus has room for it."""
     member = part.members[i]
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
-    _, after = _neighbours(part, i)
+    _, after = part.around(i)
     beyond = after.atom("N") if after else member.atom("OXT")
     if beyond is not None:
         arms = unit(at["CA"] - at["C"]) + unit(np.array(beyond.pos.tolist()) - at["C"])

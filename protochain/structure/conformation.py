@@ -68,7 +68,10 @@ def agreed(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[list[str]
         (atoms[i], atoms[j], length)
         for i, j in KDTree([atom.x for atom in atoms]).query_pairs(_TOGETHER)
         if atoms[i].place != atoms[j].place
-        and ((length := dist(atoms[i].x, atoms[j].x)) < _UPON or not _is_whole(atoms[i], atoms[j]))
+        and (
+            (length := dist(atoms[i].x, atoms[j].x)) < _UPON
+            or not any(atoms[k].letter.startswith(_WHOLE) for k in (i, j))
+        )
     ]
     pairs = np.array([(a.place, b.place) for a, b, _ in touching], dtype=np.int64).reshape(-1, 2)
     group = components(pairs, len(places))
@@ -78,9 +81,8 @@ def agreed(places: Sequence[list[gemmi.Residue]], asked: str) -> tuple[list[str]
         having: dict[str, set[int]] = {}
         for atom in mine:
             occupancies.setdefault(atom.letter, []).append(atom.occupancy)
-            having.setdefault(atom.letter, set()).update(
-                [] if _is_water(places[atom.place]) else [atom.place]
-            )
+            is_water = places[atom.place][0].is_water()
+            having.setdefault(atom.letter, set()).update([] if is_water else [atom.place])
         rank = {each: (each == asked, len(having[each]), np.mean(occupancies[each])) for each in having}
         for atom in mine:
             letters[atom.place] = max(rank, key=rank.__getitem__)
@@ -105,14 +107,6 @@ def _partial(place: int, group: list[gemmi.Residue]) -> Iterator[_Partial]:
         if atom.has_altloc() or (whole and 0.0 < atom.occ < 1.0):
             letter = atom.altloc if atom.has_altloc() else f"{_WHOLE}{place}"
             yield _Partial(place, letter, atom.occ, atom.pos.tolist())
-
-
-def _is_whole(*atoms: _Partial) -> bool:
-    return any(atom.letter.startswith(_WHOLE) for atom in atoms)
-
-
-def _is_water(group: list[gemmi.Residue]) -> bool:
-    return bool(group[0].is_water())
 
 
 def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:

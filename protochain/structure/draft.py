@@ -38,6 +38,12 @@ class Part:
         """Whether it is of nucleotides, also modified ones."""
         return self.members[0].name in residues.NUCLEOTIDES or (self.obstacle and len(self.members) > 1)
 
+    def around(self, i: int) -> tuple[Member | None, Member | None]:
+        """Residues before and after one, if there are any."""
+        n = len(self.members)
+        before = self.members[i - 1] if i or self.cyclic else None
+        return before, self.members[(i + 1) % n] if i + 1 < n or self.cyclic else None
+
     def template(self, known: Mapping[str, Template], i: int, state: str = "") -> Template | None:
         """Template of residue i in a protonation state, or the usual: at ends ``N...``, ``C...``, 5, 3."""
         member = self.members[i]

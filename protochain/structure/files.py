@@ -81,8 +81,10 @@ def suffix_of(source: Path) -> str:
 def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides."""
     source = "standard input" if path == STANDARD_INPUT else str(path)
-    if not _is_unicode(source):
-        raise StructureError(f"{ascii(source)[1:-1]}: its name is not UTF-8; rename the file")
+    try:
+        source.encode()  # To tables and structures: names of files are bytes of any kind.
+    except UnicodeEncodeError:
+        raise StructureError(f"{ascii(source)[1:-1]}: its name is not UTF-8; rename the file") from None
     overlooked: list[Repair] = []
     if path.suffix.lower() in foreign.SUFFIXES:
         return _settled(foreign.by_mdanalysis(path), source, overlooked, True, "")
@@ -302,15 +304,6 @@ def _refuse_cut_pdb(text: str, source: str) -> None:
         )
 
 
-def _is_unicode(name: str) -> bool:
-    """Whether a name can be written to tables and structures: names of files are bytes of any kind."""
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
 def _ascii(text: str, source: str, used: slice) -> str:
     """Put question marks for other characters, which gemmi cuts and terminals obey; not in columns used."""
     if not _STRANGE.search(text):
@@ -439,14 +432,11 @@ def _refuse_odd_numbers(line: str, number: int, source: str) -> None:
                 f"correct columns {start + 1}-{start + 8}"
             )
     given = line[22:26]
-    if not given.strip().lstrip("-").isdigit() and not _is_hybrid36(given):
+    is_hybrid36 = len(given) == 4 and given[0].isalpha() and given.isalnum() and given.isascii()
+    if not given.strip().lstrip("-").isdigit() and not is_hybrid36:
         raise StructureError(
             f"{source}: line {number}: the residue number is {given.strip()!r}; correct columns 23-26"
         )
-
-
-def _is_hybrid36(given: str) -> bool:
-    return len(given) == 4 and given[0].isalpha() and given.isalnum() and given.isascii()
 
 
 def number_atoms(structure: gemmi.Structure) -> None:
@@ -467,16 +457,13 @@ def place_in_file(atom: gemmi.Atom) -> int:
 
 
 def in_file_order(model: gemmi.Model) -> list[tuple[str, gemmi.Atom]]:
-    """Names and atoms of a model in the order of the file; a name is ``A/17/GLU/CG``."""
-    named = [
-        ("/".join([p.chain.name, str(p.residue.seqid), p.residue.name, _with_altloc(p.atom)]), p.atom)
-        for p in model.all()
-    ]
+    """Names and atoms of a model in the order of the file; names are ``A/17/GLU/CG``, ``A/17/GLU/CG/B``."""
+    named = []
+    for p in model.all():
+        altloc = [p.atom.altloc] if p.atom.has_altloc() else []
+        parts = [p.chain.name, str(p.residue.seqid), p.residue.name, p.atom.name, *altloc]
+        named.append(("/".join(parts), p.atom))
     return sorted(named, key=lambda each: each[1].fraction)
-
-
-def _with_altloc(atom: gemmi.Atom) -> str:
-    return f"{atom.name}/{atom.altloc}" if atom.has_altloc() else str(atom.name)
 
 
 def _without_oddities(structure: gemmi.Structure) -> None:

@@ -16,7 +16,7 @@ from protochain.core.markup import listed
 from protochain.structure.bonding import Graph
 from protochain.structure.bound import Chemist, template_of
 from protochain.structure.capped import Maker, Place
-from protochain.structure.draft import Draft, Fragment, Part, losses
+from protochain.structure.draft import Draft, Fragment, losses
 from protochain.structure.kept import cut
 from protochain.structure.linkage import SHORTEST, STATED_SLACK
 from protochain.structure.links import Link
@@ -25,7 +25,7 @@ from protochain.structure.parents import to_parent
 from protochain.structure.repairs import Kind, Loss, Why
 from protochain.structure.residues import Atom
 from protochain.structure.sites import stated_beside
-from protochain.structure.templates import HAS_GLYCAM, HAS_SAGE, Template
+from protochain.structure.templates import HAS_GLYCAM, HAS_SAGE
 
 _H, _C, _N, _O, _P, _S = 1, 6, 7, 8, 15, 16
 
@@ -42,7 +42,9 @@ poor model overlap."""
 
 def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     """Give residues that no template fits their parameters, and report them."""
-    where = {id(m): at for part in draft.parts for m, at in _places(part)}
+    where = {
+        id(m): Place(part, i, *part.around(i)) for part in draft.parts for i, m in enumerate(part.members)
+    }
     cross = list(_crosslinks(draft, where))
     for link in cross:
         link.member.links.append(link.atom)
@@ -64,7 +66,9 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
         _, _, before, after = where[id(m)]
         wide: list[Member | None] = []
         if where[id(m)].part.obstacle:
-            wide = [before] if before and before.odd and not _is_phosphodiester(before, m) else []
+            # Joined as usual, no term has changed atoms of both.
+            is_usual = before and before.atom("O3'") and all(map(m.atom, ("P", "OP1", "OP2", "O5'")))
+            wide = [before] if before and before.odd and not is_usual else []
         elif (before or after) and not _is_like_alanine(chemist, m):
             wide = [before, after]
         pairs += [(number[id(m)], number[id(each)]) for each in wide if each]
@@ -126,23 +130,10 @@ def _is_believed(draft: Draft, link: Link) -> bool:
     return is_usual
 
 
-def _places(part: Part) -> Iterator[tuple[Member, Place]]:
-    members = part.members
-    for i, member in enumerate(members):
-        before = members[i - 1] if i or part.cyclic else None
-        after = members[(i + 1) % len(members)] if i + 1 < len(members) or part.cyclic else None
-        yield member, Place(part, i, before, after)
-
-
 def _is_whole(at: Place, member: Member, ends: set[str]) -> bool:
     """Whether a template fits a residue of a chain all the same: its bond goes on where the chain ends."""
     open_ends = {name for name, other in (("N", at.before), ("C", at.after)) if other is None}
     return not at.part.obstacle and ends <= open_ends and not member.odd
-
-
-def _is_phosphodiester(before: Member, after: Member) -> bool:
-    """Whether two nucleotides are joined as usual, so that no term has changed atoms of both."""
-    return before.atom("O3'") is not None and all(map(after.atom, ("P", "OP1", "OP2", "O5'")))
 
 
 def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
@@ -224,12 +215,15 @@ def _about_unknown(draft: Draft, unknown: Sequence[tuple[Member, Exception]]) ->
 
 def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection[int]) -> None:
     """Give the residues of a fragment their templates, take away what leaves, and report both."""
-    mine = {
-        id(m): m
-        for (m, _), name in zip(made.owners, made.ligand.molecule.names, strict=True)
-        if name[-1] not in "+-"
-    }
-    found = {key: (m, _template(m, made)) for key, m in mine.items() if m is not None and key in special}
+    called: dict[int, dict[int, str]] = {}
+    mine: dict[int, Member] = {}
+    names = made.ligand.molecule.names
+    for i, ((m, own), name) in enumerate(zip(made.owners, names, strict=True)):
+        if m is not None and id(m) in special and name[-1] not in "+-":
+            mine[id(m)] = m
+            called.setdefault(id(m), {})[i] = own
+    # Charges of the templates only turn hydroxyls while hydrogens are placed.
+    found = {key: (m, template_of(m.name, made.ligand, called[key])) for key, m in mine.items()}
     leavers = {(id(m), name) for gone in made.bonds.values() for m, name in gone}
     for m, template in found.values():
         there = {a.name for a in m.heavy if (id(m), a.name) not in leavers}
@@ -266,12 +260,3 @@ def _lost(member: Member, names: Collection[str]) -> tuple[Loss, ...]:
     gone = [a for a in member.atoms if a.name in names]
     member.atoms = [a for a in member.atoms if a.name not in names]
     return losses(member, gone, Why.BONDED)
-
-
-def _template(member: Member, made: Fragment) -> Template:
-    """Atoms and bonds of a residue; charges only turn hydroxyls while hydrogens are placed."""
-    called = {
-        i: name for i, (owner, name) in enumerate(made.owners)
-        if owner is member and made.ligand.molecule.names[i][-1] not in "+-"
-    }  # fmt: skip
-    return template_of(member.name, made.ligand, called)

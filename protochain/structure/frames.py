@@ -21,7 +21,7 @@ from typing import IO, Any
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value
-from protochain.core.checkpoints import check_sizes
+from protochain.core.checkpoints import check_sizes, head_of
 from protochain.core.checks import plain, shown
 from protochain.core.errors import Argument, ProtochainError, StructureError, refused
 from protochain.core.storage import regular
@@ -46,27 +46,18 @@ class Frame(Value):
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """Frames of an ensemble, or some of them; may be iterated more than once.
+    """Frames of an ensemble, or some of them; may be iterated more than once."""
 
-    source: What they are read from, for messages.
-    count: Number of all frames of the source.
-    n_atoms: Atoms of a frame.
-    read: Takes places of frames, one after the other, and yields each as it is taken.
-    chosen: Places of the frames that are wanted.
-    names: Atoms of a frame as :class:`protochain.structure.model.Origin` names them; empty if the source does
-        not say.
-    path: File from which other processes can read them.
-    sequence: Of a protein of which a frame has N, CA, C and O of each residue, in that order, and no others;
-        X if the file does not tell it.
-    """
-
-    source: str
-    count: int
+    source: str  # What they are read from, for messages.
+    count: int  # Of all frames of the source.
     n_atoms: int
-    read: Callable[[Iterable[int]], Iterator[Frame]]
-    chosen: Sequence[int]
-    names: tuple[str, ...] = ()
-    path: Path | None = None
+    read: Callable[
+        [Iterable[int]], Iterator[Frame]
+    ]  # Takes places of frames, and yields each as it is taken.
+    chosen: Sequence[int]  # Places of those that are wanted.
+    names: tuple[str, ...] = ()  # Of atoms, as ``Origin`` has them; empty if the source does not say.
+    path: Path | None = None  # File from which other processes can read them.
+    # Of a protein of which a frame has N, CA, C and O of each residue alone; X if the file does not tell it.
     sequence: str = ""
 
     def __len__(self) -> int:
@@ -244,13 +235,12 @@ def _xdr(path: Path, kind: "_Kind") -> Frames:
                         frame = file.read()
                 except (OSError, EOFError, StopIteration, RuntimeError, ValueError) as error:
                     why = f"cannot be read ({error})"
-                yield Frame(k, None, why=why) if why else _of_xdr(k, frame)
+                if why:
+                    yield Frame(k, None, why=why)
+                else:
+                    yield Frame(k, _own(frame.x), _box(frame.box), float(frame.time))
 
     return _all_of(path, len(begins), n_atoms, read)
-
-
-def _of_xdr(k: int, frame: Any) -> Frame:
-    return Frame(k, _own(frame.x), _box(frame.box), float(frame.time))
 
 
 def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], int]:
@@ -281,18 +271,18 @@ def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], in
     return np.array(begins, dtype=np.int64), damaged, n_atoms
 
 
-def _xtc_end(head: bytes, n_atoms: int) -> int:
+def xtc_end(head: bytes, n_atoms: int) -> int:
     """Bytes of a frame of XTC by its head; 0 if that is none."""
     if len(head) < 8 or struct.unpack(">i", head[4:8])[0] != n_atoms:
         return 0
     if n_atoms <= _XTC_FEW:
         return _XTC_RAW + 12 * n_atoms
-    if len(head) < _XTC_HEAD:
-        return _XTC_HEAD
+    if len(head) < XTC_HEAD:
+        return XTC_HEAD
     again, _, *limits, small, n_bytes = struct.unpack(">if8i", head[52:])
     spans = [high - low for low, high in zip(limits[:3], limits[3:], strict=True)]
     is_sound = again == n_atoms and min(spans) >= 0 and max(spans) < _XTC_SPAN and small in _XTC_SIZES
-    return _XTC_HEAD + 4 * -(-n_bytes // 4) if is_sound and 0 <= n_bytes <= 16 * n_atoms else 0
+    return XTC_HEAD + 4 * -(-n_bytes // 4) if is_sound and 0 <= n_bytes <= 16 * n_atoms else 0
 
 
 def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
@@ -301,7 +291,7 @@ def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
     if n_atoms <= _XTC_FEW:
         return True
     file.seek(begin)
-    head = file.read(_XTC_HEAD)
+    head = file.read(XTC_HEAD)
     *limits, small, n_bytes = struct.unpack(">8i", head[60:])
     spans = [high - low + 1 for low, high in zip(limits[:3], limits[3:], strict=True)]
     full = sum(map(int.bit_length, spans)) if max(spans) > _XTC_APART else math.prod(spans).bit_length()
@@ -317,7 +307,7 @@ def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
     return i == n_atoms and at <= 8 * n_bytes
 
 
-_XTC_HEAD, _XTC_RAW, _XTC_FEW = 92, 56, 9
+XTC_HEAD, _XTC_RAW, _XTC_FEW = 92, 56, 9
 """Bytes of a frame before coordinates that are compressed, and others; atoms up to which they are not."""
 _XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
 """Largest span of coordinates in units of the precision; bits of small differences; span from which axes are
@@ -357,7 +347,7 @@ class _Kind:
     is_sound: Callable[[IO[bytes], int, int], bool] = lambda *_: True
 
 
-_XTC = _Kind("XTC", struct.pack(">i", 1995), 8, 4, _XTC_HEAD, _xtc_end, _xtc_is_sound)
+_XTC = _Kind("XTC", struct.pack(">i", 1995), 8, 4, XTC_HEAD, xtc_end, _xtc_is_sound)
 _TRR = _Kind("TRR", struct.pack(">3i", 1993, 13, 12) + b"GMX_trn_file", 24, 64, _TRR_HEAD, _trr_end)
 
 
@@ -464,8 +454,7 @@ def _npz(path: Path) -> Frames:
     """Arrays of numpy; the positions are read frame by frame from the archive."""
     try:
         with np.load(path, allow_pickle=False) as file:
-            check_sizes(file, packed=True)
-            shapes = {name: _header(path, name)[0] for name in file.files}
+            shapes = check_sizes(file, packed=True)
             of_backbones = {"pos", "node_orientations"} <= shapes.keys()
             name = next((name for name in ("positions", "pos") if name in shapes), None)
             unit = "nm" if of_backbones else str(file["unit"]) if "unit" in shapes else ""
@@ -507,19 +496,6 @@ def _npz(path: Path) -> Frames:
 _UNITS = {"nm": 1.0, "nanometer": 1.0, "angstrom": ANGSTROM_PER_NM, "A": ANGSTROM_PER_NM}
 
 
-def _header(
-    path: Path, name: str, file: IO[bytes] | None = None
-) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and type of an array of an archive."""
-    if file is None:
-        with zipfile.ZipFile(path) as archive, archive.open(f"{name}.npy") as opened:
-            return _header(path, name, opened)
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, dtype = read(file)
-    return tuple(shape), bool(fortran), dtype
-
-
 def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator[tuple[int, list[Any]]]:
     """Rows of arrays of an archive, one after the other."""
     with ExitStack() as stack:
@@ -527,7 +503,7 @@ def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator
             stack.enter_context(stack.enter_context(zipfile.ZipFile(path)).open(f"{name}.npy"))
             for name in names
         ]
-        heads = [(*_header(path, name, file), file.tell()) for name, file in zip(names, rows, strict=True)]
+        heads = [(*head_of(file), file.tell()) for file in rows]
         for name, (_, fortran, dtype, _) in zip(names, heads, strict=True):
             if fortran or dtype.hasobject:
                 raise StructureError(f"{path}: {name} is not in C order; write it again by numpy.savez")

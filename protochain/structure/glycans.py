@@ -82,7 +82,11 @@ def settle(draft: Draft, parts: Sequence[Part], others: Collection[str], has_gly
             (member,) = part.members
             part.glycan, part.mobile = codes[id(member)], True
             member.own = _template(member, part.glycan)
-            _note_configurations(draft, member, letters_of(part.glycan), own)
+            letters = letters_of(part.glycan)
+            if letters != SUGARS[member.name]:
+                draft.note(Kind.OTHER_ANOMER, residue=member.residue)
+            if wrong := (*_inverted(member, letters, own),):
+                draft.note(Kind.SUGAR_INVERTED, residue=member.residue, atoms=wrong)
 
 
 def _code(member: Member, links: Sequence[Link]) -> str:
@@ -110,14 +114,6 @@ def _without_hydroxyl(draft: Draft, link: Link) -> None:
         sugar.atoms = [a for a in sugar.atoms if a is not oxygen]
         gone = (f"{oxygen.name} of {sugar.name}",)
         draft.note(Kind.LINKED, lost, atoms=link.atoms, length=link.length, gone=gone)
-
-
-def _note_configurations(draft: Draft, member: Member, letters: str, links: Sequence[Link]) -> None:
-    """Say where the configurations of a sugar are not those of its name."""
-    if letters != SUGARS[member.name]:
-        draft.note(Kind.OTHER_ANOMER, residue=member.residue)
-    if wrong := (*_inverted(member, letters, links),):
-        draft.note(Kind.SUGAR_INVERTED, residue=member.residue, atoms=wrong)
 
 
 def _inverted(member: Member, letters: str, links: Sequence[Link]) -> Iterator[str]:

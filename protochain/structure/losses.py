@@ -36,7 +36,8 @@ def loss_lines(rows: Iterable[Mapping[Any, Any]], say: Say = str) -> list[str]:
         remedy = f"; {say(EVERYTHING)} keeps them" if key == "far_molecules" else ""
         cells = {name: row.get(key) for name, row in of.items()}
         texts = {name: "; ".join(cell) if isinstance(cell, list) else cell for name, cell in cells.items()}
-        lost = {name: _short(text) for name, text in texts.items() if isinstance(text, str) and text}
+        told = {name: text for name, text in texts.items() if isinstance(text, str) and text}
+        lost = {name: shorten(text, _WIDTH, placeholder=" ...") for name, text in told.items()}
         if len(of) == 1 and lost:
             lines.append(f"{what}: {''.join(lost.values())}{remedy}")
         elif lost:
@@ -51,7 +52,3 @@ _COLUMNS = {
     "far_molecules": f"left out molecules further than {defaults.KEEP_WITHIN:g} angstrom from the protein",
 }
 """Columns, and what they tell."""
-
-
-def _short(text: str) -> str:
-    return shorten(text, _WIDTH, placeholder=" ...")

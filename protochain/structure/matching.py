@@ -1,7 +1,7 @@
 """Corresponding residues of two structures, and what can be measured of files of C-alpha atoms only."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -66,7 +66,9 @@ def match(reference: Structure, model: Structure) -> Match:
     if numbered and len(ours) == len(theirs) == 1:
         return _matched(reference, model, numbered, "numbers", [(0, 0)])
     aligned = _alignments(ours, theirs, reference, model)
-    first = _by_id(ours, theirs) if numbered else _by_score(ours, theirs, aligned)
+    place = {name: j for j, name in enumerate(theirs)}
+    by_id = np.array([place.get(name, -1) for name in ours])
+    first = by_id if numbered else _by_score(ours, theirs, aligned)
     mapping = _least(reference, model, aligned, first)
     columns = [(i, j) for i, j in enumerate(mapping.tolist()) if j >= 0]
     if numbered and (mapping == first).all():
@@ -206,12 +208,6 @@ def _alignments(
             done = made[first, second]
             found[i, j] = done._replace(pairs=[(own[a], other[b]) for a, b in done.pairs])
     return found
-
-
-def _by_id(ours: Iterable[str], theirs: Iterable[str]) -> Integers:
-    """Chains (k,) of the model of the same ids, -1 for none."""
-    place = {name: j for j, name in enumerate(theirs)}
-    return np.array([place.get(name, -1) for name in ours])
 
 
 def _by_score(

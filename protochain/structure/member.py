@@ -66,6 +66,11 @@ class Member:
         return next((atom for atom in self.atoms if atom.name == name), None)
 
 
+def address_of(place: gemmi.AtomAddress) -> Address:
+    """Where gemmi has an atom of a bond."""
+    return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
+
+
 def atom(name: str, element: str, position: list[float], b_iso: float = 0.0) -> gemmi.Atom:
     """Make an atom (angstrom)."""
     made = gemmi.Atom()

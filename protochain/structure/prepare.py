@@ -21,7 +21,7 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.bound import Chemistry, put_hydrogens, take_up
 from protochain.structure.bridges import Bridge, disulfides
 from protochain.structure.complete import add_heavy_atoms
-from protochain.structure.draft import Draft, Fragment, Part
+from protochain.structure.draft import Draft, Part
 from protochain.structure.files import place_in_file
 from protochain.structure.hydrogens import place_hydrogens
 from protochain.structure.links import Link
@@ -219,16 +219,18 @@ def prepare(
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
         ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
-        fragments=tuple(_fragment(made, at) for made in draft.fragments),
+        # Atoms of caps are atoms of neighbours.
+        fragments=tuple(
+            BoundLigand(
+                made.ligand,
+                np.array([-1 if m is None else at[id(m)].get(n, -1) for m, n in made.owners]),
+                core=made.core,
+            )
+            for made in draft.fragments
+        ),
         glycans={r: part.glycan for r, part in enumerate(of_residues) if part.glycan},
         origin=Origin(draft.filed, place, charge) if (place >= 0).any() else None,
     )
-
-
-def _fragment(made: Fragment, at: dict[int, dict[str, int]]) -> BoundLigand:
-    """A fragment with the atoms of the structure; those of its caps are atoms of its neighbours."""
-    atoms = [-1 if m is None else at[id(m)].get(name, -1) for m, name in made.owners]
-    return BoundLigand(made.ligand, np.array(atoms), core=made.core)
 
 
 def _bound(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:

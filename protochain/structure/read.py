@@ -40,7 +40,7 @@ from protochain.structure.draft import Draft, Part, losses
 from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, place_in_file, split_name
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, note_unresolved, report, water_named
-from protochain.structure.member import Address, Member
+from protochain.structure.member import Address, Member, address_of
 from protochain.structure.repairs import EVERYTHING, Kind, Repair, Why
 from protochain.structure.sites import find_links
 from protochain.structure.templates import (
@@ -119,7 +119,7 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     if atoms := without_deuterium(model):
         draft.note(Kind.DEUTERIUM, count=atoms)
     draft.stated = [
-        (_address(bond.partner1), _address(bond.partner2))
+        (address_of(bond.partner1), address_of(bond.partner2))
         for bond in structure.connections
         # One to an image in the crystal is none here.
         if bond.type in _BONDS and bond.asu != gemmi.Asu.Different
@@ -179,17 +179,15 @@ def _place(part: Part) -> int:
 def _nothing_told(beside: Iterable[Candidate]) -> tuple[object, ...]:
     """What there is where there is no chain to work with, and what to do."""
     kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
-    found = ", ".join(_counted(kind, count) for kind, count in kinds.items())
+    found = ", ".join(
+        counted(n, "water") if kind == "waters" else f"{counted(n, 'residue')} {kind}"
+        for kind, n in kinds.items()
+    )
     what = f"no protein found{found and f', only {found}'}; "
     if any(each.kind == "nucleic" for each in beside):
         return what, "keep them by ", EVERYTHING
     single = any(each.given in residues.STANDARD for each in beside)
     return what, "a chain has two amino acids or more" if single else "give a file with protein, DNA or RNA"
-
-
-def _counted(kind: str, count: int) -> str:
-    """Molecules kept with the protein in words: waters, or residues of a name."""
-    return counted(count, "water") if kind == "waters" else f"{counted(count, 'residue')} {kind}"
 
 
 def model_numbers(path: str | Path) -> list[int]:
@@ -199,10 +197,6 @@ def model_numbers(path: str | Path) -> list[int]:
 
 def _in_file(chain: str, residue: gemmi.Residue) -> residues.Residue:
     return residues.Residue(chain, str(residue.seqid).strip(), residue.name)
-
-
-def _address(place: gemmi.AtomAddress) -> Address:
-    return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
 
 
 def _of_serials(structure: gemmi.Structure, model: gemmi.Model) -> list[tuple[Address, Address]]:
@@ -239,7 +233,11 @@ class _Reader:
             self._leave_virtual(found.residue)
             self.notes: list[Repair] = []
             if self._is_protein(found.residue):
-                self._report_alternates(found)
+                self.draft.repairs += self._alternates(found)
+                if found.others:
+                    self.draft.left_out["alternate locations"] += len(found.others)
+                elif found.repeated:
+                    self.draft.left_out["repeated atoms"] += len(found.repeated)
             else:
                 self.notes = self._alternates(found)
             member = self._member(found.residue)
@@ -272,13 +270,6 @@ class _Reader:
     @property
     def _chain(self) -> str:
         return self.chain_id or "(blank)"
-
-    def _report_alternates(self, found: Conformation) -> None:
-        self.draft.repairs += self._alternates(found)
-        if found.others:
-            self.draft.left_out["alternate locations"] += len(found.others)
-        elif found.repeated:
-            self.draft.left_out["repeated atoms"] += len(found.repeated)
 
     def _alternates(self, found: Conformation) -> list[Repair]:
         """Describe the choice among the alternate locations of a residue."""

@@ -98,12 +98,12 @@ def cif_rows(
     names = {residue.name: residue for model in out for chain in model for residue in chain}
     there = _There(out, label, names)
     found = _with(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})
-    kept = {
-        category: rows
-        for category, given in found.items()
-        if category not in (CATEGORY, _MODIFIED)
-        and (rows := _once(row for each in given if (row := there.renamed(category, each))))
-    }
+    kept = {}
+    for category, given in found.items():
+        if category not in (CATEGORY, _MODIFIED):
+            rows = [now for row in given if (now := there.renamed(category, row))]
+            if rows:
+                kept[category] = [*{tuple(row.items()): row for row in rows}.values()]  # Each once.
     sequences = (each for entity in out.entities for each in entity.full_sequence)
     unseen = {name: gemmi.Residue() for each in sequences for name in each.split(",")}
     return kept | {"_chem_comp.": list(_components(kept.get("_chem_comp.", []), unseen | names))}
@@ -330,10 +330,6 @@ def _categories(block: gemmi.cif.Block) -> dict[str, Rows]:
 def _rows(block: gemmi.cif.Block, category: str) -> Rows:
     columns = block.get_mmcif_category(category, raw=True)
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
-
-
-def _once(rows: Iterable[dict[str, str]]) -> Rows:
-    return list({tuple(row.items()): row for row in rows}.values())
 
 
 def _text(categories: Mapping[str, Rows]) -> str:

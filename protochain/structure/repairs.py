@@ -299,10 +299,7 @@ class Why(StrEnum):
 
 @dataclass(frozen=True)
 class Loss:
-    """Heavy atoms of one residue of the file that are not in the structure.
-
-    Waters, alternate locations, and what options leave out are not lost; ``left_out`` counts them too.
-    """
+    """Heavy atoms of a residue of the file that the structure lacks, but what options leave out."""
 
     chain: str  # Of the residue in the file; the number with its insertion code.
     number: str
@@ -340,11 +337,7 @@ class Repair(Value):
 
 
 class _Form(Formatter):
-    """Fills templates: arguments as whoever reads calls them, lists with commas, counts with what they count.
-
-    The format of a list is how many are shown, or ``and`` to join them by that; that of a count is ``n`` and
-    the word for one.
-    """
+    """Fills templates: a list's format is how many are shown, or ``and``; a count's, ``n`` and its word."""
 
     def __init__(self, say: Say) -> None:
         self.say = say

@@ -1,6 +1,7 @@
 """Atom selection in the language of MDAnalysis, and places named as chain:number:atom."""
 
 import re
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -171,10 +172,6 @@ def _side(structure: Structure, given: str) -> _Side:
     return _Side(mask & ~is_water(structure), selected=True)
 
 
-def _sidechain(structure: Structure, _: str) -> NDArray[np.bool_]:
-    return ~structure.kept & ~np.isin(structure.atom_name, _BACKBONE)
-
-
 def _ligand(structure: Structure, _: str) -> NDArray[np.bool_]:
     if not structure.ligands:
         raise StructureError(
@@ -201,7 +198,10 @@ def _interface(structure: Structure, between: str) -> NDArray[np.bool_]:
 _BACKBONE = ("N", "H", "H1", "H2", "H3", "CA", "HA", "HA2", "HA3", "C", "O", "OXT", "HXT")
 _TOUCHING = 0.5
 """nm. Distance of heavy atoms of two chains from which on their residues touch, as CAPRI counts contacts."""
-_OWN = {"sidechain": _sidechain, "ligand": _ligand, "interface": _interface}
+_OWN: dict[str, Callable[[Structure, str], NDArray[np.bool_]]] = {
+    "sidechain": lambda s, _: ~s.kept & ~np.isin(s.atom_name, _BACKBONE),
+    "ligand": _ligand, "interface": _interface,
+}  # fmt: skip
 """Words that MDAnalysis does not have."""
 
 

@@ -43,7 +43,11 @@ _BOND, _ANGLE = 2.7e5, 500.0
 
 def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) -> list[Link]:
     """Find and report bonds of protein and obstacles, and overlaps; return those that springs are to hold."""
-    protein, beside = (_heavy_atoms(p for p in draft.parts if p.obstacle is kept) for kept in (False, True))
+    protein, beside = (
+        [(m, a) for part in draft.parts if part.obstacle is kept for m in part.members if m.name != "HOH"
+         for a in m.heavy]
+        for kept in (False, True)
+    )  # fmt: skip
     free = {*draft.glycosidic}
     near = [link for link in _near(draft, protein, beside) if _ends(link) not in free]
     # A result says which bonds its molecules have.
@@ -81,10 +85,6 @@ def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) 
         pairs = tuple(Apart(link.atoms, link.length) for link in close.overlapping)
         draft.note(Kind.NEAR, count=len(pairs), pairs=pairs)
     return links
-
-
-def _heavy_atoms(parts: Iterable[Part]) -> list[tuple[Member, gemmi.Atom]]:
-    return [(m, a) for part in parts for m in part.members if m.name != "HOH" for a in m.heavy]
 
 
 _Owned = Sequence[tuple[Member, gemmi.Atom]]

@@ -14,15 +14,11 @@ from openmm import app, unit
 from protochain.core.arrays import Floats
 from protochain.core.errors import StructureError, WriteError
 from protochain.core.storage import check_writable, writing
+from protochain.structure.frames import XTC_HEAD, xtc_end
 from protochain.structure.model import Structure
 
 _DCD_COUNT = 8
 """Offset of the number of frames in a DCD file: four bytes, little-endian."""
-
-
-_XTC_HEADER, _XTC_RAW, _XTC_FEW = 92, 56, 9
-"""Bytes of an XTC frame before its compressed coordinates, whose number the last four are; bytes before
-coordinates that are not compressed; and the number of atoms up to which they are not."""
 
 
 WRITTEN = (".dcd", ".xtc")
@@ -37,15 +33,9 @@ def check_trajectory(path: Path) -> None:
 
 def _is_whole(path: Path, begin: int, n_atoms: int) -> bool:
     """Whether the frame of an XTC file from this byte on is complete: OpenMM's writer tells no failure."""
-    size = path.stat().st_size - begin
-    if n_atoms <= _XTC_FEW:
-        return size == _XTC_RAW + 12 * n_atoms
-    if size < _XTC_HEADER:
-        return False
     with path.open("rb") as file:
-        file.seek(begin + _XTC_HEADER - 4)
-        (n_bytes,) = struct.unpack(">i", file.read(4))
-    return bool(size == _XTC_HEADER + 4 * -(-n_bytes // 4))
+        file.seek(begin)
+        return path.stat().st_size - begin == xtc_end(file.read(XTC_HEAD), n_atoms)
 
 
 def _without_hydrogens(structure: Structure) -> tuple[Any, Any]:
@@ -56,14 +46,7 @@ def _without_hydrogens(structure: Structure) -> tuple[Any, Any]:
 
 
 class TrajectoryFile:
-    """Writer of frames to ``NAME.part.dcd``, renamed when the ``with`` block ends.
-
-    path: Ends in ``.dcd`` or ``.xtc``.
-    structure: Structure that gives the topology.
-    interval ps: Time between frames.
-    kept: Continue a file from this number of frames and bytes; the rest is cut off.
-    hydrogens: Whether to write them.
-    """
+    """Writer to ``NAME.part.dcd``, renamed at the end, of frames after ``kept`` frames and bytes."""
 
     def __init__(
         self,

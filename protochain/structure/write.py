@@ -26,6 +26,7 @@ from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.header import NO_LABEL, Label, settle, with_header
 from protochain.structure.links import is_metal
+from protochain.structure.member import address_of
 from protochain.structure.model import Structure
 from protochain.structure.records import Rows, cif_rows, orders, pdb_lines, put, with_names
 from protochain.structure.residues import NUCLEOTIDES
@@ -274,10 +275,6 @@ def _address(structure: Structure, atom: int) -> gemmi.AtomAddress:
     )  # fmt: skip
 
 
-def _place(end: gemmi.AtomAddress) -> tuple[str, str, str]:
-    return end.chain_name.strip(), str(end.res_id.seqid).strip(), end.atom_name
-
-
 def _connections(structure: Structure, stated: Iterable[gemmi.Connection]) -> Iterator[gemmi.Connection]:
     """Bonds between residues, but not along a chain, and what the file states of molecules left out."""
     at: dict[tuple[str, str, str], int] = {}
@@ -285,7 +282,7 @@ def _connections(structure: Structure, stated: Iterable[gemmi.Connection]) -> It
         at.setdefault((str(structure.residue_chain[r]), str(_seqid(structure, r)).strip(), str(name)), k)
     known: dict[tuple[int, int], gemmi.Connection] = {}
     for link in stated:
-        ends = [at.get(_place(end)) for end in (link.partner1, link.partner2)]
+        ends = [at.get(address_of(end)) for end in (link.partner1, link.partner2)]
         if None not in ends and ends[0] != ends[1]:
             first, second = sorted(end for end in ends if end is not None)
             known.setdefault((first, second), link)

@@ -5,9 +5,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers, cross
+from protochain.core.arrays import Floats, Integers
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure
+from protochain.structure.sidechains.ideal import placed, unit
 from protochain.validation.layout import NONE, layout, positions
 
 LIMIT = 0.25
@@ -47,24 +48,10 @@ def cbeta_deviations(structure: Structure, x: Floats | None = None) -> Deviation
     length, from_c, round_c, from_n, round_n = np.array(ideal).reshape(-1, 5).T
     sign = np.where(structure.mirrored[residue], -1.0, 1.0)
     middle = 0.5 * (
-        _placed(n, c, alpha, length, from_c, sign * round_c)
-        + _placed(c, n, alpha, length, from_n, sign * round_n)
+        placed(n, c, alpha, length, np.radians(from_c), np.radians(sign * round_c))
+        + placed(c, n, alpha, length, np.radians(from_n), np.radians(sign * round_n))
     )
     out = middle - alpha
     out[~out.any(axis=1), 0] = 1.0  # Of atoms at one point, where no way is out.
-    out = length[:, None] * _unit(out)
+    out = length[:, None] * unit(out)
     return Deviations(residue, np.linalg.norm(beta - alpha - out, axis=1))
-
-
-def _placed(a: Floats, b: Floats, c: Floats, length: Floats, angle: Floats, dihedral: Floats) -> Floats:
-    """Points (n, 3) at a distance from c, with an angle to b and a dihedral to a, both in degrees."""
-    theta, phi = np.radians(angle)[:, None], np.radians(dihedral)[:, None]
-    back = _unit(b - c)
-    up = _unit(cross(a - b, back))
-    aside = cross(up, back)
-    way = np.cos(theta) * back + np.sin(theta) * (np.cos(phi) * -aside + np.sin(phi) * up)
-    return np.asarray(c + length[:, None] * way)
-
-
-def _unit(v: Floats) -> Floats:
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), np.finfo(float).tiny))

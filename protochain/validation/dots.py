@@ -43,21 +43,18 @@ def molecular_surface(
         return Dots(none, none, np.zeros(0), none)
     reach, tree = radius + probe, cKDTree(x)
     found = tree.query_ball_point(x[of], reach[of] + reach.max(), return_sorted=True)
-    neighbours = [
-        np.array(its)[_meets(x, reach, i, np.array(its))] for i, its in zip(of.tolist(), found, strict=True)
-    ]
+    neighbours = []
+    for i, its in zip(of.tolist(), map(np.array, found), strict=True):
+        # Of these the spheres of the probe's centre cross that of the atom, or swallow it.
+        meets = np.linalg.norm(x[its] - x[i], axis=1) < reach[i] + reach[its]
+        neighbours.append(its[meets & (its != i)])
     convex = [
         _convex(x, radius, probe, density, i, its) for i, its in zip(of.tolist(), neighbours, strict=True)
     ]
     saddles, rests, corners = _rolled(x, reach, probe, density, of, neighbours)
     concave = _concave(x, rests, corners, probe, density)
-    return _joined([*convex, *_outside([saddles, concave], rests, probe)])
-
-
-def _meets(x: Floats, reach: Floats, i: int, others: Integers) -> NDArray[np.bool_]:
-    """Whether the spheres of the probe's centre about others (n,) and atom i cross, or it is swallowed."""
-    apart = np.linalg.norm(x[others] - x[i], axis=1)
-    return np.asarray((apart < reach[i] + reach[others]) & (others != i))
+    parts = [*convex, *_outside([saddles, concave], rests, probe)]
+    return Dots(*map(np.concatenate, zip(*((p.x, p.normal, p.area, p.probe) for p in parts), strict=True)))
 
 
 def _convex(x: Floats, radius: Floats, probe: float, density: float, i: int, its: Integers) -> Dots:
@@ -227,9 +224,3 @@ def _outside(parts: list[Dots], rests: Floats, probe: float) -> list[Dots]:
         return parts
     tree = cKDTree(rests)
     return [dots[np.asarray(tree.query(dots.x)[0] > probe - _SAME)] if len(dots) else dots for dots in parts]
-
-
-def _joined(parts: list[Dots]) -> Dots:
-    return Dots(
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("x", "normal", "area", "probe"))
-    )

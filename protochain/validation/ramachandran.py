@@ -62,15 +62,10 @@ def ramachandran(structure: Structure, x: Floats | None = None) -> Ramachandran:
 
 def score(kind: Integers, phi: Floats, psi: Floats) -> Floats:
     """Interpolate the tables of kind (n,) between the four points nearest to phi, psi (n,), degrees."""
-    table = tables()
-    n = table.shape[1]
-    (i, a), (j, b) = (_cell(angle) for angle in (phi, psi))
-    return np.asarray(
-        (1 - a) * (1 - b) * table[kind, i % n, j % n]
-        + a * (1 - b) * table[kind, (i + 1) % n, j % n]
-        + (1 - a) * b * table[kind, i % n, (j + 1) % n]
-        + a * b * table[kind, (i + 1) % n, (j + 1) % n]
-    )
+    from scipy.ndimage import map_coordinates
+
+    places = np.array([kind, (phi + 179.0) / _CELL, (psi + 179.0) / _CELL])
+    return np.asarray(map_coordinates(tables(), places, order=1, mode="grid-wrap"))
 
 
 @cache
@@ -78,13 +73,6 @@ def tables() -> Floats:
     """(6, 180, 180) float: score by class, phi and psi, at -179, -177, ... degrees."""
     with np.load(_TABLES) as stored:
         return read_only([stored[name] for name in CLASSES])
-
-
-def _cell(angle: Floats) -> tuple[Integers, Floats]:
-    """Index of the point at or below an angle, and how far the angle lies on the way to the next."""
-    place = (angle + 179.0) / _CELL
-    below = np.floor(place)
-    return below.astype(np.int64), place - below
 
 
 def _classes(structure: Structure, omega: Floats) -> NDArray[np.int64]:

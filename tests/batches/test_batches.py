@@ -129,8 +129,6 @@ def test_the_folder_holds_one_truth(done):
         assert f"{row['energy_end_reference_kj_mol']:.3f}" in own and row["message"] in own
         up = "../" * (1 + row["structure"].count("/"))
         assert f'href="{up}{row["output"]}"' in own and f'href="{up}report.html"' in own
-    for row in pd.read_csv(result.folder / "statistics.csv").to_dict("records"):
-        assert f"{row['median']:.3f}" in page or f"{row['median']:.0f}" in page
     assert "http://" not in page.replace("http://127.0.0.1", "")
 
 

@@ -159,14 +159,14 @@ def test_a_manifest_or_link_in_the_folder_for_the_results_is_refused():
     made("in/x.pdb")
     Path("out").mkdir()
     shutil.copy(STRUCTURES / "ala10.pdb", "out/y.relaxed.pdb")
-    Path("out/statistics.csv").write_text("path\n../in/x.pdb\n")
+    Path("out/list.csv").write_text("path\n../in/x.pdb\n")
     Path("out/x.pdb").symlink_to(Path("in/x.pdb").absolute())
     Path("in/z.pdb").symlink_to(Path("out/y.relaxed.pdb").absolute())
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     with pytest.raises(pc.ProtochainError, match="in: is the folder for the results"):
         pc.batch("in", "in", "relax")
     for given, options in (
-        ([], {"manifest": "out/statistics.csv"}), ("out/x.pdb", {}), ("in/z.pdb", {}),
+        ([], {"manifest": "out/list.csv"}), ("out/x.pdb", {}), ("in/z.pdb", {}),
         ("out/y.relaxed.pdb", {}), ("in/../out/x.pdb", {}),
     ):  # fmt: skip
         with pytest.raises(pc.ProtochainError, match="lies in the folder for the results"):

@@ -16,7 +16,7 @@ from matplotlib.image import imread
 import protochain as pc
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
-from protochain.batches.report import plot_distribution, statistics, worst_first, write_report
+from protochain.batches.report import plot_distribution, worst_first, write_report
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
 from protochain.core.palette import COLOURS
 from protochain.minimisers import record
@@ -299,29 +299,6 @@ def results(n=4):
     )  # fmt: skip
 
 
-def test_quartiles_are_of_each_method_over_the_rows_with_a_result():
-    found = statistics(results())
-    assert found.columns.tolist() == [
-        "method",
-        "quantity",
-        "first_quartile",
-        "median",
-        "third_quartile",
-        "highest",
-    ]
-    assert found.values.tolist() == [
-        ["lbfgs", "energy_drop_kj_mol_per_residue", 6.25, 7.5, 8.75, 10.0],
-        ["lbfgs", "ca_rmsd_angstrom", 0.25, 0.375, 0.5, 0.625],
-        ["lbfgs", "evaluations", 1.75, 2.5, 3.25, 4.0],
-        ["lbfgs", "seconds", 2.0, 3.0, 4.0, 5.0],
-        ["kcm", "energy_drop_kj_mol_per_residue", *[8.0] * 4],
-        ["kcm", "ca_rmsd_angstrom", *[0.25] * 4],
-        ["kcm", "ca_rmsd_to_openmm_angstrom", *[0.5] * 4],
-        ["kcm", "evaluations", *[2.0] * 4],
-        ["kcm", "seconds", *[2.0] * 4],
-    ]
-
-
 def test_the_worst_come_first_and_nothing_is_added():
     sorted_rows = worst_first(results())
     assert sorted_rows["structure"].tolist() == ["s0", "s1", "s3", "s2"]
@@ -361,7 +338,7 @@ def test_the_report_shows_each_row_and_links_the_pages_there_are(tmp_path):
     }
     write_report(tmp_path, results(), summary)
     assert {path.name for path in tmp_path.iterdir()} == {
-        "pages", "report.html", "statistics.csv", "energy.png", "rmsd.png", "seconds.png",
+        "pages", "report.html", "energy.png", "rmsd.png", "seconds.png",
     }  # fmt: skip
     page = (tmp_path / "report.html").read_text()
     data = json.loads(re.search(r'<script type="application/json">(.*?)</script>', page, re.DOTALL)[1])
@@ -374,6 +351,5 @@ def test_the_report_shows_each_row_and_links_the_pages_there_are(tmp_path):
         [row[key] for key in ("ca_rmsd_angstrom", "energy_end_reference_kj_mol", "seconds")] for row in rows
     ]
     assert [row["message"] for row in rows] == ["said"] * len(results())
-    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "statistics.csv"), statistics(results()))
     assert len({(tmp_path / f"{stem}.png").read_bytes() for stem in ("energy", "rmsd", "seconds")}) == 3
     assert imread(tmp_path / "energy.png").std() > 0

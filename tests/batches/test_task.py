@@ -161,14 +161,14 @@ def test_a_child_that_dies_or_is_late_leaves_rows_for_the_methods_left(tmp_path,
     first = failure(job, "kcm", "budget", "")
     child = Scripted(first, None)
     # Begun at 100; the last look at the clock is at 103.
-    assert child.do(job, 60.0) == [
+    assert child.do(task.Task(job, tmp_path), 60.0) == [
         first, *(failure(job, method, "killed", "it died", 3.0) for method in ("lbfgs", "fire"))
     ]  # fmt: skip
     assert child.killed
     clock = iter([100.0, 100.5, 107.0, 107.5])
     child = Scripted(first)
     late = "time limit of 6.5 s reached"
-    assert child.do(job, 6.5) == [
+    assert child.do(task.Task(job, tmp_path), 6.5) == [
         first, *(failure(job, method, "time-limit", late, 7.5) for method in ("lbfgs", "fire"))
     ]  # fmt: skip
     assert child.killed
@@ -267,7 +267,7 @@ def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(mo
     monkeypatch.setattr(Child, "kill", lambda self: (started.update(killed=True), self.said.close()))
     job = job_of("kcm", "lbfgs")
     # The time that it takes to start is not that of the first structure.
-    assert Child(3).do(job, 1.0) == [
+    assert Child(3).do(task.Task(job, tmp_path), 1.0) == [
         failure(job, method, "time-limit", "the process that minimises did not start in time")
         for method in ("kcm", "lbfgs")
     ]
@@ -371,14 +371,14 @@ def test_a_window_is_of_four_jobs_a_worker_counted_again_after_a_while(monkeypat
     assert batch_structures._Window(cluster.Workers(None, lambda: 0)).size() == 4
 
 
-def test_what_a_worker_reports_is_the_row_of_each_method():
+def test_what_a_worker_reports_is_the_row_of_each_method(tmp_path):
     job = job_of("kcm", "lbfgs")
     rows, ended, lost = [Row({"method": "kcm"}, [])], Future(), Future()
     ended.set_result(rows)
     assert batch_structures._rows(ended, job) is rows
     lost.set_exception(ValueError("three times"))
     message = "no worker finished this structure: three times"
-    assert batch_structures._rows(lost, job) == [
+    assert batch_structures._rows(lost, task.Task(job, tmp_path)) == [
         failure(job, method, "killed", message) for method in ("kcm", "lbfgs")
     ]
 

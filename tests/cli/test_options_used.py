@@ -198,7 +198,7 @@ def here(made, tmp_path, monkeypatch):
     return SimpleNamespace(arrived=arrived, made=made, folder=tmp_path / "here", chdir=monkeypatch.chdir)
 
 
-TIMED = {"statistics.csv", "equal_cost.csv"}
+TIMED = {"equal_cost.csv"}
 CLOCK = re.compile(r"seconds|per_day|^key$")
 
 

@@ -103,7 +103,7 @@ def test_batch(told, tmp_path):
     assert told("batch", "peptide.pdb", "--dry-run")["structures"][0]["methods"] == ["cartesian"]
     (tmp_path / "bad.pdb").write_text("END\n")
     told("batch", "peptide.pdb", "bad.pdb", "--methods", "lbfgs,relax", "--workers", "1", "-o", "folder")
-    assert len(tables("batch", tmp_path / "folder")) == 3
+    assert len(tables("batch", tmp_path / "folder")) == 2
 
 
 def test_modes(told, tmp_path):

@@ -100,7 +100,10 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
 def crosslinked(*members):
     """Ends of the bonds between residues of a chain that are none along it."""
     draft = drafted(*members)
-    where = {id(m): at for part in draft.parts for m, at in fragments._places(part)}
+    where = {
+        id(m): fragments.Place(part, i, *part.around(i))
+        for part in draft.parts for i, m in enumerate(part.members)
+    }  # fmt: skip
     return [(link.atom.name, link.other_atom.name) for link in fragments._crosslinks(draft, where)]
 
 

@@ -124,11 +124,11 @@ def test_renamed_atoms_are_listed_up_to_four():
 def test_neighbours_are_those_of_the_chain_and_of_the_ring():
     first, second, third = (glycine(k) for k in (1, 2, 3))
     part = Part("A", [first, second, third])
-    assert [module._neighbours(part, k) for k in range(3)] == [
+    assert [part.around(k) for k in range(3)] == [
         (None, second), (first, third), (second, None),
     ]  # fmt: skip
     part.cyclic = True
-    assert [module._neighbours(part, k) for k in (0, 2)] == [(third, second), (second, first)]
+    assert [part.around(k) for k in (0, 2)] == [(third, second), (second, first)]
 
 
 def serines():

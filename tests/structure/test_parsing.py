@@ -229,7 +229,6 @@ def test_numbers_are_read_from_their_columns(start, end, text, why):
     with pytest.raises(pc.ProtochainError) as refused:
         corrected("REMARK", line)
     assert str(refused.value) == f"x: line 2: {why}"
-    assert not files._is_hybrid36("A0") and not files._is_hybrid36("A0000")
 
 
 def counted(n):

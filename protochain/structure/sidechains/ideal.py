@@ -130,7 +130,9 @@ def grown(residue: str, known: Mapping[str, Floats], chi: Floats) -> Places:
         if beside:
             turn = turn + dihedral(a, b, c, known[beside[0].name]) - beside[0].dihedral
         elif branch.chi is not None:
-            turn = turn + _padded(chi, len(geometry.chi))[:, branch.chi] - geometry.chi[branch.chi]
+            # Those that are planar, chi5 of arginine, are not given.
+            given = chi[:, branch.chi] if branch.chi < chi.shape[1] else 0.0
+            turn = turn + given - geometry.chi[branch.chi]
         at[branch.name] = placed(a, b, c, branch.length, branch.angle, turn)
     return {name: np.broadcast_to(x, (n, 3)) for name, x in at.items() if name not in known}
 
@@ -146,10 +148,12 @@ def bridged(residue: str, known: Mapping[str, Floats]) -> Places:
     """Place atoms between atoms that are there, by distances within two bonds; angstrom, or empty."""
     geometry, found = ideal(residue), dict(known)
     chi, _ = conformers(residue)
-    outward = [branch.name for branch in geometry.branches]
+    before = {branch.name: branch.before for branch in geometry.branches}
+    outward = [*before]
     for place, name in enumerate([n for n in ["CB", *outward] if n in geometry.x]):
         beyond = [n for n in geometry.within(name, 2) if n in outward[place:] and n in known]
-        beyond = [n for n in beyond if not _is_beside(geometry, name, n)]
+        # Of two atoms on the same one the one follows from the other.
+        beyond = [n for n in beyond if name not in before or before[name] != before[n]]
         if name in found or not beyond:
             continue
         near = sorted(n for n in geometry.within(name, 2) if n in found)
@@ -172,17 +176,6 @@ def _at_distances(fixed: Floats, target: Floats, start: Floats) -> Floats:
     return np.asarray(least_squares(misfit, start).x)
 
 
-def _is_beside(geometry: Ideal, first: str, second: str) -> bool:
-    """Whether two atoms hang on the same one, so that the one follows from the other."""
-    before = {branch.name: branch.before for branch in geometry.branches}
-    return first in before and before[first] == before.get(second)
-
-
-def _padded(chi: Floats, n: int) -> Floats:
-    """Dihedrals (k, n), those that are planar (chi5 of arginine) as zero."""
-    return np.pad(chi, ((0, 0), (0, n - chi.shape[1])))
-
-
 def _frame(x: Mapping[str, Floats]) -> Floats:
     """(3, 3) float: axes as rows, of which the first bisects N-CA-C and the third is normal to it."""
     n, c = unit(x["N"] - x["CA"]), unit(x["C"] - x["CA"])
@@ -190,12 +183,15 @@ def _frame(x: Mapping[str, Floats]) -> Floats:
     return np.array([first, cross(third, first), third])
 
 
-def placed(a: Floats, b: Floats, c: Floats, length: float, angle: float, turn: Floats) -> Floats:
+def placed(
+    a: Floats, b: Floats, c: Floats, length: float | Floats, angle: float | Floats, turn: Floats
+) -> Floats:
     """Place points (n, 3) at a distance from c, an angle with b and dihedrals (n,) with a."""
+    length, angle, turn = (np.asarray(each)[..., None] for each in (length, angle, turn))
     along = unit(c - b)
     normal = unit(cross(b - a, along))
     aside = cross(normal, along)
-    out = np.sin(angle) * (np.cos(turn)[:, None] * aside + np.sin(turn)[:, None] * normal)
+    out = np.sin(angle) * (np.cos(turn) * aside + np.sin(turn) * normal)
     return np.asarray(c + length * (out - np.cos(angle) * along))
 
 
