@@ -30,22 +30,16 @@ its length at this step, 6e-8 at 1e-5 and as much again at 1e-6.
 
 @dataclass(frozen=True, eq=False)
 class Torques:
-    """Torques of an energy near one point of a chain.
-
-    energy: Of all terms.
-    q (n_q,): The point.
-    """
+    """Torques of an energy near one point of a chain."""
 
     chain: Chain
-    energy: Energy
-    q: Floats
+    energy: Energy  # Of all terms.
+    q: Floats  # (n_q,): The point.
 
     @cached_property
     def _varying(self) -> Energy:
-        """The energy without terms that rigid bodies keep: their rounding would be left of them.
-
-        It is exact: platforms of OpenMM round forces to single precision.
-        """
+        """The energy without terms that rigid bodies keep: their rounding would be left of them."""
+        # It is exact: platforms of OpenMM round forces to single precision.
         energy = self.energy
         energy = energy if energy.is_exact else energy.exact
         return energy.without_constants(self.chain.rigid_groups, self.chain.structure.positions)

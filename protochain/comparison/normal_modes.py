@@ -65,14 +65,11 @@ _SWEEPS = 200
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """Mass matrix of the freedoms of a chain without its motion as a whole.
-
-    whole (n_v, 0 or 6): Rigid motions of what nothing holds.
-    """
+    """Mass matrix of the freedoms of a chain without its motion as a whole."""
 
     chain: Chain
     pose: Pose
-    whole: Floats
+    whole: Floats  # (n_v, 0 or 6): Rigid motions of what nothing holds.
 
     @cached_property
     def freedoms(self) -> NDArray[np.int64]:

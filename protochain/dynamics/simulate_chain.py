@@ -253,10 +253,8 @@ def _prepare(
     settings: SimulationSettings,
     constants: Mapping[str, Floats],
 ) -> _Run:
-    """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator.
-
-    A run that is resumed keeps the constants that it measured at its start, where those of q are others.
-    """
+    """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
+    # A run that is resumed keeps the constants that it measured at its start, where those of q are others.
     given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
     if not np.isfinite(given).all():
         at = int(np.argmin(np.isfinite(given)))
@@ -303,10 +301,8 @@ def _prepare(
 
 
 def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats:
-    """What the run to be resumed measured at its start; its own if there is none of its shape.
-
-    The checkpoint is then of another run, or damaged, which is found out and said when it is read.
-    """
+    """What the run to be resumed measured at its start; its own if there is none of its shape."""
+    # The checkpoint is then of another run, or damaged, which is found out and said when it is read.
     found = constants.get(name)
     return own if found is None or found.shape != own.shape else found
 

@@ -241,11 +241,9 @@ def native_of(energy: Energy) -> NativeEnergy | None:
 
 
 def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[dict[str, float], ...]:
-    """Energy of each term, kJ/mol, at positions (na, 3) in nm, at less than two evaluations for each.
-
-    Empty where they cannot be told, as of a callable; and of more than ``defaults.FULL_UP_TO`` atoms, where
-    pairs one by one would take longer than the run.
-    """
+    """Energy of each term, kJ/mol, at positions (na, 3) in nm, at less than two evaluations for each."""
+    # Empty where they cannot be told, as of a callable; and of more than ``defaults.FULL_UP_TO`` atoms, where
+    # pairs one by one would take longer than the run.
     native = native_of(energy) if structure.n_atoms <= defaults.FULL_UP_TO else None
     return tuple({} if native is None else decomposed(structure, native, x).terms for x in positions)
 
@@ -284,13 +282,10 @@ class TermsAtEnds:
 def interaction(
     structure: Structure, energy: NativeEnergy, x: Floats, one: NDArray[np.bool_], other: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Interaction of two parts, and what it costs to take the solvent from between them, all else away.
-
-    x (na, 3) nm, one, other (nr,) bool.
-    -> interaction, desolvation (terms, nr) kJ/mol: Shares of each residue: half of its pairs with the other
-    part, with the Born radii that both have together; and what generalised Born and surface within its own
-    part change.
-    """
+    """Interaction of two parts, and what it costs to take the solvent from between them, all else away."""
+    # x (na, 3) nm, one, other (nr,) bool. -> interaction, desolvation (terms, nr) kJ/mol: Shares of each
+    # residue: half of its pairs with the other part, with the Born radii that both have together; and what
+    # generalised Born and surface within its own part change.
     mine, its = (part[structure.atom_residue] for part in (one, other))
     away = np.zeros((structure.n_atoms, 3))
     away[~mine & ~its, 1] = _AWAY

@@ -207,10 +207,8 @@ def _drag(
     rotation: Floats, origin: Floats, twists: Floats, ends: Integers, place: Floats, normal: Floats,
     depth: Floats, stretch: Floats, constants: Floats, arms: Floats,
 ) -> None:  # fmt: skip
-    """Anchor springs at the present places, lest a ball that rolls seem to slip, as long as friction allows.
-
-    An anchor is dragged to where the spring alone has the greatest friction.
-    """
+    """Anchor springs at the present places, lest a ball that rolls seem to slip, where friction allows it."""
+    # An anchor is dragged to where the spring alone has the greatest friction.
     for k in range(len(depth)):
         a, b, at, spring = ends[k, 0], ends[k, 1], vector(place, k), vector(stretch, k)
         moving = _relative(origin, twists, a, b, at)
@@ -236,10 +234,8 @@ def _stretch(
     rotation: Floats, origin: Floats, pair: Integers, ends: Integers, normal: Floats, anchored: Integers,
     arms: Floats, apart: Floats,
 ) -> None:  # fmt: skip
-    """Write the springs of friction from their anchors, for pairs in order.
-
-    A ball that has come to another triangle takes its anchor along, if it had but one and has but one.
-    """
+    """Write the springs of friction from their anchors, for pairs in order."""
+    # A ball that has come to another triangle takes its anchor along, if it had but one and has but one.
     n, m, first = len(pair), len(anchored), 0
     for k in range(n):
         while first < m and anchored[first, 0] < pair[k, 0]:

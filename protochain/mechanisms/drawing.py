@@ -102,25 +102,17 @@ class Mesh(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """A motion to draw.
+    """A motion to draw."""
 
-    names: Bodies.
-    shapes: Of bodies and the world.
-    lines, grounds, meshes: Springs, planes, and surfaces.
-    times (n,).
-    rotation, origin (n, nb, 3, 3): Axes of the bodies, as columns, and their origins.
-    low, high (3,): Box in which all of it happens.
-    """
-
-    names: tuple[str, ...]
-    shapes: tuple[Shape, ...]
-    lines: Lines
+    names: tuple[str, ...]  # Bodies.
+    shapes: tuple[Shape, ...]  # Of bodies and the world.
+    lines: Lines  # lines, grounds, meshes: Springs, planes, and surfaces.
     grounds: tuple[Ground, ...]
     meshes: tuple[Mesh, ...]
-    times: Floats
-    rotation: Floats
+    times: Floats  # (n,).
+    rotation: Floats  # rotation, origin: (n, nb, 3, 3): Axes of the bodies, as columns, and their origins.
     origin: Floats
-    low: Floats
+    low: Floats  # low, high: (3,): Box in which all of it happens.
     high: Floats
 
     @property
@@ -194,10 +186,8 @@ def _checked(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
 
 
 def _derived(model: Assembly) -> Iterator[Shape]:
-    """Shapes of what is known: rods to where something is joined, balls of contacts, else blocks or balls.
-
-    A block or ball has the body's moments of inertia.
-    """
+    """Shapes of what is known: rods to where something is joined, balls of contacts, else blocks or balls."""
+    # A block or ball has the body's moments of inertia.
     tree, bodies = model.tree, model.bodies
     joined = _joined(model)
     touching = {b: [] for b in range(tree.n_bodies)}  # type: dict[int, list[Ball]]

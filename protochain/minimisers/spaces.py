@@ -205,12 +205,9 @@ def _pose(at: Placement) -> Pose:
 
 @dataclass(frozen=True, eq=False)
 class Positions:
-    """Free atoms at one point.
+    """Free atoms at one point."""
 
-    q (3 na,) nm.
-    """
-
-    q: Floats
+    q: Floats  # (3 na,) nm.
 
     @property
     def x(self) -> Floats:

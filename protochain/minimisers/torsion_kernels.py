@@ -104,10 +104,8 @@ def _by_body(bodies: Integers, n: int) -> tuple[Integers, Integers]:
 
 @kernel
 def _inward_order(parent: Integers) -> tuple[Integers, Integers]:
-    """Bodies, children before parents and the largest branch first; and each one's depth in other branches.
-
-    Rows of few bodies, no more than the logarithm of their number, are then unfinished at a time.
-    """
+    """Bodies, children before parents, the largest branch first; and each one's depth in other branches."""
+    # Rows of few bodies, no more than the logarithm of their number, are then unfinished at a time.
     n = len(parent)
     size, heavy = np.ones(n, np.int64), np.full(n, -1, np.int64)
     for b in range(n - 1, -1, -1):

@@ -172,11 +172,9 @@ class NativeEnergy:
         return self.by_openmm.fingerprint
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm.
-
-        Coincident atoms give large finite numbers. NaN in the positions gives an infinite energy and NaN
-        forces; the calling loop handles that.
-        """
+        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
+        # Coincident atoms give large finite numbers. NaN in the positions gives an infinite energy and NaN
+        # forces; the calling loop handles that.
         parts, forces = self.parts(x)
         return sum(parts.values()) + self._constants[0], forces
 
@@ -217,10 +215,8 @@ class NativeEnergy:
             return halves(self._layout, self._with_born(x), self.threads)
 
     def _with_born(self, x: Floats) -> Floats:
-        """(blocks, ROWS * W) float: blocks of atoms at x, with Born radii if there is a solvent model.
-
-        The neighbour lists remain as they are: what is asked between two runs changes no bit of the second.
-        """
+        """(blocks, ROWS * W) float: blocks of atoms at x, with Born radii if there is a solvent model."""
+        # The neighbour lists remain as they are: what is asked between two runs changes no bit of the second.
         if self.opening is not None:
             return self.exact._with_born(x)
         if self._layout.terms.solvent is None:

@@ -36,11 +36,9 @@ def atom_sums(
     mine: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, begin: Integers,
     excluded: Integers, cutoff: float, krf: float, crf: float, gb_cutoff: float, sums: Floats,
 ) -> None:  # fmt: skip
-    """Add half the energy of each pair to either atom, tile by tile; generalised Born if its cutoff is not 0.
-
-    ``tiles`` (n, 2) are all pairs of blocks; those that are ``excluded`` (m, 2) in tile k, atoms of its two
-    blocks counted from 0, begin at ``begin[k]``. ``sums`` (CHUNKS, blocks, HALVES * W).
-    """
+    """Add half of each pair's energy to either atom, tile by tile; generalised Born if it has a cutoff."""
+    # ``tiles`` (n, 2) are all pairs of blocks; those that are ``excluded`` (m, 2) in tile k, atoms of its two
+    # blocks counted from 0, begin at ``begin[k]``. ``sums`` (CHUNKS, blocks, HALVES * W).
     counts = np.ones(W * W)
     for c in range(*mine):
         first, last = part(len(tiles), c)
@@ -114,12 +112,10 @@ def residue_sums(
     b6: Floats, partner_start: Integers, partners: Integers, cutoff: float, krf: float, crf: float,
     gb_charge: Floats, born: Floats, gb_cutoff: float, matrix: Floats,
 ) -> None:  # fmt: skip
-    """Put the energies of the pairs of residues first to last with all that follow, and within them.
-
-    ``start`` (nr + 1,) are the first atoms of the residues; ``x`` (3, na); ``partners`` of atom i, from
-    ``partner_start[i]`` on, have terms of their own, but generalised Born. ``matrix`` (3, nr, nr) gets them
-    on and above the diagonal.
-    """
+    """Put the energies of the pairs of residues first to last with all that follow, and within them."""
+    # ``start`` (nr + 1,) are the first atoms of the residues; ``x`` (3, na); ``partners`` of atom i, from
+    # ``partner_start[i]`` on, have terms of their own, but generalised Born. ``matrix`` (3, nr, nr) gets them
+    # on and above the diagonal.
     n_residues, n_atoms = len(start) - 1, x.shape[1]
     free = np.ones(n_atoms)
     row = np.empty((3, n_residues))
