@@ -14,7 +14,6 @@ from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native.evaluate import Layout, in_order, lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.far import FEWEST_BLOCKS, Far, Opening, least_distance, one_kind, openings
-from protochain.energies.native.halves import halves
 from protochain.energies.native.layout import BORN, ROWS, W, n_blocks, put_positions
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
@@ -198,21 +197,6 @@ class NativeEnergy:
             return np.empty(0)
         with self._one_at_a_time:
             return self._with_born(x).reshape(-1, ROWS, W)[:, BORN].ravel()[:n].copy()
-
-    def halves(self, x: Floats) -> tuple[Floats, Floats]:
-        """Energies of pairs by atom, and Born radii, at x (na, 3) in nm; it takes less than two evaluations.
-
-        Returns
-        -------
-        (3, na) float, kJ/mol
-            Lennard-Jones, Coulomb and generalised Born: half of each pair, constant ones too, but without
-            exceptions, and without the self energies of generalised Born.
-        (na,) float, nm
-            Born radii; empty without a solvent model.
-        """
-        x = floats(x, (self._layout.terms.n_atoms, 3), "x", "nanometer")
-        with self._one_at_a_time:
-            return halves(self._layout, self._with_born(x), self.threads)
 
     def _with_born(self, x: Floats) -> Floats:
         """(blocks, ROWS * W) float: blocks of atoms at x, with Born radii if there is a solvent model."""
