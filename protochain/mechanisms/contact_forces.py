@@ -9,7 +9,6 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Phase
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.algebra import (
-    ZERO,
     Vector,
     add,
     dot,
@@ -143,21 +142,16 @@ class ContactForces:
 @kernel
 def _relative(origin: Floats, twists: Floats, a: int, b: int, place: Vector) -> Vector:
     """Velocity of a's point at a place relative to b's."""
-    of_a, of_b = ZERO, ZERO
-    if a >= 0:
-        of_a = speed_of(twists, a, subtract(place, vector(origin, a)))
-    if b >= 0:
-        of_b = speed_of(twists, b, subtract(place, vector(origin, b)))
-    return subtract(of_a, of_b)
+    # Of the world, -1, any arm will do.
+    of_a = speed_of(twists, a, subtract(place, vector(origin, a)))
+    return subtract(of_a, speed_of(twists, b, subtract(place, vector(origin, b))))
 
 
 @kernel
 def _apply(force: Vector, origin: Floats, a: int, b: int, place: Vector, wrenches: Floats) -> None:
     """Add a force on a at a place, and its reaction on b."""
-    if a >= 0:
-        push(force, subtract(place, vector(origin, a)), a, wrenches)
-    if b >= 0:
-        push(scale(-1.0, force), subtract(place, vector(origin, b)), b, wrenches)
+    push(force, subtract(place, vector(origin, a)), a, wrenches)
+    push(scale(-1.0, force), subtract(place, vector(origin, b)), b, wrenches)
 
 
 @kernel
