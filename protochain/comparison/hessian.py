@@ -11,7 +11,7 @@ import numpy as np
 from protochain.chains.articulate import with_energy
 from protochain.chains.chain import Chain, pose, pull_back
 from protochain.comparison.pair_hessian import applies, colours, pair_hessian
-from protochain.core.arrays import Floats, floats
+from protochain.core.arrays import Floats, finite, floats
 from protochain.core.checks import checked
 from protochain.core.errors import Fault, ProtochainError
 from protochain.energies import Energy, NativeEnergy
@@ -108,10 +108,7 @@ class Torques:
 
 def torques_at(chain: Chain, energy: Energy, q: Any) -> Torques:
     """Torques near q, or near the chain's own start."""
-    q = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
-    if not np.isfinite(q).all():
-        at = int(np.argmin(np.isfinite(q)))
-        raise ProtochainError(f"q: coordinate {at} is {q[at]}, not a finite number", fault=Fault.NOT_FINITE)
+    q = chain.q0 if q is None else finite(q, (chain.n_q,), "q")
     made = Torques(chain, energy, q)
     if not np.isfinite(made.beside(np.zeros(chain.n_v))).all():
         raise ProtochainError(

@@ -218,12 +218,6 @@ def springs_of(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Spring
     return Springs(np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts]))
 
 
-def _among(pairs: Integers, moving: NDArray[np.bool_]) -> tuple[Integers, NDArray[np.bool_]]:
-    """Pairs of atoms that both move, as places among these, and which pairs they are."""
-    both = np.asarray(moving[pairs].all(axis=1))
-    return (np.cumsum(moving) - 1)[pairs[both]], both
-
-
 def near_solver(
     terms: NearTerms, x: Floats, moving: NDArray[np.bool_], near: Springs | None = None,
     tether: Floats | None = None,
@@ -246,6 +240,8 @@ def soft_solver(
 
 def _solver(at: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:
     at.own[:, ::4] += added
-    pairs, both = _among(at.pairs, moving)
+    # Pairs of atoms that both move, as places among these.
+    both = moving[at.pairs].all(axis=1)
+    pairs = (np.cumsum(moving) - 1)[at.pairs[both]]
     order = elimination_order(int(moving.sum()), pairs)
     return on_moving(moving, factorise(order, at.own[moving], pairs, at.shared[both]).solve)

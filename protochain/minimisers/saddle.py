@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.minimisers.loop import Ending, Stop
+from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import Preconditioner, Solve
 from protochain.minimisers.problem import Evaluation, Problem, Space
 from protochain.minimisers.stages import Stage
@@ -224,17 +224,14 @@ def with_curvature(plan: Sequence[Stage], floats: bool, share: float = np.inf) -
     final = plan[-1]
     ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.CIRCLING)
     method = Curvature(final.tolerance, floats, share=share)
+    # The answer is the point that was looked at, or the lower one outside it.
     look = replace(
-        final, method=method, tolerance=-np.inf, recorded=False, patience=2 * MOST, answer=_looked,
-        after=ends, name="looking for a saddle point", ready=None, looks=True,
+        final, method=method, tolerance=-np.inf, recorded=False, patience=2 * MOST, after=ends,
+        answer=lambda problem, ending, q: ending.last.state.at.q, name="looking for a saddle point",
+        ready=None, looks=True,
     )  # fmt: skip
     again = replace(final, after=(Stop.SADDLE,), ready=None)
     return [*plan, *[look, again] * ROUNDS, replace(look, method=replace(method, leaves=False))]
-
-
-def _looked(problem: Problem, ending: Ending, q: Floats) -> Floats:
-    """Point that was looked at, or the lower one outside it."""
-    return ending.last.state.at.q
 
 
 def _extended(state: CurvatureState, vector: Floats, product: Floats) -> CurvatureState:
