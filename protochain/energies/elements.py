@@ -238,7 +238,11 @@ def _add_template(
     """Add the template of a residue, with type and charge of each atom, and these types; return its name."""
     root = ElementTree.Element("ForceField")
     new = {kind: of for kind, of in kinds.items() if kind not in force_field._atomTypes}
-    _add_types(ElementTree.SubElement(root, "AtomTypes"), new)
+    listed = ElementTree.SubElement(root, "AtomTypes")
+    for kind, of in new.items():
+        named = {"name": kind, "class": kind, "element": of.symbol}
+        mass = app.Element.getBySymbol(of.symbol).mass._value
+        ElementTree.SubElement(listed, "Type", named | {"mass": f"{mass}"})
     _add_pairs(root, force_field, kinds)
     force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
     made = app.ForceField._TemplateData(f"molecule-{residue.index}")
@@ -252,15 +256,6 @@ def _add_template(
     # Not registered: it is for this residue only, and may be bonded as another that has a template.
     force_field._templates[made.name] = made
     return str(made.name)
-
-
-def _add_types(node: ElementTree.Element, kinds: Mapping[str, "_Kind"]) -> None:
-    """Add atom types to the list of them."""
-    for kind, of in kinds.items():
-        mass = app.Element.getBySymbol(of.symbol).mass._value
-        ElementTree.SubElement(
-            node, "Type", {"name": kind, "class": kind, "element": of.symbol, "mass": f"{mass}"}
-        )
 
 
 class _Kind(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.structure.sidechains.rotamers import BACKBONE, rotamers
 from protochain.validation.ramachandran import CLASSES, FAVOURED, tables
-
-if TYPE_CHECKING:
-    from protochain.chains.hinges import Hinge
 
 JITTER = np.deg2rad(10.0)
 """Standard deviation of a side chain's dihedral about that of its rotamer: about as wide as their peaks."""
@@ -68,7 +65,7 @@ class Moves(Value):
             chain.hinges, chain.tree.q_start[chain.hinge_body].tolist(), strict=True
         ):
             if hinge.kind in ("phi", "psi") or hinge.kind.startswith("chi"):
-                r = _residue(chain, hinge)
+                r = int(structure.atom_residue[hinge.atoms[1]])  # Of both atoms of its bond.
                 by_residue.setdefault(r, {})[hinge.kind] = coordinate
                 if hinge.kind == "psi" and structure.atom_name[hinge.atoms[3]] == "O":
                     last_ones.add(r)
@@ -223,11 +220,6 @@ def _class(name: str, after: str) -> int:
     else:
         kind = "ile_val" if name in ("ILE", "VAL") else "general"
     return CLASSES.index(kind)
-
-
-def _residue(chain: Chain, hinge: Hinge) -> int:
-    """Residue of a hinge: of both atoms of its bond."""
-    return int(chain.structure.atom_residue[hinge.atoms[1]])
 
 
 def _one(of: Sequence[T], random: np.random.Generator) -> T:
