@@ -24,19 +24,14 @@ ALPHA = "name CA"
 
 @dataclass(frozen=True)
 class Deviation:
-    """Deviation of a model from a reference, in angstrom.
+    """Deviation of a model from a reference, in angstrom."""
 
-    rmsd: Of the measured atoms, after superposition on the aligned ones.
-    rmsd_unsuperposed: Of the same atoms, without superposition.
-    tm_score: Of the C-alphas, normalised by the reference's length, with tmtools' own alignment (Zhang,
-        Skolnick, Nucleic Acids Res. 33:2302, 2005); NaN below three residues.
-    n_aligned, n_measured: Numbers of atoms.
-    """
-
-    rmsd: float
-    rmsd_unsuperposed: float
+    rmsd: float  # Of the measured atoms, after superposition on the aligned ones.
+    rmsd_unsuperposed: float  # Of the same atoms, without superposition.
+    # Of the C-alphas, normalised by the reference's length, with tmtools' own alignment (Zhang, Skolnick,
+    # Nucleic Acids Res. 33:2302, 2005); NaN below three residues.
     tm_score: float
-    n_aligned: int
+    n_aligned: int  # n_aligned, n_measured: Numbers of atoms.
     n_measured: int
     match: Match
 
@@ -170,13 +165,10 @@ def docked(reference: Structure, model: Structure, first: str, second: str) -> d
 
 @dataclass(frozen=True)
 class RmsdFrames:
-    """Measure the deviation of every frame of an ensemble from a reference.
-
-    align, measure: As in :func:`deviation`.
-    """
+    """Measure the deviation of every frame of an ensemble from a reference."""
 
     reference: Structure
-    align: str = ALPHA
+    align: str = ALPHA  # align, measure: As in :func:`deviation`.
     measure: str = ALPHA
     name = "rmsd"
     columns: ClassVar[tuple[str, ...]] = (

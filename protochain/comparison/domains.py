@@ -24,16 +24,11 @@ _MOST_STEPS = 50
 
 
 class Domain(NamedTuple):
-    """A part that moves as a rigid body.
+    """A part that moves as a rigid body."""
 
-    members (n,) int: Points of it.
-    rmsd: Of its points, superposed by themselves, in their unit.
-    turn degrees: Of its motion against that of the largest domain.
-    """
-
-    members: Integers
-    rmsd: float
-    turn: float
+    members: Integers  # (n,) int: Points of it.
+    rmsd: float  # Of its points, superposed by themselves, in their unit.
+    turn: float  # degrees: Of its motion against that of the largest domain.
 
 
 def rigid_domains(x: Floats, y: Floats) -> list[Domain]:

@@ -11,7 +11,7 @@ import numpy as np
 from protochain.chains.articulate import with_energy
 from protochain.chains.chain import Chain, pose, pull_back
 from protochain.comparison.pair_hessian import applies, colours, pair_hessian
-from protochain.core.arrays import Floats, floats
+from protochain.core.arrays import Floats, finite, floats
 from protochain.core.checks import checked
 from protochain.core.errors import Fault, ProtochainError
 from protochain.energies import Energy, NativeEnergy
@@ -30,22 +30,16 @@ its length at this step, 6e-8 at 1e-5 and as much again at 1e-6.
 
 @dataclass(frozen=True, eq=False)
 class Torques:
-    """Torques of an energy near one point of a chain.
-
-    energy: Of all terms.
-    q (n_q,): The point.
-    """
+    """Torques of an energy near one point of a chain."""
 
     chain: Chain
-    energy: Energy
-    q: Floats
+    energy: Energy  # Of all terms.
+    q: Floats  # (n_q,): The point.
 
     @cached_property
     def _varying(self) -> Energy:
-        """The energy without terms that rigid bodies keep: their rounding would be left of them.
-
-        It is exact: platforms of OpenMM round forces to single precision.
-        """
+        """The energy without terms that rigid bodies keep: their rounding would be left of them."""
+        # It is exact: platforms of OpenMM round forces to single precision.
         energy = self.energy
         energy = energy if energy.is_exact else energy.exact
         return energy.without_constants(self.chain.rigid_groups, self.chain.structure.positions)
@@ -114,10 +108,7 @@ class Torques:
 
 def torques_at(chain: Chain, energy: Energy, q: Any) -> Torques:
     """Torques near q, or near the chain's own start."""
-    q = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
-    if not np.isfinite(q).all():
-        at = int(np.argmin(np.isfinite(q)))
-        raise ProtochainError(f"q: coordinate {at} is {q[at]}, not a finite number", fault=Fault.NOT_FINITE)
+    q = chain.q0 if q is None else finite(q, (chain.n_q,), "q")
     made = Torques(chain, energy, q)
     if not np.isfinite(made.beside(np.zeros(chain.n_v))).all():
         raise ProtochainError(

@@ -107,7 +107,8 @@ class NormalModes(Value):
     @cached_property
     def frequencies(self) -> Floats:
         """(k,) float, 1/cm: w/2 pi c; minus that of a mode along which the energy falls."""
-        return wavenumbers(self.eigenvalues)
+        of = self.eigenvalues
+        return np.sign(of) * np.sqrt(np.abs(of)) / (2.0 * np.pi * LIGHT)
 
     @property
     def n_negative(self) -> int:
@@ -423,11 +424,6 @@ class NormalModes(Value):
     def __repr__(self) -> str:
         name, low = self.chain.structure.name, ", ".join(f"{each:.3g}" for each in self.frequencies[:3])
         return f"<NormalModes of {name}: {self.n_modes} modes, {low} ... 1/cm; {self.verdict}>"
-
-
-def wavenumbers(eigenvalues: Floats) -> Floats:
-    """Frequencies in 1/cm of squares of angular frequencies in 1/ps^2; negative of negative ones."""
-    return np.sign(eigenvalues) * np.sqrt(np.abs(eigenvalues)) / (2.0 * np.pi * LIGHT)
 
 
 def share_moved(displacements: Floats) -> float:

@@ -91,10 +91,8 @@ def write_modes(
     amplitude: float = 1.0,
     other: Any = None,
 ) -> dict[str, Any]:
-    """Write tables, the structure, swings of the lowest modes and the page; return the record.
-
-    temperature K, amplitude angstrom.
-    """
+    """Write tables, the structure, swings of the lowest modes and the page; return the record."""
+    # temperature K, amplitude angstrom.
     table, tables = modes.table(), {}
     found = record_of(modes, temperature) | dict(noted)
     if other is not None:

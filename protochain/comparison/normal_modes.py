@@ -31,8 +31,8 @@ from protochain.core.arrays import Floats, floats, read_only
 from protochain.core.checks import at_least, checked, one_of, text
 from protochain.core.errors import Fault, ProtochainError
 from protochain.mechanics import multibody
-from protochain.minimisers import curvature, spring_model
-from protochain.minimisers.spaces import motions_of_whole
+from protochain.minimisers.curvature import near_terms
+from protochain.minimisers.spaces import Torsions, motions_of_whole
 
 METHODS = ("auto", "dense", "products")
 
@@ -65,14 +65,11 @@ _SWEEPS = 200
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """Mass matrix of the freedoms of a chain without its motion as a whole.
-
-    whole (n_v, 0 or 6): Rigid motions of what nothing holds.
-    """
+    """Mass matrix of the freedoms of a chain without its motion as a whole."""
 
     chain: Chain
     pose: Pose
-    whole: Floats
+    whole: Floats  # (n_v, 0 or 6): Rigid motions of what nothing holds.
 
     @cached_property
     def freedoms(self) -> NDArray[np.int64]:
@@ -402,14 +399,7 @@ def _by_products(torques: Torques, inertia: Inertia, k: int) -> _Found:
 
 def _model(torques: Torques, inertia: Inertia) -> Floats:
     """Stiffness (n, n) of near terms, or of contacts where they are not known, as in minimisers."""
-    chain, at = inertia.chain, inertia.pose
-    terms = curvature.near_terms(torques.energy)
-    if terms is None:
-        matrix = spring_model.torsion_stiffness(chain, at)
-    else:
-        found = curvature.springs_of(terms, at.x, ~chain.structure.obstacle)
-        angles = curvature.bonded_gradients(terms, at.x)
-        matrix = spring_model.torsion_stiffness(chain, at, lambda *_: found, None, angles)
+    matrix = Torsions(inertia.chain, near_terms(torques.energy)).model(inertia.pose)
     matrix = matrix[np.ix_(inertia.freedoms, inertia.freedoms)]
     matrix[np.diag_indices_from(matrix)] += _FLOOR * torques.scale[inertia.freedoms] ** -2
     return matrix

@@ -154,11 +154,9 @@ def _add_radii(
     matrix: Floats, terms: Terms, by_body: Integers, born: Floats, atoms: tuple[Floats, Integers, Integers],
     tree: tuple[Any, ...], share: Share,
 ) -> tuple[Any, ...]:  # fmt: skip
-    """Add second derivatives by way of the Born radii; return what pairs need to know of these.
-
-    Derivatives of radii (na, n_v) may be too many to keep: then those of some are kept, and of the others
-    made again beside them.
-    """
+    """Add second derivatives by way of the Born radii; return what pairs need to know of these."""
+    # Derivatives of radii (na, n_v) may be too many to keep: then those of some are kept, and of the others
+    # made again beside them.
     s = terms.solvent
     assert s is not None
     n, n_v = len(by_body), len(matrix)
@@ -223,11 +221,9 @@ def _each(kernel: Any, rest: tuple[Any, ...], *parts: Any) -> None:
 def born_radii(
     integral: Floats, offset: Floats, radius: Floats, bend: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Born radii of integrals, with their first and second derivatives.
-
-    1/B = 1/offset - tanh(u)/radius with u = alpha psi - beta psi^2 + gamma psi^3, psi = integral offset; of
-    HCT, whose three are zero, 1/B = 1/offset - integral.
-    """
+    """Born radii of integrals, with their first and second derivatives."""
+    # 1/B = 1/offset - tanh(u)/radius with u = alpha psi - beta psi^2 + gamma psi^3, psi = integral offset; of
+    # HCT, whose three are zero, 1/B = 1/offset - integral.
     alpha, beta, gamma = bend.T
     psi = integral * offset
     t = np.tanh(psi * (alpha - psi * (beta - psi * gamma)))
@@ -245,10 +241,8 @@ def _add_own(
     matrix: Floats, chain: Chain, at: Pose, motions: Floats, body: Integers, x: Floats, own: Floats,
     middle: Floats,
 ) -> None:  # fmt: skip
-    """Add J^T D J of each atom by itself, and -f . d2x/dq dq.
-
-    A turn about axis a after one about b moves by a cross (b cross r).
-    """
+    """Add J^T D J of each atom by itself, and -f . d2x/dq dq."""
+    # A turn about axis a after one about b moves by a cross (b cross r).
     tree, forces = chain.tree, own[:, 6:]
     moments, sums = np.zeros((tree.n_bodies, 3, 3)), np.zeros((tree.n_bodies, 3))
     stiffness = np.zeros((tree.n_bodies, 6, 6))

@@ -201,13 +201,11 @@ def pair_sweep(
     bodies: Integers, begin: int, end: int, tree: Tree, atoms: tuple[Floats, Integers], pairs: Pairs,
     solvent: Solvent, sums: tuple[Floats, Floats, Floats, Floats],
 ) -> None:  # fmt: skip
-    """Wrenches on some bodies, at unit rates of those from ``begin`` to ``end`` that come before them.
-
-    Atoms lie in the order of their bodies. Of the sums, a row of blocks, (6, 6 nb), is summed from the leaves
-    inward; ``along`` has its components along the freedoms of the bodies, one after the other. The stiffness
-    of each atom by itself, (xx, xy, xz, yy, yz, zz), and the force on it go to ``here`` for atoms of the
-    bodies, one after the other, and are added to ``there`` for the others.
-    """
+    """Wrenches on some bodies, at unit rates of those from ``begin`` to ``end`` that come before them."""
+    # Atoms lie in the order of their bodies. Of the sums, a row of blocks, (6, 6 nb), is summed from the
+    # leaves inward; ``along`` has its components along the freedoms of the bodies, one after the other. The
+    # stiffness of each atom by itself, (xx, xy, xz, yy, yz, zz), and the force on it go to ``here`` for atoms
+    # of the bodies, one after the other, and are added to ``there`` for the others.
     parent, depth, v_start, motions = tree
     (x, first), (rows, along, here, there) = atoms, sums
     charge, lj_type, a12, b6, partner_start, partner, own = pairs

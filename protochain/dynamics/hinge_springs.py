@@ -17,21 +17,14 @@ from protochain.mechanics.multibody.articulated import Articulated, solve
 
 @dataclass(frozen=True, eq=False)
 class HingeSprings:
-    """Springs on hinges: E = k (1 - cos(q - q0)) for dihedrals, k/2 (q - q0)^2 for bond angles.
+    """Springs on hinges: E = k (1 - cos(q - q0)) for dihedrals, k/2 (q - q0)^2 for bond angles."""
 
-    n_v: Number of freedoms.
-    at_q, at_v (m,) int: Their coordinates and freedoms.
-    stiffness (m,) kJ/mol/rad^2.
-    rest (m,) rad: Values without torque.
-    is_angle (m,) bool: Whether each is a bond angle.
-    """
-
-    n_v: int
-    at_q: Integers
+    n_v: int  # Number of freedoms.
+    at_q: Integers  # at_q, at_v: (m,) int: Their coordinates and freedoms.
     at_v: Integers
-    stiffness: Floats
-    rest: Floats
-    is_angle: np.ndarray
+    stiffness: Floats  # (m,) kJ/mol/rad^2.
+    rest: Floats  # (m,) rad: Values without torque.
+    is_angle: np.ndarray  # (m,) bool: Whether each is a bond angle.
 
     def potential(self, q: Floats, factors: Articulated) -> tuple[float, Floats]:
         """Energy and torques (n_v,)."""
@@ -47,10 +40,6 @@ class HingeSprings:
 class Dampers:
     """Dampers of hinges: torques -c qd, and sqrt(2 c kT) times white noise.
 
-    at_v (m,) int: Their freedoms, each once.
-    damping (m,) kJ/mol ps/rad^2: Constants c, above 0.
-    thermal_energy kJ/mol: Value of kT; 0 for no noise.
-
     At constant q torques at the hinges S change their rates u = S^T qd by W = S^T M^-1 S, so that
     du = -W C u dt + W sqrt(2 kT C) dw. With C^1/2 W C^1/2 = V L V^T this is m scalar equations for
     z = V^T C^1/2 u, each of whose solutions over a time t is z exp(-L t) and a normal number of variance
@@ -59,9 +48,9 @@ class Dampers:
     it on either side of an integrator's step is of order two (Strang, SIAM J. Numer. Anal. 5:506, 1968).
     """
 
-    at_v: Integers
-    damping: Floats
-    thermal_energy: float
+    at_v: Integers  # (m,) int: Their freedoms, each once.
+    damping: Floats  # (m,) kJ/mol ps/rad^2: Constants c, above 0.
+    thermal_energy: float  # kJ/mol: Value of kT; 0 for no noise.
 
     def apply(self, system: System, at: Phase, time: float, rng: np.random.Generator | None) -> Phase:
         """Phase after the dampers alone have acted for a time; without ``rng`` they only damp."""

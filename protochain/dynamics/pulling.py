@@ -27,26 +27,19 @@ _KEPT = 1e-9
 class MovingSpring:
     """Spring E = k/2 (r - l)^2 between two points, with l = l0 + v t, at least 0.
 
-    tree: Rigid bodies.
-    body (m,) int: Bodies that carry the two places.
-    local (m, 3) nm: Points of these bodies, in their frames.
-    share (m,): Weights with which they add up to the vector from the first place to the second.
-    stiffness, speed: Constants k and v.
-    start nm: Length at rest at time 0, l0.
-
     The spring takes the work of whoever moves it, -k v (r - l) dt; the molecule takes what it gives back, so
     that work is that of the load plus the energy in the spring. It is the work in Jarzynski's equation,
     Phys. Rev. Lett. 78:2690 (1997), with the spring as part of the system: Hummer, Szabo, Proc. Natl. Acad.
     Sci. USA 98:3658 (2001).
     """
 
-    tree: Tree
-    body: Integers
-    local: Floats
-    share: Floats
-    stiffness: float
+    tree: Tree  # Rigid bodies.
+    body: Integers  # (m,) int: Bodies that carry the two places.
+    local: Floats  # (m, 3) nm: Points of these bodies, in their frames.
+    share: Floats  # (m,): Weights with which they add up to the vector from the first place to the second.
+    stiffness: float  # stiffness, speed: Constants k and v.
     speed: float
-    start: float
+    start: float  # nm: Length at rest at time 0, l0.
 
     def length(self, time: float) -> float:
         """Length at rest, nm."""
@@ -133,10 +126,8 @@ def check_pull(pull: Pull, chain: Chain) -> None:
 
 
 def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
-    """Spring of these settings for a chain that starts at q, at its length at rest.
-
-    Its places are centres of mass, one point for each body that has a part of them.
-    """
+    """Spring of these settings for a chain that starts at q, at its length at rest."""
+    # Its places are centres of mass, one point for each body that has a part of them.
     check_pull(pull, chain)
     mass = chain.structure.atom_mass
     body, local, share = list[int](), list[Floats](), list[float]()

@@ -19,9 +19,9 @@ from protochain.chains.chain import Chain, place_atoms
 from protochain.chains.frame import Frame, frame_of
 from protochain.chains.restraint_list import Restraints
 from protochain.core import defaults
-from protochain.core.arrays import Floats, Watcher, floats
+from protochain.core.arrays import Floats, Watcher, finite
 from protochain.core.checks import WATCHER, checked, optional, path
-from protochain.core.errors import Argument, Fault, ProtochainError
+from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import settings_from
@@ -253,16 +253,9 @@ def _prepare(
     settings: SimulationSettings,
     constants: Mapping[str, Floats],
 ) -> _Run:
-    """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator.
-
-    A run that is resumed keeps the constants that it measured at its start, where those of q are others.
-    """
-    given = chain.q0 if q is None else floats(q, (chain.n_q,), "q")
-    if not np.isfinite(given).all():
-        at = int(np.argmin(np.isfinite(given)))
-        raise ProtochainError(
-            f"q: coordinate {at} is {given[at]}, not a finite number", fault=Fault.NOT_FINITE
-        )
+    """Free the root, repartition hydrogen masses, and set up potential, constraints and propagator."""
+    # A run that is resumed keeps the constants that it measured at its start, where those of q are others.
+    given = chain.q0 if q is None else finite(q, (chain.n_q,), "q")
     made = freed(chain, settings)
     varying = energy.without_constants(made.rigid_groups, made.structure.positions)
     start = transferred(chain, made, given)
@@ -303,10 +296,8 @@ def _prepare(
 
 
 def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats:
-    """What the run to be resumed measured at its start; its own if there is none of its shape.
-
-    The checkpoint is then of another run, or damaged, which is found out and said when it is read.
-    """
+    """What the run to be resumed measured at its start; its own if there is none of its shape."""
+    # The checkpoint is then of another run, or damaged, which is found out and said when it is read.
     found = constants.get(name)
     return own if found is None or found.shape != own.shape else found
 

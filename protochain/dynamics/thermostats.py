@@ -17,14 +17,10 @@ Random = Callable[[], np.random.Generator]
 
 @dataclass(frozen=True, eq=False)
 class Bath:
-    """Heat bath: state of a thermostat.
+    """Heat bath: state of a thermostat."""
 
-    energy kJ/mol: Energy received from the system: with the total energy, the conserved quantity.
-    memory (k,): Variables of the thermostat.
-    """
-
-    energy: float
-    memory: Floats
+    energy: float  # kJ/mol: Energy received from the system: with the total energy, the conserved quantity.
+    memory: Floats  # (k,): Variables of the thermostat.
 
 
 class Thermostat(Protocol):

@@ -18,10 +18,8 @@ _BONDED = (
 
 
 def bonded_part(energy: Energy) -> Energy | None:
-    """Bonds, angles and dihedrals of an energy, without all that acts between other atoms.
-
-    None if nothing is known of its terms, as of a callable.
-    """
+    """Bonds, angles and dihedrals of an energy, without all that acts between other atoms."""
+    # None if nothing is known of its terms, as of a callable.
     own: Energy | None = getattr(energy, "bonded", None)
     if own is not None or energy.system is None:
         return own

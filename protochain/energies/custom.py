@@ -92,11 +92,9 @@ def _real(given: Any) -> NDArray[Any] | None:
 
 
 def check_forces(function: EnergyFunction, x: Floats, name: str) -> None:
-    """Refuse forces of a callable that are not the derivative of its energy, by a difference along one line.
-
-    It is taken beside x (na, 3), where springs to the start pull, and along the forces and a direction at
-    random, so that the slope is at least as large as the forces: those wrong by a factor or in a part show.
-    """
+    """Refuse forces of a callable that are not its energy's derivative, by a difference along one line."""
+    # It is taken beside x (na, 3), where springs to the start pull, and along the forces and a direction at
+    # random, so that the slope is at least as large as the forces: those wrong by a factor or in a part show.
     rng = np.random.default_rng(0)
     beside = x + _BESIDE * rng.normal(size=x.shape)
     value, forces = answer(function, beside, name)

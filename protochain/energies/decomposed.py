@@ -8,7 +8,7 @@ and pairs of which either has half: half of these, and what is within a residue,
 
 import re
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -241,11 +241,9 @@ def native_of(energy: Energy) -> NativeEnergy | None:
 
 
 def terms_at(energy: Energy, structure: Structure, *positions: Floats) -> tuple[dict[str, float], ...]:
-    """Energy of each term, kJ/mol, at positions (na, 3) in nm, at less than two evaluations for each.
-
-    Empty where they cannot be told, as of a callable; and of more than ``defaults.FULL_UP_TO`` atoms, where
-    pairs one by one would take longer than the run.
-    """
+    """Energy of each term, kJ/mol, at positions (na, 3) in nm, at less than two evaluations for each."""
+    # Empty where they cannot be told, as of a callable; and of more than ``defaults.FULL_UP_TO`` atoms, where
+    # pairs one by one would take longer than the run.
     native = native_of(energy) if structure.n_atoms <= defaults.FULL_UP_TO else None
     return tuple({} if native is None else decomposed(structure, native, x).terms for x in positions)
 
@@ -284,13 +282,10 @@ class TermsAtEnds:
 def interaction(
     structure: Structure, energy: NativeEnergy, x: Floats, one: NDArray[np.bool_], other: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Interaction of two parts, and what it costs to take the solvent from between them, all else away.
-
-    x (na, 3) nm, one, other (nr,) bool.
-    -> interaction, desolvation (terms, nr) kJ/mol: Shares of each residue: half of its pairs with the other
-    part, with the Born radii that both have together; and what generalised Born and surface within its own
-    part change.
-    """
+    """Interaction of two parts, and what it costs to take the solvent from between them, all else away."""
+    # x (na, 3) nm, one, other (nr,) bool. -> interaction, desolvation (terms, nr) kJ/mol: Shares of each
+    # residue: half of its pairs with the other part, with the Born radii that both have together; and what
+    # generalised Born and surface within its own part change.
     mine, its = (part[structure.atom_residue] for part in (one, other))
     away = np.zeros((structure.n_atoms, 3))
     away[~mine & ~its, 1] = _AWAY
@@ -329,8 +324,7 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
         Terms, shares, and pairs if asked for.
     """
     terms, of, n = energy.terms, structure.atom_residue, structure.n_residues
-    of_pairs, born = energy.halves(x)
-    shares = np.zeros((len(TERMS), n))
+    born, shares = energy.born_radii(x), np.zeros((len(TERMS), n))
     matrix = np.zeros((len(TERMS), n, n) if pairs else (0, 0, 0))
     found = _bonded(terms, x)
     found |= _exceptions(terms, x)
@@ -347,34 +341,40 @@ def decomposed(structure: Structure, energy: NativeEnergy, x: Floats, pairs: boo
         if pairs:
             residues = np.sort(of[ends], axis=1)
             np.add.at(matrix[k], (residues[:, 0], residues[:, 1]), values)
-    for k, row in enumerate(of_pairs, _NONBONDED.start):
-        shares[k] += np.bincount(of, row, n)
-    if pairs:
-        start = np.searchsorted(of, np.arange(n + 1))
-        matrix[_NONBONDED] += _pairs_of_residues(terms, x, born, start, energy.threads)
+    start = np.searchsorted(of, np.arange(n + 1))
+    for first, rows in _pairs_of_residues(terms, x, born, start, energy.threads):
+        last = first + rows.shape[1]
+        shares[_NONBONDED] += 0.5 * rows.sum(axis=1)
+        shares[_NONBONDED, first:last] += 0.5 * rows.sum(axis=2)
+        if pairs:
+            matrix[_NONBONDED, first:last] += rows
     return Decomposed(structure, shares, matrix)
 
 
-def _pairs_of_residues(terms: Terms, x: Floats, born: Floats, start: Integers, threads: int) -> Floats:
-    """(3, nr, nr): Lennard-Jones, Coulomb and generalised-Born energies of all pairs, by their residues."""
+def _pairs_of_residues(
+    terms: Terms, x: Floats, born: Floats, start: Integers, threads: int
+) -> Iterator[tuple[int, Floats]]:
+    """Lennard-Jones, Coulomb and generalised-Born energies of pairs of some residues, from a first on."""
+    # (3, some, nr), part by part: of many residues the whole would take much memory.
     nonbonded, solvent, n = terms.nonbonded, terms.solvent, len(start) - 1
     partner_start, partners = partners_of(nonbonded.exceptions.atoms, len(x))
     gb_charge, gb_cutoff = (solvent.charge, solvent.cutoff) if solvent else (np.empty(0), np.inf)
-    matrix = np.zeros((3, n, n))
     # Rows of the first residues are longer: each part has as many pairs.
     left = n - np.sqrt(np.linspace(n * n, 0.0, _CHUNKS + 1))
     begin = np.clip(np.round(left), 0, n).astype(int)
 
-    def put(chunk: int) -> None:
+    def part(chunk: int) -> tuple[int, Floats]:
+        first, last = int(begin[chunk]), int(begin[chunk + 1])
+        rows = np.zeros((3, last - first, n))
         residue_sums(
-            int(begin[chunk]), int(begin[chunk + 1]), start, np.ascontiguousarray(x.T), nonbonded.charge,
-            nonbonded.lj_type, nonbonded.a12, nonbonded.b6, partner_start, partners, float(nonbonded.cutoff),
-            float(nonbonded.krf), float(nonbonded.crf), gb_charge, born, float(gb_cutoff), matrix,
+            first, last, start, np.ascontiguousarray(x.T), nonbonded.charge, nonbonded.lj_type, nonbonded.a12,
+            nonbonded.b6, partner_start, partners, float(nonbonded.cutoff), float(nonbonded.krf),
+            float(nonbonded.crf), gb_charge, born, float(gb_cutoff), rows,
         )  # fmt: skip
+        return first, rows
 
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(put, range(_CHUNKS)))
-    return matrix
+        yield from pool.map(part, range(_CHUNKS))
 
 
 _Owned = tuple[Integers, Floats]

@@ -79,12 +79,10 @@ def create_system(
     fresh: Callable[[], app.ForceField],
     pairs: dict[str, Any],
 ) -> openmm.System:
-    """Create the System of a structure with obstacles, those without parameters by element.
-
-    Atoms joined across bonds between the protein and obstacles do not repel one another. The force field is
-    left unchanged: ``fresh`` makes another one, which receives templates. ``pairs`` are the arguments of
-    ``createSystem`` on the cutoff.
-    """
+    """Create the System of a structure with obstacles, those without parameters by element."""
+    # Atoms joined across bonds between the protein and obstacles do not repel one another. The force field is
+    # left unchanged: ``fresh`` makes another one, which receives templates. ``pairs`` are the arguments of
+    # ``createSystem`` on the cutoff.
     bounds = (*structure.ligands, *structure.fragments)
     sugars = structure.glycans
     ions = _ions(structure, force_field)
@@ -142,10 +140,8 @@ def _ions(structure: Structure, force_field: app.ForceField) -> dict[int, str]:
 def _recognised(
     force_field: app.ForceField, structure: Structure, small: Iterable[int], own: set[int]
 ) -> tuple[app.Topology, list[int]]:
-    """Topology for the force field, without bonds it does not know, and indices of unknown obstacles.
-
-    Those of ``small`` and ``own`` have parameters of their own; the latter are bonded to others.
-    """
+    """Topology for the force field, without bonds it does not know, and indices of unknown obstacles."""
+    # Those of ``small`` and ``own`` have parameters of their own; the latter are bonded to others.
     residue = structure.atom_residue
     kept = structure.kept & ~np.isin(residue, [*small])
     bonds = structure.bonds
@@ -242,7 +238,11 @@ def _add_template(
     """Add the template of a residue, with type and charge of each atom, and these types; return its name."""
     root = ElementTree.Element("ForceField")
     new = {kind: of for kind, of in kinds.items() if kind not in force_field._atomTypes}
-    _add_types(ElementTree.SubElement(root, "AtomTypes"), new)
+    listed = ElementTree.SubElement(root, "AtomTypes")
+    for kind, of in new.items():
+        named = {"name": kind, "class": kind, "element": of.symbol}
+        mass = app.Element.getBySymbol(of.symbol).mass._value
+        ElementTree.SubElement(listed, "Type", named | {"mass": f"{mass}"})
     _add_pairs(root, force_field, kinds)
     force_field.loadFile(io.StringIO(ElementTree.tostring(root, encoding="unicode")))
     made = app.ForceField._TemplateData(f"molecule-{residue.index}")
@@ -256,15 +256,6 @@ def _add_template(
     # Not registered: it is for this residue only, and may be bonded as another that has a template.
     force_field._templates[made.name] = made
     return str(made.name)
-
-
-def _add_types(node: ElementTree.Element, kinds: Mapping[str, "_Kind"]) -> None:
-    """Add atom types to the list of them."""
-    for kind, of in kinds.items():
-        mass = app.Element.getBySymbol(of.symbol).mass._value
-        ElementTree.SubElement(
-            node, "Type", {"name": kind, "class": kind, "element": of.symbol, "mass": f"{mass}"}
-        )
 
 
 class _Kind(NamedTuple):
@@ -342,12 +333,10 @@ def _register(
     bound: BoundLigand,
     places: Mapping[int, Mapping[int, int]],
 ) -> dict[Any, str]:
-    """Add the templates of a ligand's or fragment's residues to a force field; return their names by residue.
-
-    Types and charges of a backbone are alanine's; a nitrogen without hydrogen has the charge of proline's.
-    C-beta has alanine's type. The other charges are those of the capped molecule, and what lacks to a whole
-    charge is spread over them. Residues all of whose atoms keep their parameters are the force field's.
-    """
+    """Add templates of a ligand's or fragment's residues to a force field; return their names by residue."""
+    # Types and charges of a backbone are alanine's; a nitrogen without hydrogen has the charge of proline's.
+    # C-beta has alanine's type. The other charges are those of the capped molecule, and what lacks to a whole
+    # charge is spread over them. Residues all of whose atoms keep their parameters are the force field's.
     its, formal = bound.ligand.parameters, bound.ligand.molecule.formal_charges
     core = bound.core or ("",) * len(bound.atoms)
     beyond = sum(_of_end(force_field, residues[r], [core[i] for i in p.values()]) for r, p in places.items())
@@ -392,10 +381,8 @@ def _of_end(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> f
 def _kept(
     force_field: app.ForceField, residue: Any, called: Sequence[str], place: Mapping[int, int]
 ) -> dict[int, tuple[str, float | None]]:
-    """Types and charges of the atoms of a residue that are alanine's, glycine's, or those of a nucleotide.
-
-    C-beta has no charge, nor what bears a modified base.
-    """
+    """Types and charges of the atoms of a residue that are alanine's, glycine's, or those of a nucleotide."""
+    # C-beta has no charge, nor what bears a modified base.
     core = {called[i].rpartition("/")[2]: k for k, i in place.items() if called[i]}
     if not core:
         return {}
@@ -464,10 +451,8 @@ def _glycosylated(residue: Any) -> str:
 
 
 def _variant(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -> str:
-    """Add the template of a residue some of whose hydrogens gave way to other bonds; return its name.
-
-    The charge of a hydrogen goes to the atom that had it.
-    """
+    """Add the template of a residue some of whose hydrogens gave way to other bonds; return its name."""
+    # The charge of a hydrogen goes to the atom that had it.
     atoms = {a.name: a for a in residue.atoms() if a.element.symbol != "H"}
     open_to = {a.name for a in atoms.values() if a.index in set(linked)}
     have = dict.fromkeys(atoms, 0)
@@ -574,11 +559,9 @@ def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:
 
 
 def _share_charges(system: openmm.System, structure: Structure) -> None:
-    """Move charge from metals to the donors that hold them, as bonded models do; the sum stays the same.
-
-    With the charges of a free ion, the solvent model would drive a site apart whose atoms, being bonded, do
-    not attract one another directly.
-    """
+    """Move charge from metals to the donors that hold them, as bonded models do; the sum stays the same."""
+    # With the charges of a free ion, the solvent model would drive a site apart whose atoms, being bonded, do
+    # not attract one another directly.
     donors: dict[int, list[int]] = {}
     for tie in structure.ties:
         if len(tie.atoms) == 2 and is_metal(str(structure.atom_element[tie.atoms[1]])):

@@ -8,16 +8,11 @@ from protochain.core.arrays import Floats, read_only
 
 @dataclass(frozen=True)
 class Tableau:
-    """Butcher tableau of an explicit method.
+    """Butcher tableau of an explicit method."""
 
-    a (s, s): Strictly lower triangle.
-    b (s,).
-    error (s,): Weights b minus those of the embedded method.
-    """
-
-    a: tuple[tuple[float, ...], ...]
-    b: tuple[float, ...]
-    error: tuple[float, ...]
+    a: tuple[tuple[float, ...], ...]  # (s, s): Strictly lower triangle.
+    b: tuple[float, ...]  # (s,).
+    error: tuple[float, ...]  # (s,): Weights b minus those of the embedded method.
 
     @cached_property
     def arrays(self) -> tuple[Floats, Floats, Floats]:

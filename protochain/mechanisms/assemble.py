@@ -142,7 +142,9 @@ def assemble(
             qd += [*_or_still(body.spin), *_or_still(body.velocity)]
             continue
         hinge = hinges[inward[name]]
-        parent[b], kind[b], pitch[b] = place[hinge.parent], _kind(hinge), hinge.pitch
+        # What is between the axes of a ball is named as the ball is, and inside it.
+        kind[b] = HingeKind.BALL_AXIS if isinstance(hinge, _BallAxis) else KINDS[hinge.kind]
+        parent[b], pitch[b] = place[hinge.parent], hinge.pitch
         at[b], axis[b], rotation[b] = hinge.at, hinge.axis, hinge.rotation
         unit = np.pi / 180.0 if degrees and hinge.kind in (*_TURNING, "ball") else 1.0
         if hinge.kind in _TURNING and abs(hinge.q * unit) > 2.0 * np.pi:
@@ -175,11 +177,6 @@ def assemble(
         tree, order, read_only(turn), beyond, read_only(q), read_only(qd), gravity=read_only(gravity),
         degrees=degrees,
     )  # fmt: skip
-
-
-def _kind(hinge: Hinge) -> HingeKind:
-    """Kind in the tree; what is between the axes of a ball is named as the ball is, and inside it."""
-    return HingeKind.BALL_AXIS if isinstance(hinge, _BallAxis) else KINDS[hinge.kind]
 
 
 class _BallAxis(Hinge):

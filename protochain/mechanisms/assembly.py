@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +20,6 @@ from protochain.mechanisms.closed_equations import ClosedEquations
 from protochain.mechanisms.elements import Conservative, Dampers, Memory, Sum
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True, eq=False)

@@ -87,20 +87,15 @@ class Bushing(Between):
 
 @dataclass(frozen=True, eq=False)
 class Bushings(Rows):
-    """Bushings, bound.
+    """Bushings, bound."""
 
-    names (n,) str: Names, for messages.
-    ends (n, 2) int: Bodies of each; -1 is the world.
-    points (n, 6): Points of both bodies, along the axes of the tree's frames.
-    axes_a, axes_b (n, 3, 3): Axes, as columns, in the tree's frame of each body, which coincide at rest.
-    stiffness, damping (n, 6): Of rotations and translations along the second body's axes.
-    """
-
-    names: np.ndarray
-    ends: Integers
-    points: Floats
+    names: np.ndarray  # (n,) str: Names, for messages.
+    ends: Integers  # (n, 2) int: Bodies of each; -1 is the world.
+    points: Floats  # (n, 6): Points of both bodies, along the axes of the tree's frames.
+    # axes_a, axes_b: (n, 3, 3): Axes, as columns, in the tree's frame of each body, which coincide at rest.
     axes_a: Floats
     axes_b: Floats
+    # stiffness, damping: (n, 6): Of rotations and translations along the second body's axes.
     stiffness: Floats
     damping: Floats
 

@@ -9,7 +9,6 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Phase
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.algebra import (
-    ZERO,
     Vector,
     add,
     dot,
@@ -143,21 +142,16 @@ class ContactForces:
 @kernel
 def _relative(origin: Floats, twists: Floats, a: int, b: int, place: Vector) -> Vector:
     """Velocity of a's point at a place relative to b's."""
-    of_a, of_b = ZERO, ZERO
-    if a >= 0:
-        of_a = speed_of(twists, a, subtract(place, vector(origin, a)))
-    if b >= 0:
-        of_b = speed_of(twists, b, subtract(place, vector(origin, b)))
-    return subtract(of_a, of_b)
+    # Of the world, -1, any arm will do.
+    of_a = speed_of(twists, a, subtract(place, vector(origin, a)))
+    return subtract(of_a, speed_of(twists, b, subtract(place, vector(origin, b))))
 
 
 @kernel
 def _apply(force: Vector, origin: Floats, a: int, b: int, place: Vector, wrenches: Floats) -> None:
     """Add a force on a at a place, and its reaction on b."""
-    if a >= 0:
-        push(force, subtract(place, vector(origin, a)), a, wrenches)
-    if b >= 0:
-        push(scale(-1.0, force), subtract(place, vector(origin, b)), b, wrenches)
+    push(force, subtract(place, vector(origin, a)), a, wrenches)
+    push(scale(-1.0, force), subtract(place, vector(origin, b)), b, wrenches)
 
 
 @kernel
@@ -207,10 +201,8 @@ def _drag(
     rotation: Floats, origin: Floats, twists: Floats, ends: Integers, place: Floats, normal: Floats,
     depth: Floats, stretch: Floats, constants: Floats, arms: Floats,
 ) -> None:  # fmt: skip
-    """Anchor springs at the present places, lest a ball that rolls seem to slip, as long as friction allows.
-
-    An anchor is dragged to where the spring alone has the greatest friction.
-    """
+    """Anchor springs at the present places, lest a ball that rolls seem to slip, where friction allows it."""
+    # An anchor is dragged to where the spring alone has the greatest friction.
     for k in range(len(depth)):
         a, b, at, spring = ends[k, 0], ends[k, 1], vector(place, k), vector(stretch, k)
         moving = _relative(origin, twists, a, b, at)
@@ -236,10 +228,8 @@ def _stretch(
     rotation: Floats, origin: Floats, pair: Integers, ends: Integers, normal: Floats, anchored: Integers,
     arms: Floats, apart: Floats,
 ) -> None:  # fmt: skip
-    """Write the springs of friction from their anchors, for pairs in order.
-
-    A ball that has come to another triangle takes its anchor along, if it had but one and has but one.
-    """
+    """Write the springs of friction from their anchors, for pairs in order."""
+    # A ball that has come to another triangle takes its anchor along, if it had but one and has but one.
     n, m, first = len(pair), len(anchored), 0
     for k in range(n):
         while first < m and anchored[first, 0] < pair[k, 0]:

@@ -102,25 +102,17 @@ class Mesh(NamedTuple):
 
 
 class Drawing(NamedTuple):
-    """A motion to draw.
+    """A motion to draw."""
 
-    names: Bodies.
-    shapes: Of bodies and the world.
-    lines, grounds, meshes: Springs, planes, and surfaces.
-    times (n,).
-    rotation, origin (n, nb, 3, 3): Axes of the bodies, as columns, and their origins.
-    low, high (3,): Box in which all of it happens.
-    """
-
-    names: tuple[str, ...]
-    shapes: tuple[Shape, ...]
-    lines: Lines
+    names: tuple[str, ...]  # Bodies.
+    shapes: tuple[Shape, ...]  # Of bodies and the world.
+    lines: Lines  # lines, grounds, meshes: Springs, planes, and surfaces.
     grounds: tuple[Ground, ...]
     meshes: tuple[Mesh, ...]
-    times: Floats
-    rotation: Floats
+    times: Floats  # (n,).
+    rotation: Floats  # rotation, origin: (n, nb, 3, 3): Axes of the bodies, as columns, and their origins.
     origin: Floats
-    low: Floats
+    low: Floats  # low, high: (3,): Box in which all of it happens.
     high: Floats
 
     @property
@@ -148,7 +140,17 @@ def drawing(run: Motion, rows: Sequence[int], shapes: Sequence[Shape] | None) ->
     origin = np.array([each.origin for each in frames])
     rotation = np.array([each.rotation @ bodies.turn.swapaxes(1, 2) for each in frames])
     lines = _lines(model)
-    grounds, meshes = tuple(_grounds(model)), tuple(_meshes(model))
+    finders = [part.finder for part in model.conservative if isinstance(part, ContactForces)]
+    grounds = tuple(
+        Ground(each.body, bodies.axes(each.body).T @ each.at, bodies.axes(each.body).T @ each.normal)
+        for each in finders
+        if isinstance(each, OnPlane)
+    )
+    meshes = tuple(
+        Mesh(each.body, each.corners @ bodies.axes(each.body))
+        for each in finders
+        if isinstance(each, OnSurface)
+    )
     found = Drawing(bodies.names, own, lines, grounds, meshes, run.time[list(rows)], rotation, origin,
                     np.zeros(3), np.zeros(3))  # fmt: skip
     reached = [origin.reshape(-1, 3)]
@@ -194,18 +196,17 @@ def _checked(shapes: Any, bodies: Bodies) -> Sequence[Shape]:
 
 
 def _derived(model: Assembly) -> Iterator[Shape]:
-    """Shapes of what is known: rods to where something is joined, balls of contacts, else blocks or balls.
-
-    A block or ball has the body's moments of inertia.
-    """
+    """Shapes of what is known: rods to where something is joined, balls of contacts, else blocks or balls."""
+    # A block or ball has the body's moments of inertia.
     tree, bodies = model.tree, model.bodies
     joined = _joined(model)
     touching = {b: [] for b in range(tree.n_bodies)}  # type: dict[int, list[Ball]]
     for part in model.conservative:
         if isinstance(part, ContactForces):
-            for b, at, radius in zip(*_balls(part, bodies), strict=True):
+            balls = part.finder.balls
+            for b, at, radius in zip(balls.body.tolist(), balls.at, balls.radius.tolist(), strict=True):
                 if b >= 0:
-                    touching[b].append(Ball(bodies.names[b], radius, at))
+                    touching[b].append(Ball(bodies.names[b], radius, bodies.turn[b] @ at))
     for b, name in enumerate(bodies.names):
         com = bodies.turn[b] @ tree.com[b]
         ends = [at for at in joined[b] if np.linalg.norm(at) > _NEAR * tree.size]
@@ -256,16 +257,6 @@ def _like(name: str, at: Floats, inertia: Floats) -> Iterator[Shape]:
         yield Block(name, edges, at)
 
 
-def _balls(part: ContactForces, bodies: Bodies) -> tuple[list[int], list[Floats], list[float]]:
-    balls = part.finder.balls
-    own = [int(b) for b in balls.body]
-    return (
-        own,
-        [bodies.turn[b] @ at if b >= 0 else at for b, at in zip(own, balls.at, strict=True)],
-        [float(r) for r in balls.radius],
-    )
-
-
 def _lines(model: Assembly) -> Lines:
     """Springs between points."""
     rows = [part for part in model.conservative if isinstance(part, Springs)]
@@ -275,19 +266,3 @@ def _lines(model: Assembly) -> Lines:
     own = [[turn[b] @ at if b >= 0 else at for b, at in zip(*each, strict=True)]
            for each in zip(ends, points, strict=True)]  # fmt: skip
     return Lines(ends, np.array(own, dtype=float).reshape(-1, 2, 3))
-
-
-def _grounds(model: Assembly) -> Iterator[Ground]:
-    for part in model.conservative:
-        finder = part.finder if isinstance(part, ContactForces) else None
-        if isinstance(finder, OnPlane):
-            turn = model.bodies.turn[finder.body] if finder.body >= 0 else np.eye(3)
-            yield Ground(finder.body, turn @ finder.at, turn @ finder.normal)
-
-
-def _meshes(model: Assembly) -> Iterator[Mesh]:
-    for part in model.conservative:
-        finder = part.finder if isinstance(part, ContactForces) else None
-        if isinstance(finder, OnSurface):
-            turn = model.bodies.turn[finder.body] if finder.body >= 0 else np.eye(3)
-            yield Mesh(finder.body, finder.corners @ turn.T)

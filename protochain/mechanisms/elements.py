@@ -215,14 +215,10 @@ def joined(parts: Iterable[Any]) -> list[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Sum:
-    """Potential of conservative elements: wrenches of all of them are pulled back once.
+    """Potential of conservative elements: wrenches of all of them are pulled back once."""
 
-    tree: Rigid bodies.
-    parts: Elements, by kind.
-    """
-
-    tree: Tree
-    parts: Sequence[Conservative]
+    tree: Tree  # Rigid bodies.
+    parts: Sequence[Conservative]  # Elements, by kind.
 
     def __call__(self, q: Floats, factors: Articulated) -> tuple[float, Floats]:
         """Energy and torques (n_v,)."""
@@ -239,14 +235,10 @@ class Sum:
 
 @dataclass(frozen=True, eq=False)
 class Gravity:
-    """Weight of all bodies; its energy is zero at the world's origin.
+    """Weight of all bodies; its energy is zero at the world's origin."""
 
-    tree: Rigid bodies.
-    acceleration (3,): Acceleration of free fall.
-    """
-
-    tree: Tree
-    acceleration: Floats
+    tree: Tree  # Rigid bodies.
+    acceleration: Floats  # (3,): Acceleration of free fall.
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the weights."""

@@ -50,15 +50,12 @@ _NO_TORSIONS = Torsions(_NONE, _NONE, np.empty((0, 3)))
 
 @dataclass(frozen=True, eq=False)
 class Acts:
-    """What acts, as a kernel takes it.
+    """What acts, as a kernel takes it."""
 
-    forces: Acceleration of free fall; ends, points and constants of :class:`Springs`; coordinates, freedoms
-        and constants of :class:`Torsions`.
-    dampers: Of springs and torsions that damp the same, but gravity.
-    """
-
+    # Acceleration of free fall; ends, points and constants of :class:`Springs`; coordinates, freedoms and
+    # constants of :class:`Torsions`.
     forces: tuple[Any, ...]
-    dampers: tuple[Any, ...]
+    dampers: tuple[Any, ...]  # Of springs and torsions that damp the same, but gravity.
 
     @classmethod
     def of(cls, parts: Sequence[Conservative], dampers: Sequence[Damping]) -> Self | None:
@@ -109,11 +106,9 @@ class InOneKernel(Equations):
     def march(
         self, method: RungeKutta4 | DormandPrince, at: Phase, h: float, steps: int, every: int
     ) -> tuple[list[Any], Phase, int]:
-        """Take steps in one call, in substeps that keep a tolerance, if the method has one.
-
-        -> Rows as of :data:`Row`, one for ``every`` steps; the phase at the end, and how many
-        steps were possible.
-        """
+        """Take steps in one call, in substeps that keep a tolerance, if the method has one."""
+        # -> Rows as of :data:`Row`, one for ``every`` steps; the phase at the end, and how many steps were
+        # possible.
         if steps < 1 or not len(at.q):
             return [], at, 0
         work = at.work.sum()
@@ -203,11 +198,9 @@ def _march(
 def _step(
     h: float, tableau: tuple[Any, ...], arrays: tuple[Any, ...], start: Floats, speed: Floats
 ) -> tuple[Any, ...]:
-    """Take a step, and close the loops.
-
-    -> Whether that was possible; coordinates, velocities, momenta, energy and torques; frames and factors;
-    torques of dampers, and their work; errors of displacement and velocities.
-    """
+    """Take a step, and close the loops."""
+    # -> Whether that was possible; coordinates, velocities, momenta, energy and torques; frames and factors;
+    # torques of dampers, and their work; errors of displacement and velocities.
     (a, b, wrong), (tree, acts, dampers, joints) = tableau, arrays
     links, bodies, _ = tree
     n, n_v, s = len(bodies), len(speed), len(b)
@@ -343,10 +336,8 @@ def _hold(
     inside: bool, tree: tuple[Any, ...], joints: tuple[Any, ...], frames: tuple[Floats, Floats],
     factors: tuple[Any, ...], qd: Floats, qdd: Floats, loads: Floats, held: Floats,
 ) -> float:  # fmt: skip
-    """Write the accelerations inside a step, else the velocities, else the displacement that joints ask for.
-
-    -> How far loops are open: after the step velocities are held once they are closed.
-    """
+    """Write accelerations inside a step, else the velocities, else the displacement that joints ask for."""
+    # -> How far loops are open: after the step velocities are held once they are closed.
     (links, bodies, size), (body, turns, point, along) = tree, joints
     (rotation, origin), (_, gain, pivot, root) = frames, factors
     m, gap = len(body), 0.0

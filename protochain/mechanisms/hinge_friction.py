@@ -80,17 +80,12 @@ class HingeFriction(Named):
 
 
 class Rubbing(NamedTuple):
-    """Friction of a hinge, bound.
+    """Friction of a hinge, bound."""
 
-    label: What messages call it.
-    body, freedom: Body beyond the hinge, and place in qd.
-    torque, arm, damping, speed: Constants; arm is coefficient times radius.
-    """
-
-    label: str
-    body: int
+    label: str  # What messages call it.
+    body: int  # body, freedom: Body beyond the hinge, and place in qd.
     freedom: int
-    torque: float
+    torque: float  # torque, arm, damping, speed: Constants; arm is coefficient times radius.
     arm: float
     damping: float
     speed: float
@@ -102,11 +97,9 @@ class Rubbing(NamedTuple):
 
 
 def friction(others: Assembly, hinges: Sequence[Rubbing]) -> Load:
-    """Return the friction of all hinges as one load, in what a mechanism is without it.
-
-    Forces that hinges transmit change linearly with the torques of friction, which change with these: a fixed
-    point of as many numbers as there are hinges whose friction depends on forces.
-    """
+    """Return the friction of all hinges as one load, in what a mechanism is without it."""
+    # Forces that hinges transmit change linearly with the torques of friction, which change with these: a
+    # fixed point of as many numbers as there are hinges whose friction depends on forces.
     pressed = [each for each in hinges if each.arm]
     system, tree = others.system, others.tree
 

@@ -98,18 +98,12 @@ class Spring(Between):
 
 @dataclass(frozen=True, eq=False)
 class Springs(Rows):
-    """Springs, bound.
+    """Springs, bound."""
 
-    names (n,) str: Names, for messages.
-    ends (n, 2) int: Bodies of each; -1 is the world.
-    points (n, 6): Points of both bodies, along the axes of the tree's frames.
-    constants (n, 3): Stiffness, length at rest, damping.
-    """
-
-    names: np.ndarray
-    ends: Integers
-    points: Floats
-    constants: Floats
+    names: np.ndarray  # (n,) str: Names, for messages.
+    ends: Integers  # (n, 2) int: Bodies of each; -1 is the world.
+    points: Floats  # (n, 6): Points of both bodies, along the axes of the tree's frames.
+    constants: Floats  # (n, 3): Stiffness, length at rest, damping.
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the forces of the springs."""

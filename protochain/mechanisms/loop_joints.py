@@ -55,18 +55,13 @@ class LoopJoints:
     A turn is the cosine of the angle between a direction of the first body and one of the second; a slide is
     the component of the way from a point of the first body to one of the second, along a direction of the
     first. They may depend on each other, as three of the five of a revolute joint in the plane do.
-
-    body (m, 2) int: Bodies; -1 for the world.
-    turns (m,) bool: Whether the equation is a turn.
-    point (m, 2, 3): Points, in the frames of their bodies.
-    along (m, 2, 3): Directions, in the frames of their bodies; the second is not read of a slide.
-    rank: Number of independent equations where the loops are closed, if it is larger nearby; else None.
     """
 
-    body: Integers
-    turns: np.ndarray
-    point: Floats
-    along: Floats
+    body: Integers  # (m, 2) int: Bodies; -1 for the world.
+    turns: np.ndarray  # (m,) bool: Whether the equation is a turn.
+    point: Floats  # (m, 2, 3): Points, in the frames of their bodies.
+    along: Floats  # (m, 2, 3): Directions, in the frames of their bodies; the second is not read of a slide.
+    # Number of independent equations where the loops are closed, if it is larger nearby; else None.
     rank: int | None = None
 
     def __post_init__(self) -> None:
@@ -92,25 +87,16 @@ class LoopJoints:
 
 @dataclass(frozen=True, eq=False)
 class FactoredLoops:
-    """Loop joints at one pose, and what holds them.
+    """Loop joints at one pose, and what holds them."""
 
-    factors: Rigid bodies, their frames, and factors of M there.
-    error (m,): Errors of the joints.
-    rows: Rates of these.
-    scales (m,): What scales A = G M^-1 G^T to a diagonal of one.
-    inverse, factor (m, m): A, scaled; Cholesky's factor of A + e, the upper.
-    last (m,) int: One past the last number of each row of the factor that is not zero.
-    rank: As of :class:`LoopJoints`.
-    """
-
-    factors: Articulated
-    error: Floats
-    rows: Rows
-    scales: Floats
-    inverse: Floats
+    factors: Articulated  # Rigid bodies, their frames, and factors of M there.
+    error: Floats  # (m,): Errors of the joints.
+    rows: Rows  # Rates of these.
+    scales: Floats  # (m,): What scales A = G M^-1 G^T to a diagonal of one.
+    inverse: Floats  # inverse, factor: (m, m): A, scaled; Cholesky's factor of A + e, the upper.
     factor: Floats
-    last: Integers
-    rank: int | None
+    last: Integers  # (m,) int: One past the last number of each row of the factor that is not zero.
+    rank: int | None  # As of :class:`LoopJoints`.
 
     def rates(self, qd: Floats) -> Floats:
         """(m,) float: rates of the errors at velocities (n_v,)."""
@@ -119,19 +105,12 @@ class FactoredLoops:
         return np.asarray(np.einsum("mei,mei->m", self.rows.wrench, twists[self.rows.body]))
 
     def impulses(self, wanted: Floats) -> Floats:
-        """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted.
-
-        Those of joints that depend on others have the least norm.
-
-        x <- x + (A + e)^-1 (b - A x) until nothing is left, the proximal method (of mechanisms: Carpentier,
-        Budhiraja, Mansard, RSS 2021), by conjugate gradients (Saad, Iterative Methods, 2003, algorithm 9.1),
-        which need no more iterations than A has eigenvalues below e. At constant rank by eigenvectors.
-
-        Raises
-        ------
-        MechanicsError
-            If A is too ill-conditioned.
-        """
+        """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted."""
+        # Those of joints that depend on others have the least norm.
+        # x <- x + (A + e)^-1 (b - A x) until nothing is left, the proximal method (of mechanisms: Carpentier,
+        # Budhiraja, Mansard, RSS 2021), by conjugate gradients (Saad, Iterative Methods, 2003, algorithm
+        # 9.1), which need no more iterations than A has eigenvalues below e. At constant rank by
+        # eigenvectors.
         if self.rank is not None:
             values, vectors = (part[..., -self.rank :] for part in np.linalg.eigh(self.inverse))
             return np.asarray(self.scales * (vectors @ (vectors.T @ (self.scales * wanted) / values)))
@@ -158,12 +137,10 @@ class FactoredLoops:
 
 
 def factor_loops(factors: Articulated, joints: LoopJoints) -> FactoredLoops:
-    """Find what holds loop joints at one pose.
-
-    With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], A = Y^T D^-1 Y, and the column y of a joint has but the
-    freedoms on the paths from its bodies to the root. A is dense, O(m^2); its factor, O(m^3) at most, is a
-    band where loops follow each other in the order of the tree.
-    """
+    """Find what holds loop joints at one pose."""
+    # With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], A = Y^T D^-1 Y, and the column y of a joint has but the
+    # freedoms on the paths from its bodies to the root. A is dense, O(m^2); its factor, O(m^3) at most, is a
+    # band where loops follow each other in the order of the tree.
     tree, frames = factors.tree, factors.frames
     error, rows = joints.rows(frames)
     found = factor_loops_at(

@@ -17,18 +17,14 @@ _SHORTEST = 2.0**-30
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """Something that happens when a value falls through zero.
+    """Something that happens when a value falls through zero."""
 
-    name: Name, for messages.
-    value: Phase -> float: positive before the event.
-    jump: System, phase -> phase from which the motion goes on, at the same time: with other velocities by
-        :meth:`Equations.with_velocities`.
-    passes: Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again.
-    """
-
-    name: str
-    value: Callable[[Phase], float]
+    name: str  # Name, for messages.
+    value: Callable[[Phase], float]  # Phase -> float: positive before the event.
+    # System, phase -> phase from which the motion goes on, at the same time: with other velocities by
+    # :meth:`Equations.with_velocities`.
     jump: Callable[[Any, Phase], Phase]
+    # Whether the motion goes on below zero, as past a mark. Otherwise the value must rise again.
     passes: bool = False
 
 
@@ -40,11 +36,9 @@ def march(
     time_step: float,
     events: Sequence[Event] = (),
 ) -> Iterator[tuple[Phase, Event | None]]:
-    """Advance to a time, stopping at events.
-
-    The time of an event is found by Brent's method on the length of the last step, to 1e-12 of a step; of
-    several in one step the earliest is taken; those of one time follow each other in the order given.
-    """
+    """Advance to a time, stopping at events."""
+    # The time of an event is found by Brent's method on the length of the last step, to 1e-12 of a step; of
+    # several in one step the earliest is taken; those of one time follow each other in the order given.
     if not time_step > 0.0:
         raise MechanicsError(f"the time step {time_step:g} must be positive")
     fired: tuple[Event, ...] = ()

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from protochain.mechanics.motion import (
     StepTooLargeError,
 )
 from protochain.mechanics.multibody import HingeKind
+from protochain.mechanisms.assembly import Assembly, NamedLoad, Row
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.closing import closing
 from protochain.mechanisms.drives import Driven, check_drive, drive_of
@@ -25,11 +26,6 @@ from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.explicit import InOneKernel
 from protochain.mechanisms.hinge_friction import friction
 from protochain.mechanisms.march import march
-
-if TYPE_CHECKING:
-    pass
-
-from protochain.mechanisms.assembly import Assembly, NamedLoad, Row
 from protochain.mechanisms.run import ROUNDED, Run
 
 _LOOK = 256
@@ -165,11 +161,12 @@ def model_of(
         NamedLoad(name, each.load, each.dissipates, each.hinges) for name, each in acting.items() if each.load
     ]
     held = np.any((tree.parent < 0) & (tree.kind != HingeKind.FREE))
+    on_world = bodies.joints is not None and bool(np.any(bodies.joints.body < 0))
     model = Model(
         bodies, bodies.q, bodies.qd,
         (*weight, *joined(each.conservative for each in acting.values() if each.conservative)), tuple(loads),
         drive_of(bodies, drives) if drives else None, events,
-        not weight and not held and not _on_world(bodies) and all(each.inside for each in acting.values()),
+        not weight and not held and not on_world and all(each.inside for each in acting.values()),
         tuple(each.memory for each in acting.values() if each.memory),
     )  # fmt: skip
     rubbing = [each.friction for each in acting.values() if each.friction]
@@ -177,11 +174,6 @@ def model_of(
         return model
     rubs = NamedLoad("hinge friction", friction(model, rubbing), dissipates=True)
     return replace(model, loads=(*model.loads, rubs))
-
-
-def _on_world(bodies: Bodies) -> bool:
-    """Whether a loop closes on the world."""
-    return bodies.joints is not None and bool(np.any(bodies.joints.body < 0))
 
 
 class UnbalancedError(StepTooLargeError):
@@ -293,9 +285,9 @@ class _Simulation:
         return kinetic, kinetic + potential - float(np.sum(work)) - jumps
 
     def without_events(self, until: float) -> Phase:
-        """Take steps as ``mechanisms.march`` does, in a loop that costs a hundredth of a step."""
+        """Take steps as ``mechanisms.march`` does, many in one kernel where that can be."""
         system, step, h, every = self.model.system, self.integrator.step, self.time_step, self.every
-        append, at, count, look = self.rows.append, self.start, 0, every * _LOOK
+        at, count, look = self.start, 0, every * _LOOK
         # Rounding of times adds up to less than a step: until near the end nothing need be compared.
         n = int((until - at.time) / h) - 2
         if isinstance(system, InOneKernel) and isinstance(self.integrator, RungeKutta4 | DormandPrince):
@@ -306,13 +298,6 @@ class _Simulation:
                 if taken < look:
                     break
                 self.look()
-        rest = range(count + 1, n + 1)
-        for count in rest:
-            at = step(system, at, h)
-            if count % every == 0:
-                append((at.time, at.q, at.qd, at.p, at.potential, at.work, 0.0))
-                if count % look == 0:
-                    self.look()
         while (left := until - at.time) > _SAME * h:
             at = step(system, at, h if left > (1.0 + _SAME) * h else left)
             count += 1

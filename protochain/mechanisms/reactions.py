@@ -19,25 +19,18 @@ _AXES = ("x", "y", "z")
 
 
 class Transmitted(NamedTuple):
-    """What passes through hinges and joints at one moment.
+    """What passes through hinges and joints at one moment."""
 
-    at: The moment.
-    hinges (nb, 6): Moment about the origin of each body, and force, by which its parent, or the world, moves
-        it.
-    joints (m,): Forces and moments of the equations of the joints that close loops.
-    """
-
-    at: Phase
+    at: Phase  # The moment.
+    # (nb, 6): Moment about the origin of each body, and force, by which its parent, or the world, moves it.
     hinges: Floats
-    joints: Floats
+    joints: Floats  # (m,): Forces and moments of the equations of the joints that close loops.
 
 
 def transmitted(model: Assembly, at: Phase) -> Transmitted:
-    """Find what hinges transmit, by Newton and Euler from the outermost bodies inward.
-
-    What a body lacks to move as it does, beyond gravity, springs, loads and joints of loops, comes from its
-    parent, less what it passes on to its children: Luh, Walker, Paul (1980). O(n).
-    """
+    """Find what hinges transmit, by Newton and Euler from the outermost bodies inward."""
+    # What a body lacks to move as it does, beyond gravity, springs, loads and joints of loops, comes from its
+    # parent, less what it passes on to its children: Luh, Walker, Paul (1980). O(n).
     tree, system, frames = model.tree, model.system, at.factors.frames
     qdd, _ = system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)
     given, unread = np.zeros((tree.n_bodies, 6)), np.zeros(tree.n_v)

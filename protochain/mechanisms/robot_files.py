@@ -182,9 +182,9 @@ def read_mjcf(into: Any, source: str | Path, stops: float, leave_out: Collection
                 back = Rotation.from_rotvec(-q0 * axis).as_matrix()
             elif sort == "prismatic":
                 place = place - q0 * turned @ axis
-            into.hinge(
-                called, parent, child, sort, place, turned @ axis, turned @ back, **_start(sort, q0, into)
-            )
+            own_q = np.degrees(q0) if into.degrees and sort == "revolute" else q0
+            start = {"q": own_q} if q0 else {}
+            into.hinge(called, parent, child, sort, place, turned @ axis, turned @ back, **start)
             parent, above, turned, last = child, np.zeros(3), np.eye(3), anchor
             _resist(reading, m, called, j, sort)
         if parent != bodies[b]:
@@ -199,10 +199,6 @@ def read_mjcf(into: Any, source: str | Path, stops: float, leave_out: Collection
         if has:
             reading.left[what] = "see there"
     reading.end()
-
-
-def _start(sort: str, q: float, into: Any) -> dict[str, float]:
-    return {"q": np.degrees(q) if into.degrees and sort == "revolute" else q} if q else {}
 
 
 def _resist(reading: _Reading, m: Any, name: str, j: int, sort: str) -> None:

@@ -66,10 +66,8 @@ class Rosenbrock(Integrator):
 
 
 def _check_balance(system: Equations, at: Phase, after: Phase, slow: float) -> None:
-    """Raise if the change of energy is not the work of the ends' powers, as of a damper that is not resolved.
-
-    What moves no faster than ``slow``, in radians and sizes of the tree, may lose its energy.
-    """
+    """Raise if energy changes by other than the work of the ends' powers, as of an unresolved damper."""
+    # What moves no faster than ``slow``, in radians and sizes of the tree, may lose its energy.
     work = after.work - at.work
     flow = max(at.kinetic, after.kinetic) + abs(after.potential - at.potential) + np.sum(np.abs(work))
     speed = slow * system.units

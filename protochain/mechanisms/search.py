@@ -76,16 +76,12 @@ def edge_of(centre: Floats, radius: Floats) -> float:
 
 @kernel
 def sort_into_cells(x: Floats, edge: float) -> tuple[Integers, Integers, Integers, Integers]:
-    """Sort points by their cells.
-
-    x (n, 3).
-    -> order (n,) int: Points, cell by cell, those of one cell as they were given.
-    -> cell (n,) int: Number of the cell of each, in that order: x + size[0] (y + size[1] z), with x, y, z
-        from 1.
-    -> start (m + 1,) int: Those of cell c are among ``order[start[k]:start[k + 1]]``, k = c modulo m, a power
-        of two, along with those of cells that share the place.
-    -> size (2,) int: Cells along x and along y, with an empty one at each end.
-    """
+    """Sort points by their cells."""
+    # x (n, 3) -> order (n,) int: Points, cell by cell, those of one cell as they were given -> cell (n,) int:
+    # Number of the cell of each, in that order: x + size[0] (y + size[1] z), with x, y, z from 1 -> start (m
+    # + 1,) int: Those of cell c are among ``order[start[k]:start[k + 1]]``, k = c modulo m, a power of two,
+    # along with those of cells that share the place -> size (2,) int: Cells along x and along y, with an
+    # empty one at each end.
     n = len(x)
     places = 4
     while places < 2 * n:

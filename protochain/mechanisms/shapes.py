@@ -87,20 +87,13 @@ Other = Obstacle | Sequence[Ball]
 
 
 class Touches(NamedTuple):
-    """Where two bodies a and b overlap.
+    """Where two bodies a and b overlap."""
 
-    pair (k, 2) int: Number of the ball, and of what it touches, in order.
-    ends (k, 2) int: Bodies a and b; -1 is the world.
-    place (k, 3): Middle of the overlap.
-    normal (k, 3): Unit vectors from b to a.
-    depth (k,): Overlaps, all positive.
-    """
-
-    pair: Integers
-    ends: Integers
-    place: Floats
-    normal: Floats
-    depth: Floats
+    pair: Integers  # (k, 2) int: Number of the ball, and of what it touches, in order.
+    ends: Integers  # (k, 2) int: Bodies a and b; -1 is the world.
+    place: Floats  # (k, 3): Middle of the overlap.
+    normal: Floats  # (k, 3): Unit vectors from b to a.
+    depth: Floats  # (k,): Overlaps, all positive.
 
 
 @dataclass(frozen=True, eq=False)

@@ -72,12 +72,9 @@ class Stop(Named):
 
 @dataclass(frozen=True, eq=False)
 class Stopped:
-    """A stop, bound: torque -k d - c d' at depth d, as long as it pushes back.
+    """A stop, bound: torque -k d - c d' at depth d, as long as it pushes back."""
 
-    coordinate, freedom: Places of the hinge in q and in qd.
-    """
-
-    coordinate: int
+    coordinate: int  # coordinate, freedom: Places of the hinge in q and in qd.
     freedom: int
     low: float
     high: float

@@ -61,15 +61,11 @@ class Torsion(Named):
 
 @dataclass(frozen=True, eq=False)
 class Torsions(Rows):
-    """Torsions, bound: torques -k (q - rest) and -c qd.
+    """Torsions, bound: torques -k (q - rest) and -c qd."""
 
-    coordinates, freedoms (n,) int: Places of the hinges in q and in qd.
-    constants (n, 3): Stiffness, coordinate at rest, damping.
-    """
-
-    coordinates: Integers
+    coordinates: Integers  # coordinates, freedoms: (n,) int: Places of the hinges in q and in qd.
     freedoms: Integers
-    constants: Floats
+    constants: Floats  # (n, 3): Stiffness, coordinate at rest, damping.
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the torques of the springs."""

@@ -17,10 +17,8 @@ def corner(corners: Floats, m: int, k: int) -> Vector:
 
 @kernel
 def nearest(p: Vector, corners: Floats, m: int) -> tuple[Vector, bool]:
-    """Nearest point of triangle m to p, and whether it lies inside, not on an edge.
-
-    Ericson, *Real-Time Collision Detection* (2005), section 5.1.5.
-    """
+    """Nearest point of triangle m to p, and whether it lies inside, not on an edge."""
+    # Ericson, *Real-Time Collision Detection* (2005), section 5.1.5.
     a, b, c = corner(corners, m, 0), corner(corners, m, 1), corner(corners, m, 2)
     ab, ac = subtract(b, a), subtract(c, a)
     ap, bp, cp = subtract(p, a), subtract(p, b), subtract(p, c)
@@ -53,16 +51,12 @@ def length(a: Vector) -> float:
 def least_distances(
     near: Integers, centre: Floats, radius: Floats, corners: Floats
 ) -> tuple[Integers, Floats, Floats]:
-    """Points of a surface within balls to which nothing around them on the surface is nearer.
-
-    The nearest point of a triangle is no such point if it lies on an edge beyond which another triangle comes
-    nearer: a ball on the middle of a triangle does not touch the edges of its neighbours. Where it
-    touches an edge from outside, it touches it once.
-
-    near (n, 2) int, centre, radius (balls, 3), corners (m, 3, 3) -> point (k, 3).
-    -> pair (k, 2) int: Ball and triangle.
-    -> distance (k,): From the centre of the ball, below its radius.
-    """
+    """Points of a surface within balls to which nothing around them on the surface is nearer."""
+    # near (n, 2) int, centre, radius (balls, 3), corners (m, 3, 3) -> point (k, 3) -> pair (k, 2) int: Ball
+    # and triangle -> distance (k,): From the centre of the ball, below its radius.
+    # The nearest point of a triangle is no such point if it lies on an edge beyond which another triangle
+    # comes nearer: a ball on the middle of a triangle does not touch the edges of its neighbours. Where it
+    # touches an edge from outside, it touches it once.
     n = len(near)
     points, distance, inside = np.empty((n, 3)), np.empty(n), np.empty(n, np.bool_)
     kept = np.empty(n, np.int64)

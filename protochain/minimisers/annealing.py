@@ -35,17 +35,13 @@ class Annealing:
     """Langevin dynamics of rigid bodies while the temperature falls linearly to zero: at 0 K damped dynamics.
 
     Source: Kirkpatrick, Gelatt, Vecchi, Science 220:671 (1983).
-
-    temperature K: Initial; friction 1/ps, of the thermostat.
-    time_step ps: Shortened where a freedom would turn by more than ``LONGEST_TURN``.
-    seed: Of the random forces and initial velocities.
     """
 
-    temperature: float = 0.0
+    temperature: float = 0.0  # K: Initial; friction 1/ps, of the thermostat.
     n_steps: int = 1000
     friction: float = 10.0
-    time_step: float = 0.004
-    seed: int = 0
+    time_step: float = 0.004  # ps: Shortened where a freedom would turn by more than ``LONGEST_TURN``.
+    seed: int = 0  # Of the random forces and initial velocities.
     states = (AnnealingState,)
 
     def init(self, problem: Problem, at: Evaluation) -> AnnealingState:

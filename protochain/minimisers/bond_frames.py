@@ -30,10 +30,9 @@ _SHORT, _THIN = 1e-4, 0.05
 
 
 def legs_of(bonds: Integers, mass: Floats) -> Integers:
-    """(na, 3) int: origin of each atom's frame, and the two atoms that it looks at; -1 for none.
-
-    The atom and its two heaviest neighbours; of an atom with one, that one, the atom, and the heaviest other.
-    """
+    """(na, 3) int: origin of each atom's frame, and the two atoms that it looks at; -1 for none."""
+    # The atom and its two heaviest neighbours; of an atom with one, that one, the atom, and the heaviest
+    # other.
     n = len(mass)
     ends = both_ways(bonds)
     atom, other = ends[np.lexsort((ends[:, 1], -mass[ends[:, 1]], ends[:, 0]))].T
@@ -90,10 +89,8 @@ def outward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
 
 @kernel
 def moved(x: Floats, step: Floats, bonds: Integers, weight: Floats) -> Floats:
-    """Positions (na, 3) after a step, with bonds as long as to its first order.
-
-    weight (na,): How easily atoms follow their bonds; 0 of fixed ones.
-    """
+    """Positions (na, 3) after a step, with bonds as long as to its first order."""
+    # weight (na,): How easily atoms follow their bonds; 0 of fixed ones.
     wanted, at = np.empty(len(bonds)), x + step
     for n in range(len(bonds)):
         i, j = bonds[n, 0], bonds[n, 1]

@@ -17,13 +17,9 @@ from protochain.mechanics.multibody.algebra import kernel
 
 
 def elimination_order(n: int, pairs: Integers) -> Integers:
-    """Order of n rows that keeps the factor sparse, by multiple minimum degree.
-
-    With that of other pairs, as of the start of a run, the factor takes 3 to 100 times the products.
-
-    pairs (m, 2) int.
-    -> (n,) int: Place of each row in the order.
-    """
+    """Order of n rows that keeps the factor sparse, by multiple minimum degree."""
+    # pairs (m, 2) int -> (n,) int: Place of each row in the order.
+    # With that of other pairs, as of the start of a run, the factor takes 3 to 100 times the products.
     i, j = pairs.T
     values = np.r_[np.full(2 * len(i), -1.0), np.full(n, 2.0 * len(i) + 1.0)]
     rows, columns = np.r_[i, j, np.arange(n)], np.r_[j, i, np.arange(n)]
@@ -35,20 +31,13 @@ def elimination_order(n: int, pairs: Integers) -> Integers:
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """Factor L of a matrix A = L L^T, in an order of elimination.
+    """Factor L of a matrix A = L L^T, in an order of elimination."""
 
-    place (n,) int: Place of each row in the order.
-    start (n + 1,) int: Of each column of L.
-    rows (m,) int: Of the blocks below the diagonal, ascending in each column.
-    blocks (m, 9).
-    inverse (n, 9): Inverses of the diagonal blocks of L.
-    """
-
-    place: Integers
-    start: Integers
-    rows: Integers
-    blocks: Floats
-    inverse: Floats
+    place: Integers  # (n,) int: Place of each row in the order.
+    start: Integers  # (n + 1,) int: Of each column of L.
+    rows: Integers  # (m,) int: Of the blocks below the diagonal, ascending in each column.
+    blocks: Floats  # (m, 9).
+    inverse: Floats  # (n, 9): Inverses of the diagonal blocks of L.
 
     def solve(self, right: Floats) -> Floats:
         """Solution (3 n,) of A x = b."""
@@ -68,10 +57,8 @@ def factorise(place: Integers, own: Floats, pairs: Integers, shared: Floats) -> 
 
 @kernel
 def _pattern(place: Integers, pairs: Integers) -> tuple[Integers, Integers, Integers, Integers, Integers]:
-    """Pattern of the factor.
-
-    Start and rows of each column; and of each row start, columns and the blocks' places in them.
-    """
+    """Pattern of the factor."""
+    # Start and rows of each column; and of each row start, columns and the blocks' places in them.
     n = len(place)
     # Neighbours before each row.
     begin = np.zeros(n + 1, np.int64)

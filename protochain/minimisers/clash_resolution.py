@@ -74,16 +74,11 @@ _PATIENCE = 60
 
 @dataclass(frozen=True, eq=False)
 class TetheredModel:
-    """Model of the Hessian of tethered atoms, whose repulsion may be soft.
+    """Model of the Hessian of tethered atoms, whose repulsion may be soft."""
 
-    tether (na,) kJ/mol/nm^2.
-    is_soft: Whether near atoms repel each other as :class:`SoftRepulsion` has it.
-    refresh_every: Iterations between two computations of the matrix.
-    """
-
-    tether: Floats
-    is_soft: bool = False
-    refresh_every: int = 20
+    tether: Floats  # (na,) kJ/mol/nm^2.
+    is_soft: bool = False  # Whether near atoms repel each other as :class:`SoftRepulsion` has it.
+    refresh_every: int = 20  # Iterations between two computations of the matrix.
 
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the model made at a point."""

@@ -42,30 +42,21 @@ TORSION_FLOOR = 50.0
 
 @dataclass(frozen=True, eq=False)
 class NearTerms:
-    """Near terms of a force field.
-
-    bonds: Pairs, with (r0, k).
-    angles: Three atoms, with (theta0, k).
-    dihedrals (n, 4) int: Each once.
-    waves (m, 3): Cosines (n, phi0, k) of the dihedrals, those of one together; with n = 0, a constant
-        stiffness k.
-    first_wave (n + 1,) int: Of each dihedral.
-    contacts: 1-4 pairs, with (A, B) of A/r^12 - B/r^6.
-    lj_type (na,) int.
-    a12, b6 (types, types): A and B of free pairs.
-    partners: Start of each atom's partners that are no free pairs, and the partners, of higher index.
-    """
+    """Near terms of a force field."""
 
     n_atoms: int
-    bonds: Bonded
-    angles: Bonded
-    dihedrals: Integers
+    bonds: Bonded  # Pairs, with (r0, k).
+    angles: Bonded  # Three atoms, with (theta0, k).
+    dihedrals: Integers  # (n, 4) int: Each once.
+    # (m, 3): Cosines (n, phi0, k) of the dihedrals, those of one together; with n = 0, a constant stiffness
+    # k.
     waves: Floats
-    first_wave: Integers
-    contacts: Bonded
-    lj_type: Integers
-    a12: Floats
+    first_wave: Integers  # (n + 1,) int: Of each dihedral.
+    contacts: Bonded  # 1-4 pairs, with (A, B) of A/r^12 - B/r^6.
+    lj_type: Integers  # (na,) int.
+    a12: Floats  # a12, b6: (types, types): A and B of free pairs.
     b6: Floats
+    # Start of each atom's partners that are no free pairs, and the partners, of higher index.
     partners: tuple[Integers, Integers]
 
     @cached_property
@@ -164,16 +155,11 @@ def _dihedrals(torsions: Bonded, impropers: Bonded) -> tuple[Integers, Floats, I
 
 @dataclass(frozen=True, eq=False)
 class Curvature:
-    """Blocks of the Hessian's model.
+    """Blocks of the Hessian's model."""
 
-    own (na, 9): On its diagonal, row by row.
-    pairs (n, 2) int: Atoms that are coupled, the smaller index first.
-    shared (n, 9): Their blocks.
-    """
-
-    own: Floats
-    pairs: Integers
-    shared: Floats
+    own: Floats  # (na, 9): On its diagonal, row by row.
+    pairs: Integers  # (n, 2) int: Atoms that are coupled, the smaller index first.
+    shared: Floats  # (n, 9): Their blocks.
 
 
 Stretches = tuple[Integers, Floats, Floats]
@@ -207,10 +193,8 @@ def bonded_gradients(terms: NearTerms, x: Floats) -> tuple[Gradients, Gradients]
 
 
 def curvature(terms: NearTerms, x: Floats, near: Stretches, coupled_from: float = COUPLED) -> Curvature:
-    """Blocks of the bonded terms, and of springs between near atoms.
-
-    x (na, 3) nm, coupled_from kJ/mol/nm^2.
-    """
+    """Blocks of the bonded terms, and of springs between near atoms."""
+    # x (na, 3) nm, coupled_from kJ/mol/nm^2.
     # Copies are writable, and kernels compiled once.
     x = np.array(x)
     own, shared = np.zeros((terms.n_atoms, 9)), np.zeros((len(terms.pairs), 9))
@@ -228,28 +212,18 @@ def curvature(terms: NearTerms, x: Floats, near: Stretches, coupled_from: float 
 
 
 def springs_of(terms: NearTerms, x: Floats, moving: NDArray[np.bool_]) -> Springs:
-    """Bonds, 1-4 pairs and free pairs as springs along their lines, for :func:`springs.torsion_stiffness`.
-
-    What acts across a line would there also stiffen turns of rigid groups, which change no length.
-    """
+    """Bonds, 1-4 pairs and free pairs as springs along their lines, for :func:`springs.torsion_stiffness`."""
+    # What acts across a line would there also stiffen turns of rigid groups, which change no length.
     parts = [*bonded_springs(terms, x), free_wells(terms, x, moving)]
     return Springs(np.concatenate([part[0] for part in parts]), np.concatenate([part[1] for part in parts]))
-
-
-def _among(pairs: Integers, moving: NDArray[np.bool_]) -> tuple[Integers, NDArray[np.bool_]]:
-    """Pairs of atoms that both move, as places among these, and which pairs they are."""
-    both = np.asarray(moving[pairs].all(axis=1))
-    return (np.cumsum(moving) - 1)[pairs[both]], both
 
 
 def near_solver(
     terms: NearTerms, x: Floats, moving: NDArray[np.bool_], near: Springs | None = None,
     tether: Floats | None = None,
 ) -> Callable[[Floats], Floats]:  # fmt: skip
-    """Solver for the model of the Hessian in Cartesian coordinates.
-
-    x (na, 3) nm, moving (na,) bool, tether (na,).
-    """
+    """Solver for the model of the Hessian in Cartesian coordinates."""
+    # x (na, 3) nm, moving (na,) bool, tether (na,).
     if near is None:
         at = curvature(terms, x, free_wells(terms, x, moving))
     else:
@@ -266,6 +240,8 @@ def soft_solver(
 
 def _solver(at: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:
     at.own[:, ::4] += added
-    pairs, both = _among(at.pairs, moving)
+    # Pairs of atoms that both move, as places among these.
+    both = moving[at.pairs].all(axis=1)
+    pairs = (np.cumsum(moving) - 1)[at.pairs[both]]
     order = elimination_order(int(moving.sum()), pairs)
     return on_moving(moving, factorise(order, at.own[moving], pairs, at.shared[both]).solve)

@@ -83,10 +83,8 @@ class Proportional(Direction):
 
 
 def largest_eigenvalue(problem: Problem, at: Evaluation, n_products: int) -> float:
-    """Largest size of an eigenvalue of the Hessian at a point, from below.
-
-    -> kJ/mol/rad^2: Largest size of a Ritz value. Products are central differences of torques.
-    """
+    """Largest size of an eigenvalue of the Hessian at a point, from below."""
+    # -> kJ/mol/rad^2: Largest size of a Ritz value. Products are central differences of torques.
     vectors: list[Floats] = []
     products: list[Floats] = []
     new = at.torque

@@ -49,28 +49,22 @@ class Method(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A run between two iterations, with all that its continuation depends on.
-
-    start: First point of the run.
-    lists_at (na, 3): Where the energy's neighbour lists were built: they set the order of its sums.
-    """
+    """A run between two iterations, with all that its continuation depends on."""
 
     state: State
-    start: Evaluation
+    start: Evaluation  # First point of the run.
     tally: Tally
     n_iterations: int
+    # (na, 3): Where the energy's neighbour lists were built: they set the order of its sums.
     lists_at: Floats | None
 
 
 @dataclass(frozen=True, eq=False)
 class Ending:
-    """How a loop ended.
-
-    last: After the last complete iteration.
-    """
+    """How a loop ended."""
 
     stop: Stop
-    last: Snapshot
+    last: Snapshot  # After the last complete iteration.
 
 
 def run(

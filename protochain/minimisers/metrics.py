@@ -86,11 +86,9 @@ class Damped(Stiffness):
 
     A regularised Newton method (Li, Fukushima, Qi, Yamashita, Comput. Optim. Appl. 28:131, 2004): soft
     freedoms do not run ahead of stiff ones, so that a start leads to a minimum near it.
-
-    damping 1/nm: Added to the diagonal, times the RMS force.
     """
 
-    damping: float = 300.0
+    damping: float = 300.0  # 1/nm: Added to the diagonal, times the RMS force.
 
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the model made at a point."""

@@ -98,10 +98,8 @@ class PseudoTransient:
 def conjugate_gradients(
     problem: Problem, at: Evaluation, solve: Solve, shift: float, rtol: float, max_products: int
 ) -> Floats:
-    """Solve (shift + H) d = tau inexactly, in the subspace of positive curvature met so far.
-
-    -> (n_v,): A descent direction (Nocedal, Wright, *Numerical Optimization*, 2006, algorithm 7.1).
-    """
+    """Solve (shift + H) d = tau inexactly, in the subspace of positive curvature met so far."""
+    # -> (n_v,): A descent direction (Nocedal, Wright, *Numerical Optimization*, 2006, algorithm 7.1).
     turn = np.zeros_like(at.torque)
     left = at.torque.copy()
     z = solve(left)

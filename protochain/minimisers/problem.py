@@ -106,10 +106,8 @@ class Space(Protocol):
     def stiffness(
         self, at: Evaluation, near_by: Any = None, tether: Floats | None = None
     ) -> Callable[[Floats], Floats]:
-        """Solver for a model of the Hessian made at a point: torques (n_v,) -> step (n_v,).
-
-        With how nearby atoms are coupled, if that is given, and springs (na,) to fixed points.
-        """
+        """Solver for a model of the Hessian made at a point: torques (n_v,) -> step (n_v,)."""
+        # With how nearby atoms are coupled, if that is given, and springs (na,) to fixed points.
 
     def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for a model of the Hessian with nearly nothing added: it ranks soft directions."""
@@ -123,15 +121,11 @@ class Space(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """Evaluations counted so far, and the lowest energy among them.
-
-    best: Point of lowest energy among those allowed as the result.
-    improved_at: Number of the evaluation that found it.
-    """
+    """Evaluations counted so far, and the lowest energy among them."""
 
     n_evaluations: int = 0
-    best: Evaluation | None = None
-    improved_at: int = 0
+    best: Evaluation | None = None  # Point of lowest energy among those allowed as the result.
+    improved_at: int = 0  # Number of the evaluation that found it.
 
 
 @dataclass

@@ -33,14 +33,10 @@ _LEASH_ENERGY = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Tethers:
-    """Springs from atoms to their initial positions: E = k/2 sum |x - x0|^2.
+    """Springs from atoms to their initial positions: E = k/2 sum |x - x0|^2."""
 
-    home (na, 3) nm.
-    weight (na,) kJ/mol/nm^2.
-    """
-
-    home: Floats
-    weight: Floats
+    home: Floats  # (na, 3) nm.
+    weight: Floats  # (na,) kJ/mol/nm^2.
 
     @classmethod
     def of_heavy_atoms(cls, structure: Structure, strength: float) -> "Tethers":
@@ -56,14 +52,10 @@ class Tethers:
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Wall around the initial position of every atom: E = k/2 sum (d - limit)^2 over those beyond it.
+    """Wall around the initial position of every atom: E = k/2 sum (d - limit)^2 over those beyond it."""
 
-    home (na, 3) nm.
-    limit nm.
-    """
-
-    home: Floats
-    limit: float
+    home: Floats  # (na, 3) nm.
+    limit: float  # nm.
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
@@ -76,19 +68,14 @@ class Bound:
 
 @dataclass(frozen=True, eq=False)
 class Leash:
-    """Harmonic wall that begins at 0.9 of the limit of the C-alpha RMSD to the start, superposed.
-
-    limit angstrom.
-    """
+    """Harmonic wall that begins at 0.9 of the limit of the C-alpha RMSD to the start, superposed."""
 
     structure: Structure
-    limit: float
+    limit: float  # angstrom.
 
     def rmsd(self, x: Floats) -> tuple[float, Floats]:
-        """RMSD in nm, and its gradient (n, 3) on the C-alpha atoms.
-
-        At the best superposition the RMSD is stationary, so that its change adds nothing to the gradient.
-        """
+        """RMSD in nm, and its gradient (n, 3) on the C-alpha atoms."""
+        # At the best superposition the RMSD is stationary, so that its change adds nothing to the gradient.
         alpha = self.structure.alpha_carbons
         away = x[alpha] - superpose(self.structure.positions[alpha], x[alpha])
         size = float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
@@ -111,17 +98,13 @@ class Leash:
 
 @dataclass(frozen=True, eq=False)
 class SoftRepulsion:
-    """Soft repulsion of overlapping atoms: E = k/2 sum (r0 - r)^2 over unbonded pairs nearer than r0.
-
-    passing (n, 2) int: Pairs of residues whose atoms do not repel each other.
-    share: Range r0, as a share of the contact distance.
-    stiffness kJ/mol/nm^2.
-    """
+    """Soft repulsion of overlapping atoms: E = k/2 sum (r0 - r)^2 over unbonded pairs nearer than r0."""
 
     structure: Structure
+    # (n, 2) int: Pairs of residues whose atoms do not repel each other.
     passing: Integers = field(default_factory=lambda: np.empty((0, 2), dtype=np.int64))
-    share: float = SOFT_SHARE
-    stiffness: float = SOFT_STIFFNESS
+    share: float = SOFT_SHARE  # Range r0, as a share of the contact distance.
+    stiffness: float = SOFT_STIFFNESS  # kJ/mol/nm^2.
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces; none between atoms at one point, where the direction is undefined."""
@@ -143,12 +126,9 @@ class SoftRepulsion:
 
 @dataclass(frozen=True)
 class UserRestraint:
-    """Restraint of a caller.
+    """Restraint of a caller."""
 
-    function: Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
-    """
-
-    function: Force
+    function: Force  # Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces; an error names the callable that returns anything else."""
@@ -184,18 +164,13 @@ def tethers_in(restraint: Force | None) -> Floats | None:
 
 @dataclass(frozen=True)
 class Hold:
-    """Restraints of a minimisation to its start.
+    """Restraints of a minimisation to its start."""
 
-    strengths kJ/mol/nm^2: Springs from the heavy atoms to their initial positions, one after the other.
-    max_rmsd angstrom: C-alpha RMSD to the start that may not be exceeded.
-    term: Any other restraint: positions (na, 3) in nm to energy and forces.
-    listed: Distances, dihedrals and positions.
-    """
-
+    # kJ/mol/nm^2: Springs from the heavy atoms to their initial positions, one after the other.
     strengths: tuple[float, ...] = ()
-    max_rmsd: float = np.inf
-    term: Force | None = None
-    listed: tuple[Restraint, ...] = ()
+    max_rmsd: float = np.inf  # angstrom: C-alpha RMSD to the start that may not be exceeded.
+    term: Force | None = None  # Any other restraint: positions (na, 3) in nm to energy and forces.
+    listed: tuple[Restraint, ...] = ()  # Distances, dihedrals and positions.
 
     def __post_init__(self) -> None:
         if not all(0 <= strength < np.inf for strength in self.strengths):

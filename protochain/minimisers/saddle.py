@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.minimisers.loop import Ending, Stop
+from protochain.minimisers.loop import Stop
 from protochain.minimisers.metrics import Preconditioner, Solve
 from protochain.minimisers.problem import Evaluation, Problem, Space
 from protochain.minimisers.stages import Stage
@@ -59,12 +59,9 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class Soft:
-    """Stiffness with nearly nothing added: it ranks soft directions.
+    """Stiffness with nearly nothing added: it ranks soft directions."""
 
-    refresh_every: Iterations between two computations of the matrix.
-    """
-
-    refresh_every: int = 1_000_000_000
+    refresh_every: int = 1_000_000_000  # Iterations between two computations of the matrix.
 
     def at(self, space: Space, at: Evaluation) -> Solve:
         """Solver for the matrix at a point."""
@@ -73,29 +70,22 @@ class Soft:
 
 @dataclass(frozen=True, eq=False)
 class CurvatureState:
-    """A search between two products.
+    """A search between two products."""
 
-    at: The point looked at; after the last step, one down the slope from a saddle point.
-    vectors, products: Orthonormal, and the Hessian times each.
-    direction (n_v,): Of the lowest curvature found: a unit vector.
-    residuals: What is left of H v - ritz v for it, and for the second lowest.
-    ritz, fall, doubt: Curvature along it, by how much the last vector lowered it, and how far the products
-        are from symmetric there: they are differences of torques, which may be rounded.
-    value: The lowest eigenvalue; None while it is sought.
-    is_saddle, confirmed, left: Whether it is a saddle point, whether lower points were sought beside it, and
-        whether ``at`` is one.
-    """
-
-    at: Evaluation
+    at: Evaluation  # The point looked at; after the last step, one down the slope from a saddle point.
     preconditioner: Preconditioner
-    vectors: tuple[Floats, ...] = ()
+    vectors: tuple[Floats, ...] = ()  # vectors, products: Orthonormal, and the Hessian times each.
     products: tuple[Floats, ...] = ()
-    direction: Floats | None = None
-    residuals: tuple[Floats, ...] = ()
+    direction: Floats | None = None  # (n_v,): Of the lowest curvature found: a unit vector.
+    residuals: tuple[Floats, ...] = ()  # What is left of H v - ritz v for it, and for the second lowest.
+    # ritz, fall, doubt: Curvature along it, by how much the last vector lowered it, and how far the products
+    # are from symmetric there: they are differences of torques, which may be rounded.
     ritz: float = np.inf
     fall: float = np.inf
     doubt: float = 0.0
-    value: float | None = None
+    value: float | None = None  # The lowest eigenvalue; None while it is sought.
+    # is_saddle, confirmed, left: Whether it is a saddle point, whether lower points were sought beside it,
+    # and whether ``at`` is one.
     is_saddle: bool = False
     confirmed: bool = False
     left: bool = False
@@ -131,17 +121,13 @@ class Curvature:
     A point is one if its torques meet the tolerance, and an eigenvalue is below -tolerance/lever (and
     below -``LEAST``): a direction in which a turn of less than 1 rad brings a torque above the tolerance, or
     a root mean square displacement of less than 0.1 nm an RMS force.
-
-    tolerance: Of the minimisation.
-    floats: Whether nothing but fixed atoms holds the whole: rigid motions, whose curvature is 0, are left
-        out.
-    leaves: Whether to step off a saddle point.
-    share: Of the evaluations before it that the search may take; ``MOST`` and ``FEWEST`` are its limits.
     """
 
-    tolerance: float
+    tolerance: float  # Of the minimisation.
+    # Whether nothing but fixed atoms holds the whole: rigid motions, whose curvature is 0, are left out.
     floats: bool = False
-    leaves: bool = True
+    leaves: bool = True  # Whether to step off a saddle point.
+    # Of the evaluations before it that the search may take; ``MOST`` and ``FEWEST`` are its limits.
     share: float = np.inf
     metric: Soft = Soft()
     states = (CurvatureState,)
@@ -238,17 +224,14 @@ def with_curvature(plan: Sequence[Stage], floats: bool, share: float = np.inf) -
     final = plan[-1]
     ends = (Stop.TOLERANCE, Stop.NO_DESCENT, Stop.CIRCLING)
     method = Curvature(final.tolerance, floats, share=share)
+    # The answer is the point that was looked at, or the lower one outside it.
     look = replace(
-        final, method=method, tolerance=-np.inf, recorded=False, patience=2 * MOST, answer=_looked,
-        after=ends, name="looking for a saddle point", ready=None, looks=True,
+        final, method=method, tolerance=-np.inf, recorded=False, patience=2 * MOST, after=ends,
+        answer=lambda problem, ending, q: ending.last.state.at.q, name="looking for a saddle point",
+        ready=None, looks=True,
     )  # fmt: skip
     again = replace(final, after=(Stop.SADDLE,), ready=None)
     return [*plan, *[look, again] * ROUNDS, replace(look, method=replace(method, leaves=False))]
-
-
-def _looked(problem: Problem, ending: Ending, q: Floats) -> Floats:
-    """Point that was looked at, or the lower one outside it."""
-    return ending.last.state.at.q
 
 
 def _extended(state: CurvatureState, vector: Floats, product: Floats) -> CurvatureState:

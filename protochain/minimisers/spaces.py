@@ -115,32 +115,34 @@ class Torsions:
         C is that of the force field's near terms, or of given springs between near atoms; without either, of
         contacts. With those of tethers.
         """
-        posed = _pose(at.pose)
+        by_terms = self.terms is not None and near_by is None
+        floor = curvature.TORSION_FLOOR if by_terms else spring_model.TORSION_FLOOR
+        return self._solver(partial(self.model, _pose(at.pose), near_by, tether), floor)
 
-        def stiffness() -> Floats:
-            near, floor = near_by or spring_model.contacts, spring_model.TORSION_FLOOR
-            angles: tuple[spring_model.Gradients, ...] = ()
-            if self.terms is not None and near_by is None:
-                found = curvature.springs_of(self.terms, posed.x, ~self.chain.structure.obstacle)
-                angles = curvature.bonded_gradients(self.terms, posed.x)
-                near, floor = (lambda *_: found), curvature.TORSION_FLOOR
-            matrix = spring_model.torsion_stiffness(self.chain, posed, near, tether, angles)
+    def model(
+        self, at: Pose, near_by: spring_model.Near | None = None, tether: Floats | None = None
+    ) -> Floats:
+        """(n_v, n_v) float: J^T C J of :meth:`stiffness` at a pose, not scaled."""
+        if self.terms is None or near_by is not None:
+            near = near_by or spring_model.contacts
+            return spring_model.torsion_stiffness(self.chain, at, near, tether)
+        found = curvature.springs_of(self.terms, at.x, ~self.chain.structure.obstacle)
+        angles = curvature.bonded_gradients(self.terms, at.x)
+        return spring_model.torsion_stiffness(self.chain, at, lambda *_: found, tether, angles)
+
+    def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
+        """Solver for the stiffness of contacts with nearly nothing added."""
+        soft = partial(spring_model.torsion_stiffness, self.chain, _pose(at.pose), _soft_springs)
+        return self._solver(soft, SOFT_TORSIONS)
+
+    def _solver(self, make: Callable[[], Floats], floor: float) -> Callable[[Floats], Floats]:
+        def scaled() -> Floats:
+            matrix = make()
             matrix *= np.outer(self.scale, self.scale)
             matrix[np.diag_indices_from(matrix)] += floor
             return matrix
 
-        return solver(stiffness, self.chain.n_v)
-
-    def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
-        """Solver for the stiffness of contacts with nearly nothing added."""
-
-        def stiffness() -> Floats:
-            matrix = spring_model.torsion_stiffness(self.chain, _pose(at.pose), _soft_springs)
-            matrix *= np.outer(self.scale, self.scale)
-            matrix[np.diag_indices_from(matrix)] += SOFT_TORSIONS
-            return matrix
-
-        return solver(stiffness, self.chain.n_v)
+        return solver(scaled, self.chain.n_v)
 
     def motions_of_whole(self, at: Evaluation) -> Floats:
         """Orthonormal rigid motions (k, n_v); none if a root or an atom is fixed."""
@@ -205,12 +207,9 @@ def _pose(at: Placement) -> Pose:
 
 @dataclass(frozen=True, eq=False)
 class Positions:
-    """Free atoms at one point.
+    """Free atoms at one point."""
 
-    q (3 na,) nm.
-    """
-
-    q: Floats
+    q: Floats  # (3 na,) nm.
 
     @property
     def x(self) -> Floats:

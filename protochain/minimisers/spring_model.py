@@ -49,14 +49,10 @@ CARTESIAN_FLOOR = 8.0e3
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """Harmonic springs along the lines between pairs of atoms.
+    """Harmonic springs along the lines between pairs of atoms."""
 
-    pairs (n, 2) int.
-    stiffness (n,) kJ/mol/nm^2.
-    """
-
-    pairs: Integers
-    stiffness: Floats
+    pairs: Integers  # (n, 2) int.
+    stiffness: Floats  # (n,) kJ/mol/nm^2.
 
 
 def contacts(structure: Structure, x: Floats, bonds: int, decay: float = DECAY) -> Springs:
@@ -91,12 +87,9 @@ def torsion_stiffness(
     tether: Floats | None = None,
     gradients: Sequence[Gradients] = (),
 ) -> Floats:
-    """Stiffness K = J^T C J of the contacts of a chain, in its torsions.
-
-    tether (na,).
-    -> (n_v, n_v) kJ/mol/rad^2: Of all that acts between bodies; springs within a rigid group keep their
-        length.
-    """
+    """Stiffness K = J^T C J of the contacts of a chain, in its torsions."""
+    # tether (na,) -> (n_v, n_v) kJ/mol/rad^2: Of all that acts between bodies; springs within a rigid group
+    # keep their length.
     near = near_by(chain.structure, at.x, 2)
     along = _directions(at.x, near.pairs)
     lengths = near.pairs, np.stack([along, -along], axis=1), near.stiffness
@@ -113,10 +106,8 @@ def cartesian_solver(
     tether: Floats | None = None,
     floor: float = CARTESIAN_FLOOR,
 ) -> Callable[[Floats], Floats]:
-    """Solver for the sparse stiffness of bonds, angles, dihedrals and contacts, in Cartesian coordinates.
-
-    x (na, 3) nm, moving (na,) bool, tether (na,), floor kJ/mol/nm^2.
-    """
+    """Solver for the sparse stiffness of bonds, angles, dihedrals and contacts, in Cartesian coordinates."""
+    # x (na, 3) nm, moving (na,) bool, tether (na,), floor kJ/mol/nm^2.
     near = near_by(structure, x, 3)
     matrix = _sparse(structure.n_atoms, bonded, x, True) + _sparse(structure.n_atoms, near, x, False)
     matrix.setdiag(matrix.diagonal() + (floor if tether is None else np.repeat(floor + tether, 3)))

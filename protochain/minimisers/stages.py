@@ -54,32 +54,26 @@ Answer = Callable[[Problem, Ending, Floats], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """One run of the loop.
-
-    recorded: Whether its points belong in the trace: those of an energy other than the force field's do not.
-    patience: Evaluations without a new lowest energy after which it is given up.
-    answer: Chooses the result, from which the next stage starts.
-    after: Endings of the stage before after which this one runs; empty for always.
-    name: What it does, for whoever watches.
-    ready: Whether to run it from where the stage before ended; otherwise it is left out.
-    fit: The stage as it runs from the positions (na, 3) where the one before ended.
-    looks: Whether it only looks at where the stage before ended, whose ending stands if it finds nothing.
-    ends: Endings with which the walk ends, unless the next stage runs after them.
-    """
+    """One run of the loop."""
 
     space: Space
     method: Method
     energy: Force
     tolerance: float
     restraint: Force | None = None
+    # Whether its points belong in the trace: those of an energy other than the force field's do not.
     recorded: bool = True
-    patience: int = PATIENCE
-    answer: Answer = lowest
-    after: tuple[Stop, ...] = ()
-    name: str = ""
+    patience: int = PATIENCE  # Evaluations without a new lowest energy after which it is given up.
+    answer: Answer = lowest  # Chooses the result, from which the next stage starts.
+    after: tuple[Stop, ...] = ()  # Endings of the stage before after which this one runs; empty for always.
+    name: str = ""  # What it does, for whoever watches.
+    # Whether to run it from where the stage before ended; otherwise it is left out.
     ready: "Callable[[Stage, Placement], bool] | None" = None
+    # The stage as it runs from the positions (na, 3) where the one before ended.
     fit: "Callable[[Stage, Floats], Stage] | None" = None
+    # Whether it only looks at where the stage before ended, whose ending stands if it finds nothing.
     looks: bool = False
+    # Endings with which the walk ends, unless the next stage runs after them.
     ends: tuple[Stop, ...] = (Stop.BUDGET, Stop.INTERRUPTED, Stop.NON_FINITE)
 
 
@@ -93,10 +87,8 @@ def parting(space: Torsions) -> Stage:
 
 
 def with_reference(stage: Stage) -> list[Stage]:
-    """The stage, and a second one on the exact form of its energy if that is another engine.
-
-    In all atoms on a device OpenMM's minimiser does the first.
-    """
+    """The stage, and a second one on the exact form of its energy if that is another engine."""
+    # In all atoms on a device OpenMM's minimiser does the first.
     energy: Any = stage.energy
     if energy.is_exact:
         return [stage]
@@ -119,41 +111,30 @@ def of_moving(stage: Stage, moving: NDArray[np.bool_]) -> Stage:
 
 @dataclass(frozen=True, eq=False)
 class Waypoint:
-    """State of a walk when it stopped.
+    """State of a walk when it stopped."""
 
-    stage: Index in the plan; before: iterations of the stages before.
-    at (na, 3): Positions that the stage was fitted to, if it was.
-    ended: Name of the ending of the stage before, if there was one.
-    """
-
-    stage: int
+    stage: int  # Index in the plan; before: iterations of the stages before.
     before: int
     last: Snapshot
-    at: Floats | None = None
-    ended: str = ""
+    at: Floats | None = None  # (na, 3): Positions that the stage was fitted to, if it was.
+    ended: str = ""  # Name of the ending of the stage before, if there was one.
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """Unjudged result of a method.
-
-    q (n_q,): Coordinates in that space.
-    restraint: Of the last stage run.
-    complete: Whether no stage was left out; waypoint: for a checkpoint, None if nothing was computed.
-    lowest_eigenvalue: Of the Hessian at q, if a stage found it.
-    eigenvalue_at_most: What a search that did not end knows of it.
-    """
+    """Unjudged result of a method."""
 
     stop: Stop
     space: Space
-    q: Floats
+    q: Floats  # (n_q,): Coordinates in that space.
     n_iterations: int
     n_evaluations: int
-    restraint: Force | None = None
+    restraint: Force | None = None  # Of the last stage run.
+    # Whether no stage was left out; waypoint: for a checkpoint, None if nothing was computed.
     complete: bool = True
     waypoint: Waypoint | None = None
-    lowest_eigenvalue: float | None = None
-    eigenvalue_at_most: float | None = None
+    lowest_eigenvalue: float | None = None  # Of the Hessian at q, if a stage found it.
+    eigenvalue_at_most: float | None = None  # What a search that did not end knows of it.
 
     @property
     def x(self) -> Floats:

@@ -22,15 +22,11 @@ from protochain.minimisers.verdict import Judgement, judge
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A chain and its energy, with all that follows from them for any method.
-
-    energy: With all terms.
-    judge: One of ``settings.JUDGES``.
-    """
+    """A chain and its energy, with all that follows from them for any method."""
 
     chain: Chain
-    energy: Energy
-    judge: str = defaults.JUDGE
+    energy: Energy  # With all terms.
+    judge: str = defaults.JUDGE  # One of ``settings.JUDGES``.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "energy", begun(self.energy, self.chain.structure.positions))

@@ -53,16 +53,11 @@ def is_crowded(structure: Structure) -> bool:
 
 @dataclass
 class Straying:
-    """Watch over a run from a start with overlaps: it says once, and at once, that it has gone far.
+    """Watch over a run from a start with overlaps: it says once, and at once, that it has gone far."""
 
-    structure: The start.
-    tell: Given the line.
-    told: Whether it has said so.
-    """
-
-    structure: Structure
-    tell: Callable[[str], None]
-    told: bool = False
+    structure: Structure  # The start.
+    tell: Callable[[str], None]  # Given the line.
+    told: bool = False  # Whether it has said so.
 
     def __call__(self, x: Floats) -> None:
         """Look at positions (na, 3) of the run."""

@@ -25,7 +25,9 @@ def stiffness_in_torsions(chain: Chain, at: Pose, terms: list[Term], tether: Flo
     own = np.zeros((tree.n_bodies, 36))
     _add_tethers(chain.atom_body, x, tether, own)
     order, depth = _inward_order(np.array(tree.parent))
-    first, entry = _by_body(bodies, tree.n_bodies)
+    # Entries body by body, in their order, and the first of each.
+    first = np.r_[0, np.cumsum(np.bincount(bodies, minlength=tree.n_bodies))].astype(np.int64)
+    entry = np.argsort(bodies, kind="stable").astype(np.int64)
     matrix = np.empty((chain.n_v, chain.n_v))
     motions, starts = _motions(chain, at, middle), np.array(tree.v_start)
     _sweep(
@@ -88,26 +90,9 @@ def _add_tethers(atom_body: Integers, x: Floats, tether: Floats, own: Floats) ->
 
 
 @kernel
-def _by_body(bodies: Integers, n: int) -> tuple[Integers, Integers]:
-    """Start of each body's entries, and the entries."""
-    first = np.zeros(n + 1, np.int64)
-    for e in range(len(bodies)):
-        first[bodies[e] + 1] += 1
-    for b in range(n):
-        first[b + 1] += first[b]
-    filled, entry = first[:-1].copy(), np.empty(len(bodies), np.int64)
-    for e in range(len(bodies)):
-        entry[filled[bodies[e]]] = e
-        filled[bodies[e]] += 1
-    return first, entry
-
-
-@kernel
 def _inward_order(parent: Integers) -> tuple[Integers, Integers]:
-    """Bodies, children before parents and the largest branch first; and each one's depth in other branches.
-
-    Rows of few bodies, no more than the logarithm of their number, are then unfinished at a time.
-    """
+    """Bodies, children before parents, the largest branch first; and each one's depth in other branches."""
+    # Rows of few bodies, no more than the logarithm of their number, are then unfinished at a time.
     n = len(parent)
     size, heavy = np.ones(n, np.int64), np.full(n, -1, np.int64)
     for b in range(n - 1, -1, -1):

@@ -33,16 +33,11 @@ _JOINED = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Push:
-    """Push of a bond out of a ring: E = k/2 (out - s)^2, s the way of its middle from the centre, up to out.
+    """Push of a bond out of a ring: E = k/2 (out - s)^2, s the way of its middle from the centre, to out."""
 
-    ring (n,) int.
-    bond (2,) int.
-    way (3,): Unit vector.
-    """
-
-    ring: Integers
-    bond: Integers
-    way: Floats
+    ring: Integers  # (n,) int.
+    bond: Integers  # (2,) int.
+    way: Floats  # (3,): Unit vector.
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
@@ -88,12 +83,9 @@ def _soft(stage: Stage) -> SoftRepulsion:
 
 
 def push_of(structure: Structure, x: Floats, threaded: ThreadedRing, attempt: int) -> Push:
-    """Push over one side of a ring: the first attempt over the best, the second over the next.
-
-    The best side is near to where the bond goes through; beyond it is room, and no other bond of the ring.
-
-    x (na, 3) nm.
-    """
+    """Push over one side of a ring: the first attempt over the best, the second over the next."""
+    # x (na, 3) nm.
+    # The best side is near to where the bond goes through; beyond it is room, and no other bond of the ring.
     ring, bond = np.array(threaded.atoms), np.array(threaded.bond)
     corners = x[ring] - x[ring].mean(axis=0)
     normal = np.linalg.svd(corners)[2][2]

@@ -68,12 +68,9 @@ class Bank(Value):
 
 @dataclass(frozen=True)
 class Crossings:
-    """The method of conformational space annealing.
+    """The method of conformational space annealing."""
 
-    seed, walker: Random numbers of a trial depend on these and its number alone.
-    """
-
-    seed: int
+    seed: int  # seed, walker: Random numbers of a trial depend on these and its number alone.
     walker: int
     state = Bank
 

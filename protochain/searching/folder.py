@@ -35,10 +35,8 @@ def write_search(
     populations: pd.DataFrame | None,
     conformers: pd.DataFrame,
 ) -> None:
-    """Write the tables, structures, ``summary.json`` and ``report.html``; the page last, which links them.
-
-    Structures are by the number of their minimum; there are no populations without temperatures.
-    """
+    """Write the tables, structures, ``summary.json`` and ``report.html``; the page last, which links them."""
+    # Structures are by the number of their minimum; there are no populations without temperatures.
     files: dict[str, pd.DataFrame | Figure | str] = {"minima.csv": minima, "energy-rmsd.png": figure}
     if populations is not None:
         files |= {"populations.csv": populations, "conformers.csv": conformers}
@@ -71,10 +69,8 @@ def write_search(
 
 
 def drawn(table: pd.DataFrame, walks: Iterable[Floats], lowest: float) -> Figure:
-    """Energy of the minima against their C-alpha RMSD to the lowest, and the lowest energy as it fell.
-
-    walks: of each (n, 2), evaluations and energy of what it found.
-    """
+    """Energy of the minima against their C-alpha RMSD to the lowest, and the lowest energy as it fell."""
+    # walks: of each (n, 2), evaluations and energy of what it found.
     figure, (left, right) = panels(None, 2, (8, 3.4))
     clusters = table["cluster"].to_numpy()
     for k, (colour, marker) in enumerate(zip((*COLOURS, START), "osD^vPX.", strict=True), 1):

@@ -22,20 +22,14 @@ _LARGEST = np.pi
 
 @dataclass(frozen=True, eq=False)
 class Hopping(Value):
-    """State of a walk over minima.
+    """State of a walk over minima."""
 
-    q (n,) rad: Torsions of the minimum where it is.
-    energy kJ/mol: Of this minimum.
-    n_done, n_accepted, n_evaluations: Hops, those accepted, and evaluations so far.
-    size rad: Standard deviation of turns.
-    """
-
-    q: Floats
-    energy: float
-    n_done: int
+    q: Floats  # (n,) rad: Torsions of the minimum where it is.
+    energy: float  # kJ/mol: Of this minimum.
+    n_done: int  # n_done, n_accepted, n_evaluations: Hops, those accepted, and evaluations so far.
     n_accepted: int
     n_evaluations: int
-    size: float
+    size: float  # rad: Standard deviation of turns.
 
     @property
     def acceptance(self) -> float:
@@ -45,14 +39,10 @@ class Hopping(Value):
 
 @dataclass(frozen=True)
 class Hops:
-    """The method of hopping.
+    """The method of hopping."""
 
-    temperature K: Of Metropolis' criterion.
-    seed, walker: Random numbers of a hop depend on these and its number alone.
-    """
-
-    temperature: float
-    seed: int
+    temperature: float  # K: Of Metropolis' criterion.
+    seed: int  # seed, walker: Random numbers of a hop depend on these and its number alone.
     walker: int
     state = Hopping
 

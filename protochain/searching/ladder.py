@@ -15,11 +15,9 @@ def geometric(low: float, high: float, n: int) -> Floats:
 
 
 def length_of_acceptance(acceptance: Floats) -> Floats:
-    """Thermodynamic length between temperatures of which exchanges are accepted this often.
-
-    For energies with normal distributions of one width s it is L = s |1/kT - 1/kT'|, and the mean acceptance
-    is erfc(L/2) (Predescu, Predescu, Ciobanu, J. Chem. Phys. 120:4119, 2004).
-    """
+    """Thermodynamic length between temperatures of which exchanges are accepted this often."""
+    # For energies with normal distributions of one width s it is L = s |1/kT - 1/kT'|, and the mean
+    # acceptance is erfc(L/2) (Predescu, Predescu, Ciobanu, J. Chem. Phys. 120:4119, 2004).
     return np.asarray(2.0 * erfcinv(np.clip(acceptance, _RAREST, _MOST_FREQUENT)))
 
 

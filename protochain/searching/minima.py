@@ -64,10 +64,8 @@ def _turns(q: Floats, other: Floats, period: Floats) -> Floats:
 
 
 def unique(q: Floats, energy: Floats, period: Floats) -> Integers:
-    """Which minima differ from all lower ones, the lowest first.
-
-    q (m, n) rad, energy (m,) kJ/mol, period (n,) rad -> (k,) int.
-    """
+    """Which minima differ from all lower ones, the lowest first."""
+    # q (m, n) rad, energy (m,) kJ/mol, period (n,) rad -> (k,) int.
     kept: list[int] = []
     first = 0
     for k in np.argsort(energy, kind="stable").tolist():
@@ -82,10 +80,8 @@ def unique(q: Floats, energy: Floats, period: Floats) -> Integers:
 
 
 def clusters(positions: Sequence[Floats]) -> Integers:
-    """Number, from 1, of the cluster of each of m sets of C-alphas (n, 3), nm, in order of the first in it.
-
-    By average linkage over the RMSD of pairs, superposed.
-    """
+    """Cluster, from 1, of each of m sets of C-alphas (n, 3), nm, in order of the first in it."""
+    # By average linkage over the RMSD of pairs, superposed.
     if len(positions) < 2:
         return np.ones(len(positions), dtype=np.int64)
     found, _ = grouped(ANGSTROM_PER_NM * rmsds(positions), ALIKE)
@@ -95,10 +91,8 @@ def clusters(positions: Sequence[Floats]) -> Integers:
 
 
 def free_energy(energy: float, hessian: Floats, temperature: float, log_det_mass: float = 0.0) -> float:
-    """Free energy of a minimum in the harmonic way, kJ/mol.
-
-    energy kJ/mol, hessian (n, n) kJ/mol/rad^2, temperature K.
-    """
+    """Free energy of a minimum in the harmonic way, kJ/mol."""
+    # energy kJ/mol, hessian (n, n) kJ/mol/rad^2, temperature K.
     kt = MOLAR_GAS * temperature
     sign, log_det = np.linalg.slogdet(hessian / (2.0 * np.pi * kt))
     if sign <= 0.0 or np.linalg.eigvalsh(hessian)[0] <= 0.0:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,9 +13,6 @@ from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.structure.sidechains.rotamers import BACKBONE, rotamers
 from protochain.validation.ramachandran import CLASSES, FAVOURED, tables
-
-if TYPE_CHECKING:
-    from protochain.chains.hinges import Hinge
 
 JITTER = np.deg2rad(10.0)
 """Standard deviation of a side chain's dihedral about that of its rotamer: about as wide as their peaks."""
@@ -31,24 +28,16 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Residue:
-    """Coordinates of the torsions of one residue.
-
-    kind: Index of its class in ``ramachandran.CLASSES``.
-    mirror: 1, or -1 of a D-amino acid.
-    phi, psi: ``NONE`` where it does not turn.
-    chi: From chi1 outwards, as far as they turn.
-    is_first: Whether it has no phi, as nothing is before it.
-    is_last: Whether psi is that of a carboxylate, by its first oxygen.
-    """
+    """Coordinates of the torsions of one residue."""
 
     name: str
-    kind: int
-    mirror: float
-    phi: int = NONE
+    kind: int  # Index of its class in ``ramachandran.CLASSES``.
+    mirror: float  # 1, or -1 of a D-amino acid.
+    phi: int = NONE  # phi, psi: ``NONE`` where it does not turn.
     psi: int = NONE
-    chi: tuple[int, ...] = ()
-    is_first: bool = False
-    is_last: bool = False
+    chi: tuple[int, ...] = ()  # From chi1 outwards, as far as they turn.
+    is_first: bool = False  # Whether it has no phi, as nothing is before it.
+    is_last: bool = False  # Whether psi is that of a carboxylate, by its first oxygen.
 
     @property
     def backbone(self) -> list[int]:
@@ -58,16 +47,12 @@ class Residue:
 
 @dataclass(frozen=True, eq=False)
 class Moves(Value):
-    """What a chain's torsions allow.
+    """What a chain's torsions allow."""
 
-    residues: Those of which anything turns, in the order of the sequence.
-    flips: Coordinates of psi of a residue and phi of the next, on either side of a peptide bond.
-    others: Coordinates of all hinges that are neither phi, psi nor chi.
-    """
-
-    residues: tuple[Residue, ...]
+    residues: tuple[Residue, ...]  # Those of which anything turns, in the order of the sequence.
+    # Coordinates of psi of a residue and phi of the next, on either side of a peptide bond.
     flips: tuple[tuple[int, int], ...]
-    others: tuple[int, ...]
+    others: tuple[int, ...]  # Coordinates of all hinges that are neither phi, psi nor chi.
 
     @classmethod
     def of(cls, chain: Chain) -> Moves:
@@ -80,7 +65,7 @@ class Moves(Value):
             chain.hinges, chain.tree.q_start[chain.hinge_body].tolist(), strict=True
         ):
             if hinge.kind in ("phi", "psi") or hinge.kind.startswith("chi"):
-                r = _residue(chain, hinge)
+                r = int(structure.atom_residue[hinge.atoms[1]])  # Of both atoms of its bond.
                 by_residue.setdefault(r, {})[hinge.kind] = coordinate
                 if hinge.kind == "psi" and structure.atom_name[hinge.atoms[3]] == "O":
                     last_ones.add(r)
@@ -138,13 +123,9 @@ def a_kind(moves: Moves, random: np.random.Generator) -> str:
 
 
 def crossed(moves: Moves, q: Floats, other: Floats, random: np.random.Generator) -> Floats:
-    """Torsions (n,), rad, of which some are those of another minimum.
-
-    Of the backbone or the side chain of one residue, of a stretch of up to half of all residues, or of up to
-    five hinges anywhere.
-
-    q, other (n,) rad.
-    """
+    """Torsions (n,), rad, of which some are those of another minimum; q, other (n,) rad."""
+    # Of the backbone or the side chain of one residue, of a stretch of up to half of all residues, or of up
+    # to five hinges anywhere.
     kind = random.choice(list(CROSSED), p=list(CROSSED.values()))
     if kind == "part":
         where = _one(moves.parts, random)
@@ -239,11 +220,6 @@ def _class(name: str, after: str) -> int:
     else:
         kind = "ile_val" if name in ("ILE", "VAL") else "general"
     return CLASSES.index(kind)
-
-
-def _residue(chain: Chain, hinge: Hinge) -> int:
-    """Residue of a hinge: of both atoms of its bond."""
-    return int(chain.structure.atom_residue[hinge.atoms[1]])
 
 
 def _one(of: Sequence[T], random: np.random.Generator) -> T:

@@ -33,13 +33,11 @@ def stream(walker: int, replica: int = -1) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Finding(Value):
-    """What steps of a walker found.
+    """What steps of a walker found."""
 
-    minima (m, n + 2): Of each descent: evaluations of the walker by then, energy in kJ/mol, torsions.
-    samples (k, r, n + 1): Of each round of replicas: energy in kJ/mol and torsions at each temperature.
-    """
-
+    # (m, n + 2): Of each descent: evaluations of the walker by then, energy in kJ/mol, torsions.
     minima: Floats
+    # (k, r, n + 1): Of each round of replicas: energy in kJ/mol and torsions at each temperature.
     samples: Floats
 
     @classmethod
@@ -78,10 +76,8 @@ class Method(Protocol):
 def advance(
     landscape: Landscape, method: Method, state: Any | None, budget: float, seconds: float = SECONDS
 ) -> tuple[Any | None, Finding]:
-    """Take steps, at least one, until the time or the evaluations of the walker are spent.
-
-    What an interrupt has cut short is not a step; the state before it stands.
-    """
+    """Take steps, at least one, until the time or the evaluations of the walker are spent."""
+    # What an interrupt has cut short is not a step; the state before it stands.
     began, found = perf_counter(), list[Finding]()
     with threadpool_limits(1, "blas"), held_interrupts() as interrupts:
         # At least one: a step may take longer than a piece.
@@ -108,19 +104,13 @@ class Done(Value):
 
 @dataclass(frozen=True, eq=False)
 class Piece(Value):
-    """A piece for a process.
+    """A piece for a process."""
 
-    task: Pickled landscape and methods of all walkers.
-    state: Where it begins; None at the start.
-    budget: Evaluations of the walker in all.
-    seconds: After which it takes no further step.
-    """
-
-    task: Path
+    task: Path  # Pickled landscape and methods of all walkers.
     walker: int
-    state: Any | None
-    budget: float
-    seconds: float = SECONDS
+    state: Any | None  # Where it begins; None at the start.
+    budget: float  # Evaluations of the walker in all.
+    seconds: float = SECONDS  # After which it takes no further step.
 
     def run(self, threads: int) -> Iterator[Done]:
         """Do it, on one thread."""

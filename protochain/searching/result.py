@@ -192,7 +192,9 @@ class Search(Value):
         odds, rounds = sum(state.odds for state in known), sum(state.n_counted for state in known)
         for k, temperature in enumerate(self.temperatures):
             energy = mean_and_error([each[:, k, 0] for each in self._samples])
-            folded = mean_and_error([self._helix(each[:, k, 1:]) for each in self._samples])
+            folded = mean_and_error(
+                [conformers.helix(*conformers.backbone(self.chain, each[:, k, 1:])) for each in self._samples]
+            )
             row = {
                 "temperature_k": float(temperature),
                 "energy_kj_mol": float(energy[0]),
@@ -225,9 +227,6 @@ class Search(Value):
                 share = mean_and_error([(each[:, k] == name).astype(float) for each in named])
                 rows.append((float(temperature), str(name), float(share[0]), float(share[1])))
         return pd.DataFrame(rows, columns=["temperature_k", "conformer", "share", "share_error"])
-
-    def _helix(self, q: Floats) -> Floats:
-        return conformers.helix(*conformers.backbone(self.chain, q))
 
     def _slope(self, k: int) -> tuple[float, float]:
         """Slope of the histograms at a temperature and the next over the canonical one, and its error."""

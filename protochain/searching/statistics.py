@@ -23,24 +23,18 @@ def warm(walk: Floats) -> Floats:
 
 
 def mean_and_error(walks: list[Floats]) -> tuple[Floats, Floats]:
-    """Mean of walks (k, ...) and its standard error, from blocks of all of them.
-
-    It is right if a block is longer than the memory of a walk; of walks that have not come far, too small.
-    """
+    """Mean of walks (k, ...) and its standard error, from blocks of all of them."""
+    # It is right if a block is longer than the memory of a walk; of walks that have not come far, too small.
     parts = np.concatenate([blocked(warm(walk)).mean(axis=1) for walk in walks])
     error = np.std(parts, axis=0, ddof=1) / np.sqrt(len(parts)) if len(parts) > 1 else np.nan * parts[0]
     return np.mean(parts, axis=0), np.asarray(error)
 
 
 def slope(lower: Floats, upper: Floats) -> float:
-    """Slope of ln P'/P over the energy, from samples (k,) at a lower and (k',) at an upper temperature.
-
-    Canonical samples have 1/kT - 1/kT' (Shirts, J. Chem. Theory Comput. 9:909, 2013), whatever the density of
-    states. The most likely slope of a logistic regression.
-
-    lower, upper (k,) kJ/mol.
-    -> mol/kJ: NaN if the energies do not overlap, or are all the same.
-    """
+    """Slope of ln P'/P over the energy, from samples (k,) at a lower and (k',) at an upper temperature."""
+    # lower, upper (k,) kJ/mol -> mol/kJ: NaN if the energies do not overlap, or are all the same.
+    # Canonical samples have 1/kT - 1/kT' (Shirts, J. Chem. Theory Comput. 9:909, 2013), whatever the density
+    # of states. The most likely slope of a logistic regression.
     energy = np.concatenate([lower, upper])
     energy = energy - energy.mean()
     above = np.concatenate([np.zeros(len(lower)), np.ones(len(upper))])

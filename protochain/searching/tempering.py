@@ -31,32 +31,21 @@ _STEPS = 0.002, 0.04
 
 @dataclass(frozen=True, eq=False)
 class Tempering(Value):
-    """State of r replicas.
+    """State of r replicas."""
 
-    q (r, n) rad: Torsions at each temperature.
-    energy (r,) kJ/mol.
-    temperatures (r,) K.
-    time_steps (r,) ps.
-    replica (r,): Number of the replica at each temperature.
-    heading (r,): Of each replica: 1 if it was last at the lowest temperature, -1 at the highest, 0 if at
-        neither.
-    odds (r - 1,): Sum over rounds, since the last change, of the probability that neighbours would be
-        exchanged.
-    accepted: Sum over these rounds of the share of trajectories that was accepted.
-    n_counted: These rounds.
-    n_done, n_evaluations, n_trips: Rounds, evaluations, and ways of a replica from the lowest temperature to
-        the highest and back.
-    """
-
-    q: Floats
-    energy: Floats
-    temperatures: Floats
-    time_steps: Floats
-    replica: Floats
+    q: Floats  # (r, n) rad: Torsions at each temperature.
+    energy: Floats  # (r,) kJ/mol.
+    temperatures: Floats  # (r,) K.
+    time_steps: Floats  # (r,) ps.
+    replica: Floats  # (r,): Number of the replica at each temperature.
+    # (r,): Of each replica: 1 if it was last at the lowest temperature, -1 at the highest, 0 if at neither.
     heading: Floats
+    # (r - 1,): Sum over rounds, since the last change, of the probability that neighbours would be exchanged.
     odds: Floats
-    accepted: float
-    n_counted: int
+    accepted: float  # Sum over these rounds of the share of trajectories that was accepted.
+    n_counted: int  # These rounds.
+    # n_done, n_evaluations, n_trips: Rounds, evaluations, and ways of a replica from the lowest temperature
+    # to the highest and back.
     n_done: int
     n_evaluations: int
     n_trips: int
@@ -69,17 +58,12 @@ class Tempering(Value):
 
 @dataclass(frozen=True)
 class Replicas:
-    """The method of tempering.
+    """The method of tempering."""
 
-    temperatures K: Lowest and highest.
-    pilot: Rounds in which the temperatures are placed.
-    seed, walker: Random numbers of a round depend on these and its number alone.
-    """
-
-    temperatures: tuple[float, float]
+    temperatures: tuple[float, float]  # K: Lowest and highest.
     n_replicas: int
-    pilot: int
-    seed: int
+    pilot: int  # Rounds in which the temperatures are placed.
+    seed: int  # seed, walker: Random numbers of a round depend on these and its number alone.
     walker: int
     state = Tempering
 
@@ -159,12 +143,9 @@ class Replicas:
 def exchanged(
     energy: Floats, temperatures: Floats, first: int, random: np.random.Generator
 ) -> tuple[np.ndarray, Floats]:
-    """Exchange the pairs (k, k + 1) of neighbours with k = first, first + 2, ...
-
-    energy (r,) kJ/mol, temperatures (r,) K.
-    -> (r,) int: Which torsions each temperature has afterwards.
-    -> (r - 1,): Probability with which each pair would be exchanged, also of those that are not tried.
-    """
+    """Exchange the pairs (k, k + 1) of neighbours with k = first, first + 2, ..."""
+    # energy (r,) kJ/mol, temperatures (r,) K -> (r,) int: Which torsions each temperature has afterwards ->
+    # (r - 1,): Probability with which each pair would be exchanged, also of those that are not tried.
     beta = 1.0 / (MOLAR_GAS * temperatures)
     order = np.arange(len(energy))
     odds = np.exp(np.minimum(0.0, np.diff(beta) * np.diff(energy)))

@@ -112,10 +112,8 @@ def map_sums(
     sums: Floats,
     energies: Floats,
 ) -> None:
-    """Torsion maps, bicubic in each cell of a grid over two dihedrals.
-
-    ``coefficients`` (maps, size, size, 4, 4) multiply powers of the coordinates in a cell, from 0 to 1.
-    """
+    """Torsion maps, bicubic in each cell of a grid over two dihedrals."""
+    # ``coefficients`` (maps, size, size, 4, 4) multiply powers of the coordinates in a cell, from 0 to 1.
     size = coefficients.shape[1]
     for c in range(*mine):
         begin, end = part(len(atoms), c)

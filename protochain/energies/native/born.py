@@ -98,11 +98,9 @@ def add_integrals(
 def polar_sums(
     mine: Share, atoms: Floats, tiles: Integers, cutoff: float, sums: Floats, energies: Floats
 ) -> None:
-    """Add the generalised-Born energy of all pairs, its forces, and 2 dE/dB to row SCALAR of the sums.
-
-    -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B: Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127
-    (1990), equation 3.
-    """
+    """Add the generalised-Born energy of all pairs, its forces, and 2 dE/dB to row SCALAR of the sums."""
+    # -q q / f with f^2 = r^2 + P exp(-r^2 / 4P), P = B B: Still, Tempczyk, Hawley, Hendrickson, JACS 112:6127
+    # (1990), equation 3.
     for c in range(*mine):
         begin, end = part(len(tiles), c)
         energy, rows = 0.0, np.empty(3 * W)
@@ -146,11 +144,9 @@ def add_polar(
     a: Floats, b: Floats, same: bool, masked: bool, cutoff2: float, shift: float, rows: Floats,
     a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
-    """Add forces and 2 dE/dB, return minus the energy.
-
-    Two loops, with what goes from the first to the second in ``rows``: the processor keeps shorter chains of
-    dependences under way side by side.
-    """
+    """Add forces and 2 dE/dB, return minus the energy."""
+    # Two loops, with what goes from the first to the second in ``rows``: the processor keeps shorter chains
+    # of dependences under way side by side.
     energy = 0.0
     for i in range(W):
         _decays(a, i, b, rows)
@@ -237,10 +233,8 @@ def near_integral_sums(
     mine: Share, x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers,
     near: float, slopes: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance.
-
-    Those found near are computed many at a time, as vectors.
-    """
+    """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance."""
+    # Those found near are computed many at a time, as vectors.
     for c in range(*mine):
         begin, end = part(len(pairs), c)
         found, which, count = np.ones(9 * BATCH), np.empty(BATCH, np.int64), 0
@@ -276,11 +270,9 @@ def _descreenings(found: Floats, engulfs: bool) -> None:
 
 @variant
 def descreening(r: float, radius: float, s: float, engulfs: bool) -> tuple[float, float]:
-    """Descreening integral of a sphere of radius s at distance r from an atom, and its slope divided by r.
-
-    ``engulfs`` adds 1/radius - 1/L where the sphere contains the whole atom, as GBSAOBCForce does. Without
-    branches, to vectorise.
-    """
+    """Descreening integral of a sphere of radius s at distance r from an atom, and its slope divided by r."""
+    # ``engulfs`` adds 1/radius - 1/L where the sphere contains the whole atom, as GBSAOBCForce does. Without
+    # branches, to vectorise.
     reach, furthest = abs(r - s), r + s
     outside = reach > radius
     nearest = reach if outside else radius
@@ -324,11 +316,9 @@ def put_born_radii(
     begin: int, end: int, integral: Floats, offset_radius: Floats, radius: Floats, bend: Floats,
     atoms: Floats, slope: Floats,
 ) -> None:  # fmt: skip
-    """Write some atoms' Born radii into the blocks, and dB/d(integral) of each into ``slope``.
-
-    ``bend`` holds alpha, beta, gamma of tanh(alpha psi - beta psi^2 + gamma psi^3), psi = integral times
-    offset radius; all zero for HCT, 1/B = 1/radius - integral.
-    """
+    """Write some atoms' Born radii into the blocks, and dB/d(integral) of each into ``slope``."""
+    # ``bend`` holds alpha, beta, gamma of tanh(alpha psi - beta psi^2 + gamma psi^3), psi = integral times
+    # offset radius; all zero for HCT, 1/B = 1/radius - integral.
     for i in range(begin, end):
         alpha, beta, gamma = bend[i, 0], bend[i, 1], bend[i, 2]
         psi = integral[i] * offset_radius[i]
@@ -348,10 +338,8 @@ def put_born_radii(
 def add_self_energy(
     begin: int, end: int, gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
 ) -> tuple[float, float]:
-    """Self energy -q^2 / (2 B) and surface energy c / B^6 of some atoms; 2 dE/dB becomes dE/d(integral).
-
-    Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
-    """
+    """Self energy -q^2 / (2 B) and surface energy c / B^6 of some atoms; 2 dE/dB becomes dE/d(integral)."""
+    # Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
     polar, area = 0.0, 0.0
     for i in range(begin, end):
         block, k = i // W, i % W

@@ -14,7 +14,6 @@ from protochain.core.arrays import Floats, Integers, floats, read_only
 from protochain.energies.native.evaluate import Layout, in_order, lists_of
 from protochain.energies.native.evaluation import Evaluation, Workspace
 from protochain.energies.native.far import FEWEST_BLOCKS, Far, Opening, least_distance, one_kind, openings
-from protochain.energies.native.halves import halves
 from protochain.energies.native.layout import BORN, ROWS, W, n_blocks, put_positions
 from protochain.energies.native.neighbours import Lists, partners
 from protochain.energies.native.reading import UnsupportedForceError
@@ -172,11 +171,9 @@ class NativeEnergy:
         return self.by_openmm.fingerprint
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
-        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm.
-
-        Coincident atoms give large finite numbers. NaN in the positions gives an infinite energy and NaN
-        forces; the calling loop handles that.
-        """
+        """Energy in kJ/mol and forces (na, 3) in kJ/mol/nm at positions x (na, 3) in nm."""
+        # Coincident atoms give large finite numbers. NaN in the positions gives an infinite energy and NaN
+        # forces; the calling loop handles that.
         parts, forces = self.parts(x)
         return sum(parts.values()) + self._constants[0], forces
 
@@ -201,26 +198,9 @@ class NativeEnergy:
         with self._one_at_a_time:
             return self._with_born(x).reshape(-1, ROWS, W)[:, BORN].ravel()[:n].copy()
 
-    def halves(self, x: Floats) -> tuple[Floats, Floats]:
-        """Energies of pairs by atom, and Born radii, at x (na, 3) in nm; it takes less than two evaluations.
-
-        Returns
-        -------
-        (3, na) float, kJ/mol
-            Lennard-Jones, Coulomb and generalised Born: half of each pair, constant ones too, but without
-            exceptions, and without the self energies of generalised Born.
-        (na,) float, nm
-            Born radii; empty without a solvent model.
-        """
-        x = floats(x, (self._layout.terms.n_atoms, 3), "x", "nanometer")
-        with self._one_at_a_time:
-            return halves(self._layout, self._with_born(x), self.threads)
-
     def _with_born(self, x: Floats) -> Floats:
-        """(blocks, ROWS * W) float: blocks of atoms at x, with Born radii if there is a solvent model.
-
-        The neighbour lists remain as they are: what is asked between two runs changes no bit of the second.
-        """
+        """(blocks, ROWS * W) float: blocks of atoms at x, with Born radii if there is a solvent model."""
+        # The neighbour lists remain as they are: what is asked between two runs changes no bit of the second.
         if self.opening is not None:
             return self.exact._with_born(x)
         if self._layout.terms.solvent is None:

@@ -29,15 +29,11 @@ CLOSE = 0.35
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Terms in the memory layout of the kernels.
-
-    groups (na, k) int: Rigid groups of each atom, -1 for none.
-    exceptions (na + 1,) int: Start of each atom's exception partners, and the partners, constant exceptions
-        included.
-    """
+    """Terms in the memory layout of the kernels."""
 
     terms: Terms
-    groups: Integers
+    groups: Integers  # (na, k) int: Rigid groups of each atom, -1 for none.
+    # (na + 1,) int: Start of each atom's exception partners, and the partners, constant exceptions included.
     exceptions: tuple[Integers, Integers]
 
     @cached_property

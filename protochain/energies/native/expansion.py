@@ -27,14 +27,12 @@ of charge whose moments it takes; field that it adds to."""
 
 @cache
 def tables(order: int) -> tuple[Integers, Integers, Integers, Integers]:
-    """Tables of an order.
-
-    (n, 8) int: Of each monomial, in the order of their degree: exponents of x, y, z; degree; an axis; row of
-        the monomial divided by that axis once, and twice (-1 for none); exponent along it.
-    (m, 3) int: Rows of a, b and a + b for all |a| + |b| <= order, by the degree of a + b.
-    (l, 3) int: Row of each monomial of a lower order, times x, times y, times z.
-    (n * n,) int: Row of a + b, at n a + b; of those of a higher order 0.
-    """
+    """Tables of an order."""
+    # (n, 8) int: Of each monomial, in the order of their degree: exponents of x, y, z; degree; an axis; row
+    #     of the monomial divided by that axis once, and twice (-1 for none); exponent along it.
+    # (m, 3) int: Rows of a, b and a + b for all |a| + |b| <= order, by the degree of a + b.
+    # (l, 3) int: Row of each monomial of a lower order, times x, times y, times z.
+    # (n * n,) int: Row of a + b, at n a + b; of those of a higher order 0.
     powers = [
         (i, j, n - i - j) for n in range(order + 1) for i in range(n, -1, -1) for j in range(n - i, -1, -1)
     ]
@@ -119,11 +117,9 @@ def shift_field(field: Floats, monomials: Floats, products: Integers, n: int, ou
 
 @tiled
 def _derivatives(at: Floats, powers: Floats, order: int, monomials: Integers, out: Floats) -> None:
-    """Derivatives of a kernel by order, from x, y, z, and rows ((1/r) d/dr)^m k of ``powers``.
-
-    McMurchie, Davidson, J. Comput. Phys. 26:218 (1978), equation 4.6, for any kernel; in place, from the
-    highest degree down.
-    """
+    """Derivatives of a kernel by order, from x, y, z, and rows ((1/r) d/dr)^m k of ``powers``."""
+    # McMurchie, Davidson, J. Comput. Phys. 26:218 (1978), equation 4.6, for any kernel; in place, from the
+    # highest degree down.
     for k in range(LANES):
         out[0, k] = powers[order, k]
     for m in range(order - 1, -1, -1):
@@ -189,11 +185,9 @@ def put_fields(
     mine: Share, uses: Integers, seconds: Floats, nodes: Integers, roots: Integers, centre: Floats,
     start: Integers, source: Integers, tabled: Any, moments: Floats, fields: Floats,
 ) -> None:  # fmt: skip
-    """Put the fields of all that is far about the nodes of some chunks, outward.
-
-    ``uses`` are the columns (n, 4) of interactions, those of one kernel side by side, of falling order, and
-    of one field that of the highest order first; ``seconds`` (n,) the factors of r^-(s + 2).
-    """
+    """Put the fields of all that is far about the nodes of some chunks, outward."""
+    # ``uses`` are the columns (n, 4) of interactions, those of one kernel side by side, of falling order, and
+    # of one field that of the highest order first; ``seconds`` (n,) the factors of r^-(s + 2).
     monomials, products, _, added = tabled
     n = len(monomials)
     derivatives, gathered, sums = np.empty((n, LANES)), np.empty((n, LANES)), np.empty((len(uses) * n, LANES))
@@ -292,11 +286,9 @@ def put_far_forces(
     mine: Share, atoms: Floats, charges: Floats, orders: Integers, acts: Integers, factors: Floats,
     leaves: Integers, centre: Floats, tabled: Any, fields: Floats, forces: Floats, parts: Floats,
 ) -> None:  # fmt: skip
-    """Put the forces (blocks, 3, W) of the fields on the atoms of some chunks, and add energies.
-
-    ``acts`` (fields,) is the kind of charge that each acts on, ``orders`` its order; ``factors`` (fields, 1 +
-    components) those of its force, and of its energy in each row of ``parts``.
-    """
+    """Put the forces (blocks, 3, W) of the fields on the atoms of some chunks, and add energies."""
+    # ``acts`` (fields,) is the kind of charge that each acts on, ``orders`` its order; ``factors`` (fields, 1
+    # + components) those of its force, and of its energy in each row of ``parts``.
     monomials, _, raised, _ = tabled
     rows, each = np.empty((len(monomials), W)), np.empty((4, W))
     for c in range(*mine):

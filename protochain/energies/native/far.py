@@ -107,16 +107,13 @@ def openings(accuracy: float, in_solvent: bool) -> list[Opening]:
 
 @dataclass(frozen=True, eq=False)
 class Far:
-    """Charges and fields of a layout.
+    """Charges and fields of a layout."""
 
-    layout: In the order of the tree.
-    screened (n, 2) int: Pairs of far blocks, and their rows, that feel by how much f of generalised Born
-        differs from r.
-    """
-
-    layout: Layout
+    layout: Layout  # In the order of the tree.
     opening: Opening
     tree: Tree
+    # (n, 2) int: Pairs of far blocks, and their rows, that feel by how much f of generalised Born differs
+    # from r.
     screened: tuple[Integers, np.ndarray] = (np.zeros((0, 2), np.int64), np.zeros((0, W), np.bool_))
 
     @cached_property
@@ -165,11 +162,9 @@ class Far:
         return np.ascontiguousarray(wide.reshape(len(rows), -1, W).swapaxes(0, 1))
 
     def arguments(self) -> tuple[Any, ...]:
-        """Interactions, orders and factors, by subject.
-
-        -> (fields,) int: Kind that each field acts on; its order; factors of force, of energy in vacuum, and
-            polar.
-        """
+        """Interactions, orders and factors, by subject."""
+        # -> (fields,) int: Kind that each field acts on; its order; factors of force, of energy in vacuum,
+        # and polar.
         high, low = self.opening.order, max(1, self.opening.order - self.opening.lower)
         signs = self._factors[0]
         first, second, acts, orders = [(1, high, 0, 0)], [], [0], [high]

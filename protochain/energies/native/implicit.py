@@ -25,40 +25,30 @@ _OBC2 = (1.0, 0.8, 4.85)
 
 @dataclass(frozen=True, eq=False)
 class Necks:
-    """Neck tables of GBn and GBn2.
+    """Neck tables of GBn and GBn2."""
 
-    kind (na,) int: Row of each atom in the tables.
-    height, place (kinds, kinds): Height (1/nm) and position (nm) of the neck's peak for atom i beside atom j.
-    reach (kinds, kinds) nm: Distance at which a neck ends.
-    """
-
-    kind: Integers
+    kind: Integers  # (na,) int: Row of each atom in the tables.
+    # height, place: (kinds, kinds): Height (1/nm) and position (nm) of the neck's peak for atom i beside atom
+    # j.
     height: Floats
     place: Floats
-    reach: Floats
+    reach: Floats  # (kinds, kinds) nm: Distance at which a neck ends.
 
 
 @dataclass(frozen=True, eq=False)
 class Solvent:
-    """Generalised-Born parameters of each atom.
+    """Generalised-Born parameters of each atom."""
 
-    charge (na,): Charge times the root of Coulomb's constant and of the difference of inverse dielectrics.
-    offset_radius, scaled_radius, radius (na,) nm.
-    bend (na, 3): alpha, beta, gamma; zero for HCT.
-    surface (na,) kJ/mol nm^6: c of the surface energy c / B^6.
-    engulfs: Whether a sphere that contains a whole atom counts in full, as in GBSAOBCForce.
-    cutoff nm.
-    """
-
+    # (na,): Charge times the root of Coulomb's constant and of the difference of inverse dielectrics.
     charge: Floats
-    offset_radius: Floats
+    offset_radius: Floats  # offset_radius, scaled_radius, radius: (na,) nm.
     scaled_radius: Floats
     radius: Floats
-    bend: Floats
-    surface: Floats
-    engulfs: bool
+    bend: Floats  # (na, 3): alpha, beta, gamma; zero for HCT.
+    surface: Floats  # (na,) kJ/mol nm^6: c of the surface energy c / B^6.
+    engulfs: bool  # Whether a sphere that contains a whole atom counts in full, as in GBSAOBCForce.
     necks: Necks | None
-    cutoff: float
+    cutoff: float  # nm.
 
 
 def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:

@@ -9,12 +9,10 @@ _HERMITE = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1
 
 
 def spline_coefficients(grid: Floats) -> Floats:
-    """Fit the periodic bicubic spline through a map.
-
-    grid (size, size) kJ/mol -> (size, size, 4, 4): Coefficients of u^a v^b, u and v from 0 to 1 in a cell.
-    First and cross derivatives are those of periodic cubic splines along either axis: MacKerell, Feig,
-    Brooks, J. Comput. Chem. 25:1400 (2004).
-    """
+    """Fit the periodic bicubic spline through a map."""
+    # grid (size, size) kJ/mol -> (size, size, 4, 4): Coefficients of u^a v^b, u and v from 0 to 1 in a cell.
+    # First and cross derivatives are those of periodic cubic splines along either axis: MacKerell, Feig,
+    # Brooks, J. Comput. Chem. 25:1400 (2004).
     along = _slopes(grid, 0)
     across = _slopes(grid, 1)
     both = _slopes(along, 1)

@@ -14,24 +14,16 @@ SKIN = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """Pairs of blocks and of atoms at one set of positions.
+    """Pairs of blocks and of atoms at one set of positions."""
 
-    x (na, 3) nm: Positions at which the lists were built.
-    tiles (n_tiles, 2) int: Pairs of blocks within the cutoff, the second not before the first.
-    changing (n, 2) int: Those of ``tiles`` whose atoms do not all belong to one rigid group.
-    is_near (n,) bool: Whether two atoms of those may be near each other.
-    is_necked (n_tiles,) bool: Whether two of their atoms may have a neck between them.
-    close (n, 2) int: Pairs of atoms that may be near each other, without those at a fixed distance.
-    free (n, 2) int: Pairs of ``close`` that are no exceptions.
-    """
-
-    x: Floats
-    tiles: Integers
-    changing: Integers
-    is_near: np.ndarray
-    is_necked: np.ndarray
+    x: Floats  # (na, 3) nm: Positions at which the lists were built.
+    tiles: Integers  # (n_tiles, 2) int: Pairs of blocks within the cutoff, the second not before the first.
+    changing: Integers  # (n, 2) int: Those of ``tiles`` whose atoms do not all belong to one rigid group.
+    is_near: np.ndarray  # (n,) bool: Whether two atoms of those may be near each other.
+    is_necked: np.ndarray  # (n_tiles,) bool: Whether two of their atoms may have a neck between them.
+    # (n, 2) int: Pairs of atoms that may be near each other, without those at a fixed distance.
     close: Integers
-    free: Integers
+    free: Integers  # (n, 2) int: Pairs of ``close`` that are no exceptions.
 
     def still_hold(self, x: Floats) -> bool:
         """Whether the lists are valid at x: no atom has moved more than half the skin."""
@@ -43,11 +35,9 @@ def make_lists(
     exceptions: tuple[Integers, Integers], groups: Integers, block_group: Integers,
     tiles: Integers | None = None,
 ) -> Lists:  # fmt: skip
-    """Build the neighbour lists.
-
-    x (na, 3) nm, near nm, block_near (blocks,) nm, necked nm, cutoff nm, exceptions (na + 1,) int, groups
-    (na, k) int, block_group (blocks,) int, tiles (n, 2) int.
-    """
+    """Build the neighbour lists."""
+    # x (na, 3) nm, near nm, block_near (blocks,) nm, necked nm, cutoff nm, exceptions (na + 1,) int, groups
+    # (na, k) int, block_group (blocks,) int, tiles (n, 2) int.
     boxes, reaches = _boxes(x), (block_near + SKIN, necked + SKIN)
     if tiles is None:
         tiles, is_near, is_necked = _tiles(*boxes, *reaches, cutoff + SKIN)
@@ -97,11 +87,9 @@ def _tiles(
 def _swept(
     order: Integers, axis: int, low: Floats, high: Floats, near: Floats, necked: float, cutoff: float
 ) -> tuple[Integers, np.ndarray]:
-    """Pairs of blocks within the cutoff; which are near, and which have necks, as two columns.
-
-    Along the axis on which they spread most, blocks are read as they begin, and each is compared with those
-    that begin before it ends, not with all: many atoms take little longer each where the cutoff is short.
-    """
+    """Pairs of blocks within the cutoff; which are near, and which have necks, as two columns."""
+    # Along the axis on which they spread most, blocks are read as they begin, and each is compared with those
+    # that begin before it ends, not with all: many atoms take little longer each where the cutoff is short.
     n, room = len(low), 1024
     tiles, kinds = np.empty((room, 2), np.int64), np.empty((room, 2), np.bool_)
     count = 0

@@ -62,10 +62,8 @@ def solvated_pair_sums(
     mine: Share, atoms: Floats, lj: Floats, lj_type: Integers, tiles: Integers, is_near: np.ndarray,
     near: float, block_near: Floats, cutoff: float, krf: float, crf: float, sums: Floats, energies: Floats,
 ) -> None:  # fmt: skip
-    """As :func:`pair_sums`, with the forces of the Born integrals, given dE/d(integral) of each atom.
-
-    Together, because both need inverse distances.
-    """
+    """As :func:`pair_sums`, with the forces of the Born integrals, given dE/d(integral) of each atom."""
+    # Together, because both need inverse distances.
     for c in range(*mine):
         begin, end = part(len(tiles), c)
         energy, inverses = 0.0, np.empty(W)
@@ -122,10 +120,8 @@ def _tile(
 def put_inverses(
     a: Floats, i: int, b: Floats, first: int, masked: bool, near2: float, cutoff2: float, inverses: Floats
 ) -> None:
-    """Inverse distances of an atom from a block; 0 where masked.
-
-    In a loop of their own: the processor keeps shorter chains of dependences under way side by side.
-    """
+    """Inverse distances of an atom from a block; 0 where masked."""
+    # In a loop of their own: the processor keeps shorter chains of dependences under way side by side.
     xi, yi, zi = a[X * W + i], a[Y * W + i], a[Z * W + i]
     for j in range(W):
         dx, dy, dz = xi - b[X * W + j], yi - b[Y * W + j], zi - b[Z * W + j]
@@ -141,10 +137,8 @@ def add_pairs(
     a: Floats, i: int, b: Floats, row: Floats, masked: bool, in_solvent: bool, krf: float, crf: float,
     inverses: Floats, a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
-    """Add the forces between an atom and a block, return the energy.
-
-    ``row`` holds 12 A and 6 B of its A/r^12 - B/r^6 with each atom of b.
-    """
+    """Add the forces between an atom and a block, return the energy."""
+    # ``row`` holds 12 A and 6 B of its A/r^12 - B/r^6 with each atom of b.
     xi, yi, zi, qi = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i]
     s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
     energy, fx, fy, fz = 0.0, 0.0, 0.0, 0.0

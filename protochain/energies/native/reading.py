@@ -21,10 +21,8 @@ class UnsupportedForceError(ForceFieldError):
 
 
 def rows(force: openmm.Force, count: str, get: str) -> list[Any]:
-    """What a getter of a force returns for each index up to a count, as plain numbers in OpenMM's units.
-
-    OpenMM's own wraps each in a quantity, which takes three quarters of the time.
-    """
+    """What a getter of a force returns for each index up to a count, as plain numbers in OpenMM's units."""
+    # OpenMM's own wraps each in a quantity, which takes three quarters of the time.
     read = getattr(openmm.openmm._openmm, f"{type(force).__name__}_{get}", None)
     each = range(getattr(force, count)())
     if read is None:  # In a version of OpenMM that has other insides.
@@ -33,10 +31,8 @@ def rows(force: openmm.Force, count: str, get: str) -> list[Any]:
 
 
 def plain(value: Any) -> float:
-    """Return what a getter of OpenMM returns as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad).
-
-    Its quantities are in these units.
-    """
+    """Return what a getter of OpenMM returns as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad)."""
+    # Its quantities are in these units.
     return float(value._value if isinstance(value, unit.Quantity) else value)
 
 

@@ -101,10 +101,8 @@ def slope_series(y: float, near: bool) -> float:
 
 @ordered
 def power_of_two(y: float) -> float:
-    """2^y for y <= 0; 2^-60, negligible beside what it is added to, for y < -60.
-
-    y = n + z, n whole: n goes into the bits of the exponent.
-    """
+    """2^y for y <= 0; 2^-60, negligible beside what it is added to, for y < -60."""
+    # y = n + z, n whole: n goes into the bits of the exponent.
     y = max(y, _SMALLEST_POWER)
     rounded = y + _ROUNDING
     value = _ten(_POWER, y - (rounded - _ROUNDING))
@@ -114,10 +112,8 @@ def power_of_two(y: float) -> float:
 
 @ordered
 def inverse_root(x: float) -> float:
-    """1 / sqrt(x), finite for x = 0: three times as fast as the divider of a processor.
-
-    From a guess y by the bits of x, 1 / sqrt(x) = y (1 - e)^(-1/2), e = 1 - x y^2, as a polynomial, twice.
-    """
+    """1 / sqrt(x), finite for x = 0: three times as fast as the divider of a processor."""
+    # From a guess y by the bits of x, 1 / sqrt(x) = y (1 - e)^(-1/2), e = 1 - x y^2, as a polynomial, twice.
     y = np.uint64(_HALVED - (np.float64(x).view(np.uint64) >> _ONE)).view(np.float64)
     y *= _four(_ROOT, 1.0 - x * y * y)
     e = 1.0 - x * y * y

@@ -18,50 +18,35 @@ from protochain.energies.native.reading import UnsupportedForceError, bare, one_
 
 @dataclass(frozen=True, eq=False)
 class Bonded:
-    """Bonded terms of one kind.
+    """Bonded terms of one kind."""
 
-    atoms (n, k) int.
-    parameters (n, m).
-    """
-
-    atoms: Integers
-    parameters: Floats
+    atoms: Integers  # (n, k) int.
+    parameters: Floats  # (n, m).
 
 
 @dataclass(frozen=True, eq=False)
 class Nonbonded:
-    """Lennard-Jones and Coulomb parameters.
+    """Lennard-Jones and Coulomb parameters."""
 
-    charge (na,): Charge times the root of Coulomb's constant.
-    lj_type (na,) int.
-    a12, b6 (types, types): A and B of A/r^12 - B/r^6.
-    exceptions: Pairs with their own parameters (A, B, q q); all zero for excluded pairs.
-    cutoff nm: Infinite for none.
-    krf, crf: Constants of the reaction field q q (1/r + krf r^2 - crf).
-    """
-
-    charge: Floats
-    lj_type: Integers
-    a12: Floats
+    charge: Floats  # (na,): Charge times the root of Coulomb's constant.
+    lj_type: Integers  # (na,) int.
+    a12: Floats  # a12, b6: (types, types): A and B of A/r^12 - B/r^6.
     b6: Floats
-    exceptions: Bonded
-    cutoff: float
-    krf: float
+    exceptions: Bonded  # Pairs with their own parameters (A, B, q q); all zero for excluded pairs.
+    cutoff: float  # nm: Infinite for none.
+    krf: float  # krf, crf: Constants of the reaction field q q (1/r + krf r^2 - crf).
     crf: float
 
 
 @dataclass(frozen=True, eq=False)
 class Terms:
-    """Potential energy of a System, term by term.
-
-    bonded: ``bonds`` and ``ties`` (r0, k), ``angles`` and ``tie angles`` (theta0, k), ``torsions`` (n, phi0,
-        k), ``impropers`` (phi0, k), and ``maps`` of eight atoms with the index of the map.
-    map_coefficients (maps, size, size, 4, 4).
-    """
+    """Potential energy of a System, term by term."""
 
     n_atoms: int
+    # ``bonds`` and ``ties`` (r0, k), ``angles`` and ``tie angles`` (theta0, k), ``torsions`` (n, phi0, k),
+    # ``impropers`` (phi0, k), and ``maps`` of eight atoms with the index of the map.
     bonded: Mapping[str, Bonded]
-    map_coefficients: Floats
+    map_coefficients: Floats  # (maps, size, size, 4, 4).
     nonbonded: Nonbonded
     solvent: Solvent | None
 
@@ -73,10 +58,8 @@ class Terms:
 
     @cached_property
     def centres(self) -> Integers:
-        """(n, 2) int: atom that the others are bonded to, twice, or if there is none the middle two.
-
-        Of the torsions that are not proper, then of the impropers.
-        """
+        """(n, 2) int: atom that the others are bonded to, twice, or if there is none the middle two."""
+        # Of the torsions that are not proper, then of the impropers.
         others = self.bonded["torsions"].atoms[~self.is_proper]
         atoms = np.concatenate([others, self.bonded["impropers"].atoms])
         found = atoms[:, 1:3].copy()

@@ -20,26 +20,16 @@ FIRST, END, LEFT, RIGHT, PARENT = range(5)
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """Nodes about fixed centres, parents before children, those of a chunk side by side.
+    """Nodes about fixed centres, parents before children, those of a chunk side by side."""
 
-    order (na,) int: Atoms in the order of the blocks.
-    nodes (n, 5) int.
-    roots (CHUNKS + 1,) int: First node of each chunk.
-    centre (n, 3) nm.
-    radius (n,) nm: Largest distance of an atom from the centre.
-    start (n + 1,) int.
-    source (m,) int: Far nodes of each node, from its start on; far from each other.
-    near (k, 2) int: Pairs of blocks that are not far, the second not before the first, in order.
-    """
-
-    order: Integers
-    nodes: Integers
-    roots: Integers
-    centre: Floats
-    radius: Floats
-    start: Integers
-    source: Integers
-    near: Integers
+    order: Integers  # (na,) int: Atoms in the order of the blocks.
+    nodes: Integers  # (n, 5) int.
+    roots: Integers  # (CHUNKS + 1,) int: First node of each chunk.
+    centre: Floats  # (n, 3) nm.
+    radius: Floats  # (n,) nm: Largest distance of an atom from the centre.
+    start: Integers  # (n + 1,) int.
+    source: Integers  # (m,) int: Far nodes of each node, from its start on; far from each other.
+    near: Integers  # (k, 2) int: Pairs of blocks that are not far, the second not before the first, in order.
 
 
 def plant(x: Floats, opening: float, least: float) -> Tree:
@@ -184,12 +174,9 @@ def _separated(
 
 
 def screened_pairs(tree: Tree, x: Floats, born: Floats, reach: float) -> tuple[Integers, np.ndarray]:
-    """Pairs of blocks that are far, but feel by how much f of generalised Born differs from r.
-
-    x (na, 3) nm, born (na,) nm.
-    -> (n, 2) int: Pairs of blocks, the second after the first, in order.
-    -> (n, W) bool: Rows of the first in which an atom does.
-    """
+    """Pairs of blocks that are far, but feel by how much f of generalised Born differs from r."""
+    # x (na, 3) nm, born (na,) nm -> (n, 2) int: Pairs of blocks, the second after the first, in order -> (n,
+    # W) bool: Rows of the first in which an atom does.
     most = np.array([born[first * W : end * W].max() for first, end in tree.nodes[:, :2]])
     low, high = _corners(x, tree.nodes)
     return _screened(tree.nodes, tree.roots[:-1], tree.near, x, born, most, low, high, 4.0 * reach)

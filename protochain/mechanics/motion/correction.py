@@ -36,11 +36,9 @@ def correct(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats, momenta: Floats,
     h: float, x: Floats,
 ) -> None:  # fmt: skip
-    """Overwrite the residual of the momenta, ``x`` (n_v,), by a Newton step; h is half the time step.
-
-    Frames, ``twists`` (nb, 6) of the bodies and ``momenta`` (nb, 6) of each body with all beyond it belong to
-    the midpoint.
-    """
+    """Overwrite the residual of the momenta, ``x`` (n_v,), by a Newton step; h is half the time step."""
+    # Frames, ``twists`` (nb, 6) of the bodies and ``momenta`` (nb, 6) of each body with all beyond it belong
+    # to the midpoint.
     n = len(bodies)
     inertia, load = np.zeros((n, 6, 6)), np.zeros((n, 6))
     column, row = np.zeros((n, 6)), np.zeros((n, 6))
@@ -121,11 +119,9 @@ def _hinge_twists(
 def _solve_root(
     p: Floats, z: Floats, twists: Floats, momenta: Floats, b: int, h: float, x: Floats
 ) -> None:  # fmt: skip
-    """Overwrite the residual of a free root's momenta by a Newton step in its velocities: a dense 6x6 system.
-
-    These momenta are about the origin at the start of the step, h u before the midpoint, and rotate with the
-    root.
-    """
+    """Overwrite the residual of a free root's momenta by a Newton step in its velocities: a 6x6 system."""
+    # These momenta are about the origin at the start of the step, h u before the midpoint, and rotate with
+    # the root.
     a, r = np.empty((6, 6)), np.empty(6)
     omega, u = pair(twists, b)
     angular, linear = pair(momenta, b)

@@ -92,11 +92,8 @@ class Leapfrog(Integrator):
 
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
-    """Move for one time step without a potential, by the midpoint rule.
-
-    p (n_v,).
-    -> (n_q,): Coordinates, momenta and factors of M at the end.
-    """
+    """Move for one time step without a potential, by the midpoint rule."""
+    # p (n_v,) -> (n_q,): Coordinates, momenta and factors of M at the end.
     tree, there = at.factors.tree, Workspace.like(at)
     q, p = at.q.copy(), p.copy()
     try:
@@ -177,10 +174,8 @@ def _drift(
 
 @kernel
 def put_end_momenta(links: Integers, h: float, qd: Floats, mu: Floats, force: Floats, p: Floats) -> None:
-    """Write the momenta at the start of a step h, from the momenta mu and the force at its midpoint.
-
-    With a negative h, those at its end.
-    """
+    """Write the momenta at the start of a step h, from the momenta mu and the force at its midpoint."""
+    # With a negative h, those at its end.
     for k in range(len(p)):
         p[k] = mu[k] - 0.5 * h * force[k]
     for b in range(len(links) - 1):
@@ -193,10 +188,8 @@ def put_end_momenta(links: Integers, h: float, qd: Floats, mu: Floats, force: Fl
 
 @kernel
 def _advance_momenta(links: Integers, h: float, qd: Floats, gradient: Floats, p: Floats) -> None:
-    """Overwrite momenta by those after a drift of time h.
-
-    A free root's momenta are those of its whole tree, which about the world's origin do not change.
-    """
+    """Overwrite momenta by those after a drift of time h."""
+    # A free root's momenta are those of its whole tree, which about the world's origin do not change.
     for b in range(len(links) - 1):
         k = links[b, V]
         n_v = links[b + 1, V] - k

@@ -29,11 +29,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def kernel(function: F) -> F:
-    """Compile a sweep, with fused products and sums, which round once instead of twice.
-
-    Functions that a sweep calls are inlined. Otherwise libraries with copies of one function share the copy
-    that was loaded first, and copies round differently: results would depend on earlier calls.
-    """
+    """Compile a sweep, with fused products and sums, which round once instead of twice."""
+    # Functions that a sweep calls are inlined. Otherwise libraries with copies of one function share the copy
+    # that was loaded first, and copies round differently: results would depend on earlier calls.
     # Arrays are separate arguments: a NamedTuple of them costs 1.7 us a call (solve at 100 hinges: + 60 %).
     compile_it = njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
     return cast(F, compile_it(function))
@@ -274,10 +272,8 @@ def minus_outer(p: Inertia, moment: Vector, force: Vector, weight: float) -> Ine
 
 @kernel
 def shifted_inertia(p: Inertia, lever: Vector) -> Inertia:
-    """Return the same inertia about a point that lies ``-lever`` away.
-
-    With L = [lever]x: C' = C + L M and I' = I + L C^T - C' L.
-    """
+    """Return the same inertia about a point that lies ``-lever`` away."""
+    # With L = [lever]x: C' = C + L M and I' = I + L C^T - C' L.
     i, c, m = p
     x = cross(lever, (m[0], m[1], m[2]))
     y = cross(lever, (m[1], m[3], m[4]))

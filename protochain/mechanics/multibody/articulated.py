@@ -48,30 +48,23 @@ ROUND_OFF = 1e-15
 
 @dataclass(frozen=True, eq=False)
 class Articulated:
-    """Factors of M at one pose.
+    """Factors of M at one pose."""
 
-    tree, frames: Rigid bodies and their world frames.
-    inertia (nb, 21): Articulated-body inertia P = [[I, C], [C^T, M]] of each body about its origin along
-        world axes, with its own hinge locked: upper triangle of I, C row by row, upper triangle of M.
-    gain (nb, 6): Gain G = P h / D, with h the hinge's twist, about the parent's origin (of a root: its own);
-        0 where the hinge is driven.
-    pivot (nb,): Pivot D = h^T P h; 1 where there is no hinge, or a driven one.
-    root (n_free, 6, 6): Cholesky factors of P of the free roots.
-    """
-
-    tree: Tree
+    tree: Tree  # tree, frames: Rigid bodies and their world frames.
     frames: Frames
+    # (nb, 21): Articulated-body inertia P = [[I, C], [C^T, M]] of each body about its origin along world
+    # axes, with its own hinge locked: upper triangle of I, C row by row, upper triangle of M.
     inertia: Floats
+    # (nb, 6): Gain G = P h / D, with h the hinge's twist, about the parent's origin (of a root: its own); 0
+    # where the hinge is driven.
     gain: Floats
-    pivot: Floats
-    root: Floats
+    pivot: Floats  # (nb,): Pivot D = h^T P h; 1 where there is no hinge, or a driven one.
+    root: Floats  # (n_free, 6, 6): Cholesky factors of P of the free roots.
 
 
 def articulate(tree: Tree, frames: Frames) -> Articulated:
-    """Factorise M at one pose, by one inward sweep.
-
-    After Jain, Vaidehi, Rodriguez (1993); Featherstone (2008). O(n).
-    """
+    """Factorise M at one pose, by one inward sweep."""
+    # After Jain, Vaidehi, Rodriguez (1993); Featherstone (2008). O(n).
     n = tree.n_bodies
     packed, gain, pivot = np.empty((n, 21)), np.empty((n, 6)), np.empty(n)
     root = np.empty((tree.n_q - tree.n_v, 6, 6))
@@ -92,11 +85,9 @@ def articulate(tree: Tree, frames: Frames) -> Articulated:
 
 
 def solve(factors: Articulated, tau: Floats, loads: Floats | None = None) -> Floats:
-    """Solve M x = tau - J^T loads by one inward and one outward sweep.
-
-    tau (n_v,), loads (nb, 6).
-    -> (n_v,): Solution, 0 where hinges are driven; what tau has there is not read.
-    """
+    """Solve M x = tau - J^T loads by one inward and one outward sweep."""
+    # tau (n_v,), loads (nb, 6) -> (n_v,): Solution, 0 where hinges are driven; what tau has there is not
+    # read.
     tree, frames = factors.tree, factors.frames
     wrench = np.zeros((tree.n_bodies, 6)) if loads is None else loads.copy()
     x = floats(tau, (tree.n_v,), "tau").copy()
@@ -134,14 +125,10 @@ def log_det(factors: Articulated) -> float:
 
 
 def sample(factors: Articulated, noise: Floats) -> Floats:
-    """[1 - H psi K]^T D^-1/2 noise, whose covariance is M^-1 for independent unit noise.
-
-    noise (n_v,).
-    -> (n_v,): Sample, 0 where hinges are driven.
-
-    Outward sweep of a solution, for D^-1/2 noise: the rate of a hinge is its noise minus the gain times the
-    motion of its parent. After Jain, Vaidehi, Rodriguez (1993). O(n).
-    """
+    """[1 - H psi K]^T D^-1/2 noise, whose covariance is M^-1 for independent unit noise."""
+    # noise (n_v,) -> (n_v,): Sample, 0 where hinges are driven.
+    # Outward sweep of a solution, for D^-1/2 noise: the rate of a hinge is its noise minus the gain times the
+    # motion of its parent. After Jain, Vaidehi, Rodriguez (1993). O(n).
     tree, frames = factors.tree, factors.frames
     x = floats(noise, (tree.n_v,), "noise").copy()
     x[tree.v_start[tree.hinged]] /= np.sqrt(factors.pivot[tree.hinged])
@@ -179,18 +166,14 @@ def factorise(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, packed: Floats, gain: Floats,
     pivot: Floats, root: Floats, wrench: Floats, x: Floats,
 ) -> int:  # fmt: skip
-    """Factorise M; return the first body whose hinge has no pivot, or -1. ``packed`` holds I_b and becomes P.
-
-    From the leaves inward, with h_b the twist of hinge b and X_c what moves twists from b to its child c::
-
-        P_b = I_b + sum over children c of X_c^T P_c+ X_c
-        D_b = h_b^T P_b h_b,    G_b = P_b h_b / D_b,    P_b+ = P_b - G_b D_b G_b^T
-
-    ``slow_articulated_inverse`` in tests/fixtures/slow_mechanics.py states the same in 6x6 matrices. One
-    right-hand side is carried inward as in :func:`inward_loads`, while the processor waits for the factors.
-    Inertia and gain are shifted to the parent's origin before the pivot is known, and stay in registers for
-    the parent.
-    """
+    """Factorise M; return the first body whose hinge has no pivot, or -1. ``packed``, I_b, becomes P."""
+    # From the leaves inward, with h_b the twist of hinge b and X_c what moves twists from b to its child c::
+    #     P_b = I_b + sum over children c of X_c^T P_c+ X_c
+    #     D_b = h_b^T P_b h_b,    G_b = P_b h_b / D_b,    P_b+ = P_b - G_b D_b G_b^T
+    # ``slow_articulated_inverse`` in tests/fixtures/slow_mechanics.py states the same in 6x6 matrices. One
+    # right-hand side is carried inward as in :func:`inward_loads`, while the processor waits for the factors.
+    # Inertia and gain are shifted to the parent's origin before the pivot is known, and stay in registers for
+    # the parent.
     carried, moment_below, force_below = MASSLESS, ZERO, ZERO
     for b in range(len(bodies) - 1, -1, -1):
         p, k = links[b, PARENT], links[b, V]

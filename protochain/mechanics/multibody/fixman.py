@@ -45,28 +45,21 @@ _REFINED = 1e-8
 
 @dataclass(frozen=True, eq=False)
 class Eliminated:
-    """Factors of H at one pose.
+    """Factors of H at one pose."""
 
-    tree, frames: Rigid bodies and their world frames.
-    inverse_inertia (nb, 6, 6): Inverse inertia W of each body about its origin, world axes: wrench -> twist.
-    factor (nb, 6, 6): Cholesky factor of each hinge's block of H at its elimination.
-    gain (nb, 6, 6): Inverse of that block times the block that couples the hinge to its parent body.
-    n_hard (nb,) int: Number of directions locked by each hinge; all six by a driven one.
-    """
-
-    tree: Tree
+    tree: Tree  # tree, frames: Rigid bodies and their world frames.
     frames: Frames
+    # (nb, 6, 6): Inverse inertia W of each body about its origin, world axes: wrench -> twist.
     inverse_inertia: Floats
-    factor: Floats
+    factor: Floats  # (nb, 6, 6): Cholesky factor of each hinge's block of H at its elimination.
+    # (nb, 6, 6): Inverse of that block times the block that couples the hinge to its parent body.
     gain: Floats
-    n_hard: Integers
+    n_hard: Integers  # (nb,) int: Number of directions locked by each hinge; all six by a driven one.
 
 
 def eliminate(tree: Tree, frames: Frames) -> Eliminated:
-    """Factorise H at one pose, by one inward sweep.
-
-    Block elimination of H (after Lee, Wang, Chirikjian 2007), leaf to root. O(n).
-    """
+    """Factorise H at one pose, by one inward sweep."""
+    # Block elimination of H (after Lee, Wang, Chirikjian 2007), leaf to root. O(n).
     n = tree.n_bodies
     thin = _thinness(tree) <= TOO_THIN
     if np.any(thin):
@@ -89,10 +82,8 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
 
 
 def respond(factors: Eliminated, wrench: Floats) -> Floats:
-    """Twists due to impulses on the bodies and reactions of the hinges: (W - W E_h^T H^-1 E_h W) wrench.
-
-    wrench (nb, 6) -> (nb, 6).
-    """
+    """Twists due to impulses on the bodies and reactions of the hinges: (W - W E_h^T H^-1 E_h W) wrench."""
+    # wrench (nb, 6) -> (nb, 6).
     tree, frames = factors.tree, factors.frames
     impulse = floats(wrench, (tree.n_bodies, 6), "wrench").copy()
     twists = np.empty((tree.n_bodies, 6))
@@ -104,15 +95,11 @@ def respond(factors: Eliminated, wrench: Floats) -> Floats:
 
 
 def solve(factors: Eliminated, tau: Floats) -> Floats:
-    """Solve M x = tau by x = (A - B H^-1 B^T) tau.
-
-    tau (n_v,) -> (n_v,).
-
-    A tau is the response of unconnected bodies, often far larger than that of the chain, so that digits
-    cancel. Iterative refinement with M x from Newton-Euler recovers them (Higham, *Accuracy and Stability of
-    Numerical Algorithms*, 2002, theorem 12.3): one step, and more for bodies that are almost lines or points.
-    Its last change is an estimate of the error, by which a mechanism is refused.
-    """
+    """Solve M x = tau by x = (A - B H^-1 B^T) tau; tau (n_v,) -> (n_v,)."""
+    # A tau is the response of unconnected bodies, often far larger than that of the chain, so that digits
+    # cancel. Iterative refinement with M x from Newton-Euler recovers them (Higham, *Accuracy and Stability
+    # of Numerical Algorithms*, 2002, theorem 12.3): one step, and more for bodies that are almost lines or
+    # points. Its last change is an estimate of the error, by which a mechanism is refused.
     tree, frames = factors.tree, factors.frames
     tau = floats(tau, (tree.n_v,), "tau")
     x, change = _solve_once(factors, tau), 0.0
@@ -189,11 +176,9 @@ def _inverse_inertias(tree: Tree, frames: Frames) -> Floats:
 
 @kernel
 def _hard_rows(rotation: Floats, bodies: Floats, b: int, n_hard: int, rows: Floats) -> None:
-    """Write an orthogonal basis of the hinge's locked directions, of determinant one with its soft row.
-
-    The soft row is rotation about z, or translation along z if the hinge does not turn. A screw locks
-    translation other than by its pitch.
-    """
+    """Write an orthogonal basis of the hinge's locked directions, of determinant one with its soft row."""
+    # The soft row is rotation about z, or translation along z if the hinge does not turn. A screw locks
+    # translation other than by its pitch.
     rows[:] = 0.0
     for i in range(3):
         rows[0, i] = rotation[b, i, 0]

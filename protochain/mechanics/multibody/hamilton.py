@@ -20,18 +20,13 @@ from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
 
 
 def momenta(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
-    """Canonical momenta, and the gradient of the kinetic energy at constant velocities.
-
-    qd (n_v,).
-    -> (n_v,): Momenta p = M qd. A free root has the angular momentum of its whole tree about its origin, then
-        the linear momentum; world axes.
-    -> (n_v,): Gradient d(qd^T M(q) qd / 2)/dq at constant qd; of a free root along rotations about world axes
-        and translations.
-
-    With V the twist of a body, h that of its hinge and Pi the momentum of the body and all beyond it, about
-    its origin: p = h . Pi, and the gradient is (V x h) . Pi, since rotating the bodies beyond a hinge is
-    equivalent to rotating its parent's twist back. Lagrange's equations are dp/dt = tau + gradient. O(n).
-    """
+    """Canonical momenta, and the gradient of the kinetic energy at constant velocities."""
+    # qd (n_v,) -> (n_v,): Momenta p = M qd. A free root has the angular momentum of its whole tree about its
+    # origin, then the linear momentum; world axes -> (n_v,): Gradient d(qd^T M(q) qd / 2)/dq at constant qd;
+    # of a free root along rotations about world axes and translations.
+    # With V the twist of a body, h that of its hinge and Pi the momentum of the body and all beyond it, about
+    # its origin: p = h . Pi, and the gradient is (V x h) . Pi, since rotating the bodies beyond a hinge is
+    # equivalent to rotating its parent's twist back. Lagrange's equations are dp/dt = tau + gradient. O(n).
     p, gradient = np.empty(tree.n_v), np.empty(tree.n_v)
     put_momenta(
         tree.links, tree.bodies, frames.rotation, frames.origin, floats(qd, (tree.n_v,), "qd"),
@@ -52,13 +47,10 @@ def put_momenta(
 
 
 def turning_gradient(tree: Tree, frames: Frames, twists: Floats, loads: Floats) -> Floats:
-    """Gradient of the sum of loads times twists at constant velocities, when loads turn with their bodies.
-
-    twists (nb, 6), loads (nb, 6).
-    -> (n_v,): Gradient along q; with the bodies' momenta as loads that of the kinetic energy.
-
-    As in :func:`momenta`: (V x h) . Pi, with Pi the load of a body and all beyond it. O(n).
-    """
+    """Gradient of the sum of loads times twists at constant velocities, when loads turn with their bodies."""
+    # twists (nb, 6), loads (nb, 6) -> (n_v,): Gradient along q; with the bodies' momenta as loads that of the
+    # kinetic energy.
+    # As in :func:`momenta`: (V x h) . Pi, with Pi the load of a body and all beyond it. O(n).
     product, gradient = np.empty(tree.n_v), np.empty(tree.n_v)
     _inward_products(
         tree.links, tree.bodies, frames.rotation, frames.origin, twists, loads.copy(), product, gradient

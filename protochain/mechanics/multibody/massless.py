@@ -25,11 +25,9 @@ def unresisted(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, packed: Floats, pivot: Floats,
     root: Floats,
 ) -> int:  # fmt: skip
-    """Return the first body without mass whose pivot is rounding error, or -1.
-
-    Its inertia is what the hinges outward of it leave of the bodies' there, so that its pivot is held against
-    that of the same bodies with these hinges locked: at a gimbal lock nothing but rounding is left.
-    """
+    """Return the first body without mass whose pivot is rounding error, or -1."""
+    # Its inertia is what the hinges outward of it leave of the bodies' there, so that its pivot is held
+    # against that of the same bodies with these hinges locked: at a gimbal lock nothing but rounding is left.
     whole = np.zeros((len(bodies), 21))
     for b in range(len(bodies) - 1, -1, -1):
         p, n_v = links[b, PARENT], links[b + 1, V] - links[b, V]

@@ -96,14 +96,10 @@ def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
 
 
 def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = None) -> Floats:
-    """Inertial load on each body that moves with qd and qdd.
-
-    qd, qdd (n_v,).
-    -> (nb, 6): Moments about the origins of the bodies and forces, world axes. O(n).
-
-    With c the centre of mass from the origin, a the origin's acceleration and I about the origin:
-    force = m (a + alpha x c + omega x (omega x c)), moment = I alpha + m c x a + omega x I omega.
-    """
+    """Inertial load on each body that moves with qd and qdd."""
+    # qd, qdd (n_v,) -> (nb, 6): Moments about the origins of the bodies and forces, world axes. O(n).
+    # With c the centre of mass from the origin, a the origin's acceleration and I about the origin: force = m
+    # (a + alpha x c + omega x (omega x c)), moment = I alpha + m c x a + omega x I omega.
     loads = np.empty((tree.n_bodies, 6))
     outward_loads(
         tree.links, tree.bodies, frames.rotation, frames.origin,

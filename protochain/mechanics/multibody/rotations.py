@@ -16,23 +16,18 @@ _SMALL = 0.1
 
 
 def displacement_rates(tree: Tree, step: Floats, qd: Floats) -> Floats:
-    """Time derivative of a displacement from a fixed q, for velocities qd at its end.
-
-    step (n_v,), qd (n_v,).
-    -> (n_v,): Rates qd, with dexp^-1 applied to the angular velocities of free roots, as in Munthe-Kaas
-        methods.
-    """
+    """Time derivative of a displacement from a fixed q, for velocities qd at its end."""
+    # step (n_v,), qd (n_v,) -> (n_v,): Rates qd, with dexp^-1 applied to the angular velocities of free
+    # roots, as in Munthe-Kaas methods.
     rates = floats(qd, (tree.n_v,), "qd").copy()
     put_rates(tree.links, floats(step, (tree.n_v,), "step"), rates)
     return rates
 
 
 def velocity_rates(tree: Tree, qd: Floats, qdd: Floats) -> Floats:
-    """Time derivatives (n_v,) of velocities, of accelerations along the hinges one after the other.
-
-    They differ where axes move with a body beyond their hinge, those of balls: by the products a_j x a_i qd_j
-    qd_i, j < i, by which the second and third axis are carried along.
-    """
+    """Time derivatives (n_v,) of velocities, of accelerations along the hinges one after the other."""
+    # They differ where axes move with a body beyond their hinge, those of balls: by the products a_j x a_i
+    # qd_j qd_i, j < i, by which the second and third axis are carried along.
     if not len(tree.balls):
         return qdd
     rates, (x, y, z) = qdd.copy(), qd[tree.balls].T

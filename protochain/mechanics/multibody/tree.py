@@ -385,10 +385,8 @@ def _carries_nothing(tree: Tree) -> np.ndarray:
 
 
 def _turns_nothing(tree: Tree) -> np.ndarray:
-    """(nb,) bool: phantom hinges, which turn only mass on their own axis, at every q.
-
-    A parent with a child is one only if all mass of the child lies on the parent's axis, too.
-    """
+    """(nb,) bool: phantom hinges, which turn only mass on their own axis, at every q."""
+    # A parent with a child is one only if all mass of the child lies on the parent's axis, too.
     axial = tree.rigid[:, 9]
     total = tree.rigid[:, 4] + tree.rigid[:, 7] + tree.rigid[:, 9]
     on_axis = axial <= NO_INERTIA * total

@@ -137,10 +137,8 @@ def spread(columns: Floats, arm: Vector, i: int, n: int, f: Floats) -> None:
 
 @kernel
 def tangent_rate(theta: Vector, rate: Vector, x: Vector) -> Vector:
-    """Time derivative of dexp_theta x, for theta that changes at a rate.
-
-    dexp = 1 + a K + b K^2 with a = (1 - cos t) / t^2, b = (t - sin t) / t^3: see ``multibody.rotations``.
-    """
+    """Time derivative of dexp_theta x, for theta that changes at a rate."""
+    # dexp = 1 + a K + b K^2 with a = (1 - cos t) / t^2, b = (t - sin t) / t^3: see ``multibody.rotations``.
     t2 = dot(theta, theta)
     t = np.sqrt(t2)
     if t < _SMALL:

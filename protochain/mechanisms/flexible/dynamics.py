@@ -37,10 +37,8 @@ def velocities(flexible: Flexible, bent: Bent, qd: Floats) -> Floats:
 
 
 def jacobian(flexible: Flexible, bent: Bent) -> Floats:
-    """Dense Jacobian of the nodes: their twists about their places are J qd.
-
-    -> (nn, 6, n_v): Columns are the freedoms. O(n^2): for tests and small studies.
-    """
+    """Dense Jacobian of the nodes: their twists about their places are J qd."""
+    # -> (nn, 6, n_v): Columns are the freedoms. O(n^2): for tests and small studies.
     return np.stack([velocities(flexible, bent, unit) for unit in np.eye(flexible.n_v)], axis=2)
 
 
@@ -61,34 +59,26 @@ def pull_back(flexible: Flexible, bent: Bent, wrench: Floats) -> Floats:
 def inverse_dynamics(
     flexible: Flexible, q: Floats, qd: Floats, qdd: Floats, wrench: Floats | None = None
 ) -> Floats:
-    """Torques M qdd + c(q, qd) - J^T wrench, without elastic ones.
-
-    qd, qdd (n_v,), wrench (nn, 6).
-    -> (n_v,): Torques. O(n).
-    """
+    """Torques M qdd + c(q, qd) - J^T wrench, without elastic ones."""
+    # qd, qdd (n_v,), wrench (nn, 6) -> (n_v,): Torques. O(n).
     return _torques(flexible, bend(flexible, q), q, qd, qdd, wrench)
 
 
 def forward_dynamics(
     flexible: Flexible, q: Floats, qd: Floats, tau: Floats, wrench: Floats | None = None
 ) -> Floats:
-    """Accelerations, which solve M qdd + c(q, qd) = tau + J^T wrench.
-
-    qd, tau (n_v,), wrench (nn, 6).
-    -> (n_v,): Accelerations; those of driven hinges as given. O of the sum of cubes of the numbers of shapes.
-    """
+    """Accelerations, which solve M qdd + c(q, qd) = tau + J^T wrench."""
+    # qd, tau (n_v,), wrench (nn, 6) -> (n_v,): Accelerations; those of driven hinges as given. O of the sum
+    # of cubes of the numbers of shapes.
     bent, given, driven = bend(flexible, q), np.zeros(flexible.n_v), flexible.tree.driven_v
     given[driven] = tau[driven]
     return solve(flexible, bent, tau - _torques(flexible, bent, q, qd, given, wrench)) + given
 
 
 def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
-    """Solve M x = tau by one inward and one outward sweep; x is 0 where hinges are driven.
-
-    tau (n_v,) -> (n_v,).
-
-    As ``multibody.articulated``, with a body's amplitudes eliminated before its hinge.
-    """
+    """Solve M x = tau by one inward and one outward sweep; x is 0 where hinges are driven."""
+    # tau (n_v,) -> (n_v,).
+    # As ``multibody.articulated``, with a body's amplitudes eliminated before its hinge.
     _, mass, inertia, *_ = flexible.arrays
     x = floats(tau, (flexible.n_v,), "tau").copy()
     failed = solve_bent(
@@ -103,12 +93,9 @@ def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
 
 
 def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
-    """Canonical momenta p = M qd, and the gradient of the kinetic energy at constant velocities. O(n).
-
-    qd (n_v,).
-    -> (n_v,): Momenta; gradient, the sum over all nodes of (dJ/dt)^T times momentum, also for a free root.
-        Lagrange's equations are dp/dt = tau + gradient.
-    """
+    """Canonical momenta p = M qd, and the gradient of the kinetic energy at constant velocities. O(n)."""
+    # qd (n_v,) -> (n_v,): Momenta; gradient, the sum over all nodes of (dJ/dt)^T times momentum, also for a
+    # free root. Lagrange's equations are dp/dt = tau + gradient.
     bent = bend(flexible, q)
     twists, changes = _twists(flexible, bent, q, qd)
     felt = _momenta_of_nodes(flexible, bent, twists)

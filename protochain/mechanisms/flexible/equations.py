@@ -21,11 +21,9 @@ class BendingSystem(Equations):
     Coordinates and freedoms are those of ``flexible.Flexible``. Potentials and
     loads get ``flexible.Bent`` for factors and frames, and loads may give wrenches
     (nn, 6) on all nodes. Runge-Kutta and Rosenbrock methods take it.
-
-    flexible: Bodies, on the hinges of ``tree``.
     """
 
-    flexible: Flexible = field(kw_only=True)
+    flexible: Flexible = field(kw_only=True)  # Bodies, on the hinges of ``tree``.
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -187,14 +187,12 @@ class Flexible(Value):
 
 @dataclass(frozen=True, eq=False)
 class Bent(Value):
-    """Where all nodes are, at one q: frames of bodies and sections, body by body as in ``node_start``.
+    """Where all nodes are, at one q: frames of bodies and sections, body by body as in ``node_start``."""
 
-    rotation, origin (nn, 3, 3): Axes of the nodes in the world, as columns, and their places.
-    columns (nn, K, 6): Twists of the nodes about their places, for unit rates of their body's amplitudes.
-    """
-
+    # rotation, origin: (nn, 3, 3): Axes of the nodes in the world, as columns, and their places.
     rotation: Floats
     origin: Floats
+    # (nn, K, 6): Twists of the nodes about their places, for unit rates of their body's amplitudes.
     columns: Floats
 
 

@@ -222,11 +222,9 @@ def solve_bent(
     links: Integers, seats: Floats, mass: Floats, inertia: Floats, rotation: Floats, origin: Floats,
     columns: Floats, x: Floats,
 ) -> int:  # fmt: skip
-    """Overwrite tau in x by M^-1 tau; return the first body without a pivot, or -1.
-
-    The rates of a body's amplitudes and its twist V have the matrix summed over its nodes of F^T I F,
-    with F = [columns, X] and X what moves V to the node. Amplitudes are eliminated first, then the hinge.
-    """
+    """Overwrite tau in x by M^-1 tau; return the first body without a pivot, or -1."""
+    # The rates of a body's amplitudes and its twist V have the matrix summed over its nodes of F^T I F, with
+    # F = [columns, X] and X what moves V to the node. Amplitudes are eliminated first, then the hinge.
     n, most = len(links) - 1, columns.shape[1]
     carried, load = np.zeros((len(origin), 6, 6)), np.zeros((len(origin), 6))
     rows, gains = np.empty((n, most, most + 7)), np.zeros((n, 7))

@@ -40,10 +40,9 @@ _A, _WRONG = np.array(DORMAND_PRINCE.a), np.array(DORMAND_PRINCE.error)
 def follow(
     w: Floats, u: Floats, mu: float, e: float, law: int, slow: float, tolerance: float, out: Floats
 ) -> int:  # fmt: skip
-    """Write the impulse (normal, two tangential) that ends an impact, and how it came about.
-
-    w, u (3, 3), out (8,): Impulse, that of the compression, its work, all work, straight pieces, curved ones.
-    """
+    """Write the impulse (normal, two tangential) that ends an impact, and how it came about."""
+    # w, u (3, 3), out (8,): Impulse, that of the compression, its work, all work, straight pieces, curved
+    # ones.
     out[:] = 0.0
     nn, speed = w[0, 0], -u[0]
     if not nn > _NOTHING * _NOTHING * max(nn, max(w[1, 1], w[2, 2])):
@@ -168,10 +167,8 @@ def _straight_piece(
 
 @kernel
 def _first_step(of: Contact, s: Slip, turn: float, growth: float, step: float) -> float:
-    """Step of a curved piece, from that before.
-
-    Steps contract towards a direction that stays while they are below 3.3 / |d turn/d theta|.
-    """
+    """Step of a curved piece, from that before."""
+    # Steps contract towards a direction that stays while they are below 3.3 / |d turn/d theta|.
     across = of[5] * (s[1] * s[1] * of[2] - 2.0 * s[0] * s[1] * of[3] + s[0] * s[0] * of[4])
     stiff = abs(growth + across) + abs(turn) + abs(growth)
     return min(0.1 / stiff if step == 0.0 else step, 3.0 / stiff)
@@ -271,11 +268,9 @@ def _curved(of: Contact, y: Floats, d: float, stage: Floats, new: Floats) -> flo
 
 @kernel
 def _from_rest(of: Contact) -> Slip:
-    """Tangential impulse per normal one at u_t = 0: it sticks if friction can, else slip starts.
-
-    W_tn + W_tt t = b s with t = -mu s: (b + mu W_tt) s = W_tn, whose length falls from more than 1 at b = 0
-    to 0, so that there is one such b. Along the axes of W_tt.
-    """
+    """Tangential impulse per normal one at u_t = 0: it sticks if friction can, else slip starts."""
+    # W_tn + W_tt t = b s with t = -mu s: (b + mu W_tt) s = W_tn, whose length falls from more than 1 at b = 0
+    # to 0, so that there is one such b. Along the axes of W_tt.
     n1, n2, t11, t12, t22, mu = of
     mean, half = 0.5 * (t11 + t22), 0.5 * (t11 - t22)
     spread = np.hypot(half, t12)
@@ -319,10 +314,8 @@ def follow_in_turn(
     w: Floats, u: Floats, mu: Floats, e: Floats, law: int, slow: Floats, tolerance: float, turns: int,
     out: Floats,
 ) -> tuple[int, int]:  # fmt: skip
-    """Write impulses, and those of the compressions, of one point after the other, the fastest first.
-
-    out (2, 3 k).
-    """
+    """Write impulses, and those of the compressions, of one point after the other, the fastest first."""
+    # out (2, 3 k).
     v, block, local, own = u.copy(), np.empty((3, 3)), np.empty(8), np.empty(3)
     out[:] = 0.0
     i = 0

@@ -80,29 +80,20 @@ class ContactPoint(Value):
 
 @dataclass(frozen=True, eq=False)
 class Struck:
-    """Points and loops at one moment: rows, inverse inertia, velocities.
+    """Points and loops at one moment: rows, inverse inertia, velocities."""
 
-    bodies, qd, rows: Rows: of the loops, then of the points along their own axes (normal, two tangential).
-    axes (k, 3, 3): Axes of the points, as rows.
-    before (m + 3 k,): Velocities along the rows.
-    w, u (3 k, 3 k): Inverse inertia and velocities of the points, with the loops closed.
-    slow (k,): Speeds of approach that are rounding errors.
-    movable (k,) bool: Whether anything gives way along the normal.
-    closing (m, 3 k): Impulses of the loops per impulse of the points.
-    closed (m,): Impulses of the loops without those.
-    """
-
+    # bodies, qd, rows: Rows: of the loops, then of the points along their own axes (normal, two tangential).
     bodies: Bodies
     qd: Floats
     rows: Rows
-    axes: Floats
-    before: Floats
-    w: Floats
+    axes: Floats  # (k, 3, 3): Axes of the points, as rows.
+    before: Floats  # (m + 3 k,): Velocities along the rows.
+    w: Floats  # w, u: (3 k, 3 k): Inverse inertia and velocities of the points, with the loops closed.
     u: Floats
-    slow: Floats
-    movable: np.ndarray
-    closing: Floats
-    closed: Floats
+    slow: Floats  # (k,): Speeds of approach that are rounding errors.
+    movable: np.ndarray  # (k,) bool: Whether anything gives way along the normal.
+    closing: Floats  # (m, 3 k): Impulses of the loops per impulse of the points.
+    closed: Floats  # (m,): Impulses of the loops without those.
 
     @classmethod
     def of(
