@@ -1,14 +1,20 @@
 """Dihedrals and hinges by name: told, set, frozen, held, scanned."""
 
+import json
+
 import MDAnalysis
 import numpy as np
+import pandas as pd
 import pytest
-from fixtures.samples import chain, load, shared
+from fixtures.command_line import refusal_as_said, run
+from fixtures.samples import STRUCTURES, chain, load, shared
 from MDAnalysis.analysis.dihedrals import Janin, Ramachandran
 
 import protochain as pc
 from protochain.chains.hinges import find_hinges
 from protochain.comparison.dihedral_scan import energy_map
+
+FILE = STRUCTURES / "1l2y.pdb"
 
 
 def test_dihedrals_are_those_of_mdanalysis():
@@ -123,6 +129,27 @@ def test_a_relaxed_scan_is_lower_and_keeps_the_dihedral():
 def test_what_is_not_there_is_refused(call, said):
     with pytest.raises(pc.ProtochainError, match=said):
         call(chain("ala10.pdb"))
+
+
+def test_the_command_scans(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    given = ["scan", STRUCTURES / "ala10.pdb", "--solvent", "vacuum"]
+    run(*given, "phi A:5=-90:90:90", "psi A:5=-45,45", "--json", "--report", "map.html")
+    told = json.loads(capsys.readouterr().out)
+    table = pd.read_csv("ala10.scan.csv")
+    assert told["n_points"] == len(table) == 6 and table["phi A:5"].tolist() == [-90, -90, 0, 0, 90, 90]
+    assert told["lowest"]["energy_kj_mol"] == pytest.approx(table["energy_kj_mol"].min())
+    assert "data:image/png" in (tmp_path / "map.html").read_text()
+    for wrong in (
+        "phi A:5",
+        "phi A:5=1:2",
+        "phi A:5=2:1:1",
+        "phi A:5=1:2:0",
+        "phi A:5=a",
+        "phi A:5=0:1:1e-9",
+    ):
+        assert "give a hinge and its values" in refusal_as_said(*given, wrong)
+    assert "does not turn" in refusal_as_said(*given, "omega A:5=0:1:1")
 
 
 def test_names_of_hinges_are_their_own():
