@@ -14,8 +14,6 @@ from protochain.chains.restraint_list import Restraints
 from protochain.energies.custom import check_forces
 from protochain.structure.select import atoms_at
 
-FILE = STRUCTURES / "1l2y.pdb"
-
 
 def distance(structure, a, b, x=None):
     x = structure.positions if x is None else x
@@ -192,16 +190,6 @@ def test_commands_take_a_file_or_a_line(tmp_path, monkeypatch, capsys):
     assert len(json.loads(capsys.readouterr().out)["restraint"]) == 2
     assert "restraints_kj_mol" in (tmp_path / "sim" / "log.csv").read_text()
     assert "give kind, places" in refusal_as_said("simulate", source, "--restrain", "distance A:1", *folder)
-
-
-def test_batches_take_them(tmp_path):
-    done = pc.batch(
-        STRUCTURES / "ala10.pdb", tmp_path / "out", "relax", restraints="position A:2:CA 0.1 5", workers=1,
-        solvent="vacuum", max_iterations=2,
-    )  # fmt: skip
-    assert done.table["status"].notna().all() and len(done.table) == 1
-    told = json.loads((tmp_path / "out" / "summary.json").read_text())["settings"]["restraints"]
-    assert told[0]["kind"] == "position" and told[0]["upper"] == 0.1
 
 
 @pytest.mark.slow

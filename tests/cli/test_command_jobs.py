@@ -2,20 +2,15 @@
 
 import importlib
 import io
-import json
-import math
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 
 import pandas as pd
 import pytest
-from fixtures.command_line import is_held, refusal, run
+from fixtures.command_line import is_held, run
 
-import protochain as pc
 from protochain.batches import BatchSettings
-from protochain.chains.setup import Setup
-from protochain.relaxation import RelaxSettings
 
 pytestmark = pytest.mark.usefixtures("interruptible")
 SIMULATE, FIRST, BATCH = (
@@ -25,121 +20,33 @@ SIMULATE, FIRST, BATCH = (
 
 @pytest.fixture
 def simulated(monkeypatch, tmp_path):
-    """What is prepared, minimised and simulated."""
+    """What is minimised and simulated."""
     monkeypatch.chdir(tmp_path)
     done = SimpleNamespace(record=lambda: {"r": 1.0}, is_sound=True, ending="completed", message="why",
                            trajectory=None)  # fmt: skip
-    seen = SimpleNamespace(
-        prepared=[], foretold=[], runs=[], shown=[], given=[], checked=[], setups=[], done=done,
-        chain=SimpleNamespace(q0="q0", structure="s"), relaxed="converged", troubled=False,
-    )  # fmt: skip
+    seen = SimpleNamespace(runs=[], given=[], done=done, relaxed="converged")
+    chain = SimpleNamespace(q0="q0", structure="s")
 
-    def prepare(source, setup):
-        seen.prepared.append(source)
-        seen.setups.append(setup)
-        return seen.chain, "energy", 1.5
-
-    def foretell(*given):
-        assert not is_held() and seen.prepared[-1] == given[0]
-        seen.foretold.append(given)
-
-    def minimise(*given, watch=None, **more):
-        assert is_held() and len(seen.foretold) == len(seen.prepared)
-        seen.runs.append((given, more))
-        watch({"k": 1}, None)
+    def minimise(*given, **more):
+        assert is_held()
+        seen.runs.append(given)
         start, end = SimpleNamespace(energy=5.5), SimpleNamespace(energy=-3.25)
         return SimpleNamespace(start=start, end=end, ca_rmsd_angstrom=0.125, q="q", status=seen.relaxed)
 
-    def simulate(*given, watch=None, **more):
+    def simulate(*given, **more):
         assert is_held()
-        seen.given.append((given, more))
-        watch({}, None)
+        seen.given.append(given)
         return seen.done
 
-    @contextmanager
-    def progress(*given, writes=True):
-        assert writes == (given[0] != "lbfgs")
-        yield lambda row, x: seen.shown.append((*given, row))
-
-    def outlook(*given):
-        assert given == (seen.prepared[-1], "s", "lbfgs")
-        return seen.troubled
-
-    monkeypatch.setattr(SIMULATE, "prepare", prepare)
-    monkeypatch.setattr(SIMULATE, "print_outlook", outlook)
-    module = importlib.import_module("protochain.dynamics.simulate_chain")
-    monkeypatch.setattr(module, "freed", lambda chain, settings: seen.checked.append(settings))
-    monkeypatch.setattr(FIRST, "foretell", foretell)
-    monkeypatch.setattr(FIRST, "run_progress", progress)
-    monkeypatch.setattr(SIMULATE, "simulation_progress", progress)
-    monkeypatch.setattr(SIMULATE, "print_simulation", lambda record: print("summary", record))
+    monkeypatch.setattr(SIMULATE, "prepare", lambda source, setup: (chain, "energy", 1.5))
+    monkeypatch.setattr(SIMULATE, "print_outlook", lambda *given: False)
+    monkeypatch.setattr(FIRST, "foretell", lambda *given: None)
+    for module, name in ((FIRST, "run_progress"), (SIMULATE, "simulation_progress")):
+        monkeypatch.setattr(module, name, lambda *given, **more: nullcontext())
+    monkeypatch.setattr(SIMULATE, "print_simulation", lambda record: None)
     monkeypatch.setattr("protochain.minimisers.minimise", minimise)
     monkeypatch.setattr("protochain.dynamics.simulate", simulate)
     return seen
-
-
-SIMULATED = {
-    "n_steps": 10_000, "output": Path("a-simulation"), "trajectory": "dcd", "checkpoint_every": 10,
-    "resume": False, "force": False, "temperature": 300.0, "time_step": 0.005, "thermostat": "langevin",
-    "friction": 1.0,
-    "integrator": "leapfrog", "fixman": False, "loops": "open", "hydrogen_mass": None,
-    "trajectory_length": 10, "every": 100, "seed": 0, "pull": None, "hinge_springs": (),
-    "restraint": (),
-}  # fmt: skip
-
-
-def test_simulate_minimises_first_and_hands_its_options_on(simulated, capsys):
-    assert run("simulate", "in/a.pdb") == 0
-    assert simulated.given == [((simulated.chain, "energy", "q"), SIMULATED)]
-    assert simulated.runs == [((simulated.chain, "energy", "lbfgs", 10.0), {"seed": 0})]
-    assert simulated.foretold == [(Path("in/a.pdb"), simulated.chain, "energy", 10_050, 15_000)]
-    assert simulated.checked == []
-    assert simulated.shown == [("lbfgs", 5000, {"k": 1}), ("a", 10_000, 0.005, {})]
-    told = capsys.readouterr()
-    beside = {"input": "in/a.pdb", "output": "a-simulation", "seconds_preparation": 1.5}
-    assert told.out == f"summary { ({'r': 1.0} | beside) }\n"
-    assert told.err == "in/a.pdb: minimised first: 5.5 -> -3.2 kJ/mol, C-alpha RMSD 0.12 angstrom\n"
-    options = (
-        "--steps", 40, "--time-step", 2, "--temperature", 10, "--thermostat", "hmc", "--friction", 3,
-        "--fixman", "--integrator", "leapfrog", "--hydrogen-mass", 3, "--trajectory-length", 4, "--every", 4,
-        "--trajectory", "xtc", "--checkpoint-every", 5, "--seed", 6, "--json", "-o", "out", "--force",
-        "--ph", 5, "--pull", "A:1:N-B:2:C", "--pull-stiffness", 20, "--pull-speed", 0,
-        "--hinge-spring", "omega 40", "--hinge-spring", "phi 3 0",
-    )  # fmt: skip
-    simulated.troubled = True
-    assert run("simulate", "in/a.pdb", *options) == 0
-    assert simulated.given[1][1] == SIMULATED | {
-        "pull": pc.Pull(("A:1:N", "B:2:C"), 20.0, 0.0),
-        "hinge_springs": (pc.HingeSpring("omega", 40.0), pc.HingeSpring("phi", 3.0)),
-        "n_steps": 40, "output": Path("out"), "trajectory": "xtc", "checkpoint_every": 5, "force": True,
-        "temperature": 10.0, "time_step": 0.002, "thermostat": "hmc", "friction": 3.0, "fixman": True,
-        "hydrogen_mass": 3.0, "trajectory_length": 4, "every": 4, "seed": 6,
-    }  # fmt: skip
-    assert [settings.pull.speed for settings in simulated.checked] == [0.0]
-    # From a start with overlaps, three times as many evaluations as usual.
-    assert simulated.foretold[1][3:] == (190, 5040) and simulated.shown[3] == ("a", 40, 0.002, {})
-    assert simulated.runs[1][1] == {"seed": 6} and [each.ph for each in simulated.setups] == [7.0, 5.0]
-    assert json.loads(capsys.readouterr().out) == {"r": 1.0} | beside | {"output": "out"}
-
-
-def test_simulate_relaxes_what_begins(simulated, capsys):
-    Path("out").mkdir()
-    for name in ("log.csv", "checkpoint.npz"):
-        (Path("out") / name).write_text("")
-    assert "out" in refusal("simulate", "a.pdb", "-o", "out") and simulated.given == simulated.prepared == []
-    for options in (("--no-relax",), ("-o", "out", "--resume")):
-        assert run("simulate", "a.pdb", *options) == 0
-        given, more = simulated.given[-1]
-        assert simulated.foretold[-1][3:] == (10_000, 10_000)
-        assert given[2] == "q0" and simulated.runs == [] and more["resume"] is ("--resume" in options)
-    capsys.readouterr()
-    assert run("simulate", "a.pdb", "--loops", "closed") == 0
-    given, more = simulated.given[-1]
-    assert given[2] == "q" and len(simulated.runs) == 1 and more["loops"] == "closed"
-    assert capsys.readouterr().err == (
-        "a.pdb: minimised first: 5.5 -> -3.2 kJ/mol, C-alpha RMSD 0.12 angstrom; "
-        "loops are kept closed as they are after it\n"
-    )
 
 
 def test_simulate_does_not_begin_if_interrupted_while_it_relaxes(simulated, capsys):
@@ -159,12 +66,6 @@ def test_simulate_ends_by_how_the_run_ended(simulated, capsys):
     told = capsys.readouterr()
     assert ended.value.code == 1 and told.out == ""
     assert told.err == "protochain: a.pdb: why; the frames until then are in a-simulation/*.part.*\n"
-
-
-def test_simulate_refuses_before_it_reads(simulated):
-    for options in (("--steps", -1), ("--checkpoint-every", 0), ("--time-step", 0), ("--trajectory", "avi")):
-        assert refusal("simulate", "a.pdb", *options)
-    assert simulated.prepared == [] and simulated.given == []
 
 
 class Batch(SimpleNamespace):
@@ -200,44 +101,6 @@ def batched(monkeypatch, tmp_path):
     monkeypatch.setattr(BATCH, "print_jobs", lambda jobs: print("found", jobs))
     monkeypatch.setattr(BATCH, "print_batch", lambda table, report: print("done", len(table), repr(report)))
     return seen
-
-
-def test_batch_hands_its_options_on(batched, capsys):
-    assert run("batch", "a", "b") == 0
-    given, more = batched.given[0]
-    assert given == (["a", "b"], Path("batch"))
-    assert more == {
-        "manifest": None, "resume": False, "workers": None, "scheduler": None, "threads": 1,
-        "time_limit": 3600.0,
-        "methods": ("cartesian",), "tolerance": None, "max_rmsd": math.inf, "max_evaluations": 5000,
-        "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None, "judge": "auto",
-        "setup": Setup(), "relaxing": RelaxSettings(),
-    }  # fmt: skip
-    assert capsys.readouterr().out == "done 1 'page'\n"
-    options = (
-        "-o", "out", "--methods", "md, kcm", "--manifest", "m.csv", "--workers", 2, "--scheduler", "s",
-        "--threads",
-        3, "--time-limit", 4, "--resume", "--tolerance", 5, "--max-evaluations", 6, "--max-rmsd", 7,
-        "--seed", 8, "--restrain", "5 0", "--no-curvature", "--judge", "reference",
-        "--json", "--ph", 5, "--preset", "crystal", "--stiffness", 9, "--max-iterations", 8,
-        "--max-outer-iterations", 7, "--exclude", "resid 3", "--strip-hydrogens", "--repack",
-    )  # fmt: skip
-    assert run("batch", *options) == 0
-    given, more = batched.given[1]
-    assert given == ([], Path("out")) and more == {
-        "manifest": Path("m.csv"), "resume": True, "workers": 2, "scheduler": "s", "threads": 3,
-        "time_limit": 4.0,
-        "methods": ("md", "kcm"), "tolerance": 5.0, "max_rmsd": 7.0, "max_evaluations": 6, "seed": 8,
-        "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False, "judge": "reference",
-        "setup": Setup(ph=5.0),
-        "relaxing": RelaxSettings("crystal", "", 5.0, 9.0, 8, 7, "resid 3", False, True),
-    }  # fmt: skip
-    assert capsys.readouterr().out == '{"a": 1}\n'
-    assert run("batch", "a", "--starts", 9, "--spread", 90) == 0
-    assert batched.given[2] == (
-        (["a"], Path("batch")),
-        batched.given[0][1] | {"n_starts": 9, "spread": math.pi / 2},
-    )
 
 
 def test_a_dry_batch_lists_its_jobs(batched, capsys, monkeypatch):

@@ -1,29 +1,20 @@
 """The command line without its work: options, messages, exit statuses, and what a command asks for."""
 
-import importlib
 import json
 import re
 import signal
 import sys
 from importlib import metadata
 from pathlib import Path
-from types import SimpleNamespace
 
-import pandas as pd
 import pytest
 import typer
 from fixtures.command_line import refusal, run
-from fixtures.molecules import ring
-from fixtures.repairs import noted
-from fixtures.samples import STRUCTURES, chain, load
+from fixtures.samples import STRUCTURES
 
-import protochain as pc
 from protochain.chains.setup import Setup
 from protochain.cli import app, main, options
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.structure.repairs import EVERYTHING, Kind, Repair
-from protochain.structure.residues import Residue
-from protochain.structure.write import as_text
 
 
 def test_every_option_has_a_help_and_a_name_of_its_own():
@@ -103,12 +94,6 @@ def test_options_make_a_setup():
         Setup(disulfide=())
 
 
-def test_statuses_are_what_the_interface_promises(capsys):
-    statuses = (options.CONVERGED, options.FAILED, options.BAD_INPUT, options.UNCONVERGED)
-    assert statuses == (0, 1, 2, 3) and options.fail(" a\n b ") == 1 and options.fail("c", 2) == 2
-    assert capsys.readouterr().err == "protochain: a b\nprotochain: c\n"
-
-
 @pytest.mark.parametrize(
     ("source", "stem", "suffix"),
     [
@@ -120,36 +105,6 @@ def test_statuses_are_what_the_interface_promises(capsys):
 )  # fmt: skip
 def test_outputs_are_named_after_the_input(source, stem, suffix):
     assert options.named_after(Path(source)) == (stem, suffix)
-
-
-@pytest.mark.parametrize("n", [0, 5, 6, 8])
-def test_changes_and_the_first_overlaps_are_said(n, monkeypatch, capsys):
-    class Overlap(SimpleNamespace):
-        def __str__(self):
-            return f"overlap {self.k}"
-
-    repairs = [Repair(Kind.OXT_ADDED, {"residue": Residue("A", str(k), "SER")}) for k in range(n + 1)]
-    repairs.append(Repair(Kind.WATERS_LEFT_OUT, {"count": 2, "remedy": EVERYTHING}))
-    structure = SimpleNamespace(repairs=repairs, positions="x")
-    found = [Overlap(k=k, remedy=f"mend {k}") for k in range(n)]
-    monkeypatch.setattr(
-        "protochain.chains.contacts.overlaps",
-        lambda s, x, c: found if (s, x, c) == (structure, "x", "c") else 1,
-    )
-    monkeypatch.setattr(options, "perf_counter", iter([1.0, 3.5]).__next__)
-    setup = SimpleNamespace(
-        prepare=lambda source: (structure, "c", "e") if source == Path("in") else None, move="all"
-    )
-    assert options.prepare(Path("in"), setup) == ("c", "e", 2.5)
-    alike = f"missing OXT added in {n + 1} residues: " if n else "residue 0 SER of chain A: missing OXT added"
-    told = ["2 waters left out: the solvent is implicit; --keep all keeps everything", alike]
-    told += [f"protochain info lists all {n + 2} changes"] * (n > 0)
-    told += [*(f"overlap {k}; mend {k}" for k in range(min(n, 5)))]
-    told += [f"and {n - 5} more overlap{'s' * (n > 6)}"] * (n > 5)
-    said = capsys.readouterr().err.splitlines()
-    assert said[1].startswith(f"in: {alike}")
-    said[1] = f"in: {alike}"
-    assert said == [f"in: {line}" for line in told]
 
 
 def test_outputs_are_neither_the_input_nor_one_another(tmp_path):
@@ -171,131 +126,6 @@ def test_outputs_are_neither_the_input_nor_one_another(tmp_path):
         with pytest.raises(ProtochainError) as refused:
             check([tmp_path / "c", source], outputs, force=force)
         assert str(refused.value) == why
-
-
-def test_build_checks_its_file_first_and_writes_it(tmp_path, monkeypatch, capsys):
-    built = []
-    monkeypatch.setattr(
-        "protochain.structure.from_sequence", lambda sequence: built.append(sequence) or ring()
-    )
-    assert "unknown suffix '.xyz'" in refusal("build", "GG", "-o", tmp_path / "a.xyz")
-    (tmp_path / "b.pdb").mkdir()
-    assert "is a folder" in refusal("build", "GG", "-o", tmp_path / "b.pdb")
-    assert built == []
-    path = tmp_path / "new" / "a.pdb"
-    assert run("build", "GG", "-o", path) is None and built == ["GG"]
-    assert path.read_text() == as_text(ring(), ".pdb")
-    assert capsys.readouterr().out == f"written: {path} (4 residues, 14 atoms)\n"
-    assert run("build", "GG", "-o", "-") is None
-    told = capsys.readouterr()
-    assert told.out == as_text(ring(), ".pdb")
-    assert told.err == "written: standard output (4 residues, 14 atoms)\n"
-
-
-@pytest.fixture
-def info(monkeypatch):
-    """``info`` on crambin with an energy that is none; the clock goes on by 1, 2, 3 and 4 s."""
-    s, c = load("1ejg.pdb"), chain("1ejg.pdb")
-    s = pc.Structure("x", s.topology, s.positions, (noted("one"), noted("two")), {"waters": 3, "ZN": 1})
-    reduced = SimpleNamespace(engine="native", reason="why", threads=2, left_out={"bonds": 5})
-
-    def energy(self, structure):
-        assert structure is s
-        return SimpleNamespace(
-            without_constants=lambda g, x: reduced if (g, x) == (c.rigid_groups, s.positions) else 1
-        )
-
-    monkeypatch.setattr(Setup, "load", lambda self, source: s)
-    monkeypatch.setattr(Setup, "chain", lambda self, structure: c)
-    monkeypatch.setattr(Setup, "energy", energy)
-    near = SimpleNamespace(remedy="mend")
-    monkeypatch.setattr(
-        "protochain.chains.contacts.overlaps", lambda *given: [near] if given == (s, s.positions, c) else []
-    )
-    command = importlib.import_module("protochain.cli.inspect")
-    monkeypatch.setattr(command, "perf_counter", iter([0.0, 1.0, 3.0, 6.0, 6.0, 10.0]).__next__)
-    return s, c, near
-
-
-def facts_of(s, c, near):
-    kinds = [hinge.kind for hinge in c.hinges]
-    return {
-        "input": "in.pdb", "n_chains": 1, "n_residues": 46, "n_atoms": s.n_atoms, "n_bodies": c.n_bodies,
-        "n_hinges": len(kinds), "n_q": c.n_q, "n_v": c.n_v,
-        "hinges": {kind: kinds.count(kind) for kind in kinds},
-        "loops": [f"{s.describe(a)} - {s.describe(b)}" for a, b in c.loops.tolist()],
-        "left_out": {"waters": 3, "ZN": 1}, "lost_atoms": [],
-        "repairs": [str(noted("one")), str(noted("two"))],
-        "overlaps": [f"{near}; mend"],
-        "seconds_import": 1.0, "seconds_preparation": 2.0, "seconds_chain": 3.0,
-        "engine": "native", "engine_reason": "why", "threads": 2, "constant_terms": {"bonds": 5},
-        "seconds_energy": 4.0,
-    }  # fmt: skip
-
-
-def test_info_is_one_object_of_all_facts(info, capsys):
-    s, c, near = info
-    run("info", "in.pdb", "--json", "--energy")
-    assert json.loads(capsys.readouterr().out) == facts_of(s, c, near)
-
-
-def test_info_sets_up_no_energy_unless_asked(info, monkeypatch, capsys):
-    monkeypatch.setattr(Setup, "energy", lambda self, structure: pytest.fail("an energy"))
-    run("info", "in.pdb", "--json")
-    told = json.loads(capsys.readouterr().out)
-    assert told.keys() == facts_of(*info).keys() - {
-        "engine", "engine_reason", "threads", "constant_terms", "seconds_energy"
-    }  # fmt: skip
-
-
-def test_info_is_a_line_for_each_fact_and_each_repair(info, capsys):
-    s, c, near = info
-    run("info", "in.pdb", "--energy")
-    expected = []
-    for key, value in facts_of(s, c, near).items():
-        if isinstance(value, list):
-            expected += [f"{key}: {len(value)}", *(f"  {line}" for line in value)]
-        elif isinstance(value, dict):
-            expected.append(f"{key}: " + ", ".join(f"{count} {name}" for name, count in value.items()))
-        else:
-            expected.append(f"{key}: {value:.2f}" if key.startswith("seconds") else f"{key}: {value}")
-    assert capsys.readouterr().out.splitlines() == expected
-    assert "seconds_energy: 4.00" in expected and "left_out: 3 waters, 1 ZN" in expected
-
-
-ROWS = [{"message": "", "rmsd_angstrom": 1 / 3}, {"message": "bad", "rmsd_angstrom": None}]
-
-
-@pytest.mark.parametrize(("chosen", "status"), [((0,), 0), ((0, 1), 4), ((1,), 2), ((1, 1), 2)])
-def test_rmsd_ends_by_how_many_were_measured(chosen, status, monkeypatch, tmp_path, capsys):
-    asked, printed = [], []
-    table = pd.DataFrame([ROWS[k] for k in chosen])
-    monkeypatch.setattr(
-        "protochain.comparison.deviation.rmsd_table", lambda *given: asked.append(given) or table
-    )
-    command = importlib.import_module("protochain.cli.rmsd")
-    monkeypatch.setattr(command, "print_deviations", printed.append)
-    csv = tmp_path / "t.csv"
-    assert run("rmsd", "ref.pdb", "a", "b", "--json", "-o", csv, "--align", "x", "--measure", "y") == status
-    assert run("rmsd", "ref.pdb", "a", "--align", "x") == status
-    a, b = Path("a"), Path("b")
-    assert asked == [(Path("ref.pdb"), [a, b], "x", "y"), (Path("ref.pdb"), [a], "x", "x")]
-    rows = [ROWS[k] for k in chosen]
-    found = json.loads(capsys.readouterr().out)
-    results = found.pop("results")
-    of = {"reference": "ref.pdb", "align": "x", "measure": "y", "files": [str(csv)]}
-    good = [row for row in results if not row["message"]]
-    assert found == of and printed == ([good] if good else [])
-    assert [row["message"] for row in results] == [row["message"] for row in rows]
-    assert [row["rmsd_angstrom"] for row in results] == pytest.approx(
-        [row["rmsd_angstrom"] for row in rows], abs=1e-14
-    )
-    assert csv.read_text().splitlines()[0] == "message,rmsd_angstrom" and len(
-        csv.read_text().splitlines()
-    ) == 1 + len(rows)
-    (tmp_path / "ref.pdb").write_text("")
-    assert "is the input" in refusal("rmsd", tmp_path / "ref.pdb", "a", "-o", tmp_path / "ref.pdb")
-    assert len(asked) == 2
 
 
 READ = {

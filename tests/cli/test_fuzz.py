@@ -16,7 +16,7 @@ import protochain as pc
 from protochain.core.processors import processors
 
 ANY_MACHINE = settings(
-    max_examples=150,
+    max_examples=60,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

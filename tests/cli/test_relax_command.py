@@ -26,9 +26,7 @@ from protochain.batches.page import SHOWN_RELAXED
 from protochain.batches.table import COLUMNS as OF_MINIMISED
 from protochain.batches.table import RELAXED_COLUMNS as OF_RELAXED
 from protochain.batches.task import Task
-from protochain.cli.relaxing import print_relaxed, tell_plan
 from protochain.comparison.relaxed import coloured, write_relaxed
-from protochain.relaxation.record import before_and_after
 from protochain.structure.write import as_text
 
 pytestmark = pytest.mark.usefixtures("interruptible")
@@ -54,41 +52,6 @@ def test_a_ranked_model_is_named_as_colabfold_names_it_and_said_before_and_after
     assert max(map(len, said.out.splitlines())) <= 80
     again = pc.load(here / written)
     assert pc.validate(again).measures["violations"] == 0
-
-
-def test_json_is_one_object_of_the_record(here, capsys):
-    assert run("relax", STRUCTURES / "1l2y.pdb", "-o", "out.pdb", "--json", "--threads", 1) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert record["output"] == "out.pdb" and record["input"] == str(STRUCTURES / "1l2y.pdb")
-    assert (
-        record["status"] == "converged" and record["violations_end"] == 0 and record["preset"] == "predicted"
-    )
-    assert len(record["rounds"]) == record["n_rounds"] and record["evaluations"] > 5
-
-
-def test_unconverged_is_status_3_and_the_file_is_written_all_the_same(here, capsys):
-    given = ("relax", STRUCTURES / "1l2y.pdb", "-o", "out.cif", "--max-iterations", 2, "--strip-hydrogens")
-    assert run(*given, "--threads", 1) == 3
-    assert "budget" in capsys.readouterr().out
-    made = gemmi.read_structure("out.cif")
-    assert not any(atom.is_hydrogen() for chain in made[0] for res in chain for atom in res)
-
-
-def test_a_page_shows_both_structures(here, capsys):
-    given = (STRUCTURES / "1l2y.pdb", "--max-iterations", 3, "--report", "page.html", "--threads", 1)
-    assert run("relax", *given) == 3
-    page = (here / "page.html").read_text()
-    assert "written: page.html" in capsys.readouterr().out
-    assert (
-        '"name": "input"' in page and '"displacement, angstrom"' in page and "<td>energy, kJ/mol</td>" in page
-    )
-    assert "ff14SB" in page or "amber14" in page
-
-
-def test_standard_output_holds_the_structure_alone(here, capsys):
-    assert run("relax", STRUCTURES / "1l2y.pdb", "-o", "-", "--max-iterations", 1, "--threads", 1) == 3
-    out, err = capsys.readouterr()
-    assert out.count("ATOM ") == 304 and out.rstrip().endswith("END") and "written: standard output" in err
 
 
 def test_what_makes_no_sense_is_refused_before_the_work(here):
@@ -267,21 +230,6 @@ def test_models_of_a_file_are_several():
     assert len({job.key for job in jobs}) == 3 and jobs[0].settings.methods == ("relax",)
 
 
-def test_measures_that_are_nothing_before_and_after_are_left_out():
-    from protochain.validation import MEASURES
-
-    record = {f"{key}_{when}": 0 for key in MEASURES for when in ("start", "end")}
-    record |= {"violations_start": 3, "ramachandran_favoured_percent_start": None}
-    record |= {"ramachandran_favoured_percent_end": None, "overlaps_start": 2, "overlaps_end": 0}
-    record |= {"overlaps_beside_start": 0, "overlaps_beside_end": 0}
-    record |= {"energy_start_kj_mol": 2.5e9, "energy_end_reference_kj_mol": -12.34}
-    assert before_and_after(record) == [
-        ("residues with violations, as AlphaFold counts them", "3", "0"),
-        ("overlapping pairs of atoms", "2", "0"),
-        ("energy, kJ/mol", "2.5e+09", "-12.3"),
-    ]
-
-
 def test_the_page_tells_what_changed_in_a_table_and_a_figure(monkeypatch, tmp_path):
     figures = []
     monkeypatch.setattr(
@@ -315,23 +263,3 @@ def test_a_motion_of_the_whole_changes_nothing_on_the_page():
     assert np.array([x for x, _ in atoms[0]]) == pytest.approx(np.array([x for x, _ in atoms[1]]), abs=0.0011)
     assert max(away for _, away in atoms[0]) > 0.1
     assert high[0] == pytest.approx(high[1])
-
-
-def test_hands_are_announced_and_told(monkeypatch, tmp_path, capsys):
-    s = load("ala10.pdb")
-    x = s.positions.copy()
-    own = s.atom_residue == 3
-    n, alpha, c = (x[own & (s.atom_name == name)][0] for name in ("N", "CA", "C"))
-    normal = np.cross(n - alpha, c - alpha)
-    normal /= np.linalg.norm(normal)
-    moved = own & ~np.isin(s.atom_name, ["N", "H", "CA", "C", "O"])
-    x[moved] -= 2.0 * np.outer((x[moved] - alpha) @ normal, normal)
-    wrong = s.with_positions(x)
-    tell_plan(tmp_path / "x.pdb", wrong, pc.energy(wrong, solvent="vacuum"))
-    said = capsys.readouterr().err
-    assert "; 1 inverted stereocentre, to be corrected (name D-amino acids as DAL ...); " in said
-    tell_plan(tmp_path / "x.pdb", s, pc.energy(s, solvent="vacuum"))
-    assert "inverted" not in capsys.readouterr().err
-    r = pc.relax(wrong, threads=1, solvent="vacuum")
-    print_relaxed(r, r.record() | {"output": "x.pdb"})
-    assert "residue 4 ALA of chain A: inverted stereocentre CA corrected\n" in capsys.readouterr().out

@@ -12,7 +12,6 @@ from fixtures.schemas import refused, tables, valid
 import protochain as pc
 from protochain.cli.contracts import CONTRACTS
 from protochain.cli.schema import digest, schema_of, versions
-from protochain.core.storage import json_text
 
 pytestmark = pytest.mark.usefixtures("interruptible")
 
@@ -67,14 +66,6 @@ def test_versions_are_counted_and_none_is_taken_back():
         assert int(version) == seen[command]
 
 
-def test_what_is_not_finite_is_null():
-    values = {"a": [float("nan"), {"b": (float("inf"), 1.5)}], "c": -float("inf")}
-    assert json.loads(json_text(values), parse_constant=refused) == {
-        "a": [None, {"b": [None, 1.5]}],
-        "c": None,
-    }
-
-
 def test_schema_prints_what_is_there(capsys):
     run("schema", "info")
     assert json.loads(capsys.readouterr().out) == schema_of("info")
@@ -109,12 +100,6 @@ def test_batch(told, tmp_path):
 def test_modes(told, tmp_path):
     assert told("modes", "peptide.pdb", "--modes", "4", "--to", "moved.pdb", "-o", "folder")["n_modes"] == 4
     assert len(tables("modes", tmp_path / "folder")) == 2
-
-
-def test_search(told, tmp_path):
-    given = "--method tempering --walkers 1 --replicas 2 --pilot 3 --workers 1 -o folder --evaluations 1500"
-    assert told("search", "GAVS", *given.split())["method"] == "tempering"
-    assert len(tables("search", tmp_path / "folder")) == 3
 
 
 def test_validate(told, tmp_path):

@@ -1,8 +1,5 @@
 """What the commands print: every number, every message as it is, and nothing cut off."""
 
-from importlib import import_module
-from types import SimpleNamespace
-
 import pandas as pd
 import pytest
 from fixtures.texts import numbers
@@ -20,26 +17,10 @@ def lines_of(capsys):
     return capsys.readouterr().out.splitlines()
 
 
-def test_a_simulation_is_summed_up_in_a_few_lines(capsys):
-    record = {
-        "structure": "x", "message": "completed", "ns_per_day": 12.34, "accepted": None, "output": "d",
-        "mean_temperature_second_half_k": 301.26, "conserved_drift_kj_mol_ps_per_100_atoms": 0.01234,
-        "ca_rmsd_angstrom": 1.234, "ca_rmsd_input_angstrom": 2.345, "ca_rmsd_input_as_filed_angstrom": 30.5,
-        "frame": "where it was",
-    }  # fmt: skip
-    terminal.print_simulation(record)
-    first, *_, last = lines = lines_of(capsys)
-    assert first.startswith("x: completed") and last.endswith(" d") and "where it was" in lines[-2]
-    shown = [12.34, 301.26, 0.01234, 1.234, 2.345, 30.5]
-    text = "\n".join(lines).replace("100 atoms", "atoms")
-    assert numbers(text) == pytest.approx(shown, rel=0.03)
-    terminal.print_simulation(record | {"accepted": 0.456})
-    assert 46.0 in numbers(capsys.readouterr().out) and 46.0 not in numbers(text)
-
-
-@pytest.mark.parametrize("method", ["md", "kcm-stiffness", "module.of.ones.own:Method"])
-@pytest.mark.parametrize("columns", [60, 80, 120])
-@pytest.mark.parametrize("values", [LARGE, SMALL], ids=["large", "small"])
+@pytest.mark.parametrize(
+    ("method", "columns", "values"),
+    [("md", 80, SMALL), ("kcm-stiffness", 120, LARGE), ("module.of.ones.own:Method", 60, LARGE)],
+)
 def test_a_table_has_a_row_for_each_record_and_their_messages_below(
     columns, method, values, capsys, monkeypatch
 ):
@@ -68,17 +49,6 @@ def test_a_result_is_said_with_both_distances_from_its_start(output, said, capsy
     terminal.print_written(record | {"output": output})
     distances, written = lines_of(capsys)
     assert numbers(distances) == [1.23, 20.5] and "where it was" in distances and written.endswith(said)
-
-
-def test_jobs_are_listed_with_methods_and_path(capsys):
-    jobs = [
-        SimpleNamespace(name=name, settings=SimpleNamespace(methods=("kcm", "md")), path=f"in/{name}.pdb")
-        for name in "ab"
-    ]
-    terminal.print_jobs(jobs)
-    told = capsys.readouterr()
-    assert [line.split() for line in told.out.splitlines()] == [[n, "kcm,md", f"in/{n}.pdb"] for n in "ab"]
-    assert numbers(told.err) == [2]
 
 
 def summary(n_failed):
@@ -112,38 +82,6 @@ def test_a_batch_is_summed_up_by_method_and_lists_some_failures(failed, capsys):
     assert len(listed) == min(failed, terminal._SHOWN_FAILURES) and "r" * 100 in lines[-1]
     if failed > len(listed):
         assert numbers(lines[-2]) == [failed - len(listed)]
-
-
-def test_a_long_message_of_a_batch_is_not_wrapped(capsys):
-    terminal.print_batch(summary(1).tail(1).assign(message="w " * 90), "r")
-    assert any(line.count("w ") >= 89 for line in lines_of(capsys))
-
-
-def test_many_starts_are_summed_up_in_a_line(capsys):
-    told = {
-        "n_starts": 5, "energy_lowest_kj_mol": -3.0, "energy_median_kj_mol": 0.25,
-        "energy_highest_kj_mol": 9.0, "n_within_1_kj_mol_of_lowest": 2,
-    }  # fmt: skip
-    terminal.print_distribution(told)
-    (line,) = lines_of(capsys)
-    assert numbers(line.replace("within 1", "within")) == list(told.values())
-
-
-def test_deviations_are_a_table(capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "100")
-    good = {
-        "file": "[b]a.pdb", "model": 3.0, "rmsd_angstrom": 1.23456, "tm_score": 0.56789,
-        "matched_residues": 12.0, "coverage": 0.756, "matched_by": "numbers", "chain_mapping": "A:B",
-        "message": "",
-    }  # fmt: skip
-    import_module("protochain.cli.rmsd").print_deviations([good, good | {"tm_score": None, "file": "c"}])
-    heading, *rows = lines_of(capsys)
-    assert len(rows) == 2
-    for row, file, score in zip(rows, ("[b]a.pdb", "c"), ([0.56789], []), strict=True):
-        assert row.split()[0] == file and row.split()[-1] == "A:B" and "numbers" in row
-        shown = [3, 1.23456, *score, 12, 75.6]
-        assert numbers(row.removeprefix(file)) == pytest.approx(shown, rel=0.01)
-    assert " - " in rows[1] and len(rows[0]) == len(rows[1]) == len(heading)
 
 
 def test_messages_are_printed_as_they_are_in_colour_too(capsys, monkeypatch):

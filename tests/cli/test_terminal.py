@@ -1,7 +1,5 @@
 """What a run says: before it begins, of its stage, and how long it will take; what bars show."""
 
-import importlib
-import io
 import re
 import shlex
 import subprocess
@@ -9,17 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 from fixtures.command_line import COMMAND, protochain
-from fixtures.molecules import crowded
 from fixtures.samples import STRUCTURES, chain, energy
 from fixtures.texts import numbers
 from fixtures.waiting import HANG
-from rich.console import Console
 
-import protochain as pc
 from protochain.batches.batch_structures import BatchProgress
-from protochain.batches.jobs import BatchSettings, Row, failure, find_jobs
 from protochain.cli import terminal
-from protochain.minimisers import METHODS, recipe_of
 
 
 class Clock:
@@ -150,31 +143,6 @@ def test_the_bar_of_a_batch_shows_counts_and_the_dashboard_once(bar, capsys):
     assert "http://x:8787" in dashboard and done.endswith("[b]a: 'odd' 12") and numbers(done)[:2] == [7, 10]
 
 
-def test_lines_beside_a_bar_are_printed_as_they_are_in_colour_too(bar, clock, capsys, monkeypatch):
-    """rich would paint numbers and addresses, and take square brackets for styles."""
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TERM", "xterm-256color")
-    monkeypatch.setenv("COLUMNS", "30")
-    with terminal.batch_progress() as watch:
-        watch(BatchProgress(10, 4, 1, 3, 60.0, "http://x:8787", "[b]a: 'odd' 12 and more"))
-    with terminal.run_progress("lbfgs", 9) as watch:
-        watch.at_warning("'odd' 12 [b]")
-    lines = capsys.readouterr().err.splitlines()
-    for line, told in zip(lines, ("http://x:8787", "[b]a: 'odd' 12 and more", "'odd' 12 [b]"), strict=True):
-        assert told in line
-
-
-def test_a_terminal_gets_a_bar_and_no_lines(bar, clock, monkeypatch, capsys):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    with terminal.run_progress("lbfgs", 9) as watch:
-        assert bar().disable is False
-        for clock.now in (0.0, 100.0):
-            watch(row(1.0 + clock.now), None)
-    with terminal.simulation_progress("x", 1, 1.0), terminal.batch_progress():
-        assert [made.disable for made in Bar.made] == [False] * 3
-    assert capsys.readouterr().err == ""
-
-
 @pytest.mark.parametrize("seconds", [0.4, 99.4, 100.0, 5999.0, 6000.0, 1e5])
 def test_times_are_in_seconds_minutes_or_hours(seconds):
     assert seconds == seconds_of(terminal._clock(seconds)) and len(terminal._clock(seconds)) <= 7
@@ -196,14 +164,6 @@ def test_without_a_terminal_a_line_comes_every_minute(clock, capsys, monkeypatch
     assert "all atoms" in lines[-1] and numbers(lines[-1])[0] in (179, 180) and "torque" not in lines[-1]
 
 
-def test_beyond_what_is_typical_the_time_left_is_that_to_the_last_evaluation(clock, capsys):
-    with terminal.run_progress("lbfgs", 1000) as watch:
-        for k in (1, 501):
-            clock.now = float(k)
-            watch(row(k), None)
-    assert seconds_of(capsys.readouterr().err) == 499
-
-
 def test_an_interrupt_is_answered_at_once_and_says_what_will_be_written(clock, capsys):
     said = []
     for writes in (True, False):
@@ -214,50 +174,6 @@ def test_an_interrupt_is_answered_at_once_and_says_what_will_be_written(clock, c
             said.append(line)
     assert all("lbfgs" in line and "interrupted" in line for line in said)
     assert "written" in said[0] and "written" not in said[1]
-
-
-def test_on_a_terminal_the_bar_names_the_stage_and_the_time_left(clock, monkeypatch):
-    drawn = io.StringIO()
-    monkeypatch.setattr(terminal, "printer", lambda **_: Console(file=drawn, force_terminal=True, width=120))
-    c, stages = crowded(), []
-    with terminal.run_progress("hybrid", 5000) as watch:
-
-        def follow(name, evaluations):
-            clock.now += 1.0
-            watch.at_stage(name, evaluations)
-            if not stages or stages[-1] != name:
-                stages.append(name)
-            watch.bar.refresh()
-
-        class Both:
-            at_stage = staticmethod(follow)
-
-            def __call__(self, row, x):
-                watch(row, x)
-                watch.bar.refresh()
-
-        pc.minimise(c, energy("1l2y.pdb"), "hybrid", tolerance=200.0, watch=Both())
-    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", drawn.getvalue())
-    for stage in ("resolving clashes", "held by springs", "all atoms", "judging the end"):
-        assert f"hybrid: {stage}" in plain, stage
-    assert re.search(r"resolving clashes .* \d+ evaluations .* \d+ (s|min)", plain)
-    assert re.search(r"held by springs .* kJ/mol .* \d+ (s|min)", plain)
-
-
-def test_what_is_wrong_with_a_start_is_printed(capsys):
-    assert not terminal.print_outlook("a.pdb", chain("1l2y.pdb").structure, "hybrid")
-    assert capsys.readouterr().err == ""
-    assert terminal.print_outlook("a.pdb", crowded().structure, "hybrid")
-    lines = capsys.readouterr().err.splitlines()
-    assert lines and all(line.startswith("a.pdb: ") for line in lines)
-    assert "relax" in lines[-1] and "pc." not in "".join(lines)
-
-
-def test_a_run_that_strays_says_so_at_once(clock, capsys):
-    with terminal.run_progress("hybrid", 1000) as watch:
-        watch.at_warning("2.1 angstrom from a start; relax keeps the fold")
-        (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("hybrid: ") and line.endswith("2.1 angstrom from a start; relax keeps the fold")
 
 
 def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):
@@ -272,43 +188,6 @@ def test_a_long_run_says_so_before_it_begins(monkeypatch, capsys):
         assert atoms == c.n_atoms and counts == ([100, 5000] if evaluations < 5000 else [5000])
         # Two digits of one energy, and whole seconds.
         assert seconds == pytest.approx(each * evaluations, rel=0.05, abs=0.5)
-
-
-def test_one_slow_energy_makes_no_run_long(monkeypatch, capsys):
-    # On a busy machine a single call may wait long for the other core.
-    clock = SimpleNamespace(now=0.0, waits=[0.0, 9.0, 0.01, 9.0])
-
-    def slow(x):
-        clock.now += clock.waits.pop(0)
-
-    monkeypatch.setattr(terminal, "monotonic", lambda: clock.now)
-    terminal.foretell("1l2y.pdb", chain("1l2y.pdb"), slow, 100, 5000)
-    assert capsys.readouterr().err == "" and clock.waits == [9.0]
-    clock.waits = [0.0, 2.0, 1.0, 9.0]
-    terminal.foretell("1l2y.pdb", chain("1l2y.pdb"), slow, 100, 5000)
-    assert 1.0 in numbers(capsys.readouterr().err.removeprefix("1l2y.pdb")) and clock.waits == [9.0]
-
-
-def test_what_is_typical_is_within_what_is_allowed():
-    for method in METHODS:
-        typical = terminal.typical_evaluations(method, 5000)
-        assert typical == (recipe_of(method).typical or 5000) and terminal.typical_evaluations(method, 7) == 7
-
-
-def test_a_batch_says_a_line_for_each_structure(tmp_path, capsys):
-    api = importlib.import_module("protochain.batches.batch_structures")
-    path = tmp_path / "a.pdb"
-    path.write_text("nothing")
-    (job,) = find_jobs([path], BatchSettings(("lbfgs", "kcm")))
-    failed = [failure(job, method, "refused", "a.pdb: holds no atoms") for method in ("lbfgs", "kcm")]
-    assert api._line(failed).startswith("a: ") and api._line(failed).count("a.pdb: holds no atoms") == 1
-    done = {
-        "structure": "a", "method": "lbfgs", "status": "converged", "output": "a.lbfgs.pdb", "seconds": 1.26,
-        "energy_end_reference_kj_mol": -12.341, "ca_rmsd_angstrom": 0.456, "message": "converged: ...",
-    }  # fmt: skip
-    line = api._line([Row(done, []), failed[1]])
-    assert line.startswith("a: ") and "lbfgs converged" in line and line.endswith("a.pdb: holds no atoms")
-    assert numbers(line) == [-12.34, 0.46, 1.3]
 
 
 @pytest.mark.parametrize("closed", [">&-", "<&-"])

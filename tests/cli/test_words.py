@@ -4,7 +4,6 @@ import ast
 import re
 from pathlib import Path
 
-import pytest
 from fixtures.command_line import COMMANDS, refusal_as_said
 from fixtures.samples import STRUCTURES
 from typer.core import TyperOption
@@ -12,7 +11,6 @@ from typer.core import TyperOption
 import protochain as pc
 from protochain.cli.options import as_option
 from protochain.core.errors import Argument
-from protochain.structure.repairs import Kind
 
 SOURCES = [*Path(pc.__file__).parent.rglob("*.py")]
 OF_THE_LIBRARY = {"x"}
@@ -45,12 +43,6 @@ def test_the_library_names_no_options_of_the_command_line():
             for node in ast.walk(tree):
                 if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
                     assert not OPTIONS & {*shown.findall(node.value)}, (path, node.value)
-
-
-@pytest.mark.parametrize("kind", Kind)
-def test_what_repairs_count_has_the_form_for_one(kind):
-    for words in (kind.value.one, kind.value.many):
-        assert not re.search(r"\{count\} (\w+ )?\w+s\b", words)
 
 
 def test_a_row_of_scores_is_no_atom(tmp_path):

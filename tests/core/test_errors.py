@@ -26,28 +26,6 @@ def said(monkeypatch, capsys, *arguments):
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda c, e: pc.minimise(c, e, max_evaluations=0), "max_evaluations 0: give at least 1"),
-        (lambda c, e: pc.minimise(c, e, max_rmsd=0.0), "max_rmsd 0: "),
-        (lambda c, e: pc.explore(c, e, n_starts=0), "n_starts 0: "),
-        (lambda c, e: pc.simulate(c, e, n_steps=0), "n_steps 0: "),
-        (lambda c, e: pc.simulate(c, e, time_step=0.0), "time_step 0 ps: "),
-        (lambda c, e: pc.simulate(c, e, time_step=2), "time_step 2 ps: .* 0.002 are 2 fs"),
-        (lambda c, e: pc.simulate(c, e, hydrogen_mass=0.0), "hydrogen_mass 0 amu"),
-        (lambda c, e: pc.simulate(c, e, trajectory_length=0), "trajectory_length 0: "),
-        (lambda c, e: pc.simulate(c, e, resume=True), "resume=True: give the folder"),
-        (lambda c, e: pc.batch(SAMPLE, "x", time_limit=0), "time_limit, threads and workers"),
-    ],
-)
-def test_python_hears_of_its_arguments(call, words, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(pc.ProtochainError, match=words) as raised:
-        call(chain("ala10.pdb"), energy("ala10.pdb"))
-    assert "--" not in str(raised.value)
-
-
-@pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (("minimise", SAMPLE, "--max-evaluations", 0), "--max-evaluations 0: give at least 1"),

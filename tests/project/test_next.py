@@ -103,13 +103,6 @@ def test_xtb_gives_forces_of_its_energy():
     assert -(ends[0] - ends[1]) / 2e-4 == pytest.approx(forces[4, 1], rel=1e-3, abs=1.0)
 
 
-def test_another_potential_of_ase_runs():
-    ase_lj = pytest.importorskip("ase.calculators.lj")
-    s = load("ala10.pdb")
-    e = pc.energy_from(ase_lj.LennardJones(sigma=1.5, epsilon=0.01, rc=6.0), s)
-    assert pc.minimise(s, e, max_evaluations=5).end.energy <= e(s.positions)[0]
-
-
 class Short(Direction):
     def propose(self, problem, at, solve, memory):
         yield np.zeros(3), memory

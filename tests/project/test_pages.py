@@ -3,12 +3,10 @@
 import contextlib
 import importlib
 import json
-import os
 import re
 import shlex
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -26,7 +24,6 @@ sys.path.insert(0, str(FOLDER))
 import made  # noqa: E402
 import pages  # noqa: E402
 import tables  # noqa: E402
-from tables import minimisers  # noqa: E402
 
 benchmarks = importlib.import_module("all")
 HELPERS = {"all", "made", "pages", "race_openmm", "relax_openmm"}
@@ -136,33 +133,6 @@ def test_a_table_follows_its_results(tmp_path):
         pages.rendered("<!-- table nothing -->\n<!-- end -->", pages.RESULTS)
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
-def test_what_was_not_reached_has_no_ratio(value):
-    assert tables.ratio(value) == "never"
-
-
-@pytest.mark.parametrize("value", [0.0123, 0.62, 0.994, 0.996, 5.0, 9.94, 9.96, 133.4])
-def test_a_ratio_is_shown_to_two_digits(value):
-    shown = tables.ratio(value)
-    assert shown.endswith("x") and float(shown[:-1]) == pytest.approx(value, rel=0.05)
-
-
-def test_the_lowest_ends_are_those_of_each_kind():
-    """Within 1 kJ/mol per 100 residues; methods that move all atoms have their own lowest."""
-    methods = ("lbfgs", "newton", "hybrid", "openmm")
-    ends = pd.DataFrame([{"method": m, "structure": s, "residues": 50, "energy_end_reference_kj_mol": -10.0}
-                         for m in methods for s in "ab"])  # fmt: skip
-    # 0.4 kJ/mol of 50 residues are 0.8 of a hundred.
-    for (method, structure), rise in {
-        ("lbfgs", "a"): 0.4,
-        ("lbfgs", "b"): 0.6,
-        ("hybrid", "a"): -9.0,
-    }.items():
-        its = (ends["method"] == method) & (ends["structure"] == structure)
-        ends.loc[its, "energy_end_reference_kj_mol"] += rise
-    assert dict(minimisers.lowest(ends)) == {"lbfgs": 1, "newton": 2, "hybrid": 2, "openmm": 1}
-
-
 @pytest.mark.parametrize("quoted", SCRIPTS)
 def test_commands_that_are_quoted_exist(quoted):
     name, *words = shlex.split(quoted)
@@ -244,46 +214,6 @@ def test_a_job_with_an_unknown_option_would_be_noticed():
         bench_parser().parse_intermixed_args(["precision", "--nothing"])
 
 
-def all_py(*words):
-    surroundings = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, str(FOLDER.with_name("bench")), "all", *words]
-    return subprocess.run(command, env=surroundings, capture_output=True, text=True)
-
-
-def test_all_makes_a_table_and_the_page_that_quotes_it(tmp_path):
-    done = all_py("--quick", "--only", "search", "-o", str(tmp_path))
-    assert done.returncode == 0, done.stderr
-    record = pd.read_csv(tmp_path / "made.csv", dtype=str, keep_default_na=False).set_index("table")
-    assert list(record.index) == ["search.csv", "search_lists.csv"]
-    row = record.loc["search.csv"]
-    assert row["command"] == "python analysis/benchmarks/search.py -o DIR --quick"
-    assert row["commit"] and row["versions"] and row["machine"] and float(row["load"]) >= 0
-    for page in pages.PAGES:
-        assert (tmp_path / "pages" / page.relative_to(ROOT)).exists()
-    page = (tmp_path / "pages" / "analysis" / "docs" / "measured" / "mechanics.md").read_text()
-    (shown,) = [found for _, name, found, _ in pages.MARKED.findall(page) if name == "search"]
-    cells = [[cell.strip() for cell in line.split("|")[1:-1]] for line in shown.splitlines()]
-    sizes = [int(cell.replace(",", "")) for cell in cells[0][1:-1]]
-    measured = pd.read_csv(tmp_path / "search.csv").pivot(index="search", columns="bodies", values="ns_each")
-    assert {row[0] for row in cells[2:]} == set(measured.index)
-    for name, *values, _ in cells[2:]:
-        assert [float(value) for value in values] == pytest.approx(measured.loc[name, sizes], abs=0.51)
-
-
-def test_all_goes_on_after_a_failure_and_says_so(tmp_path, monkeypatch, capfd):
-    fails = benchmarks.Job(
-        "fails", "python -c 'raise SystemExit(4)'", 1, quick="python -c 'raise SystemExit(4)'"
-    )
-    works = replace(fails, name="works", quick='python -c \'open("there", "w")\'')
-    works = replace(
-        fails, name="works", quick=f"python -c 'import pathlib; pathlib.Path(\"{tmp_path}/there\").touch()'"
-    )
-    monkeypatch.setattr(benchmarks, "JOBS", (fails, works))
-    monkeypatch.setattr(sys, "argv", ["all.py", "--quick", "-o", str(tmp_path)])
-    assert benchmarks.main() == 1 and (tmp_path / "there").exists()
-    assert "failed: fails: exit status 4\n" in capfd.readouterr().err
-
-
 STEPS = 6
 IN_STEPS = f"""
 import pathlib, signal, sys
@@ -353,26 +283,6 @@ def test_all_goes_on_where_it_was_stopped(part, tmp_path):
     assert (tmp_path / "ran").read_text().split() == ["once", "reads", "once"]
 
 
-def test_no_job_is_begun_that_would_not_end_in_time(part, tmp_path):
-    status, text = part((fake("long", AT_ONCE, 60.0), fake("short", AT_ONCE, 1.0)), "--minutes", "40")
-    assert status == 3 and "left: long: takes 60 min" in text
-    assert (tmp_path / "out" / "short.csv").exists() and not (tmp_path / "out" / "long.csv").exists()
-
-
-def test_a_table_of_another_command_is_not_the_jobs(part, tmp_path):
-    assert part((fake("job", AT_ONCE, 1.0),))[0] == 0
-    text = part((fake("job", AT_ONCE + "# other", 1.0),), "--list")[1]
-    assert re.search(r"^all +1 min", text, re.M)
-
-
-def test_it_waits_while_other_programs_compute(monkeypatch, capsys):
-    shares = iter([90.0, 50.0, 3.0, 80.0])
-    monkeypatch.setattr(benchmarks.psutil, "cpu_percent", lambda _: next(shares))
-    benchmarks.wait_until_idle()
-    assert next(shares) == 80.0
-    assert re.findall(r"\d+%", capsys.readouterr().out) == ["90%", "50%"]
-
-
 def test_all_jobs_fit_into_parts_of_forty_minutes():
     assert [job.name for job in benchmarks.JOBS if job.minutes > 40 and not job.continues] == []
 
@@ -422,37 +332,6 @@ def test_tables_are_of_today_until_the_code_changes(tmp_path, monkeypatch):
     git("commit", "-q", "-a", "-m", "3")
     assert not today()
     assert not made.is_of_today("no such commit") and not made.is_of_today("0123456")
-
-
-def test_all_takes_the_tables_of_a_study(tmp_path, monkeypatch):
-    monkeypatch.setattr(made, "MORE", tmp_path / "more")
-    (tmp_path / "more").mkdir()
-    script = "import sys, pathlib; p = pathlib.Path(sys.argv[1]); p.mkdir(); "
-    script += "(p / 'a.csv').write_text('x,y\\n1,2\\n')"
-    job = benchmarks.Job(
-        "study", f'python -c "{script}" DIR MORE/1abc.pdb', 1, collects={"a.csv": ("study.csv", ("y",))}
-    )
-    out = tmp_path / "out"
-    assert benchmarks.run(job, out, tmp_path / "nowhere", False).endswith("name their folder by --more")
-    assert benchmarks.run(job, out, tmp_path / "more", False) == ""
-    assert (out / "study.csv").read_text() == "y\n2\n"
-    lacks = replace(job, collects={"b.csv": ("study.csv", ())})
-    assert benchmarks.run(lacks, out, tmp_path / "more", False) == "wrote no b.csv"
-    record = pd.read_csv(out / "made.csv", dtype=str).set_index("table")
-    assert record.loc["study.csv", "inputs"] == "1abc.pdb"
-    assert record.loc["study.csv", "command"].endswith("MORE/1abc.pdb")
-
-
-def test_some_are_chosen_by_how_they_begin():
-    names = [job.name for job in benchmarks.chosen(["race", "dynamics-steps"])]
-    assert names == ["race", "race-parts", "dynamics-steps"]
-    with pytest.raises(SystemExit, match="no benchmark 'nothing'"):
-        benchmarks.chosen(["nothing"])
-
-
-def test_quick_does_not_write_where_pages_look():
-    done = all_py("--quick")
-    assert done.returncode == 1 and "-o DIR" in done.stderr
 
 
 def test_which_tables_are_older_than_the_code():

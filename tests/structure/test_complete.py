@@ -3,17 +3,13 @@
 import numpy as np
 import pytest
 from fixtures.repairs import kinds, sentences
-from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
-from protochain.chains.contacts import overlaps
 from protochain.structure import complete as module
-from protochain.structure import residues
 from protochain.structure.complete import add_heavy_atoms
 from protochain.structure.draft import Draft, Part
 from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind
-from protochain.structure.sidechains.ideal import dihedral
 from protochain.structure.sidechains.sites import Site
 from protochain.structure.templates import templates
 
@@ -106,29 +102,6 @@ def test_residues_and_atoms_without_parameters_are_named():
         (refused(member("ACE", 4, "C", "CH3"), *serines()), "residue 4 ACE of chain A: atom O missing"),
     ):
         assert words in refusal
-
-
-def test_renamed_atoms_are_listed_up_to_four():
-    serine = member("SER", 2, "N", "CA", "C", "OT1", "CB", "OG", "HB1")
-    draft = completed(glycine(1), serine, glycine(3, "OXT"))
-    assert names(serine)[3] == "O" and sentences(draft) == [
-        "atoms renamed: OT1 to O of residue 2 SER of chain A, HB1 to HB3 of residue 2 SER of chain A"
-    ]
-    four = [member("GLY", k, "N", "CA", "C", "OT1") for k in range(1, 6)]
-    said = [f"OT1 to O of residue {k} GLY of chain A" for k in range(1, 5)]
-    assert sentences(completed(*four[:4]))[0] == f"atoms renamed: {', '.join(said)}"
-    again = [member("GLY", k, "N", "CA", "C", "OT1") for k in range(1, 7)]
-    assert sentences(completed(*again))[0] == f"atoms renamed: {', '.join(said)} and 2 more"
-
-
-def test_neighbours_are_those_of_the_chain_and_of_the_ring():
-    first, second, third = (glycine(k) for k in (1, 2, 3))
-    part = Part("A", [first, second, third])
-    assert [part.around(k) for k in range(3)] == [
-        (None, second), (first, third), (second, None),
-    ]  # fmt: skip
-    part.cyclic = True
-    assert [part.around(k) for k in (0, 2)] == [(third, second), (second, first)]
 
 
 def serines():
@@ -298,23 +271,3 @@ def test_the_oxygens_of_an_end_have_room():
         opposite = found * [1.0, -1.0, -1.0]
         rooms = [np.linalg.norm(x - 1.5 * free) for x in (found, opposite)]
         assert not moves or min(rooms) > np.linalg.norm(0.5 * free) + 0.3
-
-
-def test_a_bare_backbone_gets_its_side_chains(tmp_path):
-    """BPTI: its disulfides, nothing that overlaps, and nine in ten chi1 near the crystal's."""
-    native, path = load("4pti.pdb"), tmp_path / "bare.pdb"
-    lines = (STRUCTURES / "4pti.pdb").read_text().splitlines(True)
-    path.write_text(
-        "".join(x for x in lines if x[:4] == "ATOM" and x[12:16].split()[0] in ["N", "CA", "C", "O"])
-    )
-    built = pc.load(path)
-    assert np.array_equal(built.atom_name, native.atom_name) and len(built.bonds) == len(native.bonds)
-    assert not overlaps(built, built.positions)
-    off = []
-    for r in range(built.n_residues):
-        at = {str(built.atom_name[i]): i for i in np.flatnonzero(built.atom_residue == r)}
-        for quartet in residues.CHI.get(str(built.residue_name[r]), ())[:1]:
-            chi = [float(dihedral(*s.positions[[at[n] for n in quartet]])) for s in (built, native)]
-            off.append(abs((np.rad2deg(chi[0] - chi[1]) + 180) % 360 - 180))
-    assert len(off) == 42 and np.mean(np.array(off) < 40) > 0.9
-    assert np.array_equal(pc.load(path).positions, built.positions)

@@ -18,11 +18,6 @@ BOX = np.array([[4.0, 0.0, 0.0], [1.0, 3.5, 0.0], [0.5, -0.7, 3.0]])
 """nm; triclinic."""
 
 
-def lengths(structure):
-    first, second = structure.positions[structure.bonds.T]
-    return np.linalg.norm(first - second, axis=1)
-
-
 @pytest.mark.parametrize(
     ("keep", "chosen", "within"),
     [
@@ -174,15 +169,6 @@ def test_backbones_of_another_sequence_are_refused(tmp_path):
     np.savez(tmp_path / "x.npz", pos=alpha, node_orientations=turn, sequence="A" * 20)
     with pytest.raises(pc.ProtochainError, match="NLYIQWLKDGGPSSGRPPPS"):
         Ensemble.of(structure, open_frames(tmp_path / "x.npz"))
-
-
-def test_frames_share_what_is_found_of_their_atoms_and_nothing_of_their_positions():
-    structure = load("1l2y.pdb")
-    moved = structure.with_positions(structure.positions + 1.0)
-    assert moved.atom_name is structure.atom_name and moved.derived is structure.derived
-    assert np.array_equal(moved.positions, structure.positions + 1.0)
-    other = replace(structure, obstacle=np.ones(structure.n_atoms, dtype=bool))
-    assert other.derived is not structure.derived and other.kept.all()
 
 
 def test_a_hydrogen_far_from_its_atom_is_placed_anew_as_in_a_file(tmp_path):

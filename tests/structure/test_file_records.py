@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from fixtures.molecules import ring
 from fixtures.repairs import noted
-from fixtures.samples import MORE_STRUCTURES, STRUCTURES, load, shared
+from fixtures.samples import STRUCTURES, load
 from openmm import app
 
 import protochain as pc
-from protochain.structure.write import as_text, check_fits, common_suffix
+from protochain.structure.write import as_text, common_suffix
 
-COMPLEXES = MORE_STRUCTURES.parent / "complexes" / "models"
 TERMS = "Non-commercial use only: https://example.org/terms"
 
 
@@ -230,17 +229,6 @@ def test_records_of_ligands_stay_with_them(tmp_path):
         assert rows(again, "ma_qa_metric_local", "label_comp_id", "metric_value") == [("NAG", "5")]
 
 
-@pytest.mark.parametrize("name", ["1hel.pdb", "3i40.pdb"])
-def test_links_are_those_of_the_structure(name, tmp_path):
-    """A disulfide that was opened is not stated, though the file states it."""
-    text = as_text(load(name), ".pdb")
-    stated = sum(line.startswith("SSBOND") for line in text.splitlines())
-    sulphurs = load(name).atom_name == "SG"
-    assert stated == sulphurs[load(name).bonds].all(axis=1).sum() > 0
-    opened = pc.load(STRUCTURES / name, disulfide="none")
-    assert not any(line.startswith("SSBOND") for line in as_text(opened, ".pdb").splitlines())
-
-
 def named(**changes):
     """The ring with another name of a residue or an atom, or another number."""
     s, made, atoms = ring(), app.Topology(), []
@@ -279,18 +267,6 @@ def test_what_a_pdb_file_would_cut_needs_mmcif(changes, what, tmp_path):
     pc.save(structure, tmp_path / "x.cif")
     value = next(iter(changes.values()))
     assert f"{value}" in (tmp_path / "x.cif").read_text()
-
-
-def test_names_and_numbers_that_fill_their_columns_are_written():
-    for changes in (
-        {"number": "9999"},
-        {"number": "-999"},
-        {"residue": "A1A"},
-        {"atom": "HD11"},
-        {"charge": -9},
-    ):
-        check_fits(named(**changes), STRUCTURES / "x.pdb")
-        assert f"{next(iter(changes.values()))}".strip("-") in as_text(named(**changes), ".pdb")
 
 
 @pytest.mark.parametrize(
@@ -345,22 +321,3 @@ def test_every_model_has_its_own_coordinates_repairs_and_cis_peptides(tmp_path):
     alike = as_text([first, replace(second, model_number=first.model_number)], ".cif", hydrogens=False)
     written = rows(alike, "atom_site", "pdbx_PDB_model_num", "type_symbol")
     assert {number for number, _ in written} == {"1", "2"} and "H" not in {element for _, element in written}
-
-
-def test_files_of_predictors_keep_what_they_say(tmp_path):
-    """Boltz's file, in ModelCIF."""
-    structure = pc.load(shared("boltz2_5ht2c.cif"))
-    text = as_text(structure, ".cif")
-    names = {name.lower() for name in block_of(text).get_mmcif_category_names()}
-    assert {"_ma_qa_metric.", "_ma_qa_metric_local.", "_ma_model_list.", "_audit_conform."} <= names
-    asked = rows(text, "ma_qa_metric_local", "label_asym_id", "label_seq_id", "label_comp_id")
-    there = set(rows(text, "atom_site", "label_asym_id", "label_seq_id", "label_comp_id"))
-    assert asked and {(asym, name) for asym, _, name in asked} <= {(asym, name) for asym, _, name in there}
-    path = shared("boltz2_5ht2c.cif")
-    assert asked == rows(
-        path.read_text(), "ma_qa_metric_local", "label_asym_id", "label_seq_id", "label_comp_id"
-    )
-    assert_no_row_twice(text)
-    pc.save(structure, tmp_path / "x.pdb")
-    assert "component LIG1 is called LIG here" in (tmp_path / "x.pdb").read_text()
-    assert common_suffix([structure]) == ".cif"

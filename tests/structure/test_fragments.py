@@ -21,7 +21,6 @@ PYRIDOXAL = {
 }  # fmt: skip
 """Names in PLP of atoms of LLP that have other ones."""
 LINKS = {
-    "staple_link.pdb": (("NLE", "CE"), ("MK8", "CE")),
     "staple_conn.cif": (("NLE", "CE"), ("MK8", "CE")),
     "isopeptide_KN_link.pdb": (("LYS", "NZ"), ("ASN", "CG")),
     "lasso_link.pdb": (("TYR", "N"), ("GLU", "CD")),
@@ -139,7 +138,7 @@ def test_a_bond_that_the_file_states_is_kept(name, tmp_path):
     assert len(ends) == 1 and Kind.LINKED in {each.kind for each in s.repairs}
     assert_is_openmms(s)
     (i, j) = ends[0]
-    done = pc.minimise(s, method="hybrid").structure
+    done = pc.minimise(s, method="hybrid", max_evaluations=150).structure
     before, after = (np.linalg.norm(each.positions[i] - each.positions[j]) for each in (s, done))
     assert abs(after - before) < 0.01
     pc.save(done, tmp_path / "out.cif")
@@ -147,9 +146,8 @@ def test_a_bond_that_the_file_states_is_kept(name, tmp_path):
 
 
 QUICK = (
-    "acrylate-at-histidine", "lanthionine", "chloroacetyl", "hemithioacetal-of-bisulfite", "pyruvate",
-    "octanoyl", "adenylyl-tyrosine", "disulfide-spin-label", "boronate", "glycosyl-enzyme",
-    "isopeptide-aspartate", "staple", "methionine-tyrosine", "cycle",
+    "lanthionine", "hemithioacetal-of-bisulfite", "adenylyl-tyrosine", "boronate", "isopeptide-aspartate",
+    "staple", "cycle",
 )  # fmt: skip
 ALL = [
     pytest.param(name, marks=() if name in QUICK else pytest.mark.slow, id=name) for name in covalent.KINDS
@@ -160,8 +158,8 @@ TIED = {"boronate"}
 @pytest.mark.parametrize(
     "name",
     [
-        "acrylamide", "octanoyl", "o-glycan", "adenylyl-tyrosine", "biotinyl", "phosphohistidine",
-        "chloromethyl-ketone-ND1", "glycosyl-enzyme", "glycosyl-enzyme-aspartate", "n-glycan", "c-mannose",
+        "acrylamide", "o-glycan", "phosphohistidine", "chloromethyl-ketone-ND1", "glycosyl-enzyme-aspartate",
+        "c-mannose",
     ],
 )  # fmt: skip
 def test_a_bond_of_a_known_kind_need_not_be_stated(name, tmp_path):
@@ -184,7 +182,7 @@ def test_a_stated_bond_of_any_kind_has_its_chemistry_and_length(name, tmp_path):
     else:
         assert not s.ties and not s.obstacle.any()
         covalent.assert_is(s, case, product)
-    done = pc.minimise(s, method="hybrid", max_evaluations=400).structure
+    done = pc.minimise(s, method="cartesian", max_evaluations=60).structure
     for i, j in ends:
         before, after = (np.linalg.norm(each.positions[i] - each.positions[j]) for each in (s, done))
         assert abs(after - before) < BOND_KEPT

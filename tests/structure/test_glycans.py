@@ -54,7 +54,7 @@ def borne(tmp_path, atom, sugar, change=lambda model: None, stated=True):
         [a.pos.tolist() for r in whole[0]["A"] for a in r if r is not residue or a.name != name]
     )
     best = (-1.0, dict[str, np.ndarray]())
-    for psi, phi in product(np.deg2rad(np.arange(0.0, 360.0, 20.0)), repeat=2):
+    for psi, phi in product(np.deg2rad(np.arange(0.0, 360.0, 30.0)), repeat=2):
         way = Rotation.from_rotvec(psi * axis).apply(out)
         turned = Rotation.from_rotvec(phi * way) * Rotation.align_vectors([-way], [leaving])[0]
         x = {each: o + 1.43 * way + turned.apply(y - at[carbon]) for each, y in at.items()}
@@ -146,22 +146,19 @@ def by_glycam(structure, solvent):
     return context.getState(getEnergy=True).getPotentialEnergy().value_in_unit(unit.kilojoule_per_mole)
 
 
-@pytest.mark.parametrize(("atom", "sugar"), [("20 OG", "A2G"), ("12 OG1", "NGA"), ("60 ND2", "NAG")])
+@pytest.mark.parametrize(("atom", "sugar"), [("20 OG", "A2G"), ("12 OG1", "NGA")])
 def test_the_energy_is_that_of_openmm_by_names(tmp_path, atom, sugar):
     s = pc.load(borne(tmp_path, atom, sugar))
     assert s.glycans == {76: f"0{SUGARS[sugar]}"} and not s.ties and s.mobile.sum() == 28
-    for solvent in ("vacuum", "obc2", "gbn2"):
+    for solvent in ("vacuum", "gbn2"):
         energy = pc.energy(s, solvent=solvent, engine="native", threads=1)
         assert energy(s.positions)[0] == pytest.approx(by_glycam(s, solvent), rel=SAME_KERNEL)
 
 
-@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
-def test_branched_glycans_have_the_energy_of_the_reference_platform(fc, solvent):
+def test_branched_glycans_have_the_energy_of_the_reference_platform(fc):
     assert sorted(fc.glycans.values()) == ["0YB", "0YB", "0fA", "2MA", "2MA", "4YB", "UYB", "VMB"]
-    energy = pc.energy(fc, solvent=solvent, engine="native", threads=1)
-    assert_equals_reference(energy, fc.positions)
-    if solvent == "vacuum":
-        assert energy(fc.positions)[0] == pytest.approx(by_glycam(fc, solvent), rel=SAME_KERNEL)
+    energy = pc.energy(fc, solvent="obc2", engine="native", threads=1)
+    assert energy(fc.positions)[0] == pytest.approx(by_glycam(fc, "obc2"), rel=SAME_KERNEL)
 
 
 def cut(tmp_path, change):
@@ -263,11 +260,6 @@ def test_links_that_the_file_does_not_state_are_found_by_their_geometry(fc):
     del whole.connections[:]
     found = pc.as_structure(whole, chains="A,C", keep="NAG,BMA,MAN,FUC")
     assert found.glycans == fc.glycans and np.array_equal(found.bonds, fc.bonds)
-
-
-def test_in_torsions_a_glycan_moves_with_the_residue_that_bears_it(fc):
-    chain = pc.build_chain(fc)
-    assert {*chain.atom_body[fc.mobile].tolist()} == {int(chain.atom_body[fc.links[0, 0]])}
 
 
 def test_links_of_sugars_turn_with_hinges_of_glycans(fc):

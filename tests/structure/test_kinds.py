@@ -2,17 +2,12 @@
 
 import pytest
 from fixtures import fate, file_kinds
-from fixtures.repairs import sentences
-
-import protochain as pc
 
 QUICK = (
-    "chains-that-share-an-id", "ions-that-share-a-number", "ligand-atoms-that-share-a-name",
-    "gromacs-lysh-hisb", "cif-without-label-alt-id", "charmm-hydrogens-trp-cage", "ace-nme", "sep",
-    "mirror-image", "ligand-charge-in-mmcif", "sulphate-1.45-from-nz", "covalent-stated", "omega-40",
-    "zinc-at-a-carboxylate", "cut-after-a-record", "one-number-for-all", "one-chain-upon-another", "c-alphas",
-    "cif-without-elements", "chlorophenol-gro", "asx-atoms-cif", "dna-letters-gro", "rna-charmm-crd",
-    "rna-five-prime-triphosphate-pdb", "loop-after-the-chain-pqr",
+    "gromacs-lysh-hisb", "cif-without-label-alt-id", "mirror-image", "ligand-charge-in-mmcif",
+    "sulphate-1.45-from-nz", "omega-40", "zinc-at-a-carboxylate", "cut-after-a-record", "one-number-for-all",
+    "one-chain-upon-another", "cif-without-elements", "chlorophenol-gro", "asx-atoms-cif", "dna-letters-gro",
+    "rna-charmm-crd", "rna-five-prime-triphosphate-pdb", "loop-after-the-chain-pqr",
 )  # fmt: skip
 """A few of each family, one at least for each fault that the collection found."""
 
@@ -40,20 +35,3 @@ def test_every_kind_of_file_is_taken_whole_or_says_what_it_lost(kind, tmp_path):
 def test_kinds_have_names_of_their_own_and_are_many():
     assert len({kind.name for kind in file_kinds.KINDS}) == len(file_kinds.KINDS)
     assert sum(kind.is_made for kind in file_kinds.KINDS) >= 750
-
-
-def test_what_shares_its_ids_is_told_apart_and_said(tmp_path):
-    kinds = {kind.name: kind for kind in file_kinds.KINDS}
-
-    def load(name):
-        return pc.load(kinds[name].make(tmp_path)[0])
-
-    chains = load("chains-that-share-an-id")
-    assert {*chains.residue_chain} == {"A", "B"} and any("A called B" in line for line in sentences(chains))
-    ions = load("ions-that-share-a-number")
-    assert (ions.residue_name == "NA").sum() == 2 and any("renumbered: 1" in line for line in sentences(ions))
-    ligand = load("ligand-atoms-that-share-a-name")
-    names = ligand.atom_name[(ligand.residue_name == "LIG")[ligand.atom_residue]]
-    assert len({*names}) == len(names) == 9 and any(
-        "share a name numbered" in line for line in sentences(ligand)
-    )

@@ -8,7 +8,6 @@ import openmm
 import pytest
 from fixtures.modified import component
 from fixtures.oracles import assert_equals_reference
-from fixtures.samples import ROOT
 from fixtures.tolerances import READ_AGAIN
 from scipy.spatial.transform import Rotation
 
@@ -20,7 +19,6 @@ chem = pytest.importorskip("rdkit.Chem")
 distances = pytest.importorskip("rdkit.Chem.AllChem")
 pytest.importorskip("dimorphite_dl")
 
-THREE_AVE = ROOT.parent / "shared" / "complexes" / "models" / "3ave.pdb"
 PARACETAMOL = "CC(=O)Nc1ccc(O)cc1"
 PERFLUOROBENZENE = "Fc1c(F)c(F)c(F)c(F)c1F"
 
@@ -195,29 +193,3 @@ def test_bonds_of_a_ligand_are_kept_and_read_again(tmp_path, made, ligands, bond
         assert again.bonds.tolist() == relaxed.structure.bonds.tolist()
         energies = [pc.energy(each)(relaxed.x)[0] for each in (again, relaxed.structure)]
         assert energies[0] == pytest.approx(energies[1], rel=READ_AGAIN)
-
-
-@pytest.fixture(scope="module")
-def altrose(tmp_path_factory):
-    """The glycan of an antibody with a sugar that GLYCAM does not know in its midst."""
-    if not THREE_AVE.exists():
-        pytest.skip("3ave is not here")
-    given = gemmi.read_structure(str(THREE_AVE))
-    given[0]["C"]["4"][0].name = "SHD"
-    for bond in given.connections:
-        for end in (bond.partner1, bond.partner2):
-            if end.chain_name == "C" and str(end.res_id.seqid) == "4":
-                end.res_id.name = "SHD"
-    path = tmp_path_factory.mktemp("altrose") / "altrose.pdb"
-    given.write_pdb(str(path))
-    return pc.load(path, chains="A,C", keep="NAG,BMA,MAN,FUC,SHD")
-
-
-def test_one_unknown_sugar_in_a_glycan_leaves_it_whole(altrose):
-    s = altrose
-    assert not s.glycans and not s.ties and not s.obstacle.any() and len(s.fragments) == 1
-    assert (
-        len(s.links) == 8 and s.residue_name[np.unique(s.atom_residue[s.mobile])].tolist().count("SHD") == 1
-    )
-    assert abs(charge(s) - round(charge(s))) < 1e-9
-    assert_equals_reference(pc.energy(s, engine="native"), s.positions)

@@ -78,19 +78,6 @@ def test_atoms_of_modified_residues_are_named_and_counted(modified, tmp_path):
     assert again.losses == () and dict(again.left_out) == {}
 
 
-@pytest.mark.parametrize("command", [("relax",), ("minimise", "--max-evaluations", 5)])
-def test_the_last_lines_of_a_run_say_what_is_lost(command, modified, protochain):
-    _, out, _ = protochain(*command, *ASKED, modified, "-o", "out.pdb", "--threads", 1)
-    lines = out.splitlines()
-    assert f"lost atoms: {SAID}" in lines[-4:] and "written: out.pdb" in lines[-2:]
-    _, out, _ = protochain(
-        *command, *ASKED, modified, "-o", "out.cif", "--threads", 1, "--json", "--report", "r.html"
-    )
-    record = json.loads(out)
-    assert record["lost_atoms"] == SAID.split("; ") and record["n_lost_atoms"] == 10
-    assert f"lost atoms: {SAID}." in (modified.parent.parent / "r.html").read_text()
-
-
 def test_a_folder_says_it_in_its_last_lines_its_table_its_summary_and_its_pages(modified, tmp_path, capsys):
     (modified.parent / "whole.pdb").write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
     settings, folder = (
@@ -147,11 +134,3 @@ def test_what_is_far_what_is_broken_and_an_inner_end_are_lost_for_other_reasons(
         "lost atoms: D:1 QQQ; C:7 ALA; A:4 ALA OXT",
         'left out molecules further than 5 angstrom from the protein: B:1 SO4; keep="all" keeps them',
     ]
-
-
-def test_many_losses_are_told_short():
-    rows = [{"structure": f"s{k}", "lost_atoms": [f"A:{k} XXX {', '.join('C' * 150)}"]} for k in range(12)]
-    (line,) = loss_lines([*rows, *rows, {"structure": "refused"}, {"structure": "whole", "lost_atoms": []}])
-    assert line.startswith("12 of 14 structures lost atoms: s0 (A:0 XXX C, C,") and len(line) < 8 * 230
-    assert line.endswith(" ...) and 4 more") and line.count(" ...)") == 8
-    assert loss_lines([{"structure": "whole", "lost_atoms": [], "far_molecules": ""}]) == []

@@ -1,19 +1,15 @@
 """Residues of small structures made by hand, paired by number or sequence, and deviations between them."""
 
 from itertools import permutations
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 import tmtools
 from openmm import app
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.comparison.deviation import deviation, rmsd_table
-from protochain.core.errors import OnlyAlphaError, StructureError
+from protochain.comparison.deviation import deviation
 from protochain.structure import matching as module
 from protochain.structure.matching import match, tm_score
 from protochain.structure.residues import STANDARD
@@ -181,54 +177,3 @@ def test_a_record_names_its_units():
     assert list(row.values())[2:] == [None, 2, 1.0, 1.0, "numbers", "A:A", 6, 2]
     three = made("r", ("A", "ACD", 1))
     assert deviation(three, three).record()["tm_score"] == pytest.approx(1.0)
-
-
-def test_a_table_has_a_row_for_each_model_and_each_failure(monkeypatch):
-    reference, other = made("r", ("A", "ACD", 1)), made("w", ("A", "w", 1))
-    numbers, asked = [2, 5, 9, 11], []
-
-    def parse(path):
-        if path == Path("bad"):
-            raise StructureError("bad: no")
-        return [SimpleNamespace(num=number) for number in numbers], [], True
-
-    def as_structure(source, name="", model=None):
-        if isinstance(source, pc.Structure):
-            return source
-        asked.append((name, model))
-        if model == 5:
-            raise StructureError("5: no")
-        if model == 11:
-            raise OnlyAlphaError("11: C-alpha atoms")
-        return other if model == 9 else reference
-
-    def alpha_trace(parsed, source, model):
-        assert [each.num for each in parsed] == numbers
-        return made(f"{source} {model}", ("A", "ACD", 1), atoms=("CA",))
-
-    for name, fake in (("parse", parse), ("as_structure", as_structure), ("alpha_trace", alpha_trace)):
-        monkeypatch.setattr(module, name, fake)
-    table = rmsd_table("ref", ["bad", "good"], "name CA", "name C")
-    # Of the reference, the first model alone.
-    assert asked == [("ref", 2)] + [("good", number) for number in numbers]
-    assert table["reference"].tolist() == ["ref"] * 5 and table["file"].tolist() == ["bad"] + ["good"] * 4
-    assert table["model"].isna().tolist() == [True, False, False, False, False]
-    assert table["model"].tolist()[1:] == [2.0, 5.0, 9.0, 11.0]
-    assert table["message"].tolist() == [
-        "bad: no", "", "5: no", "w: no residue matches r", "good 11: no atom of 'name C' matches r",
-    ]  # fmt: skip
-    row = table.iloc[1].to_dict()
-    expected = deviation(reference, reference, "name CA", "name C").record()
-    assert {key: row[key] for key in expected} == pytest.approx(expected)
-    assert pd.isna(table.loc[2, "rmsd_angstrom"])
-    with pytest.raises(StructureError, match=r"^bad: no$"):
-        rmsd_table("bad", ["good"])
-    numbers[:] = [2]
-    assert rmsd_table("ref", ["good"])["measured_atoms"].tolist() == [3]
-    for selections in (("name QQ", "all"), ("all", "name QQ")):
-        with pytest.raises(pc.ProtochainError, match="'name QQ' selects no atom"):
-            rmsd_table("ref", [], *selections)
-    numbers[:], asked[:] = [11], []
-    table = rmsd_table("ref", ["-"])
-    assert table["rmsd_angstrom"].notna().tolist() == [True] and table["file"].tolist() == ["-"]
-    assert asked == [("ref", 11), ("standard input", 11)]

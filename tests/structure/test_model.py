@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fixtures.molecules import ring
-from fixtures.repairs import noted
 from openmm import app
 
 import protochain as pc
-from protochain.structure import build as build_module
 from protochain.structure.draft import Draft, Part
 from protochain.structure.member import Member, atom
 from protochain.structure.model import Tie, at_positions
@@ -80,15 +78,6 @@ def test_what_springs_hold_is_beside_the_protein():
     assert np.flatnonzero(S.kept).tolist() == [11, 12, 13] and not S.formal_charge.any()
     assert replace(held, ties=()).n_chains == 2
     assert pc.Structure("x", calcium(), np.zeros((1, 3))).formal_charge.tolist() == [2]
-
-
-def test_a_structure_says_what_it_is():
-    told = pc.Structure("a<b", S.topology, S.positions, (noted("one"), noted("two")), {"waters": 3, "ZN": 1})
-    assert repr(told) == "<Structure a<b: 2 chains, 4 residues, 14 atoms, 2 repairs>"
-
-    html = told._repr_html_()
-    assert "a&lt;b" in html and "3 waters; 1 ZN" in html and str(noted("two")) in html
-    assert "<th>left out</th><td>nothing</td>" in S._repr_html_()
 
 
 def test_positions_have_their_shape_and_are_numbers():
@@ -167,41 +156,6 @@ def test_selected_atoms_are_a_mask():
         select(S, " ")
     with pytest.raises(pc.ProtochainError, match=r"^selection 'nme CA' cannot be read: [^\n]+$"):
         select(S, "nme CA")
-
-
-@pytest.fixture
-def drafts(monkeypatch):
-    """What a sequence is built into, before it is prepared."""
-    monkeypatch.setattr(build_module, "prepare", lambda draft: draft)
-    return pc.from_sequence
-
-
-def torsion(*points):
-    a, b, c, d = (np.array(p.pos.tolist()) for p in points)
-    axis = (c - b) / np.linalg.norm(c - b)
-    u, v = (a - b) - ((a - b) @ axis) * axis, (d - c) - ((d - c) @ axis) * axis
-    return np.degrees(np.arctan2(np.cross(axis, u) @ v, u @ v))
-
-
-def test_a_sequence_is_an_extended_chain(drafts):
-    draft = drafts(" aP\ng ")
-    assert (draft.name, draft.source) == ("APG", "sequence") and len(draft.parts) == 1
-    assert [str(m) for m in draft.members] == [
-        "residue 1 ALA of chain A", "residue 2 PRO of chain A", "residue 3 GLY of chain A",
-    ]  # fmt: skip
-    ala, pro, gly = draft.members
-    assert draft.parts[0].chain_id == "A" and not draft.parts[0].obstacle
-    n, alpha, c = (pro.atom(name) for name in ("N", "CA", "C"))
-    assert torsion(ala.atom("C"), n, alpha, c) == pytest.approx(-70.0, abs=0.01)
-    assert torsion(n, alpha, c, gly.atom("N")) == pytest.approx(140.0, abs=0.01)
-    assert torsion(c, *(gly.atom(name) for name in ("N", "CA", "C"))) == pytest.approx(-120.0, abs=0.01)
-    assert abs(torsion(alpha, c, *(gly.atom(name) for name in ("N", "CA")))) == pytest.approx(180.0, abs=0.01)
-    assert {a.element.name for m in draft.members for a in m.atoms} == {"C", "N", "O"}
-
-
-def test_long_sequences_have_short_names(drafts):
-    assert drafts("A" * 20).name == "A" * 20
-    assert drafts("G" * 21).name == f"{'G' * 17}_21"
 
 
 @pytest.mark.parametrize(

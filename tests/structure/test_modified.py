@@ -105,9 +105,10 @@ def test_torsions_of_a_side_chain_are_those_of_the_small_molecule_alone(name, tm
     assert np.array(sorted(there)) == pytest.approx(np.array(sorted(meant))) and len(meant) > 10
 
 
-@pytest.mark.parametrize("forcefield", ["amber14", "amber19"])
-@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
-@pytest.mark.parametrize("name", ["M3L", "MLE", "PCA"])
+@pytest.mark.parametrize(
+    ("name", "forcefield", "solvent"),
+    [("M3L", "amber14", "obc2"), ("MLE", "amber19", "vacuum"), ("PCA", "amber19", "gbn2")],
+)
 def test_the_native_energy_is_that_of_openmm(name, forcefield, solvent, tmp_path):
     s = made(name, tmp_path)
     energy, forces = pc.energy(s, forcefield, solvent, engine="native")(s.positions)
@@ -116,22 +117,7 @@ def test_the_native_energy_is_that_of_openmm(name, forcefield, solvent, tmp_path
     assert np.abs(forces - expected_forces).max() <= 1e-8 * np.abs(expected_forces).max()
 
 
-def test_forces_are_the_slope_of_the_energy(tmp_path):
-    s = pc.minimise(made("ALY", tmp_path), max_evaluations=50).structure
-    energy, step = pc.energy(s), 1e-5
-    x, forces = s.positions, energy(s.positions)[1]
-    for atom in own(s, "ALY")[::4].tolist():
-        for axis in range(3):
-            ends = []
-            for sign in (1, -1):
-                moved = x.copy()
-                moved[atom, axis] += sign * step
-                ends.append(energy(moved)[0])
-            slope = (ends[0] - ends[1]) / (2 * step)
-            assert -slope == pytest.approx(forces[atom, axis], abs=1e-3 * np.abs(forces).max() + 0.1)
-
-
-@pytest.mark.parametrize("name", ["M3L", "ALY", "NLE"])
+@pytest.mark.parametrize("name", ["ALY", "NLE"])
 def test_a_relaxed_side_chain_has_the_geometry_of_the_dictionary(name, tmp_path):
     """That of the backbone is alanine's."""
     s = made(name, tmp_path)
@@ -167,8 +153,7 @@ def test_at_the_ends_of_a_chain_it_has_charged_ends(place, tmp_path):
     assert pc.energy(s)(s.positions)[0] == pytest.approx(expected, rel=1e-8)
 
 
-@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
-@pytest.mark.parametrize("name", ["M3L", "PCA", "MLE"])
+@pytest.mark.parametrize(("name", "suffix"), [("M3L", ".cif"), ("PCA", ".pdb"), ("MLE", ".cif")])
 def test_written_and_read_again_it_is_the_same(name, suffix, tmp_path):
     s = pc.minimise(made(name, tmp_path), max_evaluations=100).structure
     pc.save(s, tmp_path / f"out{suffix}")
@@ -230,10 +215,7 @@ def between_alanines(name, tmp_path):
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(each, marks=() if each in ("85F", "I4G", "OLT", "PVH", "XA6") else pytest.mark.slow)
-        for each in SAMPLE
-    ],
+    [pytest.param(each, marks=() if each in ("85F", "OLT", "XA6") else pytest.mark.slow) for each in SAMPLE],
 )
 def test_an_amino_acid_of_the_dictionary_has_its_atoms_and_parameters(name, tmp_path):
     case, path, product = between_alanines(name, tmp_path)

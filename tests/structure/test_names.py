@@ -9,7 +9,6 @@ from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
 from protochain.relaxation.chirality_restraint import ChiralityRestraint
-from protochain.relaxation.wrong import Wrong
 from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import D_NAMES
 from protochain.structure.write import as_text
@@ -42,7 +41,6 @@ def amino_acid(letter, name, gone=(), more=()):
     [
         ("N", "NLN", (), (), "ASN", ()),
         ("S", "OLS", (), (), "SER", ()),
-        ("T", "OLT", (), (), "THR", ()),
         ("N", "NLN", ("OD1", "ND2"), ("CD", "CE"), "NLN", ()),  # Norleucine's amide
         ("H", "HSE", (), (), "HIS", ()),
         ("H", "HIP", (), (), "HIS", ()),
@@ -151,15 +149,6 @@ def test_a_racemate_is_relaxed_with_the_hands_that_it_has_and_so_are_its_files(t
         assert value == pytest.approx(relaxed.energy_end, abs=0.01 * abs(relaxed.energy_end))
 
 
-def test_the_mirror_image_of_a_peptide_has_its_energy(tmp_path):
-    path = racemate(tmp_path)
-    values = []
-    for chain in "AB":
-        s = pc.load(path, chains=chain)
-        values.append(pc.relax(s, threads=1, solvent="vacuum", max_outer_iterations=1).energy_end)
-    assert values[0] == pytest.approx(values[1], rel=1e-2)
-
-
 def test_an_unknown_residue_of_a_racemate_is_named_and_the_other_chain_offered(tmp_path, capsys, monkeypatch):
     path = racemate(tmp_path, unknown="XQZ")
     with pytest.raises(pc.ProtochainError) as refused:
@@ -231,21 +220,6 @@ def test_one_line_tells_of_a_d_arginine(is_d, alone, said, tmp_path):
     assert int(s.mirrored.sum()) == 1 and s.kept.any() == alone
     wrong = [s.describe(int(k)) for k in ChiralityRestraint.of(s).wrong(s.positions)]
     assert wrong == ([] if is_d or alone else ["atom CA of residue 42 DAR of chain A"])
-
-
-def test_only_residues_under_names_of_l_are_advised_to_be_named(tmp_path):
-    from protochain.cli.relaxing import _inverted
-
-    def stated(path):
-        structure = pc.load(path)
-        return _inverted(Wrong(structure, structure.positions))
-
-    correction = "1 inverted stereocentre, to be corrected"
-    assert stated(d_arginine(tmp_path, is_d=False)) == [correction]
-    text = (tmp_path / "x.pdb").read_text()
-    d_arginine(tmp_path, is_d=True)
-    (tmp_path / "l.pdb").write_text((tmp_path / "x.pdb").read_text().replace("DAR", "ARG"))
-    assert text and stated(tmp_path / "l.pdb") == [f"{correction} (name D-amino acids as DAL ...)"]
 
 
 def test_a_modified_residue_alone_stays_as_it_is(tmp_path):

@@ -40,15 +40,12 @@ def loaded(tmp_path, text, **settings):
         ("ARN", "ARG", []), ("ARGN", "ARG", []), ("GLNX", "GLN", []), ("XTR", "TRP", []),
     ],
 )  # fmt: skip
-@pytest.mark.parametrize("chain", ["A", " "])
-def test_an_amino_acid_is_known_by_its_atoms(given, meant, states, chain, tmp_path):
+def test_an_amino_acid_is_known_by_its_atoms(given, meant, states, tmp_path):
     text = lines(PEPTIDE, lambda atom, residue: (atom, given if residue == meant else residue))
-    text = "\n".join(
-        f"{line[:21]}{chain}{line[22:]}" if line[:4] == "ATOM" else line for line in text.split("\n")
-    )
+    text = "\n".join(f"{line[:21]} {line[22:]}" if line[:4] == "ATOM" else line for line in text.split("\n"))
     s, plain = loaded(tmp_path, text), pc.load(PEPTIDE)
     assert s.residue_name.tolist() == plain.residue_name.tolist()
-    assert {*s.residue_chain} == {chain.strip()}
+    assert {*s.residue_chain} == {""}
     assert [r.facts["state"] for r in s.repairs if r.kind.name == "STATE_NAMED"] == states
     hydrogens = {"ASH": 1, "LYN": -1}.get((states or [""])[0], 0)
     assert s.n_atoms == plain.n_atoms + hydrogens
@@ -57,10 +54,10 @@ def test_an_amino_acid_is_known_by_its_atoms(given, meant, states, chain, tmp_pa
 @pytest.mark.parametrize(
     "edit",
     [
-        lambda a, r: (OLD.get(a, a).replace("'", "*"), r[1:]), lambda a, r: (OLD.get(a, a), f"+{r[1:]}"),
-        lambda a, r: (OLD.get(a, a), CHARMM[r]), lambda a, r: (a, f"Q{r}"), lambda a, r: (a, f"R{r[1:]}"),
+        lambda a, r: (OLD.get(a, a).replace("'", "*"), r[1:]), lambda a, r: (OLD.get(a, a), CHARMM[r]),
+        lambda a, r: (a, f"Q{r}"),
     ],
-    ids=["version 2.3", "plus", "CHARMM", "unknown", "old Amber"],
+    ids=["version 2.3", "CHARMM", "unknown"],
 )  # fmt: skip
 def test_a_nucleotide_is_known_by_its_sugar_and_base(edit, tmp_path):
     s, plain = loaded(tmp_path, lines(DUPLEX, edit)), pc.load(DUPLEX)
@@ -107,9 +104,8 @@ def acetate(name, chain="A"):
     )
 
 
-@pytest.mark.parametrize("chain", ["A", " "])
-def test_a_ligand_of_four_letters_keeps_its_name_and_pdb_files_say_how_they_call_it(chain, tmp_path):
-    text = lines(PEPTIDE, lambda *given: given).replace("END\n", acetate("LIG1", chain) + "END\n")
+def test_a_ligand_of_four_letters_keeps_its_name_and_pdb_files_say_how_they_call_it(tmp_path):
+    text = lines(PEPTIDE, lambda *given: given).replace("END\n", acetate("LIG1") + "END\n")
     s = loaded(tmp_path, text, keep="all", ligands="LIG1=CC(=O)[O-]")
     assert s.residue_name_in_file[-1] == "LIG1" and len(s.ligands) == 1
     for name, called in (("y.pdb", "LIG"), ("y.cif", "LIG1")):

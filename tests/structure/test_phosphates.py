@@ -41,8 +41,7 @@ def reference(s, forcefield, solvent):
     return state.getPotentialEnergy()._value, state.getForces(asNumpy=True)._value, system
 
 
-@pytest.mark.parametrize("forcefield", ["amber14", "amber19"])
-@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
+@pytest.mark.parametrize(("forcefield", "solvent"), [("amber14", "obc2"), ("amber19", "gbn2")])
 def test_the_native_energy_is_that_of_openmm_and_charges_are_whole(path, forcefield, solvent):
     s = pc.load(path)
     assert s.losses == () and {*SITES.values()} <= {*s.residue_name.tolist()}

@@ -6,12 +6,8 @@ import gemmi
 import numpy as np
 import pytest
 from fixtures.repairs import noted
-from fixtures.samples import shared
 
-import protochain as pc
 from protochain.cli.options import as_option
-from protochain.structure.bridges import disulfides
-from protochain.structure.conformation import likeliest, same_place
 from protochain.structure.draft import Draft, Part
 from protochain.structure.member import Member, atom
 from protochain.structure.protonate import protonate
@@ -29,46 +25,6 @@ def residue(name, number, occupancies):
         one.altloc, one.occ = altloc, occupancy
         made.add_atom(one)
     return made
-
-
-def test_of_two_residues_in_one_place_the_likelier_is_kept_and_not_the_larger():
-    backbone = ("N", "CA", "C", "O", "CB")
-    serine = residue("SER", (22, " "), [(name, "A", 0.6) for name in (*backbone, "OG")])
-    ring = ("CG", "CD1", "CD2", "CE1", "CE2", "CZ", "OH")
-    tyrosine = residue("TYR", (22, " "), [(name, "B", 0.4) for name in (*backbone, *ring)])
-    for group in ([serine, tyrosine], [tyrosine, serine]):
-        found = likeliest([each.clone() for each in group], "")
-        assert (found.residue.name, found.altloc, found.others) == ("SER", "A", ["TYR B"])
-        assert found.occupancy == pytest.approx(0.6)
-
-
-def test_of_two_locations_the_likelier_is_kept_though_fewer_atoms_have_it():
-    atoms = [("CG", "A", 0.7), ("CG", "B", 0.3), ("CD", "B", 0.3), ("CE", "B", 0.3)]
-    found = likeliest([residue("LYS", (3, " "), atoms)], "")
-    assert found.altloc == "A" and found.occupancy == pytest.approx(0.7)
-
-
-def test_residues_of_one_number_and_different_insertion_codes_are_different_places():
-    chain = gemmi.Chain("H")
-    for name, code, altloc in (("SER", " ", "A"), ("THR", " ", "B"), ("SER", "A", "A"), ("ARG", "B", "A")):
-        chain.add_residue(residue(name, (82, code), [("N", altloc, 0.5)]))
-    groups = [[(each.name, each.seqid.icode) for each in group] for group in same_place(chain)]
-    assert groups == [[("SER", " "), ("THR", " ")], [("SER", "A")], [("ARG", "B")]]
-
-
-def drafted(*members):
-    return Draft("made", "made", [Part("A", list(members))])
-
-
-def cysteine(number, *sulphur):
-    return Member("CYS", str(number), "", "A", [atom("SG", "S", list(sulphur))])
-
-
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
-def test_a_cysteine_between_two_others_is_bonded_to_the_nearer_only(order):
-    near, middle, far = cysteine(1, 0, 0, 0), cysteine(2, 2.05, 0, 0), cysteine(3, 4.6, 0, 0)
-    ((first, second),) = disulfides(drafted(*[(near, middle, far)[k] for k in order]))
-    assert {first, second} == {near, middle}
 
 
 def ring_and_acceptors(*places):
@@ -110,39 +66,8 @@ def test_histidines_hydrogen_goes_where_an_acceptor_is_straight_ahead(degrees, b
 # --- What was changed, in few lines
 
 
-@pytest.mark.parametrize(
-    ("name", "first", "lines"),
-    [
-        ("3i40_insulin.pdb", "35 waters left out: the solvent is implicit", 3),
-        ("6lfo_gap_model.pdb", "split at 6 gaps in the chains, with charged termini: R:67-72 (10.7 ang", 4),
-    ],
-)
-def test_changes_are_few_lines_losses_first_and_histidines_one(name, first, lines):
-    s = pc.load(shared(name))
-    assert s.changes[0].startswith(first) and len(s.changes) <= lines < len(s.repairs)
-    assert sum("modelled as HI" in line or line.startswith("HIS states") for line in s.changes) == 1
-    assert "hydrogens added" in s.changes[-1]
-
-
 def repair(kind, place=("A", "1", "LYS"), **facts):
     return Repair(kind, {"residue": Residue(*place), **facts})
-
-
-def test_histidines_are_told_by_state():
-    chosen, named = Kind.STATE_CHOSEN, Kind.STATE_NAMED
-    changes = summarised(
-        [
-            repair(chosen, ("A", "5", "HIS"), state="HID"),
-            repair(chosen, ("A", "9", "HIS"), state="HIE"),
-            repair(chosen, ("", "12A", "HIS"), state="HID"),
-            repair(named, ("B", "4", "HIP"), name="HIS", state="HIP"),
-            repair(chosen, ("A", "5", "ASP"), state="ASH"),
-        ]
-    )
-    assert changes == (
-        "residue 5 ASP of chain A modelled as ASH",
-        "HIS states: HID A:5, 12A; HIE A:9; HIP B:4",
-    )
 
 
 def test_every_repair_is_told_once_alone_or_in_a_group():

@@ -8,7 +8,6 @@ from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
 from protochain.structure import read as module
-from protochain.structure.apart import _copies
 from protochain.structure.draft import Draft
 from protochain.structure.header import settle
 from protochain.structure.member import atom
@@ -138,26 +137,6 @@ def test_a_cap_alone_in_its_chain_is_no_trace_of_c_alphas():
         taken(residue("ACE", 0, atoms=["C", "O", "CH3"]))
 
 
-def test_alternates_and_repeated_atoms_of_the_protein_are_said():
-    made = [
-        residue(name, k, atoms=(*BACKBONE, "CB", "CB")) for k, name in enumerate(("MSE", "ALA", "HOH"), 1)
-    ]
-    for each in (made[0], made[2]):
-        for one, altloc, occupancy in zip(list(each)[-2:], "AB", (0.25, 0.75), strict=True):
-            one.altloc, one.occ = altloc, occupancy
-    made[2].name = "XQQ"
-    draft = taken(*made[:2], residue("ALA", 3), residue("XQQ", 9, atoms=["O", "O"]))
-    first, second = "residue 1 MSE of chain A", "residue 2 ALA of chain A"
-    assert sentences(draft) == [
-        '1 XQQ left out; keep="all" keeps everything',
-        f"{first}: alternate location B kept (occupancy 0.75), MSE A left out",
-        f"{second}: CB given more than once; the first of each kept",
-        f"{first}: selenomethionine converted to MET",
-    ]
-    assert dict(draft.left_out) == {"alternate locations": 1, "repeated atoms": 1, "XQQ": 1}
-    assert "A kept (occupancy 0.25), MSE B left out" in sentences(taken(*made[:2], altloc="A"))[0]
-
-
 def test_heavy_atoms_of_zero_occupancy_are_counted():
     made = [residue("ALA", k, atoms=(*BACKBONE, "H", "CB")) for k in (1, 2, 3)]
     made[0][4].occ = 0.0
@@ -200,23 +179,6 @@ def test_caps_have_the_force_fields_names_and_stand_at_the_ends():
     assert kinds(wrong) == [Kind.CAP, Kind.CAP]
     within = [residue("ALA", 1), residue("ALA", 2), residue("ACE", 3, atoms=["C"]), *alanines(5)[3:]]
     assert names(taken(*within)) == [["ALA1", "ALA2"], ["ACE3", "ALA4", "ALA5"]]
-
-
-def test_what_is_kept_is_said_and_what_has_no_element_is_left_out():
-    ligand, odd = residue("XQQ", 9, atoms=["S"]), residue("XQR", 10, atoms=[("Q", "X")])
-    beside = residue("WAT", 9, atoms=["O"]), ligand, odd
-    bare = "(XQQ by element, unless the force field has parameters)"
-    unknown = '1 XQR (its element is unknown) left out; keep="all" keeps everything'
-    named = taken(*alanines(2), *beside, keep=("XQQ",))
-    assert names(named) == [["ALA1", "ALA2"], ["XQQ9"]] and dict(named.left_out) == {"waters": 1, "XQR": 1}
-    assert sentences(named) == [f"1 waters, {unknown}", f"1 XQQ kept with the protein {bare}"]
-    kept = taken(*alanines(2), *beside, keep=("all",))
-    assert names(kept) == [["ALA1", "ALA2"], ["HOH9"], ["XQQ9"]] and dict(kept.left_out) == {"XQR": 1}
-    assert [part.obstacle for part in kept.parts] == [False, True, True]
-    assert [member.own is not None for member in kept.members] == [False, False, False, True]
-    assert kept.members[-1].own.element == {"S": "S"}
-    assert sentences(kept) == [unknown, f"1 waters, 1 XQQ kept with the protein {bare}"]
-    assert refused(*alanines(2), keep=("XQQ", "salt")).startswith("keep 'salt' is not known")
 
 
 def test_modified_residues_become_their_parents():
@@ -393,26 +355,6 @@ def test_atoms_upon_one_another_beyond_measure_are_refused(tmp_path):
     (tmp_path / "x.pdb").write_text("\n".join([*text, "END", ""]))
     with pytest.raises(pc.ProtochainError, match=r"lie upon one another: [0-9]+ pairs"):
         pc.load(tmp_path / "x.pdb")
-
-
-class _Named:
-    """An atom that counts how often it is asked for its name."""
-
-    asked = 0
-
-    def has_altloc(self):
-        return False
-
-    @property
-    def name(self):
-        _Named.asked += 1
-        return "O"
-
-
-def test_atoms_that_share_a_name_are_each_looked_at_once():
-    copies = _copies([_Named() for _ in range(300)])
-    assert [len(each) for each in copies] == [1] * 300
-    assert _Named.asked <= 3 * 300
 
 
 def test_a_name_of_thousands_of_letters_is_cut_where_it_is_refused(tmp_path):

@@ -414,20 +414,6 @@ def test_a_conformer_that_overlaps_is_not_taken():
     assert all(d[n] == pytest.approx(-free[n]) for n in free)
 
 
-def test_rebuilt_cysteines_close_their_bonds():
-    members = read(STRUCTURES / "4pti.pdb").members
-    by_number = {m.seqid: (k, m) for k, m in enumerate(members)}
-    for first, second, both in (("5", "55", False), ("14", "38", True), ("30", "51", True)):
-        sites = []
-        for number in (first, second)[: 1 + both]:
-            k, member = by_number[number]
-            member.atoms = [a for a in member.atoms if a.name != "SG"]
-            sites.append(Site(member, 1, members[k - 1], members[k + 1] if k + 1 < len(members) else None))
-        built = [places["SG"] for places in packed(members, sites).places]
-        other = built[1] if both else by_number[second][1].atom("SG").pos.tolist()
-        assert np.linalg.norm(built[0] - other) == pytest.approx(2.05, abs=0.3)
-
-
 def test_rotation_adds_to_a_dihedral():
     a, start, end = np.array([1.0, 0, 0]), ORIGIN, np.array([0, 0, 1.0])
     x = np.array([[[0.5, 0.5, 2.0]], [[0.5, 0.5, 2.0]]])

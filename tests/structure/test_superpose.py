@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from fixtures.samples import load, shared
+from fixtures.samples import load
 from fixtures.tolerances import RMSD_ANGSTROM
 from scipy.spatial.transform import Rotation
 
@@ -35,26 +35,6 @@ def test_ca_rmsd_equals_mdtraj(pairs):
         frames.superpose(frames, 0, atom_indices=alpha)
         off = frames.xyz[1, alpha].astype(float) - frames.xyz[0, alpha]
         assert ours == pytest.approx(10 * np.sqrt(np.mean(np.sum(off**2, axis=1))), abs=RMSD_ANGSTROM)
-
-
-def test_ca_rmsd_equals_mdanalysis(pairs):
-    from MDAnalysis.analysis.rms import rmsd as theirs
-
-    for s, x in pairs:
-        alpha = s.alpha_carbons
-        value = theirs(10 * x[alpha], 10 * s.positions[alpha], center=True, superposition=True)
-        assert pc.ca_rmsd(s, x, s.positions) == pytest.approx(value, abs=RMSD_ANGSTROM)
-
-
-def test_rmsd_of_models_of_a_real_ensemble_equals_mdtraj():
-    import mdtraj
-
-    frames = mdtraj.load_pdb(str(shared("2sdf_sdf1_nmr30.pdb")), no_boxchk=True)
-    alpha = frames.topology.select("name CA")
-    x = np.array(frames.xyz, dtype=np.float64)[:, alpha]
-    for k in (1, 2):
-        theirs = float(10 * mdtraj.rmsd(frames, frames, 0, atom_indices=alpha)[k])
-        assert 10 * rmsd(x[k], x[0]) == pytest.approx(theirs, abs=RMSD_ANGSTROM)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 50])

@@ -14,7 +14,6 @@ from protochain.validation.dots import Dots, molecular_surface
 DENSITY = 40.0
 CLUSTERS = {
     "two apart": ([[0, 0, 0], [9, 0, 0]], [1.5, 1.8]),
-    "two that bonds join": ([[0, 0, 0], [1.5, 0, 0]], [1.5, 1.8]),
     "two with the probe between": ([[0, 0, 0], [5.5, 0, 0]], [1.5, 1.8]),
     "two between which the probe meets itself": ([[0, 0, 0], [6.2, 0, 0]], [1.5, 1.8]),
     "three": ([[0, 0, 0], [4, 0, 0], [2, 3.6, 0]], [1.5, 1.8, 1.7]),
@@ -83,7 +82,7 @@ def plane(height, up, n=60, step=0.2):
     return Dots(x, normal, np.full(len(x), step**2), x)
 
 
-@pytest.mark.parametrize("gap", [0.0, 0.5, 1.0, 2.0])
+@pytest.mark.parametrize("gap", [0.0, 0.5])
 def test_of_parallel_planes_it_falls_with_their_gap(gap):
     assert complementarity(plane(0.0, True), plane(gap, False)) == pytest.approx(np.exp(-WEIGHT * gap**2))
 

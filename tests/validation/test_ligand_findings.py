@@ -113,21 +113,6 @@ def test_without_posebusters_one_line_says_so_and_the_rest_is_found(tmp_path, mo
     assert capsys.readouterr().out.count("pip install") == 1
 
 
-def test_table_json_and_terminal_tell_the_same(tmp_path, capsys):
-    pytest.importorskip("posebusters")
-    pose = posed(tmp_path)
-    v = pc.validate(pc.load(PROTEIN, ligands=pose), posebusters=True)
-    (row,) = v.ligand_table.to_dict("records")
-    assert run("validate", PROTEIN, "--ligand", pose, "--posebusters", "--json") == 0
-    (said,) = json.loads(capsys.readouterr().out)["results"]
-    assert said["ligands"] == [row] == [v.ligands[0].record()]
-    assert said["ligand_clashes"] == row["clashes"]
-    assert run("validate", PROTEIN, "--ligand", pose, "--posebusters", "--csv", tmp_path / "t.csv") == 0
-    out = capsys.readouterr().out
-    assert "PoseBusters" in out and f"{row['strain_kj_mol']:.0f} kJ/mol" in out
-    assert pc.validate(PROTEIN).ligands == () and pc.validate(PROTEIN).ligand_table.empty
-
-
 def test_relax_records_each_ligand_before_and_after(tmp_path, capsys):
     pose, out = posed(tmp_path), tmp_path / "out.cif"
     result = pc.relax(pc.load(PROTEIN, ligands=pose))

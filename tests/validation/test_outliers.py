@@ -1,15 +1,12 @@
 """Ramachandran, omega, C-beta, rotamers and hands against cctbx, and on structures changed by hand."""
 
 import csv
-import json
-import os
-import subprocess
 from collections import defaultdict
 
 import numpy as np
 import pytest
 from fixtures.molecules import atom, turned
-from fixtures.samples import MORE_STRUCTURES, ROOT, chain, load, shared
+from fixtures.samples import ROOT, chain, load, shared
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
@@ -73,11 +70,7 @@ def test_every_residue_of_the_samples_is_as_cctbx_has_it(name):
 COUNTS = {
     "1ake_A.pdb": (212, 0, 207, 194, 2, 1, 0, 0),
     "af_with_violations.pdb": (146, 18, 111, 138, 0, 0, 0, 7),
-    "af_multiple_disulfides.pdb": (189, 28, 142, 181, 0, 0, 0, 1),
-    "1bta_barstar.pdb": (87, 7, 67, 84, 0, 1, 0, 0),
     "1orc_icode.pdb": (62, 0, 61, 59, 1, 1, 0, 0),
-    "2beg_abeta_fibril.pdb": (120, 5, 88, 105, 0, 0, 0, 0),
-    "3enl_enolase.pdb": (434, 3, 414, 399, 36, 2, 0, 0),
 }
 """Of cctbx-base 2025.11: residues on the Ramachandran plot, outliers, favoured; C-betas, outliers; cis
 prolines, other cis peptides, twisted peptides."""
@@ -93,49 +86,6 @@ def test_counts_are_those_of_cctbx(name):
         int((beta.deviation[seen] >= LIMIT).sum()), int((bonds.cis & bonds.proline).sum()),
         int((bonds.cis & ~bonds.proline).sum()), int(bonds.twisted.sum()),
     ) == COUNTS[name]  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("largest", "least"), [(70_000, 1000), pytest.param(10**8, 25_000, marks=pytest.mark.slow)]
-)
-def test_every_shared_structure_is_as_cctbx_has_it(largest, least):
-    """Residue by residue, wherever both measure one; of alternates the one that was taken."""
-    python = os.environ.get("CCTBX_PYTHON")
-    if not python:
-        pytest.skip("CCTBX_PYTHON names no Python with cctbx-base (beside OpenMM it ends the process)")
-    files = {str(path): path for path in sorted(MORE_STRUCTURES.glob("*.[pc][di][bf]"))}
-    files = {name: path for name, path in files.items() if path.stat().st_size < largest}
-    oracle = [python, ROOT / "tests" / "fixtures" / "cctbx_oracle.py", *files]
-    theirs = json.loads(subprocess.run(oracle, capture_output=True, check=True, text=True).stdout)
-    compared = 0
-    for name, path in files.items():
-        try:
-            found = ours(pc.load(path, keep="none"))
-        except pc.ProtochainError:
-            continue
-        told = defaultdict(list)
-        for kind, *place, _, values in theirs[name]:
-            told[kind, *place].append(values)
-        for (kind, *place), values in told.items():
-            own = found.get(tuple(place), {})
-            if ("phi" if kind == "rama" else kind) in own:
-                assert any(SAME[kind](own, *each) for each in values), (name, place, own, values)
-                compared += 1
-    assert compared > least or not files
-
-
-SAME = {
-    "rama": lambda own, phi, psi, kind, region, value: (
-        apart(own["phi"], phi) < DEGREES and apart(own["psi"], psi) < DEGREES
-        and abs(own["score"] - value) < 1e-5
-        and (own["kind"], own["region"]) == (CLASSES[kind], REGIONS[region])
-    ),
-    "cbeta": lambda own, off: abs(own["cbeta"] - off) < ANGSTROM,
-    "omega": lambda own, omega, kind: (
-        apart(own["omega"], omega) < DEGREES and own["peptide"] == ("trans", "cis", "twisted")[kind]
-    ),
-}  # fmt: skip
-"""Whether values are cctbx's."""
 
 
 def test_tables_are_percentiles_whose_regions_lie_where_they_should():
@@ -308,25 +258,6 @@ def test_a_dihedral_has_the_sign_of_iupac_and_none_without_its_atoms():
 
     frame = mdtraj.Trajectory(x[None].astype(np.float32), None)
     assert found[:2] == pytest.approx(np.degrees(mdtraj.compute_dihedrals(frame, atoms[:2])[0]), abs=1e-3)
-
-
-@pytest.mark.parametrize(("chain_id", "code"), [("A", " "), (" ", " "), ("B", "C")])
-def test_atoms_that_a_file_lacks_are_known_as_added(chain_id, code, tmp_path):
-    lines = shared("trpcage_d9e_missing.pdb").read_text().splitlines()
-    atoms = [line for line in lines if line.startswith("ATOM")]
-    # Residue 9 with an insertion code follows one of the same number without.
-    own = [
-        line[:21]
-        + chain_id
-        + ("   8" + code if code != " " and line[22:26] == "   9" else line[22:27])
-        + line[27:]
-        for line in atoms
-    ]
-    (tmp_path / "m.pdb").write_text("\n".join([*own, "END\n"]))
-    s = pc.load(tmp_path / "m.pdb")
-    assert s.atom_name[s.built].tolist() == ["CB", "CG", "CD", "OE1", "OE2"]
-    assert set(s.atom_residue[s.built].tolist()) == {8}
-    assert not load("1ubq.pdb").built.any()
 
 
 def test_outliers_and_clashes_between_chains_are_named_by_residue():

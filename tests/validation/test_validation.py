@@ -2,14 +2,11 @@
 
 import copy
 import gzip
-import json
 import pickle
-import subprocess
 
 import numpy as np
 import pandas as pd
 import pytest
-from fixtures.command_line import COMMAND
 from fixtures.molecules import molecule, shaken, turned
 from fixtures.samples import STRUCTURES, load, shared
 
@@ -182,26 +179,3 @@ def test_the_command_measures_files_folders_and_patterns(tmp_path, monkeypatch, 
         run("validate", "models/a.pdb.gz", "b.cif", "--csv", "b.cif")
     with pytest.raises(pc.ProtochainError, match=r"none\.pdb: not found"):
         run("validate", "none.pdb")
-
-
-def test_the_command_prints_one_object_of_every_model(tmp_path, capsys):
-    path, table = shared("1vii_villin_nmr3.pdb"), tmp_path / "residues.csv"
-    assert run("validate", path, "--model", "1-2", "--json", "--keep", "none", "--residues", table) == 0
-    told = capsys.readouterr()
-    said = json.loads(told.out)
-    assert (
-        told.err == "" and [row["model"] for row in said["results"]] == [1, 2] and said["reference"] is None
-    )
-    for row in said["results"]:
-        v = pc.validate(path, model=row["model"])
-        assert {key: row[key] for key in MEASURES} == pytest.approx(dict(v.measures))
-        assert row["findings"] == v.listing() and row["added"] == v.added and row["message"] == ""
-        own = pd.read_csv(table).query(f"model == {row['model']}")
-        assert own["omega_degrees"].to_numpy() == pytest.approx(v.residues["omega_degrees"], nan_ok=True)
-
-
-def test_the_command_reads_standard_input():
-    given = (STRUCTURES / "1l2y.pdb").read_text()
-    done = subprocess.run([*COMMAND, "validate", "-"], input=given, capture_output=True, text=True)
-    assert done.returncode == 0 and done.stderr == "" and "standard input:" in done.stdout
-    assert done.stdout.split()[0] == "file"

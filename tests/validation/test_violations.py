@@ -150,8 +150,7 @@ def test_counts_are_those_of_alphafolds_own_code(name, residues, clashing, withi
     assert counts == (residues, clashing, within)
 
 
-@pytest.mark.parametrize("name", ["1l2y.pdb", "4pti.pdb"])
-@pytest.mark.parametrize("noise", [0.0, 0.01, 0.04])
+@pytest.mark.parametrize(("name", "noise"), [("1l2y.pdb", 0.01), ("4pti.pdb", 0.04)])
 def test_equals_the_slow_oracle_with_and_without_noise(name, noise):
     s = load(name)
     x = s.positions + np.random.default_rng(1).normal(0.0, max(noise, 1e-9), s.positions.shape)
