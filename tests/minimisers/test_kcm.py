@@ -1,7 +1,5 @@
 """The family of the compliance method: angles of one's choice, one compliance, what a fixed angle leaves."""
 
-import json
-import sys
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +8,6 @@ from fixtures.quadratics import Flat, Quadratic, positive
 from fixtures.samples import chain, energy
 
 import protochain as pc
-from protochain.cli import main
 from protochain.minimisers import KCM, RECIPES, Descent, Fixed, Proportional, Status, recipe_of
 from protochain.minimisers.kcm import by_largest, largest_eigenvalue
 from protochain.minimisers.loop import Stop, run
@@ -59,24 +56,6 @@ def test_an_angle_that_makes_no_sense_is_refused(recipe, angle, said):
     with pytest.raises(pc.ProtochainError) as refusal:
         at_angle(RECIPES[recipe], angle)
     assert str(refusal.value).startswith(said)
-
-
-def test_the_command_takes_an_angle_and_refuses_it_where_there_is_none(tmp_path, monkeypatch, capsys):
-    def called(*arguments):
-        monkeypatch.setattr(sys, "argv", ["protochain", "minimise", "a.pdb", *arguments])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        return ended.value.code or 0, *capsys.readouterr()
-
-    monkeypatch.chdir(tmp_path)
-    pc.save(pc.from_sequence("GAG"), "a.pdb")
-    status, out, _ = called("--method", "kcm", "--angle", "0.02", "--max-evaluations", "20", "--json")
-    assert status == 3 and json.loads(out)["method"] == "kcm-0.02" and (tmp_path / "a.kcm-0.02.pdb").exists()
-    status, out, err = called("--method", "lbfgs", "--angle", "0.02")
-    assert status == 2 and "angle: method 'lbfgs' has none; give it with kcm" in err and err.count("\n") == 1
-    for options, known in (((), True), (("--no-curvature",), False)):
-        status, out, _ = called("--method", "lbfgs", "--json", *options)
-        assert status == 0 and (json.loads(out)["lowest_eigenvalue_kj_mol_rad2"] is not None) == known
 
 
 def quadratic(n=6, stiffest=100.0):
@@ -140,14 +119,3 @@ def test_what_a_fixed_angle_leaves_on_met_enkephalin():
         )
     assert left[0.05] == pytest.approx((7.7, 0.25, 20), rel=0.2)
     assert left[0.01] == pytest.approx((1.9, 0.009, 94), rel=0.2)
-
-
-def test_a_proportional_run_goes_on_with_the_compliance_it_found(tmp_path):
-    c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
-    file = tmp_path / "run.npz"
-    whole = pc.minimise(c, e, "kcm-proportional", max_evaluations=60)
-    for budget in (5, 17, 18, 40):
-        pc.minimise(c, e, "kcm-proportional", max_evaluations=budget, checkpoint=file)
-        rest = pc.minimise(c, e, "kcm-proportional", max_evaluations=60, resume=file)
-        assert np.array_equal(rest.q, whole.q) and rest.n_evaluations == whole.n_evaluations
-    assert whole.end.energy < whole.start.energy
