@@ -12,14 +12,11 @@ from fixtures.samples import chain
 from scipy.spatial.transform import Rotation
 
 from protochain.chains.frame import Frame
-from protochain.energies.decomposed import TERMS
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.restraints import Hold
 from protochain.minimisers.solution import TRACE_COLUMNS, Recorder, Solution, trace_of
 from protochain.minimisers.verdict import Judgement, Status
 from protochain.results.columns import flat
-from protochain.validation import MEASURES, measures
-from protochain.validation.findings import REMAINS
 
 ENERGY = SimpleNamespace(
     engine="native", device="cpu", reason="two kernels", forcefield="amber14", solvent="obc2", threads=2
@@ -40,50 +37,6 @@ def solution(**changed):
         tolerance=1.0, hold=Hold((100.0,), 0.5), seed=9, restraints=(0.5, 1.5), lowest_eigenvalue=7.5,
     )  # fmt: skip
     return replace(made, **changed)
-
-
-def test_a_record_holds_each_value_under_its_name():
-    c = chain("ala10.pdb")
-    found = measures(c.structure)
-    expected = {
-        "structure": "ala10", "method": "lbfgs", "status": "budget", "message": "budget: used",
-        "energy_start_kj_mol": -10.0, "energy_end_kj_mol": -12.25, "energy_end_reference_kj_mol": -12.5,
-        "judge": "a judge",
-        "max_torque_end_kj_mol_rad": 30.0, "rms_force_end_kj_mol_nm": 4.0,
-        "lowest_eigenvalue_kj_mol_rad2": 7.5, "lowest_eigenvalue_kj_mol_nm2": None, "ca_rmsd_angstrom": 0.25,
-        "ca_rmsd_as_filed_angstrom": 0.0, "frame": "superposed on the start",
-        **{
-            f"energy_{each}_{when}_kj_mol": None for each in TERMS for when in ("start", "end")
-        },
-        "energy_restraints_start_kj_mol": 0.5, "energy_restraints_end_kj_mol": 1.5,
-        **{f"{key}_{when}": value for key, value in found.items() for when in ("start", "end")},
-        **{key: [] for key in REMAINS},
-        "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,
-        "n_atoms": c.structure.n_atoms, "n_bodies": c.n_bodies, "n_hinges": c.n_hinges,
-        "n_atoms_moving": c.n_atoms,
-        "protochain": version("protochain"), "engine": "native", "device": "cpu",
-        "engine_reason": "two kernels", "forcefield": "amber14", "solvent": "obc2",
-        "hinges": "phi psi chi", "root": "auto",
-        "tolerance": 1.0, "tolerance_unit": "kJ/mol/rad", "move": "all", "restraint_kj_mol_nm2": [100.0],
-        "max_rmsd_angstrom": 0.5, "left_out": {}, "constant_terms": {"bonds": 3, "angles": 4},
-        "lost_atoms": [], "n_lost_atoms": 0, "far_molecules": [], "repairs": sentences(c.structure),
-        "seed": 9, "threads": 2,
-    }  # fmt: skip
-    assert solution().record() == expected and list(solution().record()) == list(expected)
-    assert type(solution().record()["status"]) is str
-    moved = solution(
-        frame=Frame(c.structure, "a spring"), x=c.structure.positions + np.array([0.03, 0.0, 0.04])
-    ).record()
-    assert moved["ca_rmsd_as_filed_angstrom"] == pytest.approx(0.5) and moved["ca_rmsd_angstrom"] == 0.25
-    assert moved["frame"] == "held by a spring"
-    turned = c.structure.positions * [-1.0, 1.0, 1.0]
-    mirrored = solution(x=turned).record()
-    assert mirrored["inverted_stereocentres_start"] == 0 and mirrored["inverted_stereocentres_end"] == 10
-    assert {key: mirrored[f"{key}_end"] for key in MEASURES} == measures(c.structure, turned)
-    free = solution(recipe=RECIPES["hybrid"], hold=Hold(), end=Judgement(np.inf, np.nan, 4.0)).record()
-    assert free["tolerance_unit"] == "kJ/mol/nm" and free["restraint_kj_mol_nm2"] == []
-    assert free["max_rmsd_angstrom"] is free["energy_end_reference_kj_mol"] is None
-    assert free["max_torque_end_kj_mol_rad"] is None and free["rms_force_end_kj_mol_nm"] == 4.0
 
 
 def test_cells_are_text_where_values_are_lists_or_counts():

@@ -13,13 +13,7 @@ from protochain.batches import BatchSettings, task
 from protochain.minimisers import Status
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Problem
-from protochain.minimisers.saddle import (
-    Curvature,
-    CurvatureState,
-    _extended,
-    _orthonormal,
-    stepped_off,
-)
+from protochain.minimisers.saddle import Curvature, CurvatureState, _extended, _orthonormal, stepped_off
 from protochain.minimisers.spaces import Torsions
 
 EIGENVALUE = 0.01
@@ -138,19 +132,6 @@ def test_a_run_stopped_anywhere_goes_on_as_if_it_had_not(method, tmp_path):
         assert np.array_equal(rest.q, whole.q) and rest.message == whole.message
         assert rest.lowest_eigenvalue == whole.lowest_eigenvalue
         assert (rest.n_evaluations, rest.n_iterations) == (whole.n_evaluations, whole.n_iterations)
-
-
-def test_a_run_that_stalled_stays_so_and_says_its_curvature(tmp_path):
-    c, e = chain("ala10.pdb"), energy("ala10.pdb")
-    stalled = pc.minimise(c, e, pc.kcm(angle=0.05), 1e-3, max_evaluations=2000)
-    assert stalled.status is Status.STALLED and "no new low" in stalled.message
-    assert stalled.lowest_eigenvalue == pytest.approx(26.0, rel=0.05)
-    file = tmp_path / "run.npz"
-    budget = stalled.n_evaluations - 3
-    part = pc.minimise(c, e, pc.kcm(angle=0.05), 1e-3, max_evaluations=budget, checkpoint=file)
-    assert part.status is Status.BUDGET and part.lowest_eigenvalue is None
-    rest = pc.minimise(c, e, pc.kcm(angle=0.05), 1e-3, max_evaluations=2000, resume=file)
-    assert rest.message == stalled.message and rest.lowest_eigenvalue == stalled.lowest_eigenvalue
 
 
 def test_a_curvature_that_no_energy_confirms_is_no_saddle():
