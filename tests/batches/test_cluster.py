@@ -1,4 +1,4 @@
-"""Batches that are killed and go on, and clusters of processes on this machine, with and without TLS."""
+"""Batches that are killed and go on, and clusters of processes on this machine."""
 
 import json
 import os
@@ -52,11 +52,11 @@ def table(output):
     return read.drop(columns=list(MEASURED))
 
 
-def start(inputs, output, *options, env=None):
+def start(inputs, output, *options):
     command = [sys.executable, "-c", "from protochain.cli import main; main()"]
     return subprocess.Popen(
         [*command, "batch", str(inputs), "-o", str(output), *OPTIONS, *options],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=env, start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
 
 
@@ -109,7 +109,7 @@ def test_an_interrupt_keeps_what_is_done(inputs, whole, number, tmp_path):
 
 
 @contextmanager
-def cluster(folder, *options):
+def cluster(folder):
     """Run a scheduler and two workers of the dask command line on loopback; give the address."""
     file = folder / "scheduler.json"
     dask = [sys.executable, "-m", "dask"]
@@ -124,14 +124,13 @@ def cluster(folder, *options):
         "--scheduler-file",
         file,
     ]
-    started = [subprocess.Popen([*dask, *scheduler, *options], **quiet)]
+    started = [subprocess.Popen([*dask, *scheduler], **quiet)]
     try:
         until(lambda: file.exists() and file.read_text().endswith("}"), started[0])
         address = json.loads(file.read_text())["address"]
         worker = ["worker", address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard", "--nanny"]
         started += [
-            subprocess.Popen([*dask, *worker, *options, "--local-directory", folder], **quiet)
-            for _ in range(2)
+            subprocess.Popen([*dask, *worker, "--local-directory", folder], **quiet) for _ in range(2)
         ]
         yield address
     finally:
@@ -155,49 +154,3 @@ def test_a_killed_worker_changes_nothing(inputs, whole, tmp_path):
         assert running.wait(timeout=HANG) == 4
         assert gone(own)
     pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
-
-
-def test_a_cluster_with_tls_takes_only_who_has_a_certificate(inputs, whole, tmp_path):
-    pytest.importorskip("cryptography")
-    from distributed.security import Security
-
-    made = Security.temporary()
-    files = {name: tmp_path / f"{name}.pem" for name in ("tls_ca_file", "tls_client_cert", "tls_client_key")}
-    for name, path in files.items():
-        path.write_text(getattr(made, name))
-    ca, cert, key = map(str, files.values())
-    options = ("--protocol", "tls", "--tls-ca-file", ca, "--tls-cert", cert, "--tls-key", key)
-    known = {
-        "DASK_DISTRIBUTED__COMM__TLS__CA_FILE": ca,
-        "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT": cert,
-        "DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY": key,
-    }
-    with cluster(tmp_path, *options) as address:
-        assert address.startswith("tls://127.0.0.1")
-        refused = start(inputs, tmp_path / "out", "--scheduler", address)
-        assert refused.wait(timeout=HANG) == 2
-        accepted = start(inputs, tmp_path / "out2", "--scheduler", address, env=os.environ | known)
-        assert accepted.wait(timeout=HANG) == 3
-    pd.testing.assert_frame_equal(table(tmp_path / "out2"), whole)
-
-
-def test_a_search_on_a_cluster_that_loses_a_worker_finds_the_same_bits(tmp_path):
-    chain = pc.build_chain(pc.from_sequence("YGGFM"))
-    energy, killed = pc.energy(chain.structure, threads=1), []
-    whole = pc.search(chain, energy, "hopping", 30_000, n_walkers=3)
-
-    def watch(progress):
-        if not killed:
-            killed.extend(
-                p for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())
-            )
-            killed[0].kill()
-
-    with cluster(tmp_path) as address:
-        there = tmp_path / "out"
-        found = pc.search(
-            chain, energy, "hopping", 30_000, n_walkers=3, scheduler=address, output=there, watch=watch
-        )
-    assert killed and not found.interrupted
-    for one, other in zip(found.findings, whole.findings, strict=True):
-        np.testing.assert_array_equal(one.minima, other.minima)
