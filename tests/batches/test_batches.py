@@ -196,15 +196,6 @@ def test_a_child_does_not_outlive_its_worker(folder, tmp_path):
     assert not [each for each in said if isinstance(each, Row)], "it went on to the end of its job"
 
 
-def test_names_are_escaped_on_pages(tmp_path):
-    path = tmp_path / f"{EVIL.replace('/', '|')}.pdb"
-    path.write_bytes((STRUCTURES / "ala10.pdb").read_bytes())
-    (job,) = find_jobs([path], BatchSettings(methods=("lbfgs",), max_evaluations=3))
-    list(Task(job, tmp_path).run(1))
-    (page,) = (tmp_path / "pages").glob("*.html")
-    assert "<script>alert" not in page.read_text() and "&lt;script&gt;" in page.read_text()
-
-
 def test_messages_are_escaped_on_pages(tmp_path):
     (job,) = find_jobs([STRUCTURES / "ala10.pdb"], BatchSettings(methods=("lbfgs",)))
     row = failure(job, "lbfgs", "refused", EVIL)
@@ -307,13 +298,3 @@ def test_a_damaged_table_is_refused_before_anything_is_written(tmp_path):
             pc.batch(tmp_path, output=out, methods=("lbfgs",), max_evaluations=2, workers=1, resume=True)
         assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
         damaged.write_bytes(whole)
-
-
-def test_records_count_residues_of_the_protein_alone():
-    """As the terminal does: waters and ligands beside it are no residues of it."""
-    structure = load("1ejg.pdb")
-    assert structure.n_protein_residues == 46
-    kept = pc.load(STRUCTURES / "1hel.pdb", keep="all")
-    assert kept.n_residues > kept.n_protein_residues == 129
-    solution = pc.minimise(kept, method="lbfgs", max_evaluations=1)
-    assert solution.record()["n_residues"] == 129

@@ -1,4 +1,4 @@
-"""Batches that are killed and go on, and clusters of processes on this machine, with and without TLS."""
+"""Batches that are killed and go on, and clusters of processes on this machine."""
 
 import json
 import os
@@ -52,11 +52,11 @@ def table(output):
     return read.drop(columns=list(MEASURED))
 
 
-def start(inputs, output, *options, env=None):
+def start(inputs, output, *options):
     command = [sys.executable, "-c", "from protochain.cli import main; main()"]
     return subprocess.Popen(
         [*command, "batch", str(inputs), "-o", str(output), *OPTIONS, *options],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=env, start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
 
 
@@ -92,22 +92,6 @@ def test_a_killed_batch_goes_on_to_the_same_table(inputs, whole, whom, least, tm
     assert len(after) == len(before) and (after["seconds_x"] == after["seconds_y"]).all()
 
 
-def test_a_killed_child_is_a_row_and_is_done_again_on_resuming(inputs, whole, tmp_path):
-    running = start(inputs, tmp_path, "--workers", "1")
-    wait_for_rows(tmp_path, 4, running)
-    family = psutil.Process(running.pid).children(recursive=True)
-    (child,) = [p for p in family if "protochain.batches.child" in " ".join(p.cmdline())]
-    child.kill()
-    assert running.wait(timeout=HANG) == 4
-    ended = table(tmp_path)
-    assert len(ended) == len(whole)
-    killed = ended[ended["status"] == "killed"]
-    assert killed["structure"].nunique() <= 1
-    assert killed["message"].str.contains("SIGKILL").all()
-    assert start(inputs, tmp_path, "--workers", "1", "--resume").wait(timeout=HANG) == 4
-    pd.testing.assert_frame_equal(table(tmp_path), whole)
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_keeps_what_is_done(inputs, whole, number, tmp_path):
     running = start(inputs, tmp_path, "--workers", "2")
@@ -125,7 +109,7 @@ def test_an_interrupt_keeps_what_is_done(inputs, whole, number, tmp_path):
 
 
 @contextmanager
-def cluster(folder, *options):
+def cluster(folder):
     """Run a scheduler and two workers of the dask command line on loopback; give the address."""
     file = folder / "scheduler.json"
     dask = [sys.executable, "-m", "dask"]
@@ -140,14 +124,13 @@ def cluster(folder, *options):
         "--scheduler-file",
         file,
     ]
-    started = [subprocess.Popen([*dask, *scheduler, *options], **quiet)]
+    started = [subprocess.Popen([*dask, *scheduler], **quiet)]
     try:
         until(lambda: file.exists() and file.read_text().endswith("}"), started[0])
         address = json.loads(file.read_text())["address"]
         worker = ["worker", address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard", "--nanny"]
         started += [
-            subprocess.Popen([*dask, *worker, *options, "--local-directory", folder], **quiet)
-            for _ in range(2)
+            subprocess.Popen([*dask, *worker, "--local-directory", folder], **quiet) for _ in range(2)
         ]
         yield address
     finally:
@@ -156,12 +139,6 @@ def cluster(folder, *options):
                 each.kill()
             process.kill()
             process.wait()
-
-
-def test_workers_of_the_dask_command_line_do_the_same(inputs, whole, tmp_path):
-    with cluster(tmp_path) as address:
-        assert start(inputs, tmp_path / "out", "--scheduler", address).wait(timeout=HANG) == 4
-    pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
 
 
 def test_a_killed_worker_changes_nothing(inputs, whole, tmp_path):
@@ -177,94 +154,3 @@ def test_a_killed_worker_changes_nothing(inputs, whole, tmp_path):
         assert running.wait(timeout=HANG) == 4
         assert gone(own)
     pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
-
-
-def test_relax_goes_on_after_a_kill_on_a_cluster_as_a_batch_does(inputs, tmp_path):
-    """A folder, a manifest with settings of its own, broken files, a kill, and a time limit."""
-    manifest = tmp_path / "work.csv"
-    rows = [f"{inputs / name}.pdb,{preset}" for name, preset in (("copy00", "crystal"), ("bad0", ""))]
-    manifest.write_text(
-        "\n".join(["path,preset", *rows, *(f"{inputs}/copy{k:02}.pdb," for k in range(1, 8))])
-    )
-    command = [sys.executable, "-c", "from protochain.cli import main; main()", "relax"]
-
-    def begin(name, *options, given=("--manifest", manifest)):
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        whole = [*command, *given, "-o", tmp_path / name, *options]
-        return subprocess.Popen(whole, **quiet, start_new_session=True)
-
-    def relaxed(name):
-        return pd.read_csv(tmp_path / name / "relaxed.csv").drop(columns=list(MEASURED))
-
-    assert begin("whole", "--workers", "2").wait(timeout=HANG) == 4
-    with cluster(tmp_path) as address:
-        running = begin("out", "--scheduler", address)
-        table = tmp_path / "out" / "relaxed.csv"
-        until(lambda: table.exists() and table.read_text().count("\n") >= 4, running)
-        os.killpg(running.pid, signal.SIGINT)
-        assert running.wait(timeout=HANG) == 130
-        assert 2 < len(relaxed("out")) < 9 and (tmp_path / "out" / "report.html").exists()
-        assert begin("out", "--scheduler", address, "--resume").wait(timeout=HANG) == 4
-        late = begin("late", "--scheduler", address, "--time-limit", "0.01", given=[inputs / "copy00.pdb"])
-        assert late.wait(timeout=HANG) == 1
-    pd.testing.assert_frame_equal(relaxed("out"), relaxed("whole"))
-    assert relaxed("whole")["status"].tolist() == ["converged", "refused", *["converged"] * 7]
-    assert relaxed("whole")["preset"].dropna().tolist() == ["crystal", *["predicted"] * 7]
-    assert relaxed("late")["status"].tolist() == ["time-limit"]
-
-
-def test_without_its_scheduler_a_batch_ends_and_goes_on_later(inputs, whole, tmp_path):
-    with cluster(tmp_path) as address:
-        running = start(inputs, tmp_path / "out", "--scheduler", address)
-        wait_for_rows(tmp_path / "out", N_BAD + 2, running)
-        (scheduler,) = [p for p in psutil.Process().children() if "scheduler" in p.cmdline()]
-        scheduler.kill()
-        assert running.wait(timeout=HANG) == 1
-    assert start(inputs, tmp_path / "out", "--workers", "2", "--resume").wait(timeout=HANG) == 4
-    pd.testing.assert_frame_equal(table(tmp_path / "out"), whole)
-
-
-def test_a_cluster_with_tls_takes_only_who_has_a_certificate(inputs, whole, tmp_path):
-    pytest.importorskip("cryptography")
-    from distributed.security import Security
-
-    made = Security.temporary()
-    files = {name: tmp_path / f"{name}.pem" for name in ("tls_ca_file", "tls_client_cert", "tls_client_key")}
-    for name, path in files.items():
-        path.write_text(getattr(made, name))
-    ca, cert, key = map(str, files.values())
-    options = ("--protocol", "tls", "--tls-ca-file", ca, "--tls-cert", cert, "--tls-key", key)
-    known = {
-        "DASK_DISTRIBUTED__COMM__TLS__CA_FILE": ca,
-        "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT": cert,
-        "DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY": key,
-    }
-    with cluster(tmp_path, *options) as address:
-        assert address.startswith("tls://127.0.0.1")
-        refused = start(inputs, tmp_path / "out", "--scheduler", address)
-        assert refused.wait(timeout=HANG) == 2
-        accepted = start(inputs, tmp_path / "out2", "--scheduler", address, env=os.environ | known)
-        assert accepted.wait(timeout=HANG) == 3
-    pd.testing.assert_frame_equal(table(tmp_path / "out2"), whole)
-
-
-def test_a_search_on_a_cluster_that_loses_a_worker_finds_the_same_bits(tmp_path):
-    chain = pc.build_chain(pc.from_sequence("YGGFM"))
-    energy, killed = pc.energy(chain.structure, threads=1), []
-    whole = pc.search(chain, energy, "hopping", 30_000, n_walkers=3)
-
-    def watch(progress):
-        if not killed:
-            killed.extend(
-                p for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())
-            )
-            killed[0].kill()
-
-    with cluster(tmp_path) as address:
-        there = tmp_path / "out"
-        found = pc.search(
-            chain, energy, "hopping", 30_000, n_walkers=3, scheduler=address, output=there, watch=watch
-        )
-    assert killed and not found.interrupted
-    for one, other in zip(found.findings, whole.findings, strict=True):
-        np.testing.assert_array_equal(one.minima, other.minima)

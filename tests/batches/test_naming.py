@@ -11,7 +11,7 @@ from fixtures.samples import STRUCTURES
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.jobs import failure
-from protochain.batches.naming import Earlier, Wanted, named_apart, output_stem
+from protochain.batches.naming import Wanted, named_apart, output_stem
 from protochain.batches.table import Tables, earlier_rows
 
 RELAX = BatchSettings(("relax",))
@@ -141,18 +141,6 @@ def test_changed_and_moved_inputs_are_those_of_their_names():
     assert resumed(["moved"])[0] == []
     shutil.move("moved/to/a/x.pdb", "moved/to/a/new.pdb")
     assert resumed(["moved"])[0] == ["to/a/new"]
-
-
-def test_results_named_by_an_older_protochain_are_not_done_again():
-    """Their names had digits of the key, and no folders."""
-    made("in/one/model.pdb", "in/two/model.pdb", "in/three/model.pdb")
-    jobs = find_jobs(["in"], RELAX)
-    earlier = [
-        Earlier(f"model-{job.key[:8]}", str(job.path), "", job.key, f"model-{job.key[:8]}.relaxed.pdb")
-        for job in jobs[:2]
-    ]
-    found = [job.name for job in find_jobs(["in"], RELAX, earlier=earlier)]
-    assert found == [earlier[0].structure, earlier[1].structure, "two/model"]
 
 
 def test_a_manifest_or_link_in_the_folder_for_the_results_is_refused():

@@ -5,7 +5,6 @@ import os
 import signal
 import struct
 import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
@@ -56,16 +55,6 @@ def test_a_frame_is_relaxed_as_it_is_by_itself_whatever_came_before(x):
         assert each.record["ca_rmsd_angstrom"] == alone.ca_rmsd_angstrom
     (last,) = relax_frames(load(SMALL), x, -1, threads=1)
     assert np.array_equal(last.structure.positions, results[-1].structure.positions)
-
-
-def test_numbers_do_not_depend_on_the_frames_before():
-    """Lists of neighbours hold for frames that are near one another, and sums go in their order."""
-    structure = load("1l2y.pdb")
-    near = structure.positions + np.random.default_rng(0).normal(0.0, 1e-3, (3, structure.n_atoms, 3))
-    *_, last = relax_frames(structure, near, threads=1)
-    (alone,) = relax_frames(structure, near[2:], threads=1)
-    assert np.array_equal(last.structure.positions, alone.structure.positions)
-    assert last.record["energy_start_kj_mol"] == alone.record["energy_start_kj_mol"]
 
 
 @pytest.mark.slow
@@ -223,8 +212,7 @@ def stop_after(n):
     return watch
 
 
-@pytest.mark.parametrize("suffix", [".dcd", ".xtc", ".pdb"])
-@pytest.mark.parametrize("n", [1, 3, 5])
+@pytest.mark.parametrize(("suffix", "n"), [(".dcd", 1), (".xtc", 3), (".pdb", 5)])
 def test_an_interrupted_run_goes_on_without_lost_or_doubled_frames(tmp_path, x, suffix, n):
     whole, stopped = tmp_path / f"whole{suffix}", tmp_path / f"stopped{suffix}"
     ensemble, chosen = opened(x)
@@ -318,35 +306,3 @@ def test_a_killed_command_is_resumed_to_the_same_files(tmp_path):
     )
     assert rows_of(tmp_path / "killed.csv") == rows_of(tmp_path / "whole.csv")
     assert content(tmp_path / "killed.dcd") == content(tmp_path / "whole.dcd") != b""
-
-
-@pytest.mark.slow
-def test_memory_does_not_grow_with_the_number_of_frames(tmp_path):
-    """Peak of a process that measures a hundred frames, and thirty times as many."""
-    structure = load(SMALL)
-    pc.save(structure, tmp_path / "top.pdb")
-    code = (
-        "import re, sys\n"
-        "from protochain.batches.frame_files import run_frames\n"
-        "from protochain.batches.frame_tasks import EnergyFrames\n"
-        "from protochain.batches.frames import ensemble_of\n"
-        "from protochain import Setup\n"
-        "from pathlib import Path\n"
-        "setup = Setup(threads=1)\n"
-        "e, f = ensemble_of('top.pdb', sys.argv[1], None, setup)\n"
-        "run_frames(e, f, EnergyFrames(setup), Path(sys.argv[1] + '.csv'))\n"
-        "print(int(re.search(r'VmHWM:\\s*(\\d+)', Path('/proc/self/status').read_text())[1]) / 1024)"
-    )
-    peaks = []
-    for n in (100, 3000):
-        saved(structure, shaken(structure, n), tmp_path / f"x{n}.xtc")
-        done = subprocess.run(
-            [sys.executable, "-c", code, f"x{n}.xtc"],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        peaks.append(float(done.stdout))
-    # All frames together, in double precision, are 7 MB; what Python keeps for later varies by some.
-    assert peaks[1] < peaks[0] + 4.0

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import refusal, run
-from fixtures.samples import ROOT, STRUCTURES
+from fixtures.samples import STRUCTURES
 
 RING = 1.39 * np.exp(1j * np.arange(6) * np.pi / 3)
 
@@ -186,30 +186,6 @@ def test_a_ligand_without_a_name_of_its_own_gets_its_chemistry(tmp_path):
     out = tmp_path / "out"
     assert run("relax", tmp_path, "-o", out, "--workers", "1", "--ligand", "LIG1=Oc1ccccc1") == 0
     assert "LIG1 of chain B moves" in pd.read_csv(out / "relaxed.csv")["repairs"][0]
-
-
-def test_leaving_atoms_of_covalent_bonds_go(tmp_path):
-    """AlphaFold 3 writes whole components and their bonds: here the oxygen that asparagine replaces."""
-    path = ROOT.parent / "shared" / "cases" / "ligands" / "made_chai225_NAG_keeps_O1.pdb"
-    if not path.exists():
-        pytest.skip("the cases are not here")
-    s = gemmi.read_structure(str(path))
-    bond = gemmi.Connection()
-    bond.type, bond.name = gemmi.ConnectionType.Covale, "covale1"
-    bond.partner1, bond.partner2 = (
-        gemmi.make_address(place.chain, place.residue, place.atom)
-        for name in ("ND2", "C1")
-        for place in s[0].all()
-        if (place.residue.name, place.atom.name) in {("ASN", name), ("NAG", name)}
-    )
-    s.connections.append(bond)
-    written(tmp_path / "job" / "job_model.cif", s)
-    assert run("relax", tmp_path / "job", "-o", tmp_path / "out", "--workers", "1") == 0
-    made = gemmi.read_structure(str(tmp_path / "out" / "job_model.relaxed.cif"))
-    (sugar,) = (residue for chain in made[0] for residue in chain if residue.name == "NAG")
-    assert "O1" not in sugar and "O5" in sugar
-    assert {"ND2", "C1"} in [{bond.partner1.atom_name, bond.partner2.atom_name} for bond in made.connections]
-    assert "in the place of O1 of NAG" in pd.read_csv(tmp_path / "out" / "relaxed.csv")["repairs"][0]
 
 
 def test_frames_in_a_folder_of_bioemu_are_named_with_what_relaxes_them(tmp_path, capsys, monkeypatch):

@@ -16,9 +16,8 @@ from matplotlib.image import imread
 import protochain as pc
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
-from protochain.batches.report import plot_distribution, worst_first, write_report
+from protochain.batches.report import worst_first, write_report
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
-from protochain.core.palette import COLOURS
 from protochain.minimisers import record
 from protochain.results.terms import energies_by_term
 
@@ -305,25 +304,6 @@ def test_the_worst_come_first_and_nothing_is_added():
     assert sorted_rows.columns.tolist() == results().columns.tolist()
     refused = results().assign(status="converged")
     assert worst_first(refused)["structure"].tolist() == ["s0", "s3", "s2", "s1"]
-
-
-def test_a_distribution_rises_to_all_structures():
-    values = pd.Series([3.0, 1.0, np.nan, 2.0, 7.0, np.nan])
-    methods = pd.Series(["kcm", "kcm", "kcm", "lbfgs", "kcm", "none"])
-    figure = plot_distribution(values, methods, "seconds")
-    (ax,) = figure.axes
-    first, second = ax.lines
-    assert first.get_xdata().tolist() == [1.0, 3.0, 7.0] and second.get_xdata().tolist() == [2.0]
-    assert (
-        first.get_ydata().tolist() == pytest.approx([100 / 3, 200 / 3, 100.0]) and second.get_ydata() == 100.0
-    )
-    assert [line.get_label() for line in (first, second)] == ["kcm", "lbfgs"] and ax.get_legend() is not None
-    assert ax.get_xlabel() == "seconds" and ax.get_ylim()[1] >= 100
-    # Lines that share a colour differ in their dashes.
-    many = plot_distribution(pd.Series(np.arange(9.0)), pd.Series(list("abcdefghi")), "").axes[0].lines
-    assert len({(line.get_color(), line.get_linestyle()) for line in many}) == len(many) > len(COLOURS)
-    nothing = plot_distribution(values[2:3], methods[2:3], "").axes[0]
-    assert not nothing.lines and nothing.get_legend() is None
 
 
 def test_the_report_shows_each_row_and_links_the_pages_there_are(tmp_path):

@@ -16,10 +16,9 @@ from fixtures.waiting import HANG
 import protochain as pc
 from protochain.batches import batch_structures, cluster, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
-from protochain.batches.supervise import Child, ChildError
+from protochain.batches.supervise import Child
 from protochain.batches.task import thinned
 from protochain.core.errors import WriteError
-from protochain.core.subprocesses import own_python
 from protochain.minimisers.minimise_structure import minimise
 
 ALA = STRUCTURES / "ala10.pdb"
@@ -174,24 +173,6 @@ def test_a_child_that_dies_or_is_late_leaves_rows_for_the_methods_left(tmp_path,
     assert child.killed
 
 
-def test_the_next_message_is_waited_for_until_the_deadline(monkeypatch):
-    waited = []
-
-    class Empty(queue.Queue):
-        def get(self, timeout):
-            waited.append(timeout)
-            raise queue.Empty
-
-    monkeypatch.setattr(supervise, "perf_counter", lambda: 100.0)
-    child = Scripted()
-    child.messages = Empty()
-    for deadline in (107.0, 99.0):
-        with pytest.raises(ChildError, match="too late") as error:
-            child._next(deadline, "too late")
-        assert error.value.status == "time-limit"
-    assert waited == [7.0, 0.0]
-
-
 class Ended(Child):
     """A child whose process has ended, with what it said."""
 
@@ -223,20 +204,6 @@ def test_the_end_of_a_child_is_told(status, said, death, tmp_path):
     child.said.close()
 
 
-def test_a_child_that_has_gone_cannot_be_sent_a_job(tmp_path):
-    child = Ended(-9, b"", tmp_path)
-
-    class Closed:
-        def write(self, _):
-            raise BrokenPipeError
-
-    child.process.stdin = Closed()
-    with pytest.raises(ChildError, match="SIGKILL") as error:
-        child._send("a job")
-    assert error.value.status == "killed"
-    child.said.close()
-
-
 def test_what_a_child_says_is_listened_to_until_it_ends(tmp_path):
     for tail in (b"", b"\x00 broken"):
         child = Scripted()
@@ -246,37 +213,6 @@ def test_what_a_child_says_is_listened_to_until_it_ends(tmp_path):
             child.process = SimpleNamespace(stdout=stdout)
             child._listen()
         assert [child.messages.get(block=False) for _ in range(3)] == ["ready", [1, 2], None]
-
-
-def test_a_child_is_started_with_its_threads_and_stopped_if_it_does_not_start(monkeypatch, tmp_path):
-    started, listening = {}, threading.Event()
-
-    def popen(command, **options):
-        started.update(options, command=command)
-        return SimpleNamespace(kill=lambda: started.update(killed=True))
-
-    def late(self, deadline, said):
-        assert listening.wait(HANG)
-        started.update(deadline=deadline)
-        raise ChildError("time-limit", said)
-
-    monkeypatch.setattr(supervise.subprocess, "Popen", popen)
-    monkeypatch.setattr(supervise, "perf_counter", lambda: 50.0)
-    monkeypatch.setattr(Child, "_listen", lambda self: listening.set())
-    monkeypatch.setattr(Child, "_next", late)
-    monkeypatch.setattr(Child, "kill", lambda self: (started.update(killed=True), self.said.close()))
-    job = job_of("kcm", "lbfgs")
-    # The time that it takes to start is not that of the first structure.
-    assert Child(3).do(task.Task(job, tmp_path), 1.0) == [
-        failure(job, method, "time-limit", "the process that minimises did not start in time")
-        for method in ("kcm", "lbfgs")
-    ]
-    assert started["command"] == own_python("from protochain.batches.child import main; main()")
-    assert started["killed"]
-    assert started["deadline"] == 650.0 and started["start_new_session"] is True
-    pinned = ("OMP", "OPENBLAS", "MKL", "NUMBA")
-    names = [*(f"{name}_NUM_THREADS" for name in pinned), "OPENMM_CPU_THREADS"]
-    assert {started["env"][name] for name in names} == {"3"} and "PATH" in started["env"]
 
 
 def test_a_child_is_ready_before_the_time_of_its_first_structure_begins(monkeypatch, tmp_path):
@@ -335,28 +271,6 @@ def test_children_end_with_the_crew_however_it_ends(error, counted, tmp_path):
         if error:
             raise error
     assert not any(child.is_alive for child in counted) and all(child.killed for child in counted)
-
-
-def test_a_child_that_is_started_while_its_crew_ends_is_ended_too(counted, tmp_path):
-    begun, release = threading.Event(), threading.Event()
-
-    def late():
-        begun.set()
-        assert release.wait(HANG)
-        return supervise.supervise(job_of("kcm"), 1, 5.0)
-
-    class Children(supervise._Children):
-        def end(self):
-            super().end()
-            release.set()
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(supervise, "_Children", Children)
-        with supervise.crew(1) as executor:
-            executor.submit(late)
-            never = executor.submit(late)
-            assert begun.wait(HANG)
-    assert never.cancelled() and [child.is_alive for child in counted] == [False] and counted[0].killed
 
 
 def test_a_window_is_of_four_jobs_a_worker_counted_again_after_a_while(monkeypatch):

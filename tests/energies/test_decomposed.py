@@ -2,12 +2,10 @@
 
 import copy
 import functools
-import json
 
 import numpy as np
 import openmm
 import pytest
-from fixtures.command_line import run
 from fixtures.samples import STRUCTURES, chain, load
 from openmm import unit
 
@@ -144,23 +142,6 @@ def test_atoms_bonded_in_the_middle_have_angles_and_impropers():
     assert (table[["generalised_born", "surface", "ties"]] == 0.0).all(axis=None)
 
 
-def test_the_page_of_an_energy_has_its_terms_and_colours(tmp_path, capsys):
-    page = tmp_path / "page.html"
-    run("energy", STRUCTURES / "3i40.pdb", "--between", "A,B", "--report", page)
-    assert f"written: {page}" in capsys.readouterr().out
-    s = load("3i40.pdb")
-    table = pc.energy_terms(s, between="A,B")
-    text = page.read_text()
-    for kind in ("interaction", "desolvation", "sum"):
-        assert f"<td>{table.loc[kind, 'total']:.3f}</td>" in text
-    told = json.loads(text.split('id="colourings">')[1].split("</script>")[0])
-    shares = pc.energy_terms(s, "residue", between="A,B")
-    of = {each["name"]: each["values"][0] for each in told["of"]}
-    assert of["energy, kJ/mol"] == pytest.approx(shares["total"].tolist(), rel=1e-3)
-    assert of["Coulomb, kJ/mol"] == pytest.approx(shares["coulomb"].tolist(), rel=1e-3)
-    assert told["residues"][:2] == ["A:1", "A:2"] and "change of energy, kJ/mol" not in of
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [({"by": "atom"}, "by 'atom'"), ({"between": "A"}, "two parts"), ({"between": "A,A"}, "in both parts"),
@@ -185,12 +166,10 @@ def test_terms_of_openmms_engine_are_those_of_its_system_and_a_callable_has_none
     assert terms_at(spring, s, s.positions, s.positions) == ({}, {})
 
 
-@pytest.mark.parametrize("engine", ["native", "openmm"])
 @pytest.mark.parametrize(
-    ("name", "forcefield", "solvent", "cutoff"),
-    [("1l2y.pdb", "amber19", "gbn2", None), ("1ejg.pdb", "amber14", "gbn2", None),
-     ("3i40.pdb", "charmm36", "vacuum", None), ("4pti.pdb", "amber14", "vacuum", 1.0),
-     ("1ubq.pdb", "amber14", "obc2", 1.2)],
+    ("name", "forcefield", "solvent", "cutoff", "engine"),
+    [("1l2y.pdb", "amber19", "gbn2", None, "native"), ("3i40.pdb", "charmm36", "vacuum", None, "native"),
+     ("1l2y.pdb", "amber14", "obc2", 1.2, "openmm")],
 )  # fmt: skip
 def test_terms_at_start_and_end_add_up_to_the_energies_of_the_reference(
     name, forcefield, solvent, cutoff, engine
@@ -254,26 +233,3 @@ def test_restraints_are_told_at_start_and_end_where_a_run_has_them():
     assert record["energy_restraints_end_kj_mol"] == pytest.approx(250.0 * away, rel=1e-9) != 0.0
     released = pc.minimise(s, method="cartesian", restraint="500 0")
     assert released.restraints is None and released.record()["energy_restraints_end_kj_mol"] is None
-
-
-def test_relaxations_tell_terms_and_springs():
-    result = pc.relax(STRUCTURES / "1l2y.pdb")
-    record = result.record()
-    for when, total in (("start", result.energy_start), ("end", result.energy_end)):
-        found = [record[f"energy_{each}_{when}_kj_mol"] for each in TERMS]
-        assert sum(found) == pytest.approx(total, abs=1e-10 * max(map(abs, found)))
-    assert record["energy_restraints_end_kj_mol"] > 0.0 == record["energy_restraints_start_kj_mol"]
-
-
-def test_records_on_a_callable_leave_terms_empty(tmp_path):
-    s = load("ala10.pdb")
-    home = s.positions + 0.01
-
-    def spring(x):
-        return 50.0 * float(np.sum((x - home) ** 2)), -100.0 * (x - home)
-
-    comparison = pc.compare(s, ("lbfgs", "cartesian"), spring, max_evaluations=20)
-    record = comparison.records()[0]
-    assert all(record[f"energy_{each}_{when}_kj_mol"] is None for each in TERMS for when in ("start", "end"))
-    page = comparison.report(tmp_path)
-    assert "Energy by term" not in page.read_text()

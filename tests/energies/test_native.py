@@ -19,7 +19,7 @@ from scipy.spatial.distance import pdist
 import protochain as pc
 from protochain.chains.chain import pose, pull_back
 from protochain.energies import NativeEnergy, OpenMMEnergy, UnsupportedForceError
-from protochain.energies.native import born, neighbours, series
+from protochain.energies.native import born, series
 from protochain.energies.native.evaluate import Layout
 from protochain.energies.native.layout import W
 
@@ -36,6 +36,7 @@ TEN = (
     "1bta_barstar.pdb", "1fas_fasciculin.cif",
 )  # fmt: skip
 SMALL = ("1l2y.pdb", "1ejg.pdb", "3i40.pdb")
+SLOW = {True: pytest.mark.slow, False: ()}
 
 
 def structure(name):
@@ -76,9 +77,9 @@ def assert_same(native, system, x):
 
 @pytest.mark.parametrize(
     ("name", "forcefield", "solvent"),
-    [(name, "amber14", "obc2") for name in TEN]
+    [pytest.param(name, "amber14", "obc2", marks=SLOW[name not in (*SMALL, "1ubq.pdb")]) for name in TEN]
     + [
-        pytest.param(name, *its, marks=() if name in SMALL else pytest.mark.slow)
+        pytest.param(name, *its, marks=SLOW[name != "1ejg.pdb"])
         for its in (("amber14", "gbn2"), ("amber19", "vacuum"), ("charmm36", "vacuum"))
         for name in TEN
     ],
@@ -106,23 +107,6 @@ def test_every_implicit_model_as_the_force_field_builds_it(model, cutoff):
     assert_same(pc.energy(s, system=system, engine="native"), system, shaken(s))
 
 
-@pytest.mark.parametrize("name", ["1l2y.pdb", "1ubq.pdb"])
-def test_a_cutoff_with_reaction_field(name):
-    system = implicit_system(name, None, 0.9)
-    assert_same(pc.energy(load(name), system=system, engine="native"), system, shaken(load(name)))
-
-
-@pytest.mark.parametrize("model", [None, "obc2"])
-def test_the_error_of_a_cutoff_is_that_of_the_forces_without_one(model):
-    s = load("1ubq.pdb")
-    cut, every = (
-        pc.energy(s, system=implicit_system("1ubq.pdb", model, cutoff), engine="native")
-        for cut_off in (0.9, None) for cutoff in (cut_off,)
-    )  # fmt: skip
-    off = np.sqrt(((cut(s.positions)[1] - every(s.positions)[1]) ** 2).sum(axis=1).mean())
-    assert f"forces differ by {off:.2g} kJ/mol/nm" in cut.cutoff_error(s.positions)
-
-
 def test_gbsa_obc_force_with_a_cutoff():
     s = load("1ubq.pdb")
     system = implicit_system("1ubq.pdb", None, 1.1)
@@ -148,16 +132,6 @@ def test_forces_are_minus_the_gradient(solvent):
         numeric = (e(x + h * direction)[0] - e(x - h * direction)[0]) / (2 * h)
         # Cancellation: eps of ten thousand kJ/mol over the step, and its square times third derivatives.
         assert -numeric == pytest.approx(np.sum(f * direction), rel=1e-6, abs=1e-3)
-
-
-@pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])
-def test_the_number_of_threads_changes_no_bit(solvent):
-    s = load("1ejg.pdb")
-    found = []
-    for threads in (1, 2):
-        value, forces = pc.energy(s, solvent=solvent, engine="native", threads=threads)(s.positions)
-        found.append((value, forces.tobytes()))
-    assert found[0] == found[1]
 
 
 def test_lists_hold_while_atoms_move_and_are_made_anew_when_they_must():
@@ -192,87 +166,6 @@ def test_no_place_is_taken_by_the_padding_of_the_last_block(solvent):
         moved, by_moved = e(s.positions - s.positions[atom])
         assert moved == pytest.approx(value, rel=NATIVE_ENERGY)
         assert np.linalg.norm(by_moved - forces) < NATIVE_FORCE * np.linalg.norm(forces)
-
-
-def test_lists_hold_every_pair():
-    rng = np.random.default_rng(3)
-    x = rng.uniform(0, 3, size=(500, 3))
-    excepted = np.array([[i, i + 1] for i in range(0, 400, 2)])
-    groups = np.arange(500)[:, None] // 5
-    block_near = np.full(-(-500 // W), 0.8)
-    every = np.full(len(block_near), -1)
-    exceptions = neighbours.partners(excepted, 500)
-    lists = neighbours.make_lists(x, 0.35, block_near, 0.6, 1.5, exceptions, groups, every)
-    distance = np.linalg.norm(x[:, None] - x[None], axis=2)
-    i, j = np.nonzero(np.triu(distance < 0.35 + neighbours.SKIN, 1) & (groups != groups.T))
-    assert {*zip(i.tolist(), j.tolist(), strict=True)} == {tuple(p) for p in lists.close.tolist()}
-    bonded = {tuple(p) for p in excepted.tolist()}
-    assert {tuple(p) for p in lists.free.tolist()} == {tuple(p) for p in lists.close.tolist()} - bonded
-    marks = zip(lists.is_near, lists.is_necked, strict=True)
-    tiles = {tuple(t): mark for t, mark in zip(lists.tiles.tolist(), marks, strict=True)}
-    for a in range(500):
-        for b in range(a, 500):
-            tile = a // W, b // W
-            assert distance[a, b] > 1.5 or tile in tiles
-            assert distance[a, b] > 0.8 or tiles[tile][0]
-            assert distance[a, b] > 0.6 or tiles[tile][1]
-
-
-def two_blocks(gap):
-    """Two flat blocks of atoms, with this gap between them along x."""
-    x = np.zeros((2 * W, 3))
-    x[:, 1] = 0.01 * (np.arange(2 * W) % W)
-    x[W:, 0] = gap
-    return x
-
-
-def lists_of_two_blocks(gap, close, block_near, necked, cutoff):
-    none = neighbours.partners(np.zeros((0, 2), np.int64), 2 * W)
-    groups = np.full((2 * W, 1), -1)
-    every = np.full(2, -1)
-    return neighbours.make_lists(
-        two_blocks(gap), close, np.array(block_near), necked, cutoff, none, groups, every
-    )
-
-
-def of_the_two(lists):
-    """Whether the list has the tile of both blocks, and its marks."""
-    for (i, j), near, necked in zip(lists.tiles.tolist(), lists.is_near, lists.is_necked, strict=True):
-        if (i, j) == (0, 1):
-            return True, bool(near), bool(necked)
-    return False, False, False
-
-
-@pytest.mark.parametrize("reach", ["cutoff", "near", "necked", "close"])
-def test_while_lists_hold_they_have_what_comes_within_reach(reach):
-    gap, limits = 1.0, {"close": 0.1, "block_near": [0.2, 0.2], "necked": 0.2, "cutoff": 3.0}
-    within = gap - 0.9 * neighbours.SKIN
-    limits |= {
-        "cutoff": {"cutoff": within}, "near": {"block_near": [within] * 2}, "necked": {"necked": within},
-        "close": {"close": within, "block_near": [within] * 2},
-    }[reach]  # fmt: skip
-    lists = lists_of_two_blocks(gap, **limits)
-    moved = lists.x.copy()
-    moved[:W, 0] += 0.49 * neighbours.SKIN
-    moved[W:, 0] -= 0.49 * neighbours.SKIN
-    assert lists.still_hold(moved) and moved[W, 0] - moved[0, 0] < within
-    has_tile, is_near, is_necked = of_the_two(lists)
-    is_close = [0, W] in lists.close.tolist()
-    assert {"cutoff": has_tile, "near": is_near, "necked": is_necked, "close": is_close}[reach]
-
-
-def test_lists_no_longer_hold_when_one_atom_has_moved_more_than_half_the_skin():
-    lists = lists_of_two_blocks(1.0, 0.1, [0.2, 0.2], 0.2, 3.0)
-    for move, held in ((0.499, True), (0.501, False)):
-        x = lists.x.copy()
-        x[7] += move * neighbours.SKIN * np.array([0.6, 0.0, 0.8])
-        assert lists.still_hold(x) is held
-
-
-@pytest.mark.parametrize("block_near", [[0.3, 0.8], [0.8, 0.3]])
-def test_two_blocks_are_near_within_the_larger_of_their_distances(block_near):
-    assert of_the_two(lists_of_two_blocks(0.6, 0.1, block_near, 0.2, 3.0)) == (True, True, False)
-    assert of_the_two(lists_of_two_blocks(1.0, 0.1, block_near, 0.2, 3.0)) == (True, False, False)
 
 
 @pytest.mark.parametrize("qq", [0.0, 0.2])
@@ -326,10 +219,11 @@ def test_positions_that_are_not_numbers_are_an_infinite_energy():
     assert np.isnan(forces).all()
 
 
-@pytest.mark.parametrize("hinges", ["phi psi", "phi psi chi", "phi psi chi omega rotors"])
 @pytest.mark.parametrize(
-    ("name", "solvent"), [("1l2y.pdb", "gbn2"), ("4pti.pdb", "obc2"), ("1ubq.pdb", "vacuum")]
-)
+    ("name", "solvent", "hinges"),
+    [("1l2y.pdb", "gbn2", "phi psi chi"), ("4pti.pdb", "obc2", "phi psi"),
+     ("3i40.pdb", "vacuum", "phi psi chi omega rotors")],
+)  # fmt: skip
 def test_leaving_out_constants_changes_nothing(name, solvent, hinges):
     c = chain(name, hinges)
     whole = pc.energy(c.structure, "amber19", solvent, engine="native")
@@ -345,19 +239,6 @@ def test_leaving_out_constants_changes_nothing(name, solvent, hinges):
         assert same == pytest.approx(value, rel=1e-12, abs=1e-8)
         tau, of_less = pull_back(c, at, forces), pull_back(c, at, fewer)
         assert np.linalg.norm(tau - of_less) < LEFT_OUT * np.linalg.norm(tau)
-
-
-def test_more_hinges_leave_less_out():
-    counts = []
-    for hinges in ("phi psi", "phi psi chi", "phi psi chi omega rotors"):
-        c = chain("1l2y.pdb", hinges)
-        less = pc.energy(c.structure, engine="native").without_constants(
-            c.rigid_groups, c.structure.positions
-        )
-        counts.append(less.left_out)
-        assert f"{less.left_out['torsions']} torsions" in less.reason
-    for kind in ("torsions", "exceptions", "close pairs"):
-        assert counts[0][kind] > counts[1][kind] > counts[2][kind] > 0
 
 
 def test_rigid_groups_are_rigid():
@@ -462,15 +343,6 @@ def test_what_has_no_exact_counterpart_is_refused_by_name(what):
     fallen_back = pc.energy(s, system=system, engine="auto")
     assert isinstance(fallen_back, OpenMMEnergy)
     assert str(refusal.value) in fallen_back.reason
-
-
-def test_two_runs_with_one_energy_are_the_same():
-    c = chain("1l2y.pdb")
-    e = pc.energy(c.structure, engine="native")
-    e(shaken(c.structure, 0.05))
-    first, second = (pc.minimise(c, e, "hybrid", max_evaluations=80) for _ in range(2))
-    assert np.array_equal(first.x, second.x)
-    assert first.constant_terms["bonds"] == second.record()["constant_terms"]["bonds"] > 0
 
 
 def test_periodic_systems_are_refused():

@@ -10,7 +10,6 @@ import numpy as np
 import openmm
 import pytest
 from filelock import FileLock
-from fixtures.command_line import run
 from fixtures.samples import STRUCTURES, chain, energy, load
 from fixtures.tolerances import DEVICE_END, DEVICE_ENERGY, DEVICE_FORCE
 
@@ -263,13 +262,3 @@ def test_an_energy_on_a_device_is_taken_apart_and_pickled(cuda):
     assert again.device == "cuda" and again(s.positions)[0] == pytest.approx(e(s.positions)[0], rel=1e-6)
     assert isinstance(native_of(e), NativeEnergy)
     assert e.parts(s.positions)[0] == energy(CAGE).parts(s.positions)[0]
-
-
-def test_info_tells_devices(cuda, monkeypatch, capsys):
-    monkeypatch.setitem(on_device.PLATFORMS, "hip", "nowhere")
-    failures = ("Error loading library libOpenMMnowhere.so: libamdhip64.so: cannot open\n",)
-    monkeypatch.setattr(openmm.Platform, "getPluginLoadFailures", lambda: failures)
-    run("info", STRUCTURES / CAGE, "--device")
-    told = capsys.readouterr().out.splitlines()
-    assert "device: cpu" in told and "  hip: none, Error loading library" in "\n".join(told)
-    assert any(each.startswith(f"  cuda: OpenMM {openmm.Platform.getOpenMMVersion()}") for each in told)

@@ -8,7 +8,6 @@ from fixtures.pinocchio_tree import KINDS, pinocchio_acceleration, state
 from fixtures.slow_mechanics import any_tree, random_q
 from fixtures.tolerances import ONE_STEP
 from scipy.integrate import solve_ivp
-from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
@@ -41,7 +40,6 @@ from protochain.mechanics.multibody import (
 )  # fmt: skip
 from protochain.mechanics.multibody.articulated import articulate, solve
 from protochain.mechanisms import Rosenbrock
-from protochain.mechanisms.march import Event, march
 
 G = 9.81
 LENGTH, MASS, INERTIA = 0.7, 2.0, 0.05
@@ -203,27 +201,6 @@ def test_the_gradient_of_ln_det_runs_along_driven_freedoms_too(seed):
         assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(gradient[k], abs=1e-5 * np.abs(gradient).max())
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_hinge_driven_to_stand_still_is_a_fixed_one(seed):
-    rng = np.random.default_rng(seed)
-    tree = random_tree(12, seed, 0.4, HingeKind.FREE, KINDS)
-    driven = np.isin(np.arange(12), (3, 4, 9))
-    q, qd, tau = random_q(tree, rng), rng.normal(size=tree.n_v), rng.normal(size=tree.n_v)
-    held = replace(tree, driven=driven)
-    qd[held.driven_v], tau[held.driven_v] = 0.0, 0.0
-    # The same bodies, with the hinges' turns and slides in their placements and offsets.
-    angle, slide = (tree.twist[driven] * q[held.driven_q][:, None]).T
-    placement, offset, kind = tree.placement.copy(), tree.offset.copy(), tree.kind.copy()
-    kind[driven] = HingeKind.FIXED
-    offset[driven] += slide[:, None] * placement[driven][:, :, 2]
-    placement[driven] = placement[driven] @ Rotation.from_euler("z", angle[:, None]).as_matrix()
-    fixed = replace(tree, placement=placement, offset=offset, kind=kind)
-    others = np.setdiff1d(np.arange(tree.n_q), held.driven_q)
-    f = held.undriven_v
-    expected = forward_dynamics(fixed, q[others], qd[f], tau[f])
-    assert np.allclose(forward_dynamics(held, q, qd, tau)[f], expected, rtol=1e-9, atol=1e-9)
-
-
 @pytest.mark.parametrize("root", [HingeKind.REVOLUTE, HingeKind.FREE])
 def test_under_the_driving_torques_pinocchio_moves_driven_hinges_as_given(root):
     tree = random_tree(30, 3, 0.4, root, KINDS)
@@ -269,22 +246,6 @@ def test_order_under_a_drive(integrator, order):
     assert fine.work == pytest.approx(wanted[2:], abs=1e-5 if order == 4 else 1e-3)
 
 
-@pytest.mark.parametrize("integrator", [RungeKutta4(), DormandPrince(1e-6), Rosenbrock()])
-def test_driven_hinges_are_there_at_every_stage(integrator):
-    seen = []
-
-    def look(time, q, qd, frames):
-        seen.append((time, q[0], qd[0], frames.origin[0, 0]))
-        return Applied(torques=np.zeros(2))
-
-    system = driven_system(loads=(Load(look),))
-    steps(system, integrator, begun(system), 2, 0.1)
-    assert len({time for time, *_ in seen}) > 3
-    for time, q, qd, place in seen:
-        (x,), (v,), _ = motion(time)
-        assert (q, qd, place) == (x, v, x)
-
-
 @pytest.mark.parametrize(
     "integrator",
     [RungeKutta4(), DormandPrince(1e-9), Rosenbrock(), Rosenbrock(1e-4)],
@@ -324,62 +285,6 @@ def test_what_a_drive_does_and_a_damper_takes_is_the_energy():
     force = (3.0 + MASS) * a - lever * (swing * np.cos(angle) - rate**2 * np.sin(angle))
     assert at.loads[:, 0] == pytest.approx([0.0, 5.0, force - 5.0], abs=1e-8)
     assert at.power == pytest.approx([-0.4 * rate**2, 5.0 * v, (force - 5.0) * v], abs=1e-8)
-
-
-def test_drives_within_a_free_tree_keep_its_momentum_and_do_its_work():
-    rng = np.random.default_rng(4)
-    tree = random_tree(7, 4, 0.4, HingeKind.FREE, KINDS)
-    tree = replace(tree, driven=np.isin(np.arange(7), (2, 5)))
-    size = np.where(tree.twist[tree.driven, 0] == 0.0, 0.1, 1.0)
-
-    def wave(time):
-        return size * np.sin(4.0 * time), 4.0 * size * np.cos(4.0 * time), -16.0 * size * np.sin(4.0 * time)
-
-    def nothing(q, factors):
-        return 0.0, np.zeros(tree.n_v)
-
-    system = System(tree, nothing, drive=wave)
-    q = rng.normal(size=tree.n_q)
-    q[:4] /= np.linalg.norm(q[:4])
-    start = system.at(q, rng.normal(size=tree.n_v))
-    at = steps(system, DormandPrince(1e-12), start, 5, 0.2)
-    assert abs(at.work[0]) > 1e-3 * start.total
-    assert at.total - start.total == pytest.approx(at.work[0], abs=1e-9 * start.total)
-    ends = [np.concatenate(multibody.momentum(tree, p.factors.frames, p.qd)) for p in (start, at)]
-    assert ends[1] == pytest.approx(ends[0], abs=1e-9 * np.abs(ends[0]).max())
-
-
-def test_events_and_jumps_of_a_driven_mechanism():
-    """The time at which the rod passes the vertical; a jump leaves what is driven alone."""
-    system = driven_system()
-    passes = Event("vertical", lambda at: float(at.q[1]), lambda s, at: s.with_velocities(at, -at.qd))
-    path = march(system, DormandPrince(1e-12), begun(system), 3.0, 0.05, [passes])
-    at = next(at for at, event in path if event)
-
-    def rates(t, y):
-        a, inertia = motion(t)[2][0], INERTIA + MASS * LENGTH**2
-        return [y[1], MASS * LENGTH * (a * np.cos(y[0]) - G * np.sin(y[0])) / inertia]
-
-    def vertical(t, y):
-        return y[0]
-
-    vertical.terminal = True
-    exact = solve_ivp(rates, (0.0, 3.0), (0.4, 1.0), method="DOP853", rtol=1e-13, atol=1e-13, events=vertical)
-    assert at.time == pytest.approx(exact.t[-1], abs=1e-9)
-    x, v, _ = motion(at.time)
-    assert at.qd == pytest.approx([v[0], -exact.y[1, -1]], abs=1e-8)
-    assert (at.q[0], at.qd[0]) == (x[0], v[0])
-
-
-def test_a_light_cart_may_be_driven():
-    """Neither mass nor inertia of what is driven matters to the rest, nor need there be any."""
-    ends = []
-    for cart in (3.0, 0.0):
-        system = System(on_a_cart(cart=cart), weight, drive=motion)
-        ends.append(steps(system, DormandPrince(1e-12), begun(system), 2, 0.25))
-    assert ends[0].q == pytest.approx(ends[1].q, abs=1e-11)
-    gone = 0.5 * 3.0 * (motion(0.5)[1][0] ** 2 - motion(0.0)[1][0] ** 2)
-    assert ends[0].work - ends[1].work == pytest.approx([gone], abs=1e-9)
 
 
 def test_integrators_by_momenta_refuse_drives():

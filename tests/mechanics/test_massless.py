@@ -20,7 +20,6 @@ from protochain.mechanics.multibody import (
     log_det_mass,
     pose,
     random_tree,
-    rigid_bodies,
     sample_velocities,
     solve_mass,
 )  # fmt: skip
@@ -100,16 +99,6 @@ def test_every_integrator_takes_bodies_without_mass(integrator, order):
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.25)
 
 
-def test_it_is_the_limit_of_small_masses():
-    """The cross's inertia adds to one diagonal entry of M: linear in its mass."""
-    q, qd, tau = np.array(START[:2]), np.array(START[2:]), np.array([0.3, -0.2])
-    limit = forward_dynamics(universal(), q, qd, tau)
-    found = [forward_dynamics(universal(mass), q, qd, tau) - limit for mass in (1e-3, 1e-6, 1e-9)]
-    for k in (0, 1):
-        assert np.abs(found[k]).max() == pytest.approx(1e3 * np.abs(found[k + 1]).max(), rel=0.01)
-    assert 0.0 < np.abs(found[2]).max() < 1e-9
-
-
 def light(seed, n=14):
     """A random tree in which each body that has a child, but no sibling and is no root, may lose its mass."""
     rng = np.random.default_rng(seed)
@@ -146,15 +135,6 @@ def test_solutions_agree_with_dense_algebra(seed):
     assert np.isfinite(sample_velocities(tree, frames, 1.0, rng)).all()
 
 
-def test_lengths_without_mass():
-    """The size of a tree comes from its lengths and its bodies; bodies of no points have none."""
-    tree = universal()
-    assert tree.size == universal(1e-9).size == LENGTH
-    mass, com, inertia = rigid_bodies(np.array([1]), np.array([[0.1, 0.2, 0.3]]), np.ones(1), 2)
-    assert np.array_equal(mass, [0.0, 1.0]) and np.array_equal(com[0], np.zeros(3))
-    assert not inertia.any()
-
-
 # --- What nothing resists
 
 
@@ -186,15 +166,6 @@ def test_a_hinge_of_nothing_but_massless_bodies_is_refused(kind):
         there = np.concatenate([q, np.zeros(tree.n_q - 7)])
         found = solve_mass(tree, pose(tree, there), np.ones(tree.n_v))
         assert np.allclose(found[:6], 1.0, atol=1e-14)
-
-
-def test_a_ball_of_no_size_on_a_slide_has_mass_enough():
-    tree = replace(
-        chain([1, 0, 1], [HingeKind.FIXED, HingeKind.PRISMATIC, HingeKind.PRISMATIC]),
-        placement=[np.eye(3), ABOUT_X, ABOUT_Y],
-    )
-    found = solve_mass(tree, pose(tree, np.zeros(2)), np.array([2.0, 3.0]))
-    assert np.allclose(found, [2.0, 3.0], atol=1e-14)
 
 
 def test_hinges_on_one_line_are_refused_at_every_pose():

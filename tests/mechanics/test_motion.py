@@ -1,7 +1,5 @@
 """Loads, stiff integration, error norms and events of trees, against closed forms and scipy's integrators."""
 
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -165,24 +163,6 @@ def test_energy_changes_by_the_work_of_the_loads(integrator, allowed):
     (work,) = end.work
     assert abs(work) > 0.1
     assert end.total - start.total == pytest.approx(work, abs=allowed * abs(work))
-
-
-def test_wrench_of_weight_equals_the_potential():
-    tree = pendulum()
-    weight = Load(lambda t, q, qd, frames: Applied(weights(frames)), depends_on_velocity=False)
-
-    def weights(frames):
-        force = np.array([0.0, 0.0, -MASS * G])
-        centre = multibody.centre_of_mass(tree, frames)
-        return np.concatenate([np.cross(centre, force), force])[None]
-
-    by_load, by_potential = System(tree, nothing, loads=(weight,)), System(tree, swings)
-    q, qd = np.array([0.4]), np.array([1.0])
-    one, other = (
-        steps(s, Leapfrog(), s.at(q, qd), 200, 0.005) for s in (by_load, by_potential)
-    )  # fmt: skip
-    assert np.allclose(one.q, other.q, atol=1e3 * ROUND_OFF)
-    assert one.kinetic - one.work.sum() == pytest.approx(0.5 * INERTIA, abs=1e-3)
 
 
 def test_loads_add_up_and_each_has_its_work():
@@ -378,11 +358,3 @@ def test_march_ends_at_its_time_and_keeps_the_bare_integrators_bits():
     assert np.array_equal(Leapfrog().step(system, four, 0.25 - four.time).q, end.q)
     with pytest.raises(MechanicsError, match="positive"):
         next(march(system, Leapfrog(), at, 1.0, 0.0))
-
-
-def test_motion_knows_nothing_of_proteins():
-    code = "import sys, protochain.mechanics.motion; print(list(sys.modules))"
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert "openmm" not in loaded
-    for part in ("structure", "energies", "chain", "dynamics", "minimisers"):
-        assert f"'protochain.{part}" not in loaded

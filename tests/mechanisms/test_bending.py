@@ -16,7 +16,6 @@ from protochain.mechanisms import Rosenbrock
 from protochain.mechanisms.flexible.dynamics import momenta
 from protochain.mechanisms.flexible.equations import BendingSystem
 from protochain.mechanisms.flexible.flexible import bend
-from protochain.mechanisms.march import Event, march
 
 START = np.array([0.3, 0.9, 0.05, -0.04]), np.array([2.0, -3.0, 0.5, 0.4])
 
@@ -104,24 +103,6 @@ def test_the_drive_of_a_hub_does_the_work_of_its_beam():
     assert at.q[1] < -0.1  # the beam lags behind
     turned = system.with_velocities(at, np.array([9.0, 0.0, 0.0]))
     assert turned.qd[0] == 2.0
-
-
-def test_an_event_of_a_tip():
-    system = links()
-    passing = Event("tip", lambda at: float(at.factors.origin[-1, 1]) - 1.0, lambda s, at: at, passes=True)
-    found = next(at for at, e in march(system, RungeKutta4(), system.at(*START), 1.0, 0.01, [passing]) if e)
-    assert found.factors.origin[-1, 1] == pytest.approx(1.0, abs=1e-10)
-
-
-def test_units_of_amplitudes():
-    """One unit moves a section by a size of the tree or turns it by a radian, whichever is less."""
-    flexible, *_ = some(1)
-    system = BendingSystem(flexible.tree, adrift(flexible), flexible=flexible)
-    assert system.units.shape == (flexible.n_v,) and system.coordinate_units.shape == (flexible.n_q,)
-    first = next(s for s in flexible.shapes if s is not None)
-    unit = system.units[flexible.tree.n_v]
-    most = max(np.abs(first.moves[..., 0]).max() / flexible.tree.size, np.abs(first.turns[..., 0]).max())
-    assert unit * most == pytest.approx(1.0)
 
 
 def test_what_cannot_bend_is_refused():

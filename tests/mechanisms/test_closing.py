@@ -3,20 +3,13 @@
 import numpy as np
 import pytest
 from fixtures.tolerances import AUDITED
-from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import (
-    DormandPrince,
-    ImplicitMidpoint,
-    Leapfrog,
-    RungeKutta4,
-    StepTooLargeError,
-)
-from protochain.mechanisms import Mechanism, Rosenbrock, frequencies, loop_joints
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4
+from protochain.mechanisms import Mechanism, Rosenbrock, loop_joints
 from protochain.mechanisms.impacts import ContactPoint, impact
 
 G = 9.81
@@ -44,69 +37,6 @@ def four_bar(kind="revolute", last="rocker", **more):
     m.hinge("D", "world", "rocker", axis=(0, 1, 0), at=d)
     m.close("C", ("coupler", c - b), (last, c - d), kind, axis=(0, 1, 0), **more)
     return m
-
-
-def by_lagrange(time):
-    """Angles of the four-bar by the Lagrangian of its crank alone, with the loop solved in closed form."""
-    lengths = np.array([1.0, np.hypot(2.0, 0.5), 1.5])
-    ground = 2.0
-
-    def angles(crank):
-        """Directions of the bars from the x axis, in the plane of x and z, by the law of cosines."""
-        tip = lengths[0] * np.array([np.cos(crank), np.sin(crank)])
-        to = np.array([ground, 0.0]) - tip
-        far = np.hypot(*to)
-        inner = np.arccos((lengths[1] ** 2 + far**2 - lengths[2] ** 2) / (2.0 * lengths[1] * far))
-        coupler = np.arctan2(to[1], to[0]) + inner
-        end = tip + lengths[1] * np.array([np.cos(coupler), np.sin(coupler)])
-        return np.array([crank, coupler, np.arctan2(end[1], end[0] - ground)])
-
-    def slopes(at):
-        """First and second derivatives of the three directions by the crank's: two linear systems."""
-        out = np.array([-np.sin(at), np.cos(at)]) * lengths
-        inward = -np.array([np.cos(at), np.sin(at)]) * lengths
-        loop = np.column_stack([out[:, 1], -out[:, 2]])
-        one = np.array([1.0, *np.linalg.solve(loop, -out[:, 0])])
-        bent = inward @ (np.array([1.0, 1.0, -1.0]) * one**2)
-        return one, np.array([0.0, *np.linalg.solve(loop, -bent)])
-
-    def inertia(crank):
-        """Effective inertia of the crank's angle, its slope, and that of the potential."""
-        at = angles(crank)
-        one, two = slopes(at)
-
-        def centre(k):
-            along = 0.5 * lengths[k] * np.array([-np.sin(at[k]), np.cos(at[k])])
-            toward = -0.5 * lengths[k] * np.array([np.cos(at[k]), np.sin(at[k])])
-            return along * one[k], along * two[k] + toward * one[k] ** 2
-
-        total = slope = lift = 0.0
-        carried, bent = 2.0 * np.array(centre(0))
-        for k in range(3):
-            speed, curve = centre(k)
-            if k == 1:
-                speed, curve = speed + carried, curve + bent
-            mass, moment = lengths[k], lengths[k] ** 3 / 12.0
-            total += mass * speed @ speed + moment * one[k] ** 2
-            slope += 2.0 * (mass * speed @ curve + moment * one[k] * two[k])
-            lift += mass * G * speed[1]
-        return total, slope, lift
-
-    def rates(t, y):
-        total, slope, lift = inertia(y[0])
-        return y[1], -(0.5 * slope * y[1] ** 2 + lift) / total
-
-    # About the y axis an angle grows from z to x: against that from x to z.
-    found = solve_ivp(rates, (0.0, time), [np.pi / 2.0, -3.0], "DOP853", rtol=1e-10, atol=1e-10)
-    return np.pi / 2.0 - found.y[0, -1]
-
-
-def test_a_four_bar_moves_as_its_lagrangian_says():
-    run = four_bar().build().simulate(0.5, 0.5, PRECISE)
-    assert run.model.qd == pytest.approx([3.0, -3.0, 2.0])
-    assert run.q[-1, 0] == pytest.approx(by_lagrange(0.5), abs=SAME)
-    audit = run.audit()
-    assert audit.energy < 1e-9 and audit.gap < CLOSED and audit.parting < CLOSED
 
 
 def test_a_four_bar_moves_as_mujoco_says():
@@ -253,52 +183,6 @@ def test_a_driven_crank_does_work_through_the_loop():
     assert np.ptp(run.table["work drives"]) > 1.0
 
 
-def platform():
-    """Six legs, each a universal joint, a slide and a ball: Stewart's, on springs."""
-    m = Mechanism(gravity=(0, 0, -G))
-    m.body("plate", 10.0, inertia=(0.4, 0.4, 0.8), position=(0, 0, 1.0))
-    for k in range(6):
-        low, high = (np.pi / 3.0 * (k // 2 * 2 + s * (k % 2 * 2 - 1)) for s in (0.25, 0.75))
-        foot = np.array([np.cos(low), np.sin(low), 0.0])
-        top = np.array([0.5 * np.cos(high), 0.5 * np.sin(high), 0.0])
-        along = top - foot + np.array([0, 0, 1.0])
-        m.body(f"cross {k}", 0.0)
-        side = np.cross(along, (0, 0, 1.0))
-        m.hinge(f"a{k}", "world", f"cross {k}", at=foot, axis=side)
-        m.body(f"tube {k}", 1.0, com=0.3 * along, inertia=0.05)
-        m.hinge(f"b{k}", f"cross {k}", f"tube {k}", axis=np.cross(side, along))
-        m.body(f"rod {k}", 0.5, com=-0.2 * along, inertia=0.02)
-        m.hinge(f"s{k}", f"tube {k}", f"rod {k}", "prismatic", at=along, axis=along)
-        m.torsion(f"spring {k}", f"s{k}", stiffness=2000.0 + 100.0 * k)
-        m.close(f"ball {k}", (f"rod {k}", (0, 0, 0)), ("plate", top), "spherical")
-    return m
-
-
-def test_a_platform_of_six_legs_has_six_freedoms_and_keeps_its_energy():
-    model = platform().build()
-    assert model.directions.shape == (24, 6)
-    run = model.simulate(0.3, 0.02, PRECISE)
-    audit = run.audit()
-    assert audit.energy < 1e-7 and audit.gap < CLOSED and audit.parting < CLOSED
-    assert len(frequencies(model)) == 6
-
-
-def test_vibrations_of_a_loop_are_those_of_the_tree_that_it_is():
-    """Two rods hang on one pin; their ends are joined by a third: a triangle, which is one pendulum."""
-    m = Mechanism(gravity=(0, 0, -G))
-    corners = np.array([(0.0, 0, 0), (-0.5, 0, -1.0), (0.5, 0, -1.0)])
-    for k in (1, 2):
-        bar(m, f"side {k}", corners[0], corners[k])
-        m.hinge(f"pin {k}", "world", f"side {k}", axis=(0, 1, 0))
-    bar(m, "base", corners[1], corners[2])
-    m.hinge("joint", "side 1", "base", at=corners[1], axis=(0, 1, 0))
-    m.close("last", ("base", corners[2] - corners[1]), ("side 2", corners[2]), axis=(0, 1, 0))
-    length = np.hypot(0.5, 1.0)
-    inertia = 2.0 * length**3 / 3.0 + 1.0 / 12.0 + 1.0
-    weight = (2.0 * length * 0.5 + 1.0) * G
-    assert frequencies(m.build()) == pytest.approx([np.sqrt(weight / inertia)], rel=1e-8)
-
-
 def test_an_impact_acts_through_the_loop():
     """A blow on the rocker, plastic, stops the crank."""
     model = four_bar().build()
@@ -388,7 +272,7 @@ def accelerations(model):
     return model.system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)[0]
 
 
-@pytest.mark.parametrize("n", [10, 100, 150])
+@pytest.mark.parametrize("n", [10, 150])
 def test_a_scissor_lift_of_any_length_falls_as_its_closed_form(n):
     """At 150 stages the smallest eigenvalue that counts is 1e-8 of the largest, e a tenth of that."""
     model, wanted = scissor(n)
@@ -450,12 +334,6 @@ def test_bennett_s_linkage_passes_the_pose_in_line(start, qd, until):
     assert model.directions.shape[1] == 1
 
 
-def test_many_of_bennett_s_linkages_move_as_one():
-    many, one = bennett(0.9, 1.5, 41), bennett(0.9, 1.5)
-    assert many.bodies.joints.rank == 41 * one.bodies.joints.rank == 82
-    assert np.allclose(accelerations(many), np.tile(accelerations(one), 41), rtol=1e-9)
-
-
 # --- Dead points
 
 
@@ -493,9 +371,3 @@ def test_rates_that_a_dead_point_does_not_allow_are_refused_as_such():
         with pytest.raises(MechanicsError, match=r'closing "B": at a dead point the rates .*start near it'):
             m.build()
     slider_crank(0.1, rate=1.0).build()
-
-
-def test_a_step_that_is_too_long_for_driven_loops_is_no_dead_point():
-    model = slider_crank(1.0, lambda t: (0.2 * np.sin(t), 0.2 * np.cos(t), -0.2 * np.sin(t))).build()
-    with pytest.raises(StepTooLargeError, match=r"the time step 0\.5 is too long"):
-        model.simulate(5.0, 0.5, DormandPrince(1e-300))

@@ -5,38 +5,28 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from fixtures.samples import chain
-from fixtures.tolerances import ROUND_OFF
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import MechanicsError, ProtochainError
-from protochain.dynamics import closure_of
-from protochain.mechanics.motion import DormandPrince, System
 from protochain.mechanics.multibody import (
     HingeKind,
     Rows,
     Tree,
-    centre_of_mass,
     kinetic_energy,
     mass_matrix,
-    momentum,
     operational_inverse,
     point_rows,
     pose,
     random_tree,
     row_matrix,
-    sample_velocities,
     solve_closed,
-    velocities,
 )
 from protochain.mechanics.multibody.articulated import articulate
-from protochain.mechanics.multibody.hamilton import momenta
 from protochain.mechanisms.impacts import ContactPoint, close_loops, impact
 from protochain.mechanisms.impacts.complementarity import restitute
 from protochain.mechanisms.impacts.impact import _together
 from protochain.mechanisms.impacts.path import follow
-from protochain.mechanisms.march import Event, march
 
 LAWS = ("newton", "poisson", "stronge")
 UP = (0.0, 0.0, 1.0)
@@ -292,15 +282,6 @@ def test_what_presses_again_is_compressed_anew(law):
         assert out[:3] @ u + 0.5 * out[:3] @ w @ out[:3] < 0.0
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_restitution_of_nothing_ends_with_the_compression(law):
-    factors, qd, rng = struck(3)
-    point = approaching(factors, qd, touching(factors, rng, 1, 0.3, 0.0)[0])
-    found = impact(factors, qd, [point], law)
-    assert abs(found.after[0] @ point.normal) < 1e-11
-    assert found.impulse[0] @ point.normal == pytest.approx(found.compression[0], rel=EXACT)
-
-
 def test_a_point_that_does_not_approach_does_nothing():
     factors, qd, rng = struck(4)
     point = turned(approaching(factors, qd, touching(factors, rng)[0]))
@@ -353,18 +334,6 @@ def test_loops_close_by_the_impulse_that_costs_least():
         close_loops(factors, qd, Rows(np.tile(loops.body, (2, 1)), np.tile(loops.wrench, (2, 1, 1))))
 
 
-def test_a_plastic_impulse_closes_the_loops_of_a_protein():
-    """As `Closure` does for the dynamics of chains, whose momenta it projects."""
-    its = chain("1ejg.pdb")
-    closure, rng = closure_of(its), np.random.default_rng(0)
-    factors = articulate(its.tree, pose(its.tree, its.q0))
-    qd = rng.normal(size=its.tree.n_v)
-    kept = closure.project_velocities(factors, momenta(its.tree, factors.frames, qd)[0])
-    found = close_loops(factors, qd, closure.rows(factors.frames))
-    assert np.abs(row_matrix(its.tree, factors.frames, closure.rows(factors.frames)) @ qd).max() > 0.1
-    assert np.abs(found - kept).max() < 1e-9 * np.abs(kept).max()
-
-
 def test_known_factors_give_the_same_bits():
     factors, qd, rng = struck(5)
     tree, frames, rows = factors.tree, factors.frames, random_loops(factors, rng, 3)
@@ -376,56 +345,6 @@ def test_known_factors_give_the_same_bits():
 
 
 # --- Impulses that are given
-
-
-def free_body(rng):
-    """Factors of a free body in motion, whose centre of mass is not its origin, and its velocities."""
-    half = rng.normal(size=(3, 3))
-    second = half @ half.T
-    tree = Tree(
-        np.array([-1]), np.array([HingeKind.FREE]), np.zeros((1, 3)), np.eye(3)[None], np.array([1.7]),
-        rng.normal(size=(1, 3)), (np.trace(second) * np.eye(3) - second)[None],
-    )  # fmt: skip
-    q = np.concatenate([Rotation.random(random_state=rng).as_quat(), rng.normal(size=3)])
-    return articulate(tree, pose(tree, q)), rng.normal(size=6)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_a_free_body_takes_the_impulse_and_its_moment(seed):
-    rng = np.random.default_rng(seed)
-    factors, qd = free_body(rng)
-    point, blow = rng.normal(size=(2, 3))
-    tree, frames = factors.tree, factors.frames
-    found = impact(factors, qd, (), external={0: (point, blow)})
-    change = np.subtract(momentum(tree, frames, found.qd), momentum(tree, frames, qd))
-    arm = point - centre_of_mass(tree, frames)
-    np.testing.assert_allclose(change, [blow, np.cross(arm, blow)], rtol=1e-11, atol=ROUND_OFF)
-    gained = kinetic_energy(tree, frames, found.qd) - kinetic_energy(tree, frames, qd)
-    assert found.work == pytest.approx(gained, rel=1e-11)
-    assert found.impulse.shape == (0, 3) and not len(found.loops)
-
-
-@pytest.mark.parametrize("share", [0.1, 0.5, 2.0 / 3.0, 1.0])
-def test_a_rod_struck_at_its_centre_of_percussion_leaves_its_pin_alone(share):
-    mass, length, blow = 3.0, 1.2, 0.7
-    rod = {
-        "parent": np.array([-1]), "offset": np.zeros((1, 3)), "placement": np.eye(3)[None],
-        "mass": np.array([mass]), "com": np.array([[0.5 * length, 0.0, 0.0]]),
-        "inertia": mass * length**2 / 12.0 * np.diag([0.0, 1.0, 1.0])[None] + np.diag([1e-3, 0, 0]),
-    }  # fmt: skip
-    external = {0: ((share * length, 0.0, 0.0), (0.0, blow, 0.0))}
-    turn = blow * share * length / (mass * length**2 / 3.0)
-    # Hinged, about z.
-    hinged = Tree(kind=np.array([HingeKind.REVOLUTE]), **rod)
-    found = impact(articulate(hinged, pose(hinged, np.zeros(1))), np.zeros(1), [], external=external)
-    assert found.qd[0] == pytest.approx(turn, rel=EXACT)
-    # Free, its end held by rows whose impulse is the pin's reaction.
-    free = Tree(kind=np.array([HingeKind.FREE]), **rod)
-    factors = articulate(free, pose(free, np.array([1.0, 0, 0, 0, 0, 0, 0])))
-    pin = point_rows(factors.frames, (-1, 0), np.zeros((2, 3)))
-    held = impact(factors, np.zeros(6), [], loops=pin, external=external)
-    np.testing.assert_allclose(held.qd, [0, 0, turn, 0, 0, 0], atol=ROUND_OFF)
-    np.testing.assert_allclose(held.loops, [0.0, blow * (1.5 * share - 1.0), 0.0], atol=ROUND_OFF)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -634,14 +553,6 @@ def test_redundant_points_share_the_blow_by_least_norm(com, friction):
     assert np.allclose(given, expected, rtol=1e-6, atol=1e-7)
 
 
-def test_a_corner_that_least_norm_would_pull_is_left_out():
-    factors, corners = box((0.8, 0.8, 0.0))
-    floor = [ContactPoint(f"corner {i}", (-1, 0), x, UP) for i, x in enumerate(corners)]
-    found = impact(factors, np.array([0, 0, 0, 0, 0, -2.0]), floor)
-    assert found.impulse.min() > -1e-12 and found.impulse[0, 2] < 1e-12
-    assert found.impulse[:, 2].sum() == pytest.approx(6.0) and np.abs(found.qd).max() < 1e-9
-
-
 def test_each_point_has_its_own_coefficients():
     factors, qd = sliders(3), np.array([-1.0, -2.0, -3.0])
     floor = [
@@ -668,18 +579,6 @@ def test_points_of_different_restitution_add_no_energy_either():
 
 
 # --- What is refused
-
-
-def test_friction_too_high_for_one_solution_is_refused_by_name():
-    """Three plane solutions of two points, found by trying all: of one phase they cannot all be right."""
-    rng = np.random.default_rng(0)
-    while True:
-        g = rng.normal(size=(4, 5))
-        w, u, mu = g @ g.T, rng.normal(size=4), np.array([1.9, 0.0])
-        whole, before, _ = in_space(w, u)
-        if len(enumerated(w, u, mu, np.zeros(2))) > 1:
-            break
-    assert restitute(whole, before, mu, np.zeros(2), np.zeros((2, 6))) == 2
 
 
 def test_of_several_solutions_the_point_is_named_where_they_differ_most():
@@ -727,23 +626,6 @@ def test_what_cannot_be_met_is_refused_by_name():
         assert np.allclose(impact(factors, np.array([-1.0, 0.0]), [slope], law).qd, 0.0, atol=EXACT)
 
 
-def test_misuse_is_refused_in_one_line():
-    factors, point = sliders(2), in_a_row(2, 0.5)[0]
-    for call, words in (
-        (lambda: impact(factors, "fast", [point]), "qd: give an array of numbers"),
-        (lambda: impact(factors, [np.nan, 0.0], [point]), "velocities before an impact are not finite"),
-        (lambda: impact(factors, np.zeros(2), point), "points: give a list of them"),
-        (lambda: impact(factors, np.zeros(2), [point], law=["newton"]), "law .* is not known"),
-        (
-            lambda: ContactPoint("p", ("world", "a"), np.zeros(3), UP),
-            "contact 'p': bodies .*: give two numbers",
-        ),
-    ):
-        with pytest.raises(ProtochainError, match=words) as refused:
-            call()
-        assert len(str(refused.value).splitlines()) == 1
-
-
 def test_wrong_arguments_are_refused_in_one_line():
     for options, words in (
         ({"normal": np.zeros(3)}, "its normal has no direction"),
@@ -771,80 +653,3 @@ def test_wrong_arguments_are_refused_in_one_line():
 
 
 # --- Endless bounces
-
-
-def test_a_ball_comes_to_rest_at_the_time_known():
-    """Bounces last 2 v/g, 2 e v/g ...; below 1e-4 m/s the jump adds what is left, and ends them."""
-    g, e, height = 9.81, 0.5, 1.0
-    factors = sliders(1)
-    system = System(factors.tree, lambda q, _: (g * q[0], np.array([-g])))
-    floor = ContactPoint("floor", (-1, 0), np.zeros(3), UP, 0.0, e)
-    rest = []
-
-    def jump(system, at):
-        after = impact(at.factors, at.qd, [floor]).qd
-        if after[0] < 1e-4:
-            rest.append(at.time + 2.0 * after[0] / g / (1.0 - e))
-            after = np.zeros(1)
-        return system.with_velocities(at, after)
-
-    event = Event("floor", lambda at: float(at.q[0]), jump)
-    bounces = 0
-    start = system.at(np.array([height]), np.zeros(1))
-    for at, happened in march(system, DormandPrince(1e-12), start, 9.0, 0.1, [event]):  # noqa: B007
-        bounces += happened is not None
-        if rest:
-            break
-    fall = np.sqrt(2.0 * height / g)
-    assert bounces == int(np.ceil(np.log(1e-4 / (g * fall)) / np.log(e)))
-    assert rest[0] == pytest.approx(fall * (1.0 + e) / (1.0 - e), abs=1e-11)
-    assert not at.qd.any() and abs(at.q[0]) < 1e-12
-
-
-def test_a_peptide_of_hard_spheres_keeps_its_energy():
-    """Ten alanines without forces but blows between their heavy atoms, one after the other, at e = 1."""
-    its, rng = chain("ala10.pdb", "phi psi", "free"), np.random.default_rng(1)
-    s, tree = its.structure, its.tree
-    heavy = np.flatnonzero(s.atom_element != "H")
-    first, second = (heavy[i] for i in np.triu_indices(len(heavy), 1))
-    apart = np.linalg.norm(s.positions[second] - s.positions[first], axis=1)
-    # Those that only one hinge moves touch at once, or never.
-    far = np.abs(its.atom_body[first] - its.atom_body[second]) > 2
-    first, second, apart = first[far], second[far], np.minimum(0.3, 0.98 * apart[far])
-    bodies = its.atom_body[np.stack([first, second], axis=1)]
-
-    def spheres(frames):
-        x = np.einsum("aij,aj->ai", frames.rotation[its.atom_body], its.atom_local)
-        x = x + frames.origin[its.atom_body]
-        return x, np.linalg.norm(x[second] - x[first], axis=1) - apart
-
-    def blow(system, at):
-        x, gaps = spheres(at.factors.frames)
-        touching = [
-            ContactPoint(f"{first[k]}-{second[k]}", tuple(bodies[k]), 0.5 * (x[first[k]] + x[second[k]]),
-                         x[second[k]] - x[first[k]], 0.0, 1.0)
-            for k in np.flatnonzero(gaps < 1e-9)
-        ]  # fmt: skip
-        return system.with_velocities(at, impact(at.factors, at.qd, touching, "stronge", order="in turn").qd)
-
-    system = System(tree, lambda q, _: (0.0, np.zeros(tree.n_v)))
-    hit = Event("spheres", lambda at: float(spheres(at.factors.frames)[1].min()), blow)
-    start = system.at(its.q0, np.zeros(tree.n_v))
-    start = system.with_velocities(start, sample_velocities(tree, start.factors.frames, 2.5, rng))
-    blows = 0
-    for at, happened in march(system, DormandPrince(1e-12), start, 2.0, 0.02, [hit]):
-        blows += happened is not None
-        assert spheres(at.factors.frames)[1].min() > -1e-9
-    assert blows >= 10
-    assert at.total == pytest.approx(start.total, rel=1e-10)
-
-
-def test_velocities_at_points_are_those_of_twists():
-    factors, qd, rng = struck(1)
-    point = touching(factors, rng)[0]
-    v = [np.zeros(3), np.zeros(3)]
-    for side, body in enumerate(point.bodies):
-        if body >= 0:
-            twist = velocities(factors.tree, factors.frames, qd)[body]
-            v[side] = twist[3:] + np.cross(twist[:3], point.point - factors.frames.origin[body])
-    assert np.allclose(impact(factors, qd, [point]).before[0], v[1] - v[0], atol=ROUND_OFF)

@@ -12,7 +12,6 @@ from protochain.mechanics.multibody import pose, velocities
 from protochain.mechanics.multibody.articulated import articulate
 from protochain.mechanics.multibody.random_tree import random_tree
 from protochain.mechanisms import Mechanism
-from protochain.mechanisms.flexible import Flexible
 from protochain.mechanisms.flexible.dynamics import jacobian, mass_matrix
 from protochain.mechanisms.impacts import Bending, ContactPoint, friction_bound, impact, impulse_stress
 
@@ -64,27 +63,6 @@ def test_an_impact_of_links_that_bend_has_the_momentum_and_work_of_the_whole_mat
     assert np.abs(found.qd[flexible.tree.n_v :] - qd[flexible.tree.n_v :]).max() > 0.01
 
 
-def test_bodies_that_do_not_bend_are_hit_as_rigid_ones():
-    rng = np.random.default_rng(5)
-    tree = random_tree(6, rng)
-    q, qd = rng.normal(size=tree.n_q), rng.normal(size=tree.n_v)
-    factors = articulate(tree, pose(tree, q))
-    flexible = Flexible(tree, (None,) * tree.n_bodies, np.full(tree.n_bodies, -1))
-    body = tree.n_bodies - 1
-    at, normal = factors.frames.origin[body] + 0.1, rng.normal(size=3)
-    speed = velocities(tree, factors.frames, qd)[body]
-    normal *= -np.sign(normal @ (speed[3:] + np.cross(speed[:3], np.full(3, 0.1))))
-    blow = {0: (at, (0.1, 0.2, -0.3))}
-    point = ContactPoint("wall", (-1, body), at, normal, 0.2, 0.5)
-    rigid = impact(factors, qd, [point], external=blow)
-    nodes = replace(point, bodies=(-1, flexible.node(body)))
-    bending = impact(Bending.at(flexible, q), qd, [nodes], external={flexible.node(0): blow[0]})
-    np.testing.assert_allclose(bending.qd, rigid.qd, rtol=1e-10, atol=1e-12)
-    assert bending.work == pytest.approx(rigid.work, rel=1e-10)
-    with pytest.raises(MechanicsError, match="body 2: it has no section 7"):
-        flexible.node(2, 7)
-
-
 def test_the_bound_of_one_point_in_closed_form():
     """A rod on the floor, leaning: W of its tip by hand."""
     m = Mechanism()
@@ -122,36 +100,6 @@ def test_what_friction_jams_is_above_the_bound_and_below_it_there_is_one_solutio
         impact(factors, qd, [replace(point, friction=0.99 * sure) for point in points])
     assert independent > 100
     assert refused >= 1
-
-
-def test_mean_stress_of_a_rod_that_is_struck():
-    """Along its axis the impulse falls from P to 0 at the other end; across it bends, and pulls nowhere."""
-    m = Mechanism()
-    m.body("rod", mass=3.0, inertia=(2e-6, 3.0 * 4.0 / 12, 3.0 * 4.0 / 12))
-    state = m.build().state()
-    for impulse, wanted in (((-5.0, 0, 0), -5.0), ((0, 4.0, 0), 0.0)):
-        blow = {0: ((1.0, 0.0, 0.0), impulse)}
-        found = impact(state.factors, state.qd, [], external=blow)
-        stress = impulse_stress(state.factors, state.qd, found, [], blow)[0]
-        # As thick as its inertia about its axis.
-        np.testing.assert_allclose(stress, wanted * np.diag([1.0, 0, 0]), atol=1e-5)
-
-
-def test_a_rod_of_two_halves_has_their_stress():
-    whole, halves = Mechanism(), Mechanism()
-    whole.body("rod", mass=4.0, inertia=(0.02, 4.0 * 4.0 / 12, 4.0 * 4.0 / 12))
-    half = {"mass": 2.0, "inertia": (0.01, 2.0 / 12, 2.0 / 12)}
-    halves.body("left", position=(-0.5, 0, 0), **half)
-    halves.body("right", com=(0.5, 0, 0), **half)
-    halves.hinge("weld", "left", "right", kind="fixed", at=(0.5, 0, 0))
-    stresses = []
-    for m in (whole, halves):
-        state = m.build().state()
-        blow = {len(state.bodies.names) - 1: ((0.8, 0.05, 0.0), (3.0, -2.0, 1.0))}
-        found = impact(state.factors, state.qd, [], external=blow)
-        stresses.append(impulse_stress(state.factors, state.qd, found, [], blow).sum(axis=0))
-    np.testing.assert_allclose(stresses[1], stresses[0], atol=1e-12)
-    assert np.abs(stresses[0]).max() > 1.0
 
 
 def test_stresses_of_a_tree_are_symmetric_and_add_up_to_those_of_its_points_of_mass():

@@ -16,9 +16,6 @@ from protochain.minimisers.near_kernels import STIFFEST, bends, free_pairs, turn
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.spaces import spaces
 
-BY_DIFFERENCES = 1e-6
-"""Relative. Central differences of angles with steps of 1e-5 nm."""
-
 
 def angle(x):
     u, v = x[0] - x[1], x[2] - x[1]
@@ -132,19 +129,6 @@ def test_the_model_is_the_sum_of_its_terms_each_made_positive():
     # Term by term: the softest are far below that.
     assert found == pytest.approx(expected, rel=2e-3, abs=20.0)
     assert np.linalg.eigvalsh(found).min() > -1e-6 * np.abs(found).max()
-
-
-def test_gradients_of_angles_and_dihedrals_are_those_of_their_formulae():
-    _, x = shaken("1l2y.pdb")
-    terms = near_terms(energy("1l2y.pdb"))
-    rng = np.random.default_rng(3)
-    for atoms, found, function in (
-        (terms.angles.atoms, bends(x, terms.angles.atoms), angle),
-        (terms.dihedrals, turns(x, terms.dihedrals, terms.waves, terms.first_wave)[0], dihedral),
-    ):
-        for n in rng.choice(len(atoms), 30, replace=False):
-            expected = gradient(function, x[atoms[n]])
-            assert np.abs(found[n] - expected).max() < BY_DIFFERENCES * np.abs(expected).max()
 
 
 def test_atoms_in_line_or_at_one_point_give_finite_blocks():

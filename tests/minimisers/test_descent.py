@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from fixtures.molecules import crowded
 from fixtures.samples import chain, energy, load
-from fixtures.tolerances import DIFFERENCE
 from scipy.optimize import minimize
 from scipy.sparse.csgraph import shortest_path
 
-import protochain as pc
 from protochain.chains.chain import pose
 from protochain.chains.contacts import joined, near_pairs, radii
 from protochain.mechanics import multibody
@@ -98,16 +96,6 @@ def test_a_spring_at_contact_is_as_stiff_as_a_lennard_jones_well_and_softens_out
     assert near.stiffness[distance > touch].max() < near.stiffness[distance < 0.9 * touch].max()
 
 
-def test_hydrogens_are_not_tethered():
-    s = load("ala10.pdb")
-    tethers, light = Tethers.of_heavy_atoms(s, 300.0), s.atom_element == "H"
-    value, forces = tethers(s.positions + 0.1 * light[:, None])
-    assert value == 0.0 and not forces.any()
-    value, forces = tethers(s.positions + 0.1 * ~light[:, None])
-    assert value == pytest.approx(0.5 * 300.0 * 3 * 0.1**2 * np.sum(~light))
-    assert forces[~light] == pytest.approx(-300.0 * 0.1) and not forces[light].any()
-
-
 @pytest.mark.parametrize("kind", ["soft", "tethers", "leash", "sum"])
 def test_restraining_forces_are_minus_the_gradient(kind):
     s = load("1l2y.pdb")
@@ -152,17 +140,3 @@ def test_the_stiffness_metric_halves_what_a_general_quasi_newton_method_needs(na
     c, problem = problem_of(name)
     assert walked(problem, Descent(LBFGS(), StrongWolfe()), c.q0)[0].stop is Stop.TOLERANCE
     assert 2 * problem.n_evaluations < scipy_evaluations(name)
-
-
-def test_torques_of_open_angles_are_minus_the_gradient():
-    c = chain("1l2y.pdb", "phi psi chi angles")
-    e = energy("1l2y.pdb")
-    at = pose(c, c.q0)
-    tau = pc.pull_back(c, at, e(at.x)[1])
-    h = 1e-5
-    ends = [
-        [e(pose(c, multibody.integrate(c.tree, c.q0, s * h * u)).x)[0] for s in (1, -1)]
-        for u in np.eye(c.n_v)
-    ]
-    numeric = -np.diff(np.array(ends)[:, ::-1], axis=1).ravel() / (2 * h)
-    assert np.linalg.norm(tau - numeric) < DIFFERENCE * np.linalg.norm(tau)

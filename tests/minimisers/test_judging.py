@@ -141,10 +141,8 @@ def test_judges_have_names_and_threads_of_their_own():
 @pytest.mark.parametrize(
     ("name", "method", "settings"),
     [
-        ("ala10.pdb", "lbfgs", {"forcefield": "charmm36", "solvent": "vacuum"}),
         ("1l2y.pdb", "cartesian", {"forcefield": "amber19", "solvent": "gbn2"}),
         ("5awl.pdb", "hybrid", {"forcefield": "amber99sbildn", "solvent": "obc2"}),
-        ("1bna.pdb", "cartesian", {"forcefield": "amber14", "solvent": "gbn2"}),
         ("1l2y.pdb", "cartesian", {"engine": "openmm"}),
     ],
 )

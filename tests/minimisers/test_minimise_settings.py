@@ -1,7 +1,7 @@
 """``minimise``: what its settings become, what a checkpoint compares, how an outcome is judged."""
 
 import hashlib
-from dataclasses import fields, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,7 +13,7 @@ import protochain as pc
 from protochain.chains.chain import pose
 from protochain.chains.frame import Frame
 from protochain.core import defaults
-from protochain.minimisers import RECIPES, Solution, Status, minimise_structure
+from protochain.minimisers import RECIPES, Status, minimise_structure
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.restraints import Hold
@@ -55,11 +55,6 @@ def test_settings_that_make_no_sense_are_refused(recipe, settings, said):
     with pytest.raises(pc.ProtochainError) as refusal:
         Minimisation(RECIPES[recipe], **settings)
     assert str(refusal.value) == said
-
-
-def test_settings_that_make_sense_are_not():
-    Minimisation(RECIPES["openmm"], tolerance=1e-9, max_evaluations=1)
-    Minimisation(LBFGS, max_evaluations=1, checkpoint="run.npz", resume="run.npz", restraint=1.0)
 
 
 def test_a_checkpoint_belongs_to_a_method_its_settings_and_its_start():
@@ -180,23 +175,3 @@ def test_restraints_are_judged_and_said():
     start = c.structure.positions
     found = judged(turned, told(height=lambda x: -5.0 if np.array_equal(x, start) else -4.0))
     assert found.lowest_eigenvalue is None
-
-
-def test_a_start_is_judged_and_reduced_once():
-    c = chain("ala10.pdb")
-    start = Start(c, told())
-    assert start.judgement is start.judgement and start.judgement.energy == -5.0
-    assert start.reduced is start.reduced
-    assert start.energy_of(LBFGS) is start.reduced and start.energy_of(RECIPES["hybrid"]) is start.reduced
-    assert start.energy_of(RECIPES["cartesian"]) is start.energy
-    assert start.pose.x is c.structure.positions
-
-
-def test_a_solution_without_frames_has_rows_to_index_with():
-    made = {
-        each.name: each.default_factory()
-        for each in fields(Solution)
-        if each.name[:6] in ("frame_", "frames")
-    }
-    assert made["frame_rows"].dtype == np.int64 and made["frame_rows"].shape == (0,)
-    assert made["frames"].dtype == np.float32 and made["frames"].shape == (0, 0, 3)

@@ -9,7 +9,6 @@ from fixtures.samples import chain, energy
 from fixtures.tolerances import CONSTRAINED_FORCE
 
 import protochain as pc
-from protochain.energies import OpenMMEnergy
 from protochain.minimisers import RECIPES, openmm_reference
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.openmm_reference import (
@@ -231,37 +230,10 @@ def test_openmms_dynamics_are_recorded_every_twenty_steps_up_to_the_budget():
     assert np.abs(rows[0][3] - forces).max() < CONSTRAINED_FORCE * np.abs(forces).max()
 
 
-def test_openmms_dynamics_run_for_a_thousand_steps(monkeypatch):
-    monkeypatch.setattr(openmm.LangevinMiddleIntegrator, "step", lambda self, n: None)
-    stop, _, iterations, evaluations, rows = recorded(langevin_dynamics, max_evaluations=5000, seed=1)
-    assert (stop, iterations, evaluations, len(rows)) == (Stop.NO_DESCENT, 1000, 1000, 50)
-
-
 def test_openmms_dynamics_depend_on_their_seed_and_repeat():
     """In velocities, and in the noise of the integrator, for which a seed of 0 would be one of the clock."""
     ends = [recorded(langevin_dynamics, max_evaluations=3, seed=seed)[1] for seed in (0, 0, 1)]
     assert np.array_equal(ends[0], ends[1]) and not np.array_equal(ends[0], ends[2])
-
-
-def test_openmms_dynamics_are_at_300_kelvin_with_hydrogens_constrained(monkeypatch):
-    made = []
-    original = OpenMMEnergy.make_context
-
-    def make_context(self, system, integrator=None):
-        context = original(self, system, integrator)
-        made.append((system, integrator, context))
-        return context
-
-    monkeypatch.setattr(OpenMMEnergy, "make_context", make_context)
-    recorded(langevin_dynamics, max_evaluations=1, seed=4)
-    ((system, integrator, context),) = made
-    assert isinstance(integrator, openmm.LangevinMiddleIntegrator)
-    assert integrator.getTemperature()._value == 300.0 and integrator.getFriction()._value == 1.0
-    assert integrator.getStepSize()._value == 0.002 and integrator.getRandomNumberSeed() == 5
-    s = chain("ala10.pdb").structure
-    light = s.atom_element == "H"
-    assert system.getNumConstraints() == np.sum(light[s.bonds].any(axis=1)) > 0
-    assert context.getPlatform().getName() == "Reference"
 
 
 def test_openmms_dynamics_end_at_interrupts_and_where_there_is_no_number(monkeypatch):

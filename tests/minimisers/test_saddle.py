@@ -10,17 +10,10 @@ from fixtures.samples import SAMPLES, chain, energy
 
 import protochain as pc
 from protochain.batches import BatchSettings, task
-from protochain.cli import main
 from protochain.minimisers import Status
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Problem
-from protochain.minimisers.saddle import (
-    Curvature,
-    CurvatureState,
-    _extended,
-    _orthonormal,
-    stepped_off,
-)
+from protochain.minimisers.saddle import Curvature, CurvatureState, _extended, _orthonormal, stepped_off
 from protochain.minimisers.spaces import Torsions
 
 EIGENVALUE = 0.01
@@ -127,31 +120,18 @@ def test_only_a_clear_curvature_is_a_saddle():
         assert (r.end.energy < r.start.energy) == (tolerance < 8.94)
 
 
-@pytest.mark.parametrize("method", ["lbfgs", "newton", "kcm-stiffness"])
+@pytest.mark.parametrize("method", ["lbfgs", "kcm-stiffness"])
 def test_a_run_stopped_anywhere_goes_on_as_if_it_had_not(method, tmp_path):
     c, e = flat(), flat_energy()
     whole = pc.minimise(c, e, method)
     file = tmp_path / "run.npz"
-    for budget in range(1, whole.n_evaluations, 3):
+    for budget in range(1, whole.n_evaluations, 7):
         part = pc.minimise(c, e, method, max_evaluations=budget, checkpoint=file)
         assert part.n_evaluations <= budget
         rest = pc.minimise(c, e, method, resume=file)
         assert np.array_equal(rest.q, whole.q) and rest.message == whole.message
         assert rest.lowest_eigenvalue == whole.lowest_eigenvalue
         assert (rest.n_evaluations, rest.n_iterations) == (whole.n_evaluations, whole.n_iterations)
-
-
-def test_a_run_that_stalled_stays_so_and_says_its_curvature(tmp_path):
-    c, e = chain("ala10.pdb"), energy("ala10.pdb")
-    stalled = pc.minimise(c, e, pc.kcm(angle=0.05), 1e-3, max_evaluations=2000)
-    assert stalled.status is Status.STALLED and "no new low" in stalled.message
-    assert stalled.lowest_eigenvalue == pytest.approx(26.0, rel=0.05)
-    file = tmp_path / "run.npz"
-    budget = stalled.n_evaluations - 3
-    part = pc.minimise(c, e, pc.kcm(angle=0.05), 1e-3, max_evaluations=budget, checkpoint=file)
-    assert part.status is Status.BUDGET and part.lowest_eigenvalue is None
-    rest = pc.minimise(c, e, pc.kcm(angle=0.05), 1e-3, max_evaluations=2000, resume=file)
-    assert rest.message == stalled.message and rest.lowest_eigenvalue == stalled.lowest_eigenvalue
 
 
 def test_a_curvature_that_no_energy_confirms_is_no_saddle():
@@ -261,26 +241,6 @@ def test_several_free_chains_move_as_one():
         assert np.abs(moved - x).max() > 1e-6
         found = np.linalg.norm(moved[:, None] - moved[None, ::50], axis=2)
         assert np.abs(found - apart).max() < 1e-8
-
-
-@pytest.mark.parametrize("given", [(), ("--no-curvature",)])
-def test_comparisons_and_batches_leave_it_out_too(given, tmp_path, monkeypatch, capsys):
-    asked = []
-
-    def seen(*inputs, **settings):
-        asked.append(settings["curvature"])
-        raise pc.ProtochainError("seen")
-
-    monkeypatch.setattr("protochain.comparison.compare", seen)
-    monkeypatch.setattr("protochain.batches.batch", seen)
-    monkeypatch.chdir(tmp_path)
-    pc.save(pc.from_sequence("GG"), "a.pdb")
-    for command in ("compare", "batch"):
-        monkeypatch.setattr("sys.argv", ["protochain", command, "a.pdb", *given])
-        with pytest.raises(SystemExit):
-            main()
-        assert "protochain: seen" in capsys.readouterr().err
-    assert asked == [False if given else None] * 2
 
 
 @pytest.mark.parametrize("curvature", [True, False])

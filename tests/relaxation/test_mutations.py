@@ -1,12 +1,10 @@
 """Mutants, and what they cost."""
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import refusal_as_said, run
-from fixtures.samples import STRUCTURES, load, shared
+from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
 from protochain.batches import mutation_scan
@@ -63,21 +61,15 @@ def test_protonation_states_are_compared_with_their_own():
     assert found[0] == 0.0 and abs(found[1]) > 10.0
 
 
-def test_a_buried_leucine_costs_more_than_a_lysine_on_the_surface():
-    base = pc.relax(shared("5pti_bpti.cif"), solvent="vacuum").structure
-    buried, outside = (pc.mutate(base, m) for m in ("A:F33A", "A:K26A"))
-    assert buried.ddg > outside.ddg + 20.0 and buried.mutant.status == "converged"
-
-
 def test_half_of_a_disulfide_has_no_reference():
     m = pc.mutate(load("1hel.pdb"), "A:C6A", **FAST)
     assert m.ddg is None and m.record()["ddg_kj_mol"] is None
 
 
 def test_binding_changes_where_the_interface_does():
-    m = pc.mutate(load("3i40.pdb"), "B:F24A", interface="A:B", threads=1)
+    m = pc.mutate(load("3i40.pdb"), "B:F24A", interface="A:B", **FAST)
     scores = [each.interface_end.scores["energy_kj_mol"] for each in (m.wild, m.mutant)]
-    assert m.interface_change == pytest.approx(scores[1] - scores[0]) and m.interface_change > 0.0
+    assert m.interface_change == pytest.approx(scores[1] - scores[0]) != 0.0
 
 
 @pytest.mark.parametrize(
@@ -147,17 +139,3 @@ def test_a_scan_goes_on_after_a_stop(tmp_path, monkeypatch, leucine):
     assert table["ddg_kj_mol"][0] == pytest.approx(leucine.ddg, rel=1e-9)
     assert "data:image/png" in (tmp_path / "scan.html").read_text()
     assert not list(tmp_path.glob("*.npz"))
-
-
-def test_the_command_writes_the_mutant(tmp_path, monkeypatch, capsys, leucine):
-    monkeypatch.chdir(tmp_path)
-    given = ["mutate", STRUCTURES / "1l2y.pdb", "A:L7A", "--solvent", "vacuum", "--threads", 1]
-    assert run(*given, "--json") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["ddg_kj_mol"] == pytest.approx(leucine.ddg, rel=1e-9)
-    assert pc.load("1l2y.mutant.pdb").residue_name[6] == "ALA"
-    for more, said in (
-        (["--scan", "A:1"], "give mutations"), (["--into", "V"], "--into: is of a scan"),
-        (["-o", "x.txt"], "suffix"),
-    ):  # fmt: skip
-        assert said in refusal_as_said(*given, *more)

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from fixtures import models
-from fixtures.samples import SAMPLES, load, shared
+from fixtures.samples import SAMPLES, load
 
 import protochain as pc
 from protochain.relaxation.planarity_restraint import Planes
@@ -51,12 +50,6 @@ def test_atoms_of_usual_shape_feel_nothing(name):
     assert (s.atom_name[planes.atoms[:, 0]] == "C").sum() == s.n_residues
 
 
-@pytest.mark.parametrize("name", ["1a8o_mse.pdb", "4cup_missing.cif", "3znf_zinc_finger.pdb"])
-def test_crystal_and_nmr_structures_feel_nothing(name):
-    s = pc.load(shared(name))
-    assert Planes.of(s)(s.positions)[0] == 0.0
-
-
 def test_a_folded_carbonyl_is_opened():
     s = load("1l2y.pdb")
     x, centre = folded(s, 9)
@@ -68,14 +61,3 @@ def test_a_folded_carbonyl_is_opened():
     done = pc.relax(start)
     assert done.status == "converged" and alone(done.structure.positions)[0] == 0.0
     assert not violations(done.structure)
-
-
-def test_a_model_with_atoms_far_off_their_places_is_made_clean():
-    """A carboxyl group folded at random: forces alone do not open it."""
-    start = models.shaken(load("1vii.pdb"), 0.25, 503)
-    planes = Planes.of(start)
-    plain = pc.minimise(pc.build_chain(start), pc.energy(start), "cartesian", 1.0)
-    assert plain.status == "converged" and planes(plain.x)[0] > 100.0
-    assert violations(start.with_positions(plain.x))
-    done = pc.relax(start)
-    assert done.status == "converged" and not violations(done.structure)

@@ -6,7 +6,6 @@ import signal
 from dataclasses import replace
 from pathlib import Path
 
-import gemmi
 import numpy as np
 import openmm
 import pytest
@@ -28,7 +27,7 @@ from protochain.relaxation.rounds import Relaxer
 from protochain.relaxation.wrong import Wrong
 from protochain.structure.chirality import wrong_atoms
 from protochain.structure.residues import VAN_DER_WAALS
-from protochain.validation import threaded_rings, violations
+from protochain.validation import violations
 
 STIFF = 4184.0
 
@@ -105,12 +104,6 @@ def test_stiffness_and_tolerance_replace_those_of_the_preset():
     own = RelaxSettings("crystal", stiffness=2092.0, tolerance=3.0).strength
     assert own.backbone == pytest.approx((2092.0,)) and own.side_chains == pytest.approx((500.0,))
     assert own.tolerance == 3.0
-
-
-def test_stiffer_springs_keep_nearer(damaged, relaxed):
-    firm = pc.relax(damaged, threads=1, stiffness=10 * STIFF, max_outer_iterations=1)
-    away = [np.linalg.norm(r.x - damaged.positions) for r in (firm, relaxed)]
-    assert away[0] < away[1]
 
 
 def touching(structure, residue, x):
@@ -256,27 +249,6 @@ def test_settings_that_make_no_sense_are_refused(options, said):
         pc.relax(load("1l2y.pdb"), **options)
 
 
-def test_a_file_keeps_what_it_says_of_itself(tmp_path):
-    """Two chains, B factors, SEQRES: as in the input; hydrogens only if they are asked for."""
-    r = pc.relax(pc.load(shared("3i40_insulin.pdb"), keep="none"), threads=1, max_iterations=2)
-    r.save(tmp_path / "with.pdb")
-    replace(r, settings=RelaxSettings(keep_hydrogens=False)).save(tmp_path / "without.cif")
-    given = gemmi.read_structure(str(shared("3i40_insulin.pdb")))
-    for name in ("with.pdb", "without.cif"):
-        made = gemmi.read_structure(str(tmp_path / name))
-        assert [chain.name for chain in made[0]] == ["A", "B"]
-        for old, new in zip(given[0], made[0], strict=True):
-            first = [str(res.seqid) for res in old.get_polymer()]
-            assert [str(res.seqid) for res in new.get_polymer()] == first
-            before = {(str(res.seqid), a.name): a.b_iso for res in old.get_polymer() for a in res}
-            after = {(str(res.seqid), a.name): a.b_iso for res in new.get_polymer() for a in res}
-            assert all(after[key] == pytest.approx(b, abs=0.006) for key, b in before.items())
-        sequences = [list(e.full_sequence) for e in made.entities if e.entity_type.name == "Polymer"]
-        assert sequences == [list(e.full_sequence) for e in given.entities if e.entity_type.name == "Polymer"]
-        assert any(a.is_hydrogen() for c in made[0] for res in c for a in res) == (name == "with.pdb")
-    assert "METHOD RELAX, STATUS budget" in (tmp_path / "without.cif").read_text()
-
-
 def test_molecules_beside_the_protein_stand_still():
     s = pc.load(shared("3i40_insulin.pdb"), keep="water")
     assert s.obstacle.sum() > 20
@@ -374,15 +346,6 @@ def test_only_hands_that_became_wrong_are_inverted():
     mirror = right.positions * [1.0, 1.0, -1.0]
     spoiled = _spoiled(Wrong(right, mirror))
     assert len(spoiled) >= 16 and spoiled[0] == "CA of residue 1 ASN of chain A"
-
-
-def test_threaded_rings_are_freed():
-    (planted,) = models.planted_rings([load("1l2y.pdb")], 1, seed=1)
-    s = planted.structure
-    assert [ring.residue for ring in threaded_rings(s)] == [planted.ring_residue]
-    r = pc.relax(s, threads=1, solvent="vacuum")
-    assert r.status is pc.Status.CONVERGED and not threaded_rings(s, r.x)
-    assert r.rounds[0].released == 2 and r.ca_rmsd_angstrom < 0.5
 
 
 def test_the_budget_of_iterations_holds_while_rings_are_freed():

@@ -11,7 +11,6 @@ from fixtures.samples import load, shared
 
 import protochain as pc
 from protochain.chains.contacts import OVERLAP, near_pairs
-from protochain.cli import app
 from protochain.core.errors import StructureError
 from protochain.core.units import COULOMB
 from protochain.relaxation.repack import repacked, troubled
@@ -403,21 +402,6 @@ def test_relaxing_turns_them_first_and_tells():
     away = [np.linalg.norm((done.x - s.positions)[turned_atoms], axis=1).mean() for s in (expected, given)]
     assert away[0] < 0.03 < 0.1 < away[1]
     assert "turned" in done._repr_html_() and "turned" not in plain._repr_html_()
-
-
-def test_the_command_tells_what_it_turned(tmp_path, capsys):
-    given, _ = scrambled(load("1l2y.pdb"), 6, seed=1)
-    pc.save(given, tmp_path / "bad.pdb")
-    source, output = str(tmp_path / "bad.pdb"), str(tmp_path / "good.pdb")
-    assert app(["relax", source, "--solvent", "vacuum", "--repack", "-o", output], standalone_mode=False) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    line = said[said.index("repacked first: ") : said.index("converged: ")]
-    good = pc.load(tmp_path / "good.pdb")
-    moved = np.linalg.norm(good.positions - given.positions, axis=1) > 0.2
-    for residue in np.unique(given.atom_residue[moved]).tolist():
-        assert f"A:{given.residue_number[residue]} {given.residue_name[residue]}" in line
-    assert moved.any()
-    assert "side chain turned from chi1" in (tmp_path / "good.pdb").read_text()
 
 
 def test_a_polar_hydrogen_turns_in_every_rotamer_and_stays_in_that_of_the_input():

@@ -1,10 +1,7 @@
 """An interface scored at both ends of a relaxation, in its record, in tables, on its page."""
 
-import json
-
-import pandas as pd
 import pytest
-from fixtures.command_line import refusal, run
+from fixtures.command_line import refusal
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
@@ -59,35 +56,3 @@ def test_sides_that_make_no_sense_are_refused_before_any_work(given, said, tmp_p
         pc.relax(load(FILE.name), interface=given, watch=lambda row, x: pytest.fail("it has begun"))
     assert said in refusal("relax", FILE, "-o", tmp_path / "o.pdb", "--interface", given)
     assert not (tmp_path / "o.pdb").exists()
-
-
-def test_the_engine_changes_nothing_of_an_interface():
-    of = {
-        engine: pc.relax(load(FILE.name), interface="A:B", engine=engine, max_iterations=1).record()
-        for engine in ("native", "openmm")
-    }
-    names = [name for name in of["native"] if name.startswith("interface_") and "_start_" in name]
-    assert len(names) > 3
-    for name in names:
-        assert of["openmm"][name] == pytest.approx(of["native"][name], rel=1e-6, abs=1e-6), name
-
-
-def test_the_command_prints_them_and_a_folder_has_them(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    bounds = ["--solvent", "vacuum", "--max-iterations", "5", "--threads", "1"]
-    run("relax", FILE, "-o", "o.pdb", "--interface", "A:B", "--report", "p.html", *bounds, "--json")
-    told = json.loads(capsys.readouterr().out)
-    assert f"{told['interface_buried_area_end_angstrom2']:.1f}" in (tmp_path / "p.html").read_text()
-    run("relax", FILE, STRUCTURES / "1l2y.pdb", "-o", "many", "--interface", "A:B", "--workers", "1", *bounds)
-    capsys.readouterr()
-    table = pd.read_csv("many/relaxed.csv").set_index("structure")
-    row = table.loc["3i40"]
-    for key in SCORES:
-        for when in ("start", "end"):
-            given = told[key_at(key, when)]
-            assert row[key_at(key, when)] == (None if given is None else pytest.approx(given)), key
-    assert table.loc["1l2y", "status"] == "refused" and "side 'B'" in table.loc["1l2y", "message"]
-    run("relax", STRUCTURES / "1l2y.pdb", STRUCTURES / "ala10.pdb", "-o", "plain", "--workers", "1", *bounds)
-    assert not any(name.startswith("interface") for name in pd.read_csv("plain/relaxed.csv").columns)
-    said = refusal("batch", FILE, "-o", "none", "--methods", "lbfgs", "--interface", "A:B")
-    assert "interface" in said and "is no setting of lbfgs" in said

@@ -2,22 +2,10 @@
 
 import numpy as np
 import pytest
-from fixtures.tolerances import DIFFERENCE
 
-from bench.scenes.backhoe.checks import Turning
 from bench.scenes.backhoe.machine import CYLINDERS, DESIGNS, hold, posture, vehicle
 from bench.scenes.backhoe.stability import force_angle
-from bench.scenes.backhoe.track import (
-    SEATS,
-    TIGHT,
-    Teeth,
-    Wheel,
-    crawler,
-)  # fmt: skip
 from bench.scenes.bucket.backhoe import EDGE
-from protochain.core.errors import MechanicsError
-from protochain.mechanics import multibody
-from protochain.mechanisms import Mechanism
 
 SQUARE = np.array([(1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (-1.0, -1.0, 0.0)])
 DOWN = np.array([0.0, 0.0, -10.0])
@@ -62,40 +50,3 @@ def test_the_force_angle_measure_of_a_cart():
         for force, moment in (((5 * share, 0, 0), (0, 0, 0)), ((0, 0, 0), (0, 10 * share, 0))):
             angle, _ = force_angle(SQUARE, at, DOWN + force, np.array(moment, float))
             assert (angle[0] > 0.0) == (share < 1.0) and angle[2] > 0.0
-
-
-def pins_on_a_wheel():
-    m = Mechanism()
-    m.body("wheel", 1.0, inertia=1.0, position=(0.1, 0, 0.2), spin=(0, 1.5, 0))
-    for k in range(3):
-        place = (0.1 + 0.05 * np.cos(k + 0.3), 0, 0.2 + 0.05 * np.sin(k + 0.3))
-        m.body(f"pin {k}", 1.0, inertia=1.0, position=place)
-    pins = tuple((f"pin {k}", (0.003, 0.0, 0.002)) for k in range(3))
-    m.force("teeth", Teeth(pins, (Wheel("wheel", SEATS, 0.02),), 1e3, 0.1))
-    return m.build()
-
-
-def test_teeth_push_by_the_gradient_of_their_energy_and_keep_momentum_and_spin():
-    model = pins_on_a_wheel()
-    system, at = model.system, model.system.at(model.q, np.zeros(24))
-    for k, step in enumerate(1e-6 * np.eye(24)):
-        ends = [
-            system.at(multibody.integrate(model.tree, at.q, s * step), at.qd).potential for s in (1.0, -1.0)
-        ]
-        assert at.torque[k] == pytest.approx(-(ends[0] - ends[1]) / 2e-6, abs=DIFFERENCE)
-    run = model.simulate(0.2, 1e-3)
-    assert run.dissipation[-1] > 1e-3
-    for what in (0, 1):
-        assert np.allclose(run.momenta[:, what], run.momenta[0, what], atol=1e-9)
-
-
-def test_a_track_stands_and_the_turning_of_its_sprocket_has_its_derivatives():
-    turning, h = Turning(2.0), 1e-6
-    for t in (0.05, 0.15, 0.3):
-        before, at, after = (np.array(turning(t + s)) for s in (-h, 0.0, h))
-        assert (after[:2] - before[:2]) / (2 * h) == pytest.approx(at[1:], abs=1e-8)
-    # It settles by less than half of what its pins have room for, and back.
-    run = crawler(Turning(0.0)).build().simulate(0.16, 5e-4)
-    assert np.abs(run.motion["frame x"]).max() < 0.5 * TIGHT and run.audit().gap < 1e-11
-    with pytest.raises(MechanicsError, match="stiffness 0"):
-        crawler(Turning(1.0), stiffness=0.0)

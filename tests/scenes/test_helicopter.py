@@ -7,10 +7,8 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from bench.scenes import run
-from bench.scenes.helicopter import safety
 from bench.scenes.helicopter.legs import Legs
 from bench.scenes.helicopter.lift import Lift, Strip
-from bench.scenes.helicopter.modes import in_modes
 from bench.scenes.helicopter.parts import (
     BLADE,
     BLADES,
@@ -19,9 +17,7 @@ from bench.scenes.helicopter.parts import (
     trimmed,
 )  # fmt: skip
 from protochain.mechanics.motion import DormandPrince
-from protochain.mechanics.multibody import mass_matrix, pose
 from protochain.mechanisms import Mechanism
-from protochain.mechanisms.segments import Beam, add_beam
 
 FEET = [(1.0, 0.5, 0.0), (-1.0, 0.5, 0.0), (0.0, -1.0, 0.0)]
 
@@ -48,15 +44,6 @@ def test_legs_push_only_and_have_the_energy_of_their_springs():
         np.testing.assert_allclose(at.torque[:5], 0.0, atol=1e-12)
         stored = at.potential + 98.1 * depth
         assert stored == pytest.approx(1.5 * 500.0 * max(depth, 0.0) ** 2, abs=1e-12)
-
-
-def test_a_landing_is_judged_by_what_is_worst():
-    fine = safety.Landing(1e3, 1.0)
-    for found, growth, said in (
-        (fine, 0.0, "safe"), (fine, 0.2, "resonance"), (fine._replace(leg=1.3e4), 0.2, "leg overload"),
-        (safety.Landing(1.3e4, 9.0), 0.2, "tips"),
-    ):  # fmt: skip
-        assert safety.verdict(found, growth) == said
 
 
 def test_friction_opposes_the_motion_and_stops_it_as_in_closed_form():
@@ -114,38 +101,7 @@ def test_lift_is_the_integral_of_the_strips_and_acts_where_they_are():
     assert replace(lift, pitch=lambda t: pitch, gust=lambda t: 0.0).thrust(0.0, 0.5) == pytest.approx(500.0)
 
 
-def beam_on_a_free_shaft(cells=4, bends="yz", modes=None):
-    """A beam with gravity on a free body, whose shaft turns ever more quickly, with a load at its tip."""
-    m = Mechanism(gravity=(0.0, 0.0, -9.81))
-    m.body("base", 2.0, inertia=(0.3, 0.2, 0.4), spin=(0.1, 0.0, 0.0))
-    m.body("shaft", 0.5, inertia=0.1)
-    m.hinge("turn", parent="base", child="shaft", at=(0.1, 0.0, 0.2))
-    m.drive("turn", lambda t: (2.0 * t + t * t, 2.0 + 2.0 * t, 2.0))
-    beam = add_beam(m, "beam", Beam(1.0, 1.0, (3.0, 5.0)), cells, "shaft", bends=bends, damping=0.01)
-    m.load("push", *beam.tip, force=lambda t: (0.3, 0.2 * t, 0.5))
-    model = m.build()
-    about = [[name for name in beam.hinges if name[-1] == axis] for axis in bends]
-    return in_modes(model, [(names, modes) for names in about]) if modes is not None else model, about
-
-
-def test_in_some_modes_energy_and_work_balance_and_the_rest_is_held():
-    model, (about_y, about_z) = beam_on_a_free_shaft(cells=5, modes=2)
-    moved = model.simulate(0.5, 0.05, DormandPrince(1e-10))
-    assert moved.audit().energy < 1e-9
-    assert set(model.works) == {"damping", "push", "drives"} and np.abs(moved.work[-1]).min() > 1e-3
-    for names in (about_y, about_z):
-        q = moved.q[:, [model.bodies.freedom(name)[0] for name in names]]
-        sizes = np.linalg.svd(q)[1]
-        assert sizes[1] > 1e-6 and sizes[2] < 1e-12
-    # The accelerations solve the projected equations, with M of all hinges.
-    at = moved.end
-    qdd, _ = model.system.accelerations(at.time, at.q, at.qd, at.torque, at.loads, at.factors)
-    mass = mass_matrix(model.tree, pose(model.tree, at.q))
-    more = at.torque + 0.1 * mass @ model.directions[:, 0]
-    quicker, _ = model.system.accelerations(at.time, at.q, at.qd, more, at.loads, at.factors)
-    np.testing.assert_allclose(quicker - qdd, 0.1 * model.directions[:, 0], atol=1e-10)
-
-
+@pytest.mark.slow
 def test_a_helicopter_is_right():
     found = run("helicopter", quick=True)
     assert found.wrong == () and len(found.checks) == 41

@@ -3,35 +3,11 @@
 import numpy as np
 import pytest
 
-from bench.scenes import run
-from bench.scenes.impact import bounces, checks
+from bench.scenes.impact import bounces
 from bench.scenes.impact.study import each_alone, random_points, random_pose
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import kinetic_energy
 from protochain.mechanisms.impacts import impact
-
-
-@pytest.fixture(scope="module")
-def scene():
-    return run("impact", quick=True)
-
-
-def test_impacts_are_right(scene):
-    assert scene.wrong == ()
-    assert sum(each.verdict == "refused" for each in scene.extremes) == 4
-    names = [each.name for each in scene.checks]
-    assert len(set(names)) == len(names) > 25
-    assert set(scene.tables) == {"gains", "bounces", "paths", "cradles"}
-
-
-def test_only_newtons_law_adds_energy(scene):
-    gains = scene.tables["gains"]
-    assert set(gains.loc[gains["gained"] > 0, "law"]) == {"newton"}
-    assert 2000 <= gains["impacts"].sum() < 2600 and {"trees", "loops"} == set(gains["of"])
-    one = gains[(gains["points"] == 1) & (gains["law"] != "newton")]
-    assert one["refused"].sum() == 0 and one["largest"].max() < 1e-12
-    wrong = gains.assign(gained=gains["gained"] + (gains["points"] == 3))
-    assert [each.right for each in checks.gain_checks(wrong)] == [True, True, False, False, True]
 
 
 @pytest.mark.parametrize("looped", [False, True])

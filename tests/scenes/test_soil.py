@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from bench.soil.parts import Law, Motion, Plates
 from bench.soil.pile import Pile
-from bench.soil.soil import Soil, between
+from bench.soil.soil import Soil
 from protochain.mechanisms import Mechanism
 
 EDGE, MASS = 0.02, 0.016
@@ -54,18 +53,6 @@ def test_momentum_passes_from_a_ram_to_cubes_and_the_works_differ_less_in_shorte
     assert apart[0] < 0.1 and apart[1] < 0.1 * apart[0]
 
 
-def test_a_run_that_goes_on_is_the_run_unbroken_and_another_begins_anew():
-    model = ram()
-    (soil,) = model.memories
-    whole = model.simulate(0.02, 5e-4)
-    looks = list(soil.looks)
-    half = model.simulate(0.01, 5e-4)
-    after = model.simulate(0.02, 5e-4, start=half.end)
-    # But for the rounding of the length of a step that ends the first part.
-    assert after.q[-1] == pytest.approx(whole.q[-1], abs=1e-12) and len(soil.looks) == len(looks) == 40
-    assert soil.looks[-1].work == pytest.approx(looks[-1].work, rel=1e-9) and looks[-1].work > 0.01
-
-
 def test_a_tray_carries_what_lies_on_it_and_its_hinge_is_told():
     """The tray's axes are not those of the tree, whose z axis is the hinge's."""
     plate = Plates(np.array([1]), np.array([[0.2, 0, -0.01]]), np.eye(3)[None], np.array([[0.2, 0.05, 0.01]]))
@@ -83,25 +70,3 @@ def test_a_tray_carries_what_lies_on_it_and_its_hinge_is_told():
     assert run.motion["pin drive"].iloc[-1] == pytest.approx(-9.81 * (0.2 + MASS * 0.3), rel=1e-6)
     assert run.reactions("pin")["force z"].iloc[-1] == pytest.approx(9.81 * (1.0 + MASS), rel=1e-6)
     assert run.motion["pin drive"].iloc[0] == pytest.approx(-9.81 * 0.2, rel=1e-12)
-
-
-def test_the_motion_between_two_moments_meets_both_and_has_its_derivatives_as_twists():
-    rng = np.random.default_rng(1)
-    first = Rotation.random(2, rng=rng).as_matrix()
-    turn = 0.02 * rng.normal(size=(2, 3))
-    last = Rotation.from_rotvec(turn).as_matrix() @ first
-    span, n = 0.01, 200
-    ends = [rng.normal(size=(2, 3)) for _ in range(2)]
-    twists = [np.hstack([turn / span + 0.3 * rng.normal(size=(2, 3)), rng.normal(size=(2, 3))]) for _ in "ab"]
-    found = between((ends[0], first, twists[0]), (ends[1], last, twists[1]), span, n)
-    for k, place, rotation, twist in ((0, ends[0], first, twists[0]), (n, ends[1], last, twists[1])):
-        assert found.origin[k] == pytest.approx(place, abs=1e-12)
-        assert found.rotation[k] == pytest.approx(rotation, abs=1e-12)
-        # Of turns by 0.03 the series leaves some 1e-7 of rates of 2 rad/s.
-        assert found.twist[k] == pytest.approx(twist, abs=1e-6)
-    h = span / n
-    moved = (found.origin[2:] - found.origin[:-2]) / (2 * h)
-    assert found.twist[1:-1, :, 3:] == pytest.approx(moved, rel=1e-4, abs=1e-2)
-    turned = found.rotation[2:] @ found.rotation[:-2].swapaxes(2, 3)
-    spin = Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(n - 1, 2, 3) / (2 * h)
-    assert found.twist[1:-1, :, :3] == pytest.approx(spin, abs=1e-3)

@@ -33,9 +33,9 @@ def peptide():
 def whole(peptide):
     """A search by each method, in one go."""
     return {
-        "csa": pc.search(*peptide, "csa", 1500, **SMALL),
+        "csa": pc.search(*peptide, "csa", 900, **SMALL),
         "hopping": pc.search(*peptide, "hopping", 1500, **SMALL),
-        "tempering": pc.search(*peptide, "tempering", 12000, n_replicas=2, **SMALL),
+        "tempering": pc.search(*peptide, "tempering", 6000, n_replicas=2, pilot=20, **SMALL),
     }
 
 
@@ -48,7 +48,9 @@ def same(one, other):
 
 
 def options(method):
-    return (12000, {"n_replicas": 2}) if method == "tempering" else (1500, {})
+    if method == "tempering":
+        return 6000, {"n_replicas": 2, "pilot": 20}
+    return 900 if method == "csa" else 1500, {}
 
 
 @pytest.mark.usefixtures("interruptible")
@@ -321,7 +323,9 @@ def test_energies_of_a_caller_are_searched_or_refused(peptide):
 
 
 def test_a_dipeptide_has_no_residue_between_others(tmp_path):
-    found = pc.search(pc.from_sequence("AG"), method="tempering", evaluations=8000, n_walkers=1, n_replicas=2)
+    found = pc.search(
+        pc.from_sequence("AG"), method="tempering", evaluations=3000, n_walkers=1, n_replicas=2, pilot=20
+    )
     found.save(tmp_path)
     assert set(found.minima["conformer"]) == {""} and found.minima["helix_share"].isna().all()
     assert found.conformers["share"].tolist() == [1.0, 1.0]

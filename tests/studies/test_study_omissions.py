@@ -8,14 +8,7 @@ from fixtures.samples import STRUCTURES, load
 import protochain as pc
 from bench.__main__ import main
 from bench.studies.omissions import energies, runs
-from bench.studies.omissions.cells import (
-    SAME,
-    Material,
-    calls_of,
-    difference,
-    run_omission,
-)
-from bench.studies.stability.energies import copies
+from bench.studies.omissions.cells import SAME, Material, calls_of, difference, run_omission
 
 
 @pytest.fixture(scope="module")
@@ -58,18 +51,6 @@ def test_runs_without_what_is_not_needed_are_the_same(omission, trp_cage):
     assert row.verdict == "right" and row.error <= SAME, row.message
     if omission.name == "no velocities":
         assert row.more["sweeps"] == 2 and row.error == 0.0
-
-
-def test_disulfides_are_the_loops_that_are_closed():
-    both = runs.loops(Material(load("4pti.pdb")))
-    assert both.what.endswith("for 9 constraints")
-
-
-@pytest.mark.parametrize("apart", [(0.0, 2.0, 0.5), (0.02, 0.0, 0.0)])
-def test_ten_chains_are_ten_molecules_side_by_side_or_one_upon_another(apart):
-    s = copies(pc.from_sequence("AAA"), 10, apart)
-    alpha = s.positions[s.alpha_carbons].reshape(10, 3, 3)
-    assert s.n_chains == 10 and np.allclose(np.diff(alpha, axis=0), apart, atol=1e-9)
 
 
 @pytest.mark.slow
