@@ -20,6 +20,7 @@ from protochain.cli.options import (
     Input,
     LigandOut,
     Report,
+    Timings,
     beside_structure,
     check_names,
     check_outputs,
@@ -42,6 +43,7 @@ from protochain.cli.terminal import (
     print_distribution,
     print_outlook,
     print_table,
+    print_timings,
     print_written,
     run_progress,
     typical_evaluations,
@@ -49,6 +51,7 @@ from protochain.cli.terminal import (
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts
+from protochain.core.timings import timed
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings, StartSettings
 
 if TYPE_CHECKING:
@@ -84,6 +87,7 @@ def minimise(
     report: Report = None,
     ligand_out: LigandOut = None,
     one_file: OneFile = False,
+    timings: Timings = False,
     as_json: AsJson = False,
     force: Force = False,
     *,
@@ -109,7 +113,7 @@ def minimise(
     if trajectory:
         check_trajectory(trajectory)
     if isinstance(setup.model, str):
-        single = "trace trajectory checkpoint resume report ligand_out"
+        single = "timings trace trajectory checkpoint resume report ligand_out"
         refuse(context, single, "belongs to one model, and there may be several")
     runs = _runs(source, output, setup, one_file)
     more = [Path(path) for path in (trajectory, saving.checkpoint, *beside.values()) if path]
@@ -127,11 +131,14 @@ def minimise(
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file) as write:
         for own, path in runs:
-            records.append(_solved(context, source, own, path, chosen, solve, lengths, write, beside))
+            with timed(from_start=not records):
+                records.append(_solved(context, source, own, path, chosen, solve, lengths, write, beside))
             if records[-1]["status"] == "interrupted":
                 break
     with beside_structure(output):
         _print(records, as_json, isinstance(setup.model, str))
+        if timings and not as_json:
+            print_timings(records[0])
     raise typer.Exit(_status(records))
 
 

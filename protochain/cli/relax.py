@@ -21,6 +21,7 @@ from protochain.cli.options import (
     Manifest,
     Report,
     Scheduler,
+    Timings,
     batch_status,
     beside_structure,
     check_names,
@@ -85,6 +86,7 @@ def relax(
     resume: Resume = False,
     trajectory: Trajectory = None,
     frames: Chosen = None,
+    timings: Timings = False,
     as_json: AsJson = False,
     force: Force = False,
     *,
@@ -106,14 +108,16 @@ def relax(
         output = _beside(trajectory or of_frames.only(inputs or [])) if output is None else output
         of_frames.run_if_asked(
             context, inputs or [], trajectory, frames, setup, partial(_task, relaxing, setup, output),
-            output.with_suffix(".csv"), refused="scheduler ligand_out posebusters", output=output,
+            output.with_suffix(".csv"), refused="scheduler ligand_out posebusters timings", output=output,
             report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
             hydrogens=relaxing.keep_hydrogens, as_json=as_json,
         )  # fmt: skip
     if inputs and len(inputs) == 1 and is_one_file(inputs[0]) and not (several or scheduler):
         refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
-        raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, ligand_out, as_json, force))
+        beside = report, ligand_out, timings
+        raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, *beside, as_json, force))
     refuse(context, "report", "several structures have report.html in their folder")
+    refuse(context, "timings", "is of one structure")
     refuse(context, "force", "several structures go to a folder, and replace no input")
     if ligand_out and not setup.poses:
         raise ProtochainError(Argument("ligand_out"), ": several structures need poses; give --ligand POSES")
@@ -154,12 +158,15 @@ def _one(
     setup: Setup,
     report: Path | None,
     ligand_out: Path | None,
+    timings: bool,
     as_json: bool,
     force: bool,
 ) -> int:
     """Relax one file; return the exit status."""
     from protochain.cli.relaxing import print_relaxed, progress, tell_plan
+    from protochain.cli.terminal import print_timings
     from protochain.core.interrupts import held_interrupts
+    from protochain.core.timings import timed
     from protochain.relaxation.names import relaxed_name
     from protochain.relaxation.relax_structure import relax_structure
     from protochain.structure.files import suffix_of
@@ -171,13 +178,13 @@ def _one(
         output = output / relaxed_name(source)
     check_names(output, report, ligand_out, as_json)
     check_outputs(inputs_of(setup, source), [output, *(each for each in (report, ligand_out) if each)], force)
-    began = perf_counter()
-    structure = setup.load(source)
-    check_structure(structure, output, ligand_out)
-    energy = setup.energy(structure)
-    preparation = perf_counter() - began
-    seconds = tell_plan(source, structure, energy, setup.move)
-    with held_interrupts():
+    with timed(from_start=True), held_interrupts():
+        began = perf_counter()
+        structure = setup.load(source)
+        check_structure(structure, output, ligand_out)
+        energy = setup.energy(structure)
+        preparation = perf_counter() - began
+        seconds = tell_plan(source, structure, energy, setup.move)
         with progress(seconds) as watch:
             result = relax_structure(structure, energy, relaxing, watch, setup.move)
         origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
@@ -192,6 +199,8 @@ def _one(
     else:
         with beside_structure(output):
             print_relaxed(result, record)
+            if timings:
+                print_timings(record)
     return UNCONVERGED if "not_written" in record else exit_status([record["status"]])
 
 

@@ -29,6 +29,7 @@ from protochain.core.checks import (
 from protochain.core.errors import Argument, ForceFieldError
 from protochain.core.settings import inheriting
 from protochain.core.storage import regular
+from protochain.core.timings import part
 from protochain.core.units import COULOMB
 from protochain.energies.elements import create_system
 from protochain.energies.native import NativeEnergy, UnsupportedForceError
@@ -120,6 +121,7 @@ def _as_of(build: Callable[..., Energy], source: Any, named: dict[str, Any]) -> 
     system=instance(openmm.System, "ForceField.createSystem"),
 )  # fmt: skip
 @inheriting(_as_of)
+@part("energy")
 def energy(
     structure: Any,
     forcefield: str = defaults.FORCEFIELD,
