@@ -114,8 +114,8 @@ def relax(
         )  # fmt: skip
     if inputs and len(inputs) == 1 and is_one_file(inputs[0]) and not (several or scheduler):
         refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
-        beside = report, ligand_out, timings
-        raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, *beside, as_json, force))
+        shown = report, ligand_out, timings, as_json
+        raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, *shown, force))
     refuse(context, "report", "several structures have report.html in their folder")
     refuse(context, "timings", "is of one structure")
     refuse(context, "force", "several structures go to a folder, and replace no input")

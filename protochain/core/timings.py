@@ -9,9 +9,9 @@ PARTS = (
     "imports", "kernels", "reading", "preparing", "chain", "energy", "loop", "evaluations", "metric",
     "judging", "measuring", "writing", "rest",
 )  # fmt: skip
-"""Modules, with the start of Python; compiled code, loaded or made; the file; what it lacks; rigid bodies; System
-and native terms; the loop without its evaluations and metrics; these; start and end by the judge; what is wrong
-with them; files; all else."""
+"""Modules and the start of Python; compiled code, loaded or made; the file; what it lacks; rigid bodies; the
+System and native terms; the loop but for its evaluations and metrics; these; start and end by the judge; what
+is wrong with them; files; all else."""
 LOOP = ("loop", "evaluations", "metric")
 """Parts that make up the loop."""
 

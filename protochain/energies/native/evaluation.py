@@ -24,7 +24,6 @@ from protochain.energies.native.tasks import (
     STEPS,
     TASKS,
     TO_RADII,
-    TOOK,
     WAITED,
     work,
 )
