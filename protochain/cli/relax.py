@@ -117,7 +117,7 @@ def relax(
         shown = report, ligand_out, timings, as_json
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, *shown, force))
     refuse(context, "report", "several structures have report.html in their folder")
-    refuse(context, "timings", "is of one structure")
+    refuse(context, "timings", "is of one structure, and there are several")
     refuse(context, "force", "several structures go to a folder, and replace no input")
     if ligand_out and not setup.poses:
         raise ProtochainError(Argument("ligand_out"), ": several structures need poses; give --ligand POSES")

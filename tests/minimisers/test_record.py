@@ -59,7 +59,7 @@ def test_a_record_holds_each_value_under_its_name():
         "energy_restraints_start_kj_mol": 0.5, "energy_restraints_end_kj_mol": 1.5,
         **{f"{key}_{when}": value for key, value in found.items() for when in ("start", "end")},
         **{key: [] for key in REMAINS},
-        "iterations": 5, "evaluations": 6, "seconds": 1.5, "n_chains": 1, "n_residues": 10,
+        "iterations": 5, "evaluations": 6, "seconds": 1.5, "timings": {}, "n_chains": 1, "n_residues": 10,
         "n_atoms": c.structure.n_atoms, "n_bodies": c.n_bodies, "n_hinges": c.n_hinges,
         "n_atoms_moving": c.n_atoms,
         "protochain": version("protochain"), "engine": "native", "device": "cpu",
