@@ -60,6 +60,9 @@ class Known:
             if first:
                 self.energy.list_at(x)
             return self(x)
+        known = getattr(self.energy, "chosen_by", None)
+        if known and self.judging is self.energy.exact and np.array_equal(known[0], x):
+            return known[1]
         # The order of sums is that of the point. It may take many seconds for a large protein.
         self.judging.list_at(x)
         value, forces = run_interruptible(partial(self.judging, x))
