@@ -55,7 +55,7 @@ MADE = {
 """Name of a file: the sample it is made of, what is replaced in it, and by what."""
 
 LEFT_OUT = re.compile(
-    r"seconds|_per_day|^(input|output|file|report|path|structure_file|protochain|python|versions|made|threads|"
+    r"seconds|timings|_per_day|^(input|output|file|report|path|structure_file|protochain|python|versions|made|threads|"
     r"device|command|engine_reason|message|judge|frame|title|detail|source|first|what|added|"
     r"(ligand_)?strain_end_kj_mol|ratio|slope\w*|exponent|key|error_of|system_sha256)$"
 )

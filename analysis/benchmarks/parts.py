@@ -3,11 +3,10 @@
     python analysis/benchmarks/parts.py [-o DIR] [--quick] [--structure FILE]
 
 Copies of ubiquitin side by side (large.py), by the command line with its defaults on 2 threads, each in a
-process of its own, whose main function runs under Python's profiler, kernels compiled beforehand. "imports"
-is the start of Python, and what a first run of ten residues takes longer than a second one: modules, and
-kernels read from their files. The others are seconds of functions with all that they call; judging is of
-start and end together, the metric is made anew every few iterations, and evaluations and metric are parts of
-the loop.
+process of its own, kernels compiled beforehand, as its record tells them (`timings`). "imports" has the
+start of Python, modules, and kernels read from their files; "reading" what is added to the file, "system" the
+native terms. Judging is of start and end together, the metric is made anew every few iterations, and
+evaluations and metric are parts of the loop. "shell" is the whole command.
 """
 
 import argparse
@@ -28,62 +27,39 @@ import protochain as pc
 
 SIZES = (2462, 7386, 19696)
 THREADS = 2
-CHILD = """
-import cProfile, json, operator, pstats, sys
-from importlib import import_module
-from time import perf_counter
-from protochain.cli import main
-threads, small, file, functions = sys.argv[1:]
-
-def run(file):
-    began = perf_counter()
-    sys.argv = ["protochain", "minimise", file, "-o", file + ".end.cif", "--force", "--threads", threads]
-    try:
-        main()
-    except SystemExit as end:
-        assert end.code in (0, 3, None), end
-    return perf_counter() - began
-
-began = perf_counter()
-first, second = run(small), run(small)
-profile = cProfile.Profile()
-profile.enable()
-seconds = run(file)
-profile.disable()
-stats, parts = pstats.Stats(profile).stats, {}
-for part, place in json.loads(functions).items():
-    module, _, name = place.partition(":")
-    code = operator.attrgetter(name + ".__code__")(import_module(module))
-    parts[part] = stats[code.co_filename, code.co_firstlineno, code.co_name][3]
-told = {"first": first, "second": second, "run": seconds, "all": perf_counter() - began, "parts": parts}
-print(json.dumps(told), file=sys.__stdout__)
-"""
-FUNCTIONS = {
-    "reading": "protochain.chains.setup:Setup.load",
-    "system": "protochain.chains.setup:Setup.energy",
-    "chain": "protochain.chains.setup:Setup.chain",
-    "judging": "protochain.minimisers.judging:Known.judged",
-    "loop": "protochain.minimisers.stages:walk",
-    "evaluations": "protochain.minimisers.problem:Problem.evaluate",
-    "metric": "protochain.minimisers.metrics:Preconditioner.first",
-    "writing": "protochain.cli.minimise:_Writer.__call__",
-}
-"""Function of each part."""
-OF_LOOP = ("evaluations", "metric")
+COLUMNS = {
+    "imports": ("imports", "kernels"), "reading": ("reading", "preparing"), "system": ("energy",),
+    "chain": ("chain",), "judging": ("judging",), "loop": ("loop", "evaluations", "metric"),
+    "evaluations": ("evaluations",), "metric": ("metric",), "writing": ("writing",),
+    "others": ("measuring", "rest"),
+}  # fmt: skip
+"""Parts of the record that make up each column."""
 
 
-def parts(small: Path, file: Path) -> dict[str, float]:
+def parts(file: Path, end: Path) -> dict[str, float]:
     """Seconds of each part of a command from shell to shell."""
     began = perf_counter()
-    words = [sys.executable, "-c", CHILD, str(THREADS), str(small), str(file), json.dumps(FUNCTIONS)]
+    words = [
+        sys.executable,
+        "-m",
+        "protochain",
+        "minimise",
+        file,
+        "-o",
+        end,
+        "--threads",
+        str(THREADS),
+        "--json",
+    ]
     done = subprocess.run(words, env=made.surroundings(), capture_output=True, text=True)
-    if done.returncode:
+    shell = perf_counter() - began
+    if done.returncode not in (0, 3):
         raise SystemExit(f"{file.name}: {done.stderr}")
-    told = json.loads(done.stdout.splitlines()[-1])
-    found = {"imports": perf_counter() - began - told["all"] + told["first"] - told["second"]}
-    found |= told["parts"]
-    found["others"] = told["run"] - sum(found[part] for part in FUNCTIONS if part not in OF_LOOP)
-    return found | {"shell": found["imports"] + told["run"]}
+    told = json.loads(done.stdout)["timings"]
+    del told["serial_share_of_loop"]
+    # Those of the record are of processors: the start and end of Python are between shell and record.
+    told["imports"] += shell - sum(told.values())
+    return {name: sum(told[each] for each in of) for name, of in COLUMNS.items()} | {"shell": shell}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -99,11 +75,11 @@ def main() -> None:
     each = pc.load(options.structure).n_atoms
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        small, file = Path(folder) / "small.pdb", Path(folder) / "copies.cif"
-        small.write_bytes((SAMPLES / "ala10.pdb").read_bytes())
+        file, end = Path(folder) / "copies.cif", Path(folder) / "end.cif"
+        parts(SAMPLES / "ala10.pdb", end)  # It compiles kernels, if a run has not yet.
         for size in (each,) if options.quick else SIZES:
             copies(one, round(size / each), file)
-            rows.append({"atoms": pc.load(file).n_atoms} | parts(small, file))
+            rows.append({"atoms": pc.load(file).n_atoms} | parts(file, end))
             print(rows[-1], flush=True)
     table = pd.DataFrame(rows).rename(columns=lambda name: name if name == "atoms" else f"{name}_s")
     if options.output:

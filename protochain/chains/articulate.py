@@ -17,6 +17,7 @@ from protochain.core.checks import checked, kinds, one_of, quantity, selection
 from protochain.core.errors import Argument, ChainError
 from protochain.core.graph import components, grouped
 from protochain.core.settings import inheriting
+from protochain.core.timings import part
 from protochain.energies import Energy, as_energy
 from protochain.mechanics.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
@@ -38,6 +39,7 @@ def _as_of(build: Callable[..., Chain], source: Any, named: dict[str, Any]) -> C
     hinges=kinds, root=one_of(("auto", "fixed", "free")), move=selection, hydrogen_mass=quantity("dalton")
 )
 @inheriting(_as_of)
+@part("chain")
 def build_chain(
     structure: Any,
     hinges: str | Iterable[str] = defaults.HINGES,

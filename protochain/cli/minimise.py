@@ -15,6 +15,7 @@ from protochain.cli import options, terminal
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts
+from protochain.core.timings import timed
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings, StartSettings
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ def minimise(
     report: options.Report = None,
     ligand_out: options.LigandOut = None,
     one_file: OneFile = False,
+    timings: options.Timings = False,
     as_json: options.AsJson = False,
     force: options.Force = False,
     *,
@@ -76,7 +78,7 @@ def minimise(
     if trajectory:
         check_trajectory(trajectory)
     if isinstance(setup.model, str):
-        single = "trace trajectory checkpoint resume report ligand_out"
+        single = "timings trace trajectory checkpoint resume report ligand_out"
         options.refuse(context, single, "belongs to one model, and there may be several")
     runs = _runs(source, output, setup, one_file)
     outputs = [*dict.fromkeys(path for _, path in runs), trajectory, saving.checkpoint, *beside.values()]
@@ -93,11 +95,14 @@ def minimise(
     records: list[dict[str, Any]] = []
     with _Writer(output, suffix, one_file) as write:
         for own, path in runs:
-            records.append(_solved(context, source, own, path, chosen, solve, lengths, write, beside))
+            with timed(from_start=not records):
+                records.append(_solved(context, source, own, path, chosen, solve, lengths, write, beside))
             if records[-1]["status"] == "interrupted":
                 break
     with options.beside_structure(output):
         _print(records, as_json, isinstance(setup.model, str))
+        if timings and not as_json:
+            terminal.print_timings(records[0])
     raise typer.Exit(_status(records))
 
 

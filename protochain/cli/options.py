@@ -19,6 +19,7 @@ from protochain.core import defaults
 from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
 from protochain.core.markup import counted
 from protochain.core.settings import Made, Setting, settings_of
+from protochain.core.timings import part, told
 from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -47,6 +48,9 @@ Manifest = Annotated[Path | None, typer.Option(help="CSV with a column path, and
 Scheduler = Annotated[str | None, typer.Option(help="Address of a Dask cluster to use instead.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.")]
 Report = Annotated[Path | None, typer.Option(help="Page of the run: tables, plots, 3-D view; FILE.html.")]
+Timings = Annotated[
+    bool, typer.Option("--timings", help="Print seconds by part, and the share of the loop that is serial.")
+]
 FigureFile = Annotated[
     Path | None, typer.Option("--figure", metavar="FILE", help="Figure for a paper; FILE.svg, .pdf or .png.")
 ]
@@ -384,6 +388,7 @@ def check_structure(structure: "Structure", output: Path, ligands: Path | None) 
         print(line, file=sys.stderr)
 
 
+@part("writing")
 def written(
     result: Any,
     more: Mapping[str, Any],
@@ -402,7 +407,8 @@ def written(
         why = f"{more['input']}: {result.message}; nothing is better than the start: nothing is written"
         raise SystemExit(fail(why))
     write()
-    record = {**result.record(), **more}
+    with part("measuring"):
+        record = {**result.record(), **more}
     try:
         if trace:
             write_atomically(trace, partial(result.trace.to_csv, index=False))
@@ -418,6 +424,7 @@ def written(
             record["ligands_written"] = str(ligands)
     except WriteError as error:
         record.setdefault("not_written", []).append(str(error))
+    record["timings"] = told()
     for line in record.get("not_written", ()):
         fail(f"{line}; saved: {record['output']}")
     return record

@@ -61,6 +61,7 @@ def relax(
     resume: Resume = False,
     trajectory: Trajectory = None,
     frames: Chosen = None,
+    timings: options.Timings = False,
     as_json: options.AsJson = False,
     force: options.Force = False,
     *,
@@ -82,14 +83,16 @@ def relax(
         output = _beside(trajectory or of_frames.only(inputs or [])) if output is None else output
         of_frames.run_if_asked(
             context, inputs or [], trajectory, frames, setup, partial(_task, relaxing, setup, output),
-            output.with_suffix(".csv"), refused="scheduler ligand_out posebusters", output=output,
+            output.with_suffix(".csv"), refused="scheduler ligand_out posebusters timings", output=output,
             report=report, workers=workers, time_limit=time_limit, resume=resume, force=force,
             hydrogens=relaxing.keep_hydrogens, as_json=as_json,
         )  # fmt: skip
     if inputs and len(inputs) == 1 and options.is_one_file(inputs[0]) and not (several or scheduler):
         options.refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
-        raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, ligand_out, as_json, force))
+        shown = report, ligand_out, timings, as_json
+        raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, *shown, force))
     options.refuse(context, "report", "several structures have report.html in their folder")
+    options.refuse(context, "timings", "is of one structure, and there are several")
     options.refuse(context, "force", "several structures go to a folder, and replace no input")
     if ligand_out and not setup.poses:
         raise ProtochainError(Argument("ligand_out"), ": several structures need poses; give --ligand POSES")
@@ -130,12 +133,15 @@ def _one(
     setup: Setup,
     report: Path | None,
     ligand_out: Path | None,
+    timings: bool,
     as_json: bool,
     force: bool,
 ) -> int:
     """Relax one file; return the exit status."""
     from protochain.cli.relaxing import print_relaxed, progress, tell_plan
+    from protochain.cli.terminal import print_timings
     from protochain.core.interrupts import held_interrupts
+    from protochain.core.timings import timed
     from protochain.relaxation.names import relaxed_name
     from protochain.relaxation.relax_structure import relax_structure
     from protochain.structure.files import suffix_of
@@ -147,27 +153,30 @@ def _one(
         output = output / relaxed_name(source)
     options.check_names(output, report, ligand_out, as_json)
     options.check_outputs([source], [output, report, ligand_out], setup, force)
-    began = perf_counter()
-    structure = setup.load(source)
-    options.check_structure(structure, output, ligand_out)
-    energy = setup.energy(structure)
-    preparation = perf_counter() - began
-    seconds = tell_plan(source, structure, energy, setup.move)
-    with held_interrupts():
-        with progress(seconds) as watch:
-            result = relax_structure(structure, energy, relaxing, watch, setup.move)
-        origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
+    with timed(from_start=True):
+        began = perf_counter()
+        structure = setup.load(source)
+        options.check_structure(structure, output, ligand_out)
+        energy = setup.energy(structure)
+        preparation = perf_counter() - began
+        seconds = tell_plan(source, structure, energy, setup.move)
+        with held_interrupts():
+            with progress(seconds) as watch:
+                result = relax_structure(structure, energy, relaxing, watch, setup.move)
+            origin = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
 
-        def write() -> None:
-            how = result.provenance(), relaxing.keep_hydrogens
-            options.write_models([result.structure], output, suffix_of(source), *how)
+            def write() -> None:
+                how = result.provenance(), relaxing.keep_hydrogens
+                options.write_models([result.structure], output, suffix_of(source), *how)
 
-        record = options.written(result, origin, write, setup, _write_page, report, ligand_out)
+            record = options.written(result, origin, write, setup, _write_page, report, ligand_out)
     if as_json:
         options.print_json(record)
     else:
         with options.beside_structure(output):
             print_relaxed(result, record)
+            if timings:
+                print_timings(record)
     return options.UNCONVERGED if "not_written" in record else options.exit_status([record["status"]])
 
 

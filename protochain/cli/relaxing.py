@@ -12,6 +12,7 @@ import numpy as np
 from protochain.cli.options import print_changes, print_files, print_lost, said_of_move
 from protochain.core import defaults
 from protochain.core.markup import counted
+from protochain.core.timings import part
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -32,6 +33,7 @@ _SHOW_FROM = 5.0
 """s. Shorter runs are over before a bar is of use, and do without the time that its library takes to load."""
 
 
+@part("measuring")
 def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str = defaults.MOVE) -> float:
     """Say what will be done to a file, and how long it may take; return that in seconds."""
     from protochain.relaxation.wrong import Wrong

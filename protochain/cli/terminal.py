@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from protochain.cli.options import print_lost
 from protochain.cli.printable import printable, printer
+from protochain.core.timings import PARTS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -358,6 +359,16 @@ def print_table(records: list[dict[str, Any]]) -> None:
     for record in records:
         message = record["message"]
         console.print(f"{record['method']}: {message}", markup=False, highlight=False)
+
+
+def print_timings(record: dict[str, Any]) -> None:
+    """Print seconds by part and their sum, and what share of the loop is serial."""
+    parts = {name: seconds for name, seconds in record["timings"].items() if name in PARTS}
+    whole = sum(parts.values())
+    for name, seconds in {**parts, "all": whole}.items():
+        print(f"{name:12}{seconds:9.3f} s{seconds / whole:6.0%}")
+    if (serial := record["timings"]["serial_share_of_loop"]) is not None:
+        print(f"{record['evaluations']} evaluations; {serial:.0%} of the loop is serial")
 
 
 def print_written(record: dict[str, Any]) -> None:

@@ -22,6 +22,7 @@ import numpy as np
 
 from protochain.core import compile_helpers
 from protochain.core.errors import ProtochainError
+from protochain.core.timings import part
 
 try:
     from numba import config
@@ -78,6 +79,7 @@ def njit(function: Callable[..., Any] | None = None, *, cache: bool = False, **o
     return kernel
 
 
+@part("kernels")
 def _compile(kernel: Any, by_numba: Callable[[Any], Any], signature: Any) -> Any:
     """Compile a kernel, or load it, once it is sure that no other process is compiling it."""
     store = kernel._cache

@@ -14,11 +14,11 @@ from xml.etree import ElementTree
 import numpy as np
 import openmm
 from openmm import app
-from scipy.sparse import coo_array
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Integers
 from protochain.core.errors import ForceFieldError
+from protochain.core.graph import joined
 from protochain.energies.native.terms import TIES
 from protochain.structure.links import is_metal
 from protochain.structure.model import BoundLigand, Structure, Tie
@@ -518,7 +518,10 @@ def _not_interacting(structure: Structure, by_element: np.ndarray) -> set[tuple[
     n, bonds, kept, mobile = structure.n_atoms, structure.bonds, structure.kept, structure.mobile
     across = (kept[bonds[:, 0]] != kept[bonds[:, 1]]) & ~mobile[bonds].any(axis=1)
     across |= np.diff(structure.obstacle[bonds]).ravel()
-    pairs = _joined(n, bonds) - _joined(n, bonds[~across]) if across.any() else set()
+    pairs: set[tuple[int, int]] = set()
+    if across.any():
+        near, without = (map(tuple, joined(some, n, 3).tolist()) for some in (bonds, bonds[~across]))
+        pairs = {*near} - {*without}
     atoms = np.flatnonzero(structure.obstacle)
     if len(atoms):
         touching = atoms[KDTree(structure.positions[atoms]).query_pairs(_TOUCHING, output_type="ndarray")]
@@ -527,15 +530,6 @@ def _not_interacting(structure: Structure, by_element: np.ndarray) -> set[tuple[
     for r in np.unique(residue[by_element]).tolist():
         pairs |= set(combinations(np.flatnonzero(residue == r).tolist(), 2))
     return pairs
-
-
-def _joined(n: int, bonds: Integers) -> set[tuple[int, int]]:
-    """Pairs of n atoms separated by at most three of these bonds."""
-    i, j = bonds.T
-    step = coo_array((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
-    reach = coo_array(step + step @ step + step @ step @ step)
-    upper = reach.row < reach.col
-    return set(zip(reach.row[upper].tolist(), reach.col[upper].tolist(), strict=True))
 
 
 def _exclude(system: openmm.System, pairs: Iterable[tuple[int, int]]) -> None:

@@ -11,7 +11,6 @@ from typing import Any, Protocol
 
 import numpy as np
 import openmm
-from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from protochain.core import defaults
@@ -98,7 +97,9 @@ def _line(error: object) -> str:
 
 
 @cache
-def _lock(name: str, folder: Path, process: int) -> FileLock:
+def _lock(name: str, folder: Path, process: int) -> Any:
+    from filelock import FileLock
+
     return FileLock(folder / f"protochain-{getuser()}-{name}.lock")
 
 
@@ -181,7 +182,7 @@ class DeviceEnergy(OpenMMEnergy):
             lock = _lock(f"{self.device}{visible}", LOCKS, os.getpid())
             if not lock.is_locked:
                 lock.acquire(timeout=0)
-        except Timeout:
+        except TimeoutError:  # Of filelock.
             raise DeviceError("another process of protochain computes on it") from None
         except OSError:  # Nowhere to leave a lock.
             pass

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.timings import part
 from protochain.minimisers.problem import Evaluation, Space
 
 Solve = Callable[[Floats], Floats]
@@ -117,6 +118,7 @@ class Preconditioner:
     age: int = 0
 
     @classmethod
+    @part("metric")
     def first(cls, metric: Metric, space: Space, at: Evaluation) -> "Preconditioner":
         """Compute a metric at a point."""
         return cls(metric, at, metric.at(space, at))

@@ -24,6 +24,7 @@ from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import settings_from
+from protochain.core.timings import timed, told
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings
@@ -143,10 +144,11 @@ def minimise(
     ('converged', True)
     """
     run = settings_from(Minimisation, locals(), recipe=recipe_of(method))
-    cut, energy = with_energy(chain, energy)
-    if q is not None:
-        cut = rebuilt(cut, pose(cut, floats(q, (cut.n_q,), "q")).x)
-    return minimise_from(Start(cut, energy), run, watch)
+    with timed():
+        cut, energy = with_energy(chain, energy)
+        if q is not None:
+            cut = rebuilt(cut, pose(cut, floats(q, (cut.n_q,), "q")).x)
+        return minimise_from(Start(cut, energy), run, watch)
 
 
 minimize = minimise
@@ -207,6 +209,7 @@ class Minimisation(CheckpointSettings, MinimiseSettings):
 
 
 @held_interrupts()
+@timed()
 def minimise_from(start: Start, run: Minimisation, watch: Watcher | None = None) -> Solution:
     """Minimise from a start that other runs may share."""
     run.recipe.check(start.energy)
@@ -330,6 +333,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         hold=run.hold,
         seed=run.seed,
         restraints=held and (held(start.pose.x)[0], held(at.x)[0]),
+        timings=told(),
         lowest_eigenvalue=lowest,
         frame_rows=read_only(list(record.kept()), np.int64),
         frames=read_only(list(record.kept().values()), np.float32),

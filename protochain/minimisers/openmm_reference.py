@@ -10,6 +10,7 @@ import openmm
 from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats
 from protochain.core.interrupts import held_interrupts
+from protochain.core.timings import part
 from protochain.energies import Energy, OpenMMEnergy, constrain_hydrogens
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.recipes import Recipe
@@ -23,6 +24,7 @@ _SETTLED = 100.0
 """kJ/mol/nm. RMS force below which OpenMM's dynamics start: remaining strain would turn into heat."""
 
 
+@part("loop")
 def minimise_by_openmm(
     recipe: Recipe, chain: Chain, energy: Energy, tolerance: float, max_evaluations: int, seed: int,
     record: Record,

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.timings import part
 
 Force = Callable[[Floats], tuple[float, Floats]]
 """Positions (na, 3) in nm -> energy in kJ/mol and forces (na, 3) in kJ/mol/nm."""
@@ -168,6 +169,7 @@ class Problem:
         """Point of lowest energy among those allowed."""
         return self.tally.best
 
+    @part("evaluations")
     def evaluate(self, q: Floats) -> Evaluation:
         """Evaluate energy and torques at q, and count it.
 

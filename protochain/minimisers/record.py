@@ -46,6 +46,7 @@ COLUMNS = (
     Column("iterations", lambda s: s.n_iterations, kind=int),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals", kind=int),
     Column("seconds", lambda s: s.seconds, "seconds", "time s", 6),
+    Column("timings", lambda s: dict(s.timings), kind=dict[str, float | None]),
     *of_structure(_structure),
     Column("n_bodies", lambda s: s.chain.n_bodies),
     Column("n_hinges", lambda s: s.chain.n_hinges),

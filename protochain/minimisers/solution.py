@@ -194,6 +194,9 @@ class Solution(TermsAtEnds, Value):
         Of random methods.
     restraints : two float or None, kJ/mol
         Energies at start and end of what held the end, no part of others; None where nothing did.
+    timings : mapping of str to float, s
+        Wall time by part of the call, which add up to it, and the ``serial_share_of_loop``: what of the loop
+        one thread does alone, None where OpenMM computes.
     lowest_eigenvalue : float or None, kJ/mol/rad^2 or kJ/mol/nm^2
         Of the Hessian at the end, in torsions or in the positions of all atoms; None where it was not sought.
     frame_rows : (n,) int
@@ -227,6 +230,7 @@ class Solution(TermsAtEnds, Value):
     hold: Hold
     seed: int
     restraints: tuple[float, float] | None = None
+    timings: Mapping[str, float | None] = field(default_factory=dict)
     lowest_eigenvalue: float | None = None
     frame_rows: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
     frames: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0, 3), dtype=np.float32))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats
+from protochain.core.timings import part
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.device_descent import DeviceDescent
 from protochain.minimisers.lbfgs import LBFGS
@@ -142,6 +143,7 @@ class Outcome:
         return self.space.place(self.q).x
 
 
+@part("loop")
 def walk(
     plan: Sequence[Stage],
     x: Floats,

@@ -62,6 +62,7 @@ COLUMNS = (
     Column("iterations", lambda r: sum(each.iterations for each in r.rounds), kind=int),
     Column("evaluations", lambda r: sum(each.evaluations for each in r.rounds), kind=int),
     Column("seconds", lambda r: r.seconds),
+    Column("timings", lambda r: dict(r.timings), kind=dict[str, float | None]),
     *of_structure(_start),
     Column("n_atoms_moving", lambda r: r.n_atoms_moving),
     Column("move", lambda r: r.move),
@@ -100,7 +101,7 @@ _OF_ALL_FRAMES = (
     "preset", "protocol", "bonds_to_hydrogen", "tolerance", "tolerance_unit", "springs_backbone_kj_mol_nm2",
     "springs_side_chains_kj_mol_nm2", "max_iterations", "max_outer_iterations", "exclude", "free_ligands",
     "hydrogens", "repacked", "fixed", "left_out", "lost_atoms", "n_lost_atoms", "far_molecules", "repairs",
-    "threads", "seconds",
+    "threads", "seconds", "timings",
 )  # fmt: skip
 """What frames of one ensemble have in common, and the seconds of rounds alone."""
 

@@ -18,6 +18,7 @@ from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import counted, listed
+from protochain.core.timings import timed, told
 from protochain.energies import Energy
 from protochain.energies.on_device import begun
 from protochain.minimisers.judging import Known
@@ -90,12 +91,14 @@ def relax(
     'converged'
     """
     relaxing, setup = split({"preset": preset, **moved_of(source), **options})
-    structure = setup.load(source)
-    energy = setup.energy_of(source, structure, named(relaxing, options))
-    return relax_structure(structure, energy, relaxing, watch, setup.move)
+    with timed():
+        structure = setup.load(source)
+        energy = setup.energy_of(source, structure, named(relaxing, options))
+        return relax_structure(structure, energy, relaxing, watch, setup.move)
 
 
 @held_interrupts()
+@timed()
 def relax_structure(
     structure: Structure,
     energy: Energy,
@@ -154,6 +157,7 @@ def relax_structure(
         seconds=seconds,
         trace=read_only(np.array(trace.rows).reshape(-1, 5)),
         restraints=(restraint(structure.positions)[0], restraint(end.x)[0]) if is_held else None,
+        timings=told(),
         move=move,
         moving=mobile,
     )

@@ -1,7 +1,7 @@
 """Result of a relaxation: structure, rounds, measures before and after, and a record for tables and JSON."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,6 +78,8 @@ class Relaxation(TermsAtEnds, Value):
         Side chains put into other rotamers first.
     restraints : two float or None, kJ/mol
         Energies at start and end of what held the end, no part of others; None where nothing did.
+    timings : mapping of str to float, s
+        Wall time by part, as of :class:`protochain.Solution`.
     move : str
         Selection of what may move.
     moving : (na,) bool, optional
@@ -101,6 +103,7 @@ class Relaxation(TermsAtEnds, Value):
     trace: Floats
     turned: tuple[Repair, ...] = ()
     restraints: tuple[float, float] | None = None
+    timings: Mapping[str, float | None] = field(default_factory=dict)
     move: str = defaults.MOVE
     moving: NDArray[np.bool_] | None = None
 

@@ -11,6 +11,7 @@ import numpy as np
 from protochain.core import defaults
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import acidity_or_auto, plain
+from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.bound import Chemistry
 from protochain.structure.draft import Draft
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     import mdtraj
 
 
+@part("preparing")
 def as_structure(source: Any, name: str = "structure", **settings: Any) -> Structure:
     """Prepare a protein from a file or from an object of another library.
 

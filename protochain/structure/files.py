@@ -19,6 +19,7 @@ import zstandard
 from protochain.core.errors import StructureError
 from protochain.core.markup import excerpt
 from protochain.core.storage import regular
+from protochain.core.timings import part
 from protochain.structure import foreign
 from protochain.structure.apart import separate_caps, separate_chains, separate_molecules
 from protochain.structure.ions import name_ions
@@ -78,6 +79,7 @@ def suffix_of(source: Path) -> str:
     return ".cif" if format_of(source) == "mmCIF" else ".pdb"
 
 
+@part("reading")
 def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
     """Parse a PDB or mmCIF file, packed by gzip, bzip2 or xz or not; the content decides."""
     source = "standard input" if path == STANDARD_INPUT else str(path)

@@ -13,6 +13,7 @@ from typing import Any
 
 import gemmi
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.core.checks import flag
 from protochain.core.checks import path as as_path
@@ -286,7 +287,7 @@ def _connections(structure: Structure, stated: Iterable[gemmi.Connection]) -> It
         if None not in ends and ends[0] != ends[1]:
             first, second = sorted(end for end in ends if end is not None)
             known.setdefault((first, second), link)
-    pairs = [(int(i), int(j)) for i, j in structure.bonds if _is_between(structure, int(i), int(j))]
+    pairs = [(i, j) for i, j in structure.bonds[_stated(structure)].tolist()]
     beside = {pair for pair in known if structure.kept[list(pair)].all()} - {*pairs}
     for n, pair in enumerate([*pairs, *sorted(beside)], 1):
         link = known.get(pair) or gemmi.Connection()
@@ -303,15 +304,15 @@ _LINK_NAMES = {
 }  # fmt: skip
 
 
-def _is_between(structure: Structure, first: int, second: int) -> bool:
-    """Whether LINK records state a bond: between residues, unless along a chain of standard ones."""
-    apart = structure.atom_residue[second] - structure.atom_residue[first]
-    names = {str(structure.atom_name[end]) for end in (first, second)}
-    ids = {str(structure.residue_chain[structure.atom_residue[end]]) for end in (first, second)}
-    is_along = apart == 1 and len(ids) == 1 and names in ({"C", "N"}, {"O3'", "P"})
-    ends = structure.atom_residue[[first, second]]
-    is_plain = all(_is_standard(str(structure.residue_name_in_file[end])) for end in ends)
-    return bool(apart and not (is_along and is_plain))
+def _stated(structure: Structure) -> NDArray[np.bool_]:
+    """(nb,) bool: bonds that LINK records state: between residues, unless along a chain of standard ones."""
+    ends = structure.atom_residue[structure.bonds]
+    standard = np.array([_is_standard(str(name)) for name in structure.residue_name_in_file])
+    one, other = structure.residue_chain[ends].T
+    is_along = (np.diff(ends)[:, 0] == 1) & (one == other) & standard[ends].all(axis=1)
+    names = np.sort(structure.atom_name[structure.bonds], axis=1)
+    is_joint = (names == ["C", "N"]).all(axis=1) | (names == ["O3'", "P"]).all(axis=1)
+    return np.asarray((ends[:, 0] != ends[:, 1]) & ~(is_along & is_joint))
 
 
 def _is_standard(component: str) -> bool:
@@ -414,11 +415,10 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
         or (each.entity_type == gemmi.EntityType.Polymer and not _is_standard(each.name))
         for each in residues
     ]
-    for i, j in structure.bonds.tolist():
+    for (i, j), is_link in zip(structure.bonds.tolist(), _stated(structure).tolist(), strict=True):
         first, second = (int(structure.atom_residue[end]) for end in (i, j))
         names = str(structure.atom_name[i]), str(structure.atom_name[j])
         ends = serial[first].get(names[0]), serial[second].get(names[1])
-        is_link = _is_between(structure, i, j)
         # Hydrogens may have been left out.
         if ends[0] and ends[1] and (is_link or (first == second and drawn[first])):
             component = str(structure.residue_name[first])

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.markup import counted, listed
+from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.chirality import atoms_named, wrong_atoms
 from protochain.structure.model import Structure
@@ -290,6 +291,7 @@ _JUDGED = "inverted_stereocentres", "inverted_double_bonds"
 """Those that messages name as well, but for a clash's."""
 
 
+@part("measuring")
 def remains(structure: Structure, x: Floats) -> dict[str, list[str]]:
     """Name the places of what a biologist may reject at positions x (na, 3): the keys of ``REMAINS``."""
     return Found(structure, x).remains() if np.isfinite(x).all() else {key: [] for key in REMAINS}

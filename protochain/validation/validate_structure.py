@@ -6,6 +6,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, floats
 from protochain.core.checks import flag
+from protochain.core.timings import part
 from protochain.structure.convert import as_structure
 from protochain.structure.matching import measurable
 from protochain.validation.findings import MEASURES, Found
@@ -14,6 +15,7 @@ from protochain.validation.likeness import likeness
 from protochain.validation.result import Validation
 
 
+@part("measuring")
 def measures(structure: Any, x: Floats | None = None) -> dict[str, Any]:
     """Measure what is wrong with a structure by itself.
 

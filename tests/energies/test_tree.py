@@ -172,6 +172,28 @@ def test_all_pairs_judge_a_tree():
     assert len(tree.errors) == 2 and "differ" in tree.reason
 
 
+def test_the_sum_by_which_a_tree_was_chosen_judges_its_start(monkeypatch):
+    x, exact = load(SAMPLE).positions, energy()
+    tree, asked, by_pairs = exact.to_accuracy(5e-3, x), [], NativeEnergy.__call__
+
+    def noted(its, at):
+        asked.append(its)
+        return by_pairs(its, at)
+
+    assert tree.opening is not None
+    monkeypatch.setattr(NativeEnergy, "__call__", noted)
+    known = Known(tree)
+    value, forces = known.judged(x, first=True)
+    assert asked == []
+    anew = energy()(x)
+    assert value == anew[0] and np.array_equal(forces, anew[1])
+    moved = x + np.random.default_rng(5).normal(0.0, 1e-3, x.shape)
+    assert known.judged(moved)[0] == pytest.approx(energy()(moved)[0], rel=ROUND_OFF)
+    assert tree.exact in asked
+    by_reference, _ = Known(tree, "reference").judged(x, first=True)
+    assert by_reference != value == pytest.approx(by_reference, rel=1e-8)
+
+
 def test_a_tree_that_does_not_keep_the_accuracy_is_not_taken(monkeypatch):
     x, exact, coarse = load(SAMPLE).positions, energy(), Opening(0.7, 2, 1.0)
     monkeypatch.setattr(engine, "openings", lambda accuracy, in_solvent: [coarse, NEAR])

@@ -71,6 +71,8 @@ class NativeEnergy:
         self.forcefield, self.solvent = by_openmm.forcefield, by_openmm.solvent
         self.settings = by_openmm.settings
         self.threads = min(threads, MOST_THREADS)
+        self.chosen_by: tuple[Floats, tuple[float, Floats]] | None = None
+        """Positions at which a tree was measured, and energy and forces there of all pairs one by one."""
         self.left_out: Mapping[str, int] = MappingProxyType({})
         self._layout = layout
         self._lists: Lists | None = None
@@ -147,11 +149,12 @@ class NativeEnergy:
         elif n_blocks(terms.n_atoms) < FEWEST_BLOCKS:
             because = "so few are summed sooner than by a tree"
         else:
-            _, forces = self.exact(x)
+            found = self.exact(x)
             self._lists = self._evaluation = None
             for opening in openings(accuracy, terms.solvent is not None):
                 tree = self.by_tree(opening)
-                if tree.note_error(tree(x)[1], forces) <= accuracy:
+                if tree.note_error(tree(x)[1], found[1]) <= accuracy:
+                    tree.chosen_by = read_only(x), found
                     return tree
         note = f"all pairs one by one: {because}"
         self.by_openmm.note = f"{self.by_openmm.note}; {note}".removeprefix("; ")

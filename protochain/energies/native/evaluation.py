@@ -1,12 +1,13 @@
 """An energy with its neighbour lists, ready for any positions at which they hold."""
 
 import threading
-from time import monotonic, thread_time
+from time import monotonic, perf_counter, thread_time
 from typing import Any
 
 import numpy as np
 
 from protochain.core.arrays import Floats
+from protochain.core.timings import share
 from protochain.energies.native.atomic import TICK
 from protochain.energies.native.evaluate import Layout, touch, touched
 from protochain.energies.native.far import Far
@@ -23,7 +24,6 @@ from protochain.energies.native.tasks import (
     STEPS,
     TASKS,
     TO_RADII,
-    TOOK,
     WAITED,
     work,
 )
@@ -99,17 +99,20 @@ class Evaluation:
             np.take(x, self.order, axis=0, out=w.x)
         asks = self._most > 0 and w.worth.asks(monotonic())
         self._counters[QUIT] = not asks
-        self._runs, used = True, thread_time()
+        self._runs, used, began = True, thread_time(), perf_counter()
         try:
             if asks:
                 self._call_helpers(helpers())
             work(True, self._counters, *self._arguments)
         finally:
             self._runs = False  # Also on Ctrl-C: helpers would look for tasks for ever.
+        # Also until this thread goes on: on a busy machine the interpreter may be another's for long.
+        took = perf_counter() - began
+        share(took)
         if asks:
-            tasks, led, waited, took = self._counters[[ALL, LED, WAITED, TOOK]].tolist()
-            worked = min(TICK * (took - waited), thread_time() - used)
-            w.worth.note(monotonic(), TICK * took, worked, led / tasks)
+            tasks, led, waited = self._counters[[ALL, LED, WAITED]].tolist()
+            worked = min(took - TICK * waited, thread_time() - used)
+            w.worth.note(monotonic(), took, worked, led / tasks)
         w.of = self
         forces = w.forces.copy()
         if self.order is not None:

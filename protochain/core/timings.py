@@ -1,0 +1,78 @@
+"""Where the time of a run goes: each moment belongs to the innermost part that is on, so they add up."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from time import perf_counter, process_time
+
+PARTS = (
+    "imports", "kernels", "reading", "preparing", "chain", "energy", "loop", "evaluations", "metric",
+    "judging", "measuring", "writing", "rest",
+)  # fmt: skip
+"""Modules and the start of Python; compiled code, loaded or made; the file; what it lacks; rigid bodies; the
+System and native terms; the loop but for its evaluations and metrics; these; start and end by the judge; what
+is wrong with them; files; all else."""
+LOOP = ("loop", "evaluations", "metric")
+"""Parts that make up the loop."""
+
+
+class Clock:
+    """Seconds by part; and those of the loop in kernels that all threads share."""
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys(PARTS, 0.0)
+        self.shared, self.within, self._since = 0.0, ["rest"], perf_counter()
+
+    def turn(self) -> None:
+        """Count what has passed since the last turn to the part that is on."""
+        now = perf_counter()
+        self.seconds[self.within[-1]] += now - self._since
+        self._since = now
+
+
+_CLOCK: ContextVar[Clock | None] = ContextVar("clock", default=None)
+
+
+@contextmanager
+def timed(from_start: bool = False) -> Iterator[None]:
+    """Time a run, unless it is part of one that is timed; ``from_start`` of the process, which imported."""
+    if _CLOCK.get() is not None:
+        yield
+        return
+    clock = Clock()
+    clock.seconds["imports"] = process_time() if from_start else 0.0
+    token = _CLOCK.set(clock)
+    try:
+        yield
+    finally:
+        _CLOCK.reset(token)
+
+
+@contextmanager
+def part(name: str) -> Iterator[None]:
+    """Count what follows as a part of the run that is timed, if one is."""
+    if (clock := _CLOCK.get()) is None:
+        yield
+        return
+    clock.turn()
+    clock.within.append(name)
+    try:
+        yield
+    finally:
+        clock.turn()
+        clock.within.pop()
+
+
+def told() -> dict[str, float | None]:
+    """Seconds of each part until now, and what share of the loop one thread does alone (Amdahl)."""
+    if (clock := _CLOCK.get()) is None:
+        return {}
+    clock.turn()
+    loop = sum(clock.seconds[name] for name in LOOP)
+    return {**clock.seconds, "serial_share_of_loop": 1.0 - clock.shared / loop if clock.shared else None}
+
+
+def share(seconds: float) -> None:
+    """Count seconds of a kernel that threads share, if a loop called it."""
+    if (clock := _CLOCK.get()) is not None and clock.within[-1] in LOOP:
+        clock.shared += seconds
