@@ -11,6 +11,8 @@ from scipy.spatial import KDTree
 
 from protochain.core.errors import Argument, StructureError
 from protochain.core.graph import components
+from protochain.structure.residues import STANDARD, STATE_PARENT, Atom, Residue
+from protochain.structure.templates import templates
 
 _TOGETHER = 2.5
 """Angstrom: alternates nearer than this belong together, as parts of a molecule, or exclude each other."""
@@ -142,6 +144,21 @@ def without_deuterium(model: gemmi.Model) -> int:
         if all(each.has_altloc() and each.altloc != place.atom.altloc for each in namesakes):
             place.atom.name = name
     return len(heavy)
+
+
+def with_elements_of_names(model: gemmi.Model) -> list[Atom]:
+    """Give atoms of standard residues the elements of their names; return those that had another."""
+    known = {name: its.element for name, its in templates().items() if name in {*STANDARD, *STATE_PARENT}}
+    found = []
+    for place in model.all():
+        chain, residue, atom = place.chain, place.residue, place.atom
+        element = known.get(residue.name, {}).get(atom.name, atom.element.name)
+        if element != atom.element.name:
+            atom.element = gemmi.Element(element)
+            found.append(
+                Atom(atom.name, Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name))
+            )
+    return found
 
 
 def likeliest(group: list[gemmi.Residue], asked: str) -> Conformation:

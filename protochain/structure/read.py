@@ -33,6 +33,7 @@ from protochain.structure.conformation import (
     check_altloc,
     likeliest,
     same_place,
+    with_elements_of_names,
     without_deuterium,
     without_nan,
 )
@@ -118,6 +119,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         draft.note(Kind.NOT_A_NUMBER, count=atoms)
     if atoms := without_deuterium(model):
         draft.note(Kind.DEUTERIUM, count=atoms)
+    if corrected := with_elements_of_names(model):
+        draft.note(Kind.ELEMENTS, count=len(corrected), atom=corrected[0])
     draft.stated = [
         (address_of(bond.partner1), address_of(bond.partner2))
         for bond in structure.connections

@@ -67,6 +67,7 @@ class Kind(Enum):
         rank=Rank.LOSS,
     )
     # Of what is taken.
+    ELEMENTS = Words("elements of {count:n atom} of standard residues corrected by their names, first {atom}")
     DEUTERIUM = Words("{count:n deuterium atom} read as hydrogen")
     ALTERNATES = Words(
         "{residue}: alternate location {used} kept (occupancy {occupancy:.2f}), {others} left out",

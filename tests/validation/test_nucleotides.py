@@ -91,7 +91,8 @@ def test_what_only_bears_a_nucleotides_name_has_no_base(tmp_path):
     protein = [line for line in lines if line.startswith("ATOM")]
     ring = [
         f"{'HETATM':6}{line[6:17]} DA Z   1    {float(line[30:38]) + 50:8.3f}{line[38:]}"
-        for line in protein if line[17:26] == "TRP A   6" and line[12:16].strip() in ("CE2", "CZ2", "CH2", "CZ3")
+        for line in protein
+        if line[17:26] == "TRP A   6" and line[12:16].strip() in ("CE2", "CZ2", "CH2", "CZ3")
     ]  # fmt: skip
     (tmp_path / "named.pdb").write_text("".join([*protein, "TER\n", *ring, "END\n"]))
     structure = pc.load(tmp_path / "named.pdb", keep="all")
