@@ -244,6 +244,9 @@ class SimulationSettings(Settings):
         (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
         read_restraints, list[str], "--restrain", metavar="LINE|FILE",
     )  # fmt: skip
+    superpose: bool = setting(
+        True, "Write positions as the run went, not superposed on the input.", flag, bool, "--no-superpose"
+    )
 
     def __post_init__(self) -> None:
         from protochain.dynamics.integrators import INTEGRATORS

@@ -153,13 +153,14 @@ def test_what_is_taken_of_a_file_can_be_said(protochain, tmp_path):
             (),
             ("--no-disulfide",),
             ("--disulfide", "A:5-A:55", "--no-disulfide"),
+            ("--disulfide", "A:5-A:55,A:14-A:38", "--no-disulfide"),
             ("--keep", "water"),
             ("--ph", "2"),
         )
     ]
-    assert [len(each["loops"]) for each in facts] == [3, 0, 1, 3, 3]
+    assert [len(each["loops"]) for each in facts] == [3, 0, 1, 2, 3, 3]
     n_atoms = [each["n_atoms"] for each in facts]
-    assert n_atoms[1] == n_atoms[0] + 6 and n_atoms[3] == n_atoms[0] + 180 and n_atoms[4] > n_atoms[0]
+    assert n_atoms[1] == n_atoms[0] + 6 and n_atoms[4] == n_atoms[0] + 180 and n_atoms[5] > n_atoms[0]
     for wrong, why in (
         (("--disulfide", "5-55"), "A:3-A:40"),
         (("--disulfide", "A:5-A:14"), "A:5 and A:55 are bonded, and no cysteine has two bonds"),
