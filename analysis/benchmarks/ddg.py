@@ -19,7 +19,7 @@ repeated.
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -55,10 +55,8 @@ def sample(folder: Path) -> pd.DataFrame:
             wild, chain, place = told[0], told[1], told[2:]
             row = {"structure": name, "residues": residues, "mutation": f"{chain}:{wild}{place}"}
             row |= {"measured_kcal_mol": measured}
-            rows.append(
-                row
-                | {f"{key}_kcal_mol": its.get((name, told), (0, np.nan))[1] for key, its in published.items()}
-            )
+            known = {key: its[name, told] for key, its in published.items() if (name, told) in its}
+            rows.append(row | {f"{key}_kcal_mol": predicted for key, (_, predicted) in known.items()})
     table = pd.DataFrame(rows)
     parts = [its.iloc[evenly(len(its))] for _, its in table.groupby("structure", sort=False)]
     return pd.concat(parts, ignore_index=True)
@@ -69,17 +67,16 @@ def evenly(n: int) -> list[int]:
     return sorted({round(float(k)) for k in np.linspace(0, n - 1, min(n, MOST_MUTATIONS))})
 
 
-def of_structure(path: Path, rows: pd.DataFrame) -> Iterator[dict[str, Any]]:
+def of_structure(path: Path, rows: pd.DataFrame) -> Iterator[dict[Hashable, Any]]:
     """Ours for the rows of one structure; what cannot be relaxed or mutated has a message."""
     began = perf_counter()
     try:
         relaxed = pc.relax(path)
     except ProtochainError as error:
-        relaxed = None
-        why = str(error)
+        relaxed, why = None, str(error).replace(f"{path.parent}/", "")
     seconds = perf_counter() - began
     for row in rows.to_dict("records"):
-        ours: dict[str, Any] = dict.fromkeys(("ddg_kcal_mol", "status", "seconds"))
+        ours: dict[Hashable, Any] = dict.fromkeys(("ddg_kcal_mol", "status", "seconds"))
         if relaxed is not None:
             try:
                 record = pc.mutate(relaxed, row["mutation"]).record()
@@ -116,9 +113,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         table = run(options, folder, options.kept or Path(scratch))
     if options.output:
-        made.write(
-            table, options.output / "ddg.csv", sorted({f"{name}.pdb" for name in table["structure"]}), 2
-        )
+        files = [f"{name}.pdb" for name in dict.fromkeys(table["structure"])]
+        made.write(table.round(3), options.output / "ddg.csv", files, threads=2)
 
 
 if __name__ == "__main__":

@@ -206,6 +206,8 @@ def mutated(
     """A mutant, whose residues are given by index; ``known`` keeps wild types by the residues that move."""
     began = perf_counter()
     mutant = substituted(structure, names, **setup.of_building)
+    if structure.ties:  # They are found anew, where atoms are now, in the mutant: so in the wild type, too.
+        structure = substituted(structure, {}, **setup.of_building)
     near = _near((structure, mutant), [*names])
     key = (*near.tolist(),)
     if key not in known:
