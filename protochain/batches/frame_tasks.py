@@ -59,10 +59,7 @@ class Task(Protocol):
 
 @dataclass(frozen=True)
 class RelaxFrames:
-    """Relax each frame: :func:`protochain.relax`, with one energy for all.
-
-    energy: In place of that of the setup.
-    """
+    """Relax each frame: :func:`protochain.relax`, with one energy for all, given or of the setup."""
 
     relaxing: RelaxSettings
     setup: Setup

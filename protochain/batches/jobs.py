@@ -256,11 +256,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Row:
-    """Result of one method for one structure.
-
-    record: A line of ``summary.csv``.
-    trace: Lines of ``traces.csv``, thinned.
-    """
+    """Result of one method for one structure: lines of ``summary.csv``, and of ``traces.csv``, thinned."""
 
     record: dict[str, Any]
     trace: list[dict[str, float]]

@@ -36,11 +36,7 @@ _MOST = 15.0
 
 @dataclass(frozen=True)
 class SiteJob:
-    """All mutations of a residue, for a process.
-
-    task: Pickled structure and settings.
-    letters: Those that it becomes.
-    """
+    """All mutations of a residue, for a process; ``task`` is the pickled structure and settings."""
 
     task: Path
     residue: int

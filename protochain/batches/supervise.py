@@ -34,10 +34,7 @@ class ChildError(Exception):
 
 
 class Child:
-    """A process that runs one job after the other.
-
-    threads: Threads for its libraries.
-    """
+    """A process that runs one job after the other, on so many threads."""
 
     def __init__(self, threads: int) -> None:
         self.threads = threads

@@ -30,11 +30,7 @@ its length at this step, 6e-8 at 1e-5 and as much again at 1e-6.
 
 @dataclass(frozen=True, eq=False)
 class Torques:
-    """Torques of an energy near one point of a chain.
-
-    energy: Of all terms.
-    q (n_q,): The point.
-    """
+    """Torques of an energy of all terms near a point q (n_q,) of a chain."""
 
     chain: Chain
     energy: Energy

@@ -91,10 +91,7 @@ def write_modes(
     amplitude: float = 1.0,
     other: Any = None,
 ) -> dict[str, Any]:
-    """Write tables, the structure, swings of the lowest modes and the page; return the record.
-
-    temperature K, amplitude angstrom.
-    """
+    """Write tables, structure, swings (amplitude in angstrom) of the lowest modes and page, at K."""
     table, tables = modes.table(), {}
     found = record_of(modes, temperature) | dict(noted)
     if other is not None:

@@ -65,10 +65,7 @@ _SWEEPS = 200
 
 @dataclass(frozen=True, eq=False)
 class Inertia:
-    """Mass matrix of the freedoms of a chain without its motion as a whole.
-
-    whole (n_v, 0 or 6): Rigid motions of what nothing holds.
-    """
+    """Mass matrix of a chain's freedoms without its rigid motions ``whole`` (n_v, 0 or 6)."""
 
     chain: Chain
     pose: Pose

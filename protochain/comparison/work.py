@@ -25,10 +25,7 @@ WITHIN = (100.0, 10.0, 1.0)
 
 
 def work_to_reach(traces: pd.DataFrame, lowest: Mapping[str, float]) -> pd.DataFrame:
-    """Evaluations and seconds until each method first came within ``WITHIN`` of the lowest end.
-
-    lowest kJ/mol.
-    """
+    """Evaluations and seconds until each method first came within ``WITHIN`` of the lowest end, kJ/mol."""
     rows = []
     for method, run in traces.groupby("method", sort=False):
         row: dict[str, object] = {"method": method, "lowest_kj_mol": lowest[str(method)]}

@@ -156,11 +156,7 @@ class MechanicsError(ProtochainError):
 
 
 class BodyError(MechanicsError):
-    """What is wrong with one body of a tree.
-
-    body: Its number.
-    stated: What is wrong, and what to do.
-    """
+    """What is wrong with one body of a tree, by its number, and what to do."""
 
     def __init__(self, body: int, stated: str, fault: Fault | None = None) -> None:
         super().__init__(int(body), stated, fault=fault)

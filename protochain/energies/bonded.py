@@ -18,10 +18,7 @@ _BONDED = (
 
 
 def bonded_part(energy: Energy) -> Energy | None:
-    """Bonds, angles and dihedrals of an energy, without all that acts between other atoms.
-
-    None if nothing is known of its terms, as of a callable.
-    """
+    """Bonds, angles and dihedrals of an energy alone; None if its terms are not known."""
     own: Energy | None = getattr(energy, "bonded", None)
     if own is not None or energy.system is None:
         return own

@@ -8,12 +8,7 @@ from protochain.core.arrays import Floats, read_only
 
 @dataclass(frozen=True)
 class Tableau:
-    """Butcher tableau of an explicit method.
-
-    a (s, s): Strictly lower triangle.
-    b (s,).
-    error (s,): Weights b minus those of the embedded method.
-    """
+    """Butcher tableau of an explicit method: a, b (s, s), (s,); b less the weights embedded, error (s,)."""
 
     a: tuple[tuple[float, ...], ...]
     b: tuple[float, ...]

@@ -138,10 +138,7 @@ class Named:
 
 @dataclass(frozen=True, eq=False)
 class Between(Named):
-    """Element between points of two bodies.
-
-    a, b: Body, or "world", and a point of it.
-    """
+    """Element between points of two bodies, each a body, or "world", and a point of it."""
 
     a: Point
     b: Point
@@ -215,11 +212,7 @@ def joined(parts: Iterable[Any]) -> list[Any]:
 
 @dataclass(frozen=True, eq=False)
 class Sum:
-    """Potential of conservative elements: wrenches of all of them are pulled back once.
-
-    tree: Rigid bodies.
-    parts: Elements, by kind.
-    """
+    """Potential of elements, by kind: wrenches of all of them are pulled back once."""
 
     tree: Tree
     parts: Sequence[Conservative]
@@ -239,11 +232,7 @@ class Sum:
 
 @dataclass(frozen=True, eq=False)
 class Gravity:
-    """Weight of all bodies; its energy is zero at the world's origin.
-
-    tree: Rigid bodies.
-    acceleration (3,): Acceleration of free fall.
-    """
+    """Weight of all bodies at an acceleration of free fall (3,); its energy is zero at the world's origin."""
 
     tree: Tree
     acceleration: Floats

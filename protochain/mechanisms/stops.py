@@ -72,10 +72,7 @@ class Stop(Named):
 
 @dataclass(frozen=True, eq=False)
 class Stopped:
-    """A stop, bound: torque -k d - c d' at depth d, as long as it pushes back.
-
-    coordinate, freedom: Places of the hinge in q and in qd.
-    """
+    """A stop, bound: torque -k d - c d' at depth d, as long as it pushes back."""
 
     coordinate: int
     freedom: int

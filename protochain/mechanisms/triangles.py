@@ -17,10 +17,7 @@ def corner(corners: Floats, m: int, k: int) -> Vector:
 
 @kernel
 def nearest(p: Vector, corners: Floats, m: int) -> tuple[Vector, bool]:
-    """Nearest point of triangle m to p, and whether it lies inside, not on an edge.
-
-    Ericson, *Real-Time Collision Detection* (2005), section 5.1.5.
-    """
+    """Nearest point of triangle m to p, and whether inside: Ericson, *Collision Detection*, 5.1.5."""
     a, b, c = corner(corners, m, 0), corner(corners, m, 1), corner(corners, m, 2)
     ab, ac = subtract(b, a), subtract(c, a)
     ap, bp, cp = subtract(p, a), subtract(p, b), subtract(p, c)

@@ -68,10 +68,7 @@ def factorise(place: Integers, own: Floats, pairs: Integers, shared: Floats) -> 
 
 @kernel
 def _pattern(place: Integers, pairs: Integers) -> tuple[Integers, Integers, Integers, Integers, Integers]:
-    """Pattern of the factor.
-
-    Start and rows of each column; and of each row start, columns and the blocks' places in them.
-    """
+    """Start and rows of each column of the factor; of each row start, columns, and places of blocks."""
     n = len(place)
     # Neighbours before each row.
     begin = np.zeros(n + 1, np.int64)

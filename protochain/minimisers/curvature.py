@@ -207,10 +207,7 @@ def bonded_gradients(terms: NearTerms, x: Floats) -> tuple[Gradients, Gradients]
 
 
 def curvature(terms: NearTerms, x: Floats, near: Stretches, coupled_from: float = COUPLED) -> Curvature:
-    """Blocks of the bonded terms, and of springs between near atoms.
-
-    x (na, 3) nm, coupled_from kJ/mol/nm^2.
-    """
+    """Blocks of bonded terms, and of springs from ``coupled_from`` kJ/mol/nm^2, at x (na, 3) nm."""
     # Copies are writable, and kernels compiled once.
     x = np.array(x)
     own, shared = np.zeros((terms.n_atoms, 9)), np.zeros((len(terms.pairs), 9))
@@ -246,10 +243,7 @@ def near_solver(
     terms: NearTerms, x: Floats, moving: NDArray[np.bool_], near: Springs | None = None,
     tether: Floats | None = None,
 ) -> Callable[[Floats], Floats]:  # fmt: skip
-    """Solver for the model of the Hessian in Cartesian coordinates.
-
-    x (na, 3) nm, moving (na,) bool, tether (na,).
-    """
+    """Solver for the model of the Hessian at x (na, 3) nm, of moving (na,) bool, with tether (na,)."""
     if near is None:
         at = curvature(terms, x, free_wells(terms, x, moving))
     else:

@@ -65,11 +65,7 @@ class LBFGS(Direction):
 
 
 def quasi_newton(torque: Floats, pairs: Pairs, solve: Solve = np.copy) -> Floats:
-    """Inverse-Hessian estimate times the torques, by the two-loop recursion (algorithm 7.4).
-
-    torque (n_v,).
-    -> (n_v,): A descent direction.
-    """
+    """Descent direction (n_v,): inverse-Hessian estimate times torque (n_v,), by algorithm 7.4."""
     direction = torque.copy()
     weights = []
     # In place, by BLAS: with many pairs temporaries would cost more than the energy of a small protein.

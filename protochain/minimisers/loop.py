@@ -64,10 +64,7 @@ class Snapshot:
 
 @dataclass(frozen=True, eq=False)
 class Ending:
-    """How a loop ended.
-
-    last: After the last complete iteration.
-    """
+    """How a loop ended, after the last complete iteration."""
 
     stop: Stop
     last: Snapshot

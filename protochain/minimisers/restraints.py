@@ -33,11 +33,7 @@ _LEASH_ENERGY = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Tethers:
-    """Springs from atoms to their initial positions: E = k/2 sum |x - x0|^2.
-
-    home (na, 3) nm.
-    weight (na,) kJ/mol/nm^2.
-    """
+    """Springs E = k/2 sum |x - x0|^2 to home (na, 3), nm, of weight (na,), kJ/mol/nm^2."""
 
     home: Floats
     weight: Floats
@@ -56,11 +52,7 @@ class Tethers:
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """Wall around the initial position of every atom: E = k/2 sum (d - limit)^2 over those beyond it.
-
-    home (na, 3) nm.
-    limit nm.
-    """
+    """Wall E = k/2 sum (d - limit)^2 beyond a distance in nm from home (na, 3), nm, for every atom."""
 
     home: Floats
     limit: float
@@ -76,10 +68,7 @@ class Bound:
 
 @dataclass(frozen=True, eq=False)
 class Leash:
-    """Harmonic wall that begins at 0.9 of the limit of the C-alpha RMSD to the start, superposed.
-
-    limit angstrom.
-    """
+    """Harmonic wall from 0.9 of a limit, angstrom, of the C-alpha RMSD to the start, superposed."""
 
     structure: Structure
     limit: float
@@ -143,10 +132,7 @@ class SoftRepulsion:
 
 @dataclass(frozen=True)
 class UserRestraint:
-    """Restraint of a caller.
-
-    function: Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm.
-    """
+    """Restraint of a caller: positions (na, 3) in nm to energy in kJ/mol and forces (na, 3)."""
 
     function: Force
 

@@ -59,10 +59,7 @@ ROUNDS = 4
 
 @dataclass(frozen=True)
 class Soft:
-    """Stiffness with nearly nothing added: it ranks soft directions.
-
-    refresh_every: Iterations between two computations of the matrix.
-    """
+    """Stiffness with nearly nothing added, to rank soft directions; computed anew now and then."""
 
     refresh_every: int = 1_000_000_000
 

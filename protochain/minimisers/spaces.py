@@ -205,10 +205,7 @@ def _pose(at: Placement) -> Pose:
 
 @dataclass(frozen=True, eq=False)
 class Positions:
-    """Free atoms at one point.
-
-    q (3 na,) nm.
-    """
+    """Free atoms at one point, q (3 na,) nm."""
 
     q: Floats
 

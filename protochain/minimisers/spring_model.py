@@ -49,11 +49,7 @@ CARTESIAN_FLOOR = 8.0e3
 
 @dataclass(frozen=True, eq=False)
 class Springs:
-    """Harmonic springs along the lines between pairs of atoms.
-
-    pairs (n, 2) int.
-    stiffness (n,) kJ/mol/nm^2.
-    """
+    """Harmonic springs along lines between pairs (n, 2) int of stiffness (n,) kJ/mol/nm^2."""
 
     pairs: Integers
     stiffness: Floats

@@ -22,11 +22,7 @@ from protochain.minimisers.verdict import Judgement, judge
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """A chain and its energy, with all that follows from them for any method.
-
-    energy: With all terms.
-    judge: One of ``settings.JUDGES``.
-    """
+    """A chain and its energy of all terms, with what follows from them for any method, and the judge."""
 
     chain: Chain
     energy: Energy

@@ -89,10 +89,7 @@ def verdict(
     isomerised: Sequence[str] | None = None,
     left: Sequence[str] | None = None,
 ) -> tuple[Status, str]:
-    """Status and message, from the reason a run ended and the residual that the judge measured.
-
-    x (na, 3) nm.
-    """
+    """Status and message at x (na, 3) nm, from why a run ended and the residual that the judge measured."""
     left = rejected(structure, x) if left is None else left
     status, message = _without_left(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
     if left and status is Status.CONVERGED:
@@ -101,10 +98,7 @@ def verdict(
 
 
 def rejected(structure: Structure, x: Floats) -> list[str]:
-    """Describe what no result may have: mirror images, other isomers, chains that stand still, faults.
-
-    x (na, 3) nm.
-    """
+    """What no result x (na, 3) nm may have: mirror images, other isomers, chains that stand still, faults."""
     found = [
         f"chain {chain} is a mirror image, D-amino acids under names of L (relax with mirror if it is meant)"
         for chain in mirror_images(structure.with_positions(x))

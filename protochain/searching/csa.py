@@ -68,10 +68,7 @@ class Bank(Value):
 
 @dataclass(frozen=True)
 class Crossings:
-    """The method of conformational space annealing.
-
-    seed, walker: Random numbers of a trial depend on these and its number alone.
-    """
+    """Conformational space annealing; random numbers of a trial depend on seed, walker and its number."""
 
     seed: int
     walker: int

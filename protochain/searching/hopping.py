@@ -45,11 +45,7 @@ class Hopping(Value):
 
 @dataclass(frozen=True)
 class Hops:
-    """The method of hopping.
-
-    temperature K: Of Metropolis' criterion.
-    seed, walker: Random numbers of a hop depend on these and its number alone.
-    """
+    """Hopping by Metropolis' criterion at K; random numbers depend on seed, walker and the hop's number."""
 
     temperature: float
     seed: int

@@ -64,10 +64,7 @@ def _turns(q: Floats, other: Floats, period: Floats) -> Floats:
 
 
 def unique(q: Floats, energy: Floats, period: Floats) -> Integers:
-    """Which minima differ from all lower ones, the lowest first.
-
-    q (m, n) rad, energy (m,) kJ/mol, period (n,) rad -> (k,) int.
-    """
+    """(k,) int: minima q (m, n) rad, of period (n,), that differ from all of lower energy (m,), sorted."""
     kept: list[int] = []
     first = 0
     for k in np.argsort(energy, kind="stable").tolist():
@@ -95,10 +92,7 @@ def clusters(positions: Sequence[Floats]) -> Integers:
 
 
 def free_energy(energy: float, hessian: Floats, temperature: float, log_det_mass: float = 0.0) -> float:
-    """Free energy of a minimum in the harmonic way, kJ/mol.
-
-    energy kJ/mol, hessian (n, n) kJ/mol/rad^2, temperature K.
-    """
+    """Harmonic free energy of a minimum at K, kJ/mol, of its energy and Hessian (n, n), kJ/mol/rad^2."""
     kt = MOLAR_GAS * temperature
     sign, log_det = np.linalg.slogdet(hessian / (2.0 * np.pi * kt))
     if sign <= 0.0 or np.linalg.eigvalsh(hessian)[0] <= 0.0:

@@ -11,10 +11,7 @@ from protochain.energies.native.shares import HALVES, atom_sums
 
 
 def halves(layout: Layout, blocks: Floats, threads: int) -> tuple[Floats, Floats]:
-    """Energies (3, na) in kJ/mol, and Born radii (na,) in nm if there is a solvent model, else none.
-
-    blocks (blocks, ROWS * W).
-    """
+    """Energies (3, na) in kJ/mol, Born radii (na,) in nm or none, of blocks (blocks, ROWS * W)."""
     terms, n = layout.terms.nonbonded, n_blocks(layout.terms.n_atoms)
     solvent = layout.terms.solvent
     tiles = np.column_stack(np.triu_indices(n))

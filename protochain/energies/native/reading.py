@@ -33,10 +33,7 @@ def rows(force: openmm.Force, count: str, get: str) -> list[Any]:
 
 
 def plain(value: Any) -> float:
-    """Return what a getter of OpenMM returns as a number in OpenMM's units (nm, ps, amu, kJ/mol, e, rad).
-
-    Its quantities are in these units.
-    """
+    """Number that a getter of OpenMM returns, in nm, ps, amu, kJ/mol, e, rad."""
     return float(value._value if isinstance(value, unit.Quantity) else value)
 
 

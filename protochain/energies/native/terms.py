@@ -18,11 +18,7 @@ from protochain.energies.native.reading import UnsupportedForceError, bare, one_
 
 @dataclass(frozen=True, eq=False)
 class Bonded:
-    """Bonded terms of one kind.
-
-    atoms (n, k) int.
-    parameters (n, m).
-    """
+    """Bonded terms of one kind: atoms (n, k) int, parameters (n, m)."""
 
     atoms: Integers
     parameters: Floats

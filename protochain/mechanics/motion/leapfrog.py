@@ -92,11 +92,7 @@ class Leapfrog(Integrator):
 
 
 def drift(at: Phase, p: Floats, time_step: float) -> Drifted:
-    """Move for one time step without a potential, by the midpoint rule.
-
-    p (n_v,).
-    -> (n_q,): Coordinates, momenta and factors of M at the end.
-    """
+    """Move p (n_v,) a time step without potential, by midpoints -> coordinates (n_q,), p, factors of M."""
     tree, there = at.factors.tree, Workspace.like(at)
     q, p = at.q.copy(), p.copy()
     try:

@@ -274,10 +274,7 @@ def minus_outer(p: Inertia, moment: Vector, force: Vector, weight: float) -> Ine
 
 @kernel
 def shifted_inertia(p: Inertia, lever: Vector) -> Inertia:
-    """Return the same inertia about a point that lies ``-lever`` away.
-
-    With L = [lever]x: C' = C + L M and I' = I + L C^T - C' L.
-    """
+    """Inertia about a point ``-lever`` away: C' = C + L M, I' = I + L C^T - C' L, with L = [lever]x."""
     i, c, m = p
     x = cross(lever, (m[0], m[1], m[2]))
     y = cross(lever, (m[1], m[3], m[4]))

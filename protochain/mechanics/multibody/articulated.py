@@ -68,10 +68,7 @@ class Articulated:
 
 
 def articulate(tree: Tree, frames: Frames) -> Articulated:
-    """Factorise M at one pose, by one inward sweep.
-
-    After Jain, Vaidehi, Rodriguez (1993); Featherstone (2008). O(n).
-    """
+    """Factorise M by one inward sweep, O(n): Jain, Vaidehi, Rodriguez (1993); Featherstone (2008)."""
     n = tree.n_bodies
     packed, gain, pivot = np.empty((n, 21)), np.empty((n, 6)), np.empty(n)
     root = np.empty((tree.n_q - tree.n_v, 6, 6))

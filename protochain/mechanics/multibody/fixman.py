@@ -63,10 +63,7 @@ class Eliminated:
 
 
 def eliminate(tree: Tree, frames: Frames) -> Eliminated:
-    """Factorise H at one pose, by one inward sweep.
-
-    Block elimination of H (after Lee, Wang, Chirikjian 2007), leaf to root. O(n).
-    """
+    """Factorise H by one inward sweep, O(n): block elimination after Lee, Wang, Chirikjian (2007)."""
     n = tree.n_bodies
     thin = _thinness(tree) <= TOO_THIN
     if np.any(thin):
@@ -89,10 +86,7 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
 
 
 def respond(factors: Eliminated, wrench: Floats) -> Floats:
-    """Twists due to impulses on the bodies and reactions of the hinges: (W - W E_h^T H^-1 E_h W) wrench.
-
-    wrench (nb, 6) -> (nb, 6).
-    """
+    """Twists (W - W E_h^T H^-1 E_h W) wrench of impulses and reactions of hinges, (nb, 6) -> (nb, 6)."""
     tree, frames = factors.tree, factors.frames
     impulse = floats(wrench, (tree.n_bodies, 6), "wrench").copy()
     twists = np.empty((tree.n_bodies, 6))

@@ -19,11 +19,7 @@ Route = Literal["articulated", "blocks", "dense"]
 
 
 def rates_of(flexible: Flexible, bent: Bent, p: Floats, route: Route = "articulated") -> Floats:
-    """Velocities qd of momenta p = M qd.
-
-    p (n_v,).
-    -> (n_v,): Velocities.
-    """
+    """Velocities qd (n_v,) of momenta p = M qd (n_v,)."""
     p = floats(p, (flexible.n_v,), "p")
     if flexible.tree.driven is not None:
         raise MechanicsError(

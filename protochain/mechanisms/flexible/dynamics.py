@@ -61,11 +61,7 @@ def pull_back(flexible: Flexible, bent: Bent, wrench: Floats) -> Floats:
 def inverse_dynamics(
     flexible: Flexible, q: Floats, qd: Floats, qdd: Floats, wrench: Floats | None = None
 ) -> Floats:
-    """Torques M qdd + c(q, qd) - J^T wrench, without elastic ones.
-
-    qd, qdd (n_v,), wrench (nn, 6).
-    -> (n_v,): Torques. O(n).
-    """
+    """Torques M qdd + c(q, qd) - J^T wrench (nn, 6), without elastic ones, (n_v,), in O(n)."""
     return _torques(flexible, bend(flexible, q), q, qd, qdd, wrench)
 
 

@@ -15,11 +15,7 @@ External = Mapping[int, tuple[ArrayLike, ArrayLike]]
 
 
 def strike(bodies: Bodies, qd: Floats, external: External) -> tuple[Floats, float]:
-    """Velocities after given impulses, and their work.
-
-    qd (n_v,).
-    -> (n_v,): Velocities after.
-    """
+    """Velocities (n_v,) after given impulses, of those before, and their work."""
     wrench = external_wrench(bodies, external)
     after = qd + bodies.change(wrench)
     return after, 0.5 * float(np.sum(wrench * bodies.twists(qd + after)))

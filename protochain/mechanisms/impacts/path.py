@@ -319,10 +319,7 @@ def follow_in_turn(
     w: Floats, u: Floats, mu: Floats, e: Floats, law: int, slow: Floats, tolerance: float, turns: int,
     out: Floats,
 ) -> tuple[int, int]:  # fmt: skip
-    """Write impulses, and those of the compressions, of one point after the other, the fastest first.
-
-    out (2, 3 k).
-    """
+    """Write impulses and those of the compressions, point by point, the fastest first, out (2, 3 k)."""
     v, block, local, own = u.copy(), np.empty((3, 3)), np.empty(8), np.empty(3)
     out[:] = 0.0
     i = 0

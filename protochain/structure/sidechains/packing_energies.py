@@ -99,10 +99,7 @@ def donates_accepts(residue: str, name: str) -> tuple[bool, bool]:
 
 
 class Kinds:
-    """Kinds of several atoms.
-
-    of: Residue, name, and element of those outside the protein, empty for amino acids.
-    """
+    """Kinds of atoms: residue, name, and element of those outside the protein."""
 
     def __init__(self, of: Sequence[tuple[str, str, str]]) -> None:
         known = np.array([kind(*each) for each in of]).reshape(-1, 2)
