@@ -41,6 +41,12 @@ class FrameResult(Value):
         Relaxed, or as it was measured; None of a frame that cannot be used.
     task : Task
         What was done to it.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/ala10.pdb")
+    >>> next(pc.relax_frames(s, s.positions[None])).record["status"]
+    'converged'
     """
 
     frame: int
@@ -98,6 +104,12 @@ def relax_frames(
     ------
     ProtochainError
         If an option makes no sense, or the structure or the frames cannot be used.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/ala10.pdb")
+    >>> [frame.record["frame"] for frame in pc.relax_frames(s, np.array([s.positions, s.positions]))]
+    [0, 1]
     """
     relaxing, setup = split({**moved_of(top), **options})
     ensemble, chosen = ensemble_of(top, frames, select, setup)

@@ -63,6 +63,12 @@ class Chain(Value):
         Selected atoms, which methods that move single atoms may move.
     hydrogen_mass : float or None, amu
         Mass of hydrogens after repartitioning.
+
+    Examples
+    --------
+    >>> chain = pc.build_chain(pc.from_sequence("GAG"))
+    >>> chain.n_hinges, chain.hinges[0].kind
+    (5, 'phi')
     """
 
     structure: Structure

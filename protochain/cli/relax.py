@@ -16,7 +16,6 @@ from protochain.cli.frames import Chosen, Trajectory
 from protochain.cli.options import (
     UNCONVERGED,
     AsJson,
-    Force,
     LigandOut,
     Manifest,
     Report,
@@ -86,7 +85,9 @@ def relax(
     trajectory: Trajectory = None,
     frames: Chosen = None,
     as_json: AsJson = False,
-    force: Force = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Allow an output to replace the input, or what is in the folder.")
+    ] = False,
     *,
     relaxing: RelaxSettings,
     setup: Setup,
@@ -114,7 +115,6 @@ def relax(
         refuse(context, "workers time_limit resume", f"is of several; {inputs[0]} is one file")
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, report, ligand_out, as_json, force))
     refuse(context, "report", "several structures have report.html in their folder")
-    refuse(context, "force", "several structures go to a folder, and replace no input")
     if ligand_out and not setup.poses:
         raise ProtochainError(Argument("ligand_out"), ": several structures need poses; give --ligand POSES")
     from protochain.batches.cluster import Processes
@@ -123,7 +123,7 @@ def relax(
     processes: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     processes |= {} if setup.threads is None else {"threads": setup.threads}
     with Processes(**processes).started_early():
-        _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume)
+        _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume, force)
 
 
 def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
@@ -224,6 +224,7 @@ def _several(
     processes: dict[str, Any],
     as_json: bool,
     resume: bool,
+    force: bool,
 ) -> None:
     """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
     from protochain.batches.batch_structures import RELAXED, relax_files
@@ -244,8 +245,9 @@ def _several(
     _tell_frames(inputs)
     with batch_progress() as watch:
         done = relax_files(
-            inputs, folder, relaxing, setup, manifest=manifest, resume=resume, watch=watch, **processes
-        )
+            inputs, folder, relaxing, setup, manifest=manifest, resume=resume, force=force, watch=watch,
+            **processes,
+        )  # fmt: skip
     for path in beside:
         written = done.table.dropna(subset="output")["structure"]
         write_text(path, "".join((folder / poses_name(name)).read_text() for name in written))

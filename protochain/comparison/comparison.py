@@ -64,6 +64,11 @@ class Comparison:
     ------
     ProtochainError
         If the solutions are not of one energy function or one start.
+
+    Examples
+    --------
+    >>> pc.compare("structures/ala10.pdb", ["lbfgs", "md"]).table["method"].tolist()
+    ['lbfgs', 'md']
     """
 
     structure: Structure

@@ -71,6 +71,14 @@ class ProtochainError(ValueError):
         What the line is made of.
     fault : Fault, optional
         What it is about, where somebody needs to know.
+
+    Examples
+    --------
+    >>> try:
+    ...     pc.load("none.pdb")
+    ... except pc.ProtochainError as error:
+    ...     print(error)
+    none.pdb: cannot be read (No such file or directory); check the name
     """
 
     fault: Fault | None = None

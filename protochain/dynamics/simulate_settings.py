@@ -54,6 +54,11 @@ class Pull(Settings):
     ------
     ProtochainError
         If a number makes no sense, or the places cannot be read.
+
+    Examples
+    --------
+    >>> pc.Pull("A:1:N-A:20:C", speed=0.01).between
+    ('A:1:N', 'A:20:C')
     """
 
     between: tuple[str, str] = setting(

@@ -60,6 +60,11 @@ class Mutation(Value):
         cysteine that is bonded.
     seconds : float
         Wall time of all.
+
+    Examples
+    --------
+    >>> pc.mutate("structures/ala10.pdb", "A5G").mutations
+    ('A:A5G',)
     """
 
     mutations: tuple[str, ...]

@@ -82,7 +82,7 @@ SIMULATED = {
     "n_steps": 10_000, "output": Path("a-simulation"), "trajectory": "dcd", "checkpoint_every": 10,
     "resume": False, "force": False, "temperature": 300.0, "time_step": 0.005, "thermostat": "langevin",
     "friction": 1.0,
-    "integrator": "leapfrog", "fixman": False, "loops": "open", "hydrogen_mass": None,
+    "superpose": True, "integrator": "leapfrog", "fixman": False, "loops": "open", "hydrogen_mass": None,
     "trajectory_length": 10, "every": 100, "seed": 0, "pull": None, "hinge_springs": (),
     "restraint": (),
 }  # fmt: skip
@@ -207,7 +207,7 @@ def test_batch_hands_its_options_on(batched, capsys):
     given, more = batched.given[0]
     assert given == (["a", "b"], Path("batch"))
     assert more == {
-        "manifest": None, "resume": False, "workers": None, "scheduler": None, "threads": 1,
+        "manifest": None, "resume": False, "force": False, "workers": None, "scheduler": None, "threads": 1,
         "time_limit": 3600.0,
         "methods": ("cartesian",), "tolerance": None, "max_rmsd": math.inf, "max_evaluations": 5000,
         "seed": 0, "restraint": "", "n_starts": 1, "spread": 0.2, "curvature": None, "judge": "auto",
@@ -216,8 +216,8 @@ def test_batch_hands_its_options_on(batched, capsys):
     assert capsys.readouterr().out == "done 1 'page'\n"
     options = (
         "-o", "out", "--methods", "md, kcm", "--manifest", "m.csv", "--workers", 2, "--scheduler", "s",
-        "--threads",
-        3, "--time-limit", 4, "--resume", "--tolerance", 5, "--max-evaluations", 6, "--max-rmsd", 7,
+        "--threads", 3,
+        "--time-limit", 4, "--resume", "--force", "--tolerance", 5, "--max-evaluations", 6, "--max-rmsd", 7,
         "--seed", 8, "--restrain", "5 0", "--no-curvature", "--judge", "reference",
         "--json", "--ph", 5, "--preset", "crystal", "--stiffness", 9, "--max-iterations", 8,
         "--max-outer-iterations", 7, "--exclude", "resid 3", "--strip-hydrogens", "--repack",
@@ -225,8 +225,8 @@ def test_batch_hands_its_options_on(batched, capsys):
     assert run("batch", *options) == 0
     given, more = batched.given[1]
     assert given == ([], Path("out")) and more == {
-        "manifest": Path("m.csv"), "resume": True, "workers": 2, "scheduler": "s", "threads": 3,
-        "time_limit": 4.0,
+        "manifest": Path("m.csv"), "resume": True, "force": True, "workers": 2, "scheduler": "s",
+        "threads": 3, "time_limit": 4.0,
         "methods": ("md", "kcm"), "tolerance": 5.0, "max_rmsd": 7.0, "max_evaluations": 6, "seed": 8,
         "restraint": "5 0", "n_starts": 1, "spread": 0.2, "curvature": False, "judge": "reference",
         "setup": Setup(ph=5.0),
