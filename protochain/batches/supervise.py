@@ -176,11 +176,7 @@ def _begun(threads: int) -> Child:
 
 @contextmanager
 def crew(count: int) -> Iterator[Executor]:
-    """Threads that each :func:`supervise` with a child of its own.
-
-    At the end, whatever the reason, jobs that have not begun are cancelled, and all children are ended, also
-    in the middle of a job.
-    """
+    """Threads that each :func:`supervise` with a child; at the end, whatever the reason, none is left."""
     children = _Children()
     executor = ThreadPoolExecutor(count, "crew", lambda: setattr(_here, "children", children))
     try:

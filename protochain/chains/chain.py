@@ -149,10 +149,7 @@ class Chain(Value):
 
     @cached_property
     def rigid_groups(self) -> Integers:
-        """(na, k) int: bodies in which each atom is at rest, whatever the hinges do.
-
-        Its own body first, then bodies joined to that by a hinge on whose axis it lies; -1 for none.
-        """
+        """(na, k) int: bodies in which each atom is at rest, its own first; -1 for none."""
         at, n = pose(self, self.q0), self.n_bodies
         parent = self.tree.parent[self.hinge_body]
         # Ways across hinges, by the body they start from.

@@ -79,11 +79,7 @@ def joined(structure: Structure, bonds: int) -> Integers:
 
 @at_positions
 def overlapping(structure: Structure, x: Floats) -> tuple[Integers, Floats]:
-    """Find the nonbonded pairs of atoms that overlap, as :func:`near_pairs` returns them.
-
-    Beside those nearer than ``OVERLAP`` these are heavy atoms of the protein and of a molecule kept with it
-    that are as near as bonded ones, and are not bonded.
-    """
+    """Nonbonded pairs of atoms nearer than ``OVERLAP``, or to what is beside the protein than bonds."""
     if not structure.kept.any():
         pairs, touch = near_pairs(structure, x, OVERLAP)
         return read_only(pairs, np.int64), read_only(touch)

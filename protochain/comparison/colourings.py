@@ -19,10 +19,7 @@ OF_INPUT = "B factor or confidence of the input"
 def colourings(
     ends: Mapping[str, Structure], energy: Energy, changes: Mapping[str, Differences] | None = None
 ) -> list[Colouring]:
-    """Colourings of a start and what came of it, by name, with all terms of their energy that are not 0.
-
-    Of a callable, and of a System that the native engine cannot compute, there are none of the energy.
-    """
+    """Colourings of a start and what came of it, by name; of energies that are told term by term."""
     start = next(iter(ends.values()))
     native = native_of(energy)
     found = list[Colouring]()

@@ -170,10 +170,7 @@ def docked(reference: Structure, model: Structure, first: str, second: str) -> d
 
 @dataclass(frozen=True)
 class RmsdFrames:
-    """Measure the deviation of every frame of an ensemble from a reference.
-
-    align, measure: As in :func:`deviation`.
-    """
+    """Measure the deviation of every frame from a reference, as :func:`deviation`."""
 
     reference: Structure
     align: str = ALPHA

@@ -38,10 +38,7 @@ class Torques:
 
     @cached_property
     def _varying(self) -> Energy:
-        """The energy without terms that rigid bodies keep: their rounding would be left of them.
-
-        It is exact: platforms of OpenMM round forces to single precision.
-        """
+        """The exact energy without terms that rigid bodies keep, whose rounding would be left of them."""
         energy = self.energy
         energy = energy if energy.is_exact else energy.exact
         return energy.without_constants(self.chain.rigid_groups, self.chain.structure.positions)

@@ -245,10 +245,7 @@ def _add_own(
     matrix: Floats, chain: Chain, at: Pose, motions: Floats, body: Integers, x: Floats, own: Floats,
     middle: Floats,
 ) -> None:  # fmt: skip
-    """Add J^T D J of each atom by itself, and -f . d2x/dq dq.
-
-    A turn about axis a after one about b moves by a cross (b cross r).
-    """
+    """Add J^T D J of each atom, and -f . d2x/dq dq, as a turn about a after b moves by a x (b x r)."""
     tree, forces = chain.tree, own[:, 6:]
     moments, sums = np.zeros((tree.n_bodies, 3, 3)), np.zeros((tree.n_bodies, 3))
     stiffness = np.zeros((tree.n_bodies, 6, 6))

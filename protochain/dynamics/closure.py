@@ -103,10 +103,7 @@ class Closure:
         return 2.0 * float(np.sum(np.log(np.diagonal(upper)))), 2.0 * gradient
 
     def _turned_lines(self, frames: Frames, twists: Floats) -> Floats:
-        """(nb, 6) float: loads whose torques are what :meth:`rows` change beyond turning with their bodies.
-
-        twists (m, nb, 6).
-        """
+        """(nb, 6) float: loads of what :meth:`rows` change beyond turning, for twists (m, nb, 6)."""
         ends = self.ends(frames)
         line = ends[:, 1] - ends[:, 0]
         length = np.linalg.norm(line, axis=1)[:, None]

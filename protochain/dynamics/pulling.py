@@ -133,10 +133,7 @@ def check_pull(pull: Pull, chain: Chain) -> None:
 
 
 def moving_spring(pull: Pull, chain: Chain, q: Floats) -> MovingSpring:
-    """Spring of these settings for a chain that starts at q, at its length at rest.
-
-    Its places are centres of mass, one point for each body that has a part of them.
-    """
+    """Spring between centres of mass, a point for each body in them, at its length at rest at q."""
     check_pull(pull, chain)
     mass = chain.structure.atom_mass
     body, local, share = list[int](), list[Floats](), list[float]()

@@ -307,10 +307,7 @@ def _prepare(
 
 
 def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats:
-    """What the run to be resumed measured at its start; its own if there is none of its shape.
-
-    The checkpoint is then of another run, or damaged, which is found out and said when it is read.
-    """
+    """What the run to be resumed measured at its start, if its shape fits; else what this one did."""
     found = constants.get(name)
     return own if found is None or found.shape != own.shape else found
 

@@ -142,10 +142,7 @@ def _ions(structure: Structure, force_field: app.ForceField) -> dict[int, str]:
 def _recognised(
     force_field: app.ForceField, structure: Structure, small: Iterable[int], own: set[int]
 ) -> tuple[app.Topology, list[int]]:
-    """Topology for the force field, without bonds it does not know, and indices of unknown obstacles.
-
-    Those of ``small`` and ``own`` have parameters of their own; the latter are bonded to others.
-    """
+    """Topology for the force field, without bonds it does not know, and indices of unknown obstacles."""
     residue = structure.atom_residue
     kept = structure.kept & ~np.isin(residue, [*small])
     bonds = structure.bonds
@@ -392,10 +389,7 @@ def _of_end(force_field: app.ForceField, residue: Any, core: Iterable[str]) -> f
 def _kept(
     force_field: app.ForceField, residue: Any, called: Sequence[str], place: Mapping[int, int]
 ) -> dict[int, tuple[str, float | None]]:
-    """Types and charges of the atoms of a residue that are alanine's, glycine's, or those of a nucleotide.
-
-    C-beta has no charge, nor what bears a modified base.
-    """
+    """Types and charges of atoms that are alanine's (no C-beta's), glycine's or a nucleotide's."""
     core = {called[i].rpartition("/")[2]: k for k, i in place.items() if called[i]}
     if not core:
         return {}

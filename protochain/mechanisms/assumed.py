@@ -17,11 +17,7 @@ def clamped_roots(k: int) -> Floats:
 
 
 def clamped(x: Floats, k: int) -> tuple[Floats, Floats, Floats]:
-    """Shapes of a clamped beam of unit length, of unit mean square, with two derivatives.
-
-    x (n,).
-    -> (n, k): Displacement, slope and curvature.
-    """
+    """Displacement, slope and curvature (n, k) at x (n,) of shapes of a clamped beam of unit length."""
     b = clamped_roots(k)
     y = b * x[:, None]
     # cosh y - s sinh y = (u e^(y - b) + (1 + s) e^-y) / 2, where u = (1 - s) e^b does not cancel.

@@ -90,10 +90,7 @@ def outward(x: Floats, legs: Integers, vectors: Floats) -> Floats:
 
 @kernel
 def moved(x: Floats, step: Floats, bonds: Integers, weight: Floats) -> Floats:
-    """Positions (na, 3) after a step, with bonds as long as to its first order.
-
-    weight (na,): How easily atoms follow their bonds; 0 of fixed ones.
-    """
+    """Positions (na, 3) after a step, bonds as long as to first order; fixed atoms have weight 0."""
     wanted, at = np.empty(len(bonds)), x + step
     for n in range(len(bonds)):
         i, j = bonds[n, 0], bonds[n, 1]

@@ -246,12 +246,17 @@ def _near(structures: Iterable[Structure], residues: Sequence[int]) -> Integers:
 
 def _settled(structure: Structure, near: Integers, relaxing: RelaxSettings, setup: Setup) -> Relaxation:
     """Side chains of residues in their best rotamers, all their atoms relaxed, the others held."""
-    atoms = np.flatnonzero(np.isin(structure.atom_residue, near))
-    ends = np.flatnonzero(np.diff(atoms, prepend=-2, append=structure.n_atoms + 1) != 1)
-    runs = zip(atoms[ends[:-1]], atoms[ends[1:] - 1], strict=True)
-    move = "index " + " ".join(f"{first}:{last}" for first, last in runs)
+    move = _selected(structure, near)
     energy = setup.energy(structure, shared_energy)
     return relax_structure(structure, energy, replace(relaxing, repack_region=move), move=move)
+
+
+def _selected(structure: Structure, residues: Integers) -> str:
+    """Selection of the atoms of residues."""
+    atoms = np.flatnonzero(np.isin(structure.atom_residue, residues))
+    ends = np.flatnonzero(np.diff(atoms, prepend=-2, append=structure.n_atoms + 1) != 1)
+    runs = zip(atoms[ends[:-1]], atoms[ends[1:] - 1], strict=True)
+    return "index " + " ".join(f"{first}:{last}" for first, last in runs)
 
 
 def _state(structure: Structure, r: int) -> str:
@@ -265,5 +270,5 @@ def _state(structure: Structure, r: int) -> str:
 def _unfolded(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
     """Energy of a residue within GGXGG, relaxed: it stands for the unfolded chain, kJ/mol."""
     made = substituted(from_sequence("GGGGG"), {2: state}, **setup.of_building)
-    relaxing = replace(relaxing, interface="", repack_region="resid 3")
+    relaxing = replace(relaxing, interface="", repack_region=_selected(made, np.array([2])))
     return relax_structure(made, setup.energy(made), relaxing).energy_end

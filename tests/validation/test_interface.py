@@ -581,6 +581,19 @@ def test_a_complex_that_overlaps_is_relaxed_and_deviates_from_its_reference(thre
     assert rows[0]["clashes"] > 20 > rows[1]["clashes"]
     assert rows[1]["energy_kj_mol"] < 0.0 < rows[0]["energy_kj_mol"]
     assert 0.5 < rows[1]["hotspot_rmsd_angstrom"] < 2.5 and rows[1]["ca_rmsd_2_angstrom"] < 1.0
+    np.savez(three / "near.npz", positions=x[None], unit="nm")
+    given = (
+        "--trajectory",
+        three / "near.npz",
+        "--interface",
+        "A:B",
+        "--solvent",
+        "vacuum",
+        "--workers",
+        "1",
+    )
+    run("score", three / "3i40.pdb", *given, "--relax", "--csv", three / "near.csv")
+    assert pd.read_csv(three / "near.csv")["clashes"].item() < 20
 
 
 def test_the_best_by_each_column_rank_first_and_named_sides_alone_are_scored(three, capsys, monkeypatch):

@@ -237,10 +237,7 @@ def near_integral_sums(
     mine: Share, x: Floats, offset_radius: Floats, scaled_radius: Floats, engulfs: bool, pairs: Integers,
     near: float, slopes: Floats, sums: Floats,
 ) -> None:  # fmt: skip
-    """Add the integrals of listed pairs nearer than ``near``, and store their slopes over distance.
-
-    Those found near are computed many at a time, as vectors.
-    """
+    """Add the integrals of listed pairs nearer than ``near`` as vectors, and store their slopes."""
     for c in range(*mine):
         begin, end = part(len(pairs), c)
         found, which, count = np.ones(9 * BATCH), np.empty(BATCH, np.int64), 0
@@ -348,10 +345,7 @@ def put_born_radii(
 def add_self_energy(
     begin: int, end: int, gb_charge: Floats, surface: Floats, slope: Floats, atoms: Floats, with_born: Floats
 ) -> tuple[float, float]:
-    """Self energy -q^2 / (2 B) and surface energy c / B^6 of some atoms; 2 dE/dB becomes dE/d(integral).
-
-    Surface: Schaefer, Bartels, Karplus, J. Mol. Biol. 284:835 (1998).
-    """
+    """Self energy -q^2 / (2 B), surface c / B^6 (Schaefer, Bartels, Karplus 1998), and dE/d(integral)."""
     polar, area = 0.0, 0.0
     for i in range(begin, end):
         block, k = i // W, i % W

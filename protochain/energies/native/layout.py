@@ -124,10 +124,7 @@ def apart2(a: Floats, i: int, b: Floats) -> float:
 
 @scalar
 def far_rows2(is_near: bool, i_near: float, j_near: float, cutoff: float) -> float:
-    """Square of the distance beyond which a row, an atom with a block, needs neither near series nor masks.
-
-    0 if all of a tile's rows are beyond, infinite if a cutoff masks all.
-    """
+    """Square of the distance from which rows need no near series nor masks; 0 for all, infinite for none."""
     if cutoff < np.inf:
         return np.inf
     return max(i_near, j_near) ** 2 if is_near else 0.0
@@ -162,10 +159,7 @@ def take_scalars(begin: int, end: int, sums: Floats, touched: np.ndarray, scalar
 
 @scalar
 def add_forces(begin: int, end: int, sums: Floats, touched: np.ndarray, forces: Floats) -> None:
-    """Add up the forces (CHUNKS, blocks, SUMS * W) of some blocks over the chunks, in their order.
-
-    Only those that a chunk writes to, ``touched`` (CHUNKS, blocks): a region's tiles are few.
-    """
+    """Add up forces (CHUNKS, blocks, SUMS * W) over chunks that touch a block, in their order."""
     total = np.empty(3 * W)
     for b in range(begin, end):
         total[:] = 0.0

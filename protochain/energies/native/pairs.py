@@ -141,10 +141,7 @@ def add_pairs(
     a: Floats, i: int, b: Floats, row: Floats, masked: bool, in_solvent: bool, krf: float, crf: float,
     inverses: Floats, a_sums: Floats, b_sums: Floats,
 ) -> float:  # fmt: skip
-    """Add the forces between an atom and a block, return the energy.
-
-    ``row`` holds 12 A and 6 B of its A/r^12 - B/r^6 with each atom of b.
-    """
+    """Add forces of an atom and a block, A/r^12 - B/r^6 of ``row`` (12 A, 6 B); return the energy."""
     xi, yi, zi, qi = a[X * W + i], a[Y * W + i], a[Z * W + i], a[CHARGE * W + i]
     s2, s3, pull = a[S2 * W + i], a[S3 * W + i], a[PULL * W + i]
     energy, fx, fy, fz = 0.0, 0.0, 0.0, 0.0

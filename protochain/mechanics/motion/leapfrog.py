@@ -173,10 +173,7 @@ def _drift(
 
 @kernel
 def put_end_momenta(links: Integers, h: float, qd: Floats, mu: Floats, force: Floats, p: Floats) -> None:
-    """Write the momenta at the start of a step h, from the momenta mu and the force at its midpoint.
-
-    With a negative h, those at its end.
-    """
+    """Write momenta at the start of a step h (its end: -h) from mu and the force at its midpoint."""
     for k in range(len(p)):
         p[k] = mu[k] - 0.5 * h * force[k]
     for b in range(len(links) - 1):

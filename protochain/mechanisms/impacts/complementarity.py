@@ -26,10 +26,7 @@ _PROXIMAL = 500
 
 @kernel
 def restitute(w: Floats, u: Floats, mu: Floats, e: Floats, out: Floats) -> int:
-    """Write the impulses of an impact of k points by Poisson's law: of both phases, and of the compression.
-
-    w, u (3 k, 3 k), mu, e (k,), out (2, 3 k).
-    """
+    """Write impulses of k points by Poisson's law, w (3 k, 3 k), u, mu, e (k,): both phases, compression."""
     n = len(u)
     floor, more, before = np.zeros(n // 3), np.zeros(n), u
     low, high, part = 0.0, 1.0, 1.0
