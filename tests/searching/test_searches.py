@@ -154,6 +154,10 @@ def test_the_judge_of_single_precision_counts_restraints_as_well(peptide):
     x = landscape.positions(end.q)
     held = Restraints.of(chain.structure, [line])(x)[0]
     assert held > 0.1 and end.energy == pytest.approx(rough.reference(x)[0] + held, abs=1e-2)
+    swept = landscape.sweep(end.q, 300.0, 0.002, 2, seed=1)
+    x = landscape.positions(swept.q)
+    held = Restraints.of(chain.structure, [line])(x)[0]
+    assert held > 0.1 and swept.energies[-1] == pytest.approx(rough.reference(x)[0] + held, abs=5e-2)
 
 
 def test_the_size_of_turns_is_adapted_and_then_stays(peptide):
