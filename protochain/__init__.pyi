@@ -3,6 +3,7 @@ from .batches import batch as batch
 from .batches.ensembles import Clusters as Clusters
 from .batches.ensembles import cluster_frames as cluster_frames
 from .batches.frames import FrameResult as FrameResult
+from .batches.frames import frame_energies as frame_energies
 from .batches.frames import relax_frames as relax_frames
 from .batches.mutation_scan import scan_mutations as scan_mutations
 from .chains.articulate import build_chain as build_chain

@@ -74,6 +74,11 @@ class Batch:
         Whether it was stopped before all structures were done.
     name : str
         Stem of the table's name: ``relaxed`` of :func:`relax_files`.
+
+    Examples
+    --------
+    >>> pc.batch("structures/ala10.pdb", "out", "lbfgs", workers=1).table["status"].tolist()
+    ['converged']
     """
 
     folder: Path
@@ -117,6 +122,7 @@ def batch(
     *,
     manifest: str | Path | None = None,
     resume: bool = False,
+    force: bool = False,
     watch: Callable[[BatchProgress], None] | None = None,
     **settings: Any,
 ) -> Batch:
@@ -136,6 +142,8 @@ def batch(
         CSV with a column ``path`` and columns named after settings, which apply to that structure.
     resume : bool
         Continue in a folder with the same settings: structures are skipped that are finished and unchanged.
+    force : bool
+        Replace the batch in the folder; files of structures that are not done again stay.
     watch : callable, optional
         Called with a :class:`protochain.batches.BatchProgress` after each structure.
     **settings
@@ -166,9 +174,8 @@ def batch(
     refuse_unknown(settings, (*names, *NAMES))
     processes = Processes(**{name: settings.pop(name) for name in names if name in settings})
     common = BatchSettings(tuple(methods)).changed(**settings)
-    return run_batch(
-        given, common, Path(output), Path(manifest) if manifest else None, resume, processes, watch
-    )
+    at = Path(output), Path(manifest) if manifest else None
+    return run_batch(given, common, *at, resume, processes, watch, force=force)
 
 
 def relax_files(
@@ -179,6 +186,7 @@ def relax_files(
     *,
     manifest: str | Path | None = None,
     resume: bool = False,
+    force: bool = False,
     watch: Callable[[BatchProgress], None] | None = None,
     **processes: Any,
 ) -> Batch:
@@ -196,10 +204,8 @@ def relax_files(
         How structures are read, and their energy. Its threads are those of each structure; one by default.
     manifest : path-like, optional
         CSV with a column ``path`` and columns named after fields of ``relaxing`` and ``setup``.
-    resume : bool
-        Continue in a folder with the same settings: structures are skipped that are finished and unchanged.
-    watch : callable, optional
-        Called with a :class:`protochain.batches.BatchProgress` after each structure.
+    resume, force, watch
+        As of :func:`protochain.batch`.
     **processes
         Fields of :class:`protochain.batches.Processes`: ``workers``, ``scheduler``, ``time_limit``.
 
@@ -220,7 +226,7 @@ def relax_files(
     settings = BatchSettings((RELAX,), setup=setup, relaxing=relaxing or RelaxSettings())
     return run_batch(
         list(inputs), settings, Path(output), Path(manifest) if manifest else None, resume,
-        Processes(**processes), watch, RELAXED,
+        Processes(**processes), watch, RELAXED, force,
     )  # fmt: skip
 
 
@@ -233,6 +239,7 @@ def run_batch(
     processes: Processes,
     watch: Callable[[BatchProgress], None] | None,
     name: str = SUMMARY,
+    force: bool = False,
 ) -> Batch:
     """Find the structures, run those that are not finished; write tables, structures and pages."""
     jobs = find_jobs(inputs, common, manifest, folder, earlier_rows(folder, name) if resume else ())
@@ -244,7 +251,7 @@ def run_batch(
         )
     scores = any(RELAX in job.settings.methods and job.settings.relaxing.interface for job in jobs)
     methods = {method for job in jobs for method in job.settings.methods}
-    tables = Tables(folder, resume, name, methods, OF_INTERFACE if scores else ())
+    tables = Tables(folder, resume, name, methods, OF_INTERFACE if scores else (), force)
     try:
         tables.check()
         keep_settings(folder, common, jobs, tables.summary.name)

@@ -46,6 +46,12 @@ class Clusters(Value):
     fluctuations : pandas.DataFrame
         A row a residue: ``chain``, ``residue``, ``name``, ``ca_fluctuation_angstrom``, the root-mean-square
         deviation of its C-alpha from the mean of all frames, superposed on it.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/ala10.pdb")
+    >>> len(pc.cluster_frames(s, np.array([s.positions, 1.1 * s.positions])).fluctuations)
+    10
     """
 
     table: "pd.DataFrame"

@@ -17,7 +17,7 @@ _FIRST = ("energy", "violations", "ca_rmsd", "rmsd", "clashscore", "total")
 """What is drawn first, by how its name begins."""
 _NO_QUANTITIES = ("frame", "time_ps", "output_frame")
 _MOST_FIGURES = 12
-_WORST = ("violations_end", "clashscore_end", "violations", "clashscore", "ca_rmsd_angstrom")
+_WORST = ("violations_end", "violations", "ca_rmsd_angstrom")
 """What tells most of damage, where a run measures it."""
 
 

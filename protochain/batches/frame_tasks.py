@@ -7,6 +7,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, Protocol
 
+import numpy as np
+
 from protochain.batches.cluster import reason, unpickled
 from protochain.chains.setup import Setup
 from protochain.core import defaults
@@ -134,23 +136,30 @@ class EnergyFrames(_Plain):
 
     setup: Setup
     between: str | None = None  # Two parts, of whose interaction it is.
+    energy: Energy | None = None  # In place of that of the setup.
+    whole: bool = False  # Only its value, and the forces.
     name = "energy"
     at_a_time = 8
 
     @property
     def columns(self) -> tuple[str, ...]:
         """Terms; between two parts of their interaction, and of desolvation."""
+        if self.whole:
+            return ("energy_kj_mol", "rms_force_kj_mol_nm")
         totals = (*TERMS, "total")
         if self.between is None:
             return tuple(f"{term}_kj_mol" for term in totals)
         return tuple(f"{of}_{term}_kj_mol" for of in _OF_PARTS for term in totals)
 
     def begin(self, structure: Structure, threads: int | None) -> Act:
-        """Build the energy."""
-        energy = _with_threads(self.setup, threads).energy(structure)
+        """Build the energy, if there is none."""
+        energy = self.energy or _with_threads(self.setup, threads).energy(structure)
 
         def act(frame: Structure) -> tuple[dict[str, Any], Floats | None]:
             _begin_anew(energy, frame.positions)
+            if self.whole:
+                value, forces = energy(frame.positions)
+                return dict(zip(self.columns, (value, float(np.sqrt(np.mean(forces**2)))), strict=True)), None
             table = energy_terms(frame, between=self.between, energy=energy)
             named = {"whole": ""} if self.between is None else {of: f"{of}_" for of in _OF_PARTS}
             rows = table.to_dict("index")

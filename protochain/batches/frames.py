@@ -4,14 +4,14 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from protochain.batches.cluster import Processes, Submitted, at_work, shared
-from protochain.batches.frame_tasks import FrameJob, FrameRow, RelaxFrames, Task, row_of
-from protochain.chains.setup import Setup
+from protochain.batches.frame_tasks import EnergyFrames, FrameJob, FrameRow, RelaxFrames, Task, row_of
+from protochain.chains.setup import OF_ENERGY, Setup
 from protochain.core.arrays import Value
-from protochain.core.checks import at_least, checked, optional
-from protochain.energies import Energy
+from protochain.core.checks import at_least, checked, optional, text
+from protochain.energies import Energy, as_energy
 from protochain.energies.factory import has_energy
 from protochain.energies.shared import shared_energy
 from protochain.relaxation.relax_settings import named, split
@@ -19,6 +19,9 @@ from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.frames import Frame, Frames, open_frames
 from protochain.structure.select import moved_of
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _AHEAD = 3
 """Jobs handed out for each worker: while one is done, others wait for it."""
@@ -38,6 +41,12 @@ class FrameResult(Value):
         Relaxed, or as it was measured; None of a frame that cannot be used.
     task : Task
         What was done to it.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/ala10.pdb")
+    >>> next(pc.relax_frames(s, s.positions[None])).record["status"]
+    'converged'
     """
 
     frame: int
@@ -95,6 +104,12 @@ def relax_frames(
     ------
     ProtochainError
         If an option makes no sense, or the structure or the frames cannot be used.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/ala10.pdb")
+    >>> [frame.record["frame"] for frame in pc.relax_frames(s, np.array([s.positions, s.positions]))]
+    [0, 1]
     """
     relaxing, setup = split({**moved_of(top), **options})
     ensemble, chosen = ensemble_of(top, frames, select, setup)
@@ -105,6 +120,55 @@ def relax_frames(
         given = named(relaxing, (*options, *(["threads"] if processes else [])))
         energy = setup.energy_of(top, ensemble.structure, given)
     return over_frames(ensemble, chosen, RelaxFrames(relaxing, setup, energy), processes)
+
+
+@checked(between=optional(text), workers=optional(at_least(1)))
+def frame_energies(
+    top: Any, frames: Any = None, select: Any = None, *, energy: Any = None, between: str | None = None,
+    workers: int | None = None, **settings: Any,
+) -> "pd.DataFrame":  # fmt: skip
+    """Compute the energy of every frame of an ensemble; the structure is prepared once, and has one energy.
+
+    Parameters
+    ----------
+    top, frames, select, workers : as of :func:`protochain.relax_frames`
+        Structure, its frames, which of them to take, and processes.
+    energy : Energy or callable, optional
+        As in :func:`protochain.minimise`.
+    between : str, optional
+        Two parts of the structure, as in :func:`protochain.energy_terms`, whose interaction to tell by term.
+    **settings
+        Fields of :class:`protochain.Setup`.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a frame: ``frame``, ``time_ps``, ``status``, ``message``, ``energy_kj_mol`` and
+        ``rms_force_kj_mol_nm``; between two parts the terms instead. One that cannot be used has the reason.
+
+    Raises
+    ------
+    ProtochainError
+        If a setting makes no sense, or the structure, the frames or the energy cannot be used.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/ala10.pdb")
+    >>> table = pc.frame_energies(s, np.array([s.positions, s.positions]))
+    >>> bool(np.isclose(table["energy_kj_mol"][1], pc.energy(s)(s.positions)[0]))
+    True
+    """
+    import pandas as pd
+
+    setup = Setup(**settings)
+    ensemble, chosen = ensemble_of(top, frames, select, setup)
+    its = None
+    if energy is not None or has_energy(top):
+        named = {name: getattr(setup, name) for name in OF_ENERGY if name in settings}
+        its = as_energy(energy, ensemble.structure, top, **named)
+    task = EnergyFrames(setup, between, its, whole=between is None)
+    processes = Processes(workers, threads=setup.threads or 1) if workers else None
+    return pd.DataFrame([dict(each.record) for each in over_frames(ensemble, chosen, task, processes)])
 
 
 def ensemble_of(top: Any, frames: Any, select: Any, setup: Setup) -> tuple[Ensemble, Frames]:

@@ -79,20 +79,22 @@ class Tables:
         name: str = SUMMARY,
         methods: Collection[str] = (),
         further: Sequence[str] = (),
+        force: bool = False,
     ) -> None:
         self.name = name
         self.summary, self.traces = folder / f"{name}.csv", folder / "traces.csv"
         check_writable(self.summary)
-        self._is_new = not self.summary.exists()
         self.folder, self._claim = folder, ExitStack()
         self._claim.enter_context(claimed(folder, "batch", resume))
-        if self.summary.exists() and not resume:
+        if force and not resume:
+            self._remove()
+        self._is_new = not self.summary.exists()
+        if not (self._is_new or resume):
             self.close()
             raise ProtochainError(
-                f"{self.summary}: holds a batch; ",
-                Argument("resume", True),
-                " continues it, or give another folder",
-            )
+                f"{self.summary}: holds a batch; ", Argument("resume", True), " continues it, ",
+                Argument("force", True), " replaces it",
+            )  # fmt: skip
         minimised = COLUMNS if {*methods} != {RELAX} else ()
         of_relaxed = RELAXED_COLUMNS if RELAX in methods else ()
         self.columns = tuple(dict.fromkeys((*minimised, *of_relaxed, *further)))
@@ -156,8 +158,11 @@ class Tables:
 
     def abandon(self) -> None:
         """Remove a new batch without a row, which would keep the next one from the folder."""
-        if not self._is_new or next(iter(_whole_lines(self.summary)), None):
-            return
+        if self._is_new and not next(iter(_whole_lines(self.summary)), None):
+            self._remove()
+
+    def _remove(self) -> None:
+        """Remove the tables, and the settings that they are of."""
         for file in (self.summary, self.traces, self.folder / SETTINGS):
             file.unlink(missing_ok=True)
 

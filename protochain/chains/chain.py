@@ -63,6 +63,12 @@ class Chain(Value):
         Selected atoms, which methods that move single atoms may move.
     hydrogen_mass : float or None, amu
         Mass of hydrogens after repartitioning.
+
+    Examples
+    --------
+    >>> chain = pc.build_chain(pc.from_sequence("GAG"))
+    >>> chain.n_hinges, chain.hinges[0].kind
+    (5, 'phi')
     """
 
     structure: Structure
@@ -143,10 +149,7 @@ class Chain(Value):
 
     @cached_property
     def rigid_groups(self) -> Integers:
-        """(na, k) int: bodies in which each atom is at rest, whatever the hinges do.
-
-        Its own body first, then bodies joined to that by a hinge on whose axis it lies; -1 for none.
-        """
+        """(na, k) int: bodies in which each atom is at rest, its own first; -1 for none."""
         at, n = pose(self, self.q0), self.n_bodies
         parent = self.tree.parent[self.hinge_body]
         # Ways across hinges, by the body they start from.

@@ -28,10 +28,11 @@ class Frame:
 
     start: Structure  # Structure to superpose on.
     held_by: str = ""  # What holds the run in place; empty for a free one.
+    superpose: bool = True  # No where positions are asked for as the run went.
 
     def __call__(self, x: Floats) -> Floats:
         """Positions (na, 3) of the run in this frame."""
-        if self.held_by or not np.isfinite(x).all():
+        if self.held_by or not (self.superpose and np.isfinite(x).all()):
             return x
         alpha = self.start.alpha_carbons
         # Two points fix no rotation.
@@ -46,7 +47,8 @@ class Frame:
         return rmsd_angstrom(*pair), deviation_angstrom(*pair)
 
     def __str__(self) -> str:
-        return f"held by {self.held_by}" if self.held_by else "superposed on the start"
+        free = "superposed on the start" if self.superpose else "as the run went"
+        return f"held by {self.held_by}" if self.held_by else free
 
 
 def frame_of(chain: Chain, energy: Energy, held_by: str = "") -> Frame:

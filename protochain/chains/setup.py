@@ -183,7 +183,7 @@ class Setup(Settings):
     )
     disulfide: tuple[Bond, ...] | None = setting(
         None,
-        "Disulfide bond beside those where sulphurs are near; repeat for more.",
+        "Disulfide bonds beside those where sulphurs are near, with commas; the option may be repeated.",
         optional(bonds),
         list[str],
         metavar="A:3-A:40",

@@ -43,6 +43,7 @@ def batch(
     time_limit: TimeLimit = defaults.TIME_LIMIT,
     null: ByNul = False,
     resume: Resume = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the batch in DIR.")] = False,
     dry_run: DryRun = False,
     figure: options.FigureFile = None,
     as_json: options.AsJson = False,
@@ -80,8 +81,8 @@ def batch(
     options.check_outputs([manifest], [*files_of(output), figure], setup)
     with Processes(workers, scheduler, threads, time_limit).started_early(), batch_progress() as watch:
         done = run(
-            given, output, manifest=manifest, resume=resume, watch=watch, workers=workers,
-            scheduler=scheduler, threads=threads, time_limit=time_limit, **vars(settings),
+            given, output, manifest=manifest, resume=resume, force=force, watch=watch,
+            workers=workers, scheduler=scheduler, threads=threads, time_limit=time_limit, **vars(settings),
         )  # fmt: skip
     if figure:
         write_figure(figure, partial(plot_distributions, done.table))

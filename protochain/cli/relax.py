@@ -63,7 +63,9 @@ def relax(
     frames: Chosen = None,
     timings: options.Timings = False,
     as_json: options.AsJson = False,
-    force: options.Force = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Allow an output to replace the input, or what is in the folder.")
+    ] = False,
     *,
     relaxing: RelaxSettings,
     setup: Setup,
@@ -93,7 +95,6 @@ def relax(
         raise typer.Exit(_one(Path(inputs[0]), output, relaxing, setup, *shown, force))
     options.refuse(context, "report", "several structures have report.html in their folder")
     options.refuse(context, "timings", "is of one structure, and there are several")
-    options.refuse(context, "force", "several structures go to a folder, and replace no input")
     if ligand_out and not setup.poses:
         raise ProtochainError(Argument("ligand_out"), ": several structures need poses; give --ligand POSES")
     from protochain.batches.cluster import Processes
@@ -102,7 +103,7 @@ def relax(
     processes: dict[str, Any] = {"workers": workers, "scheduler": scheduler, "time_limit": time_limit}
     processes |= {} if setup.threads is None else {"threads": setup.threads}
     with Processes(**processes).started_early():
-        _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume)
+        _several(inputs or [], output, manifest, relaxing, setup, beside, processes, as_json, resume, force)
 
 
 def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
@@ -209,6 +210,7 @@ def _several(
     processes: dict[str, Any],
     as_json: bool,
     resume: bool,
+    force: bool,
 ) -> None:
     """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
     from protochain.batches.batch_structures import RELAXED, relax_files
@@ -229,8 +231,9 @@ def _several(
     _tell_frames(inputs)
     with batch_progress() as watch:
         done = relax_files(
-            inputs, folder, relaxing, setup, manifest=manifest, resume=resume, watch=watch, **processes
-        )
+            inputs, folder, relaxing, setup, manifest=manifest, resume=resume, force=force, watch=watch,
+            **processes,
+        )  # fmt: skip
     for path in beside:
         written = done.table.dropna(subset="output")["structure"]
         write_text(path, "".join((folder / poses_name(name)).read_text() for name in written))

@@ -37,6 +37,12 @@ def progress(title: str = "", *, total: int | None = None) -> Watcher:
     callable
         Watcher for :func:`protochain.minimise` and :func:`protochain.simulate`. The bar closes when the
         watcher is no longer referenced.
+
+    Examples
+    --------
+    >>> watch = pc.progress("run", total=20)
+    >>> pc.simulate("structures/ala10.pdb", n_steps=20, watch=watch).n_steps
+    20
     """
     return _Bar(title, total)
 

@@ -64,6 +64,11 @@ class Comparison:
     ------
     ProtochainError
         If the solutions are not of one energy function or one start.
+
+    Examples
+    --------
+    >>> pc.compare("structures/ala10.pdb", ["lbfgs", "md"]).table["method"].tolist()
+    ['lbfgs', 'md']
     """
 
     structure: Structure
@@ -181,10 +186,7 @@ class Comparison:
         return {"start": self.structure} | {s.method: s.structure for s in self.solutions}
 
     def plot_energy(self, ax: Any = None) -> Figure:
-        """Energy against evaluations and seconds, logarithmic where clashes make it large.
-
-        In all plots, ``ax`` is where to draw: Axes of matplotlib, as many as panels, or one for the first.
-        """
+        """Energy against evaluations and seconds; ``ax``: Axes to draw in, as many as panels, or one."""
         return plots.plot_energy(self.traces, self.structure.name, ax)
 
     def plot_work_precision(self, ax: Any = None) -> Figure:

@@ -54,6 +54,11 @@ class Differences(Value):
         ``ca_rmsd_angstrom``; of each chain, of helices, strands and loops, and of each rigid domain, each
         superposed by itself, ``ca_rmsd_angstrom_A``, ``_helix``, ``_domain_1`` and so on; ``rigid_domains``,
         and of the second on ``turn_degrees_domain_2``, the angle of its motion against that of the first.
+
+    Examples
+    --------
+    >>> pc.differences("structures/1ubq.pdb", "structures/1ubq.cif").totals["rotamers_changed"]
+    0
     """
 
     residues: pd.DataFrame

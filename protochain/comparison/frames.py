@@ -41,6 +41,12 @@ class EveryFrame(AnalysisBase):
         :func:`protochain.minimise`. A frame that cannot be used has only the ``message``, the reason.
     results.structures : list of Structure
         Final structure of each frame; None where a frame cannot be used.
+
+    Examples
+    --------
+    >>> atoms = pc.to_mdanalysis(pc.from_sequence("GAG"))
+    >>> pc.EveryFrame(atoms, None).run().results.table["frame"].tolist()
+    [0]
     """
 
     def __init__(

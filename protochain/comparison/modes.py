@@ -75,6 +75,12 @@ class NormalModes(Value):
         Products with the Hessian, each two evaluations; 0 if it was made as a whole.
     seconds : float
         Run time.
+
+    Examples
+    --------
+    >>> modes = pc.normal_modes(pc.minimise("structures/ala10.pdb", method="newton"), k=2)
+    >>> bool(modes.eigenvalues[0] < modes.eigenvalues[1])
+    True
     """
 
     chain: Chain

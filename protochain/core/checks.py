@@ -288,13 +288,14 @@ Bond = tuple[str, str] | Literal["none"]
 
 
 def bonds(given: Any, name: str) -> tuple[Bond, ...]:
-    """Read bonds, ``("A:3", "A:40")``, ``"A:3-A:40"``, ``"none"``, or a text of all; none empty."""
+    """Read bonds, ``("A:3", "A:40")``, ``"none"``, ``"A:3-A:40"``, with commas between; none empty."""
     if given is None:
         return ()
-    each = words(given, name) if isinstance(given, str) else given
+    each = [given] if isinstance(given, str) else given
     if not isinstance(each, Iterable):
         raise refused(name, shown(given), "give pairs, as [('A:3', 'A:40')]")
-    read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in each)
+    bonds = [bond for some in each for bond in (words(some) if isinstance(some, str) else [some])]
+    read = tuple(bond if bond == NO_BONDS else _pair(bond, name) for bond in bonds)
     if not read:
         remedy = "names no bond; leave it out, or ", Argument(name, NO_BONDS), " drops those found"
         raise refused(name, shown(given), *remedy)

@@ -71,6 +71,14 @@ class ProtochainError(ValueError):
         What the line is made of.
     fault : Fault, optional
         What it is about, where somebody needs to know.
+
+    Examples
+    --------
+    >>> try:
+    ...     pc.load("none.pdb")
+    ... except pc.ProtochainError as error:
+    ...     print(error)
+    none.pdb: cannot be read (No such file or directory); check the name
     """
 
     fault: Fault | None = None
@@ -156,11 +164,7 @@ class MechanicsError(ProtochainError):
 
 
 class BodyError(MechanicsError):
-    """What is wrong with one body of a tree.
-
-    body: Its number.
-    stated: What is wrong, and what to do.
-    """
+    """What is wrong with one body of a tree, by its number, and what to do."""
 
     def __init__(self, body: int, stated: str, fault: Fault | None = None) -> None:
         super().__init__(int(body), stated, fault=fault)

@@ -72,6 +72,7 @@ def simulate(
     pull: Pull | str | None = None,
     hinge_springs: HingeSpring | str | Sequence[HingeSpring | str] = (),
     restraint: Any = (),
+    superpose: bool = True,
 ) -> Simulation:
     """Simulate a chain of rigid bodies at constant energy or temperature.
 
@@ -122,15 +123,16 @@ def simulate(
     force : bool
         Replace the simulation in the folder.
     watch : callable, optional
-        Called with every row of the log and its positions, as written: superposed on the input.
+        Called with every row of the log and its positions, as written.
     pull : Pull or str, optional
         Spring that pulls two places apart, or together, at constant speed; the log has its distance,
         extension, force and work. A text, as ``"A:1:N-A:20:C"``, takes the default stiffness and speed.
     hinge_springs : HingeSpring, str, or sequence of them
         Springs and dampers on all hinges of a kind; as text ``"omega 40 0.5"``.
-
     restraint : Restraint, str, path-like, or sequence of them
         Restraints, their lines, or a file of them; the log has their energy.
+    superpose : bool
+        Superpose all positions on the input, unless something holds the chain; else they are as the run went.
 
     Returns
     -------
@@ -207,6 +209,8 @@ class _Run:
     @cached_property
     def frame(self) -> Frame:
         """Frame of the positions that are written; the run itself is not moved."""
+        if not self.settings.superpose:
+            return Frame(self.chain.structure, superpose=False)
         return frame_of(self.chain, self.energy, "" if has_free_roots(self.chain.tree) else "a fixed root")
 
     def row(self, state: State, start: Floats) -> tuple[dict[str, float], Floats]:

@@ -54,6 +54,11 @@ class Pull(Settings):
     ------
     ProtochainError
         If a number makes no sense, or the places cannot be read.
+
+    Examples
+    --------
+    >>> pc.Pull("A:1:N-A:20:C", speed=0.01).between
+    ('A:1:N', 'A:20:C')
     """
 
     between: tuple[str, str] = setting(
@@ -244,6 +249,9 @@ class SimulationSettings(Settings):
         (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
         read_restraints, list[str], "--restrain", metavar="LINE|FILE",
     )  # fmt: skip
+    superpose: bool = setting(
+        True, "Write positions as the run went, not superposed on the input.", flag, bool, "--no-superpose"
+    )
 
     def __post_init__(self) -> None:
         from protochain.dynamics.integrators import INTEGRATORS

@@ -61,6 +61,11 @@ class Simulation:
         Positions at the rows of the log, of a run without a folder.
     trajectory : Path, optional
         File of the frames.
+
+    Examples
+    --------
+    >>> pc.simulate("structures/ala10.pdb", n_steps=20, every=10).frames.shape
+    (3, 103, 3)
     """
 
     chain: Chain

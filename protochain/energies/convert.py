@@ -131,6 +131,16 @@ def from_simulation(simulation: Any) -> tuple[Structure, Energy]:
     ------
     ProtochainError
         If the prepared structure would have other atoms, or bonds are constrained that have no force.
+
+    Examples
+    --------
+    >>> import openmm
+    >>> s = pc.from_sequence("GAG")
+    >>> simulation = openmm.app.Simulation(s.topology, pc.energy(s).system, openmm.VerletIntegrator(0.001))
+    >>> pc.to_simulation(s, simulation)
+    >>> structure, energy = pc.from_simulation(simulation)
+    >>> structure.n_atoms
+    27
     """
     state = simulation.context.getState(getPositions=True)
     x = np.asarray(state.getPositions(asNumpy=True).value_in_unit(unit.nanometer))
@@ -172,6 +182,13 @@ def to_simulation(structure: Any, simulation: Any) -> None:
     ------
     ProtochainError
         If it has another number of atoms.
+
+    Examples
+    --------
+    >>> import openmm
+    >>> s = pc.from_sequence("GAG")
+    >>> simulation = openmm.app.Simulation(s.topology, pc.energy(s).system, openmm.VerletIntegrator(0.001))
+    >>> pc.to_simulation(s, simulation)
     """
     structure = as_structure(structure)
     n = simulation.system.getNumParticles()

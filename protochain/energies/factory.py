@@ -342,10 +342,7 @@ def _phosphates(structure: Structure, parts: Sequence[str]) -> list[str]:
 
 
 def _number_types(system: openmm.System) -> None:
-    """Number the types of a table of pairs in the order of the atoms.
-
-    OpenMM takes the order of a set of text, which no two processes share, and no fingerprint would.
-    """
+    """Number the types of a table of pairs in the order of the atoms, not of OpenMM's unordered set."""
     for force in system.getForces():
         if not isinstance(force, openmm.CustomNonbondedForce) or force.getName() != _TABULATED:
             continue

@@ -17,11 +17,7 @@ from protochain.mechanisms.elements import Named
 
 @dataclass(frozen=True, eq=False)
 class Driven(Named):
-    """Prescribed motion of a hinge.
-
-    name: Name of the hinge.
-    motion: Time -> coordinate, rate, acceleration.
-    """
+    """Prescribed motion of a hinge, by its name: time -> coordinate, rate, acceleration."""
 
     called: ClassVar[str] = "drive of hinge"
 

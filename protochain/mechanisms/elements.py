@@ -138,10 +138,7 @@ class Named:
 
 @dataclass(frozen=True, eq=False)
 class Between(Named):
-    """Element between points of two bodies.
-
-    a, b: Body, or "world", and a point of it.
-    """
+    """Element between points of two bodies, each a body, or "world", and a point of it."""
 
     a: Point
     b: Point

@@ -26,10 +26,7 @@ class DeviceState:
 
 @dataclass(frozen=True)
 class DeviceDescent:
-    """A hundred iterations of OpenMM's minimiser; none where more than tethers restrains the atoms.
-
-    tolerance kJ/mol/nm.
-    """
+    """A hundred iterations of OpenMM's minimiser, to kJ/mol/nm; none where more than tethers hold atoms."""
 
     tolerance: float
     states = (DeviceState,)

@@ -203,6 +203,12 @@ class Solution(TermsAtEnds, Value):
         Rows of the trace at which ``frames`` were taken: at equal distances from the first, and the last.
     frames : (n, na, 3) float32, nm
         Positions at these rows, up to fifty, for ``pc.to_mdtraj(solution, solution.frames)``.
+
+    Examples
+    --------
+    >>> r = pc.minimise("structures/ala10.pdb", method="lbfgs")
+    >>> str(r.status), r.end.energy < r.start.energy
+    ('converged', True)
     """
 
     recipe: Recipe

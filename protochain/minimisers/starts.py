@@ -41,6 +41,11 @@ class Starts:
         Unperturbed.
     solutions : tuple of Solution
         One for each start, the first from the unperturbed chain.
+
+    Examples
+    --------
+    >>> len(pc.explore("structures/ala10.pdb", method="lbfgs", n_starts=2).solutions)
+    2
     """
 
     chain: Chain

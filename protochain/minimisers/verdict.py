@@ -22,7 +22,13 @@ from protochain.validation.stereocentres import inverted_stereocentres
 
 
 class Status(StrEnum):
-    """How a run ended, as judged in double precision."""
+    """How a run ended, as judged in double precision.
+
+    Examples
+    --------
+    >>> pc.Status("converged") is pc.Status.CONVERGED
+    True
+    """
 
     CONVERGED = "converged"
     STALLED = "stalled"

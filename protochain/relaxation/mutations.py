@@ -60,6 +60,11 @@ class Mutation(Value):
         cysteine that is bonded.
     seconds : float
         Wall time of all.
+
+    Examples
+    --------
+    >>> pc.mutate("structures/ala10.pdb", "A5G").mutations
+    ('A:A5G',)
     """
 
     mutations: tuple[str, ...]
@@ -206,6 +211,8 @@ def mutated(
     """A mutant, whose residues are given by index; ``known`` keeps wild types by the residues that move."""
     began = perf_counter()
     mutant = substituted(structure, names, **setup.of_building)
+    if structure.ties:  # They are found anew, where atoms are now, in the mutant: so in the wild type, too.
+        structure = substituted(structure, {}, **setup.of_building)
     near = _near((structure, mutant), [*names])
     key = (*near.tolist(),)
     if key not in known:
@@ -239,12 +246,17 @@ def _near(structures: Iterable[Structure], residues: Sequence[int]) -> Integers:
 
 def _settled(structure: Structure, near: Integers, relaxing: RelaxSettings, setup: Setup) -> Relaxation:
     """Side chains of residues in their best rotamers, all their atoms relaxed, the others held."""
-    atoms = np.flatnonzero(np.isin(structure.atom_residue, near))
-    ends = np.flatnonzero(np.diff(atoms, prepend=-2, append=structure.n_atoms + 1) != 1)
-    runs = zip(atoms[ends[:-1]], atoms[ends[1:] - 1], strict=True)
-    move = "index " + " ".join(f"{first}:{last}" for first, last in runs)
+    move = _selected(structure, near)
     energy = setup.energy(structure, shared_energy)
     return relax_structure(structure, energy, replace(relaxing, repack_region=move), move=move)
+
+
+def _selected(structure: Structure, residues: Integers) -> str:
+    """Selection of the atoms of residues."""
+    atoms = np.flatnonzero(np.isin(structure.atom_residue, residues))
+    ends = np.flatnonzero(np.diff(atoms, prepend=-2, append=structure.n_atoms + 1) != 1)
+    runs = zip(atoms[ends[:-1]], atoms[ends[1:] - 1], strict=True)
+    return "index " + " ".join(f"{first}:{last}" for first, last in runs)
 
 
 def _state(structure: Structure, r: int) -> str:
@@ -258,5 +270,5 @@ def _state(structure: Structure, r: int) -> str:
 def _unfolded(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
     """Energy of a residue within GGXGG, relaxed: it stands for the unfolded chain, kJ/mol."""
     made = substituted(from_sequence("GGGGG"), {2: state}, **setup.of_building)
-    relaxing = replace(relaxing, interface="", repack_region="resid 3")
+    relaxing = replace(relaxing, interface="", repack_region=_selected(made, np.array([2])))
     return relax_structure(made, setup.energy(made), relaxing).energy_end

@@ -87,10 +87,7 @@ def _bonds(structure: Structure) -> PeptideBonds:
 
 
 def _slopes(x: Floats) -> Floats:
-    """Gradients (n, 4, 3), rad/nm, of dihedrals by the positions (n, 4, 3) of their atoms.
-
-    Source: Blondel, Karplus, J. Comput. Chem. 17:1132 (1996).
-    """
+    """Gradients (n, 4, 3), rad/nm, of dihedrals by positions: Blondel, Karplus, JCC 17:1132 (1996)."""
     f, g, h = x[:, 0] - x[:, 1], x[:, 1] - x[:, 2], x[:, 3] - x[:, 2]
     length = np.maximum(np.linalg.norm(g, axis=1, keepdims=True), _SHORTEST)
     a, b = cross(f, g), cross(h, g)

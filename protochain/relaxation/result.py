@@ -84,6 +84,12 @@ class Relaxation(TermsAtEnds, Value):
         Selection of what may move.
     moving : (na,) bool, optional
         Atoms that may move; all others stay where they are, bit for bit.
+
+    Examples
+    --------
+    >>> r = pc.relax("structures/ala10.pdb")
+    >>> str(r.status), r.energy_end < r.energy_start
+    ('converged', True)
     """
 
     start: Structure

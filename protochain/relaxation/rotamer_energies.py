@@ -45,11 +45,7 @@ class _Parameters:
 
 
 class Interactions:
-    """Energies of rotamers in a structure.
-
-    terms: Of the force field.
-    x (na, 3) nm: Where all atoms are that do not turn.
-    """
+    """Energies of rotamers by the terms of a force field, all else being at x (na, 3) nm."""
 
     def __init__(self, terms: Terms, x: Floats, rotamers: Sequence[Rotamers]) -> None:
         self.terms, self.x, self.rotamers = terms, x, rotamers

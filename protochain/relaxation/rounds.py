@@ -120,10 +120,7 @@ class Relaxer:
     held: tuple[Force, ...] = ()
 
     def rounds(self, x: Floats, excluded: NDArray[np.bool_], most: int) -> list[Ended]:
-        """Minimise from x, and again with fewer springs while there are violations or overlaps.
-
-        x (na, 3) nm, excluded (nr,) bool.
-        """
+        """Minimise from x (na, 3) nm, and with fewer springs while violations or overlaps are left."""
         share, done = np.where(excluded, 0.0, 1.0), list[Ended]()
         # Their places are wrong: springs to them would keep the C-beta, or the peptide's atoms, off.
         at = Wrong(self.structure, x)

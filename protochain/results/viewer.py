@@ -179,6 +179,11 @@ def view(shown: Any) -> View:
     ------
     ProtochainError
         If it is none of these.
+
+    Examples
+    --------
+    >>> type(pc.view("structures/ala10.pdb")).__name__
+    'View'
     """
     if hasattr(shown, "ends"):
         return View(shown.ends())

@@ -56,6 +56,12 @@ class Search(Value):
         Of this run.
     interrupted : bool
         Whether it was stopped before evaluations or time were spent.
+
+    Examples
+    --------
+    >>> found = pc.search("structures/ala10.pdb", method="hopping", evaluations=50)
+    >>> found.structure(1).n_atoms
+    103
     """
 
     landscape: Landscape

@@ -39,6 +39,11 @@ def save_ligands(
     ------
     StructureError
         If the suffix is another, or the structure has no ligand whose chemistry is known.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/ala10.pdb", ligands=[("", "structures/1P2Y_NCT.sdf")])
+    >>> pc.save_ligands(s, "ligand.sdf")
     """
     path = as_path(path, "path")
     check_ligand_file(path)

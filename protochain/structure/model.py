@@ -141,6 +141,11 @@ class Structure(Value):
     ------
     StructureError
         If the positions do not fit the topology or are not finite.
+
+    Examples
+    --------
+    >>> pc.load("structures/1l2y.pdb")
+    <Structure 1l2y: 1 chains, 20 residues, 304 atoms, 0 repairs>
     """
 
     name: str

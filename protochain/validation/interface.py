@@ -156,6 +156,11 @@ class Interface(Value):
         bridges, clashes and unsatisfied polar atoms it has.
     shares : (nr,) float, kJ/mol
         Share of the energy of binding of every residue.
+
+    Examples
+    --------
+    >>> pc.score_interface("structures/3i40.pdb", "A", "B").scores["buried_area_angstrom2"] > 0.0
+    True
     """
 
     structure: Structure

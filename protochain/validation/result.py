@@ -49,6 +49,11 @@ class Validation(Value):
         What is found of each ligand of known chemistry.
     posebusters_missing : str
         Why PoseBusters' tests were not run though asked for; empty if they were.
+
+    Examples
+    --------
+    >>> pc.validate("structures/1l2y.pdb").measures["ramachandran_outliers"]
+    0
     """
 
     structure: Structure

@@ -152,6 +152,21 @@ def test_resuming_skips_what_is_finished_and_redoes_what_is_not(folder, done, tm
         pc.batch(folder, tmp_path, "lbfgs")
 
 
+def test_a_batch_replaces_another_with_other_settings_if_it_is_asked_to(tmp_path):
+    """Not one that is resumed; where nothing can be done, what is there stays."""
+    files = [str(STRUCTURES / name) for name in ("ala10.pdb", "1l2y.pdb")]
+    few = {"workers": 1, "max_evaluations": 3, "solvent": "vacuum"}
+    pc.batch(files, tmp_path, "lbfgs", **few)
+    with pytest.raises(pc.ProtochainError, match="max_evaluations"):
+        pc.batch(files, tmp_path, "lbfgs", resume=True, force=True, **few | {"max_evaluations": 4})
+    with pytest.raises(pc.ProtochainError):
+        pc.batch(tmp_path / "none.pdb", tmp_path, "lbfgs", force=True, **few)
+    assert len(pd.read_csv(tmp_path / "summary.csv")) == 2
+    done = pc.batch(files[:1], tmp_path, "lbfgs", force=True, **few | {"max_evaluations": 4})
+    assert done.table["structure"].tolist() == ["ala10"]
+    assert json.loads((tmp_path / "settings.json").read_text())["settings"]["max_evaluations"] == 4
+
+
 class After(Child):
     """A child to which something happens once its first row has come."""
 

@@ -18,7 +18,7 @@ from fixtures.waiting import until
 import protochain as pc
 from protochain.batches import Processes, cluster
 from protochain.batches.frame_files import run_frames
-from protochain.batches.frame_report import write_report
+from protochain.batches.frame_report import _worst_first, write_report
 from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ValidateFrames, begun, row_of
 from protochain.batches.frames import ensemble_of, over_frames, relax_frames
 from protochain.relaxation import RelaxSettings
@@ -266,6 +266,18 @@ def test_a_run_in_which_no_frame_can_be_used_writes_rows_and_no_trajectory(tmp_p
     ensemble, chosen = opened(x[2:3])
     done = run_frames(ensemble, chosen, RELAX, tmp_path / "o.csv", tmp_path / "o.dcd")
     assert dict(done.counts) == {"refused": 1} and not (tmp_path / "o.dcd").exists() and len(done.table) == 1
+
+
+def test_the_worst_frames_come_first_by_what_tells_most_of_damage():
+    """After those without a result, and those that did not converge."""
+    status, rmsd = (
+        ["converged", "converged", "refused", "violations", "converged"],
+        [3.0, 9.0, np.nan, 1.0, 5.0],
+    )
+    table = pd.DataFrame({"frame": range(5), "status": status, "ca_rmsd_angstrom": rmsd})
+    for name, order in (("ca_rmsd_angstrom", [2, 3, 1, 4, 0]), ("rmsd", [2, 3, 0, 1, 4])):
+        rows, by = _worst_first(table.rename(columns={"ca_rmsd_angstrom": name}))
+        assert rows["frame"].tolist() == order and by == (name if "ca" in name else "frame")
 
 
 def test_the_page_shows_distributions_and_names_the_frames_without_a_result(tmp_path, x):

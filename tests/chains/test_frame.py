@@ -154,6 +154,17 @@ def test_a_simulation_stays_on_its_input_and_a_resumed_one_too(tmp_path):
     assert np.abs(still.x - s.positions)[np.isin(s.atom_residue, range(14, 20))].max() < ROUND_OFF_NM
 
 
+def test_frames_are_as_the_run_went_where_that_is_asked_for():
+    c, e = chain("1l2y.pdb"), energy("1l2y.pdb")
+    settings = {"n_steps": 40, "every": 20, "seed": 2, "friction": 10.0, "temperature": 400.0}
+    usual, as_run = simulate(c, e, **settings), simulate(c, e, superpose=False, **settings)
+    assert usual.trace.equals(as_run.trace) and str(as_run.frame) == "as the run went"
+    assert np.array_equal(as_run.x, pc.pose(as_run.chain, as_run.q).x)
+    assert np.allclose(as_run.frames[-1], as_run.x, atol=1e-6)
+    filed, fitted = both(as_run.x, usual.x, c.structure.alpha_carbons)
+    assert fitted < 1e-5 < 1e-2 < filed
+
+
 def test_the_best_of_many_starts_lies_on_the_input():
     s = load("ala10.pdb")
     found = pc.explore(chain("ala10.pdb"), energy("ala10.pdb"), "lbfgs", 3, seed=1, max_evaluations=100)

@@ -21,6 +21,7 @@ CALLS = {"minimise": pc.minimise, "compare": pc.compare, "simulate": pc.simulate
 OTHERWISE = {
     ("compare", "methods"): ",".join(defaults.COMPARED),
     ("simulate", "time_step"): None,
+    ("simulate", "superpose"): False,
     ("simulate", "hinge_springs"): None,
     ("simulate", "restraint"): None,
     ("minimise", "max_rmsd"): None,

@@ -2,11 +2,12 @@
 
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
-from fixtures.command_line import refusal
+from fixtures.command_line import refusal, run
 from fixtures.samples import load
 from matplotlib.figure import Figure
 
@@ -29,6 +30,24 @@ def test_residues_that_are_named_are_those_whose_outliers_came_and_went():
         places = {place for place, _ in named.get(f"{what} rotamer outliers", ())}
         assert places == {f"A:{relaxation.start.residue_number[r]}" for r in its}
     assert before - after  # Else nothing is shown.
+
+
+def test_residues_that_moved_and_turned_most_are_named_the_most_first():
+    s = load("1l2y.pdb")
+    x = np.array(s.positions)
+    for place, by in ((3, 0.2), (7, 0.4), (11, 0.05)):
+        x[s.atom_residue == place] += [0.0, 0.0, by]
+    relaxation = replace(pc.relax(s, max_iterations=1, max_outer_iterations=1), x=x)
+    changes = pc.differences(s, s.with_positions(x))
+    named = named_residues(relaxation, {"end": changes})
+    of = changes.residues
+    for what, column, least in (
+        ("Moved most", "ca_moved_angstrom", 0.1), ("Turned most", "torsions_degrees", 10.0),
+    ):  # fmt: skip
+        most = of[of[column] >= least].sort_values(column, ascending=False)[:10]
+        assert [place for place, _ in named[what]] == [f"A:{number}" for number in most["residue"]]
+    farthest = of["ca_moved_angstrom"].max()
+    assert named["Moved most"][0] == ("A:8", f"{s.residue(7)}, {farthest:.2g} angstrom") and 2 < farthest < 4
 
 
 def test_averages_of_a_log_are_those_of_a_straight_line():
@@ -68,6 +87,14 @@ def test_a_figure_has_the_format_of_its_name_and_is_the_same_twice(suffix, head,
     assert written[0].startswith(head)
     same = (re.sub(rb'(?:id|href|clip-path)="[^"]*"', b"", each) for each in written)
     assert len(set(same)) == 1
+
+
+def test_a_comparison_has_its_figure_for_a_paper(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pc.save(load("ala10.pdb"), tmp_path / "a.pdb")
+    given = ("--methods", "lbfgs", "--no-curvature", "--max-evaluations", 20, "--figure", "f.svg")
+    run("compare", "a.pdb", "-o", "out", *given)
+    assert "a: lowest energy so far" in (tmp_path / "f.svg").read_text()
 
 
 def test_a_figure_of_no_format_is_refused_before_the_work(tmp_path, monkeypatch):

@@ -68,6 +68,7 @@ REQUIRED = {
     "energy_from": lambda: (pc.to_ase(S(), vacuum()), S()),
     "energy_terms": lambda: (S(),),
     "explore": lambda: (C(), vacuum()),
+    "frame_energies": lambda: (S(), S().positions[None]),
     "from_sequence": lambda: ("AA",),
     "from_simulation": lambda: (simulation(FILE.name),),
     "hessian": lambda: (C(), vacuum()),

@@ -83,6 +83,10 @@ def frames(top, **options):
     return next(pc.relax_frames(top, peptide().positions[None], max_iterations=3, **options))
 
 
+def frame_energy(r, e):
+    return pc.frame_energies(r, pc.as_structure(r).positions[None], **none_or(e))["energy_kj_mol"][0]
+
+
 KINDS = {
     "solution": solution,
     "all atoms": lambda: pc.minimise(chain(), own(), "cartesian", max_evaluations=40),
@@ -160,6 +164,7 @@ CALLS = {
     "simulate": lambda r, e: pc.simulate(r, e, n_steps=1, every=1).rows[0]["potential_kj_mol"],
     "relax": lambda r, e: pc.relax(r, max_iterations=1, max_outer_iterations=1, **named(e)).energy_start,
     "mutate": lambda r, e: at(pc.mutate(r, MUTATION, **named(e)).wild.energy_function, r),
+    "frame_energies": frame_energy,
     "relax_frames": lambda r, e: at(frames(r, **named(e)).energy_function, r),
     "normal_modes": lambda r, e: at(pc.normal_modes(r, e, k=1).energy_function, r),
     "scan": lambda r, e: pc.scan(r, e, {"phi A:2": phi(r)})["energy_kj_mol"][0],

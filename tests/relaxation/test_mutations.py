@@ -47,6 +47,16 @@ def test_a_mutation_to_itself_costs_nothing():
     assert same.unfolded == 0.0 and abs(same.ddg) < 5.0
 
 
+def test_both_sides_have_the_same_ties_to_a_metal():
+    """Where atoms are now: of a structure that was relaxed, sulphurs may be near that were not."""
+    s = pc.load(shared("1ajj_ldlr.pdb"))
+    moved = s.with_positions(1.02 * s.positions)
+    m = pc.mutate(moved, "A:F8A", max_iterations=1, max_outer_iterations=1, **FAST)
+    wild, mutant = ([tie.rest for tie in each.start.ties] for each in (m.wild, m.mutant))
+    assert len(s.ties) == len(wild) > 0 and wild[0] == pytest.approx(1.02 * s.ties[0].rest, rel=1e-3)
+    assert mutant == pytest.approx(wild, rel=1e-4)
+
+
 def test_there_and_back_cost_the_same_in_pentapeptides(leucine):
     back = pc.mutate(leucine.structure, "A:A7L", **FAST)
     assert back.unfolded == pytest.approx(-leucine.unfolded, abs=1e-9)

@@ -147,6 +147,21 @@ def test_a_restraint_holds_all_minima_and_samples_and_is_in_their_energies(metho
         pc.search(*peptide, method, 9000, resume=True, **{**given, "restraint": ()})
 
 
+def test_the_judge_of_single_precision_counts_restraints_as_well(peptide):
+    chain, energy = peptide
+    line = "dihedral phi@A:2 100 100 50"
+    rough = pc.energy(chain.structure, solvent=energy.solvent, engine="openmm")
+    landscape = Landscape.of(chain, rough, [line])
+    end = landscape.minimise(np.zeros(landscape.chain.n_hinges))
+    x = landscape.positions(end.q)
+    held = Restraints.of(chain.structure, [line])(x)[0]
+    assert held > 0.1 and end.energy == pytest.approx(rough.reference(x)[0] + held, abs=1e-2)
+    swept = landscape.sweep(end.q, 300.0, 0.002, 2, seed=1)
+    x = landscape.positions(swept.q)
+    held = Restraints.of(chain.structure, [line])(x)[0]
+    assert held > 0.1 and swept.energies[-1] == pytest.approx(rough.reference(x)[0] + held, abs=5e-2)
+
+
 def test_the_size_of_turns_is_adapted_and_then_stays(peptide):
     landscape = Landscape.of(*peptide)
     method = search_chain.method_of(SearchSettings(method="hopping"), 0)

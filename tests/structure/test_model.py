@@ -145,6 +145,8 @@ def test_the_rmsd_of_two_points_is_half_the_difference_of_their_distances():
 
 def test_selected_atoms_are_a_mask():
     assert np.flatnonzero(select(S, "name CA")).tolist() == [1, 5, 8]
+    for ranges in ("index 1:3", "index 0:0 5:8 7:9"):  # read here; in brackets by MDAnalysis
+        assert np.array_equal(select(S, ranges), select(S, f"({ranges})"))
     mask = select(S, "resid 2 or element H")
     assert mask.dtype == bool and mask.shape == (14,) and np.flatnonzero(mask).tolist() == [4, 5, 6, 12, 13]
     with pytest.raises(pc.ProtochainError) as refused:

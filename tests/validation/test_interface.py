@@ -493,20 +493,25 @@ def test_a_table_of_many_is_ranked_and_one_chain_is_told(three, capsys):
 
 
 def test_frames_are_scored_and_their_sides_compared_with_a_reference(three, capsys):
-    """The first as it is; in the second a side is moved by 2 angstrom, in the third both as one."""
+    """As they are; a side moved by 2 angstrom; both turned as one; a side five per cent larger."""
     s = load("3i40.pdb")
     other = masks(s, "A", "B")[1]
     turned = Rotation.from_rotvec([0.3, 0.1, 0.2]).apply(s.positions.copy())
-    x = np.array([s.positions, s.positions + np.outer(other, [0.0, 0.2, 0.0]), turned])
+    larger = np.where(other[:, None], 1.05 * s.positions, s.positions)
+    x = np.array([s.positions, s.positions + np.outer(other, [0.0, 0.2, 0.0]), turned, larger])
     np.savez(three / "f.npz", positions=x, unit="nm")
     out = three / "scored.csv"
     given = ["--trajectory", three / "f.npz", "--reference", three / "3i40.pdb", "--solvent", "vacuum"]
     assert run("score", three / "3i40.pdb", *given, "--csv", out, "--workers", "1") == 0
     table = pd.read_csv(out)
-    assert table["interface"].tolist() == ["A:B"] * 3
-    assert table["hotspot_rmsd_angstrom"].to_numpy() == pytest.approx([0.0, 2.0, 0.0], abs=1e-3)
-    for key in ("ca_rmsd_1_angstrom", "ca_rmsd_2_angstrom"):
-        assert table[key].to_numpy() == pytest.approx(0.0, abs=1e-3)
+    assert table["interface"].tolist() == ["A:B"] * 4
+    alpha = np.isin(np.arange(s.n_atoms), s.alpha_carbons) & other
+    moved = np.sqrt(np.mean(np.sum((0.5 * s.positions[alpha]) ** 2, axis=1)))
+    own = pc.rmsd(s, s.with_positions(larger), measure="name CA and chainID B", align="name CA and chainID B")
+    for key, its in (
+        ("hotspot_rmsd", [0, 2, 0, moved]), ("ca_rmsd_1", [0, 0, 0, 0]), ("ca_rmsd_2", [0, 0, 0, own]),
+    ):  # fmt: skip
+        assert table[f"{key}_angstrom"].to_numpy() == pytest.approx(its, abs=2e-3)
     for k in range(2):
         its = pc.score_interface(s.with_positions(x[k]), "A", "B", solvent="vacuum").record()
         for key in ("energy_kj_mol", "packing", "hydrogen_bonds", "contact_residues_2"):
@@ -530,6 +535,19 @@ def test_a_complex_that_overlaps_is_relaxed_and_deviates_from_its_reference(thre
     assert rows[0]["clashes"] > 20 > rows[1]["clashes"]
     assert rows[1]["energy_kj_mol"] < 0.0 < rows[0]["energy_kj_mol"]
     assert 0.5 < rows[1]["hotspot_rmsd_angstrom"] < 2.5 and rows[1]["ca_rmsd_2_angstrom"] < 1.0
+    np.savez(three / "near.npz", positions=x[None], unit="nm")
+    given = (
+        "--trajectory",
+        three / "near.npz",
+        "--interface",
+        "A:B",
+        "--solvent",
+        "vacuum",
+        "--workers",
+        "1",
+    )
+    run("score", three / "3i40.pdb", *given, "--relax", "--csv", three / "near.csv")
+    assert pd.read_csv(three / "near.csv")["clashes"].item() < 20
 
 
 @pytest.mark.parametrize(

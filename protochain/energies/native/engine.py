@@ -136,11 +136,7 @@ class NativeEnergy:
         return copy
 
     def to_accuracy(self, accuracy: float, x: Floats) -> "NativeEnergy":
-        """Choose the quickest tree with which forces at x (na, 3) in nm are right to an RMS in kJ/mol/nm.
-
-        Each is measured against the sum over all pairs; ``reason`` says by how much it differs, or why all
-        pairs are summed.
-        """
+        """Choose the quickest tree with forces at x (na, 3) right to an RMS, measured by all pairs."""
         terms, because = self._layout.terms, "no tree is as accurate as asked"
         if terms.nonbonded.cutoff < np.inf or (terms.solvent and terms.solvent.cutoff < np.inf):
             because = "the System has a cutoff"
@@ -267,10 +263,7 @@ class NativeEnergy:
 
     @cached_property
     def coarse(self) -> "NativeEnergy":
-        """A rough copy that is several times as fast, to begin with where the energy is high.
-
-        Pairs up to ``_COARSE`` nm, with the reaction field of water beyond in place of the solvent model.
-        """
+        """A rough copy to begin with, several times as fast: pairs up to ``_COARSE`` nm, a reaction field."""
         terms = self._layout.terms
         krf = (_WATER - 1.0) / (2.0 * _WATER + 1.0) / _COARSE**3
         crf = 3.0 * _WATER / (2.0 * _WATER + 1.0) / _COARSE
