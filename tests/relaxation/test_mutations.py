@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import refusal_as_said, run
-from fixtures.samples import STRUCTURES, load
+from fixtures.samples import STRUCTURES, load, shared
 
 import protochain as pc
 from protochain.batches import mutation_scan
