@@ -16,8 +16,8 @@ import pytest
 from fixtures.waiting import HANG
 
 LONG = {
-    "test_blocks.py", "test_files.py", "test_gear.py", "test_gun.py", "test_helicopter.py", "test_kept.py",
-    "test_notebooks.py", "test_report.py", "test_schema.py",
+    "test_blocks.py", "test_files.py", "test_gear.py", "test_interface.py", "test_kept.py",
+    "test_notebooks.py", "test_report.py", "test_schema.py", "test_tree.py",
 }  # fmt: skip
 """Files that take half a minute, many of them with few tests."""
 

@@ -29,7 +29,6 @@ import numpy as np
 import pandas as pd
 
 import protochain as pc
-from protochain.core.errors import ProtochainError
 
 MOST_RESIDUES, MOST_MUTATIONS = 160, 4
 KJ_PER_KCAL = 4.184
@@ -72,7 +71,7 @@ def of_structure(path: Path, rows: pd.DataFrame) -> Iterator[dict[Hashable, Any]
     began = perf_counter()
     try:
         relaxed = pc.relax(path)
-    except ProtochainError as error:
+    except pc.ProtochainError as error:
         relaxed, why = None, str(error).replace(f"{path.parent}/", "")
     seconds = perf_counter() - began
     for row in rows.to_dict("records"):
@@ -84,7 +83,7 @@ def of_structure(path: Path, rows: pd.DataFrame) -> Iterator[dict[Hashable, Any]
                 ours |= {name: record[name] for name in ("status", "seconds")}
                 ours["ddg_kcal_mol"] = np.nan if ddg is None else ddg / KJ_PER_KCAL
                 why = record["message"]
-            except ProtochainError as error:
+            except pc.ProtochainError as error:
                 why = str(error)
         yield row | ours | {"seconds_relax": seconds, "message": why}
 

@@ -113,8 +113,9 @@ class Batch:
 
 
 @checked(
-    output=path, methods=several, manifest=path, resume=flag, watch=function("progress"), max_rmsd=number
-)
+    output=path, methods=several, manifest=path, resume=flag, force=flag, watch=function("progress"),
+    max_rmsd=number,
+)  # fmt: skip
 def batch(
     inputs: str | Path | Iterable[str | Path],
     output: str | Path,
@@ -204,7 +205,9 @@ def relax_files(
         How structures are read, and their energy. Its threads are those of each structure; one by default.
     manifest : path-like, optional
         CSV with a column ``path`` and columns named after fields of ``relaxing`` and ``setup``.
-    resume, force, watch
+    resume, force : bool
+        As of :func:`protochain.batch`.
+    watch : callable, optional
         As of :func:`protochain.batch`.
     **processes
         Fields of :class:`protochain.batches.Processes`: ``workers``, ``scheduler``, ``time_limit``.

@@ -131,12 +131,14 @@ def frame_energies(
 
     Parameters
     ----------
-    top, frames, select, workers : as of :func:`protochain.relax_frames`
-        Structure, its frames, which of them to take, and processes.
+    top, frames, select : as of :func:`protochain.relax_frames`
+        Structure, its frames, and which of them to take.
     energy : Energy or callable, optional
         As in :func:`protochain.minimise`.
     between : str, optional
         Two parts of the structure, as in :func:`protochain.energy_terms`, whose interaction to tell by term.
+    workers : int, optional
+        Processes.
     **settings
         Fields of :class:`protochain.Setup`.
 

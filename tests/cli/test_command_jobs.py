@@ -11,6 +11,7 @@ import pytest
 from fixtures.command_line import is_held, run
 
 from protochain.batches import BatchSettings
+from protochain.cli import options
 
 pytestmark = pytest.mark.usefixtures("interruptible")
 SIMULATE, FIRST, BATCH = (
@@ -38,7 +39,7 @@ def simulated(monkeypatch, tmp_path):
         seen.given.append(given)
         return seen.done
 
-    monkeypatch.setattr(SIMULATE, "prepare", lambda source, setup: (chain, "energy", 1.5))
+    monkeypatch.setattr(options, "prepare", lambda source, setup: (chain, "energy", 1.5))
     monkeypatch.setattr(SIMULATE, "print_outlook", lambda *given: False)
     monkeypatch.setattr(FIRST, "foretell", lambda *given: None)
     for module, name in ((FIRST, "run_progress"), (SIMULATE, "simulation_progress")):
@@ -112,11 +113,11 @@ def test_a_dry_batch_lists_its_jobs(batched, capsys, monkeypatch):
     assert inputs == ["a", "x.pdb", "y", "b"] and (manifest, output) == (Path("m.csv"), Path("out"))
     assert settings == BatchSettings(("md",)) and batched.given == []
     assert capsys.readouterr().out == "found jobs\n"
-    for text, options, expected in (
+    for text, more, expected in (
         ("x\ny\0 z\0", (), ["x\ny", " z"]), ("x\ny", ("-0",), ["x\ny"]), ("", ("--null",), [])
     ):  # fmt: skip
         monkeypatch.setattr("sys.stdin", io.StringIO(text))
-        assert run("batch", "-", "--dry-run", *options) == 0 and batched.found[-1][0] == expected
+        assert run("batch", "-", "--dry-run", *more) == 0 and batched.found[-1][0] == expected
 
 
 @pytest.mark.parametrize(

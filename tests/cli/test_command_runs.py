@@ -12,11 +12,12 @@ import pytest
 from fixtures.command_line import is_held, refusal, run
 from fixtures.molecules import ring
 
+from protochain.cli import options, terminal
 from protochain.minimisers.record import SHOWN
 from protochain.structure.write import as_text
 
 pytestmark = pytest.mark.usefixtures("interruptible")
-MINIMISE, COMPARE = (importlib.import_module(f"protochain.cli.{name}") for name in ("minimise", "compare"))
+COMPARE = importlib.import_module("protochain.cli.compare")
 S = ring()
 KEYS = [column.key for column in SHOWN]
 
@@ -61,9 +62,9 @@ def asked(monkeypatch):
         seen.runs += 1
         return next(seen.ends)
 
-    monkeypatch.setattr(MINIMISE, "print_outlook", lambda *given: False)
-    for module in (MINIMISE, COMPARE):
-        monkeypatch.setattr(module, "prepare", prepare)
+    monkeypatch.setattr(terminal, "print_outlook", lambda *given: False)
+    monkeypatch.setattr(options, "prepare", prepare)
+    for module in (terminal, COMPARE):
         monkeypatch.setattr(module, "foretell", lambda *given: None)
         monkeypatch.setattr(module, "run_progress", lambda *given: nullcontext(lambda row, x: None))
     monkeypatch.setattr("protochain.minimisers.minimise", minimise)
