@@ -222,7 +222,9 @@ JOBS = (
         writes="sidechains sidechains_all sidechains_residues",
     ),
     Job("sidechains-faspr", f"{HERE}/sidechains.py faspr --more MORE -o DIR", 1),
-    Job("ddg", f"{HERE}/ddg.py -o DIR --more MORE --kept KEPT", 15, continues=True),
+    Job(
+        "ddg", f"{HERE}/ddg.py -o DIR --more MORE --kept KEPT", 15, writes="ddg ddg_programs", continues=True,
+    ),
     Job("frames", f"{HERE}/frames.py --more MORE -o DIR", 6, writes="frames_memory frames_speed"),
     Job(
         "complexes", f"{HERE}/complexes.py --more MORE -o DIR", 14,

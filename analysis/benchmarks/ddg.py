@@ -6,7 +6,7 @@ The set is S461 (Hernandez, Dehouck, Bastolla, Lopez-Blanco, Chacon, Bioinformat
 S669 (Pancotti et al., Brief. Bioinform. 23:bbab555, 2022) corrected by its authors, of proteins below 25 %
 identity to those of S2648. Structures, measured values and published predictions are read from
 FOLDER/korpm, a copy of github.com/chaconlab/korpm, whose licence (NPOSL-3.0) keeps them out of this
-repository.
+repository: ddg.csv has our values alone, ddg_programs.csv how each program compares.
 
 The sample was stated before the first run: structures of fewer than 160 residues, of each at most four
 mutations, evenly spaced in the order of the set. No number is fitted to it, nor to other rows of the set.
@@ -98,6 +98,25 @@ def run(options: argparse.Namespace, folder: Path, kept: Path) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
+def programs(rows: pd.DataFrame) -> pd.DataFrame:
+    """Each program beside the measured values of the rows that all have, kcal/mol."""
+    rows = rows.dropna(subset=[f"{name}_kcal_mol" for name in ("ddg", *PUBLISHED)])
+    measured, found = rows["measured_kcal_mol"], []
+    draws = np.random.default_rng(0).integers(len(rows), size=(2000, len(rows)))
+    of = {name: rows[f"{name}_kcal_mol"] for name in ("ddg", *PUBLISHED)}
+    for name, its in (of | {"mean": measured.mean() + 0.0 * measured}).items():
+        off, row = its - measured, {"program": name, "mutations": len(rows)}
+        if name != "mean":
+            again = [np.corrcoef(its.to_numpy()[k], measured.to_numpy()[k])[0, 1] for k in draws]
+            low, high = np.percentile(again, [2.5, 97.5])
+            row |= {"correlation": its.corr(measured), "lowest": low, "highest": high}
+            row |= {"of_ranks": its.corr(measured, method="spearman"), "spread": its.std() / measured.std()}
+        row |= {"error_median": off.abs().median(), "error_mean": off.abs().mean()}
+        row |= {"error_rms": np.sqrt((off**2).mean())}
+        found.append(row | {"right_sign_percent": 100 * ((its > 0) == (measured > 0)).mean()})
+    return pd.DataFrame(found)
+
+
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__ or "", more=True)
     own.add_argument("--kept", type=Path, metavar="FOLDER", help="of structures that are done")
@@ -113,7 +132,9 @@ def main() -> None:
         table = run(options, folder, options.kept or Path(scratch))
     if options.output:
         files = [f"{name}.pdb" for name in dict.fromkeys(table["structure"])]
-        made.write(table.round(3), options.output / "ddg.csv", files, threads=2)
+        made.write(programs(table).round(3), options.output / "ddg_programs.csv", files, threads=2)
+        of_others = ["measured_kcal_mol", *(f"{name}_kcal_mol" for name in PUBLISHED)]
+        made.write(table.drop(columns=of_others).round(3), options.output / "ddg.csv", files, threads=2)
 
 
 if __name__ == "__main__":

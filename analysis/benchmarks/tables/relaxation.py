@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from made import RECORD
 
-from tables import Cell, between, made_by, markdown, of_rows, paragraph, ratio_of, table, table_of_rows
+from tables import Cell, between, made_by, of_rows, paragraph, ratio_of, table, table_of_rows
 
 
 def _minus(ours: str, theirs: str) -> Cell:
@@ -129,53 +129,36 @@ def sidechains_words(rows: pd.DataFrame, kinds: pd.DataFrame) -> str:
 
 _PROGRAMS = {
     "ddg": "`mutate`", "foldx": "FoldX, published", "rosetta": "Rosetta cartesian_ddg, published",
+    "mean": "their mean for all",
 }  # fmt: skip
 
 
-def _compared(rows: pd.DataFrame) -> pd.DataFrame:
-    return rows.dropna(subset=[f"{name}_kcal_mol" for name in _PROGRAMS])
+def _known(text: str) -> Cell:
+    """Cell that is a dash where there is no value."""
+    return lambda r: "-" if np.isnan(r["correlation"]) else text.format(**r)
 
 
-@table("ddg", "ddg.csv")
-def ddg(rows: pd.DataFrame) -> str:
-    """Correlation with measured changes of stability, and errors, by program, on the same rows."""
-    rows = _compared(rows)
-    measured, lines = rows["measured_kcal_mol"], []
-    draws = np.random.default_rng(0).integers(len(rows), size=(2000, len(rows)))
-    for name, program in _PROGRAMS.items():
-        its = rows[f"{name}_kcal_mol"]
-        again = [np.corrcoef(its.to_numpy()[k], measured.to_numpy()[k])[0, 1] for k in draws]
-        low, high = np.percentile(again, [2.5, 97.5])
-        off = its - measured
-        lines.append((
-            program, len(rows), f"{its.corr(measured):.2f} ({low:.2f} to {high:.2f})",
-            f"{its.corr(measured, method='spearman'):.2f}", f"{off.abs().median():.1f}",
-            f"{off.abs().mean():.1f}", f"{np.sqrt((off**2).mean()):.1f}",
-            f"{100 * ((its > 0) == (measured > 0)).mean():.0f}",
-        ))  # fmt: skip
-    mean = measured - measured.mean()
-    lines.append(("their mean for all", len(rows), "-", "-", f"{mean.abs().median():.1f}",
-                  f"{mean.abs().mean():.1f}", f"{np.sqrt((mean**2).mean()):.1f}",
-                  f"{100 * (measured > 0).mean():.0f}"))  # fmt: skip
-    return markdown(
-        ("", "mutations", "correlation (95 %)", "of ranks", "error, median", "mean", "RMS", "right sign, %"),
-        lines,
-    )
+table_of_rows(
+    "ddg", "ddg_programs.csv",
+    ("", lambda r: _PROGRAMS[r["program"]]), ("mutations", "{mutations}"),
+    ("correlation (95 %)", _known("{correlation:.2f} ({lowest:.2f} to {highest:.2f})")),
+    ("of ranks", _known("{of_ranks:.2f}")), ("spread / measured", _known("{spread:.1f}")),
+    ("error, median", "{error_median:.1f}"), ("mean", "{error_mean:.1f}"), ("RMS", "{error_rms:.1f}"),
+    ("right sign, %", "{right_sign_percent:.0f}"),
+)  # fmt: skip
 
 
 @table("ddg-words", "ddg.csv")
 def ddg_words(rows: pd.DataFrame) -> str:
-    """What the table says, what is not in it, and how long it took."""
-    done = _compared(rows)
-    spread = done["ddg_kcal_mol"].std() / done["measured_kcal_mol"].std()
-    without = int(rows["status"].notna().sum() - rows["ddg_kcal_mol"].notna().sum())
+    """What is not in the table, and how long it took."""
+    done = rows["ddg_kcal_mol"].notna()
     unread = rows[rows["status"].isna()]
     return paragraph(
-        f"Of {len(rows)} mutations of {rows['structure'].nunique()} structures {len(done)} are compared:",
-        f"{len(unread)} are of files that are refused ({', '.join(unread['structure'].unique())}), {without}",
-        "of cysteines in disulfide bonds, for which there is no reference. Energies of `mutate` spread",
-        f"{spread:.1f} times as far as what is measured. A mutation took a median of",
-        f"{rows['seconds'].median():.1f} s of the clock, both sides, on a machine that others used, too.",
+        f"Of {len(rows)} mutations of {rows['structure'].nunique()} structures {done.sum()} are compared:",
+        f"{len(unread)} are of files that are refused ({', '.join(unread['structure'].unique())}),",
+        f"{len(rows) - done.sum() - len(unread)} of cysteines in disulfide bonds, for which there is no",
+        f"reference. A mutation took a median of {rows['seconds'].median():.1f} s of the clock, both sides,",
+        "on a machine that others used, too.",
     )
 
 
