@@ -72,7 +72,14 @@ def told() -> dict[str, float | None]:
     return {**clock.seconds, "serial_share_of_loop": 1.0 - clock.shared / loop if clock.shared else None}
 
 
-def share(seconds: float) -> None:
-    """Count seconds of a kernel that threads share, if a loop called it."""
-    if (clock := _CLOCK.get()) is not None and clock.within[-1] in LOOP:
-        clock.shared += seconds
+@contextmanager
+def shared() -> Iterator[None]:
+    """Count what follows as a kernel that threads share, if a loop called it; not until it is compiled."""
+    if (clock := _CLOCK.get()) is None or clock.within[-1] not in LOOP:
+        yield
+        return
+    began = perf_counter() - clock.seconds["kernels"]
+    try:
+        yield
+    finally:
+        clock.shared += perf_counter() - clock.seconds["kernels"] - began

@@ -9,7 +9,7 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.core import timings
-from protochain.core.timings import PARTS, part, share, timed, told
+from protochain.core.timings import PARTS, part, shared, timed, told
 
 
 @pytest.fixture
@@ -40,18 +40,21 @@ def test_a_run_within_a_run_is_part_of_it_and_without_a_run_nothing_is_timed(clo
             pass
         assert told()["metric"] == 1.0
     with part("metric"):
-        share(1.0)
+        with shared():
+            pass
         assert told() == {}
 
 
 def test_kernels_are_shared_only_where_a_loop_calls_them(clock):
     with timed():
-        share(0.5)
-        with part("judging"):
-            share(0.5)
-        with part("loop"), part("evaluations"):
-            share(0.75)
-        assert told()["serial_share_of_loop"] == 1.0 - 0.75 / 3.0
+        with shared():
+            pass
+        with part("judging"), shared():
+            pass
+        with part("loop"), part("evaluations"), shared(), part("kernels"):
+            pass
+        # From the first to the fourth read but for one in which a kernel is compiled, of six in the loop.
+        assert told()["serial_share_of_loop"] == 1.0 - 2.0 / 6.0
 
 
 @pytest.mark.parametrize("call", [pc.minimise, pc.relax])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from protochain.core.arrays import Floats
-from protochain.core.timings import share
+from protochain.core.timings import shared
 from protochain.energies.native.atomic import TICK
 from protochain.energies.native.evaluate import Layout, touch, touched
 from protochain.energies.native.far import Far
@@ -101,14 +101,14 @@ class Evaluation:
         self._counters[QUIT] = not asks
         self._runs, used, began = True, thread_time(), perf_counter()
         try:
-            if asks:
-                self._call_helpers(helpers())
-            work(True, self._counters, *self._arguments)
+            with shared():
+                if asks:
+                    self._call_helpers(helpers())
+                work(True, self._counters, *self._arguments)
         finally:
             self._runs = False  # Also on Ctrl-C: helpers would look for tasks for ever.
         # Also until this thread goes on: on a busy machine the interpreter may be another's for long.
         took = perf_counter() - began
-        share(took)
         if asks:
             tasks, led, waited = self._counters[[ALL, LED, WAITED]].tolist()
             worked = min(took - TICK * waited, thread_time() - used)
