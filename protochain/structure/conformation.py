@@ -148,12 +148,13 @@ def without_deuterium(model: gemmi.Model) -> int:
 
 def with_elements_of_names(model: gemmi.Model) -> list[Atom]:
     """Give atoms of standard residues the elements of their names; return those that had another."""
-    known = {name: its.element for name, its in templates().items() if name in {*STANDARD, *STATE_PARENT}}
+    known = {name: its for name, its in templates().items() if name in {*STANDARD, *STATE_PARENT}}
     found = []
     for place in model.all():
         chain, residue, atom = place.chain, place.residue, place.atom
-        element = known.get(residue.name, {}).get(atom.name, atom.element.name)
-        if element != atom.element.name:
+        its = known.get(residue.name)
+        element = its and its.element.get(its.synonyms.get(atom.name, atom.name))
+        if element not in (None, atom.element.name):
             atom.element = gemmi.Element(element)
             found.append(
                 Atom(atom.name, Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name))

@@ -4,6 +4,7 @@ Atoms are placed by geometry, missing side chains on rotamers: the same file giv
 for bit.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -183,6 +184,11 @@ def prepare(
     put_hydrogens(draft)
     atoms = [atom for member, _ in done for atom in member.atoms]
     elements = [atom.element.name for atom in atoms]
+    for member, _ in done:
+        if twice := [name for name, n in Counter(atom.name for atom in member.atoms).items() if n > 1]:
+            raise StructureError(
+                f"{draft.source}: {member}: {twice[0]} is there under two elements; correct columns 77-78"
+            )
     at = _indices(done)
     bonds = _bonds(draft, done, bridges, [*links, *beyond], at)
     charge = np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms])

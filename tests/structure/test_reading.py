@@ -422,3 +422,18 @@ def test_atoms_without_names_and_molecules_without_numbers_get_them_and_amino_ac
     document.write_file(str(tmp_path / "x.cif"))
     with pytest.raises(pc.ProtochainError, match="auth_seq_id"):
         pc.load(tmp_path / "x.cif")
+
+
+def test_elements_of_standard_residues_are_those_of_their_names(tmp_path):
+    """Also of names that other programs give; without it the hydrogen would be there twice, once as zinc."""
+    lines = (STRUCTURES / "1l2y.pdb").read_text().splitlines(keepends=True)
+    wrong = {" CB  TRP": "Fe", " H   TRP": "Na", " HB2 TRP": "Zn"}
+    changed = [
+        f"{line[:76]}{wrong[line[12:20]]:>2}{line[78:]}" if line[12:20] in wrong else line for line in lines
+    ]
+    changed = [line.replace(" HB3 TRP", " HB1 TRP") for line in changed]
+    (tmp_path / "odd.pdb").write_text("".join(changed))
+    whole, odd = pc.load(STRUCTURES / "1l2y.pdb"), pc.load(tmp_path / "odd.pdb")
+    assert odd.atom_element.tolist() == whole.atom_element.tolist()
+    (note,) = (each for each in odd.repairs if each.kind is Kind.ELEMENTS)
+    assert note.facts["count"] == 3
