@@ -19,7 +19,7 @@ from protochain.core import defaults
 from protochain.core.errors import Angle, Argument, ProtochainError, WriteError
 from protochain.core.markup import counted
 from protochain.core.settings import Made, Setting, settings_of
-from protochain.core.timings import part, told
+from protochain.core.timings import part, until_now
 from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.relaxation.relax_settings import RelaxSettings
@@ -424,7 +424,7 @@ def written(
             record["ligands_written"] = str(ligands)
     except WriteError as error:
         record.setdefault("not_written", []).append(str(error))
-    record["timings"] = told()
+    record["timings"] = until_now()
     for line in record.get("not_written", ()):
         fail(f"{line}; saved: {record['output']}")
     return record

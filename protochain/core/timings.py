@@ -63,7 +63,7 @@ def part(name: str) -> Iterator[None]:
         clock.within.pop()
 
 
-def told() -> dict[str, float | None]:
+def until_now() -> dict[str, float | None]:
     """Seconds of each part until now, and what share of the loop one thread does alone (Amdahl)."""
     if (clock := _CLOCK.get()) is None:
         return {}

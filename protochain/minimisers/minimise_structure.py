@@ -24,7 +24,7 @@ from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import settings_from
-from protochain.core.timings import timed, told
+from protochain.core.timings import timed, until_now
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings
@@ -333,7 +333,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         hold=run.hold,
         seed=run.seed,
         restraints=held and (held(start.pose.x)[0], held(at.x)[0]),
-        timings=told(),
+        timings=until_now(),
         lowest_eigenvalue=lowest,
         frame_rows=read_only(list(record.kept()), np.int64),
         frames=read_only(list(record.kept().values()), np.float32),

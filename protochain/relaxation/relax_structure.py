@@ -18,7 +18,7 @@ from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import counted, listed
-from protochain.core.timings import timed, told
+from protochain.core.timings import timed, until_now
 from protochain.energies import Energy
 from protochain.energies.on_device import begun
 from protochain.minimisers.judging import Known
@@ -157,7 +157,7 @@ def relax_structure(
         seconds=seconds,
         trace=read_only(np.array(trace.rows).reshape(-1, 5)),
         restraints=(restraint(structure.positions)[0], restraint(end.x)[0]) if is_held else None,
-        timings=told(),
+        timings=until_now(),
         move=move,
         moving=mobile,
     )

@@ -9,7 +9,7 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.core import timings
-from protochain.core.timings import PARTS, part, shared, timed, told
+from protochain.core.timings import PARTS, part, shared, timed, until_now
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def test_each_moment_belongs_to_the_innermost_part(clock):
             pass
         with pytest.raises(KeyError), part("judging"):
             raise KeyError
-        found = told()
+        found = until_now()
     # Turns: into loop, evaluations, loop, and out of them; into and out of judging; told.
     assert found.pop("serial_share_of_loop") is None
     expected = {"loop": 3.0, "evaluations": 2.0, "judging": 1.0, "rest": 3.0}
@@ -38,11 +38,11 @@ def test_a_run_within_a_run_is_part_of_it_and_without_a_run_nothing_is_timed(clo
     with timed():
         with timed(), part("metric"):
             pass
-        assert told()["metric"] == 1.0
+        assert until_now()["metric"] == 1.0
     with part("metric"):
         with shared():
             pass
-        assert told() == {}
+        assert until_now() == {}
 
 
 def test_kernels_are_shared_only_where_a_loop_calls_them(clock):
@@ -54,7 +54,7 @@ def test_kernels_are_shared_only_where_a_loop_calls_them(clock):
         with part("loop"), part("evaluations"), shared(), part("kernels"):
             pass
         # From the first to the fourth read but for one in which a kernel is compiled, of six in the loop.
-        assert told()["serial_share_of_loop"] == 1.0 - 2.0 / 6.0
+        assert until_now()["serial_share_of_loop"] == 1.0 - 2.0 / 6.0
 
 
 @pytest.mark.parametrize("call", [pc.minimise, pc.relax])
