@@ -152,9 +152,10 @@ def with_elements_of_names(model: gemmi.Model) -> list[Atom]:
     found = []
     for place in model.all():
         chain, residue, atom = place.chain, place.residue, place.atom
-        its = known.get(residue.name)
-        element = its and its.element.get(its.synonyms.get(atom.name, atom.name))
-        if element not in (None, atom.element.name):
+        if (its := known.get(residue.name)) is None:
+            continue
+        element = its.element.get(its.synonyms.get(atom.name, atom.name), atom.element.name)
+        if element != atom.element.name:
             atom.element = gemmi.Element(element)
             found.append(
                 Atom(atom.name, Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name))
