@@ -39,7 +39,7 @@ def processor() -> str:
 
 
 def commit(root: Path, *places: str) -> str:
-    """Ask git for the commit of a repository, and whether there are changes in places of it, all by default.
+    """Ask git for the last commit of places in a repository, all by default, and whether they were changed since.
 
     Parameters
     ----------
@@ -62,6 +62,7 @@ def commit(root: Path, *places: str) -> str:
 
     try:
         changed = git("status", "--porcelain", "--untracked-files=no", "--", *(places or ["."]))
-        return (git("rev-parse", "--short", "HEAD") or "unknown") + (" and changes" if changed else "")
+        its = git("log", "-1", "--format=%h", "--", *places)
+        return (its or "unknown") + (" and changes" if changed else "")
     except OSError:
         return "unknown: git is not installed"

@@ -12,7 +12,7 @@ A job is left out if all its tables were made by its command from the code of to
 without changes that were not committed; --again repeats it. So a call after one that was stopped goes on
 where it was. With --minutes, no job is begun that would not end in that time, and one that keeps what it has
 done is stopped at its end: call it again until the exit status is no longer 3, and all tables are of one
-state of the code. --list shows which are.
+state of the code. --list shows which are, and the minutes that they took. What is apart, --only runs.
 
 MORE stands for a folder of further structures (--more), which are not in the repository; KEPT for one of what
 a long job has done, below analysis/results/parts, of the commit.
@@ -60,6 +60,8 @@ class Job:
     """Whether it goes on where it was stopped: from its folder KEPT, or from the tables that it collects."""
     after: str = ""
     """Job whose tables it reads."""
+    apart: bool = False
+    """Whether it runs only where --only names it: it counts cases, for hours, whatever the machine."""
 
     @property
     def tables(self) -> list[str]:
@@ -90,13 +92,6 @@ SMALL = " ".join(
         "neopetrosiamide.pdb",
     )
 )  # fmt: skip
-LARGER = " ".join(
-    f"MORE/{name}"
-    for name in (
-        "1ajj_ldlr.pdb", "1bx8_hirustasin.pdb", "1fas_fasciculin.cif", "1orc_icode.pdb",
-        "2sdf_sdf1_nmr30.pdb", "1a8o_mse.pdb", "1bta_barstar.pdb", "t4l_l99a_amber.pdb",
-    )
-)  # fmt: skip
 STARTED = " ".join(
     [*(f"structures/{name}.pdb" for name in ("1l2y", "1vii", "1ejg", "4pti", "1ubq")), SMALL]
     + [f"MORE/{name}" for name in ("1ajj_ldlr.pdb", "1bx8_hirustasin.pdb", "1orc_icode.pdb")]
@@ -104,7 +99,8 @@ STARTED = " ".join(
 ENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y", "1vii", "1ejg", "3i40"))
 HELD = " ".join(f"MORE/{name}" for name in HELD_OUT[:-1])
 """Without the largest, in which OpenMM's minimiser takes more than ten minutes to a tolerance of 1."""
-DESCENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y"))
+FIRST = " ".join(f"MORE/{name}" for name in HELD_OUT[:5])
+DESCENDED = "structures/ala10.pdb structures/1l2y.pdb MORE/1le1_trpzip2.pdb"
 RELAXED = " ".join(
     f"MORE/{name}"
     for name in (
@@ -128,10 +124,7 @@ OF_B_FACTORS = " ".join(
         "1bx8_hirustasin", "1orc_icode", "1us0_altlocs",
     )
 )  # fmt: skip
-LARGE = (
-    "structures/1ake.pdb.gz MORE/1us0_altlocs.pdb MORE/3enl_enolase.pdb MORE/1afs_638.pdb "
-    "MORE/3o21_1489.pdb:A,B,C"
-)
+LARGE = "structures/1ake.pdb.gz MORE/1us0_altlocs.pdb MORE/3enl_enolase.pdb"
 OF_CRYSTALS = (
     "structure", "status", "n_residues", "violations_start", "violations_end",
     "clashscore_per_1000_atoms_start", "clashscore_per_1000_atoms_end", "ramachandran_outliers_start",
@@ -146,36 +139,36 @@ KCM_RUNS = "analysis/results/kcm_runs.csv analysis/results/kcm_traces.csv"
 JOBS = (
     Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling mechanics_steps"),
     Job("engines", f"{HERE}/engines.py energies -o DIR", 6),
-    Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 30, threads=1),
+    Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 8, threads=1),
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
     Job("device", f"{HERE}/device.py -o DIR", 3),
-    Job("large", f"{HERE}/large.py -o DIR", 10, writes="large large_exponents"),
+    Job("large", f"{HERE}/large.py -o DIR", 5, writes="large large_exponents"),
     Job("threads", f"{HERE}/threads.py -o DIR", 1),
     Job("terms", f"{HERE}/terms.py -o DIR", 1, threads=1),
     Job("search", f"{HERE}/search.py -o DIR", 1, writes="search search_lists"),
     Job(
-        "mechanisms", f"{HERE}/mechanisms.py -o DIR", 8,
+        "mechanisms", f"{HERE}/mechanisms.py -o DIR", 12,
         writes="mechanisms mechanisms_checks mechanisms_left_out mechanisms_work",
     ),
     Job("loops", f"{HERE}/loops.py -o DIR", 2, writes="loops loops_costs"),
-    Job("minima-found", f"{HERE}/minima.py found -o DIR", 14),
+    Job("minima-found", f"{HERE}/minima.py found --seeds 3 -o DIR", 9),
     Job("minima-truth", f"{HERE}/minima.py truth -o DIR", 4),
     Job("minima-cost", f"{HERE}/minima.py cost -o DIR", 2, threads=1),
     Job("guide", f"{HERE}/guide.py -o DIR", 1),
     Job("startup", f"{HERE}/startup.py --install -o DIR", 6, writes="startup startup_parts"),
     Job("files-speed", f"{HERE}/files.py speed --more MORE -o DIR", 2),
-    Job("kinds", f"{HERE}/kinds.py -o DIR", 15),
-    Job("fuzz", f"{HERE}/fuzz.py -o DIR", 20),
-    Job("race", f"{HERE}/race.py {HELD} --custom 450 -o DIR", 12, writes="race_gbsa race_obc2 race_vacuum"),
-    Job("race-parts", f"{HERE}/parts.py -o DIR", 5, writes="minimise_parts"),
-    Job("near", f"{HERE}/near.py {HELD} -o DIR", 20, threads=1, writes="near near_ends"),
+    Job("kinds", f"{HERE}/kinds.py --every 3 --processes 2 -o DIR", 8),
+    Job("fuzz", f"{HERE}/fuzz.py -o DIR", 90, apart=True),
+    Job("race", f"{HERE}/race.py {HELD} --custom 450 -o DIR", 13, writes="race_gbsa race_obc2 race_vacuum"),
+    Job("race-parts", f"{HERE}/parts.py -o DIR", 1, writes="minimise_parts"),
+    Job("near", f"{HERE}/near.py {FIRST} -o DIR", 9, threads=1, writes="near near_ends"),
     Job(
-        "basins", f"{HERE}/near.py --basins {DESCENDED} {SMALL} -o DIR", 12,
+        "basins", f"{HERE}/near.py --basins {DESCENDED} -o DIR", 6,
         f"{HERE}/near.py --basins structures/ala10.pdb --quick -o DIR", threads=1, writes="near_basins",
     ),
     Job(
-        "precision", f"python analysis/bench precision --only minimisers {SAMPLES} {SMALL} {LARGER} -o DIR",
-        25,
+        "precision", f"python analysis/bench precision --only minimisers {SAMPLES} {SMALL} -o DIR",
+        9,
         "python analysis/bench precision --only minimisers structures/ala10.pdb -o DIR",
         {"precision.csv": ("precision.csv", ()), "ends.csv": ("precision_ends.csv", ())},
     ),
@@ -186,11 +179,11 @@ JOBS = (
         },
         threads=1,
     ),
-    Job("ends", f"{HERE}/ends.py {ENDED} {SMALL} --kept KEPT -o DIR", 15, threads=1, continues=True),
+    Job("ends", f"{HERE}/ends.py {ENDED} --kept KEPT -o DIR", 8, threads=1, continues=True),
     Job(
         "modes",
         f"{HERE}/modes.py {OF_B_FACTORS} --pairs MORE --as-is {LARGE} -o DIR",
-        12,
+        7,
         f"{HERE}/modes.py --quick -o DIR",
         writes="modes_b_factors modes_cost modes_pairs modes_steps",
     ),
@@ -199,7 +192,7 @@ JOBS = (
         writes="compliance_angles compliance_evaluations compliance_starts",
     ),
     Job(
-        "runs-kcm", f"python analysis/bench kcm {STARTED} --starts 5 -o DIR --jobs 2 --minutes 120", 20,
+        "runs-kcm", f"python analysis/bench kcm {STARTED} --starts 2 -o DIR --jobs 2 --minutes 120", 9,
         "python analysis/bench kcm --quick -o DIR",
         {"runs.csv": ("kcm_runs.csv", ()), "traces.csv": ("kcm_traces.csv", ())}, continues=True,
     ),
@@ -210,8 +203,11 @@ JOBS = (
         | {"kcm.png": ("kcm.png", ())},
         after="runs-kcm",
     ),
-    Job("relax", f"{HERE}/relax.py {RELAXED} --made 4 -o DIR", 16),
-    Job("relax-many", f"{HERE}/relax.py --many 1000 -o DIR", 15, writes="relax_many relax_throughput"),
+    Job("relax", f"{HERE}/relax.py {RELAXED} --made 2 --repeats 2 -o DIR", 8),
+    Job(
+        "relax-many", f"{HERE}/relax.py --many 300 --sample 10 -o DIR", 5,
+        writes="relax_many relax_throughput",
+    ),
     Job(
         "relax-crystals", f"protochain relax {CRYSTALS} --preset crystal -o DIR", 2,
         "protochain relax structures/ala10.pdb structures/1l2y.pdb --preset crystal -o DIR",
@@ -223,22 +219,22 @@ JOBS = (
     ),
     Job("sidechains-faspr", f"{HERE}/sidechains.py faspr --more MORE -o DIR", 1),
     Job(
-        "ddg", f"{HERE}/ddg.py -o DIR --more MORE --kept KEPT", 15, writes="ddg ddg_programs", continues=True,
+        "ddg", f"{HERE}/ddg.py -o DIR --more MORE --kept KEPT", 9, writes="ddg ddg_programs", continues=True,
     ),
     Job("frames", f"{HERE}/frames.py --more MORE -o DIR", 6, writes="frames_memory frames_speed"),
     Job(
-        "complexes", f"{HERE}/complexes.py --more MORE -o DIR", 14,
+        "complexes", f"{HERE}/complexes.py --more MORE -o DIR", 10,
         writes="complexes_models complexes_poses",
     ),
     Job(
-        "interfaces", f"{HERE}/interfaces.py --more MORE -o DIR", 12,
+        "interfaces", f"{HERE}/interfaces.py --more MORE -o DIR", 7,
         writes="interfaces_columns interfaces_cost interfaces_moved",
     ),
     Job("dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4),
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),
     Job("dynamics-cost", f"{HERE}/dynamics.py cost --more MORE -o DIR", 2),
-    Job("dynamics-speed", f"{HERE}/dynamics.py speed --more MORE -o DIR", 8),
-    Job("dipeptide", f"{HERE}/dipeptide.py --kept KEPT -o DIR", 10, continues=True),
+    Job("dynamics-speed", f"{HERE}/dynamics.py speed --more MORE -o DIR", 5),
+    Job("dipeptide", f"{HERE}/dipeptide.py --trajectories 5000 --ns 1 --kept KEPT -o DIR", 5, continues=True),
     Job("batch", f"{HERE}/batch.py --more MORE -o DIR", 4, writes="batch batch_costs"),
     Job(
         "omissions", "python analysis/bench omissions structures/1hel.pdb -o DIR", 5,
@@ -246,7 +242,7 @@ JOBS = (
         {"omissions.csv": ("scenes.csv", ()), "omissions.png": ("scenes.png", ())},
     ),
     Job(
-        "stability", "python analysis/bench stability -o DIR", 25,
+        "stability", "python analysis/bench stability -o DIR", 8,
         "python analysis/bench stability --quick -o DIR",
         {
             "error_against_time.csv": ("stability.csv", ()), "cells.csv": ("stability_cells.csv", ()),
@@ -281,6 +277,14 @@ def is_done(job: Job, output: Path, more: Path) -> bool:
         name in rows.index and rows["command"][name] == command and made.is_of_today(rows["commit"][name])
         for name in job.tables
     )
+
+
+def measured(output: Path, tables: list[str]) -> float:
+    """Seconds that tables took."""
+    if not tables:
+        return 0.0
+    rows = pd.read_csv(output / made.RECORD).set_index("table")
+    return float(rows.loc[tables, "seconds"].sum())
 
 
 def run(job: Job, output: Path, more: Path, quick: bool, seconds: float | None = None) -> str | None:
@@ -358,7 +362,7 @@ def chosen(only: list[str] | None) -> list[Job]:
         If there is none of a name.
     """
     if not only:
-        return list(JOBS)
+        return [job for job in JOBS if not job.apart]
     for name in only:
         if not any(job.name == name or job.name.startswith(f"{name}-") for job in JOBS):
             sys.exit(f"there is no benchmark {name!r}; --list shows them")
@@ -372,11 +376,12 @@ def main(words: list[str] | None = None) -> int:
     output, more = (options.output or RESULTS).absolute(), options.more.absolute()
     done = {job.name for job in jobs if not options.quick and is_done(job, output, more)}
     if options.list:
-        for job in jobs:
-            state = "done" if job.name in done else ""
+        for job in jobs if options.only else JOBS:
+            state = "done" if job.name in done else "apart" if job.apart else ""
             print(f"{job.name:<16} {job.minutes:>3g} min  {state:<5} {job.command}")
         to_do = sum(job.minutes for job in jobs if job.name not in done)
-        print(f"{'all':<16} {to_do:>3g} min  to do; MORE: {MORE.name}, by --more FOLDER")
+        took = measured(output, [name for job in jobs if job.name in done for name in job.tables]) / 60.0
+        print(f"{'all':<16} {to_do:>3g} min  to do, {took:.0f} done; MORE: {MORE.name}, by --more FOLDER")
         return 0
     if options.quick and not options.output:
         sys.exit("with --quick, say where its tables go: -o DIR; they are not what pages quote")

@@ -4,11 +4,12 @@
 
 poses: each crystal pose of a ligand, two that were turned and shifted, and a rough one made here (bonds
 turned by 20 degrees RMS, the whole by up to 40, shifted by up to 1.5 angstrom), in its protein, judged by
-PoseBusters before and after, with charges of NAGL and of MMFF94. `relax` moves the whole complex, and with
-`--rigid-protein` the pose alone; the rival is the way of PoseBusters' paper (Buttenschoen, Morris, Deane,
-Chem. Sci. 15:3130, 2024): the protein stands still, the ligand moves in Sage (with NAGL's charges) and ff14SB
-in vacuum, by OpenMM's minimiser on the CPU platform until the RMS force is 10 kJ/mol/nm. All begin from the
-same prepared structure, on two threads; seconds are from the file to the end, of the wall and the processor.
+PoseBusters before and after, with charges of NAGL, the rough one also of MMFF94. `relax` moves the whole
+complex, and with `--rigid-protein` the pose alone; the rival is the way of PoseBusters' paper (Buttenschoen,
+Morris, Deane, Chem. Sci. 15:3130, 2024): the protein stands still, the ligand moves in Sage (with NAGL's
+charges) and ff14SB in vacuum, by OpenMM's minimiser on the CPU platform until the RMS force is 10 kJ/mol/nm.
+All begin from the same prepared structure, on two threads; seconds are from the file to the end, of the wall
+and the processor.
 
 models: predictions and crystal structures with ligands, DNA, RNA and glycans, each by one `protochain relax`;
 clashes of 0.4 angstrom and more per 1000 atoms, base pairs (N1 to N3 within 3.3 angstrom, at the end 3.5),
@@ -19,7 +20,6 @@ FOLDER/../complexes has astex/NAME_protein.pdb, astex/NAME_moved*.sdf, ligands/N
 
 import argparse
 import tempfile
-from itertools import product
 from pathlib import Path
 from time import perf_counter, process_time
 
@@ -124,7 +124,8 @@ def poses(options: argparse.Namespace) -> pd.DataFrame:
         with tempfile.TemporaryDirectory() as scratch:
             kinds["rough"] = Path(scratch) / "rough.sdf"
             rough(true, np.random.default_rng(k), kinds["rough"])
-            for (kind, path), charges in product(kinds.items(), CHARGES):
+            for kind, charges in [*((kind, CHARGES[0]) for kind in kinds), ("rough", CHARGES[1])]:
+                path = kinds[kind]
                 row = one_pose(busters, protein, path, true, charges, Path(scratch))
                 rows.append({"complex": name, "pose": kind, "charges": charges, **row})
                 print(rows[-1], flush=True)

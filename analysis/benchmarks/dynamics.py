@@ -187,7 +187,7 @@ def openmm_ns_per_day(system: openmm.System, x: np.ndarray, seconds: float) -> f
 def speed(options: argparse.Namespace) -> pd.DataFrame:
     """Nanoseconds a day: OpenMM at 2 fs, ours at 2, 4, 8 fs; ratios to the quicker of OpenMM's two OBC2."""
     rows = []
-    seconds = 0.5 if options.quick else 20.0
+    seconds = 0.5 if options.quick else 12.0
     for path in sizes(("1l2y", "1ubq"), options):
         for solvent in ("obc2", "gbn2"):
             chain, energy, q = at_a_minimum(path, "phi psi chi", solvent)

@@ -119,9 +119,9 @@ ACCURACIES = (1e-2, 1e-3, 1e-4)
 CUTOFFS = (1.0, 2.0, 3.0)
 ASKED = {
     1: ("obc2", "gbn2", "vacuum"), 4: ("obc2", "gbn2", "vacuum"), 16: ("obc2", "gbn2", "vacuum"),
-    41: ("obc2", "gbn2", "vacuum"), 162: ("obc2", "vacuum"),
+    41: ("obc2", "vacuum"),
 }  # fmt: skip
-"""Solvents by copies of ubiquitin: of 50,000 atoms and more, what two cores compute in minutes."""
+"""Solvents by copies of ubiquitin."""
 
 
 def by_accuracy(threads: int, quick: bool) -> Iterator[dict[str, object]]:
@@ -134,7 +134,7 @@ def by_accuracy(threads: int, quick: bool) -> Iterator[dict[str, object]]:
             against = Against(exact, x)
             yield against.row(solvent, "all pairs", exact)
             # Each accuracy is measured against all pairs.
-            for accuracy in ACCURACIES if n <= 41 else ACCURACIES[1:2]:
+            for accuracy in ACCURACIES:
                 tree = exact.to_accuracy(accuracy, x)
                 if tree is not exact:
                     yield against.row(solvent, f"tree, {accuracy:g} asked", tree)

@@ -1,6 +1,6 @@
 """Damaged files and odd options: what is taken, what is refused in one line, and what is a fault.
 
-    python analysis/benchmarks/fuzz.py [-o DIR] [--quick] [--files 5000] [--options 2000]
+    python analysis/benchmarks/fuzz.py [-o DIR] [--quick] [--files 10000] [--options 2000]
     python analysis/benchmarks/fuzz.py --only "PDB, models" --seed 17
 
 Cases are made by kind and seed (tests/fixtures/damage.py), run in processes split off one that has loaded
@@ -21,7 +21,7 @@ from made import ROOT
 sys.path.insert(0, str(ROOT / "tests"))
 from fixtures import damage, judge
 
-FILES, OPTIONS = 5000, 2000
+FILES, OPTIONS = 10_000, 2000
 
 
 def counted(ended: list[judge.Outcome]) -> pd.DataFrame:

@@ -92,6 +92,7 @@ FAMILIES = tuple(dict.fromkeys(kind.family for kind in file_kinds.KINDS))
 def parser() -> argparse.ArgumentParser:
     own = made.parser(__doc__)
     own.add_argument("--processes", type=int, default=1, metavar="N", help="kinds at once; 1")
+    own.add_argument("--every", type=int, default=1, metavar="N", help="each Nth kind; 1")
     own.add_argument("--only", nargs="+", metavar="FAMILY", choices=FAMILIES, help=", ".join(FAMILIES))
     return own
 
@@ -99,7 +100,7 @@ def parser() -> argparse.ArgumentParser:
 def main() -> None:
     options = parser().parse_args()
     families = options.only or FAMILIES
-    chosen = [kind for kind in file_kinds.KINDS if kind.is_here and kind.family in families]
+    chosen = [kind for kind in file_kinds.KINDS if kind.is_here and kind.family in families][:: options.every]
     if options.quick:
         chosen = [kind for kind in chosen if kind.name in ("plain", "sep", "covalent-stated", "c-alphas")]
     rows = []

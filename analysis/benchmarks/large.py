@@ -1,6 +1,6 @@
 """Large structures: copies of one side by side, minimised in all atoms from shell to shell.
 
-    python analysis/benchmarks/large.py [-o DIR] [--structure FILE] [--atoms 1000,...,44000]
+    python analysis/benchmarks/large.py [-o DIR] [--structure FILE] [--atoms 1000,...,20000]
         [--tolerance 10] [--accuracy auto] [--threads N] [--quick]
 
 `protochain minimise --method cartesian` to an RMS force of 10 kJ/mol/nm, in a process of its own for each
@@ -29,7 +29,7 @@ from bench import exponent
 
 GAP = 3.0
 """angstrom between the boxes around two copies."""
-SIZES = "1000,3000,6000,10000,20000,44000"
+SIZES = "1000,3000,6000,10000,20000"
 QUICK = "6000,7500"
 FEWEST = 5000
 """Atoms from which a tree sums far pairs by default."""

@@ -1,4 +1,4 @@
-"""Chains, residues and atoms that share their ids in a file, though they are different ones."""
+"""Chains, residues and atoms that share their ids in a file: different ones, or parts of one."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -63,6 +63,30 @@ def _split_where_numbers_begin_again(model: gemmi.Model) -> None:
             for i in reversed(range(start, len(chain))):
                 del chain[i]
             model.add_chain(rest, k + 1)
+
+
+def join_residues(structure: gemmi.Structure) -> None:
+    """Put together what a file has of one residue in several places of a chain; changed in place."""
+    for model in structure:
+        first: dict[tuple[object, ...], gemmi.Residue] = {}
+        joined = []
+        for chain, i in [(chain, i) for chain in model for i in range(len(chain))]:
+            residue, number = chain[i], chain[i].seqid
+            its = first.setdefault((chain.name, number.num, number.icode, residue.name), residue)
+            if its is not residue and _are_parts(its, residue):
+                for atom in residue:
+                    its.add_atom(atom)
+                joined.append((chain, i))
+        for chain, i in reversed(joined):
+            del chain[i]
+    structure.remove_empty_chains()
+
+
+def _are_parts(one: gemmi.Residue, other: gemmi.Residue) -> bool:
+    """Whether they share no atom, or one has no C-alpha and the shared ones are in one place."""
+    there = {atom.name: atom.pos for atom in one}
+    shared = [there[atom.name].dist(atom.pos) for atom in other if atom.name in there]
+    return not shared or (_is_amino(one) != _is_amino(other) and max(shared) < _SAME_PLACE)
 
 
 def separate_caps(structure: gemmi.Structure) -> None:

@@ -21,7 +21,7 @@ from protochain.core.markup import excerpt
 from protochain.core.storage import regular
 from protochain.core.timings import part
 from protochain.structure import foreign
-from protochain.structure.apart import separate_caps, separate_chains, separate_molecules
+from protochain.structure.apart import join_residues, separate_caps, separate_chains, separate_molecules
 from protochain.structure.ions import name_ions
 from protochain.structure.records import of_cif, of_pdb
 from protochain.structure.repairs import Kind, Repair
@@ -123,9 +123,10 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
 def _settled(
     structure: gemmi.Structure, source: str, overlooked: list[Repair], ends: bool, records: str
 ) -> tuple[gemmi.Structure, list[Repair], bool, str]:
-    """Number atoms, and tell ions, chains and copies apart."""
+    """Number atoms, join what is one residue, and tell ions, chains and copies apart."""
     number_atoms(structure)
     name_ions(structure)
+    join_residues(structure)
     separate_caps(structure)
     overlooked += separate_chains(structure)
     structure.merge_chain_parts()

@@ -37,7 +37,7 @@ def protonate(
         (
             member,
             None
-            if member.name == "HIS" and not states[id(member)]
+            if member.name == "HIS" and not states[id(member)] and member.own is None
             else part.template(known, i, states[id(member)]) or part.template(known, i),
         )
         for part in draft.parts

@@ -241,6 +241,49 @@ def test_residues_that_stand_elsewhere_in_the_file_do_not_break_a_chain(strays):
     assert not any("broken" in line for line in sentences(draft))
 
 
+def records(name):
+    """Atom records of a sample."""
+    lines = (STRUCTURES / f"{name}.pdb").read_text().splitlines(keepends=True)
+    return [line for line in lines if line.startswith("ATOM")]
+
+
+@pytest.mark.parametrize("name", ["1l2y", "3i40"])
+def test_atoms_in_any_order_are_the_same_molecule(name, tmp_path):
+    """Also where records of one chain stand between those of another."""
+    lines = records(name)
+
+    def atoms(lines):
+        path = tmp_path / "given.pdb"
+        path.write_text("".join(lines))
+        s = pc.load(path)
+        where = s.residue_chain[s.atom_residue].tolist(), s.residue_number[s.atom_residue].tolist()
+        return sorted(zip(*where, s.atom_name.tolist(), s.positions.round(5).tolist(), strict=True))
+
+    assert atoms(lines) == atoms(np.random.default_rng(1).permutation(lines).tolist())
+
+
+def test_records_that_come_again_where_a_residue_begins_elsewhere_are_one_residue(tmp_path):
+    """The last atoms of a chain, then all of its end."""
+    lines, path = records("ala10"), tmp_path / "given.pdb"
+    path.write_text("".join([*lines[:-20], *lines[-6:], "TER\n", *lines[-20:]]))
+    again = pc.load(path)
+    assert again.n_residues == 10 and kinds(again) == [Kind.REPEATED, *kinds(load("ala10.pdb"))]
+    assert sorted(again.positions.tolist()) == sorted(load("ala10.pdb").positions.tolist())
+
+
+def test_a_part_of_a_histidine_beside_a_protein_is_of_its_own_chemistry(tmp_path):
+    """No tautomer is sought for a ring that is not there."""
+    part = [
+        line for line in records("3i40") if line[21:26] == "B   5" and line[12:16].strip() not in ("O", "CD2")
+    ]
+    path = tmp_path / "given.pdb"
+    path.write_text("".join([*(line for line in records("3i40") if line[21] == "A"), "TER\n", *part]))
+    s = pc.load(path, keep="all")
+    assert s.residue_name[-1] == "HIS" and {"CG", "ND1", "CE1", "NE2"} <= {
+        *s.atom_name[s.atom_residue == s.n_residues - 1]
+    }
+
+
 @pytest.mark.parametrize(("gap", "broken"), [(1.999, False), (2.0, True)])
 def test_a_chain_breaks_where_c_and_n_are_two_angstrom_apart(gap, broken):
     far = apart(gap, 4)
