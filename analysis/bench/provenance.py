@@ -39,7 +39,7 @@ def processor() -> str:
 
 
 def commit(root: Path, *places: str) -> str:
-    """Ask git for the last commit of places in a repository, all by default, and whether they were changed since.
+    """Ask git for the last commit of places in a repository, all by default, and whether they changed since.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ def join_residues(structure: gemmi.Structure) -> None:
     for model in structure:
         first: dict[tuple[object, ...], gemmi.Residue] = {}
         joined = []
-        for chain, i in [(chain, i) for chain in model for i in range(len(chain))]:
+        for chain, i in [(each, i) for each in model for i in range(len(each))]:
             residue, number = chain[i], chain[i].seqid
             its = first.setdefault((chain.name, number.num, number.icode, residue.name), residue)
             if its is not residue and _are_parts(its, residue):

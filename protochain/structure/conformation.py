@@ -18,6 +18,8 @@ _TOGETHER = 2.5
 """Angstrom: alternates nearer than this belong together, as parts of a molecule, or exclude each other."""
 _UPON, _EXCLUDED = 1.0, 2.0
 """Angstrom: atoms of two molecules nearer than this are not there at once, and ions further from others."""
+_MOST_OCCUPANCY = 1000.0
+"""What the columns of the PDB format hold."""
 _WHOLE = "whole-"
 """Letter of a molecule that is there in part, as all alternate locations are, but has none."""
 
@@ -122,12 +124,12 @@ def check_altloc(model: gemmi.Model, asked: str, source: str) -> None:
 
 
 def without_nan(model: gemmi.Model) -> int:
-    """Put 0 for occupancies that are no numbers, and return of how many atoms; B factors remain unknown."""
+    """Put 0 for occupancies that no file can have, and return of how many atoms; B factors remain unknown."""
     n = 0
     for place in model.all():
         atom = place.atom
         atom.b_iso = atom.b_iso if isfinite(atom.b_iso) else nan
-        if not isfinite(atom.occ):
+        if not abs(atom.occ) < _MOST_OCCUPANCY:
             n += 1
             atom.occ = 0.0
     return n

@@ -19,6 +19,8 @@ _CATEGORIES = (
     "cell", "symmetry", "title_keywords", "entity", "entity_poly", "entity_poly_seq", "struct_asym",
     "struct_conf", "struct_sheet", "conn",
 )  # fmt: skip
+_SPECIAL = (";", "#", "'", '"', "_", "$", "[", "]")
+"""How no plain value of mmCIF begins."""
 _INFO = ("_struct.title", "_cell.Z_PDB")
 """Of what gemmi knows of an entry. Its experiment and dates are not those of a computed structure."""
 
@@ -32,9 +34,17 @@ def take_header(structure: gemmi.Structure, records: str = "") -> str:
         setattr(groups, category, True)
     document = gemmi.cif.Document()
     block = document.add_copied_block(structure.make_mmcif_block(groups))
+    quote_ids(block)
     for item in gemmi.cif.read_string(records).sole_block() if records else ():
         block.add_item(item)
     return str(document.as_string())
+
+
+def quote_ids(block: gemmi.cif.Block) -> None:
+    """Quote label ids that begin as a text, a comment, a quotation or a name does, as gemmi does not."""
+    for row in block.find("_struct_asym.", ["id"]):
+        if row[0].startswith(_SPECIAL):
+            row[0] = gemmi.cif.quote(row[0])
 
 
 def with_header(header: str) -> gemmi.Structure:

@@ -47,7 +47,7 @@ class Kind(Enum):
 
     # Of the file.
     LOWER_CASE = Words("{count:n atom record} in lower case read as upper case")
-    NOT_A_NUMBER = Words("occupancy of {count:n atom} is no number: read as 0")
+    NOT_A_NUMBER = Words("occupancy of {count:n atom} is no number below 1000: read as 0")
     NO_ELEMENT = Words(
         "columns 77-78 of {count:n atom record}, from line {line} on, hold no element: elements derived from "
         "atom names"

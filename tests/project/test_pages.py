@@ -284,7 +284,9 @@ def test_all_goes_on_where_it_was_stopped(part, tmp_path):
 
 
 def test_all_jobs_fit_into_parts_of_forty_minutes():
-    assert [job.name for job in benchmarks.JOBS if job.minutes > 40 and not (job.continues or job.apart)] == []
+    assert [
+        job.name for job in benchmarks.JOBS if job.minutes > 40 and not (job.continues or job.apart)
+    ] == []
 
 
 @pytest.mark.parametrize("folder", [made.MORE, "/some/collection", "../collection", "collection"])

@@ -377,17 +377,18 @@ def test_a_name_comes_from_the_file_and_an_end_is_missed(tmp_path, monkeypatch):
     assert (draft.name, draft.source) == ("stdin", "standard input")
 
 
-def test_an_occupancy_that_is_no_number_is_no_choice(tmp_path):
+@pytest.mark.parametrize("given", ["   nan", "  1e30", " -1e30"])
+def test_an_occupancy_that_is_no_number_is_no_choice(given, tmp_path):
     """Of two locations the one with an occupancy is taken."""
     lines = [line for line in (STRUCTURES / "1ejg.pdb").read_text().splitlines() if line.startswith("ATOM")]
     own = [k for k, line in enumerate(lines) if line[16] == "A" and line[22:26] == "  22"]
     assert own
     for k in own:
-        lines[k] = f"{lines[k][:54]}   nan{lines[k][60:]}"
+        lines[k] = f"{lines[k][:54]}{given}{lines[k][60:]}"
     (tmp_path / "x.pdb").write_text("\n".join([*lines, "END", ""]))
     s = pc.load(tmp_path / "x.pdb")
     assert s.residue_name[21] == "SER" and np.isfinite(s.occupancy).all()
-    assert f"occupancy of {len(own)} atoms is no number: read as 0" in sentences(s)
+    assert f"occupancy of {len(own)} atoms is no number below 1000: read as 0" in sentences(s)
 
 
 def test_atoms_upon_one_another_beyond_measure_are_refused(tmp_path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from fixtures.molecules import WHERE, ring
 from fixtures.repairs import noted
+from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.structure.header import take_header
@@ -131,6 +132,18 @@ def test_coordinates_further_out_are_refused_with_the_atom(angstrom, axis, tmp_p
     )
     assert list(tmp_path.iterdir()) == []
     pc.save(moved(angstrom, axis, 10), tmp_path / "x.mmcif")
+
+
+@pytest.mark.parametrize("name", [";", "#", "'", "_", "$"])
+@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
+def test_a_chain_may_be_called_by_any_letter(name, suffix, tmp_path):
+    """Also by those that begin a text, a comment, a quotation or a name in mmCIF."""
+    made = tmp_path / "given.pdb"
+    text = (STRUCTURES / "ala10.pdb").read_text().splitlines(keepends=True)
+    made.write_text("".join(f"{line[:21]}{name}{line[22:]}" if line[:4] == "ATOM" else line for line in text))
+    pc.save(pc.load(made), tmp_path / f"written{suffix}")
+    again = pc.load(tmp_path / f"written{suffix}")
+    assert {*again.residue_chain.tolist()} == {name} and again.n_residues == 10
 
 
 def test_a_chain_id_of_two_letters_needs_mmcif(tmp_path):
