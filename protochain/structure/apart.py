@@ -56,12 +56,14 @@ def _split_where_numbers_begin_again(model: gemmi.Model) -> None:
                 starts.append(i)
                 seen.clear()
             seen.add(number)
+        rests = []
         for start in reversed(starts):
-            rest = gemmi.Chain(chain.name)
+            rests.append(gemmi.Chain(chain.name))
             for residue in chain[start:]:
-                rest.add_residue(residue)
+                rests[-1].add_residue(residue)
             for i in reversed(range(start, len(chain))):
                 del chain[i]
+        for rest in rests:  # After all: it moves the chains of the model in memory.
             model.add_chain(rest, k + 1)
 
 
@@ -83,7 +85,7 @@ def join_residues(structure: gemmi.Structure) -> None:
 
 
 def _are_parts(one: gemmi.Residue, other: gemmi.Residue) -> bool:
-    """Whether they share no atom, or one has no C-alpha and the shared ones are in one place."""
+    """Whether they share no atom, or one has no backbone and the shared ones are in one place."""
     there = {atom.name: atom.pos for atom in one}
     shared = [there[atom.name].dist(atom.pos) for atom in other if atom.name in there]
     return not shared or (_is_amino(one) != _is_amino(other) and max(shared) < _SAME_PLACE)
@@ -123,8 +125,8 @@ _HYDROGENS = {"ACE": ("HY",), "NME": ("HT", "HNT"), "NH2": ("HT",)}
 
 def refuse_copies(chains: Sequence[gemmi.Chain], source: str) -> None:
     """Refuse chains that lie upon others, as models that no MODEL record separates."""
-    owner = [k for k, chain in enumerate(chains) for residue in chain if _is_amino(residue)]
-    x = [r.get_ca().pos.tolist() for chain in chains for r in chain if _is_amino(r)]
+    alphas = [(k, r.get_ca()) for k, chain in enumerate(chains) for r in chain if r.get_ca() is not None]
+    owner, x = [k for k, _ in alphas], [alpha.pos.tolist() for _, alpha in alphas]
     close = KDTree(x).query_pairs(_UPON, output_type="ndarray") if x else np.empty((0, 2), dtype=int)
     both = Counter(tuple(sorted((owner[i], owner[j]))) for i, j in close.tolist() if owner[i] != owner[j])
     size = Counter(owner)
@@ -151,7 +153,8 @@ def refuse_crowds(atoms: Sequence[gemmi.Atom], source: str) -> None:
 
 
 def _is_amino(residue: gemmi.Residue) -> bool:
-    return residue.get_ca() is not None
+    """Whether it has a backbone; a lone atom called CA may be of anything."""
+    return {"N", "CA", "C"} <= {atom.name for atom in residue}
 
 
 def separate_molecules(structure: gemmi.Structure, source: str) -> list[Repair]:
@@ -165,7 +168,7 @@ def separate_molecules(structure: gemmi.Structure, source: str) -> list[Repair]:
                     continue
                 copies = _copies(residue)
                 nearest = _nearest(copies)
-                is_amino = {"N", "CA", "C"} <= copies[0].keys()
+                is_amino = _is_amino(residue)
                 if nearest > _NOT_BONDED and all(each.keys() == copies[0].keys() for each in copies):
                     if is_amino:
                         where = Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name)
