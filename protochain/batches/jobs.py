@@ -331,11 +331,11 @@ def find_jobs(
             raise ProtochainError(
                 f"{path}: lies in the folder for the results; give them a folder of their own"
             )
+    where = f"{manifest}: " if manifest else ""
     if not found:
-        where = f"{manifest}: " if manifest else ""
         raise ProtochainError(f"{where}no structures found; give files, folders or patterns")
     if not any(each.path.exists() for each in found):
-        raise ProtochainError(f"{found[0].path}: not found, nor any other structure; check the names")
+        raise ProtochainError(f"{where}{found[0].path}: not found, nor any other structure; check the names")
     usual = BatchSettings().values()
     settings.refuse_idle(
         (name for name, value in settings.values().items() if value != usual[name]),
@@ -410,6 +410,8 @@ def _from_manifest(manifest: Path, settings: BatchSettings) -> list[_Found]:
         try:
             if "" in row:
                 raise ProtochainError("more cells than columns")
+            if any(character < " " for character in row["path"].strip()):
+                raise ProtochainError("its path has control characters, as after a quotation mark left open")
             own = settings.read({k: v for k, v in row.items() if k != "path"})
         except ProtochainError as error:
             raise ProtochainError(f"{manifest}: line {line}: ", *error.parts) from error

@@ -5,8 +5,8 @@ import errno
 import io
 import os
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, get_origin
 
@@ -46,6 +46,8 @@ _TYPES |= {
 }
 """Of columns as pandas reads them: names that look like numbers remain text, and whole numbers, which a
 failure lacks, whole."""
+_OF_ROWS = ("structure", "method", "status", "input", "model", "output", "key")
+"""Columns of ``summary.csv`` without which a batch cannot go on."""
 
 CIRCUMSTANCES = ("killed", "time-limit", "interrupted")
 """Statuses that may differ next time: such runs are repeated on resuming."""
@@ -54,15 +56,25 @@ TRACE_COLUMNS = (
     "structure", "method", "iteration", "evaluations", "seconds", "energy_kj_mol", "rms_torque_kj_mol_rad",
     "max_torque_kj_mol_rad", "rms_force_kj_mol_nm", "max_force_kj_mol_nm", "ca_rmsd_angstrom", "key",
 )  # fmt: skip
+_NUMBERS: dict[str, Callable[[str], float]] = {
+    **dict.fromkeys(TRACE_COLUMNS[3:-1], float),
+    **{
+        column.key: float
+        for column in (*record.COLUMNS, *OF_RELAXING)
+        if column.kind in (float, float | None)
+    },
+    **{key: int for key, kind in _TYPES.items() if kind == "Int64"},
+}
+"""What reads a number of a column."""
 
 
-SUMMARY = "summary"
-"""Stem of the name of a batch's table."""
+SUMMARY, _TRACES = "summary", "traces.csv"
+"""Stem of the name of a batch's table; name of that of its traces."""
 
 
 def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
     """Files that a batch writes to its folder beside structures, pages and plots."""
-    names = (f"{name}.csv", f"{name}.parquet", "traces.csv", "summary.json", "report.html", SETTINGS)
+    names = (f"{name}.csv", f"{name}.parquet", _TRACES, "summary.json", "report.html", SETTINGS)
     return [folder / each for each in names]
 
 
@@ -82,7 +94,7 @@ class Tables:
         force: bool = False,
     ) -> None:
         self.name = name
-        self.summary, self.traces = folder / f"{name}.csv", folder / "traces.csv"
+        self.summary, self.traces = folder / f"{name}.csv", folder / _TRACES
         check_writable(self.summary)
         self.folder, self._claim = folder, ExitStack()
         self._claim.enter_context(claimed(folder, "batch", resume))
@@ -237,17 +249,21 @@ def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, obj
 
 
 def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
-    """Rows of a table, without an incomplete last line."""
+    """Rows of a table, without incomplete and damaged ones."""
     if not path.exists():
         return
     with path.open(newline="", encoding="utf-8", errors="replace") as file:
-        columns, seen = None, set[tuple[str, ...]]()
+        columns, seen, numbers = None, set[tuple[str, ...]](), list[tuple[int, Callable[[str], float]]]()
         whole = (line for line in file if line.endswith("\n"))
         for cells in csv.reader(whole):
             if columns is None:
                 columns = cells
-                if "key" not in columns:
+                numbers = [(i, _NUMBERS[name]) for i, name in enumerate(columns) if name in _NUMBERS]
+                if not {*(TRACE_COLUMNS if path.name == _TRACES else _OF_ROWS)} <= {*columns}:
                     raise ProtochainError(f"{path}: is not a table of a batch; give another folder")
             elif len(cells) == len(columns) and cells != columns and (row := tuple(cells)) not in seen:
                 seen.add(row)  # A table that was put behind itself has each row once.
-                yield dict(zip(columns, cells, strict=True))
+                with suppress(ValueError):
+                    for i, read in numbers:
+                        read(cells[i] or "0")
+                    yield dict(zip(columns, cells, strict=True))

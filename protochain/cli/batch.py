@@ -78,7 +78,7 @@ def batch(
             print_jobs(jobs)
         raise typer.Exit(options.CONVERGED)
     check_figure(figure)
-    options.check_outputs([manifest], [*files_of(output), figure], setup)
+    options.check_outputs([manifest], [*([] if resume else files_of(output)), figure], setup)
     with Processes(workers, scheduler, threads, time_limit).started_early(), batch_progress() as watch:
         done = run(
             given, output, manifest=manifest, resume=resume, force=force, watch=watch,

@@ -227,7 +227,7 @@ def _several(
         raise ProtochainError(f"{folder}: several structures are several files; give the name of a folder")
     for path in beside:
         check_ligand_file(path)
-    options.check_outputs([manifest], [*files_of(folder, RELAXED), *beside], setup)
+    options.check_outputs([manifest], [*([] if resume else files_of(folder, RELAXED)), *beside], setup)
     _tell_frames(inputs)
     with batch_progress() as watch:
         done = relax_files(

@@ -53,7 +53,7 @@ def simulate(
     simulation = replace(simulation, pull=pulling)
     output = output or Path(f"{options.named_after(source)[0]}-simulation")
     check_folder(output, running.trajectory, running.resume, running.force)
-    options.check_outputs([source], files_of(output, running.trajectory), setup)
+    options.check_outputs([source], [] if running.resume else files_of(output, running.trajectory), setup)
     chain, energy, preparation = options.prepare(source, setup)
     if simulation.pull or simulation.hinge_springs:
         freed(chain, simulation)  # What is not there is said before the work.

@@ -1,5 +1,6 @@
 """Many structures: what is found, that each is done as if alone, and that nothing stops or loses the rest."""
 
+import csv
 import json
 import os
 import re
@@ -307,9 +308,51 @@ def test_a_damaged_table_is_refused_before_anything_is_written(tmp_path):
     pc.batch(tmp_path / "one.pdb", output=out, methods=("lbfgs",), max_evaluations=2, workers=1)
     for damaged in (out / "summary.csv", out / "traces.csv"):
         whole = damaged.read_bytes()
-        damaged.write_text("a,b\n1,2\n")
+        damaged.write_bytes(whole.replace(b"structure", b"s\xe0ructure", 1))
         before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
         with pytest.raises(pc.ProtochainError, match="is not a table of a batch"):
             pc.batch(tmp_path, output=out, methods=("lbfgs",), max_evaluations=2, workers=1, resume=True)
         assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
         damaged.write_bytes(whole)
+
+
+@pytest.mark.parametrize(
+    ("table", "column"),
+    [
+        ("summary", "energy_end_kj_mol"),
+        ("summary", "iterations"),
+        ("summary", "n_atoms"),
+        ("traces", "seconds"),
+    ],
+)
+def test_rows_whose_numbers_are_damaged_are_made_again_or_left_out(table, column, tmp_path):
+    pc.save(load("ala10.pdb"), tmp_path / "one.pdb")
+
+    def run(**more):
+        return pc.batch(tmp_path / "one.pdb", tmp_path / "out", "lbfgs", max_evaluations=2, workers=1, **more)
+
+    run()
+    path = tmp_path / "out" / f"{table}.csv"
+    rows = list(csv.reader(path.read_text().splitlines()))
+    at = rows[0].index(column)
+    rows[1][at] = f"x{float(rows[1][at])}"
+    with path.open("w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)
+    done = run(resume=True)
+    assert list(done.table["status"]) == ["budget"] and np.isfinite(done.table["energy_end_kj_mol"]).all()
+    assert np.isfinite(done.traces[["seconds", "energy_kj_mol"]]).all(axis=None)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('path\n"a.pdb\nb.pdb\n', "line 3: its path has control characters"),
+        ("path\na.pdb\n\x00.pdb\n", "line 3: its path has control characters"),
+        ("path\na.pdb\n", "a.pdb: not found"),
+    ],
+)
+def test_names_of_a_manifest_that_can_be_of_no_file_are_refused_with_its_name(text, said, tmp_path):
+    path = tmp_path / "list.csv"
+    path.write_text(text)
+    with pytest.raises(pc.ProtochainError, match=f"list.csv: .*{said}"):
+        pc.batch(manifest=path, output=tmp_path / "out")
