@@ -251,7 +251,7 @@ def _in_text(path: Path) -> bool:
 
 
 def _checkpoint(table: Path) -> Path:
-    return table.with_name(f"{table.stem}.checkpoint.npz")
+    return table.parent / f"{table.stem}.checkpoint.npz"
 
 
 def _beside(trajectory: Path, ensemble: Ensemble | None = None) -> Path:

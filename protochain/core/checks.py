@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar
 
 from protochain.core.errors import Argument, ProtochainError, refused
+from protochain.core.markup import excerpt
 
 Check = Callable[[Any, str], Any]
 
@@ -221,8 +222,12 @@ def text(value: Any, name: str) -> str:
 
 def refuse_unknown(value: str, name: str, known: Iterable[str]) -> None:
     """Refuse a word that is not among those known."""
-    if value not in known:
-        raise ProtochainError(Argument(name), f" {value!r} is not known; choose from {', '.join(known)}")
+    if value not in (names := [*known]):
+        from difflib import get_close_matches  # needed here alone
+
+        near = get_close_matches(value, names, 5, 0.0)
+        listed = f"{len(names)} names, as {', '.join(near)}" if len(names) > 12 else ", ".join(names)
+        raise ProtochainError(Argument(name), f" {excerpt(value)!r} is not known; choose from {listed}")
 
 
 def one_of(known: Iterable[str]) -> Check:

@@ -107,12 +107,7 @@ def refused(name: str, given: object, *remedy: object) -> ProtochainError:
 
 
 class WriteError(ProtochainError):
-    """A file that could not be written, mostly for want of space.
-
-    why: The system's reason.
-    saved: What was saved besides.
-    *remedy: What to do, in parts.
-    """
+    """A file that could not be written: the system's reason, what was saved besides, what to do."""
 
     def __init__(self, path: object, why: str, saved: str = "", *remedy: str | Argument) -> None:
         super().__init__(str(path), why, saved, *(remedy or (_MAKE_SPACE,)))

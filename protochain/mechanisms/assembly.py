@@ -91,13 +91,7 @@ class Assembly:
         return np.array(kinds + [False] * (self.drive is not None), dtype=bool)
 
     def start(self) -> Phase:
-        """Phase at the start.
-
-        Raises
-        ------
-        MechanicsError
-            If the pose is singular, or what an element gives is no number.
-        """
+        """Phase at the start; refused if the pose is singular, or what an element gives is no number."""
         try:
             return self.system.at(self.q, self.qd)
         except BodyError as error:

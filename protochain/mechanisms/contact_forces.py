@@ -39,15 +39,10 @@ NO_ANCHORS = Anchors(np.empty((0, 2), np.int64), np.empty((0, 6)))
 
 
 class ContactForces:
-    """Forces of a contact in a mechanism. What changes in a run is the anchors, after each of its steps.
-
-    tree: Rigid bodies.
-    finder: Where they touch.
-    constants (6,): Stiffness, exponent and damping of the normal force; coefficient, stiffness and damping of
-        friction.
-    """
+    """Forces of a contact in a mechanism. What changes in a run is the anchors, after each of its steps."""
 
     def __init__(self, tree: Tree, finder: Finder, constants: Floats) -> None:
+        # Stiffness, exponent, damping of the normal force; coefficient, stiffness, damping of friction.
         self.tree, self.finder, self.constants = tree, finder, constants
         self.anchors = NO_ANCHORS
         self._last: tuple[Frames, Touches] | None = None

@@ -179,15 +179,12 @@ def walk(
 
 
 class _Walk:
-    """Where a walk is between two stages, and what it has come to.
-
-    stop: Ending of the last stage that did more than look.
-    left_out: Whether the stage before was not ready to run.
-    """
+    """Where a walk is between two stages, and what it has come to."""
 
     def __init__(self, space: Space, q: Floats, resume: Waypoint | None) -> None:
         self.space, self.q, self.resume = space, q, resume
         self.first, self.n_iterations = (resume.stage, resume.before) if resume else (0, 0)
+        # Of the last stage that did more than look.
         self.stop = Stop[resume.ended] if resume and resume.ended else Stop.BUDGET
         self.waiting = resume.last if resume else None
         self.home = resume.at if resume else None

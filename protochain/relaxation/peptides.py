@@ -29,13 +29,10 @@ class PeptideBonds:
     """Push of peptide bonds to trans or cis: E = k/2 sum max(0, d - d0)^2, d the angle from that form.
 
     A bond of usual shape feels nothing. Where d is large, E grows in proportion to it (Huber's function).
-
-    atoms (n, 4) int: C-alpha, C, N and C-alpha of each bond.
-    cis (n,) bool: Whether it should be cis.
     """
 
-    atoms: Integers
-    cis: NDArray[np.bool_]
+    atoms: Integers  # (n, 4) int: C-alpha, C, N and C-alpha of each bond.
+    cis: NDArray[np.bool_]  # (n,) bool: Whether it should be cis.
 
     @classmethod
     def of(cls, structure: Structure) -> "PeptideBonds":

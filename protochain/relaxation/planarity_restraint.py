@@ -21,11 +21,9 @@ class Planes:
     s is the sum of the unit vectors to the three neighbours. Where these lie on one side, one of them between
     the others, harmonic angles hold the atom in a minimum of their own, with angles of 80 to 90 degrees, and
     no force leads out of it. An atom of usual shape feels nothing.
-
-    atoms (n, 4) int: Centre and its three neighbours.
     """
 
-    atoms: Integers
+    atoms: Integers  # (n, 4) int: Centre and its three neighbours.
 
     @classmethod
     def of(cls, structure: Structure) -> "Planes":

@@ -31,21 +31,14 @@ _POLAR = {"CYS": _STAGGERED, "SER": _STAGGERED, "THR": _STAGGERED, "TYR": _PLANA
 
 @dataclass(frozen=True, eq=False)
 class Rotamers:
-    """Positions that the side chain of a residue may take.
-
-    atoms (k,) int: Atoms that turn.
-    chi (n, n_chi) rad: Dihedrals to try, those of the input first; those of a polar hydrogen last.
-    n_chi: Dihedrals without that of a polar hydrogen.
-    x (n, k, 3) nm.
-    cost (n,) kJ/mol: Of their rarity.
-    """
+    """Positions that the side chain of a residue may take."""
 
     residue: int
-    atoms: Integers
-    chi: Floats
-    n_chi: int
-    x: Floats
-    cost: Floats
+    atoms: Integers  # (k,) int: Atoms that turn.
+    chi: Floats  # (n, n_chi) rad: Dihedrals to try, those of the input first; those of a polar hydrogen last.
+    n_chi: int  # Dihedrals without that of a polar hydrogen.
+    x: Floats  # (n, k, 3) nm.
+    cost: Floats  # (n,) kJ/mol: Of their rarity.
 
     def repair(self, state: int, residue: residues.Residue) -> Repair:
         """How it is turned."""

@@ -81,17 +81,12 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class Ended:
-    """Where a round ended.
+    """Where a round ended."""
 
-    wrong: What is wrong there.
-    springs: Those of its last stage.
-    concerned (n,) int: Residues with violations, overlaps, threaded rings, inverted stereocentres or
-        twisted peptide bonds.
-    """
-
-    wrong: Wrong
+    wrong: Wrong  # What is wrong there.
     stop: Stop
-    springs: Tethers
+    springs: Tethers  # Those of its last stage.
+    # (n,) int: Residues with violations, overlaps, threaded rings, inverted centres, twisted peptide bonds.
     concerned: Integers
     round: Round
 
@@ -103,21 +98,15 @@ class Ended:
 
 @dataclass(frozen=True, eq=False)
 class Relaxer:
-    """What all rounds share.
+    """What all rounds share."""
 
-    structure: The input, or that with side chains turned: all springs lead to it.
-    max_iterations: Of each minimisation; 0 for no limit.
-    moving (na,) bool: Atoms that may move; all but obstacles by default.
-    held: Restraints of the user.
-    """
-
-    structure: Structure
+    structure: Structure  # The input, or that with side chains turned: all springs lead to it.
     energy: Energy
     strength: Preset
-    max_iterations: int
+    max_iterations: int  # Of each minimisation; 0 for no limit.
     note: Note
-    moving: NDArray[np.bool_] | None = None
-    held: tuple[Force, ...] = ()
+    moving: NDArray[np.bool_] | None = None  # (na,) bool: Atoms that may move; all but obstacles by default.
+    held: tuple[Force, ...] = ()  # Restraints of the user.
 
     def rounds(self, x: Floats, excluded: NDArray[np.bool_], most: int) -> list[Ended]:
         """Minimise from x (na, 3) nm, and with fewer springs while violations or overlaps are left."""

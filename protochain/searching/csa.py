@@ -30,29 +30,18 @@ _SIZE = np.pi / 4
 
 @dataclass(frozen=True, eq=False)
 class Bank(Value):
-    """State of a bank of m minima.
+    """State of a bank of m minima."""
 
-    q (m, n) rad: Their torsions.
-    energies (m,) kJ/mol.
-    tried (m,): Trials from each since it came or since the round began.
-    random (k, n) rad: The last random minima.
-    room: Minima that the bank is to hold: below it, random ones join.
-    mean rad: Mean distance of the random minima.
-    width: Distance of what is near, by ``mean``.
-    n_rounds, n_done, n_accepted, n_evaluations: Rounds, descents, those that changed the bank, and
-    evaluations so far.
-    """
-
-    q: Floats
-    energies: Floats
-    tried: Floats
-    random: Floats
-    room: int
-    mean: float
-    width: float
+    q: Floats  # (m, n) rad: Their torsions.
+    energies: Floats  # (m,) kJ/mol.
+    tried: Floats  # (m,): Trials from each since it came or since the round began.
+    random: Floats  # (k, n) rad: The last random minima.
+    room: int  # Minima that the bank is to hold: below it, random ones join.
+    mean: float  # rad: Mean distance of the random minima.
+    width: float  # Distance of what is near, by ``mean``.
     n_rounds: int
-    n_done: int
-    n_accepted: int
+    n_done: int  # Descents.
+    n_accepted: int  # Those that changed the bank.
     n_evaluations: int
 
     @property

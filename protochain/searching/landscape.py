@@ -55,15 +55,11 @@ class Descended(NamedTuple):
 
 
 class Swept(NamedTuple):
-    """Some trajectories of hybrid Monte Carlo.
+    """Some trajectories of hybrid Monte Carlo."""
 
-    Torsions (n,) at the end, energies (k,) in kJ/mol after each, without Fixman's potential, the share of
-    trajectories accepted, and evaluations.
-    """
-
-    q: Floats
-    energies: Floats
-    accepted: float
+    q: Floats  # (n,) rad: At the end.
+    energies: Floats  # (k,) kJ/mol: After each, without Fixman's potential.
+    accepted: float  # Share of trajectories.
     n_evaluations: int
 
 

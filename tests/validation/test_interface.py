@@ -553,7 +553,7 @@ def test_a_complex_that_overlaps_is_relaxed_and_deviates_from_its_reference(thre
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--rank", "beauty"], "rank 'beauty' is not known; choose from energy_kj_mol"),
+        (["--rank", "beauty"], "rank 'beauty' is not known; choose from "),
         (["--report", "page.pdf"], "ends in .html"),
         (["--csv", "x.csv", "--residues", "x.csv"], "given for two outputs"),
     ],

@@ -164,8 +164,6 @@ def _nonbonded(system: openmm.System, found: dict[str, list[openmm.Force]]) -> N
     if not force.getNumParticles():
         for _ in range(n):
             force.addParticle(0.0, 1.0, 0.0)
-    if force.getNonbondedMethod() not in (force.NoCutoff, force.CutoffNonPeriodic):
-        raise UnsupportedForceError("NonbondedForce with Ewald summation or periodic cutoff")
     if force.getNumParticleParameterOffsets() or force.getNumExceptionParameterOffsets():
         raise UnsupportedForceError("NonbondedForce with parameter offsets")
     cutoff, krf, crf = np.inf, 0.0, 0.0
