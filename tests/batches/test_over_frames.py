@@ -13,6 +13,7 @@ from fixtures.command_line import COMMAND
 from fixtures.frames import models, saved, shaken
 from fixtures.samples import load
 from fixtures.texts import explored
+from fixtures.tolerances import RIGID_MOTION
 from fixtures.waiting import until
 
 import protochain as pc
@@ -189,6 +190,23 @@ def test_measures_and_energies_are_those_of_each_model(tmp_path, x):
         assert energy.record["total_kj_mol"] == pytest.approx(terms["total"], rel=1e-12)
         rows = pc.energy_terms(model, between="A:1-9,A:10-20")["total"]
         assert between.record["interaction_total_kj_mol"] == pytest.approx(rows["interaction"], rel=1e-10)
+
+
+@pytest.mark.parametrize("workers", [None, 1])
+def test_energies_of_frames_are_those_by_openmm(x, workers):
+    table = pc.frame_energies(load(SMALL), x, slice(1, None), solvent="vacuum", workers=workers)
+    assert table["frame"].tolist() == [1, 2, 3, 4] and table["status"].tolist()[1:2] == ["refused"]
+    assert table["message"][1].startswith("frame 2: ")
+    reference = pc.energy(load(SMALL), solvent="vacuum", engine="openmm").reference
+    for row in table.drop(index=1).to_dict("records"):
+        value, forces = reference(x[row["frame"]])
+        assert row["energy_kj_mol"] == pytest.approx(value, rel=RIGID_MOTION)
+        assert row["rms_force_kj_mol_nm"] == pytest.approx(np.sqrt(np.mean(forces**2)), rel=RIGID_MOTION)
+    parts = "A:1-4,A:5-10"
+    (shared,) = pc.frame_energies(load(SMALL), x, 3, between=parts, solvent="vacuum").to_dict("records")
+    terms = pc.energy_terms(load(SMALL).with_positions(x[3]), between=parts, solvent="vacuum")
+    for key, value in terms.stack().items():
+        assert shared["_".join(key) + "_kj_mol"] == pytest.approx(value, rel=1e-9), key
 
 
 def rows_of(path):

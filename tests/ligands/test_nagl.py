@@ -16,6 +16,7 @@ pytest.importorskip("biotite")
 pytest.importorskip("dimorphite_dl")
 
 from rdkit import Chem
+from rdkit.Chem.MolStandardize import rdMolStandardize
 
 from protochain.ligands import nagl, sources
 from protochain.ligands.molecule import to_rdkit
@@ -156,6 +157,36 @@ def test_atoms_alike_have_one_charge(smiles):
 def test_drawings_of_one_molecule_have_one_set_of_charges(one, other):
     charges = [np.sort(nagl.charges(sources.read(each))) for each in (one, other)]
     assert np.array_equal(*charges)
+
+
+@pytest.mark.parametrize(
+    ("drawn", "normalised"),
+    [
+        ("CN(=O)=O", "C[N+](=O)[O-]"), ("C[S+2](C)([O-])[O-]", "CS(C)(=O)=O"), ("C=N#N", "C=[N+]=[N-]"),
+        ("CS(C)=O", "C[S+](C)[O-]"), ("CO[P+](C)([O-])[O-]", "COP(C)(=O)[O-]"),
+        ("C[C+](N)N(C)C", "CC(=[NH2+])N(C)C"), ("CN(C)[P+](C)(C)N", "CN(C)P(C)(C)=[NH2+]"),
+        ("CNNC[N+]#N", "CN=[NH+]CN=N"), ("CC([O-])=[N+](C)C", "CC(=O)N(C)C"),
+        ("C[O+]=c1cccc[n-]1", "COc1ccccn1"), ("C[n+]1ccccc1[O-]", "Cn1ccccc1=O"),
+        ("C[N+](C)=CC=C[O-]", "CN(C)C=CC=O"), ("[NH2+]=c1cc[n-]cc1", "Nc1ccncc1"),
+        ("C[n+]1ccc([O-])cc1", "Cn1ccc(=O)cc1"), ("CC(N)=[N+](C)C", "CC(=[NH2+])N(C)C"),
+        ("C[N+](C)=c1cccc[nH]1", "CN(C)c1cccc[nH+]1"), ("C[N+](C)=CC=CN", "CN(C)C=CC=[NH2+]"),
+        ("C[N+](C)=c1cc[nH]cc1", "CN(C)c1cc[nH+]cc1"), ("O=[Cl-]", "[O-]Cl"), ("C[C+]=[N-]", "CC#N"),
+    ],
+)  # fmt: skip
+def test_each_rule_redraws_what_rdkits_own_normaliser_redraws(drawn, normalised):
+    """A molecule for each, in their order, which no other rule redraws; azides and n-oxides have two."""
+    made = Chem.MolFromSmiles(drawn, sanitize=False)
+    made.UpdatePropertyCache(strict=False)
+    Chem.SetAromaticity(made)
+    Chem.FastFindRings(made)
+
+    def smiles(of):
+        of = Chem.RWMol(of)
+        of.UpdatePropertyCache(strict=False)
+        Chem.SanitizeMol(of, Chem.SANITIZE_SETAROMATICITY | Chem.SANITIZE_SYMMRINGS)
+        return Chem.MolToSmiles(of)
+
+    assert smiles(nagl._normalised(made)) == smiles(rdMolStandardize.Normalizer().normalize(made)) == normalised
 
 
 def test_outside_the_domain_charges_are_those_of_mmff94():
