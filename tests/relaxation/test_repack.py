@@ -21,6 +21,7 @@ from protochain.structure.select import select
 from protochain.structure.sidechains.arms import Arm, backbone_of, wrapped
 from protochain.structure.sidechains.assignment import best
 from protochain.structure.sidechains.ideal import dihedral
+from protochain.structure.sidechains.reduction import Part, undominated
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation import threaded_rings
 
@@ -57,6 +58,30 @@ def test_the_global_minimum_is_that_of_all_combinations(largest):
         assert found.is_proven
         assert found.energy == pytest.approx(least, abs=1e-8), seed
         assert cost(own, pairs, found.states) == pytest.approx(found.energy, abs=1e-8)
+
+
+def test_goldsteins_criterion_rules_out_what_another_state_beats_whatever_the_others_do():
+    """Again and again, until no state is: without ties, those left are the same in any order."""
+    ruled_out = 0
+    for own, pairs in (tables(seed) for seed in range(60) if seed % 3):
+        alive = [np.ones(len(e), dtype=bool) for e in own]
+
+        def beaten(i, k, t, own=own, pairs=pairs, alive=alive):
+            both = {j: table for (a, j), table in pairs.items() if a == i}
+            both |= {j: table.T for (j, a), table in pairs.items() if a == i}
+            least = sum(np.min((table[k] - table[t])[alive[j]]) for j, table in both.items())
+            return t != k and alive[i][t] and own[i][k] - own[i][t] + least > 0.0
+
+        before = None
+        while (now := sum(map(np.sum, alive))) != before:
+            before = now
+            for i, k, t in ((i, k, t) for i, e in enumerate(own) for k, t in product(range(len(e)), repeat=2)):
+                alive[i][k] &= not beaten(i, k, t)
+        states = tuple(np.arange(len(e)) for e in own)
+        left = undominated(Part(tuple(range(len(own))), tuple(own), states, pairs, 0.0))
+        assert all(np.array_equal(*each) for each in zip(left, alive, strict=True))
+        ruled_out += sum(np.sum(~each) for each in alive)
+    assert ruled_out > 100
 
 
 def frustrated(n=14, n_states=6):
