@@ -268,6 +268,45 @@ def test_a_run_that_goes_on_keeps_its_anchors_and_another_forgets_them():
     assert np.array_equal(model.start().torque, half.model.system.at(model.q, model.qd).torque)
 
 
+def test_friction_pulls_at_anchors_that_are_dragged_as_its_law_says():
+    """Each contact of moving bodies by itself, in the axes of the world, after a step that slides them."""
+    model = cluttered(Law(3e3, 1.5, 0.3), Friction(0.4, 2e3, 3.0))
+    system, at, slid = model.system, model.start(), []
+    there = system.at(multibody.integrate(model.tree, at.q, 0.004 * at.qd), 1.5 * at.qd)
+    frames, twists = there.factors.frames, multibody.velocities(model.tree, there.factors.frames, there.qd)
+
+    def world(b, arm):
+        return frames.rotation[b] @ arm + frames.origin[b]
+
+    def velocity(b, place):
+        return twists[b, 3:] + np.cross(twists[b, :3], place - frames.origin[b])
+
+    for part in model.conservative:
+        part.settle(at)
+        anchors = {tuple(pair): arms for pair, arms in zip(part.anchors.pair, part.anchors.arms, strict=True)}
+        touches, wrenches = part.touches(frames), np.zeros((model.tree.n_bodies, 6))
+        found, applied = part.stretches(frames, touches), part.resist(0.0, there.q, there.qd, frames).wrenches
+        part.settle(there)
+        for k, (pair, (a, b), place, out, depth) in enumerate(zip(*touches, strict=True)):
+            arms = anchors[tuple(pair)]
+            stretch = world(a, arms[:3]) - world(b, arms[3:])
+            stretch -= out * (out @ stretch)
+            assert found[k] == pytest.approx(stretch, abs=1e-12)
+            moving = velocity(a, place) - velocity(b, place)
+            pressed = max(0.0, 3e3 * depth**1.5 * (1.0 - 0.3 * (out @ moving)))
+            wanted = -2e3 * stretch - 3.0 * (moving - out * (out @ moving))
+            shares = [min(1.0, 0.4 * pressed / np.linalg.norm(each)) for each in (wanted, 2e3 * stretch)]
+            force = (pressed - 3e3 * depth**1.5) * out + shares[0] * wanted
+            for body, its in ((a, force), (b, -force)):
+                wrenches[body] += np.append(np.cross(place - frames.origin[body], its), its)
+            ends = part.anchors.arms[k]
+            assert world(a, ends[:3]) == pytest.approx(place, abs=1e-12)
+            assert world(b, ends[3:]) == pytest.approx(place - shares[1] * stretch, abs=1e-12)
+            slid.append(shares[1] < 1.0)
+        assert np.abs(applied - wrenches).max() < 1e-10 * np.abs(wrenches).max()
+    assert 2 < sum(slid) < len(slid) - 2
+
+
 @pytest.mark.parametrize(
     ("anchored", "touches", "expected"),
     [
