@@ -149,9 +149,6 @@ def test_atoms_alike_have_one_charge(smiles):
         ("C[n+]1ccc(N)cc1", "CN1C=CC(=[NH2+])C=C1"),
         ("[O-]c1ccncc1", "O=c1cc[n-]cc1"),
         ("CC(=O)C=C([O-])C", "CC([O-])=CC(=O)C"),
-        ("C[N+](=O)[O-]", "CN(=O)=O"),
-        ("CS(C)=O", "C[S+](C)[O-]"),
-        ("CP(=O)([O-])OC", "C[P+]([O-])([O-])OC"),
     ],
 )
 def test_drawings_of_one_molecule_have_one_set_of_charges(one, other):
@@ -186,7 +183,8 @@ def test_each_rule_redraws_what_rdkits_own_normaliser_redraws(drawn, normalised)
         Chem.SanitizeMol(of, Chem.SANITIZE_SETAROMATICITY | Chem.SANITIZE_SYMMRINGS)
         return Chem.MolToSmiles(of)
 
-    assert smiles(nagl._normalised(made)) == smiles(rdMolStandardize.Normalizer().normalize(made)) == normalised
+    by_rdkit = rdMolStandardize.Normalizer().normalize(made)
+    assert smiles(nagl._normalised(made)) == smiles(by_rdkit) == normalised
 
 
 def test_outside_the_domain_charges_are_those_of_mmff94():

@@ -1,5 +1,6 @@
 """Side chains put into the best of their rotamers."""
 
+import copy
 import importlib
 from itertools import product
 
@@ -8,11 +9,13 @@ import pytest
 from fixtures.models import planted_rings
 from fixtures.repairs import sentences
 from fixtures.samples import load, shared
+from openmm import unit
 
 import protochain as pc
 from protochain.chains.contacts import OVERLAP, near_pairs
 from protochain.core.errors import StructureError
 from protochain.core.units import COULOMB
+from protochain.energies.native.terms import compile_system
 from protochain.relaxation.repack import repacked, troubled
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import _with_hydrogen, rotamers_of
@@ -64,19 +67,14 @@ def test_goldsteins_criterion_rules_out_what_another_state_beats_whatever_the_ot
     """Again and again, until no state is: without ties, those left are the same in any order."""
     ruled_out = 0
     for own, pairs in (tables(seed) for seed in range(60) if seed % 3):
-        alive = [np.ones(len(e), dtype=bool) for e in own]
-
-        def beaten(i, k, t, own=own, pairs=pairs, alive=alive):
-            both = {j: table for (a, j), table in pairs.items() if a == i}
-            both |= {j: table.T for (j, a), table in pairs.items() if a == i}
-            least = sum(np.min((table[k] - table[t])[alive[j]]) for j, table in both.items())
-            return t != k and alive[i][t] and own[i][k] - own[i][t] + least > 0.0
-
-        before = None
+        alive, before = [np.ones(len(e), dtype=bool) for e in own], None
+        both = pairs | {(j, i): table.T for (i, j), table in pairs.items()}
         while (now := sum(map(np.sum, alive))) != before:
             before = now
-            for i, k, t in ((i, k, t) for i, e in enumerate(own) for k, t in product(range(len(e)), repeat=2)):
-                alive[i][k] &= not beaten(i, k, t)
+            for i, e in enumerate(own):
+                with_i = [table[:, alive[j]] for (at, j), table in both.items() if at == i]
+                more = e[:, None] - e + sum(np.min(each[:, None] - each, axis=2) for each in with_i)
+                alive[i] &= ~(more[:, alive[i]] > 0.0).any(axis=1)
         states = tuple(np.arange(len(e)) for e in own)
         left = undominated(Part(tuple(range(len(own))), tuple(own), states, pairs, 0.0))
         assert all(np.array_equal(*each) for each in zip(left, alive, strict=True))
@@ -165,11 +163,16 @@ class Slow:
 
 def test_energies_are_those_of_the_force_fields_terms():
     structure = load("1l2y.pdb")
-    energy = pc.energy(structure, solvent="vacuum")
+    system = copy.deepcopy(pc.energy(structure, solvent="vacuum").system)
+    # Force fields of proteins have phases of 0 and pi only, by which a cosine is even.
+    torsions = next(force for force in system.getForces() if force.getName() == "PeriodicTorsionForce")
+    for k in range(torsions.getNumTorsions()):
+        *of, phase, height = torsions.getTorsionParameters(k)
+        torsions.setTorsionParameters(k, *of, phase + 0.1 * k * unit.radian, height)
     turning = rotamers_of(structure, structure.positions, [2, 5, 6])
     assert [arm.residue for arm in turning] == [2, 5, 6]
-    felt = Interactions(energy.terms, structure.positions, turning)
-    slow, pairs = Slow(energy.system), felt.pairs()
+    felt = Interactions(compile_system(system), structure.positions, turning)
+    slow, pairs = Slow(system), felt.pairs()
     moving = np.concatenate([arm.atoms for arm in turning]).tolist()
     still = sorted(set(range(structure.n_atoms)) - set(moving))
     for k, arm in enumerate(turning):
