@@ -21,6 +21,7 @@ from protochain.mechanics.motion import (
 )
 from protochain.mechanics.multibody import HingeKind, Tree, random_tree
 from protochain.mechanisms import Rosenbrock
+from protochain.mechanisms.rosenbrock import _advance
 from protochain.mechanisms.march import Event, march
 
 G = 9.81
@@ -220,6 +221,29 @@ def test_rosenbrock_damps_at_once_what_the_step_does_not_resolve(damping):
     with pytest.raises((StepTooLargeError, MechanicsError)), np.errstate(all="ignore"):
         steps(system, RungeKutta4(), at, 100, 0.1)
         raise StepTooLargeError("not even a number")
+
+
+def test_a_step_of_rosenbrock_is_its_rational_function_of_a_linear_systems_matrix():
+    """Sliders on sliders with springs, dampers and a load that grows: R(hA), its error's estimate, and work."""
+    rng, n, h, gamma = np.random.default_rng(2), 4, 0.3, 1.0 - 1.0 / np.sqrt(2.0)
+    tree = random_tree(n, 6, root=HingeKind.PRISMATIC, kinds=(HingeKind.PRISMATIC,))
+    (k, c), (steady, growing) = (np.eye(n) + 0.2 * rng.normal(size=(2, n, n))), rng.normal(size=(2, n))
+    k = 0.5 * (k + k.T)
+    load = Load(lambda t, q, qd, frames: Applied(torques=steady + growing * t - c @ qd))
+    system = System(tree, lambda q, factors: (0.5 * q @ k @ q, -k @ q), loads=(load,))
+    at = system.at(*rng.normal(size=(2, n)), 0.7)
+    a, mass = np.zeros((2 * n + 2, 2 * n + 2)), multibody.mass_matrix(tree, at.factors.frames)
+    a[:n, n:-2], a[-2, -1] = np.eye(n), 1.0
+    a[n:-2] = np.linalg.solve(mass, np.column_stack([-k, -c, growing, steady]))
+    y, one = np.concatenate([at.q, at.qd, [at.time, 1.0]]), np.eye(2 * n + 2)
+    near = np.linalg.inv(one - gamma * h * a)
+    first = y + h * near @ a @ y
+    end = near @ near @ (one + (1.0 - 2.0 * gamma) * h * a) @ y
+    power = [(steady + growing * z[-2] - c @ z[n:-2]) @ z[n:-2] for z in (y, first)]
+    after, moved, quickened = _advance(system, at, h)
+    found = np.concatenate([after.q, after.qd, [after.time], moved, quickened])
+    assert found == pytest.approx(np.concatenate([end[:-1], (end - first)[:-2]]), abs=1e-8)
+    assert after.work[0] - at.work[0] == pytest.approx(0.5 * h * sum(power), abs=1e-8)
 
 
 def test_rosenbrock_of_a_free_tree_is_of_order_two():
