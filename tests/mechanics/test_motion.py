@@ -16,13 +16,12 @@ from protochain.mechanics.motion import (
     Leapfrog,
     Load,
     RungeKutta4,
-    StepTooLargeError,
     System,
 )
 from protochain.mechanics.multibody import HingeKind, Tree, random_tree
 from protochain.mechanisms import Rosenbrock
-from protochain.mechanisms.rosenbrock import _advance
 from protochain.mechanisms.march import Event, march
+from protochain.mechanisms.rosenbrock import _advance
 
 G = 9.81
 LENGTH, MASS = 0.7, 2.0
@@ -210,7 +209,7 @@ def test_without_loads_a_phase_is_as_before():
 
 
 def test_a_step_of_rosenbrock_is_its_rational_function_of_a_linear_systems_matrix():
-    """Sliders on sliders with springs, dampers and a load that grows: R(hA), its error's estimate, and work."""
+    """Of sliders on sliders with springs, dampers and a load that grows; also the error estimated, and work."""
     rng, n, h, gamma = np.random.default_rng(2), 4, 0.3, 1.0 - 1.0 / np.sqrt(2.0)
     tree = random_tree(n, 6, root=HingeKind.PRISMATIC, kinds=(HingeKind.PRISMATIC,))
     (k, c), (steady, growing) = (np.eye(n) + 0.2 * rng.normal(size=(2, n, n))), rng.normal(size=(2, n))
