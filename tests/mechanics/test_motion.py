@@ -209,7 +209,7 @@ def test_without_loads_a_phase_is_as_before():
 
 
 def test_a_step_of_rosenbrock_is_its_rational_function_of_a_linear_systems_matrix():
-    """Of sliders on sliders with springs, dampers and a growing load; the error that it estimates, and work."""
+    """Of sliders on sliders with springs, dampers and a growing load; the error that it estimates; work."""
     rng, n, h, gamma = np.random.default_rng(2), 4, 0.3, 1.0 - 1.0 / np.sqrt(2.0)
     tree = random_tree(n, 6, root=HingeKind.PRISMATIC, kinds=(HingeKind.PRISMATIC,))
     (k, c), (steady, growing) = (np.eye(n) + 0.2 * rng.normal(size=(2, n, n))), rng.normal(size=(2, n))
