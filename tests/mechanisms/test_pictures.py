@@ -95,6 +95,28 @@ def test_shapes_are_found_from_what_joins_bodies():
     assert told(thrown().view())["grounds"][0]["at"][2] == pytest.approx(0.0, abs=1e-12)
 
 
+def moored():
+    m = Mechanism()
+    m.body("buoy", 1.0, inertia=0.1, position=(10, 0, 0), velocity=(0, 1, 0))
+    m.spring("rope", ("buoy", (0.5, 0, 0)), ("world", (12, 3, 0)), stiffness=5.0)
+    return m.build().simulate(0.4, 1e-2)
+
+
+@pytest.mark.parametrize("made", [four_bar, thrown, moored])
+def test_the_box_is_that_of_all_that_is_drawn(made):
+    motion, reached = told(made().view(frames=3)), []
+    for shape in motion["shapes"]:
+        points, reach = shape.get("corners") or shape.get("ends") or [shape["at"]], shape.get("radius") or 0.0
+        at = np.array([placed(motion, k, shape["body"], each) for k in range(3) for each in points])
+        reached += [*(at - reach), *(at + reach)]
+    fixed = (end for line in motion["lines"] for end in zip(line["ends"], line["points"], strict=True))
+    reached += [point for body, point in fixed if body == -1]
+    low, high = np.min(reached, axis=0), np.max(reached, axis=0)
+    size = np.linalg.norm(high - low)
+    assert motion["size"] == pytest.approx(size, rel=1e-3)
+    assert motion["middle"] == pytest.approx(0.5 * (low + high), abs=1e-3 * size)
+
+
 def test_shapes_may_be_given_and_lie_in_their_bodies_axes():
     shapes = [
         Block("crank", (0.1, 0.2, 1.0), (0, 0, 0.5)),
