@@ -85,6 +85,8 @@ def test_shapes_are_found_from_what_joins_bodies():
     assert motion["names"] == ["crank", "coupler", "rocker"]
     # A spring from the coupler to the world.
     assert [line["ends"] for line in motion["lines"]] == [[1, -1]]
+    (rod,) = told(moored().view())["shapes"]
+    assert (rod["body"], rod["ends"][1]) == (0, [0.5, 0, 0])
     ball, box = told(thrown().view())["shapes"]
     assert (ball["radius"], ball["at"]) == (0.1, [0, 0, 0])
     edges = np.ptp(box["corners"], axis=0)
@@ -98,7 +100,7 @@ def test_shapes_are_found_from_what_joins_bodies():
 def moored():
     m = Mechanism()
     m.body("buoy", 1.0, inertia=0.1, position=(10, 0, 0), velocity=(0, 1, 0))
-    m.spring("rope", ("buoy", (0.5, 0, 0)), ("world", (12, 3, 0)), stiffness=5.0)
+    m.spring("rope", ("world", (12, 3, 0)), ("buoy", (0.5, 0, 0)), stiffness=5.0)
     return m.build().simulate(0.4, 1e-2)
 
 
