@@ -284,7 +284,7 @@ def test_balance_says_what_is_no_error():
     assert 0.1 < model.simulate(12.0, 1.0, balance=np.inf).audit().energy < 0.2
 
 
-@pytest.mark.parametrize("slow", [0.0, 0.05])
+@pytest.mark.parametrize("slow", [0.0, 1.0])
 def test_rosenbrock_may_lose_a_thousandth_of_the_energy_that_flows_and_what_creeps(slow):
     m = Mechanism(gravity=(0, 0, -G))
     m.body("a", 2.0, com=(0.3, 0, 0))
