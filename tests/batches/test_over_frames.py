@@ -70,12 +70,6 @@ def test_processes_change_no_bit_and_no_order(tmp_path, x):
                 assert np.array_equal(own.structure.positions, other.structure.positions)
 
 
-def test_models_of_a_file_are_its_frames(tmp_path, x):
-    path = models(load(SMALL), x[:2], tmp_path / "x.pdb")
-    (second,) = relax_frames(path, select=1, threads=1)
-    assert np.array_equal(second.structure.positions, pc.relax(path, model=2, threads=1).x)
-
-
 def in_this_process(monkeypatch, fate):
     """Do the jobs of processes here; what ``fate`` says of a frame happens to its process."""
     began = []

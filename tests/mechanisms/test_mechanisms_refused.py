@@ -258,16 +258,6 @@ def test_a_damper_of_any_stiffness_is_right_by_rosenbrock(damping):
             m.build().simulate(0.1, 1e-3)
 
 
-@pytest.mark.parametrize("stiffness, damping", [(0.0, 50.0), (1e3, 10.0)])
-def test_rosenbrock_starts_from_rest(stiffness, damping):
-    m = pendulum(q=1.0)
-    m.torsion("d", "pin", stiffness, damping=damping)
-    model = m.build()
-    run, other = model.simulate(0.2, 0.01, Rosenbrock()), model.simulate(0.2, 0.01, DormandPrince())
-    assert np.allclose(run.q[-1], other.q[-1], atol=1e-5)
-    assert run.audit().energy < 1e-3
-
-
 def test_substeps_without_end_are_refused(monkeypatch):
     """A stiff damper keeps explicit substeps short, however little moves; the true number takes seconds."""
     monkeypatch.setattr("protochain.mechanics.motion.substeps._MOST", 1000)

@@ -119,6 +119,15 @@ def test_the_box_is_that_of_all_that_is_drawn(made):
     assert motion["middle"] == pytest.approx(0.5 * (low + high), abs=1e-3 * size)
 
 
+@pytest.mark.parametrize(("axis", "turn", "tilt"), [((0, 0, 1), -90, 90), (Y, -90, 0), ((1, 0, 0), 0, 0)])
+def test_a_flat_motion_is_seen_from_its_front_or_from_above(axis, turn, tilt):
+    m = Mechanism()
+    m.body("rod", 1.0, com=np.roll((0.5, 0, 0), axis[0]), inertia=0.1)
+    m.hinge("pin", "world", "rod", axis=axis, qd=3.0)
+    motion = told(m.build().simulate(1.0, 0.01).view())
+    assert np.degrees([motion["turn"], motion["tilt"]]) == pytest.approx([turn, tilt], abs=1e-9)
+
+
 def test_shapes_may_be_given_and_lie_in_their_bodies_axes():
     shapes = [
         Block("crank", (0.1, 0.2, 1.0), (0, 0, 0.5)),

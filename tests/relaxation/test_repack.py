@@ -295,20 +295,6 @@ def test_random_side_chains_come_back():
     assert any("side chains turned in" in line for line in found.changes)
 
 
-def test_the_choice_is_the_minimum_over_all_combinations():
-    structure, chosen = scrambled(load("1l2y.pdb"), 8, seed=4)
-    terms = pc.energy(structure, solvent="vacuum").terms
-    turning = [arm for arm in rotamers_of(structure, structure.positions, chosen) if len(arm.chi) < 30][:4]
-    assert len(turning) >= 3
-    felt = Interactions(terms, structure.positions, turning)
-    own, pairs = [felt.own(i) for i in range(len(turning))], felt.pairs()
-    total = sum(np.expand_dims(e, [k for k in range(len(own)) if k != i]) for i, e in enumerate(own))
-    for (i, j), table in pairs.items():
-        total = total + np.expand_dims(table, [k for k in range(len(own)) if k not in (i, j)])
-    assert best(own, pairs).energy == pytest.approx(total.min(), abs=1e-8)
-    assert pairs
-
-
 def test_the_mirror_image_is_repacked_into_the_mirror_image():
     """D-amino acids under the same names: their rotamers are the mirror's, and hands stay."""
     given, chosen = scrambled(load("1l2y.pdb"), 6, seed=1)
