@@ -13,6 +13,7 @@ from fixtures.command_line import COMMAND
 from fixtures.frames import models, saved, shaken
 from fixtures.samples import load
 from fixtures.texts import explored
+from fixtures.tolerances import RIGID_MOTION
 from fixtures.waiting import until
 
 import protochain as pc
@@ -67,12 +68,6 @@ def test_processes_change_no_bit_and_no_order(tmp_path, x):
             assert (own.frame, own.record["message"]) == (other.frame, other.record["message"])
             if own.structure is not None:
                 assert np.array_equal(own.structure.positions, other.structure.positions)
-
-
-def test_models_of_a_file_are_its_frames(tmp_path, x):
-    path = models(load(SMALL), x[:2], tmp_path / "x.pdb")
-    (second,) = relax_frames(path, select=1, threads=1)
-    assert np.array_equal(second.structure.positions, pc.relax(path, model=2, threads=1).x)
 
 
 def in_this_process(monkeypatch, fate):
@@ -178,8 +173,7 @@ def test_measures_and_energies_are_those_of_each_model(tmp_path, x):
     reference = load("1l2y.pdb")
     measured = [*over_frames(ensemble, chosen, ValidateFrames(SETUP, reference))]
     energies = [*over_frames(ensemble, chosen, EnergyFrames(SETUP))]
-    shared = [*over_frames(ensemble, chosen, EnergyFrames(SETUP, "A:1-9,A:10-20"))]
-    for k, (found, energy, between) in enumerate(zip(measured, energies, shared, strict=True)):
+    for k, (found, energy) in enumerate(zip(measured, energies, strict=True)):
         model = pc.load(path, model=k + 1)
         alone = pc.validate(model, reference, posebusters=False).measures
         assert {key: found.record[key] for key in alone} == dict(alone)
@@ -187,8 +181,23 @@ def test_measures_and_energies_are_those_of_each_model(tmp_path, x):
         assert {f"{key}_kj_mol" for key in terms} <= energy.record.keys()
         # Lists of neighbours are made anew, sums are in another order.
         assert energy.record["total_kj_mol"] == pytest.approx(terms["total"], rel=1e-12)
-        rows = pc.energy_terms(model, between="A:1-9,A:10-20")["total"]
-        assert between.record["interaction_total_kj_mol"] == pytest.approx(rows["interaction"], rel=1e-10)
+
+
+@pytest.mark.parametrize("workers", [None, 1])
+def test_energies_of_frames_are_those_by_openmm(x, workers):
+    table = pc.frame_energies(load(SMALL), x, slice(1, None), solvent="vacuum", workers=workers)
+    assert table["frame"].tolist() == [1, 2, 3, 4] and table["status"].tolist()[1:2] == ["refused"]
+    assert table["message"][1].startswith("frame 2: ")
+    reference = pc.energy(load(SMALL), solvent="vacuum", engine="openmm").reference
+    for row in table.drop(index=1).to_dict("records"):
+        value, forces = reference(x[row["frame"]])
+        assert row["energy_kj_mol"] == pytest.approx(value, rel=RIGID_MOTION)
+        assert row["rms_force_kj_mol_nm"] == pytest.approx(np.sqrt(np.mean(forces**2)), rel=RIGID_MOTION)
+    parts = "A:1-4,A:5-10"
+    (shared,) = pc.frame_energies(load(SMALL), x, 3, between=parts, solvent="vacuum").to_dict("records")
+    terms = pc.energy_terms(load(SMALL).with_positions(x[3]), between=parts, solvent="vacuum")
+    for key, value in terms.stack().items():
+        assert shared["_".join(key) + "_kj_mol"] == pytest.approx(value, rel=1e-9), key
 
 
 def rows_of(path):

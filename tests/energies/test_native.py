@@ -305,7 +305,47 @@ def charmm_with_another_cutoff():
     return s, system
 
 
+def with_site():
+    s, system = with_force(openmm.CMMotionRemover())
+    system.setParticleMass(5, 0.0)
+    system.setVirtualSite(5, openmm.TwoParticleAverageSite(0, 1, 0.5, 0.5))
+    return s, system
+
+
+def two_maps():
+    force = openmm.CMAPTorsionForce()
+    for size in (4, 6):
+        force.addMap(size, size**2 * [0.0])
+    return force
+
+
+def well_of_no_exception():
+    force = openmm.CustomBondForce("4*epsilon*((sigma/r)^12-(sigma/r)^6)")
+    force.addPerBondParameter("sigma"), force.addPerBondParameter("epsilon")
+    force.addBond(0, 60, [0.1, 0.1])
+    return force
+
+
+def with_offset(add, *values):
+    def change(force):
+        force.addGlobalParameter("by", 0.0)
+        getattr(force, add)("by", 0, *values)
+
+    return changed(None, openmm.NonbondedForce, change)
+
+
 UNKNOWN = {
+    "virtual sites": with_site,
+    "CMAPTorsionForce with maps of different sizes": lambda: with_force(two_maps()),
+    "CustomBondForce between atoms that are no exception": lambda: with_force(well_of_no_exception()),
+    "NonbondedForce with parameter offsets": lambda: with_offset("addParticleParameterOffset", 0.1, 0, 0),
+    "NonbondedForce with parameter": lambda: with_offset("addExceptionParameterOffset", 0.1, 0, 0),
+    "NonbondedForce with a switching": lambda: changed(
+        None, openmm.NonbondedForce, lambda force: force.setUseSwitchingFunction(True)
+    ),
+    "NonbondedForce with periodic boundaries": lambda: changed(
+        None, openmm.NonbondedForce, lambda force: force.setNonbondedMethod(force.PME)
+    ),
     "CustomExternalForce": lambda: with_force(openmm.CustomExternalForce("x^2")),
     "RBTorsionForce": lambda: with_force(openmm.RBTorsionForce()),
     "CustomTorsionForce": lambda: with_force(openmm.CustomTorsionForce("theta")),
@@ -343,16 +383,6 @@ def test_what_has_no_exact_counterpart_is_refused_by_name(what):
     fallen_back = pc.energy(s, system=system, engine="auto")
     assert isinstance(fallen_back, OpenMMEnergy)
     assert str(refusal.value) in fallen_back.reason
-
-
-def test_periodic_systems_are_refused():
-    s = load("ala10.pdb")
-    system = copy.deepcopy(pc.energy(s, solvent="vacuum", engine="openmm").system)
-    for force in system.getForces():
-        if isinstance(force, openmm.NonbondedForce):
-            force.setNonbondedMethod(force.PME)
-    with pytest.raises(UnsupportedForceError, match="NonbondedForce"):
-        pc.energy(s, system=system, engine="native")
 
 
 def test_auto_is_native_for_the_named_force_fields():

@@ -2,6 +2,7 @@
 
 import pickle
 import re
+from itertools import combinations
 
 import numpy as np
 import openmm
@@ -18,7 +19,7 @@ from protochain.energies.native import engine, expansion
 from protochain.energies.native.far import FAR_TERMS, Opening, openings
 from protochain.energies.native.lanes import LANES
 from protochain.energies.native.layout import CHUNKS, W
-from protochain.energies.native.tree import FIRST, LEFT, plant
+from protochain.energies.native.tree import FIRST, LEFT, SKIN, plant, screened_pairs
 from protochain.minimisers.judging import Known
 from protochain.minimisers.minimise_settings import JUDGES
 
@@ -80,6 +81,25 @@ def test_a_tree_has_each_pair_of_blocks_once_near_or_far():
             counts[np.ix_(leaves[node], leaves[other])] += 1
     assert (counts == 1).all() and len(tree.source) > 0
     assert sorted(tree.order) == list(range(len(x)))
+
+
+def test_far_blocks_within_reach_of_an_atoms_born_radius_are_screened():
+    """Whatever the radii: boxes of blocks, and of the nodes that hold them, only save time."""
+    tree = plant(load(SAMPLE).positions, 0.6, 1.0)
+    x, reach = load(SAMPLE).positions[tree.order], 0.1
+    born = np.random.default_rng(1).lognormal(-1.0, 1.0, len(x))
+    blocks = [slice(k, k + W) for k in range(0, len(x), W)]
+    expected, near = {}, set(map(tuple, tree.near.tolist()))
+    for i, j in combinations(range(len(blocks)), 2):
+        its, at = x[blocks[j]], x[blocks[i]]
+        gap = np.maximum(np.maximum(its.min(axis=0) - at, at - its.max(axis=0)) - SKIN, 0.0)
+        felt = (gap**2).sum(axis=1) < 4.0 * reach * born[blocks[i]] * born[blocks[j]].max()
+        if felt.any() and (i, j) not in near:
+            expected[i, j] = np.flatnonzero(felt).tolist()
+    pairs, rows = screened_pairs(tree, x, born, reach)
+    found = [np.flatnonzero(row).tolist() for row in rows]
+    assert dict(zip(map(tuple, pairs.tolist()), found, strict=True)) == expected
+    assert 500 < len(expected) < 0.5 * len(blocks) * (len(blocks) - 1) / 2
 
 
 @pytest.mark.parametrize("solvent", ["vacuum", "obc2", "gbn2"])

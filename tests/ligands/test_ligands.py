@@ -303,6 +303,9 @@ def test_another_molecule_is_refused():
     source, other = sources.read(file("1P2Y_NCT")), sources.read(file("1N2J_PAF"))
     with pytest.raises(pc.ProtochainError, match="another molecule than the model has: C6O4, not C10N2"):
         matching.placed(source, other.elements, other.names, other.positions)
+    oxygens = np.where(source.elements == 7, 8, source.elements)
+    with pytest.raises(pc.ProtochainError, match="another molecule than the model has: C10O2, not C10N2"):
+        matching.placed(source, oxygens, source.names, source.positions, by_name=True)
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,12 @@ from protochain.mechanics.motion import (
     Leapfrog,
     Load,
     RungeKutta4,
-    StepTooLargeError,
     System,
 )
 from protochain.mechanics.multibody import HingeKind, Tree, random_tree
 from protochain.mechanisms import Rosenbrock
 from protochain.mechanisms.march import Event, march
+from protochain.mechanisms.rosenbrock import _advance
 
 G = 9.81
 LENGTH, MASS = 0.7, 2.0
@@ -208,18 +208,27 @@ def test_without_loads_a_phase_is_as_before():
 # --- Stiff systems, units
 
 
-@pytest.mark.parametrize("damping", [1e4, 1e8, 1e12])
-def test_rosenbrock_damps_at_once_what_the_step_does_not_resolve(damping):
-    """A damper a thousand to 1e11 times stiffer than the step: the velocity follows the load."""
-    load = Load(lambda t, q, qd, f: Applied(torques=1.0 - damping * qd))
-    system = System(pendulum(), nothing, loads=(load,))
-    at = system.at(np.array([0.1]), np.array([1.0]))
-    rosenbrock = steps(system, Rosenbrock(), at, 3, 0.1)
-    assert abs(rosenbrock.qd[0] * damping - 1.0) < 1e-2 + 1e-3 * damping * 1e-8
-    assert abs(rosenbrock.q[0] - 0.1) < 2.0 / damping * INERTIA + 0.3 / damping + 1e-9
-    with pytest.raises((StepTooLargeError, MechanicsError)), np.errstate(all="ignore"):
-        steps(system, RungeKutta4(), at, 100, 0.1)
-        raise StepTooLargeError("not even a number")
+def test_a_step_of_rosenbrock_is_its_rational_function_of_a_linear_systems_matrix():
+    """Of sliders on sliders with springs, dampers and a growing load; the error that it estimates; work."""
+    rng, n, h, gamma = np.random.default_rng(2), 4, 0.3, 1.0 - 1.0 / np.sqrt(2.0)
+    tree = random_tree(n, 6, root=HingeKind.PRISMATIC, kinds=(HingeKind.PRISMATIC,))
+    (k, c), (steady, growing) = (np.eye(n) + 0.2 * rng.normal(size=(2, n, n))), rng.normal(size=(2, n))
+    k = 0.5 * (k + k.T)
+    load = Load(lambda t, q, qd, frames: Applied(torques=steady + growing * t - c @ qd))
+    system = System(tree, lambda q, factors: (0.5 * q @ k @ q, -k @ q), loads=(load,))
+    at = system.at(*rng.normal(size=(2, n)), 0.7)
+    a, mass = np.zeros((2 * n + 2, 2 * n + 2)), multibody.mass_matrix(tree, at.factors.frames)
+    a[:n, n:-2], a[-2, -1] = np.eye(n), 1.0
+    a[n:-2] = np.linalg.solve(mass, np.column_stack([-k, -c, growing, steady]))
+    y, one = np.concatenate([at.q, at.qd, [at.time, 1.0]]), np.eye(2 * n + 2)
+    near = np.linalg.inv(one - gamma * h * a)
+    first = y + h * near @ a @ y
+    end = near @ near @ (one + (1.0 - 2.0 * gamma) * h * a) @ y
+    power = [(steady + growing * z[-2] - c @ z[n:-2]) @ z[n:-2] for z in (y, first)]
+    after, moved, quickened = _advance(system, at, h)
+    found = np.concatenate([after.q, after.qd, [after.time], moved, quickened])
+    assert found == pytest.approx(np.concatenate([end[:-1], (end - first)[:-2]]), abs=1e-8)
+    assert after.work[0] - at.work[0] == pytest.approx(0.5 * h * sum(power), abs=1e-8)
 
 
 def test_rosenbrock_of_a_free_tree_is_of_order_two():

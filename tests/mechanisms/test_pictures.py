@@ -85,6 +85,8 @@ def test_shapes_are_found_from_what_joins_bodies():
     assert motion["names"] == ["crank", "coupler", "rocker"]
     # A spring from the coupler to the world.
     assert [line["ends"] for line in motion["lines"]] == [[1, -1]]
+    (rod,) = told(moored().view())["shapes"]
+    assert (rod["body"], rod["ends"][1]) == (0, [0.5, 0, 0])
     ball, box = told(thrown().view())["shapes"]
     assert (ball["radius"], ball["at"]) == (0.1, [0, 0, 0])
     edges = np.ptp(box["corners"], axis=0)
@@ -93,6 +95,37 @@ def test_shapes_are_found_from_what_joins_bodies():
                                      edges[0] ** 2 + edges[1] ** 2])  # fmt: skip
     assert moments == pytest.approx([0.5, 0.4, 0.3])
     assert told(thrown().view())["grounds"][0]["at"][2] == pytest.approx(0.0, abs=1e-12)
+
+
+def moored():
+    m = Mechanism()
+    m.body("buoy", 1.0, inertia=0.1, position=(10, 0, 0), velocity=(0, 1, 0))
+    m.spring("rope", ("world", (12, 3, 0)), ("buoy", (0.5, 0, 0)), stiffness=5.0)
+    return m.build().simulate(0.4, 1e-2)
+
+
+@pytest.mark.parametrize("made", [four_bar, thrown, moored])
+def test_the_box_is_that_of_all_that_is_drawn(made):
+    motion, reached = told(made().view(frames=3)), []
+    for shape in motion["shapes"]:
+        points, reach = shape.get("corners") or shape.get("ends") or [shape["at"]], shape.get("radius") or 0.0
+        at = np.array([placed(motion, k, shape["body"], each) for k in range(3) for each in points])
+        reached += [*(at - reach), *(at + reach)]
+    fixed = (end for line in motion["lines"] for end in zip(line["ends"], line["points"], strict=True))
+    reached += [point for body, point in fixed if body == -1]
+    low, high = np.min(reached, axis=0), np.max(reached, axis=0)
+    size = np.linalg.norm(high - low)
+    assert motion["size"] == pytest.approx(size, rel=1e-3)
+    assert motion["middle"] == pytest.approx(0.5 * (low + high), abs=1e-3 * size)
+
+
+@pytest.mark.parametrize(("axis", "turn", "tilt"), [((0, 0, 1), -90, 90), (Y, -90, 0), ((1, 0, 0), 0, 0)])
+def test_a_flat_motion_is_seen_from_its_front_or_from_above(axis, turn, tilt):
+    m = Mechanism()
+    m.body("rod", 1.0, com=np.roll((0.5, 0, 0), axis[0]), inertia=0.1)
+    m.hinge("pin", "world", "rod", axis=axis, qd=3.0)
+    motion = told(m.build().simulate(1.0, 0.01).view())
+    assert np.degrees([motion["turn"], motion["tilt"]]) == pytest.approx([turn, tilt], abs=1e-9)
 
 
 def test_shapes_may_be_given_and_lie_in_their_bodies_axes():

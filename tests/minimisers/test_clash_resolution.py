@@ -9,6 +9,7 @@ from fixtures import models
 from fixtures.molecules import crowded
 from fixtures.samples import chain, energy, load
 from fixtures.tolerances import GEOMETRY_NM
+from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.chains.contacts import overlaps
@@ -129,6 +130,14 @@ def test_each_side_of_a_ring_has_its_turn_those_at_its_own_bonds_last(planted):
     assert names[-1] == {"N", "CA"} and not names[0] & {"N", "CA"}
     again = push_of(planted, planted.positions, ring, len(ring.atoms))
     assert np.array_equal(again.way, pushes[0].way)
+    # The same wherever the whole is; where others crowd the first side, it is the last.
+    turn = Rotation.from_rotvec([0.4, 1.0, -0.3]).as_matrix()
+    full, x = planted.positions.copy(), planted.positions @ turn.T + [3.0, -2.0, 1.0]
+    others = np.flatnonzero(~np.isin(planted.atom_residue, planted.atom_residue[[*ring.atoms, *ring.bond]]))
+    full[others[:20]] = full[list(ring.atoms)].mean(axis=0) + 0.35 * pushes[0].way
+    for k, push in enumerate(pushes):
+        assert push_of(planted, x, ring, k).way == pytest.approx(turn @ push.way, abs=1e-9)
+    assert np.array_equal(push_of(planted, full, ring, 4).way, pushes[0].way)
 
 
 def test_a_threaded_ring_is_freed_and_the_fold_kept(planted):

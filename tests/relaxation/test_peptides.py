@@ -89,6 +89,7 @@ def test_before_proline_a_bond_turns_to_the_nearer_form(omega, cis):
     r = pc.relax(made, threads=1)
     found = omegas(made, r.x)
     assert r.status == "converged" and found.cis[found.residue == 11] == cis and not found.twisted.any()
+    assert str(r.peptides_turned[0]).endswith(f"to {'cis' if cis else 'trans'}")
 
 
 def test_noise_is_no_cis_bond():

@@ -8,7 +8,7 @@ from protochain.searching.conformers import backbone
 from protochain.searching.moves import NONE, Moves, anywhere, crossed, moved
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation.layout import peptides
-from protochain.validation.ramachandran import FAVOURED, score
+from protochain.validation.ramachandran import CLASSES, FAVOURED, ramachandran, score
 
 
 def moves_of(sequence, hinges="phi psi chi"):
@@ -31,6 +31,10 @@ def test_hinges_are_sorted_by_residue():
     assert pro.phi == NONE and names["ALA"].phi == NONE
     assert [each.is_last for each in moves.residues] == [False] * 4 + [True]
     assert len(moves.others) == sum(h.kind == "rotor" for h in chain.hinges) > 0
+    longer, of_classes = moves_of("AFPGIVTGPA")
+    plot = ramachandran(longer.structure)
+    assert [each.kind for each in of_classes.residues[1:-1]] == plot.kind.tolist()
+    assert {CLASSES[kind] for kind in plot.kind} == {*CLASSES} - {"cis_proline"}
     # Not into proline, whose phi does not turn.
     assert set(moves.flips) == {(place[own[str(k), "psi"]], place[own[str(k + 1), "phi"]]) for k in (1, 3, 4)}
 

@@ -4,6 +4,7 @@ import json
 
 import gemmi
 import numpy as np
+import pandas as pd
 import pytest
 from fixtures.command_line import refusal, run
 from fixtures.samples import STRUCTURES
@@ -69,6 +70,28 @@ def test_the_chemistry_written_is_read_again(tmp_path, kind, suffix):
     assert read.inverted == bound.inverted == ()
     terms, before = read.ligand.terms(s.positions[read.atoms]), bound.ligand.terms(s.positions[bound.atoms])
     assert terms == pytest.approx(before, rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", SMILES)
+def test_the_tables_written_say_what_rdkit_finds_in_the_smiles(tmp_path, kind):
+    pc.save(pc.load(PROTEIN, ligands=posed(tmp_path, SMILES[kind])), tmp_path / "saved.cif")
+    block, made = gemmi.cif.read(f"{tmp_path}/saved.cif")[0], Chem.MolFromSmiles(SMILES[kind])
+    tables = (block.get_mmcif_category(f"_{name}.") for name in ("chem_comp_atom", "chem_comp_bond"))
+    atoms, bonds = (its.loc[its.comp_id == "LIG"] for its in map(pd.DataFrame, tables))
+    rows = atoms.drop(columns=["comp_id", "atom_id"]).to_numpy().tolist()
+    for k, atom in enumerate(made.GetAtoms()):
+        letter = atom.GetProp("_CIPCode") if atom.HasProp("_CIPCode") else "N"
+        facts = atom.GetSymbol(), atom.GetFormalCharge(), "NY"[atom.GetIsAromatic()], letter, k + 1
+        assert rows[k] == [str(fact) for fact in facts]
+    number = {name: k for k, name in enumerate(atoms.atom_id)}
+    assert bonds.pdbx_ordinal.tolist() == [str(k + 1) for k in range(len(bonds))]
+    of_bond = {frozenset((number[row[2]], number[row[3]])): row[5:7] for row in bonds.itertuples()}
+    for bond in made.GetBonds():
+        stereo = {"STEREOE": "E", "STEREOZ": "Z"}.get(str(bond.GetStereo()), "N")
+        ends = frozenset((bond.GetBeginAtomIdx(), bond.GetEndAtomIdx()))
+        assert of_bond[ends] == ("NY"[bond.GetIsAromatic()], stereo)
+    none, *others = block.get_mmcif_category("_protochain_ligand.")["atoms"]
+    assert none is False and {*" ".join(others).split()} <= number.keys()
 
 
 @pytest.mark.parametrize(("suffix", "hydrogens"), [(".cif", False), (".pdb", True)])
