@@ -1,10 +1,12 @@
 """Damaged files and odd options: what is taken, what is refused in one line, and what is a fault.
 
     python analysis/benchmarks/fuzz.py [-o DIR] [--quick] [--files 10000] [--options 2000]
+    python analysis/benchmarks/fuzz.py --first 1000 --files 3000 --options 500
     python analysis/benchmarks/fuzz.py --only "PDB, models" --seed 17
 
 Cases are made by kind and seed (tests/fixtures/damage.py), run in processes split off one that has loaded
-all, and judged (tests/fixtures/judge.py); a row a kind. The second form runs one case and prints all of it.
+all, and judged (tests/fixtures/judge.py); a row a kind. The second form runs further cases, the third one,
+and prints all of it.
 """
 
 import argparse
@@ -56,6 +58,7 @@ def parser() -> argparse.ArgumentParser:
     own.add_argument("--jobs", type=int, default=len(os.sched_getaffinity(0)), help="processes")
     kinds = [*damage.FILES, *damage.OPTIONS]
     own.add_argument("--only", nargs="+", metavar="KIND", choices=kinds, help="; ".join(kinds))
+    own.add_argument("--first", type=int, default=0, metavar="SEED", help="of the cases of each kind; 0")
     own.add_argument("--seed", type=int, help="one case of each kind")
     return own
 
@@ -64,6 +67,7 @@ def main() -> None:
     given = parser().parse_args()
     n_files, n_options = (100, 40) if given.quick else (given.files, given.options)
     cases = judge.chosen(damage.FILES_BY_WEIGHT, n_files) + judge.chosen(damage.OPTIONS, n_options)
+    cases = [(kind, given.first + seed) for kind, seed in cases]
     if given.only:
         cases = [case for case in cases if case[0] in given.only]
     if given.seed is not None:
