@@ -179,6 +179,30 @@ def test_radii_follow_from_bonds():
     assert {key: by_name[key] for key in expected} == {key: {value} for key, value in expected.items()}
 
 
+def test_charges_and_lengths_of_hydrogens_follow_from_bonds():
+    """At pH 7; centres of electron clouds as Reduce has them: Word et al., J. Mol. Biol. 285:1735, 1999."""
+    s = load("1ubq.pdb")
+    kinds, ends = _kinds(s), {(0, "N"), (s.n_residues - 1, "O"), (s.n_residues - 1, "OXT")}
+    signs = {"LYS": {"NZ": 1}, "ARG": dict.fromkeys(("NE", "NH1", "NH2"), 1)}
+    signs |= {"ASP": dict.fromkeys(("OD1", "OD2"), -1), "GLU": dict.fromkeys(("OE1", "OE2"), -1)}
+    of, element = s.atom_residue, s.atom_element
+    expected = np.array([
+        signs.get(residue, {}).get(name, 0) or (1 if name == "N" else -1) * ((r, name) in ends)
+        for r, residue, name in zip(of.tolist(), s.residue_name[of], s.atom_name, strict=True)
+    ])  # fmt: skip
+    expected[kinds.hydrogens] = expected[kinds.parents]
+    assert kinds.charge.tolist() == expected.tolist()
+    flat = {"PHE": 5, "TYR": 4, "HIS": 2, "TRP": 5}
+    for r in range(s.n_residues):
+        here = of[kinds.hydrogens] == r
+        parent, length = kinds.parents[here], kinds.lengths[here]
+        ammonium = (element[parent] == "N") & (expected[parent] == 1) & (s.residue_name[r] != "ARG")
+        usual = np.select([element[parent] == "C", element[parent] == "O", ammonium], [0.97, 0.84, 0.89], 0.86)
+        in_ring = length == 0.93
+        assert in_ring.sum() == flat.get(str(s.residue_name[r]), 0)
+        assert np.array_equal(length[~in_ring], usual[~in_ring]) and (element[parent[in_ring]] == "C").all()
+
+
 def test_memory_is_bounded_where_atoms_crowd():
     """2000 pairs with 24 dots and 8 neighbours each are looked at together: 400,000 rows of 100 bytes."""
     s = load("1l2y.pdb")
