@@ -306,7 +306,7 @@ def test_kinds_are_those_of_hydrogens_bonds_and_rings(name):
             acid = (1.40, 0.07) if name in ("ASP", "GLU") else (1.44, 0.27)
             other = (1.43, 0.12) if n_hydrogens else acid
         assert (found.radius[0], found.depth[0]) == usual.get(atom_name, other), atom_name
-        donates = symbol == "O" and n_hydrogens > 0 or symbol == "N" and (name, atom_name) != ("PRO", "N")
+        donates = (symbol == "O" and n_hydrogens > 0) or (symbol == "N" and (name, atom_name) != ("PRO", "N"))
         accepts = symbol == "O" or (name, atom_name) == ("HIS", "NE2")
         assert (found.donates[0], found.accepts[0]) == (donates, accepts), atom_name
 

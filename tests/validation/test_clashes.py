@@ -197,7 +197,7 @@ def test_charges_and_lengths_of_hydrogens_follow_from_bonds():
         here = of[kinds.hydrogens] == r
         parent, length = kinds.parents[here], kinds.lengths[here]
         ammonium = (element[parent] == "N") & (expected[parent] == 1) & (s.residue_name[r] != "ARG")
-        usual = np.select([element[parent] == "C", element[parent] == "O", ammonium], [0.97, 0.84, 0.89], 0.86)
+        usual = np.select([*(element[parent] == each for each in "CO"), ammonium], [0.97, 0.84, 0.89], 0.86)
         in_ring = length == 0.93
         assert in_ring.sum() == flat.get(str(s.residue_name[r]), 0)
         assert np.array_equal(length[~in_ring], usual[~in_ring]) and (element[parent[in_ring]] == "C").all()
