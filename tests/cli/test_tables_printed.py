@@ -110,34 +110,27 @@ def test_messages_are_printed_as_they_are_in_colour_too(capsys, monkeypatch):
 def test_rows_have_names_on_the_left_and_numbers_on_the_right_below_their_headings(capsys):
     print_rows(["file", "clashes", "score"], [["a.pdb", 3, 12.345], ["a-longer-name.pdb", None, 0.5]])
     heading, *rows = lines_of(capsys)
-    assert [line.split() for line in rows] == [["a.pdb", "3", "12"], ["a-longer-name.pdb", "-", "0.50"]]
-    assert all(line.startswith(name) for line, name in zip(rows, ("a.pdb", "a-longer-name.pdb"), strict=True))
-    for name, texts in (("clashes", ("3", "-")), ("score", ("12", "0.50"))):
-        end = heading.index(name) + len(name)
-        assert all(line[:end].endswith(text) for line, text in zip(rows, texts, strict=True)), name
+    ends = [heading.index(name) + len(name) for name in ("clashes", "score")]
+    for row, texts in zip(rows, (["a.pdb", "3", "12"], ["a-longer-name.pdb", "-", "0.50"]), strict=True):
+        assert row.split() == texts and row.startswith(texts[0])
+        assert [row[:end].split()[-1] for end in ends] == texts[1:] and " " not in {
+            row[end - 1] for end in ends
+        }
 
 
 def test_minima_and_populations_of_a_search_are_said_in_their_units(capsys):
-    minima = {
-        "minimum": [1, 2], "above_lowest_kj_mol": [0.0, 3.25], "free_energy_kj_mol": [float("nan"), 1.5],
-        "conformer": ["", "C7eq"], "ca_rmsd_to_lowest_angstrom": [0.0, 1.75],
-    }  # fmt: skip
-    populations = {
-        "temperature_k": [300.0, 600.0], "energy_kj_mol": [-10.25, 20.5], "energy_error_kj_mol": [0.5, 1.5],
-        "helix_share": [0.125, float("nan")], "helix_share_error": [0.025, float("nan")],
-    }  # fmt: skip
-    chain = SimpleNamespace(structure=load("ala10.pdb"))
-    done = SimpleNamespace(
-        chain=chain,
-        energy=-12.341,
-        q=[0] * 7,
-        minima=pd.DataFrame(minima),
-        populations=pd.DataFrame(populations),
+    nan, names = (
+        float("nan"),
+        "minimum above_lowest_kj_mol free_energy_kj_mol conformer ca_rmsd_to_lowest_angstrom",
     )
-    terminal.print_search(done, "out")
+    minima = pd.DataFrame([[1, 0.0, nan, "", 0.0], [2, 3.25, 1.5, "C7eq", 1.75]], columns=names.split())
+    names = "temperature_k energy_kj_mol energy_error_kj_mol helix_share helix_share_error"
+    rows = [[300.0, -10.25, 0.5, 0.125, 0.025], [600.0, 20.5, 1.5, nan, nan]]
+    done = {"minima": minima, "populations": pd.DataFrame(rows, columns=names.split())}
+    chain = SimpleNamespace(structure=load("ala10.pdb"))
+    terminal.print_search(SimpleNamespace(chain=chain, energy=-12.341, q=[0] * 7, **done), "out")
     first, *rows, last = lines_of(capsys)
-    assert numbers(first)[-2:] == [-12.34, 7]
-    assert last == "written: out" and "C7eq" in rows[1]
+    assert numbers(first)[-2:] == [-12.34, 7] and last == "written: out" and "C7eq" in rows[1]
     assert [numbers(row.replace("C7eq", "").replace("+-", " ")) for row in rows] == [
         [1, 0.0, 0.0], [2, 3.25, 1.5, 1.75], [300, -10.2, 0.5, 12.5, 2.5], [600, 20.5, 1.5],
     ]  # fmt: skip

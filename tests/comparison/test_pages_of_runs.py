@@ -94,11 +94,7 @@ def test_a_figure_has_the_format_of_its_name_and_is_the_same_twice(suffix, head,
     ("command", "words", "shown"),
     [
         ("compare", ("--no-curvature",), ["a: lowest energy so far"]),
-        (
-            "batch",
-            ("--workers", 1),
-            ["energy drop,", "C-alpha RMSD", "seconds", "lbfgs", "fire"],
-        ),
+        ("batch", ("--workers", 1), ["energy drop,", "C-alpha RMSD", "seconds", "lbfgs", "fire"]),
     ],
 )
 def test_a_run_has_its_figure_for_a_paper(command, words, shown, tmp_path, monkeypatch):

@@ -124,10 +124,8 @@ def test_helices_and_strands_are_of_residues_that_are_there_under_their_names(su
         (*map(str, (s.start.res_id, s.end.res_id)), s.sense, s.hbond_atom1.atom_name) for s in sheet.strands
     ]
     assert found == [
-        ("1(MET)", "7(THR)", 0, ""),
-        ("40(GLN)", "45(PHE)", -1, ""),
-        ("48(LYS)", "50(LEU)", -1, "O"),
-    ]
+        ("1(MET)", "7(THR)", 0, ""), ("40(GLN)", "45(PHE)", -1, ""), ("48(LYS)", "50(LEU)", -1, "O"),
+    ]  # fmt: skip
 
 
 def test_residues_of_the_sequence_that_are_not_there_are_components():

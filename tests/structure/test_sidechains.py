@@ -299,12 +299,11 @@ def test_kinds_are_those_of_hydrogens_bonds_and_rings(name):
         found = Kinds([(name, atom_name, "")])
         if symbol == "C":
             other = (1.73, 0.38) if ring and atom_name != "CB" else carbons[n_hydrogens]
-            other = (1.99, 0.38) if name == "CYS" else other
         elif symbol == "N":
-            other = (1.56, 0.46) if (name, atom_name) == ("HIS", "NE2") else (1.69, 0.24)
+            other = (1.69, 0.24)
         else:
-            acid = (1.40, 0.07) if name in ("ASP", "GLU") else (1.44, 0.27)
-            other = (1.43, 0.12) if n_hydrogens else acid
+            other = (1.43, 0.12) if n_hydrogens else (1.40, 0.07) if name in ("ASP", "GLU") else (1.44, 0.27)
+        other = {"CYS CB": (1.99, 0.38), "HIS NE2": (1.56, 0.46)}.get(f"{name} {atom_name}", other)
         assert (found.radius[0], found.depth[0]) == usual.get(atom_name, other), atom_name
         donates = (symbol == "O" and n_hydrogens > 0) or (symbol == "N" and (name, atom_name) != ("PRO", "N"))
         accepts = symbol == "O" or (name, atom_name) == ("HIS", "NE2")
