@@ -181,10 +181,11 @@ def test_radii_charges_and_lengths_of_hydrogens_follow_from_bonds():
     expected = {
         ("PHE", "CG"): (1.75, 0), ("HIS", "CE1"): (1.75, 0), ("TYR", "CZ"): (1.75, 0),
         ("ALA", "CB"): (1.70, 0), ("ASN", "CG"): (1.65, 0), ("GLU", "CD"): (1.65, 0), ("LEU", "C"): (1.65, 0),
-        ("LEU", "CG"): (1.70, 0), ("ARG", "CZ"): (1.70, 0), ("THR", "OG1"): (1.40, 0),
-        ("PRO", "CG"): (1.70, 0), ("LYS", "NZ"): (1.55, 0), ("MET", "SD"): (1.80, 0), ("PHE", "HZ"): (1.05, 0.93),
-        ("HIS", "HE1"): (1.05, 0.93), ("LYS", "HZ1"): (1.05, 0.89), ("ARG", "HH11"): (1.05, 0.86), ("LEU", "H"): (1.05, 0.86),
-        ("LEU", "HG"): (1.22, 0.97), ("TYR", "HH"): (1.05, 0.84),
+        ("LEU", "CG"): (1.70, 0), ("ARG", "CZ"): (1.70, 0), ("PRO", "CG"): (1.70, 0),
+        ("THR", "OG1"): (1.40, 0), ("LYS", "NZ"): (1.55, 0), ("MET", "SD"): (1.80, 0),
+        ("PHE", "HZ"): (1.05, 0.93), ("HIS", "HE1"): (1.05, 0.93), ("LYS", "HZ1"): (1.05, 0.89),
+        ("ARG", "HH11"): (1.05, 0.86), ("LEU", "H"): (1.05, 0.86), ("LEU", "HG"): (1.22, 0.97),
+        ("TYR", "HH"): (1.05, 0.84),
     }  # fmt: skip
     assert {key: by_name[key] for key in expected} == {key: {value} for key, value in expected.items()}
 
