@@ -71,7 +71,6 @@ def _command(name: str) -> Any:
 
 app = typer.Typer(
     cls=_Commands,
-    help="Minimise the energy of protein chains, and compare how.",
     rich_markup_mode=None,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -132,7 +131,10 @@ def _status() -> int:
         context = getattr(error, "ctx", None)
         command = f"protochain {context.info_name}" if context and context.parent else "protochain"
         return fail(f"{error.format_message().rstrip('.')}. See {command} --help.", BAD_INPUT)
-    except BrokenPipeError:
+    except (BrokenPipeError, SystemExit) as error:
+        # Where nobody reads on, Typer and rich would end with 1.
+        if BrokenPipeError not in map(type, (error, error.__context__)):
+            raise
         _close_output()
         return 128 + signal.SIGPIPE  # As of programs that the signal ends.
     except OSError as error:

@@ -55,7 +55,4 @@ def printer(stderr: bool = False) -> "Console":
     stream = sys.stderr if stderr else sys.stdout
     is_seen = stream.isatty() or "COLUMNS" in os.environ
     # What reads a pipe wants each row in a line.
-    return Printing(file=getattr(stream, "raw", stream), stderr=stderr, width=None if is_seen else _WIDEST)
-
-
-_WIDEST = 10_000
+    return Printing(file=getattr(stream, "raw", stream), stderr=stderr, width=None if is_seen else 10_000)

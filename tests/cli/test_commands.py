@@ -85,8 +85,11 @@ def test_options_make_a_setup():
     setup = lambda **given: options._made(Setup, given)  # noqa: E731
     assert setup() == setup(keep=None, disulfide=[], ph=7.0) == Setup()
     assert setup(no_disulfide=True).disulfide == ("none",) and Setup().disulfide is None
-    chosen = setup(disulfide=["A:3-A:40"], keep="water,ZN", threads=2, altloc="", chains="A, b")
-    assert (chosen.disulfide, chosen.keep, chosen.threads) == ((("A:3", "A:40"),), ("water", "ZN"), 2)
+    chosen = setup(
+        disulfide=["A:-3-A:40, :5B-B:-1", "A:7-A:8"], keep="water,ZN", threads=2, altloc="", chains="A, b"
+    )
+    bonds = ("A:-3", "A:40"), (":5B", "B:-1"), ("A:7", "A:8")
+    assert (chosen.disulfide, chosen.keep, chosen.threads) == (bonds, ("water", "ZN"), 2)
     assert chosen.chains == ("A", "b") and Setup().keep == ("near",)
     only = setup(no_disulfide=True, disulfide=["A:3-A:40"]).disulfide
     assert only == ("none", ("A:3", "A:40")) == setup(disulfide=["none", "A:3-A:40"]).disulfide

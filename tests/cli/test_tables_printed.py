@@ -1,15 +1,26 @@
 """What the commands print: every number, every message as it is, and nothing cut off."""
 
+from types import SimpleNamespace
+
 import pandas as pd
 import pytest
+from fixtures.samples import load
 from fixtures.texts import numbers
 
 from protochain.cli import terminal
+from protochain.cli.rows import print_rows
 from protochain.minimisers.record import SHOWN
 
 KEYS = [column.key for column in SHOWN]
-LARGE = ("interrupted", 123456.781, -98765.432, 1234.561, 12345.671, 12.341, 5000, 1234.561)
-SMALL = ("clash", 1.0, -1.0, 0.001, 0.004999, 12.341, 5000, 100.0)
+LARGE = {
+    "interrupted": "interrupted", 123456.781: "123456.8", -98765.432: "-98765.4", 1234.561: "1234.6",
+    12345.671: "12346", 12.341: "12.34", 5000: "5000", 234.567: "234.57",
+}  # fmt: skip
+SMALL = {
+    "clash": "clash", 1.0: "1.00", -1.0: "-1.00", 0.001: "1e-03", 0.004999: "5e-03", 12.341: "12.34",
+    5000: "5000", 100.0: "100.00",
+}  # fmt: skip
+"""Values of the columns, and how they are printed: with two decimals, or as many as there is room for."""
 BATCH = ("structure", "method", "status", "output", "message", "ca_rmsd_angstrom", "seconds")
 
 
@@ -32,10 +43,9 @@ def test_a_table_has_a_row_for_each_record_and_their_messages_below(
     *table, message, other = lines_of(capsys)
     assert (message, other) == (f"{method}: [red]stopped", "own: not 12 done")
     assert max(map(len, table)) <= max(terminal._WIDTH, columns)
-    at = next(k for k, line in enumerate(table) if values[0] in line)
-    for column, value in zip(SHOWN[2:], values[1:], strict=True):
-        assert column.short_text(value) in table[at].split(), column.key
-    assert table[-1].split() == ["own", "converged", *["-"] * len(values[1:])]
+    at = next(k for k, line in enumerate(table) if line.split()[1:2] == [next(iter(values))])
+    assert table[at].split()[-len(values) :] == [*values.values()]
+    assert table[-1].split() == ["own", "converged", *["-"] * (len(values) - 1)]
     assert "".join(line.split()[0] for line in table[at:-1] if line.split()) == method
     headings = " ".join(" ".join(table[:at]).replace("/", " ").split())
     for column in SHOWN:
@@ -95,3 +105,32 @@ def test_messages_are_printed_as_they_are_in_colour_too(capsys, monkeypatch):
     lines = lines_of(capsys)
     assert f"x: {message}" in lines and any(line.endswith("[b]0: why") for line in lines)
     assert not any("\x1b" in line for line in lines if line.startswith(("md: ", "f0: ", "x: ")))
+
+
+def test_rows_have_names_on_the_left_and_numbers_on_the_right_below_their_headings(capsys):
+    print_rows(["file", "clashes", "score"], [["a.pdb", 3, 12.345], ["a-longer-name.pdb", None, 0.5]])
+    heading, *rows = lines_of(capsys)
+    ends = [heading.index(name) + len(name) for name in ("clashes", "score")]
+    for row, texts in zip(rows, (["a.pdb", "3", "12"], ["a-longer-name.pdb", "-", "0.50"]), strict=True):
+        assert row.split() == texts and row.startswith(texts[0])
+        assert [row[:end].split()[-1] for end in ends] == texts[1:] and " " not in {
+            row[end - 1] for end in ends
+        }
+
+
+def test_minima_and_populations_of_a_search_are_said_in_their_units(capsys):
+    nan, names = (
+        float("nan"),
+        "minimum above_lowest_kj_mol free_energy_kj_mol conformer ca_rmsd_to_lowest_angstrom",
+    )
+    minima = pd.DataFrame([[1, 0.0, nan, "", 0.0], [2, 3.25, 1.5, "C7eq", 1.75]], columns=names.split())
+    names = "temperature_k energy_kj_mol energy_error_kj_mol helix_share helix_share_error"
+    rows = [[300.0, -10.25, 0.5, 0.125, 0.025], [600.0, 20.5, 1.5, nan, nan]]
+    done = {"minima": minima, "populations": pd.DataFrame(rows, columns=names.split())}
+    chain = SimpleNamespace(structure=load("ala10.pdb"))
+    terminal.print_search(SimpleNamespace(chain=chain, energy=-12.341, q=[0] * 7, **done), "out")
+    first, *rows, last = lines_of(capsys)
+    assert numbers(first)[-2:] == [-12.34, 7] and last == "written: out" and "C7eq" in rows[1]
+    assert [numbers(row.replace("C7eq", "").replace("+-", " ")) for row in rows] == [
+        [1, 0.0, 0.0], [2, 3.25, 1.5, 1.75], [300, -10.2, 0.5, 12.5, 2.5], [600, 20.5, 1.5],
+    ]  # fmt: skip

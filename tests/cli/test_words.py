@@ -55,3 +55,11 @@ def test_a_row_of_scores_is_no_atom(tmp_path):
 
 def test_an_input_that_is_not_there_is_named_before_its_output():
     assert refusal_as_said("relax", "missing/", "-o", "x") == "missing: not found; check the name"
+
+
+def test_values_of_options_and_arguments_have_few_names():
+    """On all commands; others than words show what is typed, as ``A:3-A:40``."""
+    found = {(param.metavar or "").strip("[].") for each in COMMANDS.values() for param in each.params}
+    assert {word for word in found if re.fullmatch("[A-Z]{2,}", word)} == {
+        "IN", "FILE", "DIR", "FRAMES", "FASTA", "COLUMN", "REFERENCE", "SEQUENCE", "COMMAND",
+    }  # fmt: skip

@@ -38,6 +38,7 @@ def test_a_scale_tells_most_values_apart_and_is_about_zero_where_they_have_a_sig
     made = scene({"a": s}, [Colouring("both", {"a": values}, True), Colouring("one", {"a": values + 4.0})])
     both, one = made["colourings"]
     assert both["low"] == -both["high"] and 2.0 < both["high"] <= 3.0
+    assert [each["is_signed"] for each in (both, one)] == [True, False]
     assert one["low"] == 1.0 and 5.0 < one["high"] <= 6.0
     assert one["values"] == [(values + 4.0).tolist()] and made["chosen"] == -1
     nothing = scene({"a": s}, [Colouring("none", {"a": np.full(10, np.nan)})])["colourings"][0]

@@ -12,6 +12,7 @@ from fixtures.samples import load
 from matplotlib.figure import Figure
 
 import protochain as pc
+from protochain.batches.report import USABLE, plot_distributions
 from protochain.comparison.relaxed import named_residues
 from protochain.comparison.simulated import averages, rmsf
 from protochain.results.figures import write_figure
@@ -89,19 +90,42 @@ def test_a_figure_has_the_format_of_its_name_and_is_the_same_twice(suffix, head,
     assert len(set(same)) == 1
 
 
-def test_a_comparison_has_its_figure_for_a_paper(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("command", "words", "shown"),
+    [
+        ("compare", ("--no-curvature",), ["a: lowest energy so far"]),
+        ("batch", ("--workers", 1), ["energy drop,", "C-alpha RMSD", "seconds", "lbfgs", "fire"]),
+    ],
+)
+def test_a_run_has_its_figure_for_a_paper(command, words, shown, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pc.save(load("ala10.pdb"), tmp_path / "a.pdb")
-    given = ("--methods", "lbfgs", "--no-curvature", "--max-evaluations", 20, "--figure", "f.svg")
-    run("compare", "a.pdb", "-o", "out", *given)
-    assert "a: lowest energy so far" in (tmp_path / "f.svg").read_text()
+    given = (command, "a.pdb", "-o", "out", *words, "--methods", "lbfgs,fire", "--max-evaluations", 20)
+    assert "ends in .svg, .pdf, .png" in refusal(*given, "--figure", "f.doc")
+    assert not (tmp_path / "out").exists()  # Before the work.
+    run(*given, "--figure", "f.svg")
+    text = (tmp_path / "f.svg").read_text()
+    assert [each for each in shown if each not in text] == []
 
 
-def test_a_figure_of_no_format_is_refused_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    pc.save(load("ala10.pdb"), tmp_path / "a.pdb")
-    assert "ends in .svg, .pdf, .png" in refusal("compare", "a.pdb", "-o", "out", "--figure", "f.doc")
-    assert not (tmp_path / "out").exists()
+def test_distributions_count_what_is_up_to_each_value():
+    random = np.random.default_rng(4)
+    methods = np.repeat(["kcm", "lbfgs", "fire"], (6, 9, 3))
+    drop, rmsd, seconds = random.uniform(1.0, 9.0, (3, len(methods)))
+    rmsd[2], start = np.nan, random.normal(size=len(methods))
+    table = pd.DataFrame({
+        "method": methods, "energy_start_kj_mol": start, USABLE: start - 10 * drop, "n_residues": 10,
+        "ca_rmsd_angstrom": rmsd, "seconds": seconds,
+    })  # fmt: skip
+    failed = pd.DataFrame([{"method": "kcm", USABLE: np.nan, "seconds": 0.0}])
+    figure = plot_distributions(pd.concat([table, failed], ignore_index=True))
+    for ax, values in zip(figure.axes, (drop, rmsd, seconds), strict=True):
+        assert {line.get_label() for line in ax.lines} == {*methods}
+        for line in ax.lines:
+            own = values[(methods == line.get_label()) & np.isfinite(values)]
+            x, share = line.get_data()
+            assert x == pytest.approx(np.sort(own))
+            assert share == pytest.approx([100.0 * np.mean(own <= each) for each in np.sort(own)])
 
 
 @pytest.mark.parametrize(

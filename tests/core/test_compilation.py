@@ -149,6 +149,8 @@ def test_without_a_home_and_beside_read_only_sources_it_goes_to_the_temporary_fo
     assert list(compilation._folders(STRUCTURES)) == ["", own]  # Writable.
     monkeypatch.setattr(compilation._SETTINGS, "CACHE_DIR", "given")
     assert list(compilation._folders(tmp_path / "not there")) == ["given", own]
+    compilation._temporary.cache_clear()
+    assert compilation._temporary() == own  # As later processes find it.
     Path(own).chmod(0o777)
     compilation._temporary.cache_clear()
     assert compilation._temporary() == ""  # Others could have put code there.

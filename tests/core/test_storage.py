@@ -174,14 +174,22 @@ def test_what_a_killed_run_left_is_replaced(suffix, tmp_path):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
-def test_output_that_nobody_can_take_is_one_line(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    "words", [("rmsd", SAMPLE, SAMPLE), ("info", SAMPLE, "--json"), ("build", "AAA", "-o", "-"), ("--help",)]
+)
+@pytest.mark.parametrize("gone", ["room", "reader"])
+def test_output_that_nobody_can_take_is_one_line(words, gone, tmp_path, monkeypatch, capsys):
+    """A reader that has enough, as ``head``, needs none: the status is of programs that SIGPIPE (13) ends."""
     monkeypatch.chdir(tmp_path)
-    with Path("/dev/full").open("w") as full:
-        monkeypatch.setattr(sys, "stdout", full)
-        status = run(monkeypatch, "rmsd", SAMPLE, SAMPLE)
+    reads, writes = os.pipe()
+    os.close(reads)
+    with Path("/dev/full").open("w") as full, os.fdopen(writes, "w") as pipe:
+        monkeypatch.setattr(sys, "stdout", full if gone == "room" else pipe)
+        status = run(monkeypatch, *words)
         monkeypatch.undo()
-    line = capsys.readouterr().err.splitlines()[-1]
-    assert status == 1 and "standard output: not written (No space left on device)" in line
+    said = capsys.readouterr().err
+    assert status == (1 if gone == "room" else 141)
+    assert ("standard output: not written (No space left on device)" in said) == (gone == "room")
 
 
 def test_a_checkpoint_of_the_disk_is_read_as_it_was(tmp_path):

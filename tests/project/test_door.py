@@ -260,6 +260,11 @@ def test_words_are_taken_as_a_text_or_as_a_list(tmp_path):
     bpti = STRUCTURES / "4pti.pdb"
     pairs = ([("A:5", "A:55")], ["A:5-A:55"], "A:5-A:55", [["A:5", "A:55"]])
     assert len({pc.load(bpti, disulfide=pair).fingerprint for pair in pairs}) == 1
+    for two in ("none, A:5-A:55,A:38-A:14", ["none", ("A:5", "A:55"), "A:14-A:38"]):
+        s = pc.load(bpti, disulfide=two)
+        bridged = s.bonds[(s.atom_name[s.bonds] == "SG").all(axis=1)]
+        numbers = s.residue_number[s.atom_residue[bridged]].astype(int)
+        assert sorted(map(sorted, numbers.tolist())) == [[5, 55], [14, 38]]
 
 
 def test_quantities_are_converted():

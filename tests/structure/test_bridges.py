@@ -104,6 +104,10 @@ def test_bonds_asked_for_are_added_to_those_found_or_take_their_place():
         disulfides(drafted(a, c), [("A:1", "A:3")])
     a.metals = [a.atom("SG")]
     assert disulfides(drafted(a, b)) == []
+    a.metals, b.links = [], [b.atom("CB")]
+    assert disulfides(drafted(a, b)) == [(a, b)]
+    b.links = [b.atom("SG")]
+    assert disulfides(drafted(a, b)) == []
 
 
 def crosslinked(*members):

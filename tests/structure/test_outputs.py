@@ -92,6 +92,42 @@ def test_what_the_file_says_is_in_the_file_written(name, suffix, tmp_path):
     assert len(out.cispeps) == {"1fas_fasciculin.cif": 2, "1orc_icode.pdb": 1}.get(name, 0)
 
 
+SECONDARY = """\
+HELIX    1  H1 ILE A   23  GLU B   34  1                                  12
+HELIX    2  H2 MSE A   56  TYR A   59  5                                   4
+SHEET    1 BET 5 GLY B  10  VAL A  17  0
+SHEET    2 BET 5 MSE A   1  THR A   7 -1  N  THR A   7   O  GLY B  10
+SHEET    3 BET 5 GLU A  64  ARG B  72  1  N  LEU A  67   O  VAL A   5
+SHEET    4 BET 5 GLN A  40  PHE A  45 -1  N  ILE A  44   O  VAL B  70
+SHEET    5 BET 5 LYS A  48  LEU A  50 -1  N  LYS A  48   O  PHE A  45
+SHEET    1 ODD 1 GLU A  64  ARG B  72  0
+"""
+
+
+@pytest.mark.parametrize("suffix", [".pdb", ".cif"])
+def test_helices_and_strands_are_of_residues_that_are_there_under_their_names(suffix, tmp_path):
+    """What ends where a residue is left out goes, here a chain; a sheet begins with its next strand."""
+    text = SECONDARY
+    for line in (STRUCTURES / "1ubq.pdb").read_text().splitlines(keepends=True):
+        number, name = line[22:26].strip(), line[12:16].strip()
+        if line.startswith("ATOM") and number in ("10", "34", "70", "72"):
+            text += line[:21] + "B" + line[22:]
+        elif line.startswith("ATOM") and number in ("1", "56"):
+            text += (line[:17] + "MSE" + line[20:]) * (name in ("N", "CA", "C", "O", "CB"))
+        elif line.startswith("ATOM"):
+            text += line
+    (tmp_path / "in.pdb").write_text(text)
+    out = written(pc.load(tmp_path / "in.pdb", chains="A"), suffix, tmp_path)
+    (helix,), (sheet,) = out.helices, out.sheets
+    assert [str(end.res_id) for end in (helix.start, helix.end)] == ["56(MET)", "59(TYR)"]
+    found = [
+        (*map(str, (s.start.res_id, s.end.res_id)), s.sense, s.hbond_atom1.atom_name) for s in sheet.strands
+    ]
+    assert found == [
+        ("1(MET)", "7(THR)", 0, ""), ("40(GLN)", "45(PHE)", -1, ""), ("48(LYS)", "50(LEU)", -1, "O"),
+    ]  # fmt: skip
+
+
 def test_residues_of_the_sequence_that_are_not_there_are_components():
     text = as_text(read("2beg_abeta_fibril.pdb")[1], ".cif")
     block = gemmi.cif.read_string(text).sole_block()

@@ -286,6 +286,30 @@ def test_atoms_touch_by_their_kinds():
     assert not table(x, np.zeros((1, 1, 3)), np.array([[0.0]]), np.array([[0.5]])).any()
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_kinds_are_those_of_hydrogens_bonds_and_rings(name):
+    """Of FASPR; only where hydrogens do not decide it does the residue."""
+    known = templates()[{"HIS": "HIE"}.get(name, name)]
+    ring = name in ("PHE", "TYR", "TRP", "HIS")
+    carbons = {0: (1.43, 0.07), 1: (2.30, 0.30), 2: (1.91, 0.37), 3: (1.96, 0.48)}
+    usual = {"CA": (1.78, 0.25), "C": (1.40, 0.14), "N": (1.70, 0.48) if name == "PRO" else (1.42, 0.08)}
+    usual |= {"O": (1.48, 0.22), "SG": (2.15, 0.44), "SD": (1.74, 0.40)}
+    for atom_name in known.heavy:
+        symbol, n_hydrogens = known.element[atom_name], len(known.hydrogens.get(atom_name, ()))
+        found = Kinds([(name, atom_name, "")])
+        if symbol == "C":
+            other = (1.73, 0.38) if ring and atom_name != "CB" else carbons[n_hydrogens]
+        elif symbol == "N":
+            other = (1.69, 0.24)
+        else:
+            other = (1.43, 0.12) if n_hydrogens else (1.40, 0.07) if name in ("ASP", "GLU") else (1.44, 0.27)
+        other = {"CYS CB": (1.99, 0.38), "HIS NE2": (1.56, 0.46)}.get(f"{name} {atom_name}", other)
+        assert (found.radius[0], found.depth[0]) == usual.get(atom_name, other), atom_name
+        donates = (symbol == "O" and n_hydrogens > 0) or (symbol == "N" and (name, atom_name) != ("PRO", "N"))
+        accepts = symbol == "O" or (name, atom_name) == ("HIS", "NE2")
+        assert (found.donates[0], found.accepts[0]) == (donates, accepts), atom_name
+
+
 def test_conformers_unlike_the_atoms_in_place_cost():
     chi, frequency = rotamers("LEU")
     bare_chi, cost = choosable(Site(made("LEU", backbone("LEU")), 1, None, None))

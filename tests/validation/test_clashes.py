@@ -161,20 +161,31 @@ def test_molecules_held_fixed_count_against_the_protein_alone():
     assert s.obstacle[clashes(s, x).pairs].sum() > 5
 
 
-def test_radii_follow_from_bonds():
+def test_radii_charges_and_lengths_of_hydrogens_follow_from_bonds():
+    """At pH 7; centres of electron clouds as Reduce has them: Word et al., J. Mol. Biol. 285:1735, 1999."""
     s = load("1ubq.pdb")
-    radius = _kinds(s).radius
+    kinds, length, of = _kinds(s), np.zeros(s.n_atoms), s.atom_residue
+    length[kinds.hydrogens] = kinds.lengths
+    sign = {"LYS": {"NZ": 1}, "ARG": dict.fromkeys(("NE", "NH1", "NH2"), 1)}
+    sign |= {"ASP": dict.fromkeys(("OD1", "OD2"), -1), "GLU": dict.fromkeys(("OE1", "OE2"), -1)}
+    ends = {(0, "N"): 1, (s.n_residues - 1, "O"): -1, (s.n_residues - 1, "OXT"): -1}
+    places = [*zip(of.tolist(), s.residue_name[of].tolist(), s.atom_name.tolist(), strict=True)]
+    charge = np.array(
+        [ends.get((r, name), sign.get(residue, {}).get(name, 0)) for r, residue, name in places]
+    )
+    charge[kinds.hydrogens] = charge[kinds.parents]
+    assert kinds.charge.tolist() == charge.tolist()
     by_name = {}
-    for i in range(s.n_atoms):
-        by_name.setdefault((str(s.residue_name[s.atom_residue[i]]), str(s.atom_name[i])), set()).add(
-            radius[i]
-        )
+    for (_, *name), *found in zip(places, kinds.radius.tolist(), length.tolist(), strict=True):
+        by_name.setdefault(tuple(name), set()).add(tuple(found))
     expected = {
-        ("PHE", "CG"): 1.75, ("HIS", "CE1"): 1.75, ("TYR", "CZ"): 1.75, ("PRO", "CG"): 1.70,
-        ("ALA", "CB"): 1.70, ("ASN", "CG"): 1.65, ("GLU", "CD"): 1.65, ("LEU", "C"): 1.65,
-        ("LEU", "CG"): 1.70, ("ARG", "CZ"): 1.70, ("PHE", "HZ"): 1.05, ("LYS", "HZ1"): 1.05,
-        ("LEU", "H"): 1.05, ("LEU", "HG"): 1.22, ("TYR", "HH"): 1.05, ("THR", "OG1"): 1.40,
-        ("LYS", "NZ"): 1.55, ("MET", "SD"): 1.80,
+        ("PHE", "CG"): (1.75, 0), ("HIS", "CE1"): (1.75, 0), ("TYR", "CZ"): (1.75, 0),
+        ("ALA", "CB"): (1.70, 0), ("ASN", "CG"): (1.65, 0), ("GLU", "CD"): (1.65, 0), ("LEU", "C"): (1.65, 0),
+        ("LEU", "CG"): (1.70, 0), ("ARG", "CZ"): (1.70, 0), ("PRO", "CG"): (1.70, 0),
+        ("THR", "OG1"): (1.40, 0), ("LYS", "NZ"): (1.55, 0), ("MET", "SD"): (1.80, 0),
+        ("PHE", "HZ"): (1.05, 0.93), ("HIS", "HE1"): (1.05, 0.93), ("LYS", "HZ1"): (1.05, 0.89),
+        ("ARG", "HH11"): (1.05, 0.86), ("LEU", "H"): (1.05, 0.86), ("LEU", "HG"): (1.22, 0.97),
+        ("TYR", "HH"): (1.05, 0.84),
     }  # fmt: skip
     assert {key: by_name[key] for key in expected} == {key: {value} for key, value in expected.items()}
 
