@@ -18,8 +18,6 @@ _TOGETHER = 2.5
 """Angstrom: alternates nearer than this belong together, as parts of a molecule, or exclude each other."""
 _UPON, _EXCLUDED = 1.0, 2.0
 """Angstrom: atoms of two molecules nearer than this are not there at once, and ions further from others."""
-_MOST_OCCUPANCY = 1000.0
-"""What the columns of the PDB format hold."""
 _WHOLE = "whole-"
 """Letter of a molecule that is there in part, as all alternate locations are, but has none."""
 
@@ -129,7 +127,7 @@ def without_nan(model: gemmi.Model) -> int:
     for place in model.all():
         atom = place.atom
         atom.b_iso = atom.b_iso if isfinite(atom.b_iso) else nan
-        if not abs(atom.occ) < _MOST_OCCUPANCY:
+        if not abs(atom.occ) < 1000.0:  # Or no columns of the PDB format hold it.
             n += 1
             atom.occ = 0.0
     return n
