@@ -72,11 +72,7 @@ class Folder:
     """Files of one simulation, appended to as it runs.
 
     ``trajectory.dcd`` (or ``.xtc``) and ``log.csv`` are named ``trajectory.part.dcd`` and ``log.part.csv``
-    until the run has ended without becoming unstable.
-
-    suffix: ``dcd`` or ``xtc``.
-    settings: Settings that a run must share to resume from the checkpoint.
-    constants: What the run measures at its start and keeps, by names of ``CONSTANTS``.
+    until the run has ended without becoming unstable. A run must share settings to resume from the checkpoint.
     """
 
     def __init__(

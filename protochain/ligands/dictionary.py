@@ -26,31 +26,45 @@ _COLUMNS = {
 
 def leaving(name: str) -> frozenset[str]:
     """Atoms of a component that leave where it is bonded to others; none if there is no such component."""
-    try:
-        atoms = component(name)
-    except KeyError:
+    atoms = _found(name)
+    if atoms is None or "leaving" not in atoms.get_annotation_categories():
         return frozenset()
-    marks = atoms.leaving if "leaving" in atoms.get_annotation_categories() else np.zeros(len(atoms), bool)
-    return frozenset(atoms.atom_name[marks].tolist())
+    return frozenset(atoms.atom_name[atoms.leaving].tolist())
 
 
 def heavy_atoms(name: str) -> frozenset[str]:
     """Names of the heavy atoms of a component; none if there is no such component."""
-    try:
-        atoms = component(name)
-    except KeyError:
-        return frozenset()
-    return frozenset(atoms.atom_name[atoms.element != "H"].tolist())
+    atoms = _found(name)
+    return frozenset() if atoms is None else frozenset(atoms.atom_name[atoms.element != "H"].tolist())
 
 
-@lru_cache(maxsize=64)
 def component(name: str) -> Any:
     """Atoms and bonds of a component, as biotite's ``residue`` returns them, with those that may leave."""
+    if (atoms := _found(name)) is None:  # Nothing large is here: an error keeps what is where it is raised.
+        raise KeyError(name)
+    return atoms
+
+
+@lru_cache(maxsize=256)
+def _found(name: str) -> Any:
+    """Component, or None if there is none of that name."""
     info = library("biotite.structure.info")
     file = Path(info.__file__).with_name("components.bcif")
     if not file.is_file():
         return info.residue(name)
     pdbx = library("biotite.structure.io.pdbx")
+    made = _stored(name, file, pdbx)
+    if not made["chem_comp_atom"].row_count:
+        return None
+    found = pdbx.get_component(pdbx.BinaryCIFBlock(made), res_name=name)
+    names, flags = (made["chem_comp_atom"][each].as_array() for each in ("atom_id", "pdbx_leaving_atom_flag"))
+    leave = dict(zip(names, flags, strict=True))
+    found.set_annotation("leaving", np.array([leave.get(each) == "Y" for each in found.atom_name]))
+    return found
+
+
+def _stored(name: str, file: Path, pdbx: Any) -> dict[str, Any]:
+    """Categories of the dictionary with the rows of a component."""
     stored = library("msgpack").unpackb(file.read_bytes())["dataBlocks"][0]["categories"]
     tables = {table["name"].removeprefix("_"): table["columns"] for table in stored}
     made = {}
@@ -60,13 +74,7 @@ def component(name: str) -> Any:
         made[table] = pdbx.BinaryCIFCategory(
             {each: pdbx.BinaryCIFColumn(*_values(columns[each], rows, pdbx.BinaryCIFData)) for each in wanted}
         )
-        if not len(rows) and table == "chem_comp_atom":
-            raise KeyError(name)
-    found = pdbx.get_component(pdbx.BinaryCIFBlock(made), res_name=name)
-    names, flags = (made["chem_comp_atom"][each].as_array() for each in ("atom_id", "pdbx_leaving_atom_flag"))
-    leave = dict(zip(names, flags, strict=True))
-    found.set_annotation("leaving", np.array([leave.get(each) == "Y" for each in found.atom_name]))
-    return found
+    return made
 
 
 def _rows_of(name: str, data: Any, decoder: Any) -> Any:

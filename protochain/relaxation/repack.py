@@ -61,11 +61,7 @@ def repacked(
 
 
 def troubled(structure: Structure) -> Integers:
-    """Residues whose side chains may need another rotamer.
-
-    -> (n,) int: Sorted indices of residues whose side chain overlaps, clashes, violates a distance, threads a
-        ring or has one that is threaded, or is far from every rotamer.
-    """
+    """Residues (n,) whose side chain overlaps, clashes, is too near, threads a ring, or is on no rotamer."""
     x = structure.positions
     found = violations(structure, x)
     crowded = near_pairs(structure, x, _NEAR)[0], clashes(structure, x).pairs

@@ -26,13 +26,16 @@ def test_a_component_is_that_of_biotite(name):
 
 @pytest.mark.parametrize("name", ["", "NO SUCH"])
 def test_what_is_not_there_is_not_found(name):
-    with pytest.raises(KeyError):
+    """And its error keeps nothing of the dictionary in memory."""
+    with pytest.raises(KeyError) as refused:
         dictionary.component(name)
+    assert refused.traceback[-1].locals.keys() == {"name", "atoms"}
+    assert dictionary.leaving(name) == dictionary.heavy_atoms(name) == frozenset()
 
 
 def test_where_the_dictionary_lies_elsewhere_biotite_is_asked(monkeypatch, tmp_path, request):
-    dictionary.component.cache_clear()
-    request.addfinalizer(dictionary.component.cache_clear)
+    dictionary._found.cache_clear()
+    request.addfinalizer(dictionary._found.cache_clear)
     monkeypatch.setattr(biotite, "__file__", str(tmp_path / "__init__.py"))
     asked = []
     monkeypatch.setattr(biotite, "residue", lambda name: asked.append(name) or "theirs")
