@@ -72,7 +72,7 @@ class Folder:
     """Files of one simulation, appended to as it runs.
 
     ``trajectory.dcd`` (or ``.xtc``) and ``log.csv`` are named ``trajectory.part.dcd`` and ``log.part.csv``
-    until the run has ended without becoming unstable. A run must share settings to resume from the checkpoint.
+    until the run has ended without becoming unstable. A run shares its settings to resume from a checkpoint.
     """
 
     def __init__(

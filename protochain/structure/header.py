@@ -19,7 +19,7 @@ _CATEGORIES = (
     "cell", "symmetry", "title_keywords", "entity", "entity_poly", "entity_poly_seq", "struct_asym",
     "struct_conf", "struct_sheet", "conn",
 )  # fmt: skip
-_SPECIAL = (";", "#", "'", '"', "_", "$", "[", "]")
+_SPECIAL = tuple(";#'\"_$[]")
 """How no plain value of mmCIF begins."""
 _INFO = ("_struct.title", "_cell.Z_PDB")
 """Of what gemmi knows of an entry. Its experiment and dates are not those of a computed structure."""
@@ -34,17 +34,19 @@ def take_header(structure: gemmi.Structure, records: str = "") -> str:
         setattr(groups, category, True)
     document = gemmi.cif.Document()
     block = document.add_copied_block(structure.make_mmcif_block(groups))
-    quote_ids(block)
+    quote_names(block)
     for item in gemmi.cif.read_string(records).sole_block() if records else ():
         block.add_item(item)
     return str(document.as_string())
 
 
-def quote_ids(block: gemmi.cif.Block) -> None:
-    """Quote label ids that begin as a text, a comment, a quotation or a name does, as gemmi does not."""
-    for row in block.find("_struct_asym.", ["id"]):
-        if row[0].startswith(_SPECIAL):
-            row[0] = gemmi.cif.quote(row[0])
+def quote_names(block: gemmi.cif.Block) -> None:
+    """Quote names that begin as a text, a comment, a quotation or a tag does, as gemmi does not all."""
+    for loop in (item.loop for item in block if item.loop is not None):
+        for k, value in enumerate(loop.values):
+            quoted = value[-1] == value[0] != value or "\n" in value
+            if value.startswith(_SPECIAL) and not (quoted and value[0] in "'\";"):
+                loop[divmod(k, loop.width())] = gemmi.cif.quote(value)
 
 
 def with_header(header: str) -> gemmi.Structure:

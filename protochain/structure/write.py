@@ -25,7 +25,7 @@ from protochain.ligands.sources import from_dictionary
 from protochain.ligands.tables import ORDERS, rows
 from protochain.structure.convert import as_structure
 from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
-from protochain.structure.header import NO_LABEL, Label, quote_ids, settle, with_header
+from protochain.structure.header import NO_LABEL, Label, quote_names, settle, with_header
 from protochain.structure.links import is_metal
 from protochain.structure.member import address_of
 from protochain.structure.model import Structure
@@ -363,7 +363,7 @@ def _mmcif(
     head.cell = head.symmetry = out.cell.is_crystal()
     document = _whole(out).make_mmcif_document(head)
     block = document.sole_block()
-    quote_ids(block)
+    quote_names(block)
     about = cif_rows(models[0].header, out, _moved(models[0], out), _chemistry(models[0]))
     if bonds := about.get(_BONDS):
         about[_BONDS] = [*bonds, *_standard_bonds(models[0], {row["comp_id"] for row in bonds})]

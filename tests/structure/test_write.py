@@ -136,11 +136,13 @@ def test_coordinates_further_out_are_refused_with_the_atom(angstrom, axis, tmp_p
 
 @pytest.mark.parametrize("name", [";", "#", "'", "_", "$"])
 @pytest.mark.parametrize("suffix", [".pdb", ".cif"])
-def test_a_chain_may_be_called_by_any_letter(name, suffix, tmp_path):
+def test_chains_and_residues_may_be_called_by_any_letter(name, suffix, tmp_path):
     """Also by those that begin a text, a comment, a quotation or a name in mmCIF."""
     made = tmp_path / "given.pdb"
     text = (STRUCTURES / "ala10.pdb").read_text().splitlines(keepends=True)
-    made.write_text("".join(f"{line[:21]}{name}{line[22:]}" if line[:4] == "ATOM" else line for line in text))
+    lines = [f"{line[:21]}{name}{line[22:]}" for line in text if line[:4] == "ATOM"]
+    polymer = [f"SEQRES   1 {name}   11  ALA ALA ALA ALA ALA ALA ALA ALA ALA ALA   {name}\n"]
+    made.write_text("".join([*polymer, *lines, "END\n"]))
     pc.save(pc.load(made), tmp_path / f"written{suffix}")
     again = pc.load(tmp_path / f"written{suffix}")
     assert {*again.residue_chain.tolist()} == {name} and again.n_residues == 10
