@@ -19,8 +19,7 @@ _CATEGORIES = (
     "cell", "symmetry", "title_keywords", "entity", "entity_poly", "entity_poly_seq", "struct_asym",
     "struct_conf", "struct_sheet", "conn",
 )  # fmt: skip
-_SPECIAL = tuple(";#'\"_$[]")
-"""How no plain value of mmCIF begins."""
+_SPECIAL = tuple(";#'\"_$[]")  # How no plain value of mmCIF begins.
 _INFO = ("_struct.title", "_cell.Z_PDB")
 """Of what gemmi knows of an entry. Its experiment and dates are not those of a computed structure."""
 
