@@ -12,7 +12,6 @@ from fixtures.told_energy import FORCES, told
 import protochain as pc
 from protochain.chains.chain import pose
 from protochain.chains.frame import Frame
-from protochain.core import defaults
 from protochain.minimisers import RECIPES, Status, minimise_structure
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.minimise_structure import Minimisation
@@ -22,17 +21,6 @@ from protochain.minimisers.stages import Outcome
 from protochain.minimisers.start import Start
 
 LBFGS = RECIPES["lbfgs"]
-
-
-def test_settings_are_the_defaults_where_none_are_given():
-    run = Minimisation(LBFGS)
-    assert run == Minimisation(LBFGS, tolerance=None, max_evaluations=5000, seed=0, max_rmsd=np.inf)
-    assert run.converged_at == 1.0
-    assert (run.hold, Minimisation(LBFGS, restraint="3 1", max_rmsd=2.0).hold) == (
-        Hold(),
-        Hold((3.0, 1.0), 2.0),
-    )
-    assert defaults.TOLERANCE == 1.0 and defaults.MAX_EVALUATIONS == 5000 and defaults.SEED == 0
 
 
 @pytest.mark.parametrize(

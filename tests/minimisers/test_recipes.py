@@ -205,12 +205,6 @@ def test_all_atoms_are_parted_near_their_start_and_then_all_go():
         assert only.name == "all atoms" and only.method == NEARBY.method
 
 
-def test_the_default_tolerance_is_of_what_moves_last():
-    assert [RECIPES[name].tolerance() for name in ("cartesian", "hybrid", "openmm")] == [5.0] * 3
-    assert [RECIPES[name].tolerance() for name in ("lbfgs", "kcm", "md")] == [1.0] * 3
-    assert RECIPES["cartesian"].tolerance(0.5) == 0.5
-
-
 @pytest.mark.parametrize(("torque", "parts"), [(9e4, False), (2e5, True), (np.nan, True), (np.inf, True)])
 def test_strain_without_overlaps_is_held_too(torque, parts):
     c = chain("1l2y.pdb")
