@@ -28,7 +28,6 @@ LBFGS = RECIPES["lbfgs"]
     [
         ("lbfgs", {"tolerance": 0.0}, "tolerance 0: give a number above 0, at most 1e6"),
         ("lbfgs", {"tolerance": 1e308}, "tolerance 1e+308: give a number above 0, at most 1e6"),
-        ("lbfgs", {"tolerance": np.inf}, "tolerance inf: give a number above 0, at most 1e6"),
         ("lbfgs", {"max_evaluations": 0}, "max_evaluations 0: give at least 1"),
         ("lbfgs", {"seed": -1}, "seed -1: give 0 or more"),
         ("openmm", {"restraint": 1.0},

@@ -45,12 +45,11 @@ def relaxed(damaged):
     return pc.relax(damaged, threads=1)
 
 
-def weights(structure, preset, share=None):
+def weights(structure, preset):
     """Springs of a preset's first stage, by its table."""
     strength = PRESETS[preset]
     relaxer = Relaxer(structure, energy("1l2y.pdb"), strength, 0, lambda *_: None)
-    given = np.ones(structure.n_residues) if share is None else share
-    return relaxer._springs(given, strength.backbone[0], strength.side_chains[0])
+    return relaxer._springs(np.ones(structure.n_residues), strength.backbone[0], strength.side_chains[0])
 
 
 def test_overlaps_and_violations_go_and_the_fold_stays(damaged, relaxed):
