@@ -311,7 +311,8 @@ def test_rosenbrock_chooses_substeps_by_an_error_of_order_two():
     with mock.patch("protochain.mechanisms.rosenbrock._advance", wraps=_advance) as advance:
         m.build().simulate(1.0, 1.0, Rosenbrock(1e-3))
     steps = [call.args[2] for call in advance.call_args_list]
-    assert steps[5:-1] == pytest.approx([0.9 * np.sqrt(1e-3 / (G * (0.5 - GAMMA)))] * len(steps[5:-1]))
+    expected = 0.9 * np.sqrt(1e-3 / (G * (0.5 - GAMMA)))
+    assert len(steps) > 50 and steps[5:-1] == pytest.approx([expected] * (len(steps) - 6))
 
 
 # --- Events, and going on
