@@ -261,6 +261,7 @@ def test_files_hold_what_the_run_was(suffix, precision, small, tmp_path):
     top = mdtraj.Topology.from_openmm(m.chain.structure.topology)
     read = mdtraj.load(str(folder / f"trajectory.{suffix}"), top=top)
     assert read.n_frames == 4 and np.abs(read.xyz - frames).max() < precision
+    assert m.frames.dtype == np.float32 and np.abs(m.frames - frames).max() < precision
     if suffix == "xtc":
         assert np.allclose(read.time, m.trace["time_ps"])
     pd.testing.assert_frame_equal(pd.read_csv(folder / "log.csv"), m.trace, check_dtype=False)

@@ -266,12 +266,6 @@ def test_positions_of_another_structure_are_refused():
         energy("ala10.pdb")(load("1l2y.pdb").positions)
 
 
-def test_the_fingerprint_tells_energy_functions_apart():
-    again = pc.energy(load("ala10.pdb"))
-    assert energy("ala10.pdb").fingerprint == again.fingerprint
-    assert energy("ala10.pdb", solvent="vacuum").fingerprint != again.fingerprint
-
-
 def test_the_samples_are_the_files_the_manifest_describes():
     import hashlib
 

@@ -150,7 +150,7 @@ def test_lists_hold_while_atoms_move_and_are_made_anew_when_they_must():
 
 
 def test_positions_may_have_a_unit():
-    s, e = load("ala10.pdb"), pc.energy(load("ala10.pdb"), engine="native")
+    s, e = load("ala10.pdb"), pc.energy(load("ala10.pdb"), engine="native", device="cpu")
     value, forces = e(10.0 * s.positions * unit.angstrom)
     assert value == pytest.approx(e(s.positions)[0], rel=NATIVE_ENERGY)
     assert np.linalg.norm(forces - e(s.positions)[1]) < NATIVE_FORCE * np.linalg.norm(forces)

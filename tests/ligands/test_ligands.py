@@ -39,7 +39,6 @@ BY_DEFAULT = {
     "1MEH_MOA": (57.16190160, 76.21068828, 66.05277898, 35.70683857, -355.6716587),
 }
 """The same of Sage 2.3.0 and NAGL's charges, by openff-nagl 0.5.5."""
-"""Of the Open Force Field toolkit 0.18, interchange 0.5 and OpenMM's Reference platform."""
 BOND_NM = 0.16
 """Longer than a bond of carbons, shorter than their distance across a bond."""
 RULES_AGREE = 0.97

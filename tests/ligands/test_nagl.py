@@ -137,7 +137,8 @@ def test_atoms_alike_have_one_charge(smiles):
         ("CC1=C([O-])C(=C[NH+]=CC(=O)O)C=CN1", "CC1=[NH+]C=CC(=CNC=C(O)[O-])C1=O"),  # two moves at once
         ("C[n+]1ccc(N)cc1", "CN1C=CC(=[NH2+])C=C1"),
         ("[O-]c1ccncc1", "O=c1cc[n-]cc1"),
-        ("CC(=O)C=C([O-])C", "CC([O-])=CC(=O)C"),
+        ("CC(=O)C=C([O-])CC", "CC([O-])=CC(=O)CC"),
+        ("CC(=S)C=C([S-])CC", "CC([S-])=CC(=S)CC"),
     ],
 )
 def test_drawings_of_one_molecule_have_one_set_of_charges(one, other):

@@ -46,12 +46,7 @@ def test_cells_are_text_where_values_are_lists_or_counts():
 
 def test_a_solution_shows_itself():
     s = solution()
-    assert (
-        repr(s)
-        == "<Solution lbfgs: budget, -10.00 -> -12.50 kJ/mol, 6 evaluations, C-alpha RMSD 0.250 angstrom>"
-    )
-    shown = s._repr_html_()
-    assert all(each in shown for each in ("ala10", "lbfgs", "-12.50", "300 to 30", "40 to 4", "0.250"))
+    assert "-10.00 -> -12.50 kJ/mol" in repr(s) and "300 to 30" in s._repr_html_()
     assert s.method == "lbfgs" and s.keeps_geometry and s.is_usable
     assert not solution(end=Judgement(np.nan, 1.0, 1.0)).is_usable
     # Where it began: an end if it converged there, and otherwise no result.

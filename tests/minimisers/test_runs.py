@@ -12,8 +12,6 @@ from fixtures.tolerances import GEOMETRY_NM, GEOMETRY_RAD, ROUND_OFF_NM
 import protochain as pc
 from protochain.chains.contacts import OVERLAP, overlaps
 from protochain.minimisers import Status
-from protochain.minimisers.loop import Stop
-from protochain.minimisers.verdict import verdict
 
 FREE = ("lbfgs", "cartesian", "hybrid")
 
@@ -47,15 +45,6 @@ def test_overlaps_say_what_can_part_them():
     assert shares == sorted(shares) and shares[-1] < OVERLAP
 
 
-@pytest.mark.parametrize("met", [True, False])
-def test_an_interrupt_is_not_hidden_by_a_clash(met):
-    s = crowded().structure
-    status, message = verdict(Stop.INTERRUPTED, met, "so far", s, s.positions, 5)
-    assert status == Status.INTERRUPTED and message == "interrupted after 5 evaluations: so far"
-    for stop in set(Stop) - {Stop.INTERRUPTED}:
-        assert verdict(stop, met, "", s, s.positions, 5)[0] == Status.CLASH
-
-
 @pytest.mark.parametrize("method", FREE)
 def test_stronger_restraints_hold_tighter_and_count_for_nothing_in_the_energy(method):
     s, c, e = load("1l2y.pdb"), chain("1l2y.pdb"), energy("1l2y.pdb")
@@ -68,11 +57,6 @@ def test_stronger_restraints_hold_tighter_and_count_for_nothing_in_the_energy(me
         assert r.trace["energy_kj_mol"].iloc[-1] == pytest.approx(r.end.energy, abs=1e-6)
         moved.append(np.sqrt(np.mean(np.sum((r.x - s.positions)[heavy] ** 2, axis=1))))
     assert moved[1] < 0.3 * moved[0]
-
-
-def test_a_ramp_of_restraints_ends_free():
-    r = pc.minimise(chain("1l2y.pdb"), energy("1l2y.pdb"), "cartesian", 1.0, restraint=(1000.0, 100.0, 0.0))
-    assert r.status == Status.CONVERGED and "restraints" not in r.message and r.end.rms_force <= 1.0
 
 
 @pytest.mark.parametrize("method", ["lbfgs", "hybrid", "kcm-stiffness"])
