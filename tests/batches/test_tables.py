@@ -38,6 +38,7 @@ def point(job, method, iteration=0):
     """A row of traces.csv."""
     cells = dict.fromkeys(TRACE_COLUMNS, "0.5") | {
         "structure": job.name, "method": method, "iteration": str(iteration), "key": job.key,
+        "evaluations": "1",
     }  # fmt: skip
     return ",".join(cells.values()) + "\n"
 
