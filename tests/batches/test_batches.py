@@ -355,4 +355,4 @@ def test_names_of_a_manifest_that_can_be_of_no_file_are_refused_with_its_name(te
     path = tmp_path / "list.csv"
     path.write_text(text)
     with pytest.raises(pc.ProtochainError, match=f"list.csv: .*{said}"):
-        pc.batch(manifest=path, output=tmp_path / "out")
+        pc.batch((), manifest=path, output=tmp_path / "out")

@@ -58,6 +58,15 @@ def test_a_frame_is_relaxed_as_it_is_by_itself_whatever_came_before(x):
     assert np.array_equal(last.structure.positions, results[-1].structure.positions)
 
 
+def test_a_frame_has_lists_of_its_own():
+    """Far fields differ in their last bits by where the lists were made."""
+    s, setup = load("1ubq.pdb"), pc.Setup(threads=1, accuracy=0.01)
+    x = s.positions + np.random.default_rng(0).normal(scale=1e-4, size=(2, *s.positions.shape))
+    results = over_frames(*opened(x, s), EnergyFrames(setup, whole=True))
+    alone = [pc.energy(s, accuracy=0.01, threads=1)(each)[0] for each in x]
+    assert [each.record["energy_kj_mol"] for each in results] == alone
+
+
 @pytest.mark.slow
 def test_processes_change_no_bit_and_no_order(tmp_path, x):
     path = saved(load(SMALL), x, tmp_path / "x.dcd")

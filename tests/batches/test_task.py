@@ -108,11 +108,6 @@ def test_an_error_is_the_row_of_each_method_that_is_left(error, status, said, tm
     assert begun == ["kcm", "lbfgs"]
 
 
-def test_a_file_that_is_missing_is_refused(tmp_path):
-    (row,) = task.Task(job_of("lbfgs", path=tmp_path / "none.pdb"), tmp_path).run(1)
-    assert row.record["status"] == "refused" and "none.pdb" in row.record["message"] and row.trace == []
-
-
 def test_a_trace_is_thinned_to_fifty_points_with_both_ends():
     for n in (1, 2, 49, 50):
         assert [row["iteration"] for row in thinned(pd.DataFrame({"iteration": range(n)}))] == list(range(n))

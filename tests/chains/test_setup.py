@@ -126,13 +126,3 @@ def test_starts_differ_by_the_same_angle_from_the_command_line(options, spread, 
     assert taken["spread"] == spread and taken["n_starts"] == 2
     (shown,) = [option.help for option in COMMANDS["minimise"].params if option.name == "spread"]
     assert f"[default: {math.degrees(defaults.SPREAD):.1f}]" in shown
-
-
-def test_settings_of_a_batch_come_by_their_names():
-    setup = pc.Setup(hinges="phi psi", model=2)
-    settings = BatchSettings(seed=3).changed(setup=setup, solvent="gbn2", tolerance=2.0)
-    assert settings.setup == pc.Setup(hinges="phi psi", model=2, solvent="gbn2")
-    assert (settings.seed, settings.tolerance) == (3, 2.0)
-    assert settings.record()["hinges"] == "phi psi" and "threads" not in settings.record()
-    with pytest.raises(pc.ProtochainError, match="no setting is called 'colour'; choose from tolerance"):
-        settings.changed(colour="red")

@@ -98,9 +98,7 @@ def test_what_is_done_is_written_when_a_later_model_cannot_be_used(protochain, t
         (["--model", "3", "--one-file"], "one-file: joins several models; give --model all"),
         (["-o", "-", "--json"], "both go to standard output"),
         (["-o", "-", "--model", "all"], "give --one-file"),
-        (["--report", "r.pdf"], "r.pdf: give a name that ends in .html"),
         (["-o", "x.html", "--report", "x.html"], "unknown suffix '.html'"),
-        (["--chain", "Q"], "has no chain Q"),
     ],
 )
 def test_contradictions_are_refused_in_one_line(arguments, said, protochain, three, tmp_path):

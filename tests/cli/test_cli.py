@@ -25,22 +25,15 @@ def test_help_loads_nothing_heavy():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["minimise"], ["IN"]),
-        (["minimise", "in.pdb", "--metod", "kcm"], ["--metod"]),
-        (["minimise", "in.pdb", "--max-evaluations", "many"], ["--max-evaluations", "integer"]),
         (["minimise", "in.pdb", "--spread", "30"], ["spread", "--starts 2"]),
         (["minimise", "in.pdb", "--starts", "3", "--resume", "c.npz"], ["--resume", "several starts"]),
-        (["minimise", "in.pdb", "--restrain", "strong"], ["'strong'", "1000 100 0"]),
         (["minimise", "in.pdb", "--move", "rezid 5"], ["'rezid 5'", "cannot be read"]),
         (["minimise", "in.pdb", "--resume", "no.npz"], ["no.npz", "not found"]),
         (["minimise", "in.pdb", "-o", "out.xyz"], ["out.xyz", ".pdb or .ent or .cif"]),
-        (["minimise", "in.pdb", "-o", "in.pdb"], ["in.pdb", "--force"]),
         (["minimise", "in.pdb", "--trajectory", "t.avi"], ["t.avi"]),
         (["minimise", "cut.pdb"], ["cut.pdb", "line", "cut short"]),
-        (["minimise", "in.pdb", "-o", "one.pdb", "--trace", "one.pdb"], ["one.pdb", "two outputs"]),
         (["minimise", "in.pdb", "-o", "folder.pdb"], ["folder.pdb", "is a folder"]),
         (["minimise", "in.pdb", "-o", f"{'long' * 99}.pdb"], ["longlong", "too long", "check the name"]),
-        (["validate", f"{'long' * 99}.pdb"], ["longlong", "too long", "check the name"]),
         (["minimise", "in.pdb", "-o", "in.pdb/out.pdb"], ["in.pdb/out.pdb", "not a folder"]),
         (["minimise", "in.pdb", "--trace", "/proc/t.csv"], ["/proc/t.csv", "cannot be written"]),
         (["minimise", "stars.pdb"], ["stars.pdb: line 3: x is '********'", "columns 31-38"]),
@@ -52,7 +45,6 @@ def test_help_loads_nothing_heavy():
         (["batch", "in.pdb", "-o", "in.pdb"], ["in.pdb", "not a folder"]),
         (["batch", "in.pdb", "--methods", "kcm,nope"], ["'nope'"]),
         (["info", "in.pdb", "--model", "all"], ["model all", "give its number"]),
-        (["build", "AAZ", "-o", "a.pdb"], ["letter 3"]),
     ],
 )
 def test_bad_input_is_one_line_and_status_2_and_writes_nothing(protochain, arguments, words, tmp_path):
@@ -73,13 +65,6 @@ def test_bad_input_is_one_line_and_status_2_and_writes_nothing(protochain, argum
     assert done.stderr.startswith("protochain: ") and done.stderr.count("\n") == 1
     assert all(word in done.stderr for word in words)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
-
-
-def test_force_lets_the_input_be_replaced(protochain, tmp_path):
-    path = tmp_path / "in.pdb"
-    path.write_text((STRUCTURES / "ala10.pdb").read_text())
-    assert protochain("minimise", "in.pdb", "-o", "in.pdb", "--force").returncode == 0
-    assert "METHOD cartesian" in path.read_text()
 
 
 @pytest.mark.parametrize(("method", "sent"), [("hybrid", signal.SIGTERM), ("openmm", signal.SIGINT)])

@@ -26,6 +26,8 @@ def test_every_option_has_a_help_and_a_name_of_its_own():
         flags = [flag for each in command.params for flag in (*each.opts, *each.secondary_opts)]
         assert len({*flags}) == len(flags), name
         assert all(each.help and len(each.help) > 6 for each in command.params), name
+        # A flag that cannot be turned off is off.
+        assert not any(each.default is True and not each.secondary_opts for each in command.params), name
 
 
 @pytest.mark.parametrize(

@@ -82,7 +82,7 @@ VALUES = {
     "interface": "A:B", "methods": "lbfgs,newton", "reference": "d.pdb", "to": "q.pdb",
     "csv": "t.csv", "residues": "r.csv", "changes": "ch.csv", "rank": "energy_kj_mol", "by": "residue",
     "between": "A:1-A:5", "align": "name C", "measure": "name N", "temperatures": "310-500", "hours": "1e-9",
-    "within": "1e-3", "after": "m.pdb",
+    "within": "1e-3", "after": "m.pdb", "figure": "f.pdf",
     "thermostat": "none", "integrator": "midpoint", "loops": "closed", "hydrogen_mass": "2",
     "hinge_springs": "phi 40", "temperature": "310", "time_step": "0.5", "friction": "3",
     "amplitude": "2", "evaluations": "400", "workers": "3", "time_limit": "77",
@@ -288,7 +288,7 @@ def test_no_option_is_ignored(path, here, read, capsys):
         elif (option.name, path) == ("force", "minimise models"):  # m.1.pdb is no input.
             continue
         elif option.name == "force":  # In the place of its own input, or of a folder of results.
-            is_folder = words[0] in ("simulate", "compare", "search")
+            is_folder = words[0] in ("simulate", "compare", "search", "batch")
             over = [*words, "--json"] if is_folder else [*words, "--json", "-o", words[1]]
             other, found = (
                 outcome(here, capsys, each, over if is_folder else ()) for each in (over, [*over, *its])

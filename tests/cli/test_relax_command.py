@@ -15,7 +15,7 @@ import pytest
 from distributed import LocalCluster
 from fixtures import models
 from fixtures.command_line import refusal, refusal_as_said, run
-from fixtures.samples import STRUCTURES, load, shared
+from fixtures.samples import STRUCTURES, load
 from fixtures.texts import explored
 from scipy.spatial.transform import Rotation
 
@@ -220,14 +220,6 @@ def test_a_worker_elsewhere_finds_the_force_field(tmp_path, here):
     assert job.anywhere().settings.setup.forcefield == f"amber14,{here / 'own.xml'}"
     usual = replace(job, settings=BatchSettings(("relax",)))
     assert usual.anywhere() == usual
-
-
-def test_models_of_a_file_are_several():
-    """Each model is a structure of the folder."""
-    settings = BatchSettings(("relax",), setup=pc.Setup(model="all"))
-    jobs = find_jobs([shared("1vii_villin_nmr3.pdb")], settings)
-    assert [job.settings.setup.model for job in jobs] == [0, 1, 2]
-    assert len({job.key for job in jobs}) == 3 and jobs[0].settings.methods == ("relax",)
 
 
 def test_the_page_tells_what_changed_in_a_table_and_a_figure(monkeypatch, tmp_path):

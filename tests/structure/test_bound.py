@@ -85,6 +85,19 @@ def test_a_pose_is_added_and_moves_with_all_its_hydrogens(tmp_path):
     assert Kind.BOUND in kinds(s)
 
 
+def test_bonds_of_a_ligand_that_turn_are_those_that_rdkit_finds(tmp_path):
+    smiles = "COC(=O)CCNC(=O)c1ccc(cc1)C=CCSC"
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, smiles))
+    here = {int(k): place for place, k in enumerate(s.ligands[0].atoms)}
+    axes = [sorted(here[k] for k in hinge.on_axis) for hinge in pc.build_chain(s, "ligand").hinges]
+    graph = Chem.MolFromSmiles(smiles)
+    single, amides = (
+        {tuple(sorted(pair)) for pair in graph.GetSubstructMatches(Chem.MolFromSmarts(pattern))}
+        for pattern in ("[!D1]-;!@[!D1]", "[#7]-;!@[$(C=O)]")
+    )
+    assert sorted(map(tuple, axes)) == sorted(single - amides) and len(axes) == 8 and amides <= single
+
+
 def test_the_energy_is_that_of_openmms_reference_platform(tmp_path):
     s = pc.load(PROTEIN, ligands=posed(tmp_path, THREONINE_LIKE))
     assert_equals_reference(pc.energy(s, solvent="gbn2", engine="native"), s.positions)

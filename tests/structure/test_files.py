@@ -184,26 +184,6 @@ def test_too_much_is_refused(tmp_path, monkeypatch):
         parse(tmp_path / "one.cif")
 
 
-@pytest.mark.parametrize(("ph", "names"), [(2.0, {"HIP", "ASH", "GLH"}), (12.0, {"HID", "LYN"})])
-def test_protonation_follows_the_ph_and_is_said(ph, names):
-    s = pc.load(STRUCTURES / "1hel.pdb", ph=ph)
-    said = [line.rsplit(" modelled as ", 1)[1] for line in sentences(s) if " modelled as " in line]
-    assert set(said) == names
-    # One hydrogen more or less for each, but for histidine's two neutral states.
-    more = sum({"HIP": 1, "ASH": 1, "GLH": 1, "LYN": -1}.get(name, 0) for name in said)
-    assert s.n_atoms == load("1hel.pdb").n_atoms + more
-    assert np.isfinite(pc.energy(s, solvent="vacuum")(s.positions)[0])
-    with pytest.raises(pc.ProtochainError, match="pH 15"):
-        pc.load(STRUCTURES / "1hel.pdb", ph=15)
-
-
-def test_a_hydrogen_of_an_unknown_name_is_named_by_its_parent_and_that_is_said(tmp_path):
-    lines = (STRUCTURES / "1l2y.pdb").read_text().replace(" HB2 ASP A   9", " HQ7 ASP A   9")
-    s = pc.load(written(tmp_path, lines))
-    assert "1 hydrogen with an unknown name renamed after the parent atom" in sentences(s)
-    assert np.array_equal(np.sort(s.atom_name), np.sort(load("1l2y.pdb").atom_name))
-
-
 AMINO_ACIDS = {
     name
     for letters in itertools.product(string.ascii_uppercase + string.digits, repeat=3)

@@ -140,6 +140,16 @@ def test_ligands_without_occupancy_or_in_one_place_are_kept_and_reported(tmp_pat
     assert {each.kind for each in s.repairs} & {Kind.UNRESOLVED, Kind.COINCIDENT} == kinds
 
 
+def test_atoms_of_one_name_get_names_that_no_other_has(tmp_path):
+    """Of twelve C and two C1, the last of each would be C12."""
+    lines = records(STRUCTURES / "1l2y.pdb")
+    for k, name in enumerate(["C"] * 12 + ["C1"] * 2):
+        line = f"HETATM  900  {name:<3} XXC B 101    {'':24}  1.00  0.00           C\n"
+        lines.append(placed(line, np.array([30.0 + 1.3 * k, 0.7 * (k % 2), 0.0]), "B"))
+    s = pc.load(written(tmp_path, "".join(lines) + "END\n"), keep="all")
+    assert len({*s.atom_name[s.kept]}) == s.kept.sum() == 14
+
+
 def with_a_duplex(tmp_path: Path, apart: float, *beside: str) -> pc.Structure:
     """1bna with a peptide 3 angstrom from its strand A; strand B further from that by so many angstrom.
 

@@ -154,13 +154,7 @@ def test_an_unknown_residue_of_a_racemate_is_named_and_the_other_chain_offered(t
     with pytest.raises(pc.ProtochainError) as refused:
         pc.load(path)
     said = str(refused.value)
-    assert said.startswith(
-        f"{path}: residue 5 XQZ of chain B is an unknown amino acid without a standard parent ("
-    )
-    assert said.endswith(
-        "; replace or remove it, or give a force field that defines it, or take only what has none: "
-        'chains="A"'
-    )
+    assert said.startswith(f"{path}: residue 5 XQZ of chain B ") and said.endswith(' chains="A"')
     assert pc.load(path, chains="A").n_residues == 20
     monkeypatch.setattr("sys.argv", ["protochain", "relax", str(path)])
     with pytest.raises(SystemExit) as ended:

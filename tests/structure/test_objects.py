@@ -82,20 +82,8 @@ def test_what_mdanalysis_does_not_know_is_read_from_names():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
-    [
-        ((S.topology,), "(<Topology; 2 chains, 4 residues, 14 atoms, 8 bonds>,)"),
-        ((1, 2), "(1, 2)"),
-        (SimpleNamespace(xyz=1), "namespace(xyz=1)"),
-        (SimpleNamespace(atoms=1), "namespace(atoms=1)"),
-        (7, "7"),
-        (list(range(99)), "of type list"),
-    ],
+    "wrong", [(S.topology,), (1, 2), SimpleNamespace(xyz=1), SimpleNamespace(atoms=1), 7, [*range(99)]]
 )
-def test_other_objects_are_refused(wrong, said):
-    with pytest.raises(pc.ProtochainError) as refused:
+def test_other_objects_are_refused(wrong):
+    with pytest.raises(pc.ProtochainError, match=r"^[^\n]{1,80}: give a file, a Structure,[^\n]*$"):
         pc.as_structure(wrong)
-    assert str(refused.value) == (
-        f"{said}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
-        "MDAnalysis Universe or AtomGroup, or an OpenMM Topology with its positions"
-    )

@@ -122,6 +122,14 @@ def test_ideal_residues_are_like_those_of_crystals():
                 assert own == pytest.approx(there, abs=0.3), (name, centre)
 
 
+@pytest.mark.parametrize("name", ["PHE", "TYR"])
+def test_both_sides_of_a_ring_are_alike(name):
+    x = ideal(name).x
+    for a, b in (("CD", "CG"), ("CE", "CG"), ("CE", "CZ"), ("CD", "CZ")):
+        one, other = (np.linalg.norm(x[f"{a}{side}"] - x[b]) for side in (1, 2))
+        assert one == pytest.approx(other, abs=0.01), (a, b)
+
+
 def test_atoms_within_some_bonds_are_counted_along_the_bonds():
     serine = ideal("SER")
     assert serine.within("OG", 1) == {"CB"} and serine.within("OG", 2) == {"CB", "CA"}

@@ -148,15 +148,6 @@ def test_chains_and_residues_may_be_called_by_any_letter(name, suffix, tmp_path)
     assert {*again.residue_chain.tolist()} == {name} and again.n_residues == 10
 
 
-def test_a_chain_id_of_two_letters_needs_mmcif(tmp_path):
-    with pytest.raises(pc.ProtochainError) as refused:
-        pc.save(ring(chain_id="AB"), tmp_path / "x.ent")
-    assert (
-        str(refused.value) == f"{tmp_path}/x.ent: chain id 'AB' does not fit a PDB file; write .cif instead"
-    )
-    check_fits(ring(chain_id="AB"), tmp_path / "x.cif")
-
-
 def test_structures_share_the_suffix_that_fits_all():
     assert common_suffix([]) == common_suffix([ring(), ring(chain_id="B")]) == ".pdb"
     assert common_suffix([ring(), ring(chain_id="AB")]) == common_suffix([moved(10000.0)]) == ".cif"

@@ -14,12 +14,8 @@ from typer.exceptions import TyperException
 import protochain as pc
 from protochain.cli import as_said
 
-_TABLE = Path(__file__).with_name("table.txt").read_text()
-LINES = [
-    line
-    for line in (Path(__file__).parent / "table.txt").read_text().splitlines()
-    if line[:1] not in ("", "#")
-]
+TABLE = Path(__file__).with_name("table.txt").read_text()
+LINES = [line for line in TABLE.splitlines() if line[:1] not in ("", "#")]
 TASKS = {line.split()[0]: line for line in LINES}
 
 

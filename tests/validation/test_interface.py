@@ -550,19 +550,6 @@ def test_a_complex_that_overlaps_is_relaxed_and_deviates_from_its_reference(thre
     assert pd.read_csv(three / "near.csv")["clashes"].item() < 20
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--rank", "beauty"], "rank 'beauty' is not known; choose from "),
-        (["--report", "page.pdf"], "ends in .html"),
-        (["--csv", "x.csv", "--residues", "x.csv"], "given for two outputs"),
-    ],
-)
-def test_options_that_make_no_sense_are_refused(three, options, said, monkeypatch):
-    monkeypatch.chdir(three)
-    assert said in refusal("score", "3i40.pdb", *options)
-
-
 @pytest.mark.parametrize("given", ["A", "A:Q", "", ":", "A:B:C"])
 def test_interfaces_that_cannot_be_read_are_told(three, given, capsys):
     assert run("score", three / "3i40.pdb", "--interface", given) == 2

@@ -2,6 +2,7 @@
 
 import copy
 import gzip
+import io
 import pickle
 
 import numpy as np
@@ -165,6 +166,12 @@ def test_the_command_measures_files_folders_and_patterns(tmp_path, monkeypatch, 
     assert (
         texts["violations"][0] == str(measures(load("1l2y.pdb"))["violations"]) and texts["model"][0] == "1"
     )
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO((folder / "a.pdb.gz").read_bytes())))
+    assert run("validate", "-", "b.cif", "--csv", "s.csv") == 0
+    given = pd.read_csv(tmp_path / "s.csv").set_index("file")
+    assert [*given.index] == ["b.cif", "standard input"]
+    assert given.loc["standard input", [*MEASURES]].to_dict() == table.loc[0, [*MEASURES]].to_dict()
+    (tmp_path / "s.csv").unlink()
     assert run("validate", "bad.pdb", "--csv", "bad.csv") == 2
     assert pd.read_csv(tmp_path / "bad.csv").columns.tolist() == ["file", "message"]
     (tmp_path / "bad.csv").unlink()
