@@ -117,24 +117,12 @@ def test_damaged_files_and_odd_options():
     assert len({each.status for each in ended} & {0, 2, 3}) == 3
 
 
-KNOWN = {
-    ("PDB, lines in another order", 4): "pieces of chains whose ends lie beside each other are joined",
-    ("PDB, lines in another order", 24): "the same",
-    ("PDB, lines in another order", 79): "the same",
-    ("PDB, models", 78): "a cysteine at a chain's end gets its hydrogen when it is read again",
-    (
-        "PDB, residues twice",
-        37,
-    ): "copies that lie upon each other look like a chain upon another",
-}
-"""Faults that are not mended, and what is wrong."""
-
-
 @pytest.mark.slow
-def test_all_damaged_files_and_odd_options():
-    cases = judge.chosen(FILES_BY_WEIGHT, 5000) + judge.chosen(OPTIONS, 2000)
-    ended = judge.outcomes(cases, jobs=processors())
-    assert [each for each in ended if each.faults and (each.kind, each.seed) not in KNOWN] == []
+def test_many_damaged_files_and_odd_options():
+    """Cases that no table counts: `analysis/bench fuzz` begins at 0."""
+    cases = judge.chosen(FILES_BY_WEIGHT, 600) + judge.chosen(OPTIONS, 200)
+    ended = judge.outcomes([(kind, 5000 + seed) for kind, seed in cases], jobs=processors())
+    assert [each for each in ended if each.faults] == []
 
 
 record = st.builds(
