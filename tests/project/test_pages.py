@@ -356,7 +356,8 @@ def test_a_result_says_how_it_was_made(tmp_path, monkeypatch):
     row = rows.loc["race.csv"]
     assert row["command"] == "python analysis/benchmarks/race.py -o DIR --forces obc2"
     assert (row["inputs"], row["threads"]) == ("1l2y.pdb", "2")
-    head = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True)
+    words = ["git", "log", "-1", "--format=%h", "--", *made.CODE]
+    head = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     assert row["commit"] == made.COMMIT and float(row["seconds"]) >= 0.0
     assert made.commit().removesuffix(" and changes") == (head.stdout.strip() or "none: an installed package")
     assert pd.read_csv(tmp_path / "race.csv")["a"].tolist() == [2]

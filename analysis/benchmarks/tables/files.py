@@ -108,10 +108,12 @@ def fuzz(rows: pd.DataFrame) -> str:
     """What became of damaged files and odd options."""
     made_of = rows["kind"].str.extract("^(PDB|mmCIF|options)", expand=False)
     group = made_of.replace({"PDB": "PDB files", "mmCIF": "mmCIF files", "options": "sets of options"})
-    sums = rows.groupby(group.fillna(rows["kind"]), sort=False)[["files", "taken", "refused", "faults"]].sum()
-    sums.loc["all"] = sums.sum()
+    how = dict.fromkeys(("files", "taken", "refused", "faults"), "sum") | {"seconds": "max", "megabytes": "max"}
+    sums = rows.groupby(group.fillna(rows["kind"]), sort=False).agg(how)
+    sums.loc["all"] = rows.agg(how)
     return of_rows(
         sums.rename_axis("group").reset_index(),
-        ("damaged", "{group}"), ("number", "{files}"), ("taken", "{taken}"),
-        ("refused, in one line", "{refused}"), ("faults", "{faults}"),
+        ("damaged", "{group}"), ("number", "{files:.0f}"), ("accepted", "{taken:.0f}"),
+        ("refused, in one line", "{refused:.0f}"), ("faults", "{faults:.0f}"),
+        ("longest, CPU s", "{seconds:.1f}"), ("most memory, MB", "{megabytes:.0f}"),
     )  # fmt: skip
