@@ -232,7 +232,7 @@ def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
     found: list[tuple[int, ...]] = []
     for centre in np.flatnonzero(molecule.handedness).tolist():
         ways = {i: x[i] - x[centre] for i in near[centre] if molecule.elements[i] != 1}
-        ways = {i: way / np.linalg.norm(way) for i, way in ways.items()}
+        ways = {i: way / max(np.linalg.norm(way), 1e-9) for i, way in ways.items()}
         hydrogen = -np.sum(list(ways.values()), axis=0)
         # RDKit's clockwise: the first three span a negative volume.
         volume = np.linalg.det([ways.get(i, hydrogen) for i in near[centre][:3]])

@@ -221,6 +221,11 @@ def test_a_flat_stereocentre_is_inverted_on_whichever_side_it_lies(smiles):
         x[centre] = x[near].mean(0) + side * normal / np.linalg.norm(normal)
         assert matching.inverted_atoms(source, x[source.heavy]) == [(centre,)]
     assert matching.inverted_atoms(source, source.positions[source.heavy]) == []
+    upon = np.repeat(source.positions[source.heavy][:1], len(source.heavy), axis=0)
+    with np.errstate(all="raise"):
+        assert matching.inverted_atoms(source, upon) == [
+            (each,) for each in np.flatnonzero(source.handedness)
+        ]
 
 
 def test_hydrogens_that_a_carbon_lacks_make_another_molecule_and_no_charge():

@@ -125,6 +125,7 @@ def test_a_damaged_checkpoint_is_refused(change, why, tmp_path):
     [
         (lambda a: a[..., :2], "is not (3,) numbers"),
         (lambda a: a * np.nan, "is not finite"),
+        (lambda a: a + 1e200, "is not finite"),
         (lambda a: a.astype("U8"), "is not (3,) numbers"),
         (lambda a: a.astype(int), "is not (3,) numbers"),
         (lambda a: a[:, None], "is not (3,) numbers"),

@@ -108,7 +108,10 @@ def fuzz(rows: pd.DataFrame) -> str:
     """What became of damaged files and odd options."""
     made_of = rows["kind"].str.extract("^(PDB|mmCIF|options)", expand=False)
     group = made_of.replace({"PDB": "PDB files", "mmCIF": "mmCIF files", "options": "sets of options"})
-    how = dict.fromkeys(("files", "taken", "refused", "faults"), "sum") | {"seconds": "max", "megabytes": "max"}
+    how = dict.fromkeys(("files", "taken", "refused", "faults"), "sum") | {
+        "seconds": "max",
+        "megabytes": "max",
+    }
     sums = rows.groupby(group.fillna(rows["kind"]), sort=False).agg(how)
     sums.loc["all"] = rows.agg(how)
     return of_rows(
