@@ -38,12 +38,12 @@ def outlook(structure: Structure, recipe: Recipe) -> list[str]:
 def _way(recipe: Recipe, threaded: bool) -> str:
     frees = threaded and bool(recipe.runs) and not recipe.in_torsions
     if not (recipe.parts_overlaps or frees):
-        return "does not part overlaps gently first, and may end far from here"
+        return "does not resolve overlaps under restraints first, and may end far from here"
     ring = "draws bonds out of rings, " if threaded else ""
     if not recipe.keeps_geometry:
-        return f"{ring}parts overlaps while springs hold the chain, then lets all atoms go"
+        return f"{ring}resolves overlaps under restraints, which are then removed"
     ring = "; few bonds come out of a ring in this way: cartesian moves all atoms" if threaded else ""
-    return f"parts overlaps by turning bonds while springs hold the chain, then lets it go{ring}"
+    return f"resolves overlaps by turning bonds under restraints, which are then removed{ring}"
 
 
 def is_crowded(structure: Structure) -> bool:

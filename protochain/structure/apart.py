@@ -181,7 +181,7 @@ def separate_molecules(structure: gemmi.Structure, source: str) -> list[Repair]:
                 elif nearest > _SAME_PLACE and not is_amino:
                     numbered += 1
                     _number(residue, copies)
-    done = {Kind.MOLECULES_TOLD_APART: split, Kind.ATOMS_NUMBERED: numbered}
+    done = {Kind.MOLECULES_RENUMBERED: split, Kind.ATOMS_NUMBERED: numbered}
     return [Repair(kind, {"count": count}) for kind, count in done.items() if count]
 
 

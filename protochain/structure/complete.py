@@ -61,7 +61,7 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
         draft.note(Kind.ATOMS_RENAMED, changes=tuple(renamed))
     inverted = inverted_atoms([m for part in draft.parts if not part.obstacle for m in part.members])
     if inverted:
-        draft.note(Kind.WRONG_HAND, atoms=tuple(inverted))
+        draft.note(Kind.INVERTED_IN_FILE, atoms=tuple(inverted))
     _rebuild(draft, lacking)
     for member in open_ended:
         draft.note(Kind.OXT_ADDED, residue=member.residue)

@@ -54,7 +54,7 @@ class Kind(Enum):
     )
     NO_ENDMDL = Words("{count:n model} without an ENDMDL record, taken to end where the next begins")
     CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
-    MOLECULES_TOLD_APART = Words("molecules that share number and name renumbered: {count} more")
+    MOLECULES_RENUMBERED = Words("molecules that share number and name renumbered: {count} more")
     ATOMS_NUMBERED = Words("atoms that share a name numbered in {count:n molecule}")
     ASSEMBLY = Words("assembly {name} built of {before:n chain}: chains {chains:8}")
     BLOCKS_LEFT_OUT = Words(
@@ -190,7 +190,7 @@ class Kind(Enum):
     )
     # Heavy atoms.
     ATOMS_RENAMED = Words("atoms renamed: {changes:4}")
-    WRONG_HAND = Words("inverted stereocentres in the file: {atoms:6}")
+    INVERTED_IN_FILE = Words("inverted stereocentres in the file: {atoms:6}")
     INNER_OXT = Words("{residue}: OXT left out: the chain continues", rank=Rank.LOSS)
     OXT_ADDED = Words("{residue}: missing OXT added")
     ATOMS_ADDED = Words("{residue}: missing {atoms} added", "missing atoms added")

@@ -225,7 +225,7 @@ def test_an_amino_acid_of_the_dictionary_has_its_atoms_and_parameters(name, tmp_
     assert name in s.residue_name_in_file and not s.losses
     bonded = {frozenset(pair) for pair in s.bonds.tolist()}
     assert all(frozenset((row[0], end)) in bonded for row in chiral_atoms(s).tolist() for end in row[1:])
-    assert sum(each.kind is Kind.WRONG_HAND for each in s.repairs) == (name in DRAWN_AS_D)
+    assert sum(each.kind is Kind.INVERTED_IN_FILE for each in s.repairs) == (name in DRAWN_AS_D)
     covalent.assert_is(s, case, product)
     _, energy, _ = reference(s, "amber14", "obc2")
     assert np.isfinite(energy)
