@@ -51,9 +51,8 @@ class Frames:
     source: str  # What they are read from, for messages.
     count: int  # Of all frames of the source.
     n_atoms: int
-    read: Callable[
-        [Iterable[int]], Iterator[Frame]
-    ]  # Takes places of frames, and yields each as it is taken.
+    # Takes places of frames, and yields each as it is taken.
+    read: Callable[[Iterable[int]], Iterator[Frame]]
     chosen: Sequence[int]  # Places of those that are wanted.
     names: tuple[str, ...] = ()  # Of atoms, as ``Origin`` has them; empty if the source does not say.
     path: Path | None = None  # File from which other processes can read them.
@@ -76,13 +75,8 @@ class Frames:
 
     def select(self, asked: Any) -> "Frames":
         """Choose frames: ``all``, a number, ``START:STOP:STEP``, as Python has them, or a list of these."""
-        parts = (
-            asked.split(",")
-            if isinstance(asked, str)
-            else asked
-            if isinstance(asked, list | tuple)
-            else [asked]
-        )
+        words = asked.split(",") if isinstance(asked, str) else asked
+        parts = words if isinstance(words, list | tuple) else [words]
         each = [range(self.count)[selection(part, "frames")] for part in parts]
         if not parts or not all(each):
             raise ProtochainError(

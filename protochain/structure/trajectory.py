@@ -14,7 +14,7 @@ from openmm import app, unit
 from protochain.core.arrays import Floats
 from protochain.core.errors import StructureError, WriteError
 from protochain.core.storage import check_writable, writing
-from protochain.structure.frames import XTC_HEAD, xtc_end
+from protochain.structure.frames import XTC_HEAD, open_frames, xtc_end
 from protochain.structure.model import Structure
 
 _DCD_COUNT = 8
@@ -68,7 +68,7 @@ class TrajectoryFile:
         if kept is None:
             self.part.unlink(missing_ok=True)
         else:
-            self._check_header(topology)
+            self._check(topology, *kept)
             self._cut(*kept)
         self._file: Any = None
         try:
@@ -92,21 +92,27 @@ class TrajectoryFile:
         """File to continue: under its final name, if the run had ended."""
         return self.part if self.part.exists() else self.path
 
-    def _check_header(self, topology: Any) -> None:
-        """Refuse what is no DCD file of the structure before it is cut."""
-        there = self._there()
-        if there.suffix.lower() != ".dcd" or not there.exists():
-            return
-        try:
-            with there.open("rb") as file:
-                app.DCDFile(file, topology, 0.0, append=True)
-        except (ValueError, struct.error, OSError) as error:
-            raise StructureError(f"{there}: cannot be continued ({error}); start the run anew") from None
-
-    def _cut(self, n_frames: int, n_bytes: int) -> None:
+    def _check(self, topology: Any, n_frames: int, n_bytes: int) -> None:
+        """Refuse what cannot be continued before it is cut."""
         there = self._there()
         if not there.exists() or there.stat().st_size < n_bytes:
             raise StructureError(f"{there}: has lost frames since its checkpoint; start the run anew")
+        if not n_frames:
+            return
+        try:
+            if there.suffix.lower() == ".dcd":
+                with there.open("rb") as file:
+                    app.DCDFile(file, topology, 0.0, append=True)
+            frames = open_frames(there)
+            read = frames.read(range(min(n_frames, frames.count)))
+            reason = next((f"frame {its.index} {its.why}" for its in read if its.x is None), "")
+        except (ValueError, struct.error, OSError) as error:
+            reason = "damaged" if isinstance(error, StructureError) else f"{error}"
+        if reason:
+            raise StructureError(f"{there}: cannot be continued ({reason}); start the run anew")
+
+    def _cut(self, n_frames: int, n_bytes: int) -> None:
+        there = self._there()
         there.replace(self.part)
         with self.part.open("r+b") as file:
             file.truncate(n_bytes)

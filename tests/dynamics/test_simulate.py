@@ -330,7 +330,7 @@ def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
     with pytest.raises(pc.ProtochainError, match="start"):
         simulate(moved, e, n_steps=40, every=10, output=tmp_path, resume=True)
     for name, text, said in (
-        ("trajectory.dcd", b"cut", "trajectory.dcd: cannot be continued"),
+        ("trajectory.dcd", b"cut", "trajectory.dcd: has lost frames"),
         ("trajectory.dcd", None, "trajectory.dcd: has lost frames"),
         ("log.csv", b"step\n0\n", "log.csv: rows before the checkpoint are missing"),
         ("log.csv", b"\xff", "log.csv: damaged log"),

@@ -101,6 +101,19 @@ def test_what_lies_behind_a_checkpoint_is_cut_off_before_anything_is_written(tmp
 
 
 @pytest.mark.parametrize("suffix", [".dcd", ".xtc"])
+def test_a_frame_that_cannot_be_read_is_refused_before_the_file_is_cut(suffix, tmp_path):
+    path = tmp_path / f"a{suffix}"
+    file, told = wrote(path, 3)
+    file.finish()
+    damaged = bytearray(path.read_bytes())
+    damaged[told[0][1] : told[0][1] + 4] = b"\x7f" * 4  # where the second frame begins
+    path.write_bytes(damaged)
+    with pytest.raises(pc.ProtochainError, match=r"cannot be continued \(.*\); start the run anew"):
+        TrajectoryFile(path, S, kept=told[2])
+    assert path.read_bytes() == damaged and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("suffix", [".dcd", ".xtc"])
 def test_a_file_that_lost_frames_is_refused(suffix, tmp_path):
     path = tmp_path / f"a{suffix}"
     file, told = wrote(path, 2)
