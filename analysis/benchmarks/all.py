@@ -61,7 +61,7 @@ class Job:
     after: str = ""
     """Job whose tables it reads."""
     apart: bool = False
-    """Whether it runs only where --only names it: it counts cases, for hours, whatever the machine."""
+    """Whether it runs only where --only names it: it takes hours, or a program that pip cannot install."""
 
     @property
     def tables(self) -> list[str]:
@@ -217,7 +217,7 @@ JOBS = (
         "sidechains", f"{HERE}/sidechains.py built --more MORE -o DIR", 4,
         writes="sidechains sidechains_all sidechains_residues",
     ),
-    Job("sidechains-faspr", f"{HERE}/sidechains.py faspr --more MORE -o DIR", 1),
+    Job("sidechains-faspr", f"{HERE}/sidechains.py faspr --more MORE -o DIR", 1, apart=True),
     Job(
         "ddg", f"{HERE}/ddg.py -o DIR --more MORE --kept KEPT", 9, writes="ddg ddg_programs", continues=True,
     ),
