@@ -192,7 +192,7 @@ JOBS = (
         writes="compliance_angles compliance_evaluations compliance_starts",
     ),
     Job(
-        "runs-kcm", f"python analysis/bench kcm {STARTED} --starts 2 -o DIR --jobs 2 --minutes 120", 9,
+        "runs-kcm", f"python analysis/bench kcm {STARTED} --starts 2 -o DIR --jobs 2 --minutes 20", 25,
         "python analysis/bench kcm --quick -o DIR",
         {"runs.csv": ("kcm_runs.csv", ()), "traces.csv": ("kcm_traces.csv", ())}, continues=True,
     ),

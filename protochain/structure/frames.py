@@ -267,7 +267,7 @@ def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], in
 
 def xtc_end(head: bytes, n_atoms: int) -> int:
     """Bytes of a frame of XTC by its head; 0 if that is none."""
-    if len(head) < 8 or struct.unpack(">i", head[4:8])[0] != n_atoms:
+    if len(head) < 8 or struct.unpack(">2i", head[:8]) != (_XTC_MAGIC, n_atoms):
         return 0
     if n_atoms <= _XTC_FEW:
         return _XTC_RAW + 12 * n_atoms
@@ -301,8 +301,8 @@ def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
     return i == n_atoms and at <= 8 * n_bytes
 
 
-XTC_HEAD, _XTC_RAW, _XTC_FEW = 92, 56, 9
-"""Bytes of a frame before coordinates that are compressed, and others; atoms up to which they are not."""
+XTC_HEAD, _XTC_RAW, _XTC_FEW, _XTC_MAGIC = 92, 56, 9, 1995
+"""Bytes of a frame before compressed coordinates, and before others; atoms up to which these are; magic."""
 _XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
 """Largest span of coordinates in units of the precision; bits of small differences; span from which axes are
 packed apart."""
@@ -341,7 +341,7 @@ class _Kind:
     is_sound: Callable[[IO[bytes], int, int], bool] = lambda *_: True
 
 
-_XTC = _Kind("XTC", struct.pack(">i", 1995), 8, 4, XTC_HEAD, xtc_end, _xtc_is_sound)
+_XTC = _Kind("XTC", struct.pack(">i", _XTC_MAGIC), 8, 4, XTC_HEAD, xtc_end, _xtc_is_sound)
 _TRR = _Kind("TRR", struct.pack(">3i", 1993, 13, 12) + b"GMX_trn_file", 24, 64, _TRR_HEAD, _trr_end)
 
 

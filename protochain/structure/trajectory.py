@@ -31,11 +31,13 @@ def check_trajectory(path: Path) -> None:
         raise StructureError(f"{path}: unknown trajectory suffix {path.suffix!r}; use {' or '.join(WRITTEN)}")
 
 
-def _is_whole(path: Path, begin: int, n_atoms: int) -> bool:
-    """Whether the frame of an XTC file from this byte on is complete: OpenMM's writer tells no failure."""
+def _are_whole(path: Path, begin: int, end: int, n_atoms: int) -> bool:
+    """Whether an XTC file's frames from one byte to another are whole: OpenMM's writer tells no failure."""
     with path.open("rb") as file:
         file.seek(begin)
-        return path.stat().st_size - begin == xtc_end(file.read(XTC_HEAD), n_atoms)
+        while begin < end and (length := xtc_end(file.read(XTC_HEAD), n_atoms)):
+            begin = file.seek(begin + length)
+    return begin == end
 
 
 def _without_hydrogens(structure: Structure) -> tuple[Any, Any]:
@@ -97,19 +99,17 @@ class TrajectoryFile:
         there = self._there()
         if not there.exists() or there.stat().st_size < n_bytes:
             raise StructureError(f"{there}: has lost frames since its checkpoint; start the run anew")
-        if not n_frames:
-            return
         try:
             if there.suffix.lower() == ".dcd":
                 with there.open("rb") as file:
                     app.DCDFile(file, topology, 0.0, append=True)
-            frames = open_frames(there)
-            read = frames.read(range(min(n_frames, frames.count)))
-            reason = next((f"frame {its.index} {its.why}" for its in read if its.x is None), "")
+                if n_frames and any(frame.x is None for frame in open_frames(there).read(range(n_frames))):
+                    raise ValueError("a frame is damaged")
+            elif not _are_whole(there, 0, n_bytes, topology.getNumAtoms()):
+                raise ValueError("a frame is damaged")
         except (ValueError, struct.error, OSError) as error:
-            reason = "damaged" if isinstance(error, StructureError) else f"{error}"
-        if reason:
-            raise StructureError(f"{there}: cannot be continued ({reason}); start the run anew")
+            reason = "damaged" if isinstance(error, StructureError) else error
+            raise StructureError(f"{there}: cannot be continued ({reason}); start the run anew") from None
 
     def _cut(self, n_frames: int, n_bytes: int) -> None:
         there = self._there()
@@ -127,7 +127,7 @@ class TrajectoryFile:
             begin = self.part.stat().st_size
             x = x[self.atoms]
             self._writer.writeModel(x)
-            if self._file is None and not _is_whole(self.part, begin, len(x)):
+            if self._file is None and not _are_whole(self.part, begin, self.part.stat().st_size, len(x)):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         self.n_frames += 1
 

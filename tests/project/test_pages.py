@@ -102,15 +102,6 @@ def test_the_contents_list_every_page_and_section():
         assert f"]({place})" in contents, place
 
 
-def test_pages_say_which_tables_are_of_the_undamped_metric():
-    """Beside each such table, until it is measured again."""
-    for page in pages.PAGES:
-        text = page.read_text()
-        before, found, _ = text.partition("<!-- table precision -->")
-        if found:
-            assert re.search("`cartesian`.*damped", before.rpartition("\n\n")[0].rpartition("\n\n")[2], re.S)
-
-
 def test_the_readme_tests_as_ci_does():
     (tested,) = [line for line in (ROOT / ".ci" / "run").read_text().splitlines() if ".[test]" in line]
     (quoted,) = [
