@@ -96,9 +96,9 @@ class InOneKernel(Equations):
     def advance(self, tableau: Tableau, at: Phase, h: float) -> tuple[Phase, Floats, Floats]:
         """Phase after a step of an explicit method, and the errors of its displacement and velocities."""
         tree = self.tree
-        done, *found, moved, quickened = _step(
-            h, tableau.arrays, self._arrays, floats(at.q, (tree.n_q,), "q"), floats(at.qd, (tree.n_v,), "qd")
-        )
+        start, speed = floats(at.q, (tree.n_q,), "q"), floats(at.qd, (tree.n_v,), "qd")
+        # Copies may be written to, as in a march: the step is compiled once.
+        done, *found, moved, quickened = _step(h, tableau.arrays, self._arrays, start.copy(), speed.copy())
         if not done:
             return super().advance(tableau, at, h)
         return self._phase(found, at.time + h, at.work), moved, quickened
@@ -154,7 +154,7 @@ def _march(
     n, total, now, taken = steps // every, work, time, 0
     times, qs, qds = np.empty(n), np.empty((n, len(start))), np.empty((n, len(speed)))
     ps, energies, works = np.empty((n, len(speed))), np.empty(n), np.empty(n)
-    last = _step(0.0, tableau, arrays, start, speed)
+    last = _step(0.0, tableau, arrays, start.copy(), speed.copy())
     for i in range(steps):
         here, possible, done, spent, part = last, True, 0.0, total, h
         for _ in range(_MOST):

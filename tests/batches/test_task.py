@@ -86,7 +86,7 @@ def test_a_result_without_a_number_has_a_row_but_no_file(given, tmp_path, monkey
         (pc.ProtochainError("why so"), "refused", "why so"), (MemoryError(), "killed", "out of memory"),
         (FileNotFoundError(2, "No such file", "a.xml"), "refused", "a.xml: No such file"),
         (WriteError("a.pdb", "full", "", "free some"), "killed", "a.pdb: not written (full); free some"),
-        (OSError("odd\nly"), "refused", f"{ALA}: odd ly"), (KeyError("x"), "error", "KeyError: 'x'"),
+        (OSError("odd\nly"), "refused", "{}: odd ly"), (KeyError("x"), "error", "KeyError: 'x'"),
     ],
 )  # fmt: skip
 def test_an_error_is_the_row_of_each_method_that_is_left(error, status, said, tmp_path, monkeypatch):
@@ -104,7 +104,7 @@ def test_an_error_is_the_row_of_each_method_that_is_left(error, status, said, tm
     job = job_of("kcm", "lbfgs", "fire")
     first, *others = task.Task(job, tmp_path).run(1)
     assert first.record["method"] == "kcm" and first.record["seconds_preparation"] == 0.5
-    assert others == [failure(job, method, status, said, 4.0) for method in ("lbfgs", "fire")]
+    assert others == [failure(job, method, status, said.format(ALA), 4.0) for method in ("lbfgs", "fire")]
     assert begun == ["kcm", "lbfgs"]
 
 

@@ -1,6 +1,7 @@
 """What is taken of a file, and where a result goes: chains, models, one file of many, standard output."""
 
 import json
+import re
 
 import gemmi
 import numpy as np
@@ -39,6 +40,24 @@ def test_a_chain_that_is_not_there_is_refused_with_those_that_are(protochain):
     assert status == 2 and "has no chain b; its chains are A, B" in err
     status, out, _ = protochain("info", STRUCTURES / "3i40.pdb", "--chain", "A", "--json")
     assert status == 0 and json.loads(out)["n_residues"] == 21
+
+
+def test_what_a_file_has_is_printed_as_the_record_has_it(protochain):
+    facts = json.loads(protochain("info", STRUCTURES / "3i40.pdb", "--energy", "--json")[1])
+    lines = protochain("info", STRUCTURES / "3i40.pdb", "--energy")[1].splitlines()
+    assert len(facts["loops"]) == 3 and facts["overlaps"] == [] and facts["left_out"]["waters"] > 9
+    for key, value in facts.items():
+        if isinstance(value, list):
+            at = lines.index(f"{key}: {len(value)}")
+            printed = [line.removeprefix("  ") for line in lines[at + 1 : at + 1 + len(value)]]
+            assert printed == value or key == "repairs"  # These name Python's arguments in the record.
+        elif isinstance(value, dict):
+            told = ", ".join(f"{count} {name}" for name, count in value.items())
+            assert f"{key}: {told or 'nothing'}" in lines
+        elif isinstance(value, float):
+            assert any(re.fullmatch(rf"{key}: \d+\.\d\d", line) for line in lines)
+        else:
+            assert f"{key}: {value}" in lines
 
 
 @pytest.mark.parametrize(

@@ -259,8 +259,8 @@ def test_newtons_matrix_is_the_derivative_to_first_order_in_the_step(root):
         put_momenta(
             tree.links, tree.bodies, frames.rotation, frames.origin, qd, twists, carried, mu, gradient
         )
-        x = wanted.copy()
-        correct(tree.links, tree.bodies, frames.rotation, frames.origin, twists, carried, 0.5 * h, x)
+        x, there = wanted.copy(), (frames.rotation.copy(), frames.origin.copy())
+        correct(tree.links, tree.bodies, *there, twists, carried, 0.5 * h, x)
         errors.append(np.abs(dense @ x - wanted).max())
     by_mass_alone = np.abs(dense @ multibody.solve_mass(tree, frames, wanted) - wanted).max()
     assert errors[2] < 0.1 * by_mass_alone

@@ -13,6 +13,7 @@ from fixtures.tolerances import DIFFERENCE, ROUND_OFF
 
 import protochain as pc
 from protochain.core import defaults
+from protochain.core.arrays import read_only
 from protochain.core.errors import ProtochainError
 from protochain.energies import NativeEnergy, OpenMMEnergy
 from protochain.energies.native import engine, expansion
@@ -46,20 +47,24 @@ def test_the_field_of_far_nodes_is_the_taylor_polynomial_of_their_pairs(power, o
     blocks = np.concatenate([here[None], there])
     atoms = np.ascontiguousarray(blocks.swapaxes(1, 2)).reshape(-1, 3 * W)
     # Leaves without parents: one in the first chunk, the others in the second.
-    nodes = np.array([[k, k + 1, -1, -1, -1] for k in range(1 + n_far)])
-    roots = np.array([0, 1] + [1 + n_far] * (CHUNKS - 1))
-    centre = blocks.mean(axis=1)
-    start, source = np.array([0, n_far] + [n_far] * n_far), 1 + np.arange(n_far)
-    monomials, _, _, _ = tabled = expansion.tables(order)
+    nodes = read_only([[k, k + 1, -1, -1, -1] for k in range(1 + n_far)], np.int64)
+    roots = read_only([0, 1] + [1 + n_far] * (CHUNKS - 1), np.int64)
+    centre = read_only(blocks.mean(axis=1))
+    start, source = (
+        read_only([0, n_far] + [n_far] * n_far, np.int64),
+        read_only(1 + np.arange(n_far), np.int64),
+    )
+    monomials, *_ = tabled = tuple(read_only(each, np.int64) for each in expansion.tables(order))
     charges = np.zeros((1 + n_far, 1, W))
     charges[1:, 0] = weight
     moments, fields = np.zeros((2, 1 + n_far, 1, len(monomials)))
-    kinds = np.array([[0, order]])
+    kinds = read_only([[0, order]], np.int64)
     expansion.put_moments((0, CHUNKS), atoms, charges, kinds, nodes, roots, centre, tabled, moments)
-    uses = np.array([[power, order, 0, 0]]), np.array([second])
+    uses = read_only([[power, order, 0, 0]], np.int64), read_only([second])
     expansion.put_fields((0, CHUNKS), *uses, nodes, roots, centre, start, source, tabled, moments, fields)
     found = np.zeros(W)
-    expansion.add_potential((0, CHUNKS), atoms[:1], 0, order, np.arange(1), centre, tabled, fields, found)
+    alone = read_only([0], np.int64)
+    expansion.add_potential((0, CHUNKS), atoms[:1], 0, order, alone, centre, tabled, fields, found)
     expected = sum(
         far_potential(here, x, w, centre[0], c, power, order)
         + (second and second * far_potential(here, x, w, centre[0], c, power + 2, order))

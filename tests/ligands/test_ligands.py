@@ -2,6 +2,7 @@
 
 import csv
 import re
+from contextlib import nullcontext
 
 import numpy as np
 import openmm
@@ -541,6 +542,14 @@ def test_bad_files_are_refused_in_one_line(tmp_path):
         assert "bad.sdf" in str(refused.value) and "\n" not in str(refused.value)
     with pytest.raises(pc.ProtochainError, match="has no coordinates in space"):
         pc.ligand("CCO").terms()
+
+
+@pytest.mark.parametrize(("other", "is_the_same"), [("0.00", True), ("0.5", False), ("none", False)])
+def test_a_scale_is_compared_as_a_number(other, is_the_same, tmp_path):
+    path = tmp_path / "scaled.offxml"
+    path.write_text(smirnoff.SAGE_2_2.read_text().replace('scale13="0.0"', f'scale13="{other}"'))
+    with nullcontext() if is_the_same else pytest.raises(pc.ProtochainError, match=f"scale13 .* '{other}'"):
+        pc.ligand("CC", forcefield=path)
 
 
 def test_bad_force_fields_are_refused_in_one_line(tmp_path):

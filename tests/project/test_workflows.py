@@ -31,7 +31,9 @@ def test_options_of_a_step_exist(path):
     assert "--json" in asked and asked <= known
 
 
-@pytest.mark.parametrize("path", [NF_CORE / "main.nf", NF_CORE / "environment.yml", GALAXY], ids=str)
+@pytest.mark.parametrize(
+    "path", [NF_CORE / "main.nf", NF_CORE / "environment.yml", GALAXY], ids=lambda path: path.name
+)
 def test_a_step_is_of_this_version(path):
     assert {*re.findall(r"\b\d+\.\d+\.\d+\b", path.read_text(encoding="utf-8"))} == {VERSION}
 

@@ -357,6 +357,21 @@ def test_by_default_those_turn_that_are_in_the_way():
     assert len(troubled(found)) < len(troubled(given))
 
 
+@pytest.mark.parametrize("glycine", ["N", "H", "CA", "HA2", "HA3", "C", "O"])
+@pytest.mark.parametrize("first", ["H1", "H2", "H3", "HA"])
+def test_atoms_that_no_chi_turns_do_not_make_a_side_chain_turn(first, glycine):
+    structure = pc.from_sequence("SAAAGAAA")
+    assert not len(troubled(structure))
+    for name, others in ((first, []), ("OG", [0])):
+        (one,), (other,) = (
+            np.flatnonzero((structure.atom_residue == residue) & (structure.atom_name == its))
+            for residue, its in ((0, name), (4, glycine))
+        )
+        x = structure.positions.copy()
+        x[one] = x[other] + [0.02, 0.0, 0.0]
+        assert troubled(structure.with_positions(x)).tolist() == others
+
+
 def test_the_next_round_looks_where_the_last_put_side_chains(monkeypatch):
     """One put onto another that was far from it: then that may turn, too."""
     s, seen = load("1l2y.pdb"), []

@@ -6,6 +6,7 @@ import pytest
 import protochain as pc
 from protochain.searching.conformers import backbone
 from protochain.searching.moves import NONE, Moves, anywhere, crossed, moved
+from protochain.searching.moves import backbone as favoured
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation.layout import peptides
 from protochain.validation.ramachandran import CLASSES, FAVOURED, ramachandran, score
@@ -37,6 +38,16 @@ def test_hinges_are_sorted_by_residue():
     assert {CLASSES[kind] for kind in plot.kind} == {*CLASSES} - {"cis_proline"}
     # Not into proline, whose phi does not turn.
     assert set(moves.flips) == {(place[own[str(k), "psi"]], place[own[str(k + 1), "phi"]]) for k in (1, 3, 4)}
+
+
+def test_within_a_cell_of_the_table_the_backbone_is_drawn_evenly():
+    """Cells of two degrees, whose middles are odd."""
+    _, moves = moves_of("AAA")
+    random = np.random.default_rng(0)
+    drawn = np.rad2deg([favoured(moves.residues[1], random) for _ in range(4000)])
+    within = (drawn % 2.0) - 1.0
+    assert np.all(np.abs(within.mean(axis=0)) < 4.0 * 2.0 / np.sqrt(12.0 * 4000))
+    assert np.all(np.abs(within.std(axis=0) - 2.0 / np.sqrt(12.0)) < 0.02)
 
 
 def test_the_backbone_goes_to_favoured_regions_of_its_own_residue():

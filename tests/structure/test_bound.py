@@ -1,5 +1,6 @@
 """Ligands beside the protein: where their chemistry comes from, their parameters, hydrogens and hands."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import gemmi
@@ -12,7 +13,8 @@ from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
 from protochain.energies.factory import build_system
-from protochain.ligands.sources import of_residue
+from protochain.ligands.sources import of_residue, read
+from protochain.structure.bound import _named_apart
 from protochain.structure.chirality import chiral_atoms, volume
 from protochain.structure.ligand_files import poses
 from protochain.structure.repairs import Kind
@@ -390,3 +392,10 @@ def test_twenty_records_are_as_many_poses(tmp_path, name):
     for k in (0, 9, 19):
         molecule = of_residue("", given=Path(found[k]))
         assert molecule.n_atoms == made[k % 2].GetNumAtoms()
+
+
+def test_hydrogens_of_one_name_get_names_that_no_atom_has():
+    ethanol = read("CCO")
+    names = [("H2", "H1", "O")[k] if k < 3 else "H" for k in range(ethanol.n_atoms)]
+    given = replace(ethanol, names=tuple(names))
+    assert _named_apart(given).names == ("H2", "H1", "O", "H", "H3", "H4", "H5", "H6", "H7")

@@ -202,7 +202,7 @@ class Pile(Value):
         if motion is None:
             if self.plates.n_bodies:
                 raise MechanicsError("the plates are on bodies; give their motion")
-            return Motion(
+            motion = Motion(
                 np.zeros((steps + 1, 0, 3)), np.zeros((steps + 1, 0, 3, 3)), np.zeros((steps + 1, 0, 6))
             )
         nb = motion.origin.shape[1]
