@@ -76,7 +76,7 @@ class Record:
 PARTS = {
     "structures": ("prepared", "searched", "written", "refused"),
     "minimised": ("torsions", "atoms", "relaxed"),
-    "measured": ("energies", "simulated", "judged", "scenes"),
+    "measured": ("energies", "simulated", "judged", "printed", "scenes"),
 }
 """Groups that each file of tests compares: three files, for processes side by side."""
 
@@ -120,7 +120,9 @@ def run(record: Record) -> Cells:
         else:
             found = {}
             for command in record.what.split(" && "):
-                found |= _command(shlex.split(command))
+                found |= _command(shlex.split(command), record.group == "printed")
+        if record.group == "printed":
+            return found
         made = sorted(path for path in Path().rglob("[!.]*") if path.is_file() and path not in given)
         of_a_kind: Counter[tuple[Path, str]] = Counter()
         for path in made:
@@ -146,8 +148,8 @@ def _name_of(error: BaseException) -> dict[str, str]:
     return {"error": type(error).__name__} | ({"fault": fault.name} if fault else {})
 
 
-def _command(words: list[str]) -> Cells:
-    """Exit status of a command, the error that ended it, and what it prints with --json."""
+def _command(words: list[str], lines: bool = False) -> Cells:
+    """Exit status of a command, the error that ended it, and what it prints with --json, or its lines."""
     from protochain import cli
 
     seen: dict[str, str] = {}
@@ -162,7 +164,8 @@ def _command(words: list[str]) -> Cells:
     app, status, printed = cli.app, 0, io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True)
     before = signal.getsignal(signal.SIGTERM), gc.get_threshold()
     patches = mock.patch.multiple(cli, app=noting), mock.patch.object(sys, "argv", ["protochain", *words])
-    with patches[0], patches[1], redirect_stdout(printed), redirect_stderr(io.StringIO()):
+    said = io.StringIO()
+    with patches[0], patches[1], redirect_stdout(printed), redirect_stderr(said):
         try:
             cli.main()
         except SystemExit as end:
@@ -173,7 +176,16 @@ def _command(words: list[str]) -> Cells:
     told = json.loads(text) if "--json" in words and text else {}
     if told and status == 0:
         results(words, told)
-    return dict(_cells("", {"status": status, **seen})) | dict(_cells("json:", told))
+    shown = dict(_lines(said.getvalue() + text) if lines else _cells("json:", told))
+    return dict(_cells("", {"status": status, **seen})) | shown
+
+
+def _lines(text: str) -> Iterator[tuple[str, str]]:
+    """The lines printed, but for times."""
+    text = re.sub(r"(seconds )?[\d.]+(?(1)| (s|ns/day)\b)", "# s", text.replace(f"{Path.cwd()}/", ""))
+    for k, line in enumerate(text.splitlines()):
+        if line.strip() and not LEFT_OUT.search(line.split(":")[0]):
+            yield f"line_{k:02}", " ".join(line.split())
 
 
 # ---- What is recorded of a value ---------------------------------------------------------------------------
@@ -345,6 +357,8 @@ def _same(column: str, old: str, new: str) -> bool:
         a, b = float(old), float(new)
     except ValueError:
         return False
+    if column.startswith("line_"):
+        return bool(abs(a - b) < 1.5 * 10.0 ** -len(old.partition(".")[2]))
     return bool(abs(a - b) <= _tolerance(column.rsplit(":", 1)[-1], a))
 
 

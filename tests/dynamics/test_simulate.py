@@ -356,6 +356,14 @@ def test_a_checkpoint_fits_one_simulation_only(small, tmp_path):
         simulate(*small, n_steps=40, resume=True)
 
 
+@pytest.mark.parametrize("name", ["checkpoint.npz", "log.csv", "log.part.csv"])
+def test_what_a_simulation_left_is_not_written_over(name, small, tmp_path):
+    (tmp_path / name).write_text("of a week")
+    with pytest.raises(pc.ProtochainError, match=rf"holds a simulation \({name}\)"):
+        simulate(*small, n_steps=2, output=tmp_path)
+    assert [(each.name, each.read_text()) for each in tmp_path.iterdir()] == [(name, "of a week")]
+
+
 KILLED = """
 import os, signal, sys
 moved = []

@@ -20,6 +20,7 @@ from protochain.mechanics.multibody import (
     rigid_bodies,
     velocities,
 )
+from protochain.mechanics.multibody.tree import BALL_PLACEMENT
 from protochain.mechanics.multibody.trigonometry import cosines_and_sines
 
 
@@ -105,6 +106,22 @@ def test_integrate_turns_a_free_root_by_the_exponential(size):
     assert np.allclose(pose(tree, moved).rotation[0], expected.as_matrix(), atol=ROUND_OFF)
     assert abs(np.linalg.norm(moved[:4]) - 1) < ROUND_OFF
     assert np.allclose(moved[4:], [1.1, 2.2, 3.3], atol=ROUND_OFF)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-9, 0.3, 3.0])
+def test_integrate_turns_a_ball_hinge_by_the_exponential_about_its_own_axes(size):
+    kinds, eye = [HingeKind.BALL, HingeKind.BALL_AXIS, HingeKind.BALL_AXIS], np.eye(3)
+    placed, none = np.array([eye, BALL_PLACEMENT, BALL_PLACEMENT]), np.zeros((3, 3))
+    inertia = np.array([0.0, 0.0, 1.0])[:, None, None] * eye
+    tree = Tree(np.arange(-1, 2), np.array(kinds), none, placed, np.array([0.0, 0.0, 1.0]), none, inertia)
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        start, omega = (Rotation.random(rng=rng) for _ in range(2))
+        step = size * omega.as_rotvec()
+        moved = integrate(tree, start.as_rotvec(), step)
+        expected = start * Rotation.from_rotvec(step)
+        assert np.allclose(Rotation.from_rotvec(moved).as_matrix(), expected.as_matrix(), atol=ROUND_OFF)
+        assert np.linalg.norm(moved) <= np.pi + ROUND_OFF
 
 
 def rod():

@@ -13,9 +13,11 @@ from protochain.mechanics.motion import (
     Applied,
     DormandPrince,
     Load,
+    RungeKutta4,
 )  # fmt: skip
 from protochain.mechanisms import Acting, Bushing, Mechanism, Named, Spring, Torsion
 from protochain.mechanisms.elements import Sum
+from protochain.mechanisms.model import _Simulation
 
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -404,6 +406,16 @@ def test_loads_do_work_each_by_itself():
     assert table["work drag"].iloc[-1] < 0.0
     assert table["dissipation"].iloc[-1] == 0.0
     assert run.audit().energy < AUDITED
+
+
+def test_the_row_looked_at_last_is_that_whose_energy_differs_most_by_more_than_work():
+    m = pendulum(q=1.0)
+    m.torque("motor", "pin", lambda t: 3.0 * np.sin(3.0 * t))
+    model = m.build()
+    followed = _Simulation(model, model.start(), RungeKutta4(), 0.05, 1, np.inf)
+    run = followed.run(6.0)
+    lack = run.kinetic + run.potential - run.work[:, 0]
+    assert followed.worst == np.argmax(np.abs(lack - lack[0])) not in (0, len(lack) - 1)
 
 
 @pytest.mark.parametrize(

@@ -76,6 +76,7 @@ def test_boxes_of_one_place_end_in_leaves():
     tree = box_tree(low, low + 1.0)
     assert overlapping(tree, np.ones((1, 3)), np.full((1, 3), 2.0))[:, 1].tolist() == list(range(100))
     assert np.all(tree.items[:, 1] - tree.items[:, 0] <= LEAF)
+    assert not any(array.flags.writeable for array in vars(tree).values())
 
 
 def test_a_search_of_the_tree_looks_at_few_boxes():
