@@ -183,7 +183,8 @@ def _command(words: list[str], lines: bool = False) -> Cells:
 def _lines(text: str) -> Iterator[tuple[str, str]]:
     """The lines printed, but for times."""
     text = re.sub(r"(seconds )?[\d.]+(?(1)| (s|ns/day)\b)", "# s", text.replace(f"{Path.cwd()}/", ""))
-    for k, line in enumerate(text.splitlines()):
+    timed = r" +[\d.]+$" if "time s\n" in text else "$"
+    for k, line in enumerate(re.sub(timed, "", each) for each in text.splitlines()):
         if line.strip() and not LEFT_OUT.search(line.split(":")[0]):
             yield f"line_{k:02}", " ".join(line.split())
 

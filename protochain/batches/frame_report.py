@@ -49,7 +49,7 @@ def write_report(run: FramesRun, name: str, source: str, path: Path) -> None:
 def _worst_first(table: pd.DataFrame) -> tuple[pd.DataFrame, str]:
     """Rows without a result first, then those with something left; in each by what tells most of damage."""
     by = next((name for name in _WORST if name in table and table[name].notna().any()), "frame")
-    bad = np.select([~_usable(table), ~table["status"].isin(["converged", "measured"])], [0, 1], 2)
+    bad = np.select([~_usable(table), table["status"] != "converged"], [0, 1], 2)
     far = -table[by].astype(float) if by != "frame" else table[by]
     return table.assign(_bad=bad, _far=far).sort_values(["_bad", "_far"], kind="stable")[[*table]], by
 

@@ -5,6 +5,7 @@ What a call computed with is known by its number, which OpenMM's own files give 
 
 import functools
 import inspect
+from dataclasses import fields, is_dataclass
 
 import numpy as np
 import openmm
@@ -140,6 +141,32 @@ def by_product(r, e):
 
 def phi(r):
     return pc.as_structure(r).dihedrals()["phi"][[1]]
+
+
+def arrays(value, at, seen):
+    """Arrays of a frozen value and of what it holds, each with its place."""
+    if id(value) in seen:
+        return
+    seen[id(value)] = value
+    of = type(value)
+    if isinstance(value, np.ndarray):
+        yield at, value
+    elif isinstance(value, tuple | list | dict):
+        for each in value.values() if isinstance(value, dict) else value:
+            yield from arrays(each, at, seen)
+    elif is_dataclass(value) and of.__module__.startswith("protochain") and of.__dataclass_params__.frozen:
+        for field in fields(value):
+            yield from arrays(getattr(value, field.name), f"{of.__name__}.{field.name}", seen)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "structure", "ligand"])
+def test_no_array_of_a_result_can_be_written_to(kind):
+    """But those of states, from which a run goes on."""
+    others = {"structure": peptide, "ligand": lambda: pc.ligand("C[C@H](O)C=O")}
+    found = [*arrays(others[kind]() if kind in others else result(kind), kind, {})]
+    assert len(found) > 5
+    states = {"Phase", "Bath", "Simulation", "Hopping"}
+    assert {at.split(".")[0] for at, array in found if array.flags.writeable} <= states
 
 
 def none_or(e):
