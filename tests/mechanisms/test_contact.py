@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from fixtures.tolerances import ROUND_OFF
 from scipy.optimize import approx_fprime, minimize
 
 from protochain.core.errors import MechanicsError
@@ -10,7 +11,7 @@ from protochain.mechanics.motion import DormandPrince, RungeKutta4, StepTooLarge
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.contact import Friction, Law, flores, lankarani_nikravesh, real_restitution
 from protochain.mechanisms.contact_forces import Anchors
-from protochain.mechanisms.shapes import Ball, Plane, Surface, Touches
+from protochain.mechanisms.shapes import Ball, Plane, Surface, Touches, _between
 from protochain.mechanisms.triangles import nearest
 
 G = 9.81
@@ -304,6 +305,18 @@ def test_an_anchor_goes_along_to_one_other_triangle_and_never_to_two(anchored, t
     found = Touches(np.array(touches), ends, np.zeros((n, 3)), up, np.ones(n))
     stretch = pressing.stretches(model.start().factors.frames, found)[:, 0]
     assert stretch.tolist() == [0.0 if k is None else k + 1.0 for k in expected]
+
+
+def test_two_balls_touch_in_the_middle_of_their_overlap():
+    centre, radius = np.array([[0.1, 0.2, 0.3], [0.4, -0.2, 0.5]]), np.array([0.4, 0.25])
+    for i, j in ((0, 1), (1, 0)):
+        pair, ends, place, out, depth = _between(np.array([[i, j]]), centre, np.array([3, 7]), radius, 0)
+        up = (centre[i] - centre[j]) / np.linalg.norm(centre[i] - centre[j])
+        surfaces = centre[i] - radius[i] * up, centre[j] + radius[j] * up
+        assert place[0] == pytest.approx(np.mean(surfaces, axis=0), abs=ROUND_OFF)
+        assert depth[0] == pytest.approx((surfaces[1] - surfaces[0]) @ up, abs=ROUND_OFF)
+        assert out[0] == pytest.approx(up, abs=ROUND_OFF)
+        assert (pair.tolist(), ends.tolist()) == ([[i, j]], [[3 + 4 * i, 3 + 4 * j]])
 
 
 def test_two_groups_touch_across_only():

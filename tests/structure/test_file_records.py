@@ -201,6 +201,8 @@ def test_records_of_ligands_stay_with_them(tmp_path):
     (drawn,) = (line for line in text.splitlines() if line.startswith(f"CONECT{c1:5}"))
     assert drawn.split().count(f"{o5}") == 2
     cif = as_text(structure, ".cif")
+    names = "auth_seq_id", "auth_comp_id", "label_comp_id", "parent_comp_id", "details"
+    assert rows(cif, "pdbx_struct_mod_residue", *names) == [("3", "ALA", "ALA", "ALA", "GLYCOSYLATION SITE")]
     assert rows(cif, "chem_comp", "id", "type")[-1:] == [("NAG", "saccharide")]
     assert ("NAG", "C1", "O5", "doub") in rows(
         cif, "chem_comp_bond", "comp_id", "atom_id_1", "atom_id_2", "value_order"

@@ -104,6 +104,19 @@ def test_a_ligand_in_pieces_is_said():
     assert [{*s.atom_name[pair].tolist()} for pair in stretched] == [{"PG", "O3B"}]
 
 
+def test_a_ligand_whose_file_has_it_in_pieces_is_torn_where_they_are_nearest(tmp_path):
+    """No bond is read between the pieces; ATP's phosphate is nearer to no other atom than to the last."""
+    made = gemmi.read_structure(str(shared("../complexes/models/1a0i.cif")))
+    (atp,) = (residue for chain in made[0] for residue in chain if residue.name == "ATP")
+    at = {atom.name: np.array(atom.pos.tolist()) for atom in atp}
+    away = (at["PG"] - at["O3B"]) / np.linalg.norm(at["PG"] - at["O3B"])
+    moved([atp], 2.0 * away, ["PG", "O1G", "O2G", "O3G"])
+    made.make_mmcif_document().write_file(str(tmp_path / "torn.cif"))
+    s = still(pc.load(tmp_path / "torn.cif"))
+    bonds = fixed_faults(s).bonds
+    assert [{*s.atom_name[pair].tolist()} for pair in bonds] == [{"PG", "O3B"}] and s.obstacle[bonds].all()
+
+
 def test_the_end_of_a_relaxation_says_what_is_fixed_and_broken(dodecamer, tmp_path):
     s = loaded(dodecamer, tmp_path, [5], (0.0, 0.0, 1.5), ["C5'", "O5'", "P", "OP1", "OP2"])
     r = pc.relax(s, threads=1)
