@@ -28,8 +28,10 @@ import gemmi
 import numpy as np
 import openmm
 import pandas as pd
+from fixtures.public_names import defaults
 from fixtures.schemas import results
 from fixtures.tolerances import RECORDED, RECORDED_LENGTH
+from matplotlib.figure import Figure
 
 import bench.scenes
 import protochain as pc
@@ -76,7 +78,7 @@ class Record:
 PARTS = {
     "structures": ("prepared", "searched", "written", "refused"),
     "minimised": ("torsions", "atoms", "relaxed"),
-    "measured": ("energies", "simulated", "judged", "printed", "scenes"),
+    "measured": ("energies", "simulated", "judged", "printed", "defaults", "scenes"),
 }
 """Groups that each file of tests compares: three files, for processes side by side."""
 
@@ -114,15 +116,23 @@ def run(record: Record) -> Cells:
             Path(path.name).symlink_to(path)
         for name, (sample, pattern, text) in MADE.items():
             Path(name).write_text(re.sub(pattern, text, (STRUCTURES / sample).read_text()))
-        given = {*Path().iterdir()}
-        if record.what.startswith(">>>"):
-            found = dict(_cells("", _evaluated(record.what[3:].strip())))
-        else:
-            found = {}
-            for command in record.what.split(" && "):
-                found |= _command(shlex.split(command), record.group == "printed")
+        given, drawn = {*Path().iterdir()}, list[Cells]()
+
+        def drawing(figure: Figure, *to: Any, **options: Any) -> None:
+            if (cells := dict(_figure(figure))) not in drawn:  # A page has it, too.
+                drawn.append(cells)
+            saved(figure, *to, **options)
+
+        saved, found = Figure.savefig, Cells()
+        with mock.patch.object(Figure, "savefig", drawing):
+            if record.what.startswith(">>>"):
+                found |= _cells("", _evaluated(record.what[3:].strip()))
+            else:
+                for command in record.what.split(" && "):
+                    found |= _command(shlex.split(command), record.group == "printed")
         if record.group == "printed":
             return found
+        found |= {f"figure_{k}:{name}": cell for k, its in enumerate(drawn) for name, cell in its.items()}
         made = sorted(path for path in Path().rglob("[!.]*") if path.is_file() and path not in given)
         of_a_kind: Counter[tuple[Path, str]] = Counter()
         for path in made:
@@ -137,7 +147,7 @@ def run(record: Record) -> Cells:
 
 def _evaluated(text: str) -> Any:
     try:
-        return eval(text, {"pc": pc, "np": np, "bench": bench})
+        return eval(text, {"pc": pc, "np": np, "bench": bench, "defaults": defaults})
     except pc.ProtochainError as error:
         return _name_of(error)
 
@@ -340,6 +350,21 @@ def _of_frames(path: Path) -> Iterator[tuple[str, str]]:
     for k in (len(frames) // 4, len(frames) - 1):
         x = frames[k].xyz if path.suffix == ".dcd" else 10.0 * frames[k].x
         yield from _atoms(f"frame_{k}:", range(len(x)), x)
+
+
+def _figure(figure: Figure) -> Iterator[tuple[str, str]]:
+    """Labels, legend and curves of a figure's axes; of an axis of seconds only that it is there."""
+    for k, ax in enumerate(figure.axes):
+        about = {"title": ax.get_title(), "x": ax.get_xlabel(), "y": ax.get_ylabel()}
+        keys = [text.get_text() for text in ax.legend_.texts] if ax.legend_ else []
+        yield f"{k}:labels", " | ".join([*about.values(), *keys]).replace("\n", " ")
+        if not re.search(r"second|\bs$|, s\b", f"{about['x']}\n{about['y']}", re.M):
+            for m, line in enumerate(ax.lines[:9]):
+                x, y = (np.array(each, dtype=float) for each in line.get_data(orig=False))
+                some = len(x), *x[:1], np.nansum(x), np.nansum(y)
+                yield f"{k}:curve_{m}", " ".join(_word("", each) for each in some)
+        parts = [len(each.get_offsets()) for each in ax.collections], len(ax.patches), len(ax.images)
+        yield f"{k}:points_bars_images", " ".join(map(str, (*parts[0], *parts[1:])))
 
 
 # ---- Comparing and writing ---------------------------------------------------------------------------------

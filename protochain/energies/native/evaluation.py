@@ -183,14 +183,11 @@ def arguments(
     kinds = _fixed(nonbonded.charge, nonbonded.a12, nonbonded.b6, nonbonded.lj_type)
     bonded = (_fixed(terms.bonded[kind].atoms, terms.bonded[kind].parameters) for kind in _BONDED)
     own = _fixed(nonbonded.exceptions.atoms, nonbonded.exceptions.parameters)
-    some = kinds, *_fixed(lists.free), own, *bonded
     maps = terms.bonded["maps"]
-    of_maps = None
-    if len(maps.atoms):
-        which = maps.parameters[:, 0].astype(np.int64)
-        of_maps = _fixed(maps.atoms, which, terms.map_coefficients)
+    of_maps = _fixed(maps.atoms, maps.parameters[:, 0].astype(np.int64), terms.map_coefficients)
+    some = kinds, *_fixed(lists.free), own, *bonded, of_maps
     if solvent is None:
-        return state, vacuum, some, of_maps, None, None, of_tree
+        return state, vacuum, some, None, None, of_tree
     each = (
         *_fixed(solvent.offset_radius, solvent.radius, solvent.bend, solvent.scaled_radius),
         bool(solvent.engulfs), *_fixed(solvent.charge, solvent.surface), float(solvent.cutoff),
@@ -198,9 +195,9 @@ def arguments(
     written = np.empty((len(lists.close), 2)), w.integral, w.slope, w.pull
     born = each, _fixed(lists.close, fixed, lists.tiles), written
     if solvent.necks is None:
-        return state, vacuum, some, of_maps, born, None, of_tree
+        return state, vacuum, some, born, None, of_tree
     necks = *_fixed(layout.necks, layout.neck_type, lists.tiles[lists.is_necked]), layout.necked
-    return state, vacuum, some, of_maps, born, necks, of_tree
+    return state, vacuum, some, born, necks, of_tree
 
 
 def _fixed(*arrays: Any) -> tuple[Any, ...]:

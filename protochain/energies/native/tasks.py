@@ -42,18 +42,19 @@ Pairwise = tuple[float, float, float, float]
 """Least distance in tiles, cutoff, and the constants of the reaction field."""
 Term = tuple[Integers, Floats]
 """Atoms and parameters of the terms of one kind."""
-Listed = tuple[tuple[Floats, Floats, Floats, Integers], Integers, Term, Term, Term, Term, Term, Term, Term]
-"""Charges, A, B and types of atoms; free pairs; exceptions; bonded terms by kind."""
 Maps = tuple[Integers, Integers, Floats]
 """Atoms, number of the map and coefficients of CMAP."""
+Listed = tuple[
+    tuple[Floats, Floats, Floats, Integers], Integers, Term, Term, Term, Term, Term, Term, Term, Maps
+]
+"""Charges, A, B and types of atoms; free pairs; exceptions; bonded terms by kind, and maps."""
 BONDS, ANGLES, TORSIONS, IMPROPERS, MAPS, TIES, TIE_ANGLES, NONBONDED, POLAR, SURFACE = range(10)
 """Rows of ``parts``, the components of the energy."""
 
 
 @shared
 def work(
-    leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any,
-    far: Any,
+    leads: bool, counters: Integers, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any
 ) -> None:  # fmt: skip
     """Do tasks: the thread that leads until its energy is done, a helper until none has come for a while."""
     room = np.empty(2, np.int64)
@@ -72,7 +73,7 @@ def work(
         if load(counters, NEXT) < load(counters, OPEN):
             waited += ticks(room) - since if looks else 0
             looks = 0
-            did += take(counters, state, vacuum, terms, maps, solvent, necks, far)
+            did += take(counters, state, vacuum, terms, solvent, necks, far)
             continue
         if looks == 0:
             since = ticks(room)
@@ -88,9 +89,7 @@ def work(
 
 
 @inlined
-def take(
-    counters: Integers, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any, far: Any
-) -> bool:
+def take(counters: Integers, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any) -> bool:
     """Do the next task, if one is open, and return whether one was."""
     task = load(counters, NEXT)
     if task >= load(counters, OPEN) or not replace(counters, NEXT, task, task + 1):
@@ -99,9 +98,9 @@ def take(
     each = CHUNKS // counters[TASKS]
     mine = of_step * each, (of_step + 1) * each
     if solvent is None:
-        in_vacuum(step % IN_VACUUM, mine, state, vacuum, terms, maps, far)
+        in_vacuum(step % IN_VACUUM, mine, state, vacuum, terms, far)
     else:
-        in_solvent(step % IN_SOLVENT, mine, state, vacuum, terms, maps, solvent, necks, far)
+        in_solvent(step % IN_SOLVENT, mine, state, vacuum, terms, solvent, necks, far)
     done = add(counters, DONE, 1) + 1
     if done == load(counters, OPEN) and done < load(counters, LAST):
         add(counters, OPEN, counters[TASKS])
@@ -109,7 +108,7 @@ def take(
 
 
 @inlined
-def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, far: Any) -> None:
+def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, far: Any) -> None:
     """Do some chunks of a step of the energy in vacuum."""
     _, atoms, sums, touched, parts, forces = state
     lj, lj_type, tiles, is_near, block_near, pairwise = vacuum
@@ -120,7 +119,7 @@ def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps:
             mine, atoms, lj, lj_type, tiles, is_near, near, block_near, cutoff, krf, crf, sums,
             parts[NONBONDED],
         )  # fmt: skip
-        bonded_sums(mine, state, pairwise, terms, maps)
+        bonded_sums(mine, state, pairwise, terms)
         if far is not None:
             far_moments(mine, atoms, far[2][0], far)
     else:
@@ -132,8 +131,7 @@ def in_vacuum(step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps:
 
 @inlined
 def in_solvent(
-    step: int, mine: Share, state: Any, vacuum: Any, terms: Any, maps: Any, solvent: Any, necks: Any,
-    far: Any,
+    step: int, mine: Share, state: Any, vacuum: Any, terms: Any, solvent: Any, necks: Any, far: Any
 ) -> None:  # fmt: skip
     """Do some chunks of a step of the energy with generalised Born."""
     _, atoms, sums, touched, parts, forces = state
@@ -158,7 +156,7 @@ def in_solvent(
             far_moments(mine, atoms, far[2][1], far)
     elif step == 4:
         solvated_pairs(mine, state, vacuum, solvent, necks)
-        bonded_sums(mine, state, vacuum[5], terms, maps)
+        bonded_sums(mine, state, vacuum[5], terms)
         if far is not None:
             far_fields(mine, far[2][1], far)
     else:
@@ -302,10 +300,10 @@ def solvated_pairs(mine: Share, state: Any, vacuum: Any, solvent: Any, necks: An
 
 
 @inlined
-def bonded_sums(mine: Share, state: Any, pairwise: Pairwise, terms: Listed, maps: Maps | None) -> None:
+def bonded_sums(mine: Share, state: Any, pairwise: Pairwise, terms: Listed) -> None:
     """Listed pairs, exceptions and bonded terms."""
     x, _, sums, _, parts, _ = state
-    kinds, free, exceptions, bonds, angles, torsions, impropers, ties, tie_angles = terms
+    kinds, free, exceptions, bonds, angles, torsions, impropers, ties, tie_angles, maps = terms
     near, _, krf, crf = pairwise
     pairs.near_sums(mine, x, *kinds, free, near, krf, crf, sums, parts[NONBONDED])
     pairs.exception_sums(mine, x, *kinds, *exceptions, *pairwise, sums, parts[NONBONDED])
@@ -315,5 +313,4 @@ def bonded_sums(mine: Share, state: Any, pairwise: Pairwise, terms: Listed, maps
     bonded.improper_sums(mine, x, *impropers, sums, parts[IMPROPERS])
     bonded.bond_sums(mine, x, *ties, sums, parts[TIES])
     bonded.angle_sums(mine, x, *tie_angles, sums, parts[TIE_ANGLES])
-    if maps is not None:
-        bonded.map_sums(mine, x, *maps, sums, parts[MAPS])
+    bonded.map_sums(mine, x, *maps, sums, parts[MAPS])
