@@ -365,6 +365,9 @@ def _figure(figure: Figure) -> Iterator[tuple[str, str]]:
                 yield f"{k}:curve_{m}", " ".join(_word("", each) for each in some)
         parts = [len(each.get_offsets()) for each in ax.collections], len(ax.patches), len(ax.images)
         yield f"{k}:points_bars_images", " ".join(map(str, (*parts[0], *parts[1:])))
+        sides = sum(side.get_visible() for side in ax.spines.values())
+        yield f"{k}:frame", f"{sides} sides {ax.get_xscale()} {ax.get_yscale()}"
+    yield "inches", " ".join(map(str, figure.get_size_inches()))
 
 
 # ---- Comparing and writing ---------------------------------------------------------------------------------

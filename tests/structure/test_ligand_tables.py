@@ -12,6 +12,7 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.ligands.molecule import to_rdkit
+from protochain.ligands.tables import stereo
 from protochain.structure.repairs import Kind
 
 Chem = pytest.importorskip("rdkit.Chem")
@@ -207,3 +208,19 @@ def test_a_table_of_stereo_that_makes_no_sense_is_nothing(tmp_path, table):
     for suffix in (".cif", ".pdb"):
         pc.save(again, tmp_path / f"again{suffix}")
         assert len(pc.load(tmp_path / f"again{suffix}").ligands) == 1
+
+
+def test_one_hydrogen_of_another_name_is_the_one_that_the_table_has():
+    """Of two it cannot be said which; so the centre is of neither hand."""
+    bonds = [(0, 1), (0, 2), (0, 3), (0, 4)]
+    kinds = {
+        kind: stereo([{"kind": kind, "atoms": "C F CL BR H"}], ["C", "F", "CL", "BR", "H"], bonds)
+        for kind in ("clockwise", "counterclockwise")
+    }
+    assert kinds["clockwise"][0] == [1, 0, 0, 0, 0] and kinds["counterclockwise"][0] == [2, 0, 0, 0, 0]
+    for kind, known in kinds.items():
+        rows = [{"kind": kind, "atoms": "C F CL BR H"}]
+        assert stereo(rows, ["C", "F", "CL", "BR", "HX"], bonds) == known
+        assert stereo(rows, ["C", "F", "CL", "BRX", "HX"], bonds)[0] == [0] * 5
+    swapped = [{"kind": "clockwise", "atoms": "C CL F BR H"}]
+    assert stereo(swapped, ["C", "F", "CL", "BR", "HX"], bonds) == kinds["counterclockwise"]
