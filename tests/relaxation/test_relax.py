@@ -75,6 +75,12 @@ def test_the_end_is_a_minimum_of_force_field_and_springs(damaged, relaxed):
     assert relaxed.frame.held_by == "springs to the start"
 
 
+@pytest.mark.parametrize(("stiffness", "held_by"), [(0.5, "springs to the start"), (0.0, "")])
+def test_weak_springs_hold_and_none_do_not(stiffness, held_by):
+    r = pc.relax(load("ala10.pdb"), solvent="vacuum", stiffness=stiffness, max_iterations=2)
+    assert r.frame.held_by == held_by
+
+
 def test_each_preset_holds_what_its_table_says():
     s = load("1l2y.pdb")
     backbone = np.isin(s.atom_name, ("N", "CA", "C", "O", "OXT"))

@@ -384,6 +384,10 @@ def test_carbon_and_the_amides_of_a_chain_are_no_donors_unless_the_file_says_so(
         first = next(iter(names))
         draft.stated = [(("B", "7", "ZN"), ("A", "1", first))] * stated
         assert [each.atom.name for each in find_links(draft)] == [first] * bonded, names
+        # What the file says and is not done is reported.
+        said = [f"{each}" for each in draft.repairs if each.kind is Kind.BOND_IGNORED]
+        assert len(said) == (stated and not bonded)
+        assert not said or f"it is {names[first]:.2f} angstrom long" in said[0]
 
 
 def sugar(*extra):
