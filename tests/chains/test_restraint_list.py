@@ -2,6 +2,7 @@
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -190,6 +191,54 @@ def test_commands_take_a_file_or_a_line(tmp_path, monkeypatch, capsys):
     assert len(json.loads(capsys.readouterr().out)["restraint"]) == 2
     assert "restraints_kj_mol" in (tmp_path / "sim" / "log.csv").read_text()
     assert "give kind, places" in refusal_as_said("simulate", source, "--restrain", "distance A:1", *folder)
+
+
+@pytest.mark.parametrize("edges", [None, np.arange(-190.0, 0.0, 10.0)])
+def test_windows_give_the_free_energy_from_which_their_samples_are_drawn(edges, monkeypatch):
+    """Exactly, at random: F is known, and so is how much a bin's free energy scatters."""
+    pytest.importorskip("pymbar")
+    c, kt = pc.build_chain(pc.from_sequence("AA"), "phi", "fixed"), 8.314462618e-3 * 300.0
+    grid, random = np.arange(-180.0, 180.0, 1.0) + 0.5, np.random.default_rng(5)
+    (at,) = c.tree.q_start[c.hinge_body]
+    q = np.tile(c.q0, (len(grid), 1))
+    q[:, at] += np.deg2rad(grid) - np.deg2rad(c.structure.dihedrals()["phi"][1])
+    x = [pc.pose(c, each).x for each in q]
+    whole = 6.0 * np.cos(np.deg2rad(2.0 * grid)) + 3.0 * np.sin(np.deg2rad(grid))
+    asked = []
+
+    def drawn(chain, energy, q, temperature, *, restraint, watch, **options):
+        asked.append((restraint.lower, restraint.upper, temperature, options, q))
+        pull = np.array([Restraints.of(c.structure, restraint)(each)[0] for each in x])
+        share = np.exp(-(whole + pull) / kt)
+        for k in random.choice(len(grid), 160, p=share / share.sum()):
+            watch({}, x[k])
+        return SimpleNamespace(is_sound=True, chain=c, q=f"end of {restraint.lower}")
+
+    monkeypatch.setattr("protochain.dynamics.umbrella.simulate", drawn)
+    centres, spring = np.arange(-170.0, 0.0, 20.0), pc.Restraint("dihedral", ("phi A:2",), 0, 0, 60.0)
+    found = pc.umbrella(c, pc.energy(c), spring, centres[::-1], edges=edges, n_equilibrate=10, n_steps=7)
+    assert [each[:3] for each in asked] == [(k, k, 300.0) for k in centres]
+    assert [each[4] for each in asked] == [None, *(f"end of {k}" for k in centres[:-1])]
+    assert asked[0][3] == {"n_steps": 7}
+    bins = np.arange(-180.0, 1.0, 20.0) if edges is None else edges
+    middle, of = 0.5 * (bins[1:] + bins[:-1]), np.digitize((grid - bins[0]) % 360.0 + bins[0], bins) - 1
+    exact = {m: -kt * np.log(np.exp(-whole[of == k] / kt).sum()) for k, m in enumerate(middle)}
+    off = found["free_energy_kj_mol"] - found["value"].map(exact)
+    assert {*middle[2:-2]} <= {*found["value"]} <= {*middle} and found["free_energy_kj_mol"].min() == 0.0
+    assert 150 * len(centres) * 0.95 < found["samples"].sum() <= 150 * len(centres)
+    error = found["error_kj_mol"]  # Of the difference to the lowest, which has none.
+    scatter = ((off - off.median()) / np.hypot(error, error.median())).to_numpy()
+    assert np.abs(scatter).max() < 4.0 and 0.3 < np.sqrt((scatter**2).mean()) < 1.5, scatter
+
+
+def test_windows_are_two_at_least_and_of_one_coordinate():
+    c = pc.build_chain(pc.from_sequence("AA"), "phi")
+    for spring, centres in (
+        (pc.Restraint("dihedral", ("phi A:2",), 0, 0, 60.0), [0.0]),
+        (pc.Restraint("position", (":2",), 0, 1, 60.0), [0.0, 1.0]),
+    ):
+        with pytest.raises(pc.ProtochainError, match="two centres or more, of a dihedral or a distance"):
+            pc.umbrella(c, pc.energy(c), spring, centres)
 
 
 @pytest.mark.slow

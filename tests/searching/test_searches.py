@@ -15,6 +15,7 @@ import protochain as pc
 from protochain.batches import cluster
 from protochain.chains.restraint_list import Restraints
 from protochain.searching import csa, search_chain
+from protochain.searching.folder import COLOURS, drawn
 from protochain.searching.hopping import ADAPTED, metropolis
 from protochain.searching.landscape import Descended, Landscape
 from protochain.searching.pieces import Done, Finding, advance, read_piece, write_piece
@@ -423,3 +424,19 @@ def test_a_search_goes_on_in_the_precision_in_which_it_began(peptide, tmp_path):
     pc.search(chain, single, "hopping", 100, output=tmp_path, n_walkers=1)
     with pytest.raises(pc.ProtochainError, match="double_precision False, not True"):
         pc.search(chain, single.reference, "hopping", 200, output=tmp_path, n_walkers=1, resume=True)
+
+
+@pytest.mark.parametrize("n", [1, 5, 40])
+def test_each_minimum_is_drawn_once_in_the_look_of_its_cluster_or_of_the_others(n):
+    table = pd.DataFrame({
+        "cluster": 1 + np.arange(n) % 20, "ca_rmsd_to_lowest_angstrom": np.arange(n) * 1.0,
+        "above_lowest_kj_mol": np.arange(n) * 2.0,
+    })  # fmt: skip
+    walk = np.array([[1.0, 9.0], [4.0, 11.0], [6.0, 5.0]])
+    left, right = drawn(table, [walk], 5.0).axes
+    shown = np.concatenate([np.asarray(each.get_offsets()) for each in left.collections])
+    assert sorted(shown[:, 0].tolist()) == np.arange(n).tolist() and np.all(shown[:, 1] == 2.0 * shown[:, 0])
+    keys = [each.get_label() for each in left.collections]
+    assert keys == [f"{k}" for k in range(1, min(n, len(COLOURS)) + 1)] + ["others"] * (n > len(COLOURS))
+    (line,) = right.lines
+    assert line.get_ydata().tolist() == [4.0, 4.0, 0.0] and line.get_xdata().tolist() == [1.0, 4.0, 6.0]
