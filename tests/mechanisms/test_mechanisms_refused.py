@@ -20,7 +20,9 @@ from protochain.mechanics.motion import (
     RungeKutta4,
     StepTooLargeError,
 )
-from protochain.mechanisms import Ball, Law, Mechanism, Plane, Rosenbrock, frequencies
+from protochain.mechanisms import Acting, Ball, Law, Mechanism, Plane, Rosenbrock, Surface, frequencies
+from protochain.mechanisms.drawing import drawing
+from protochain.mechanisms.impacts import ContactPoint
 from protochain.mechanisms.rosenbrock import GAMMA, _advance, _check_balance
 
 ORIGIN = (0, 0, 0)
@@ -31,6 +33,16 @@ def two():
     m = pendulum()
     m.body("tip", 1.0, inertia=1.0)
     return m
+
+
+def welded(m, kind="fixed", **more):
+    m.hinge("weld", "rod", "tip", kind, **more)
+    return m
+
+
+class Nothing:
+    def bind(self, bodies):
+        return Acting()
 
 
 def chained(*pairs):
@@ -85,6 +97,24 @@ def chained(*pairs):
         (lambda m: m.close("c", "rod", ("tip", DOWN)), "give its ends as"),
         (lambda m: m.drive("pin", 3.0), "motion 3.0: give a function of time"),
         (lambda m: frequencies("rod"), "model 'rod': give one, as build"),
+        (lambda m: m.friction("f", "pin"), 'friction "f": it does nothing; give a torque'),
+        (lambda m: m.friction("f", "pin", 1.0, speed=0.0), 'friction "f": its speed is zero'),
+        (lambda m: m.friction("f", "pin", -1.0), 'friction "f": its torque -1.0: give none below zero'),
+        (lambda m: m.motor("k", {}), 'motor "k": its follow {}: give hinges and their motions'),
+        (lambda m: m.motor("k", "pin"), "motor \"k\": its follow 'pin': give hinges"),
+        (lambda m: m.motor("k", {"pin": 0.0}, limit=0.0), 'motor "k": its limit 0: give one above 0'),
+        (lambda m: m.motor("k", {"pin": 0.0}, -1.0), 'motor "k": its stiffness -1.0'),
+        (lambda m: m.stop("s", "pin", 0.0, 1.0), 'stop "s": its stiffness is zero'),
+        (lambda m: m.stop("s", "pin", 1.0, 1.0, 9.0), 'stop "s": its limits 1 and 1: give a low'),
+        (lambda m: m.stop("s", "pin", stiffness=9.0), 'stop "s": its limits -inf and inf'),
+        (lambda m: m.stop("s", "pin", np.nan, 1.0, 9.0), 'stop "s": its limit nan'),
+        (lambda m: ContactPoint("p", (0, 1), ORIGIN, ORIGIN), "contact 'p': its normal has no direction"),
+        (lambda m: ContactPoint("p", (0, 1), (0, np.nan, 0), DOWN), "contact 'p': its point is not finite"),
+        (lambda m: ContactPoint("p", (0, 0), ORIGIN, DOWN), "contact 'p': a body cannot touch itself"),
+        (lambda m: ContactPoint("p", (0, 0.5), ORIGIN, DOWN), "contact 'p': bodies (0, 0.5): give two"),
+        (lambda m: ContactPoint("p", (0, 1, 2), ORIGIN, DOWN), "bodies (0, 1, 2): give two numbers"),
+        (lambda m: ContactPoint("p", (0, 1), ORIGIN, DOWN, -0.1), "its friction -0.1 must be 0 or more"),
+        (lambda m: ContactPoint("p", (0, 1), ORIGIN, DOWN, 0.0, 1.1), "its restitution 1.1 is not 0 to 1"),
     ],
 )
 def test_what_cannot_be_is_refused_where_it_is_given(act, words):
@@ -109,6 +139,20 @@ def test_what_cannot_be_is_refused_where_it_is_given(act, words):
         (lambda m: m.drive("pan", lambda t: (0, 0, 0)), 'there is no hinge "pan"'),
         (lambda m: m.drive("pin", lambda t: (0, 0)), 'drive of hinge "pin": at time 0 it gives (0, 0)'),
         (lambda m: m.drive("pin", lambda t: (0, 0, 0)), "its drive begins at q = 0, qd = 0, not at those"),
+        (lambda m: welded(m).drive("weld", lambda t: (0, 0, 0)), 'drive: hinge "weld" is fixed'),
+        (lambda m: welded(m, "ball").drive("weld", lambda t: (0, 0, 0)), 'drive: hinge "weld" is ball'),
+        (lambda m: m.drive("lid", lambda t: (0, 0, 0)), 'drive: there is no hinge "lid"'),
+        (lambda m: (m.motor("k", {"pin": 0.0}, 1.0), m.drive("pin", lambda t: (0.3, 0, 0))), "is driven"),
+        (
+            lambda m: welded(m, "screw", pitch=1.0).friction("f", "weld", coefficient=0.1),
+            'friction "f": a screw has no pin',
+        ),
+        (lambda m: m.force("f", Nothing()), 'force "f": its bind() gives nothing that acts'),
+        (lambda m: (m.body("b", 1.0, inertia=1.0, spin=DOWN), m.hinge("h", "rod", "b")), "spin is of free"),
+        (
+            lambda m: m.contact("c", [BALL], Surface("tip", np.eye(2), np.array([[0, 1, 2]])), LAW),
+            "vertices must be (n, 3) and faces (m, 3)",
+        ),
     ],
 )  # fmt: skip
 def test_what_does_not_fit_is_refused_by_build(act, words):
@@ -173,6 +217,21 @@ def test_what_the_tree_refuses_is_said_by_name():
     m.body("odd", 1.0, inertia=(1, 1, 3))
     with pytest.raises(MechanicsError, match=r'^body "odd": its inertia is not that of any rigid body'):
         m.build()
+
+
+@pytest.mark.parametrize("integrator", [Leapfrog(), ImplicitMidpoint()])
+def test_what_moves_by_momenta_takes_no_ball_hinge(integrator):
+    model = welded(two(), "ball").build()
+    model.simulate(0.01, 0.01)
+    with pytest.raises(MechanicsError, match="takes no ball hinges; take Runge-Kutta"):
+        model.simulate(0.01, 0.01, integrator)
+
+
+def test_shapes_to_draw_are_a_list_of_shapes():
+    run = pendulum().build().simulate(0.1, 0.1)
+    for shapes in (BALL, "rod", 3):
+        with pytest.raises(MechanicsError, match="give a list of Ball, Rod and Block"):
+            drawing(run, [0], shapes)
 
 
 def test_a_torsion_on_a_fixed_hinge_is_refused():

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.motion import DormandPrince
@@ -200,6 +201,70 @@ def test_loops_of_an_mjcf_close():
     state = run.model.state(run.end)
     assert np.allclose(state.point("rod", (2, 0, 0)), state.point("rocker", (1, 0, 0)), atol=1e-11)
     assert run.audit().energy < 1e-7
+
+
+LEAN = np.arcsin(0.75)
+CRANK, ROD = (Rotation.from_rotvec([0, angle, 0]) for angle in (LEAN, np.pi - LEAN))
+
+
+def crank_and_rod():
+    """Two bars, of which the second ends 1.5 to the right of where the first is held, and as high."""
+    m = Mechanism(gravity=(0, 0, -9.81))
+    for name, length in (("crank", 1.0), ("rod", 1.0)):
+        inertia = 0.1 * np.diag([1.0, 1.0, 0.1])
+        m.body(name, 1.0, com=(0, 0, 0.5 * length), inertia=inertia)
+    m.hinge("a", "world", "crank", axis=(0, 1, 0), rotation=CRANK.as_matrix())
+    m.hinge("b", "crank", "rod", axis=(0, 1, 0), at=(0, 0, 1.0), rotation=(CRANK.inv() * ROD).as_matrix())
+    return m
+
+
+@pytest.mark.parametrize("kind", ["spherical", "rigid"])
+@pytest.mark.parametrize("side", ["world first", "world last", "a body"])
+def test_loops_go_to_mjcf_and_back(kind, side):
+    """Of four bars, the last a post; a weld holds what a hinge lets turn."""
+    mujoco = pytest.importorskip("mujoco")
+    m, up, foot = crank_and_rod(), ROD.inv().as_matrix(), (1.5, 0, -0.4)
+    m.body("post", 1.0, inertia=0.1)
+    m.body("foot", 1.0, inertia=0.1)
+    if side == "a body":
+        m.hinge("d", "world", "post", axis=(0, 1, 0), at=foot)
+        m.hinge("c", "rod", "foot", axis=(0, 1, 0), at=(0, 0, 1.0), rotation=up)
+        there, end = ("post", (0, 0, 0.4)), ("rod", (0, 0, 1.0))
+    else:
+        m.hinge("c", "rod", "post", axis=(0, 1, 0), at=(0, 0, 1.0), rotation=up)
+        m.hinge("d", "post", "foot", axis=(0, 1, 0), at=(0, 0, -0.4))
+        there, end = ("world", foot), ("post", (0, 0, -0.4))
+    end = ("foot", (0, 0, 0)) if kind == "rigid" else end
+    m.close("C", *((there, end) if side == "world first" else (end, there)), kind)
+    text = m.to_mjcf()
+    model = mujoco.MjModel.from_xml_string(text)
+    assert model.neq == 1
+    assert model.eq_type[0] == (mujoco.mjtEq.mjEQ_WELD if kind == "rigid" else mujoco.mjtEq.mjEQ_CONNECT)
+    both = m, Mechanism.from_mjcf(text)
+    run, back = (each.build().simulate(0.2, 0.02, DormandPrince(1e-9)) for each in both)
+    assert np.abs(run.q[-1] - run.q[0]).max() > 0.01
+    assert np.allclose(back.q[-1], run.q[-1], atol=MOVED)
+    first, second = (run.model.state(run.end).point(*each) for each in (end, there))
+    assert np.allclose(first, second, atol=1e-9)
+
+
+def test_what_mjcf_cannot_say_is_refused_by_name():
+    m = crank_and_rod()
+    m.close("C", ("rod", (0, 0, 1.0)), ("world", (1.5, 0, 0)), "revolute", axis=(0, 1, 0))
+    with pytest.raises(MechanicsError, match=r'"C": MJCF closes loops by balls and welds, not as revolute'):
+        m.to_mjcf()
+    for act, said in (
+        (lambda m: m.friction("f", "a", coefficient=0.1), 'friction "f": MJCF has constant friction only'),
+        (lambda m: m.load("f", "rod", force=(1, 0, 0)), 'load "f": MJCF does not have it'),
+        (
+            lambda m: (m.torsion("t", "a", 1.0), m.torsion("u", "a", 2.0)),
+            'torsion "u": hinge "a" has a stiffness already',
+        ),
+    ):
+        m = crank_and_rod()
+        act(m)
+        with pytest.raises(MechanicsError, match=said):
+            m.to_mjcf()
 
 
 @pytest.mark.parametrize(
