@@ -121,7 +121,7 @@ def from_rdkit(made: Any, source: str) -> Molecule:
     """Return a sanitised molecule of RDKit as a value, with the hydrogens that it lacks."""
     chem = library("rdkit.Chem")
     if made.GetNumAtoms() > _MOST_ATOMS:
-        raise StructureError(f"{source}:has {made.GetNumAtoms()} atoms; give a small molecule")
+        raise StructureError(f"{source}: has {made.GetNumAtoms()} atoms; give a small molecule")
     in_space = made.GetNumConformers() > 0 and made.GetConformer().Is3D()
     if in_space and not np.isfinite(made.GetConformer().GetPositions()).all():
         raise StructureError(f"{source}: has coordinates that are not finite numbers; mend them")

@@ -1,0 +1,82 @@
+"""What cannot be done is refused in one line that says what to give: guards without a test of their own."""
+
+import functools
+import re
+
+import numpy as np
+import pytest
+from fixtures.command_line import refusal_as_said
+from fixtures.samples import STRUCTURES, load
+
+import protochain as pc
+from protochain.ligands import smirnoff
+
+X = np.zeros((4, 100, 3))
+
+
+def ala():
+    return load("ala10.pdb")
+
+
+@functools.cache
+def modes():
+    return pc.normal_modes(ala(), pc.energy(ala(), solvent="vacuum"), k=2)
+
+
+@pytest.mark.parametrize(
+    ("act", "said"),
+    [
+        (lambda: pc.Restraint("distance", ("A:1:CA",), 0.1, 0.2), "give 2 places of a distance"),
+        (lambda: pc.Restraint("dihedral", ("A:1:CA",) * 3, 0, 9), "give 1 or 4 places of a dihedral"),
+        (lambda: pc.Restraint("distance", ("A:1", "A:2"), 3, 2), "give a lower and an upper bound"),
+        (lambda: pc.Restraint("distance", ("A:1", "A:2"), 2, 3, -1.0), "and a stiffness"),
+        (lambda: next(modes().swing(2)), "mode 2: give a whole number from 0 to 1"),
+        (lambda: next(modes().swing("low")), "mode 'low': give a whole number"),
+        (lambda: modes().overlap(pc.from_sequence("AA")), "fewer than three residues match"),
+        (lambda: pc.mutate(ala(), "A3G", move="resid 3"), "no option 'move': what is near moves"),
+        (lambda: pc.load(STRUCTURES / "5awl.pdb", ligands="oops"), "'oops': give NAME=SMILES"),
+        (lambda: pc.load(STRUCTURES / "5awl.pdb", ligands="A=CCO"), "no molecule kept .* has this name"),
+        (lambda: pc.as_structure((ala().topology, X[0, :7])), "7 positions do not fit a topology of 103"),
+    ],
+)
+def test_calls_are_refused(act, said):
+    with pytest.raises(pc.ProtochainError, match=said) as refused:
+        act()
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("mutate {ala}", "mutate: give mutations, as A:L45F, or --scan SITES"),
+        ("mutate {ala} A:A3G --scan A", "mutate: give mutations, as A:L45F, or --scan SITES"),
+        ("mutate {ala} A:A3G --workers 2", "--workers: is of a scan; leave it out"),
+        ("validate {ala} --changes c.csv", "changes c.csv: changes are from a reference; give one"),
+        ("relax {ala} {own} -o d --ligand-out p.sdf", "--ligand-out: several structures need poses"),
+        ("relax {ala} {own} -o d --report r.html", "--report: several structures have report.html"),
+        ("relax {ala} {own} -o d --timings", "--timings: is of one structure, and there are several"),
+        ("relax {ala} --workers 2", "--workers: is of several; .* is one file"),
+        ("simulate {ala} --pull-speed 0.1", "--pull-speed: needs --pull; give it too, or leave this out"),
+        ("minimise {ala} --forcefield {text}", "text.xml: not a force-field XML file"),
+        ("minimise {ala} --forcefield {smirnoff}", "SMIRNOFF|no OpenMM"),
+        ("minimise {ala} --ligand {text}", "give NAME=SMILES, NAME=FILE, or a file of"),
+        ("minimise {ala} --ligand {empty}", "has 0 molecules; give a file with one"),
+        ("minimise {ala} --ligand {atoms}", "has no atoms; give a file with one molecule"),
+        ("minimise {ala} --ligand {flat}", "has no coordinates in space; dock it first"),
+    ],
+)  # fmt: skip
+def test_commands_are_refused(command, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    chem = pytest.importorskip("rdkit.Chem")
+    blank = "\n  none\n\n  0  0  0  0  0  0  0  0  0  0999 V2000\nM  END\n$$$$\n"
+    flat = chem.MolToMolBlock(chem.MolFromSmiles("CCO"))
+    made = {"text.xml": "atoms", "empty.sdf": "", "atoms.sdf": blank, "flat.sdf": flat}
+    for name, text in made.items():
+        (tmp_path / name).write_text(text)
+    files = {name.split(".")[0]: name for name in made}
+    before = {*tmp_path.iterdir()}
+    words = command.format(
+        ala=STRUCTURES / "ala10.pdb", own=STRUCTURES / "5awl.pdb", smirnoff=smirnoff.SAGE_2_2, **files
+    )
+    assert re.search(said, refusal_as_said(*words.split()))
+    assert {*tmp_path.iterdir()} == before
