@@ -266,7 +266,38 @@ def with_force(force):
     return s, system
 
 
-def custom_gb(old, new):
+def done(force, change):
+    change(force)
+    return force
+
+
+def changed_gb(change):
+    """The standard GBn2 force, changed."""
+    s, system = custom_gb("", "")
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.CustomGBForce))
+    change(force)
+    return s, system
+
+
+def changed_table(change):
+    """CHARMM's table of pairs, changed."""
+    s = load("ala10.pdb")
+    system = app.ForceField("charmm36.xml").createSystem(s.topology)
+    (force,) = (f for f in system.getForces() if isinstance(f, openmm.CustomNonbondedForce))
+    change(force)
+    return s, system
+
+
+def with_other_dielectric(force):
+    """Of one of the energy's terms."""
+    expression, kind = force.getEnergyTermParameters(0)
+    assert "solventDielectric=78.5" in expression
+    force.setEnergyTermParameters(
+        0, expression.replace("solventDielectric=78.5", "solventDielectric=4"), kind
+    )
+
+
+def custom_gb(old, new, change=lambda system: None):
     """The standard GBn2 force with one expression changed."""
     system = implicit_system("ala10.pdb", "gbn2")
     (force,) = (f for f in system.getForces() if isinstance(f, openmm.CustomGBForce))
@@ -276,6 +307,7 @@ def custom_gb(old, new):
     for i in range(force.getNumEnergyTerms()):
         expression, kind = force.getEnergyTermParameters(i)
         force.setEnergyTermParameters(i, expression.replace(old, new), kind)
+    change(system)
     return load("ala10.pdb"), system
 
 
@@ -371,6 +403,36 @@ UNKNOWN = {
         ],
     ),
     "generalised Born of dielectric 80 inside": lambda: with_force(gb_with_dielectrics(80.0, 2.0)),
+    "GBSAOBCForce with periodic boundaries": lambda: with_force(
+        done(gb_with_dielectrics(1.0, 78.5), lambda force: force.setNonbondedMethod(force.CutoffPeriodic))
+    ),
+    "GBSAOBCForce together with CustomGBForce": lambda: custom_gb(
+        "", "", lambda system: system.addForce(gb_with_dielectrics(1.0, 78.5))
+    ),
+    "CustomGBForce with periodic boundaries": lambda: changed_gb(
+        lambda force: force.setNonbondedMethod(force.CutoffPeriodic)
+    ),
+    "CustomGBForce with exclusions": lambda: changed_gb(lambda force: force.addExclusion(0, 60)),
+    "CustomGBForce with exclusions or global": lambda: changed_gb(
+        lambda force: force.addGlobalParameter("k", 1.0)
+    ),
+    "CustomGBForce that is none of": lambda: changed_gb(
+        lambda force: force.addComputedValue("C", "B", force.SingleParticle)
+    ),
+    "CustomGBForce without the usual polar terms": lambda: changed_gb(with_other_dielectric),
+    "CustomGBForce whose necks' types": lambda: changed_gb(
+        lambda force: force.setParticleParameters(
+            0,
+            [
+                v + 0.01 * (force.getPerParticleParameterName(k) == "or")
+                for k, v in enumerate(force.getParticleParameters(0))
+            ],
+        )
+    ),
+    "CustomNonbondedForce 'r'": lambda: changed_table(lambda force: force.setEnergyFunction("r")),
+    "CustomNonbondedForce with other exclusions": lambda: changed_table(
+        lambda force: force.addExclusion(0, 60)
+    ),
 }
 
 

@@ -53,8 +53,6 @@ class Solvent:
 
 def from_gbsa_obc(force: openmm.GBSAOBCForce) -> Solvent:
     """Read OBC2 from GBSAOBCForce."""
-    if force.getNonbondedMethod() == force.CutoffPeriodic:
-        raise UnsupportedForceError("GBSAOBCForce with a periodic cutoff")
     cut = force.getNonbondedMethod() != force.NoCutoff
     charge, radius, scale = np.array(rows(force, "getNumParticles", "getParticleParameters")).T
     polar = _polar(force.getSoluteDielectric(), force.getSolventDielectric())
@@ -102,8 +100,6 @@ _F = ";f=sqrt(r^2+B1*B2*exp(-r^2/(4*B1*B2)))"
 
 def from_custom_gb(force: openmm.CustomGBForce) -> Solvent:
     """Read HCT, OBC1, OBC2, GBn or GBn2, recognised by the exact expressions of OpenMM's implicit files."""
-    if force.getNonbondedMethod() == force.CutoffPeriodic:
-        raise UnsupportedForceError("CustomGBForce with a periodic cutoff")
     cutoff = np.inf if force.getNonbondedMethod() == force.NoCutoff else plain(force.getCutoffDistance())
     if force.getNumExclusions() or force.getNumGlobalParameters():
         raise UnsupportedForceError("CustomGBForce with exclusions or global parameters")
