@@ -20,7 +20,7 @@ from rdkit.Chem import AddHs, MolFromSmiles
 from rdkit.Chem.rdDistGeom import EmbedMolecule
 
 from protochain.core.graph import neighbours
-from protochain.ligands import matching, protonation, smirnoff, sources
+from protochain.ligands import matching, molecule, protonation, smirnoff, sources
 from protochain.ligands.molecule import from_rdkit, to_rdkit
 from protochain.ligands.protonation import at_ph
 from protochain.structure import ligand_files
@@ -163,6 +163,34 @@ def test_charges_by_rule_and_from_files(tmp_path):
         table.write_text(text)
         with pytest.raises(pc.ProtochainError, match=said):
             pc.ligand(file("1P2Y_NCT"), charges=str(table))
+
+
+def as_mol2(molecule, charges, order):
+    """A MOL2 file of a molecule's atoms in an order, named A1 on in that order."""
+    chem = pytest.importorskip("rdkit.Chem")
+    place, table = {k: n + 1 for n, k in enumerate(order)}, chem.GetPeriodicTable()
+    symbols = [table.GetElementSymbol(int(z)) for z in molecule.elements]
+    places = [" ".join(f"{10 * each:.4f}" for each in x) for x in molecule.positions]
+    atoms = [f"{n} A{n} {places[k]} {symbols[k]} 1 X {charges[k]:.6f}" for k, n in place.items()]
+    bonds = [
+        f"{k} {place[i]} {place[j]} {order}"
+        for k, ((i, j), order) in enumerate(zip(molecule.bonds.tolist(), molecule.orders, strict=True), 1)
+    ]
+    head = ["@<TRIPOS>MOLECULE", "x", f"{len(atoms)} {len(bonds)} 1 0 0", "SMALL", "USER_CHARGES"]
+    return "\n".join([*head, "@<TRIPOS>ATOM", *atoms, "@<TRIPOS>BOND", *bonds, ""])
+
+
+def test_charges_of_a_mol2_file_are_in_the_order_of_its_atoms(tmp_path):
+    of, table = pc.ligand(file("1P2Y_NCT")).molecule, tmp_path / "charges.mol2"
+    charges = np.random.default_rng(0).normal(size=of.n_atoms)
+    charges = np.round(charges - charges.mean(), 6)
+    charges[0] -= charges.sum()
+    table.write_text(as_mol2(of, charges, range(of.n_atoms)))
+    found = pc.ligand(file("1P2Y_NCT"), charges=str(table)).parameters.charge
+    assert found == pytest.approx(charges, abs=2e-6)
+    table.write_text(as_mol2(of, charges, [*range(1, of.n_atoms), 0]))
+    with pytest.raises(pc.ProtochainError, match=r"has 26 charges for the 26 atoms of .*; give also"):
+        pc.ligand(file("1P2Y_NCT"), charges=str(table))
 
 
 WATER = """@<TRIPOS>MOLECULE
@@ -552,6 +580,20 @@ def test_a_scale_is_compared_as_a_number(other, is_the_same, tmp_path):
         pc.ligand("CC", forcefield=path)
 
 
+def test_force_fields_and_molecules_beyond_measure_are_refused(tmp_path, monkeypatch):
+    for of, name, least, said in (
+        (smirnoff, "_LARGEST", 10, "is too large for a force field; give an .offxml file"),
+        (smirnoff, "_MOST_MATCHES", 2, "fits 'CCO' too often; make it more specific"),
+        (molecule, "_MOST_ATOMS", 2, "CCO: has 3 atoms; give a small molecule"),
+        (sources, "_LARGEST", 10, "is too large for one molecule; give one of it alone"),
+    ):
+        with monkeypatch.context() as patch, pytest.raises(pc.ProtochainError, match=said):
+            patch.setattr(of, name, least)
+            pc.ligand(file("1P2Y_NCT") if of is sources else "CCO", forcefield=smirnoff.SAGE_2_2)
+    with pytest.raises(pc.ProtochainError, match=r"cannot be read .*give an .offxml file"):
+        pc.ligand("CCO", forcefield=tmp_path / "nowhere.offxml")
+
+
 def test_bad_force_fields_are_refused_in_one_line(tmp_path):
     text, path = smirnoff.SAGE_2_2.read_text(), tmp_path / "bad.offxml"
     entity = '<!DOCTYPE x [<!ENTITY a "a">]>'
@@ -570,6 +612,8 @@ def test_bad_force_fields_are_refused_in_one_line(tmp_path):
         (text.replace('periodicity1="3"', 'periodicity1="2.5"', 1), "has a strange idivf or periodicity"),
         (text.replace("OEAroModel_MDL", "Daylight"), "aromaticity_model"),
         (text.replace("Lorentz-Berthelot", "geometric"), "combining_rules"),
+        (text.replace('rmin_half="', 'rmin_half="-'), "<Atom> n1 has a negative radius or well"),
+        (text.replace('epsilon="', 'epsilon="-'), "<Atom> n1 has a negative radius or well"),
     ):
         path.write_text(bad)
         with pytest.raises(pc.ProtochainError, match=said) as refused:
