@@ -1,7 +1,9 @@
 """What cannot be done is refused in one line that says what to give: guards without a test of their own."""
 
 import functools
+import gzip
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -80,3 +82,44 @@ def test_commands_are_refused(command, said, tmp_path, monkeypatch):
     )
     assert re.search(said, refusal_as_said(*words.split()))
     assert {*tmp_path.iterdir()} == before
+
+
+def cut(path, name="cut.pdb.gz"):
+    Path(name).write_bytes(gzip.compress((STRUCTURES / path).read_bytes())[:-40])
+    return name
+
+
+def in_columns(name="columns.npz"):
+    np.savez(name, positions=np.asfortranarray(np.ones((2, 103, 3))), unit="nm")
+    return name
+
+
+@pytest.mark.parametrize(
+    ("patched", "act", "said"),
+    [
+        ({}, lambda: pc.load(cut("ala10.pdb")), "cut.pdb.gz: not a whole gzip file .*; download it again"),
+        ({"structure.files._BYTES": 99}, lambda: pc.load(STRUCTURES / "ala10.pdb"), "larger than"),
+        (
+            {"structure.write._PDB_SERIALS": 50}, lambda: pc.save(ala(), "a.pdb"),
+            "a.pdb: 103 atoms do not fit a PDB file; write .cif instead",
+        ),
+        (
+            {"structure.pka._PER_CHAIN": 0}, lambda: pc.load(STRUCTURES / "ala10.pdb", ph="auto"),
+            "ph auto: 10 residues are too many for PROPKA",
+        ),
+        (
+            {}, lambda: [*pc.relax_frames(ala(), in_columns(), solvent="vacuum")],
+            "columns.npz: positions is not in C order; write it again by numpy.savez",
+        ),
+        (
+            {"batches.ensembles._MOST": 3}, lambda: pc.cluster_frames(ala(), X[:, :1].repeat(103, 1)),
+            "4 frames; give 1 to 3, as every tenth by ::10",
+        ),
+    ],
+)  # fmt: skip
+def test_files_are_refused(patched, act, said, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, value in patched.items():
+        monkeypatch.setattr(f"protochain.{name}", value)
+    with pytest.raises(pc.ProtochainError, match=said):
+        act()
