@@ -24,7 +24,7 @@ from protochain.mechanics.multibody import (
 )
 from protochain.mechanics.multibody.articulated import articulate
 from protochain.mechanisms.impacts import ContactPoint, close_loops, impact
-from protochain.mechanisms.impacts.complementarity import restitute
+from protochain.mechanisms.impacts.complementarity import _natural_map, restitute
 from protochain.mechanisms.impacts.impact import _together
 from protochain.mechanisms.impacts.path import follow
 
@@ -653,3 +653,24 @@ def test_wrong_arguments_are_refused_in_one_line():
 
 
 # --- Endless bounces
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_newtons_method_has_the_derivative_of_what_vanishes_at_a_solution(seed):
+    """By differences, of contacts that stick, slide, part, and have no friction, away from their bounds."""
+    random = np.random.default_rng(seed)
+    n = 12
+    half = random.normal(size=(n, n))
+    w, u, x = half @ half.T + 3.0 * np.eye(n), random.normal(size=n), random.normal(size=n)
+    mu, floor = np.array([0.0, 0.05, 0.6, 9.0]), np.zeros(4)
+    x[::3] = np.abs(x[::3]) + 0.5
+
+    def at(x):
+        residual, slope = np.empty(n), np.empty((n, n))
+        size = _natural_map(w, u, mu, floor, x, residual, slope)
+        return residual, slope, size
+
+    found, step = at(x)[1], 1e-6
+    ahead, behind = (np.array([at(x + sign * step * e)[0] for e in np.eye(n)]) for sign in (1, -1))
+    assert np.abs((ahead - behind).T / (2.0 * step) - found).max() < 1e-7 * np.abs(found).max()
+    assert at(x)[2] >= np.abs(x).max()
