@@ -254,7 +254,7 @@ def tried(fault: Fault, root: Path, tests: list[str], kernel: bool, limit: float
                 if row[:6] in ("FAILED", "ERROR ")
             ]
             gone = [row for row in (ended.stdout + ended.stderr).splitlines() if "not found: " in row]
-            left = [test for test in tests if not any(row.endswith(test) for row in gone)]
+            left = [test for test in tests if not any(row.endswith(test.split("[")[0]) for row in gone)]
             # None is run where the fault renames one: the others are run without it.
             if failed or not left or len(left) == len(tests):
                 break

@@ -3,6 +3,7 @@
 import csv
 import re
 from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
 import openmm
@@ -533,6 +534,17 @@ def test_a_molecule_of_a_file_with_several_is_given_by_its_number(tmp_path):
         sources.read(path)
     with pytest.raises(pc.ProtochainError, match=r"poses.sdf: has 2 molecules"):
         sources.read(f"{path}#3")
+
+
+def test_a_mol2_file_with_several_molecules_has_each_by_its_number(tmp_path):
+    of = pc.ligand(file("1P2Y_NCT")).molecule
+    charges, path = np.zeros(of.n_atoms), tmp_path / "poses.mol2"
+    text = as_mol2(of, charges, range(of.n_atoms))
+    moved = as_mol2(replace(of, positions=of.positions + 1.0), charges, range(of.n_atoms))
+    path.write_text(text + moved)
+    assert ligand_files.poses(path) == [f"{path}#1", f"{path}#2"] and ligand_files.are_several(str(path))
+    first, second = (sources.read(f"{path}#{number}").positions for number in (1, 2))
+    assert np.allclose(second - first, 1.0) and np.allclose(first, of.positions, atol=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from protochain.mechanics.multibody.articulated import articulate
 from protochain.mechanisms.impacts import ContactPoint, close_loops, impact
 from protochain.mechanisms.impacts.complementarity import _natural_map, restitute
 from protochain.mechanisms.impacts.impact import _together
-from protochain.mechanisms.impacts.path import follow
+from protochain.mechanisms.impacts.path import follow, follow_in_turn
 
 LAWS = ("newton", "poisson", "stronge")
 UP = (0.0, 0.0, 1.0)
@@ -674,3 +674,29 @@ def test_newtons_method_has_the_derivative_of_what_vanishes_at_a_solution(seed):
     ahead, behind = (np.array([at(x + sign * step * e)[0] for e in np.eye(n)]) for sign in (1, -1))
     assert np.abs((ahead - behind).T / (2.0 * step) - found).max() < 1e-7 * np.abs(found).max()
     assert at(x)[2] >= np.abs(x).max()
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("fastest", [0, 1, 2])
+def test_in_turn_the_fastest_point_is_always_the_next(law, fastest):
+    """As a loop over one point after the other has it, of which each feels the impulses before."""
+    random = np.random.default_rng(fastest)
+    half = random.normal(size=(9, 9))
+    w, mu, e = half @ half.T + 9.0 * np.eye(9), np.array([0.1, 0.3, 0.0]), np.array([0.2, 0.0, 0.5])
+    u = 0.1 * random.normal(size=9)
+    u[::3] = -1.0
+    u[3 * fastest] = -2.0
+    out, slow, number = np.zeros((2, 9)), np.full(3, 1e-6), LAWS.index(law)
+    assert follow_in_turn(w, u, mu, e, number, slow, 1e-10, 10_000, out) == (0, 0)
+    expected, v, order = np.zeros((2, 9)), u.copy(), []
+    while (approach := v[::3].min()) < -1e-6:
+        i = 3 * int(np.argmin(v[::3]))
+        order.append(i // 3)
+        alone = np.zeros(8)
+        follow(w[i : i + 3, i : i + 3], v[i : i + 3], mu[i // 3], e[i // 3], number, 1e-6, 1e-10, alone)
+        expected[0, i : i + 3] += alone[:3]
+        expected[1, i] += alone[3]
+        v += w[:, i : i + 3] @ alone[:3]
+        assert approach < 0.0 and len(order) < 10_000
+    assert order[0] == fastest
+    assert np.allclose(out, expected, rtol=1e-9, atol=1e-12)
