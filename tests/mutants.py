@@ -284,12 +284,13 @@ def chosen_tests(
 
     ``on_import`` tells that the line runs when the module of a kernel is imported.
     """
-    found, files = reached.get((fault.file, fault.line), set()), FOLDERS[fault.folder][1]
+    found, files = reached.get((fault.file, fault.line), set()), FOLDERS.get(fault.folder, ([], []))[1]
     blind = not found
     if blind or on_import or fault.folder in ("batches", "cli"):
         found = found | {test for test in seconds if of(test) in files}
-    if not found:
-        found = {test for test in seconds if of(test) == Path(fault.file).stem}
+    if blind:
+        # Kernels, and what processes run, have the tests of their package.
+        found = found | {test for test in seconds if test.split("/")[1] == fault.file.split("/")[1]}
     chosen, spent = [], 0.0
     # Of a constant that kernels are compiled with, the tests that call kernels come first.
     order = {test: (on_import and of(test) not in files, seconds[test]) for test in seconds}

@@ -10,6 +10,7 @@ import csv
 import gc
 import io
 import json
+import os
 import re
 import shlex
 import signal
@@ -174,8 +175,8 @@ def _command(words: list[str], lines: bool = False) -> Cells:
     app, status, printed = cli.app, 0, io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True)
     before = signal.getsignal(signal.SIGTERM), gc.get_threshold()
     patches = mock.patch.multiple(cli, app=noting), mock.patch.object(sys, "argv", ["protochain", *words])
-    said = io.StringIO()
-    with patches[0], patches[1], redirect_stdout(printed), redirect_stderr(said):
+    said, width = io.StringIO(), mock.patch.dict(os.environ, {"COLUMNS": "120"})
+    with patches[0], patches[1], width, redirect_stdout(printed), redirect_stderr(said):
         try:
             cli.main()
         except SystemExit as end:

@@ -278,7 +278,7 @@ def _extremes(quick: bool) -> Iterator[Found]:
     for payload in (1e-6, 1e6):
         yield judged(f"payload of {payload:g} kg", partial(_heavy, payload))
     yield judged("no torque", _unmoved)
-    cells = 8 if quick else 64
+    cells = 16 if quick else 64
     yield judged(f"{cells} cells a link, 2 ms steps", partial(_many, cells))
     name = f"dampers of {1e3 * DAMPING:g} ms, explicit steps of {{}} of the longest"
     yield judged(name.format("0.9"), partial(_damped, 0.9))
