@@ -404,6 +404,11 @@ def asparagine(far, *extra):
     return placed("ASN", 1, **at, **dict(extra))
 
 
+def alanine(*extra):
+    at = {"N": (1.44, 0.0, 0.0), "CA": (2.14, -1.1, 0.0), "C": (3.64, -1.1, 0.0)}
+    return placed("ALA", 1, **at, **dict(extra))
+
+
 def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
     usual = sum(gemmi.Element(e).covalent_r for e in "NC")
     for far, bonded in ((usual + 0.29, True), (usual + 0.31, False), (usual - 0.31, False)):
@@ -431,6 +436,8 @@ def test_a_known_kind_of_bond_is_made_at_its_length_and_waters_have_none():
         (asparagine(1.44, ("H1", (1.4, 0.9, 0.0)), ("H2", (1.4, -0.3, 0.9))), sugar(), "two hydrogens"),
         (asparagine(1.44, ("OD1", (-1.9, -0.7, -0.2))), sugar(), "another close pair"),
         (placed("ARG", 1, NH1=(1.44, 0.0, 0.0), CZ=(2.1, -1.1, 0.0)), sugar(), "no known kind"),
+        (alanine(("H1", (1.4, 0.9, 0.0))), sugar(), ""),
+        (alanine(("H1", (1.4, 0.9, 0.0)), ("H2", (1.4, -0.3, 0.9))), sugar(), "two hydrogens of an amide"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_a_bond_is_an_overlap_and_is_named(residue, other, why):
