@@ -3,9 +3,9 @@
 ``python tests/mutants.py -o analysis/results`` takes hours on two cores. A fault is a comparison, an
 operator, a number, a name or a condition changed, a statement or a keyword left out. The fast tests that
 reach its line (by a coverage run before) are run, quickest first and no longer than ``LONGEST``.
-Compiled kernels, which coverage does not see into, get the test files named in ``FOLDERS``; lines that
-run on import get the tests that use their file. A fault that runs into the time limit is noticed; one
-that only renames a test is not.
+Compiled kernels, which coverage does not see into, and what processes run, get the tests of their package;
+lines that run on import get the tests that use their file. A fault that runs into the time limit is
+noticed; a test that a fault renames is not run.
 """
 
 import argparse
@@ -14,6 +14,7 @@ import copy
 import csv
 import os
 import random
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -31,36 +32,16 @@ import coverage.numbits
 from scipy.stats import binomtest
 
 ROOT = Path(__file__).parent.parent
-FOLDERS = {
-    "structure": (["structure"], []),
-    "minimisers": (["minimisers"], []),
-    "neighbours": (["energies/native/neighbours.py"], ["native", "neighbours"]),
-    "batches": (
-        ["batches"],
-        ["batches", "batch_settings", "jobs", "naming", "processes", "task", "relax_command"],
-    ),
-    "cli": (["cli"], ["cli", "commands", "command_runs", "command_jobs"]),
-    "validation": (["validation"], []),
-    "comparison": (["comparison/deviation.py", "comparison/quality.py"], []),
-    "write": ([f"structure/{name}.py" for name in ("write", "header", "records", "springs")], []),
-    "relaxation": (["relaxation"], ["repack"]),
-    "mechanics": (
-        ["mechanics/multibody", "chains/chain.py"],
-        ["multibody", "mass", "chain", "massless"],
-    ),
-    "motion": (["mechanics/motion"], ["motion", "driven"]),
-    "dynamics": (["dynamics"], ["dynamics"]),
-    "mechanisms": (
-        ["mechanisms"],
-        ["mechanisms", "contact", "boxes", "pile", "search", "segments", "flexible", "bending", "impulse"],
-    ),
-    "kernels": (["energies/native"], ["native", "energy"]),
-}
-"""Name: (what is changed, under protochain; test files for what coverage does not see: kernels, processes)"""
+FOLDERS = (
+    "batches", "chains", "cli", "comparison", "core", "dynamics", "energies", "ligands", "mechanics",
+    "mechanisms", "minimisers", "relaxation", "searching", "structure", "validation",
+)  # fmt: skip
+"""Packages, of which as many faults each are tried by default."""
 LONGEST = 300.0
 """Seconds of tests for one fault, as they took without it. On a busy machine they take longer."""
-COMPILED = ("neighbours", "relaxation", "mechanics", "motion", "mechanisms", "kernels")
-"""Names of folders with kernels, into which a module's constants are compiled, also those of other files."""
+KERNEL = re.compile(r"(?m)^@(kernel|inlined|shared|scalar)\b")
+IN_PROCESSES = ("batches", "cli", "searching")
+"""Packages that also run in processes of their own, where coverage sees nothing."""
 COMPARISONS = {
     ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Is: ast.IsNot, ast.IsNot: ast.Is,
@@ -151,22 +132,21 @@ def is_declaration(node: ast.AST) -> bool:
 def faults(folder: str, root: Path) -> list[Fault]:
     """All faults of a folder; those that span lines are left out."""
     found = []
-    for part in FOLDERS[folder][0] if folder in FOLDERS else [folder]:
-        path = root / "protochain" / part
-        for file in sorted(path.rglob("*.py")) if path.is_dir() else [path] * path.is_file():
-            text = file.read_text()
-            lines = text.splitlines()
-            for node in sites(ast.parse(text)):
-                for kind, new in changes(node):
-                    at = node.test if isinstance(node, ast.If | ast.IfExp | ast.While) else node
-                    if at.lineno != at.end_lineno or not lines[at.lineno - 1].isascii():
-                        continue
-                    line = lines[at.lineno - 1]
-                    swapped = line[: at.col_offset] + f"({ast.unparse(new)})" + line[at.end_col_offset :]
-                    if isinstance(new, ast.Pass):
-                        swapped = line[: at.col_offset] + "pass" + line[at.end_col_offset :]
-                    name = file.relative_to(root).as_posix()
-                    found.append(Fault(folder, name, at.lineno, kind, line.strip(), swapped.strip()))
+    path = root / "protochain" / folder
+    for file in sorted(path.rglob("*.py")) if path.is_dir() else [path] * path.is_file():
+        text = file.read_text()
+        lines = text.splitlines()
+        for node in sites(ast.parse(text)):
+            for kind, new in changes(node):
+                at = node.test if isinstance(node, ast.If | ast.IfExp | ast.While) else node
+                if at.lineno != at.end_lineno or not lines[at.lineno - 1].isascii():
+                    continue
+                line = lines[at.lineno - 1]
+                swapped = line[: at.col_offset] + f"({ast.unparse(new)})" + line[at.end_col_offset :]
+                if isinstance(new, ast.Pass):
+                    swapped = line[: at.col_offset] + "pass" + line[at.end_col_offset :]
+                name = file.relative_to(root).as_posix()
+                found.append(Fault(folder, name, at.lineno, kind, line.strip(), swapped.strip()))
     return found
 
 
@@ -272,11 +252,6 @@ def tried(fault: Fault, root: Path, tests: list[str], kernel: bool, limit: float
     return Fault(**(asdict(fault) | {"result": result, "test": by}))
 
 
-def of(test: str) -> str:
-    """What the file of a test is of."""
-    return Path(test.split("::")[0]).stem.removeprefix("test_")
-
-
 def chosen_tests(
     fault: Fault, reached: dict[tuple[str, int], set[str]], seconds: dict[str, float], on_import: bool
 ) -> tuple[list[str], bool]:
@@ -284,16 +259,14 @@ def chosen_tests(
 
     ``on_import`` tells that the line runs when the module of a kernel is imported.
     """
-    found, files = reached.get((fault.file, fault.line), set()), FOLDERS.get(fault.folder, ([], []))[1]
+    found, package = reached.get((fault.file, fault.line), set()), fault.file.split("/")[1]
     blind = not found
-    if blind or on_import or fault.folder in ("batches", "cli"):
-        found = found | {test for test in seconds if of(test) in files}
-    if blind:
-        # Kernels, and what processes run, have the tests of their package.
-        found = found | {test for test in seconds if test.split("/")[1] == fault.file.split("/")[1]}
+    own = {test for test in seconds if test.split("/")[1] == package}
+    if blind or on_import or package in IN_PROCESSES:
+        found = found | own
     chosen, spent = [], 0.0
     # Of a constant that kernels are compiled with, the tests that call kernels come first.
-    order = {test: (on_import and of(test) not in files, seconds[test]) for test in seconds}
+    order = {test: (on_import and test not in own, seconds[test]) for test in seconds}
     for test in sorted(found & seconds.keys(), key=order.__getitem__):
         spent += seconds[test]
         if spent > LONGEST:
@@ -345,7 +318,7 @@ def mutation_run(
         picked = []
         for folder in folders:
             every = faults(folder, places[0])
-            picked += random.Random(seed).sample(every, min(number, len(every)))
+            picked += random.Random(f"{seed}{folder}").sample(every, min(number, len(every)))
         reached, seconds = ({}, {}) if tests else tests_of_lines(places[0], jobs)
         free: Queue[Path] = Queue()
         for place in places:
@@ -353,8 +326,8 @@ def mutation_run(
 
         def one(fault: Fault) -> Fault:
             place = free.get()
-            called = lines_of_functions((place / fault.file).read_text())
-            on_import = fault.folder in COMPILED and fault.line not in called
+            text = (place / fault.file).read_text()
+            on_import = bool(KERNEL.search(text)) and fault.line not in lines_of_functions(text)
             chosen, blind = (tests, True) if tests else chosen_tests(fault, reached, seconds, on_import)
             ended = tried(fault, place, chosen, blind or on_import, 60 + 4 * LONGEST)
             free.put(place)
@@ -374,8 +347,8 @@ def write(rows: list[dict[str, object]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", nargs="*", default=list(FOLDERS), help="these, or paths under protochain")
-    parser.add_argument("-n", "--number", type=int, default=24, help="faults a folder")
+    parser.add_argument("folders", nargs="*", default=FOLDERS, help="these, or paths under protochain")
+    parser.add_argument("-n", "--number", type=int, default=4, help="faults a folder")
     parser.add_argument("-s", "--seed", type=int, default=1)
     parser.add_argument("-j", "--jobs", type=int, default=2)
     parser.add_argument("-t", "--tree", type=Path, default=ROOT, help="tree with code and tests")
