@@ -302,8 +302,8 @@ def score(ended: list[Fault]) -> list[dict[str, object]]:
                 "folder": folder,
                 **{result: count[result] for result in ("noticed", "excused", "survived")},
                 "share": round(count["noticed"] / max(n, 1), 3),
-                "low": round(low, 3),
-                "high": round(high, 3),
+                "low": round(float(low), 3),
+                "high": round(float(high), 3),
             }
         )
     return rows
