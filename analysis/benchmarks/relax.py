@@ -141,9 +141,7 @@ def _with_hydrogens(structure: pc.Structure, x: np.ndarray, there: np.ndarray) -
         frame = [parent, *(int(k) for k in np.unique(near) if k not in (parent, hydrogen) and there[k])]
         x[hydrogen] = _carried(structure.positions, x, frame, int(hydrogen))
     chosen = "index " + " ".join(map(str, np.flatnonzero(~there)))
-    placed = structure.with_positions(x)
-    chain = pc.build_chain(placed, move=chosen)
-    return pc.minimise(chain, pc.energy(placed), "cartesian", tolerance=1.0).x
+    return pc.relax(structure.with_positions(x), move=chosen, stiffness=0.0, tolerance=1.0).x
 
 
 def _carried(before: np.ndarray, after: np.ndarray, frame: list[int], atom: int) -> np.ndarray:
