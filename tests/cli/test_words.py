@@ -4,11 +4,13 @@ import ast
 import re
 from pathlib import Path
 
+from click.testing import CliRunner
 from fixtures.command_line import COMMANDS, refusal_as_said
 from fixtures.samples import STRUCTURES
 from typer.core import TyperOption
 
 import protochain as pc
+from protochain.cli.help import _FEW, _FIRST, _GROUPS
 from protochain.cli.options import as_option
 from protochain.core.errors import Argument
 
@@ -63,3 +65,15 @@ def test_values_of_options_and_arguments_have_few_names():
     assert {word for word in found if re.fullmatch("[A-Z]{2,}", word)} == {
         "IN", "FILE", "DIR", "FRAMES", "FASTA", "COLUMN", "REFERENCE", "SEQUENCE", "COMMAND",
     }  # fmt: skip
+
+
+def test_help_names_options_that_there_are_and_what_is_used_most_comes_first():
+    known = {param.name for command in COMMANDS.values() for param in command.params}
+    grouped = {name for names in _GROUPS.values() for name in names.split()}
+    assert {*_FIRST} <= known and grouped <= known
+    for name, command in COMMANDS.items():
+        shown = CliRunner().invoke(command, ["--help"]).output
+        own = {param.name: max(param.opts, key=len) for param in command.params}
+        first = [own[each] for each in _FIRST if each in own and own[each].startswith("--")][:_FEW]
+        part = shown.partition("Used most:")[2].split("\n\n")[0]
+        assert re.findall(r"(?m)^  (?:-\w, )?(--[\w-]+)", part) == first, name

@@ -13,7 +13,7 @@ from fixtures.samples import STRUCTURES, load
 import protochain as pc
 from protochain.ligands import smirnoff
 
-X = np.zeros((4, 100, 3))
+X = np.zeros((4, 103, 3))
 
 
 def ala():
@@ -84,6 +84,12 @@ def test_commands_are_refused(command, said, tmp_path, monkeypatch):
     assert {*tmp_path.iterdir()} == before
 
 
+@pytest.mark.parametrize("call", ["compare", "simulate", "normal_modes", "search"])
+def test_an_option_of_another_call_is_refused_with_the_call_that_has_it(call):
+    with pytest.raises(pc.ProtochainError, match=rf"^{call} has no option 'altloc'; pc.load\(file, altloc="):
+        getattr(pc, call)(ala(), altloc="A")
+
+
 def cut(path, name="cut.pdb.gz"):
     Path(name).write_bytes(gzip.compress((STRUCTURES / path).read_bytes())[:-40])
     return name
@@ -112,7 +118,7 @@ def in_columns(name="columns.npz"):
             "columns.npz: positions is not in C order; write it again by numpy.savez",
         ),
         (
-            {"batches.ensembles._MOST": 3}, lambda: pc.cluster_frames(ala(), X[:, :1].repeat(103, 1)),
+            {"batches.ensembles._MOST": 3}, lambda: pc.cluster_frames(ala(), X),
             "4 frames; give 1 to 3, as every tenth by ::10",
         ),
     ],
