@@ -40,6 +40,8 @@ FOLDERS = (
 LONGEST = 300.0
 """Seconds of tests for one fault, as they took without it. On a busy machine they take longer."""
 KERNEL = re.compile(r"(?m)^@(kernel|inlined|shared|scalar)\b")
+BESIDE = {"mechanics": ("dynamics", "chains")}
+"""Packages whose tests are also of another's kernels."""
 IN_PROCESSES = ("batches", "cli", "searching")
 """Packages that also run in processes of their own, where coverage sees nothing."""
 COMPARISONS = {
@@ -261,7 +263,7 @@ def chosen_tests(
     """
     found, package = reached.get((fault.file, fault.line), set()), fault.file.split("/")[1]
     blind = not found
-    own = {test for test in seconds if test.split("/")[1] == package}
+    own = {test for test in seconds if test.split("/")[1] in (package, *BESIDE.get(package, ()))}
     if blind or on_import or package in IN_PROCESSES:
         found = found | own
     chosen, spent = [], 0.0

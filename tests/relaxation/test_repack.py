@@ -213,6 +213,18 @@ def test_those_that_hold_a_metal_stay():
     assert not able & holding and able
 
 
+def test_a_turned_side_chain_says_its_dihedrals_in_the_input_and_now():
+    structure = load("1l2y.pdb")
+    chi = structure.dihedrals()
+    (arm,) = rotamers_of(structure, structure.positions, [5])
+    assert arm.repair(0, "x").facts == {"residue": "x"}
+    for state in range(1, len(arm.chi)):
+        facts, at = arm.repair(state, "x").facts, np.rint(np.rad2deg(wrapped(arm.chi[state]))).astype(int)
+        before = [int(np.rint(chi[f"chi{k}"][5])) for k in (1, 2)]
+        assert facts["before"] == f"chi1 {before[0]} chi2 {before[1]}"
+        assert facts["after"] == f"chi1 {at[0]} chi2 {at[1]}" != facts["before"]
+
+
 def test_rotamers_keep_bonds_and_angles_and_the_input_is_the_first():
     structure = load("1ubq.pdb")
     joined = structure.bonds
