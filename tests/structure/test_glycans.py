@@ -1,6 +1,7 @@
 """Glycans that move, by GLYCAM-06j."""
 
 import functools
+import re
 from itertools import product
 from pathlib import Path
 
@@ -344,3 +345,11 @@ def test_another_force_field_is_refused_with_the_remedy(tmp_path):
     s = pc.load(borne(tmp_path, "60 ND2", "NAG"))
     with pytest.raises(pc.ProtochainError, match=r"residue 1 NAG of chain S .* GLYCAM-06j.* load"):
         pc.energy(s, "charmm36")
+
+
+def test_a_file_without_links_has_the_glycans_of_the_file_with_them(tmp_path):
+    path = shared("models/3ave.pdb")
+    (tmp_path / "bare.pdb").write_text(re.sub(r"(?m)^(LINK|CONECT|SSBOND).*\n", "", path.read_text()))
+    whole, bare = pc.load(path), pc.load(tmp_path / "bare.pdb")
+    assert np.array_equal(bare.bonds, whole.bonds) and np.array_equal(bare.mobile, whole.mobile)
+    assert whole.mobile.sum() > 300 and np.array_equal(bare.atom_name, whole.atom_name)
