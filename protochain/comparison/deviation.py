@@ -1,5 +1,6 @@
 """Deviation of one structure from another: superposition, RMSD and TM-score."""
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -183,7 +184,11 @@ class RmsdFrames:
 
     def settings(self) -> dict[str, Any]:
         """Plain values on which the rows depend."""
-        return {"reference": self.reference.name, "align": self.align, "measure": self.measure}
+        content = hashlib.sha256(self.reference.positions.tobytes()).hexdigest()[:12]
+        return {
+            "reference": self.reference.name, "content of the reference": content,
+            "align": self.align, "measure": self.measure,
+        }  # fmt: skip
 
 
 def _atoms(reference: Structure, model: Structure, found: Match, selection: str) -> tuple[Integers, Integers]:

@@ -264,6 +264,7 @@ def test_deviations_are_resumed_with_the_same_reference_and_atoms_only(tmp_path,
     assert run_frames(ensemble, chosen, RmsdFrames(reference), table, watch=stop_after(1)).interrupted
     for other, said in (
         (RmsdFrames(load("1l2y.pdb")), "reference .*'ala10'.* not '1l2y'"),
+        (RmsdFrames(reference.with_positions(2 * reference.positions)), "content of the reference "),
         (RmsdFrames(reference, align="backbone"), "align "),
         (RmsdFrames(reference, measure="all"), "measure "),
     ):

@@ -40,7 +40,7 @@ table_of_rows(
 table_of_rows(
     "dynamics-speed", "dynamics_speed.csv",
     ("structure", "{structure}"), ("residues", "{residues}"), ("solvent", lambda r: SOLVENTS[r["solvent"]]),
-    ("OpenMM 2 fs", digits_of("openmm_2_fs")), ("with GBSAOBCForce", digits_of("gbsaobc_2_fs")),
+    ("OpenMM 2 fs", digits_of("openmm_2_fs")),
     *((f"{h} fs", digits_of(f"ours_{h}_fs")) for h in (2, 4, 8)),
     *((f"ratio at {h} fs", ratio_of(f"ratio_{h}_fs")) for h in (2, 4, 8)),
 )  # fmt: skip
