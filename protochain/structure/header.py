@@ -40,11 +40,12 @@ def take_header(structure: gemmi.Structure, records: str = "") -> str:
 
 
 def quote_names(block: gemmi.cif.Block) -> None:
-    """Quote names that begin as a text, a comment, a quotation or a tag does, as gemmi does not all."""
+    """Quote names that are empty, have blanks, or begin as a text, comment, quotation or tag."""
     for loop in (item.loop for item in block if item.loop is not None):
         for k, value in enumerate(loop.values):
-            quoted = value[-1] == value[0] != value or "\n" in value
-            if value.startswith(_SPECIAL) and not (quoted and value[0] in "'\";"):
+            quoted = value[-1:] == value[:1] != value or "\n" in value
+            odd = not value or " " in value or value.startswith(_SPECIAL)
+            if odd and not (quoted and value[0] in "'\";"):
                 loop[divmod(k, loop.width())] = gemmi.cif.quote(value)
 
 

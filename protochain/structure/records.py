@@ -72,6 +72,7 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
          "auth_comp_id": mod.res_id.name, "parent_comp_id": _quoted(mod.parent_comp_id),
          "details": _quoted(mod.details)}
         for k, mod in enumerate(structure.mod_residues, 1)
+        if mod.res_id.seqid.num is not None
     ]  # fmt: skip
     own = tables.of_remarks(lines.get("REMARK", ()))
     return _text(

@@ -92,6 +92,18 @@ def test_an_mmcif_file_has_its_remarks_entities_links_and_atoms():
     assert celled.count("_cell.length_a") == 1 and "_cell.length_b 30\n" in celled
 
 
+@pytest.mark.parametrize(
+    "record", ["MODRES XXXX ALA A    \t    \t  \t", "SEQRES   1 A12,34  ALA GLY 12,34 XXX"]
+)
+def test_a_header_without_a_number_or_a_name_is_read_and_written(record, tmp_path):
+    path = tmp_path / "in.pdb"
+    path.write_text(f"{record}\n{(STRUCTURES / 'ala10.pdb').read_text()}", encoding="utf-8")
+    structure = pc.load(path)
+    for suffix in (".cif", ".pdb"):
+        (tmp_path / f"out{suffix}").write_text(as_text(structure, suffix))
+        assert pc.load(tmp_path / f"out{suffix}").fingerprint == structure.fingerprint
+
+
 def test_only_known_suffixes_of_any_case_are_written(tmp_path):
     for name in ("a.pdb", "a.ENT", "a.cif", "a.mmCIF", "a.PdbX"):
         check_format(tmp_path / name)
