@@ -11,7 +11,7 @@ import numpy as np
 
 from protochain.cli.options import print_changes, print_files, print_lost, said_of_move
 from protochain.core import defaults
-from protochain.core.markup import counted
+from protochain.core.markup import counted, listed
 from protochain.core.timings import part
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
         f"{n or 'no'} pair{'s' * (n != 1)} of atoms overlap{'s' * (n == 1)}"
         + (f", {beside} of them with molecules kept with the protein" if beside else ""),
         str(at.violations),
-        *(["threaded rings, to be freed first: " + ", ".join(map(str, at.rings))] if at.rings else []),
+        *(["threaded rings, to be freed first: " + listed([*map(str, at.rings)], 2)] if at.rings else []),
         *_inverted(at),
         *_twisted(len(at.peptides)),
         *_breaks(structure),

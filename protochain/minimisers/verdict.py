@@ -142,7 +142,7 @@ def _without_left(
     if inverted:
         lost[Status.INVERTED] = f"{listed(inverted)} inverted; {remedy}"
     if isomerised:
-        bonds = f"the peptide bond{'s' * (len(isomerised) > 1)} {listed(isomerised)}"
+        bonds = f"the peptide bond{'s' * (len(isomerised) > 1)} {listed(isomerised, 3)}"
         lost[Status.ISOMERISED] = f"{bonds} turned from trans to cis, or back; a restraint holds it"
     if lost:
         status = next(iter(lost))

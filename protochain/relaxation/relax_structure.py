@@ -41,8 +41,8 @@ from protochain.validation.fixed import fixed_counts
 from protochain.validation.interface import native
 from protochain.validation.omega import bonds_named
 
-_NAMED = 5
-"""Residues that a message names."""
+_NAMED = 3
+"""Residues and bonds that a message names."""
 
 
 @checked(watch=WATCHER)
@@ -257,14 +257,14 @@ def _bonds_before(at: Wrong, nitrogens: Integers) -> list[str]:
 
 def left_in_words(at: Wrong) -> list[str]:
     """What is left to mend, by name."""
-    others = [*rejected(at.structure, at.x), *map(str, at.rings)]
+    others = rejected(at.structure, at.x)
+    others += [listed([*map(str, at.rings)], 2)] if at.rings else []
     twisted = _bonds_before(at, np.setdiff1d(at.peptides, _lost(at)))
-    others += [f"twisted peptide bonds: {listed(twisted)}"] if twisted else []
+    others += [f"twisted peptide bonds: {listed(twisted, _NAMED)}"] if twisted else []
     # A break of the chain is no fault of the model: it is cropped, and its numbers may run on.
     residues = np.flatnonzero(at.mendable()).tolist()
     if not residues:
         return others
-    named = [at.structure.describe_residue(residue) for residue in residues[:_NAMED]]
-    more = f" and {len(residues) - _NAMED} more" if len(residues) > _NAMED else ""
+    named = listed([at.structure.describe_residue(residue) for residue in residues], _NAMED)
     left = f"{counted(len(residues), 'residue is', 'residues are')} left with violations"
-    return [*others, f"{left}: {', '.join(named)}{more}"]
+    return [*others, f"{left}: {named}"]

@@ -104,7 +104,8 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     draft.parts = [
         piece for part in draft.parts for piece in cut(draft, part, [m for m in part.members if m in still])
     ]
-    return [link for link in links if link in bonds or link not in beside]
+    # A residue that became its parent has lost atoms.
+    return [link for link in links if (link in bonds or link not in beside) and link.is_there]
 
 
 def _between(draft: Draft) -> Iterator[Link]:

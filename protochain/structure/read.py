@@ -59,8 +59,9 @@ PEPTIDE_BREAK = 2.0
 PEPTIDE_TORN = 3.0
 """Angstrom: C and N of consecutive numbers are bonded up to here, as in models whose bonds are off. Atoms of
 two chain ends do not come that near: C and N that are not bonded touch at 3.25."""
-_UPON, _BESIDE = 0.01, 2.0
-"""Angstrom: atoms nearer than the first are in one place, those that are bonded nearer than the second."""
+_UPON, _BESIDE, _FAR = 0.01, 2.0, 15.0
+"""Angstrom: atoms nearer than the first are in one place, those that are bonded nearer than the second; the
+last from the middle of a residue is twice what an extended arginine has."""
 SMALLEST_RING = 4
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
@@ -455,12 +456,16 @@ def _element(atom: gemmi.Atom) -> gemmi.Element:
 
 
 def _nowhere(atoms: list[gemmi.Atom]) -> list[gemmi.Atom]:
-    """Atoms of an amino acid that are upon its CA, or at the origin, where at most one could be: missing."""
+    """Atoms of an amino acid without a place: upon its CA, far from most others, or several at the origin."""
     origin = [atom for atom in atoms if atom.pos.length() < _UPON]
     others = [atom for atom in atoms if atom not in origin]
     if not others or (len(origin) == 1 and any(origin[0].pos.dist(atom.pos) < _BESIDE for atom in others)):
         origin = []
-    alpha = next((atom for atom in others if atom.name == "CA"), None)
+    if any(atom.pos.dist(others[0].pos) > _FAR for atom in others):
+        x = np.array([atom.pos.tolist() for atom in others])
+        is_far = np.linalg.norm(x - np.median(x, axis=0), axis=1) > _FAR
+        origin += [others[i] for i in np.flatnonzero(is_far) if 2 * is_far.sum() < len(others)]
+    alpha = next((atom for atom in others if atom.name == "CA" and atom not in origin), None)
     return origin + [
         atom for atom in others if alpha and atom is not alpha and atom.pos.dist(alpha.pos) < _UPON
     ]

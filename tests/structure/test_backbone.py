@@ -66,11 +66,11 @@ def test_a_residue_without_a_neighbour_to_build_from_is_left_out(tmp_path):
     assert [r.facts["residue"].number for r in gap.repairs if r.kind is Kind.NO_BACKBONE] == ["10"]
 
 
-@pytest.mark.parametrize("place", ["origin", "CA"])
-def test_side_chains_at_the_origin_or_upon_ca_are_missing(tmp_path, place):
-    side = ("CG", "CD1", "CD2", "CE1", "CE2", "CZ")
+@pytest.mark.parametrize("place", ["origin", "CA", "far"])
+def test_side_chains_at_the_origin_upon_ca_or_far_away_are_missing(tmp_path, place):
+    side = ("CD1", "CD2", "CE1", "CE2", "CZ")
     (alpha,) = (line[30:54] for line in LINES if is_atom(line, 45, "CA"))
-    at = "   0.000   0.000   0.000" if place == "origin" else alpha
+    at = {"origin": "   0.000   0.000   0.000", "CA": alpha, "far": "  70.000-510.000  90.000"}[place]
     s = loaded(tmp_path, lambda line: line[:30] + at + line[54:] if is_atom(line, 45, *side) else line)
     bare = loaded(tmp_path, lambda line: None if is_atom(line, 45, *side) else line)
     assert np.array_equal(s.positions, bare.positions) and np.array_equal(s.atom_name, bare.atom_name)
