@@ -185,6 +185,21 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     assert s.residue_name[2] == "LYS" and [each.why for each in s.losses] == [Why.PARENT]
 
 
+def test_a_link_to_an_atom_that_its_parent_lacks_goes_with_it(tmp_path):
+    pc.save(pc.from_sequence("AAKAAA"), tmp_path / "plain.pdb")
+    path = modified(tmp_path / "plain.pdb", {("A", 3): ("ALY", AMINE)}, tmp_path, name="linked.pdb")
+    atoms = [line for line in path.read_text().splitlines() if line.startswith("ATOM")]
+    lines = [line for line in atoms if line[12:21] != " OH  ALY "]
+    (methyl,) = (line for line in lines if line[12:21] == " CH3 ALY ")
+    oxygen = f"HETATM   99  O1  EDO B   1    {methyl[30:46]}{float(methyl[46:54]) - 1.43:8.3f}"
+    link = f"{'LINK':12s} CH3 ALY A   3 {'O1  EDO B   1':>29s}"
+    path.write_text("\n".join([link, *lines, oxygen, "END\n"]))
+    s = pc.load(path)
+    assert s.residue_name[2] == "LYS" and s.losses[0].why is Why.INCOMPLETE
+    assert "EDO" in s.residue_name and not len(s.links)
+    assert [each.facts["count"] for each in s.repairs if each.kind is Kind.BONDS_LEFT_OUT] == [1]
+
+
 @pytest.mark.parametrize(("name", "atom", "charge"), [("HIS", "ND1", -1), ("HIP", "NE2", -3)])
 def test_histidinium_is_made_neutral(name, atom, charge):
     """Its ring has a hydrogen too many for a Kekule form until that is gone."""
