@@ -53,7 +53,9 @@ class ScoreJob:
                 off = docked(self.reference, structure, *pair) if self.reference else {}
                 yield self.named, replace(its, scores={**its.scores, **off})
         except Exception as error:
-            yield self.named, reason(error, self.path)[1]
+            why = reason(error, self.path)[1]
+            named = why.startswith((self.named, str(self.path)))
+            yield self.named, why if named else f"{self.named}: {why}"
 
     def lost(self, done: Sequence[Any], status: str, message: str, seconds: float) -> list[Scored]:
         """Why interfaces are missing, where the process ended."""

@@ -27,7 +27,9 @@ def _finite(values: Any) -> Any:
 
 
 def check_writable(path: Path) -> None:
-    """Refuse a path to which no file can be written."""
+    """Refuse a path to which no file can be written, or none that is read again."""
+    if any("\ud800" <= letter <= "\udfff" for letter in str(path)):
+        raise ProtochainError(f"{ascii(str(path))[1:-1]}: its name is not UTF-8; give another name")
     if path.is_dir():
         raise ProtochainError(f"{path}: is a folder; give the name of a file")
     folder = next(parent for parent in path.absolute().parents if parent.exists())

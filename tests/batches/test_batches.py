@@ -294,6 +294,8 @@ def test_a_name_that_is_no_utf_8_is_refused_and_stops_no_other(tmp_path, monkeyp
         Path(os.fsdecode(name)).write_bytes(text)
     with pytest.raises(pc.ProtochainError, match="its name is not UTF-8"):
         pc.load(os.fsdecode(b"a\xff.pdb"))
+    with pytest.raises(pc.ProtochainError, match="its name is not UTF-8; give another"):
+        pc.batch("b.pdb", os.fsdecode(b"\xff"), "lbfgs", workers=1, max_evaluations=5)
     done = pc.batch([os.fsdecode(b"a\xff.pdb"), "b.pdb"], "out", "lbfgs", workers=1, max_evaluations=5)
     assert dict(zip(done.table["structure"], done.table["status"], strict=True)) == {
         r"a\udcff": "refused", "b": "budget",

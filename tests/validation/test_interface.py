@@ -555,6 +555,9 @@ def test_interfaces_that_cannot_be_read_are_told(three, given, capsys):
     assert run("score", three / "3i40.pdb", "--interface", given) == 2
     said = capsys.readouterr().err
     assert "interface" in said and said.count("\n") == 1
+    run("score", three / "3i40.pdb", three / "1ysa.pdb", "--interface", given, "--workers", "1")
+    said = capsys.readouterr().err.splitlines()
+    assert [line.split(": ")[0] for line in said] == [str(three / "3i40.pdb"), str(three / "1ysa.pdb")]
 
 
 def test_an_atom_in_the_place_of_another_adds_no_area():
