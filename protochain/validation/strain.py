@@ -57,7 +57,7 @@ class Strain(Value):
         """
         x = structure.positions if x is None else x
         lengths = ANGSTROM_PER_NM * _lengths(self.bonds, x)
-        degrees = np.degrees(_angles(self.angles, x))
+        degrees = np.degrees(angles_at(self.angles, x))
         found = [
             f"bond of {structure.describe(i)} and {structure.describe(j)} is {value:.2f} angstrom long, "
             f"{by:+.1f} standard deviations"
@@ -104,7 +104,7 @@ def strain(structure: Structure, x: Floats | None = None) -> Strain:
     x = positions(structure, x)
     terms = _terms(structure)
     bonds, by_bond = _outliers(terms.bonds, _lengths(terms.bonds, x), terms.lengths)
-    angles, by_angle = _outliers(terms.triples, _angles(terms.triples, x), terms.angles)
+    angles, by_angle = _outliers(terms.triples, angles_at(terms.triples, x), terms.angles)
     return Strain(bonds, by_bond, angles, by_angle, len(terms.bonds), len(terms.triples))
 
 
@@ -119,11 +119,10 @@ def _lengths(bonds: Integers, x: Floats) -> Floats:
     return np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
 
 
-def _angles(triples: Integers, x: Floats) -> Floats:
-    """Angles (n,) at the middle atoms, rad."""
+def angles_at(triples: Integers, x: Floats) -> Floats:
+    """Angles (n,), rad, at the middle atoms of triples (n, 3) at x (na, 3)."""
     u, v = (x[triples[:, k]] - x[triples[:, 1]] for k in (0, 2))
-    across = np.linalg.norm(cross(u, v), axis=1)
-    return np.arctan2(across, (u * v).sum(axis=1))
+    return np.arctan2(np.linalg.norm(cross(u, v), axis=1), (u * v).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
