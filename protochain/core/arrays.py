@@ -105,6 +105,12 @@ def dots(a: Floats, b: Floats) -> Floats:
     return np.asarray((a[..., None, :] @ b[..., :, None])[..., 0, 0])
 
 
+def means_by(of: Integers, values: Floats, n: int) -> Floats:
+    """Means (n,) of the values (m,) of each of n groups, ``of`` (m,) their groups; NaN of empty ones."""
+    counts = np.bincount(of, minlength=n)
+    return np.asarray(np.bincount(of, values, n) / np.where(counts, counts, np.nan))
+
+
 def distance(a: Floats, b: Floats) -> Floats:
     """Distances of points (..., 3)."""
     return np.asarray(np.linalg.norm(a - b, axis=-1))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value, distance, read_only
+from protochain.core.arrays import Floats, Integers, Value, distance, means_by, read_only
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.matching import Match, match, tm_score
 from protochain.structure.model import Structure
@@ -84,7 +84,7 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     pairs = _near(place, residue)
     own = _named_alike(structure, place, residue, pairs, own, twin)
     kept = _kept(structure, place, pairs, own)
-    of_residue = _by_residue(residue[pairs], kept, reference.n_residues)
+    of_residue = means_by(residue[pairs].ravel(), np.repeat(kept, 2), reference.n_residues)
     lddt = np.full(structure.n_residues, np.nan)
     lddt[found.model] = of_residue[found.reference]
     alpha = reference.atom_name[atoms] == "CA"
@@ -159,13 +159,6 @@ def _named_alike(
         np.bincount(its, _kept(structure, place, noted, names), minlength=n) for names in (own, twin)
     )
     return np.where((exchanged > as_named)[residue], twin, own)
-
-
-def _by_residue(residues: Integers, kept: Floats, n: int) -> Floats:
-    """Mean (n,) over the pairs of each residue; NaN where there is none."""
-    counts = np.bincount(residues.ravel(), minlength=n)
-    sums = np.bincount(residues.ravel(), np.repeat(kept, 2), minlength=n)
-    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
 
 def _mean(values: Floats) -> float:
