@@ -37,7 +37,7 @@ Act = Callable[[Structure], tuple[dict[str, Any], Floats | None]]
 
 
 class Task(Protocol):
-    """What is done to every frame; pickled once for each process."""
+    """What is done to every frame, a frozen value; pickled once for each process."""
 
     @property
     def name(self) -> str: ...  # noqa: D102 (of a protocol)
@@ -54,13 +54,6 @@ class Task(Protocol):
 
     def settings(self) -> dict[str, Any]:
         """Plain values on which the rows depend."""
-
-
-class _Plain:
-    """Base of tasks that are frozen values."""
-
-    def settings(self) -> dict[str, Any]:
-        """Plain values on which the rows depend."""
         found = dict[str, Any]()
         for name, value in vars(self).items():
             if isinstance(value, Setup | RelaxSettings):
@@ -71,7 +64,7 @@ class _Plain:
 
 
 @dataclass(frozen=True)
-class RelaxFrames(_Plain):
+class RelaxFrames(Task):
     """Relax each frame: :func:`protochain.relax`, with one energy for all."""
 
     relaxing: RelaxSettings
@@ -105,7 +98,7 @@ class RelaxFrames(_Plain):
 
 
 @dataclass(frozen=True)
-class ValidateFrames(_Plain):
+class ValidateFrames(Task):
     """What is wrong with each frame, and its likeness to a reference, as :func:`protochain.validate`."""
 
     setup: Setup
@@ -131,7 +124,7 @@ class ValidateFrames(_Plain):
 
 
 @dataclass(frozen=True)
-class EnergyFrames(_Plain):
+class EnergyFrames(Task):
     """Tell what the energy of each frame is made of, as :func:`protochain.energy_terms` by term."""
 
     setup: Setup
@@ -171,7 +164,7 @@ class EnergyFrames(_Plain):
 
 
 @dataclass(frozen=True)
-class ScoreFrames(_Plain):
+class ScoreFrames(Task):
     """Score an interface of each frame, as :func:`protochain.score_interface`."""
 
     setup: Setup

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from protochain.comparison.differences import Differences
-from protochain.core.arrays import Floats
+from protochain.core.arrays import Floats, means_by
 from protochain.energies.decomposed import TERMS, decomposed, native_of
 from protochain.energies.protocol import Energy
 from protochain.results.columns import heading
@@ -62,7 +62,4 @@ def _of_residues(structure: Structure, changes: Differences, column: str) -> Flo
 def _mean_b_factor(structure: Structure) -> Floats:
     """Mean of the heavy atoms of each residue; NaN of one without any."""
     heavy = structure.atom_element != "H"
-    of, n = structure.atom_residue[heavy], structure.n_residues
-    counts = np.bincount(of, minlength=n)
-    total = np.bincount(of, structure.b_factor[heavy], n)
-    return np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
+    return means_by(structure.atom_residue[heavy], structure.b_factor[heavy], structure.n_residues)

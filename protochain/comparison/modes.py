@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import xlogy
 
 from protochain.chains.chain import Chain, pose
-from protochain.core.arrays import Floats, Value
+from protochain.core.arrays import Floats, Value, means_by
 from protochain.core.checks import quantity
 from protochain.core.errors import Argument, ProtochainError, refused
 from protochain.core.units import ANGSTROM_PER_NM, LIGHT, MOLAR_GAS, MOLAR_PLANCK
@@ -247,8 +247,7 @@ class NormalModes(Value):
         alpha = s.alpha_carbons
         of = s.atom_residue[alpha]
         heavy = s.atom_element != "H"
-        counts = np.bincount(s.atom_residue[heavy], minlength=s.n_residues)
-        sums = np.bincount(s.atom_residue[heavy], squares[heavy], minlength=s.n_residues)
+        means = means_by(s.atom_residue[heavy], squares[heavy], s.n_residues)
         return pd.DataFrame(
             {
                 "chain": s.residue_chain[of],
@@ -256,7 +255,7 @@ class NormalModes(Value):
                 "name": s.residue_name[of],
                 "ca_fluctuation_angstrom": np.sqrt(squares[alpha]),
                 "ca_b_factor_angstrom2": _B * squares[alpha],
-                "b_factor_angstrom2": _B * (sums / np.maximum(counts, 1))[of],
+                "b_factor_angstrom2": _B * means[of],
                 "ca_b_factor_in_file_angstrom2": s.b_factor[alpha],
             }
         )

@@ -6,8 +6,9 @@ import numpy as np
 
 from protochain.chains.chain import Chain
 from protochain.chains.contacts import overlaps
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, angle, distance
 from protochain.core.checks import checked, instance
+from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.minimisers import Solution
 from protochain.structure import Structure, as_structure, ca_rmsd
@@ -87,26 +88,11 @@ def radius_of_gyration(structure: Structure) -> float:
 
 
 def _bond_lengths(structure: Structure) -> Floats:
-    first, second = structure.bonds.T
-    return np.linalg.norm(structure.positions[first] - structure.positions[second], axis=1)
+    return distance(*structure.positions[structure.bonds.T])
 
 
 def _bond_angles(structure: Structure) -> Floats:
-    triples = _triples(structure)
-    x = structure.positions
-    u, v = x[triples[:, 0]] - x[triples[:, 1]], x[triples[:, 2]] - x[triples[:, 1]]
-    return np.arctan2(np.linalg.norm(np.cross(u, v), axis=1), np.sum(u * v, axis=1))
-
-
-def _triples(structure: Structure) -> Integers:
-    """Atoms (n, 3) of every bond angle, its vertex in the middle."""
-    found = [
-        (a, b, c)
-        for b, around in enumerate(structure.neighbours)
-        for i, a in enumerate(around)
-        for c in around[i + 1 :]
-    ]
-    return np.array(found, dtype=np.int64).reshape(-1, 3)
+    return angle(*structure.positions[bond_angles(structure.bonds, structure.n_atoms).T])
 
 
 def _root_mean_square(values: Floats) -> float:

@@ -1,4 +1,4 @@
-"""Array types shared by all modules, read-only copies and views of arrays, and values that hold them."""
+"""Array types shared by all modules, read-only arrays, values that hold them, and vectors and angles."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
@@ -103,3 +103,20 @@ def sphere(n: int) -> Floats:
 def dots(a: Floats, b: Floats) -> Floats:
     """Scalar products (...) of vectors (..., 3), bit for bit those of ``a[k] @ b[k]``."""
     return np.asarray((a[..., None, :] @ b[..., :, None])[..., 0, 0])
+
+
+def means_by(of: Integers, values: Floats, n: int) -> Floats:
+    """Means (n,) of the values (m,) of each of n groups, ``of`` (m,) their groups; NaN of empty ones."""
+    counts = np.bincount(of, minlength=n)
+    return np.asarray(np.bincount(of, values, n) / np.where(counts, counts, np.nan))
+
+
+def distance(a: Floats, b: Floats) -> Floats:
+    """Distances of points (..., 3)."""
+    return np.asarray(np.linalg.norm(a - b, axis=-1))
+
+
+def angle(a: Floats, b: Floats, c: Floats) -> Floats:
+    """Angles at the middle ones b of points (..., 3), rad."""
+    u, v = a - b, c - b
+    return np.asarray(np.arctan2(np.linalg.norm(cross(u, v), axis=-1), (u * v).sum(axis=-1)))

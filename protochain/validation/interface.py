@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.arrays import Floats, Integers, Value, means_by
 from protochain.core.checks import checked, file_name, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.graph import both_ways
@@ -501,10 +501,7 @@ def _confidences(
     if given is None and "_ma_" not in structure.header:
         return dict.fromkeys(CONFIDENCES)
     heavy = structure.atom_element != "H"
-    of = structure.atom_residue[heavy]
-    per_residue = np.bincount(of, structure.b_factor[heavy], structure.n_residues) / np.maximum(
-        np.bincount(of, minlength=structure.n_residues), 1
-    )
+    per_residue = means_by(structure.atom_residue[heavy], structure.b_factor[heavy], structure.n_residues)
     # Some programs write shares.
     scale = 100.0 if np.nanmax(per_residue, initial=0.0) <= 1.0 else 1.0
     near, plddt = _near_betas(structure, parts), scale * structure.b_factor

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.arrays import Floats, Integers, Value, distance, means_by, read_only
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.matching import Match, match, tm_score
 from protochain.structure.model import Structure
@@ -84,19 +84,19 @@ def likeness(structure: Structure, reference: Structure) -> Likeness:
     pairs = _near(place, residue)
     own = _named_alike(structure, place, residue, pairs, own, twin)
     kept = _kept(structure, place, pairs, own)
-    of_residue = _by_residue(residue[pairs], kept, reference.n_residues)
+    of_residue = means_by(residue[pairs].ravel(), np.repeat(kept, 2), reference.n_residues)
     lddt = np.full(structure.n_residues, np.nan)
     lddt[found.model] = of_residue[found.reference]
     alpha = reference.atom_name[atoms] == "CA"
     of_alphas = alpha[pairs].all(axis=1)
-    there = own != NONE
+    there, ours, theirs = own != NONE, structure.positions[own], reference.positions[atoms]
     score = tm_score(reference, structure, found)
     values = {
         "lddt": _mean(kept),
         "lddt_ca": _mean(kept[of_alphas]),
         "tm_score": score,
-        "ca_rmsd_to_reference_angstrom": _rmsd(structure, reference, atoms, own, there & alpha),
-        "heavy_rmsd_to_reference_angstrom": _rmsd(structure, reference, atoms, own, there),
+        "ca_rmsd_to_reference_angstrom": rmsd_angstrom(ours[there & alpha], theirs[there & alpha]),
+        "heavy_rmsd_to_reference_angstrom": rmsd_angstrom(ours[there], theirs[there]),
         "matched_percent": 100.0 * found.coverage,
     }
     plain = {name: float(value) if np.isfinite(value) else None for name, value in values.items()}
@@ -142,13 +142,9 @@ def _kept(structure: Structure, place: Floats, pairs: Integers, own: Integers) -
     """Fraction (n,) of the tolerances within which the distance of each pair agrees."""
     x = ANGSTROM_PER_NM * structure.positions
     i, j = pairs.T
-    off = np.abs(_apart(x[own[i]], x[own[j]]) - _apart(place[i], place[j]))
+    off = np.abs(distance(x[own[i]], x[own[j]]) - distance(place[i], place[j]))
     off[(own[i] == NONE) | (own[j] == NONE)] = np.inf
     return np.asarray(sum((off <= tolerance) * 0.25 for tolerance in _TOLERANCES), dtype=float)
-
-
-def _apart(a: Floats, b: Floats) -> Floats:
-    return np.asarray(np.sqrt(((a - b) ** 2).sum(axis=1)))
 
 
 def _named_alike(
@@ -165,20 +161,5 @@ def _named_alike(
     return np.where((exchanged > as_named)[residue], twin, own)
 
 
-def _by_residue(residues: Integers, kept: Floats, n: int) -> Floats:
-    """Mean (n,) over the pairs of each residue; NaN where there is none."""
-    counts = np.bincount(residues.ravel(), minlength=n)
-    sums = np.bincount(residues.ravel(), np.repeat(kept, 2), minlength=n)
-    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
-
-
 def _mean(values: Floats) -> float:
     return float(values.mean()) if len(values) else float("nan")
-
-
-def _rmsd(
-    structure: Structure, reference: Structure, atoms: Integers, own: Integers, which: NDArray[np.bool_]
-) -> float:
-    if not which.any():
-        return float("nan")
-    return rmsd_angstrom(structure.positions[own[which]], reference.positions[atoms[which]])

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, Value, cross, read_only
+from protochain.core.arrays import Floats, Integers, Value, angle, distance, read_only
 from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure, of_atoms
@@ -56,8 +56,8 @@ class Strain(Value):
             The positions measured; by default the structure's own.
         """
         x = structure.positions if x is None else x
-        lengths = ANGSTROM_PER_NM * _lengths(self.bonds, x)
-        degrees = np.degrees(_angles(self.angles, x))
+        lengths = ANGSTROM_PER_NM * distance(*x[self.bonds.T])
+        degrees = np.degrees(angle(*x[self.angles.T]))
         found = [
             f"bond of {structure.describe(i)} and {structure.describe(j)} is {value:.2f} angstrom long, "
             f"{by:+.1f} standard deviations"
@@ -103,8 +103,8 @@ def strain(structure: Structure, x: Floats | None = None) -> Strain:
     """
     x = positions(structure, x)
     terms = _terms(structure)
-    bonds, by_bond = _outliers(terms.bonds, _lengths(terms.bonds, x), terms.lengths)
-    angles, by_angle = _outliers(terms.triples, _angles(terms.triples, x), terms.angles)
+    bonds, by_bond = _outliers(terms.bonds, distance(*x[terms.bonds.T]), terms.lengths)
+    angles, by_angle = _outliers(terms.triples, angle(*x[terms.triples.T]), terms.angles)
     return Strain(bonds, by_bond, angles, by_angle, len(terms.bonds), len(terms.triples))
 
 
@@ -113,17 +113,6 @@ def _outliers(atoms: Integers, values: Floats, norms: Floats) -> tuple[Integers,
     far = np.flatnonzero(np.abs(off) > BEYOND)
     far = far[np.argsort(-np.abs(off[far]), kind="stable")]
     return read_only(atoms[far], np.int64), read_only(off[far])
-
-
-def _lengths(bonds: Integers, x: Floats) -> Floats:
-    return np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
-
-
-def _angles(triples: Integers, x: Floats) -> Floats:
-    """Angles (n,) at the middle atoms, rad."""
-    u, v = (x[triples[:, k]] - x[triples[:, 1]] for k in (0, 2))
-    across = np.linalg.norm(cross(u, v), axis=1)
-    return np.arctan2(across, (u * v).sum(axis=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.comparison.deviation import deviation
+from protochain.core.arrays import means_by
 from protochain.validation import LIKENESS, likeness
-from protochain.validation.likeness import _TWINS, _by_residue
+from protochain.validation.likeness import _TWINS
 
 MODULE = sys.modules["protochain.validation.likeness"]
 """Its name in the package is that of the function."""
@@ -138,5 +139,5 @@ def test_a_reference_of_c_alphas_alone_is_enough():
 
 
 def test_a_residue_without_pairs_has_no_share_of_them():
-    found = _by_residue(np.array([[0, 1], [1, 0]]), np.array([1.0, 0.0]), 3)
+    found = means_by(np.array([0, 1, 1, 0]), np.array([1.0, 1.0, 0.0, 0.0]), 3)
     assert found[:2].tolist() == [0.5, 0.5] and np.isnan(found[2])

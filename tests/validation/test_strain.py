@@ -8,8 +8,9 @@ from fixtures.oracles import angles as slow_angles
 from fixtures.samples import load, shared
 
 import protochain as pc
+from protochain.core.arrays import angle, distance
 from protochain.validation.rings import threaded_rings
-from protochain.validation.strain import _angles, _lengths, _terms, strain
+from protochain.validation.strain import _terms, strain
 from protochain.validation.violations import violations
 
 RT = 8.314462618e-3 * 300.0
@@ -21,9 +22,9 @@ def test_terms_are_those_of_the_force_field(name):
     s = load(name)
     terms = _terms(s, hydrogens=True)
     parts = pc.energy(s, engine="openmm", solvent="vacuum").parts(s.positions)[0]
-    z = (_lengths(terms.bonds, s.positions) - terms.lengths[:, 0]) / terms.lengths[:, 1]
+    z = (distance(*s.positions[terms.bonds.T]) - terms.lengths[:, 0]) / terms.lengths[:, 1]
     assert 0.5 * RT * (z**2).sum() == pytest.approx(parts["HarmonicBondForce"], rel=1e-6)
-    z = (_angles(terms.triples, s.positions) - terms.angles[:, 0]) / terms.angles[:, 1]
+    z = (angle(*s.positions[terms.triples.T]) - terms.angles[:, 0]) / terms.angles[:, 1]
     assert 0.5 * RT * (z**2).sum() == pytest.approx(parts["HarmonicAngleForce"], rel=1e-6)
 
 
@@ -36,7 +37,7 @@ def test_every_bond_and_angle_of_heavy_atoms_is_compared(name):
     ours = {(min(i, k), j, max(i, k)) for i, j, k in _terms(s).triples.tolist()}
     assert ours == {(min(i, k), j, max(i, k)) for i, j, k in triples.tolist()}
     theirs = np.sort(slow_angles(triples, s.positions))
-    assert np.sort(_angles(_terms(s).triples, s.positions)) == pytest.approx(theirs)
+    assert np.sort(angle(*s.positions[_terms(s).triples.T])) == pytest.approx(theirs)
 
 
 def test_molecules_beside_the_protein_are_left_out():

@@ -1,7 +1,6 @@
 """What an impact asks of bodies, rigid ones or such that bend: velocities, and what impulses change."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -11,27 +10,6 @@ from protochain.mechanics.multibody.kinematics import velocities
 from protochain.mechanics.multibody.operational import Rows, operational_inverse
 from protochain.mechanisms.flexible import dynamics as flexible_dynamics
 from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend
-
-
-class Bodies(Protocol):
-    """Bodies at one pose; those that bend count node by node."""
-
-    @property
-    def n_v(self) -> int:
-        """Number of freedoms."""
-
-    @property
-    def origin(self) -> Floats:
-        """(nb, 3) float: points to which twists and wrenches belong."""
-
-    def twists(self, qd: Floats) -> Floats:
-        """(nb, 6) float: twists for velocities (n_v,)."""
-
-    def change(self, wrench: Floats) -> Floats:
-        """(n_v,) float: change of the velocities by impulses (nb, 6) on the bodies."""
-
-    def inverse(self, rows: Rows) -> Floats:
-        """(m, m) float: inverse inertia G M^-1 G^T of rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +92,11 @@ class Bending(Value):
         return found
 
 
-def bodies_of(given: "Articulated | Bending") -> Bodies:
+Bodies = RigidBodies | Bending
+"""Bodies at one pose; those that bend count node by node."""
+
+
+def bodies_of(given: Articulated | Bending) -> Bodies:
     """Bodies, of what an impact is given."""
     return given if isinstance(given, Bending) else RigidBodies(given)
 
