@@ -191,6 +191,29 @@ def test_a_new_batch_without_a_row_leaves_nothing_whatever_is_missing_already(tm
         assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.parametrize("name", ["summary", "relaxed"])
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_refusal_leaves_a_table_of_another_kind_as_it_is(name, resume, tmp_path):
+    """Which is replaced if that is asked for; and so does one that fails the traces of something else."""
+    first = Tables(tmp_path, resume=False, name=name)
+    first.finished([])
+    first.append(rows(JOBS[0]))
+    first.close()
+    (tmp_path / "settings.json").write_text("{}")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    other = {"summary": "relaxed", "relaxed": "summary"}[name]
+    with pytest.raises(pc.ProtochainError, match=rf"{name}\.csv: holds a batch; give another folder"):
+        Tables(tmp_path, resume, other)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    Tables(tmp_path, resume=False, name=other, force=True).close()
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "traces.csv").write_text("of something else\n")
+    made = Tables(tmp_path, resume, other)
+    made.abandon()
+    made.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["traces.csv"]
+
+
 def test_names_that_look_like_numbers_stay_text_and_counts_stay_whole(tmp_path):
     path = tmp_path / "summary.csv"
     counts = [name for name in COLUMNS if name.startswith("n_")]
