@@ -202,11 +202,15 @@ def _source(row: Mapping[str, object]) -> tuple[str, str]:
     return str(row["input"]), str(row["model"])
 
 
-def read_table(path: Path) -> "pd.DataFrame":
-    """Read a table of a batch."""
+def read_table(path: Path, types: Mapping[str, str] = _TYPES) -> "pd.DataFrame":
+    """Read a table of a batch, or of frames, with kinds of columns; names of structures may be NA or null."""
     import pandas as pd
 
-    table = pd.read_csv(path, dtype=_TYPES)
+    missing = {
+        name: ["", *(() if types.get(name) == "string" else ("nan",))]
+        for name in pd.read_csv(path, nrows=0).columns
+    }
+    table = pd.read_csv(path, dtype={**types}, keep_default_na=False, na_values=missing)
     return table.copy()  # A block for each of a hundred columns, as read, would be slow, pandas warns.
 
 

@@ -14,6 +14,7 @@ from fixtures.samples import load
 from matplotlib.image import imread
 
 import protochain as pc
+from protochain.batches.frame_files import FramesRun
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
 from protochain.batches.report import worst_first, write_report
@@ -237,6 +238,20 @@ def test_names_that_look_like_numbers_stay_text_and_counts_stay_whole(tmp_path):
     table.to_parquet(tmp_path / "table.parquet", index=False)
     for each in (table, pd.read_parquet(tmp_path / "table.parquet")):
         assert {str(each[name].dtype) for name in whole} == {"Int64"}
+
+
+@pytest.mark.parametrize("name", ["NA", "nan", "null", "None", "007"])
+def test_names_that_look_like_nothing_stay_and_numbers_that_are_none_are_missing(name, tables):
+    job = Job(name, Path(f"/in/{name}.pdb"), TWO, "key")
+    tables.append(rows(job))
+    tables.summary.write_text(tables.summary.read_text() + line(job, "kcm", seconds="nan"))
+    read, frames = tables.read(), FramesRun(tables.summary).table
+    assert read["structure"].tolist() == frames["structure"].tolist() == [name] * 3
+    for each in (read, frames, read_table(tables.traces)):
+        assert all(each[name].isna().all() for name in ("output", "n_atoms") if name in each)
+        assert str(each["seconds"].dtype) == "float64"
+    assert read["energy_end_kj_mol"].isna().all() and read["seconds"].isna().tolist() == [False, False, True]
+    assert read_table(tables.traces)["structure"].tolist() == [name] * 2
 
 
 def points(*values):
