@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from protochain.batches.batch_settings import keep_settings
 from protochain.batches.cluster import Processes, Submitted, Workers, at_work
 from protochain.batches.jobs import NAMES, BatchSettings, Job, Row, find_jobs, refuse_unknown
-from protochain.batches.table import OF_INTERFACE, SUMMARY, Tables, earlier_rows, read_table
+from protochain.batches.table import OF_INTERFACE, RELAXED, SUMMARY, Tables, earlier_rows, read_table
 from protochain.batches.task import Task
 from protochain.chains.setup import Setup
 from protochain.core import defaults
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 
 _AHEAD = 4
 """Jobs handed out for each that is done at a time: enough to keep all workers busy."""
-
-RELAXED = "relaxed"
-"""Stem of the name of the table of relaxed structures."""
 
 _RECOUNT = 5.0
 """s between counts of the workers: a cluster may grow."""

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from protochain.batches.cluster import Processes
 from protochain.batches.frame_tasks import GAP, Task
 from protochain.batches.frames import FrameResult, over_frames
-from protochain.batches.table import lines, saved
+from protochain.batches.table import lines, read_table, saved
 from protochain.core.checkpoints import Checkpoint, checkpoint, write_checkpoint
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
@@ -55,10 +55,7 @@ class FramesRun:
     @cached_property
     def table(self) -> "pd.DataFrame":
         """The rows."""
-        import pandas as pd
-
-        table = pd.read_csv(self.csv, dtype=dict.fromkeys(("status", "message"), "string"))
-        return table.copy()  # in one block of each kind: pandas reads a block a column
+        return read_table(self.csv, dict.fromkeys(("structure", "status", "message"), "string"))
 
 
 def files_of(table: Path, trajectory: Path | None) -> list[Path]:

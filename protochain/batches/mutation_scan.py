@@ -173,7 +173,7 @@ def run_scan(
         if table.exists():
             numbers = [each.key for each in COLUMNS if each.kind is not str]
             read: Any = pd.read_csv(
-                table, dtype=dict.fromkeys(_SITE, "str"), keep_default_na=False,
+                table, dtype=dict.fromkeys((*_SITE, "structure"), "str"), keep_default_na=False,
                 na_values={name: [""] for name in numbers},
             )  # fmt: skip
             rows = read.to_dict("records")
@@ -188,14 +188,15 @@ def run_scan(
         its = structure.residue(r)
         letters = "".join(each for each in letters if (its.chain, its.number, each) not in done)
         left += [(r, letters)] if letters else []
-    write_checkpoint(begun, {}, None, settings)
     total, interrupted = len(rows) + sum(len(letters) for _, letters in left), False
 
     def keep() -> "pd.DataFrame":
-        found = pd.DataFrame(sorted(rows, key=order))
+        found = pd.DataFrame(sorted(rows, key=order), columns=[*_SITE, *(each.key for each in COLUMNS)])
         write_atomically(table, lambda to: found.to_csv(to, index=False))
         return found
 
+    keep()  # In place of an earlier table, whose rows would be taken for those of this scan.
+    write_checkpoint(begun, {}, None, settings)
     try:
         for row in rows_of(structure, left, relaxing, setup, processes):
             with held_interrupts() as signals:

@@ -68,8 +68,8 @@ _NUMBERS: dict[str, Callable[[str], float]] = {
 """What reads a number of a column."""
 
 
-SUMMARY, _TRACES = "summary", "traces.csv"
-"""Stem of the name of a batch's table; name of that of its traces."""
+SUMMARY, RELAXED, _TRACES = "summary", "relaxed", "traces.csv"
+"""Stems of the names of tables, of a batch and of relaxed structures; name of that of traces."""
 
 
 def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
@@ -98,13 +98,17 @@ class Tables:
         check_writable(self.summary)
         self.folder, self._claim = folder, ExitStack()
         self._claim.enter_context(claimed(folder, "batch", resume))
+        other = folder / f"{RELAXED if name == SUMMARY else SUMMARY}.csv"
+        files = self.summary, self.traces, folder / SETTINGS
         if force and not resume:
-            self._remove()
-        self._is_new = not self.summary.exists()
-        if not (self._is_new or resume):
+            _remove((*files, other, other.with_suffix(".parquet")))
+        self._new = [file for file in files if not file.exists()]
+        if other.exists() or not (self.summary in self._new or resume):
             self.close()
+            # Of two tables in a folder, each would have the other's settings and traces.
+            how = ("give another folder; ",) if other.exists() else (Argument("resume", True), " continues it, ")
             raise ProtochainError(
-                f"{self.summary}: holds a batch; ", Argument("resume", True), " continues it, ",
+                f"{other if other.exists() else self.summary}: holds a batch; ", *how,
                 Argument("force", True), " replaces it",
             )  # fmt: skip
         minimised = COLUMNS if {*methods} != {RELAX} else ()
@@ -170,17 +174,17 @@ class Tables:
 
     def abandon(self) -> None:
         """Remove a new batch without a row, which would keep the next one from the folder."""
-        if self._is_new and not next(iter(_whole_lines(self.summary)), None):
-            self._remove()
-
-    def _remove(self) -> None:
-        """Remove the tables, and the settings that they are of."""
-        for file in (self.summary, self.traces, self.folder / SETTINGS):
-            file.unlink(missing_ok=True)
+        if self.summary in self._new and not next(iter(_whole_lines(self.summary)), None):
+            _remove(self._new)
 
     def close(self) -> None:
         """Let others have the folder."""
         self._claim.close()
+
+
+def _remove(files: Iterable[Path]) -> None:
+    for file in files:
+        file.unlink(missing_ok=True)
 
 
 def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
@@ -198,11 +202,15 @@ def _source(row: Mapping[str, object]) -> tuple[str, str]:
     return str(row["input"]), str(row["model"])
 
 
-def read_table(path: Path) -> "pd.DataFrame":
-    """Read a table of a batch."""
+def read_table(path: Path, types: Mapping[str, str] = _TYPES) -> "pd.DataFrame":
+    """Read a table of a batch, or of frames, with kinds of columns; names of structures may be NA or null."""
     import pandas as pd
 
-    table = pd.read_csv(path, dtype=_TYPES)
+    missing = {
+        name: ["", *(() if types.get(name) == "string" else ("nan",))]
+        for name in pd.read_csv(path, nrows=0).columns
+    }
+    table = pd.read_csv(path, dtype={**types}, keep_default_na=False, na_values=missing)
     return table.copy()  # A block for each of a hundred columns, as read, would be slow, pandas warns.
 
 

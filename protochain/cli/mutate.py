@@ -133,6 +133,7 @@ def _scan(
             found, interrupted = run_scan(
                 structure, sites, into, relaxing, setup, table, processes, resume, watch
             )  # fmt: skip
+    report = report if len(found) else None  # There is nothing to draw.
     if report:
         from protochain.results.page import write_scan
 

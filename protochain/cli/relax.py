@@ -213,9 +213,9 @@ def _several(
     force: bool,
 ) -> None:
     """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
-    from protochain.batches.batch_structures import RELAXED, relax_files
+    from protochain.batches.batch_structures import relax_files
     from protochain.batches.naming import poses_name
-    from protochain.batches.table import files_of
+    from protochain.batches.table import RELAXED, files_of
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
     from protochain.core.storage import write_text

@@ -14,6 +14,7 @@ from fixtures.samples import load
 from matplotlib.image import imread
 
 import protochain as pc
+from protochain.batches.frame_files import FramesRun
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
 from protochain.batches.report import worst_first, write_report
@@ -191,6 +192,29 @@ def test_a_new_batch_without_a_row_leaves_nothing_whatever_is_missing_already(tm
         assert not (tmp_path / "new").exists()
 
 
+@pytest.mark.parametrize("name", ["summary", "relaxed"])
+@pytest.mark.parametrize("resume", [False, True])
+def test_a_refusal_leaves_a_table_of_another_kind_as_it_is(name, resume, tmp_path):
+    """Which is replaced if that is asked for; and so does one that fails the traces of something else."""
+    first = Tables(tmp_path, resume=False, name=name)
+    first.finished([])
+    first.append(rows(JOBS[0]))
+    first.close()
+    (tmp_path / "settings.json").write_text("{}")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    other = {"summary": "relaxed", "relaxed": "summary"}[name]
+    with pytest.raises(pc.ProtochainError, match=rf"{name}\.csv: holds a batch; give another folder"):
+        Tables(tmp_path, resume, other)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    Tables(tmp_path, resume=False, name=other, force=True).close()
+    assert not list(tmp_path.iterdir())
+    (tmp_path / "traces.csv").write_text("of something else\n")
+    made = Tables(tmp_path, resume, other)
+    made.abandon()
+    made.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["traces.csv"]
+
+
 def test_names_that_look_like_numbers_stay_text_and_counts_stay_whole(tmp_path):
     path = tmp_path / "summary.csv"
     counts = [name for name in COLUMNS if name.startswith("n_")]
@@ -214,6 +238,20 @@ def test_names_that_look_like_numbers_stay_text_and_counts_stay_whole(tmp_path):
     table.to_parquet(tmp_path / "table.parquet", index=False)
     for each in (table, pd.read_parquet(tmp_path / "table.parquet")):
         assert {str(each[name].dtype) for name in whole} == {"Int64"}
+
+
+@pytest.mark.parametrize("name", ["NA", "nan", "null", "None", "007"])
+def test_names_that_look_like_nothing_stay_and_numbers_that_are_none_are_missing(name, tables):
+    job = Job(name, Path(f"/in/{name}.pdb"), TWO, "key")
+    tables.append(rows(job))
+    tables.summary.write_text(tables.summary.read_text() + line(job, "kcm", seconds="nan"))
+    read, frames = tables.read(), FramesRun(tables.summary).table
+    assert read["structure"].tolist() == frames["structure"].tolist() == [name] * 3
+    for each in (read, frames, read_table(tables.traces)):
+        assert all(each[name].isna().all() for name in ("output", "n_atoms") if name in each)
+        assert str(each["seconds"].dtype) == "float64"
+    assert read["energy_end_kj_mol"].isna().all() and read["seconds"].isna().tolist() == [False, False, True]
+    assert read_table(tables.traces)["structure"].tolist() == [name] * 2
 
 
 def points(*values):

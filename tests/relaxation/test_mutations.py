@@ -131,13 +131,24 @@ def test_a_scan_goes_on_after_a_stop(tmp_path, monkeypatch, leucine):
     given = ["mutate", source, "--scan", "A:7-8", "--workers", 1, "-o", "scan.csv", "--solvent", "vacuum"]
     first = mutation_scan.rows_of
 
+    def at_once(*arguments):
+        raise KeyboardInterrupt
+        yield
+
     def stopped(*arguments):
         yield next(first(*arguments))
         raise KeyboardInterrupt
 
+    # Of another scan that is complete: none of its rows are of this one.
+    (tmp_path / "scan.csv").write_text("chain,residue,wild,mutant\nA,7,L,A\n")
+    monkeypatch.setattr(mutation_scan, "rows_of", at_once)
+    assert run(*given, "--report", "scan.html") == 130
+    assert len(pd.read_csv("scan.csv")) == 0 and not (tmp_path / "scan.html").exists()
+    given += ["--resume"]
     monkeypatch.setattr(mutation_scan, "rows_of", stopped)
     assert run(*given) == 130
     assert pd.read_csv("scan.csv")["mutations"].tolist() == ["A:L7A"]
+    given.pop()
     monkeypatch.setattr(mutation_scan, "rows_of", first)
     assert "holds an interrupted scan" in refusal_as_said(*given)
     assert "--into" in refusal_as_said(*given, "--into", "V", "--resume")
