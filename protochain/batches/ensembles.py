@@ -9,9 +9,8 @@ from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.spatial.distance import squareform
 
 from protochain.batches.frames import ensemble_of
-from protochain.chains.chain import dihedrals
 from protochain.chains.setup import Setup
-from protochain.core.arrays import Floats, Integers, Value, read_only
+from protochain.core.arrays import Floats, Integers, Value, dihedral, read_only
 from protochain.core.checks import checked, limited, number, one_of, optional, selection
 from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
@@ -170,7 +169,7 @@ def _backbone(structure: Structure) -> Integers:
 
 def _turns(x: list[Floats], fours: Integers) -> Floats:
     """(m, m) root mean square of the differences of dihedrals, degrees."""
-    q = np.array([dihedrals(each[fours]) for each in x])
+    q = np.array([dihedral(*each[fours.T]) for each in x])
     off = np.zeros((len(q), len(q)))
     for i in range(len(q)):
         turn = q - q[i]

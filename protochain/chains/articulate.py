@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from protochain.chains.chain import Chain, dihedrals
+from protochain.chains.chain import Chain
 from protochain.chains.hinges import HINGES, Hinge, cross_links, find_hinges, turning_hinges
 from protochain.core import defaults
-from protochain.core.arrays import Floats, Integers, cross, dots, read_only
+from protochain.core.arrays import Floats, Integers, angle, cross, dihedral, dots, read_only
 from protochain.core.checks import checked, kinds, one_of, quantity, selection
 from protochain.core.errors import Argument, ChainError
 from protochain.core.graph import components, grouped
@@ -329,13 +329,12 @@ def _axes(x: Floats, bodies: Sequence[_Body]) -> tuple[Floats, Integers, Floats]
     of = [body.hinge.atoms for body in bodies if body.hinge]
     axis, at, q = x[ends[:, 1]] - x[ends[:, 0]], ends[:, 1], np.empty(len(of))
     bent = np.array([len(atoms) == 3 for atoms in of], dtype=bool)
-    q[~bent] = dihedrals(x[np.array([atoms for atoms in of if len(atoms) == 4], int).reshape(-1, 4)])
+    q[~bent] = dihedral(*x[np.array([atoms for atoms in of if len(atoms) == 4], int).reshape(-1, 4).T])
     before, middle, after = np.array([atoms for atoms in of if len(atoms) == 3], int).reshape(-1, 3).T
-    u, v = x[before] - x[middle], x[after] - x[middle]
-    normal = cross(u, v)
+    normal = cross(x[before] - x[middle], x[after] - x[middle])
     outward = ends[bent, 0] == middle
-    axis[bent], at[bent] = np.where(outward[:, None], normal, cross(v, u)), middle
-    q[bent] = np.arctan2(np.sqrt(dots(normal, normal)), dots(u, v))
+    axis[bent], at[bent] = np.where(outward[:, None], normal, -normal), middle
+    q[bent] = angle(x[before], x[middle], x[after])
     return axis, at, q
 
 

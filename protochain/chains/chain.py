@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.chains.hinges import Hinge
-from protochain.core.arrays import Floats, Integers, Value, dots, floats, frozen, read_only
-from protochain.core.arrays import cross as vector_product
+from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
 from protochain.core.checks import instance, number, text
 from protochain.core.errors import ChainError
 from protochain.mechanics import multibody
@@ -328,18 +327,6 @@ def log_det_mass(chain: Chain, pose: Pose, method: multibody.Method = "articulat
     True
     """
     return multibody.log_det_mass(_chain(chain, "chain").tree, _pose(pose, "pose").frames, method)
-
-
-def dihedral(x: Floats) -> float:
-    """Dihedral of four points x (4, 3) from -pi to pi, IUPAC sign, by atan2, accurate at every angle."""
-    return float(dihedrals(np.asarray(x)[None])[0])
-
-
-def dihedrals(x: Floats) -> Floats:
-    """Dihedral angles (n,) in rad of fours of points (n, 4, 3), as of :func:`dihedral`."""
-    b1, b2, b3 = np.moveaxis(np.diff(x, axis=1), 1, 0)
-    n1, n2 = vector_product(b1, b2), vector_product(b2, b3)
-    return np.asarray(np.arctan2(np.sqrt(dots(b2, b2)) * dots(b1, n2), dots(n1, n2)))
 
 
 @kernel

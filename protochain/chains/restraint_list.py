@@ -7,9 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from protochain.chains.chain import dihedrals
 from protochain.chains.restraint_lines import PLACES, Restraint, read_restraints
-from protochain.core.arrays import Floats, Integers, Value, cross, dots, read_only
+from protochain.core.arrays import Floats, Integers, Value, dihedral, dihedral_slopes, dots, read_only
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.dihedrals import finder
@@ -59,7 +58,7 @@ class Restraints(Value):
         n = len(self.listed)
         found = np.zeros(n) + np.bincount(self.of_pair, self._inverse(x)[0], n)
         found[self.of_pair] = found[self.of_pair] ** (-1.0 / 6.0)
-        found[self.of_four] = dihedrals(x[self.fours]) if len(self.fours) else 0.0
+        found[self.of_four] = dihedral(*x[self.fours.T])
         return np.asarray(found)
 
     def _inverse(self, x: Floats) -> tuple[Floats, Floats]:
@@ -81,10 +80,10 @@ class Restraints(Value):
             pull = (-slope * share * distance[self.of_pair] * np.cbrt(r6))[:, None] * across
             forces += _at(self.pairs[:, 0], pull, len(x)) - _at(self.pairs[:, 1], pull, len(x))
         if len(self.fours):
-            energy, slope = self._outside(dihedrals(x[self.fours]), self.of_four, np.pi / 180.0, turns=True)
+            energy, slope = self._outside(dihedral(*x[self.fours.T]), self.of_four, np.pi / 180.0, turns=True)
             value += float(energy.sum())
-            for k, gradient in enumerate(_gradients(x[self.fours])):
-                forces -= _at(self.fours[:, k], slope[:, None] * gradient, len(x))
+            pull = slope[:, None, None] * dihedral_slopes(x[self.fours])
+            forces -= _at(self.fours.ravel(), pull.reshape(-1, 3), len(x))
         if len(self.atoms):
             away = x[self.atoms] - self.home[self.atoms]
             distance = np.linalg.norm(away, axis=1)
@@ -113,18 +112,6 @@ class Restraints(Value):
 def _at(atoms: Integers, pull: Floats, n: int) -> Floats:
     """Sums (n, 3) of vectors (m, 3) at atoms (m,)."""
     return np.column_stack([np.bincount(atoms, each, n) for each in pull.T])
-
-
-def _gradients(x: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Gradients (m, 3) of dihedrals by their four points x (m, 4, 3), as of Blondel and Karplus (1996)."""
-    f, g, h = x[:, 0] - x[:, 1], x[:, 1] - x[:, 2], x[:, 3] - x[:, 2]
-    a, b = cross(f, g), cross(h, g)
-    length = np.sqrt(dots(g, g))
-    na = a / np.maximum(dots(a, a), 1e-12)[:, None]
-    nb = b / np.maximum(dots(b, b), 1e-12)[:, None]
-    first, last = -length[:, None] * na, length[:, None] * nb
-    shared = (dots(f, g) / length)[:, None] * na - (dots(h, g) / length)[:, None] * nb
-    return first, shared - first, -shared - last, last
 
 
 def _groups(structure: Structure, each: Restraint) -> list[Integers]:

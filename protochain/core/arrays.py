@@ -120,3 +120,23 @@ def angle(a: Floats, b: Floats, c: Floats) -> Floats:
     """Angles at the middle ones b of points (..., 3), rad."""
     u, v = a - b, c - b
     return np.asarray(np.arctan2(np.linalg.norm(cross(u, v), axis=-1), (u * v).sum(axis=-1)))
+
+
+def dihedral(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
+    """Dihedrals of points (..., 3), rad, -pi to pi, with the sign of IUPAC; accurate at every angle."""
+    first, axis, last = b - a, c - b, d - c
+    one, other = cross(first, axis), cross(axis, last)
+    return np.asarray(np.arctan2(np.sqrt(dots(axis, axis)) * dots(first, other), dots(one, other)))
+
+
+def dihedral_slopes(x: Floats, shortest: float = 1e-4) -> Floats:
+    """Gradients (n, 4, 3) of dihedrals of points x (n, 4, 3): Blondel, Karplus, JCC 17:1132 (1996)."""
+    # Bonds shorter than the shortest, and points as near to a line, turn no faster.
+    f, g, h = x[:, 0] - x[:, 1], x[:, 1] - x[:, 2], x[:, 3] - x[:, 2]
+    length = np.maximum(np.sqrt(dots(g, g)), shortest)[:, None]
+    a, b = cross(f, g), cross(h, g)
+    a /= np.maximum(dots(a, a), shortest**4)[:, None]
+    b /= np.maximum(dots(b, b), shortest**4)[:, None]
+    between = (dots(f, g)[:, None] * a - dots(h, g)[:, None] * b) / length
+    first, last = -length * a, length * b
+    return np.stack([first, between - first, -between - last, last], axis=1)

@@ -8,7 +8,7 @@ and pairs of which either has half: half of these, and what is within a residue,
 
 import re
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core import defaults
-from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.arrays import Floats, Integers, Value, angle, dihedral, distance
 from protochain.core.checks import checked, file_name, one_of, optional, text
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import given
@@ -386,7 +386,7 @@ def _exceptions(terms: Terms, x: Floats) -> dict[str, _Owned]:
     some = terms.nonbonded.exceptions
     counts = some.parameters.any(axis=1)
     atoms, (a, b, qq) = some.atoms[counts], some.parameters[counts].T
-    inverse2 = 1.0 / np.maximum(_squares(_between_atoms(x.T, *atoms.T)), CLOSEST)
+    inverse2 = 1.0 / np.maximum(distance(*x[atoms.T]) ** 2, CLOSEST)
     inverse6 = inverse2 * inverse2 * inverse2
     return {
         "lennard_jones": (atoms, (a * inverse6 - b) * inverse6),
@@ -396,75 +396,41 @@ def _exceptions(terms: Terms, x: Floats) -> dict[str, _Owned]:
 
 def _bonded(terms: Terms, x: Floats) -> dict[str, _Owned]:
     """Bonded energies, and the atoms that share each."""
-    of, rows = terms.bonded, np.ascontiguousarray(x.T)
-    lengths = {kind: _lengths(of[kind], rows) for kind in ("bonds", "ties")}
-    angles = {kind: _angles(of[kind], rows) for kind in ("angles", "tie angles")}
-    torsions, proper = of["torsions"], terms.is_proper
+    of, proper = terms.bonded, terms.is_proper
+
+    def springs(kind: str, measure: Callable[..., Floats]) -> Floats:
+        rest, k = of[kind].parameters.T
+        return np.asarray(0.5 * k * (measure(*x[of[kind].atoms.T]) - rest) ** 2)
+
+    torsions, harmonic, maps = of["torsions"], of["impropers"], of["maps"]
     n, phase, k = torsions.parameters.T
-    periodic = k * (1.0 + np.cos(n * _dihedrals(rows, torsions.atoms) - phase))
-    harmonic = of["impropers"]
+    periodic = k * (1.0 + np.cos(n * _dihedrals(x, torsions.atoms) - phase))
     rest, k = harmonic.parameters.T
-    bent = k * (_dihedrals(rows, harmonic.atoms) - rest) ** 2
-    maps = of["maps"]
+    bent = k * (_dihedrals(x, harmonic.atoms) - rest) ** 2
     return {
-        "bonds": (of["bonds"].atoms, lengths["bonds"]),
-        "angles": (of["angles"].atoms[:, [1, 1]], angles["angles"]),
+        "bonds": (of["bonds"].atoms, springs("bonds", distance)),
+        "angles": (of["angles"].atoms[:, [1, 1]], springs("angles", angle)),
         "torsions": (torsions.atoms[proper][:, 1:3], periodic[proper]),
         "impropers": (terms.centres, np.concatenate([periodic[~proper], bent])),
-        "cmap": (maps.atoms[:, [2, 2]], _maps(maps, terms.map_coefficients, rows)),
+        "cmap": (maps.atoms[:, [2, 2]], _maps(maps, terms.map_coefficients, x)),
         "ties": (
             np.concatenate([of["ties"].atoms, of["tie angles"].atoms[:, [1, 1]]]),
-            np.concatenate([lengths["ties"], angles["tie angles"]]),
+            np.concatenate([springs("ties", distance), springs("tie angles", angle)]),
         ),
     }  # fmt: skip
 
 
-def _lengths(some: Bonded, rows: Floats) -> Floats:
-    rest, k = some.parameters.T
-    return np.asarray(0.5 * k * (np.sqrt(_squares(_between_atoms(rows, *some.atoms.T))) - rest) ** 2)
-
-
-def _angles(some: Bonded, rows: Floats) -> Floats:
-    a, b, c = some.atoms.T
-    u, v = _between_atoms(rows, a, b), _between_atoms(rows, c, b)
-    angle = np.arctan2(np.sqrt(_squares(_cross(u, v))), _inner(u, v))
-    rest, k = some.parameters.T
-    return np.asarray(0.5 * k * (angle - rest) ** 2)
-
-
-def _dihedrals(rows: Floats, atoms: Integers) -> Floats:
-    """(n,) float, rad, from -pi to pi, of positions (3, na)."""
+def _dihedrals(x: Floats, atoms: Integers) -> Floats:
+    """(n,) float, rad, from -pi to pi."""
     # Terms of one torsion, of several periodicities, follow each other.
     new = np.append(True, (atoms[1:] != atoms[:-1]).any(axis=1))[: len(atoms)]
-    a, b, c, d = atoms[new].T
-    first, axis, last = _between_atoms(rows, b, a), _between_atoms(rows, c, b), _between_atoms(rows, d, c)
-    one, other = _cross(first, axis), _cross(axis, last)
-    found = np.arctan2(np.sqrt(_squares(axis)) * _inner(first, other), _inner(one, other))
-    return np.asarray(found[np.cumsum(new) - 1])
+    return np.asarray(dihedral(*x[atoms[new].T])[np.cumsum(new) - 1])
 
 
-def _between_atoms(rows: Floats, to: Integers, start: Integers) -> Floats:
-    """(3, n): vectors between atoms. Rows of x, y and z, as numpy is fast on them."""
-    return np.asarray(rows[:, to] - rows[:, start])
-
-
-def _cross(u: Floats, v: Floats) -> Floats:
-    (ux, uy, uz), (vx, vy, vz) = u, v
-    return np.array([uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx])
-
-
-def _inner(u: Floats, v: Floats) -> Floats:
-    return np.asarray(u[0] * v[0] + u[1] * v[1] + u[2] * v[2])
-
-
-def _squares(u: Floats) -> Floats:
-    return _inner(u, u)
-
-
-def _maps(maps: Bonded, coefficients: Floats, rows: Floats) -> Floats:
+def _maps(maps: Bonded, coefficients: Floats, x: Floats) -> Floats:
     """Bicubic in each cell of a grid over two dihedrals."""
     size = coefficients.shape[1]
-    angles = [_dihedrals(rows, maps.atoms[:, k : k + 4]) for k in (0, 4)]
+    angles = [_dihedrals(x, maps.atoms[:, k : k + 4]) for k in (0, 4)]
     cells = [each % (2.0 * np.pi) * size / (2.0 * np.pi) for each in angles]
     whole = [np.minimum(each.astype(int), size - 1) for each in cells]
     powers = [(each - low)[:, None] ** np.arange(4) for each, low in zip(cells, whole, strict=True)]

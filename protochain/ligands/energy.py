@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.arrays import Floats, Integers, Value, dihedral, dihedral_slopes
 from protochain.core.graph import neighbours
 from protochain.core.units import COULOMB
 
@@ -94,21 +94,10 @@ class Function:
         return float(0.5 * np.sum(stiffness * (angle - rest) ** 2))
 
     def _torsions(self, x: Floats, gradient: Floats) -> float:
-        (i, j, k, m), (n, phase, height) = self.of.torsions.atoms.T, self.of.torsions.parameters.T
-        u, v, w = x[j] - x[i], x[k] - x[j], x[m] - x[k]
-        a, b = np.cross(u, v), np.cross(v, w)
-        length = np.linalg.norm(v, axis=1)
-        turn = np.arctan2(np.sum(u * b, axis=1) * length, np.sum(a * b, axis=1))
+        atoms, (n, phase, height) = self.of.torsions.atoms, self.of.torsions.parameters.T
+        turn = dihedral(*x[atoms.T])
         slope = -n * height * np.sin(n * turn - phase)
-        # Blondel, Karplus, J. Comput. Chem. 17:1132 (1996).
-        at_i = -(slope * length / np.maximum(np.sum(a * a, axis=1), 1e-18))[:, None] * a
-        at_m = (slope * length / np.maximum(np.sum(b * b, axis=1), 1e-18))[:, None] * b
-        square = length**2
-        first, last = ((np.sum(each * v, axis=1) / square)[:, None] for each in (u, w))
-        at_j = -(1.0 + first) * at_i + last * at_m
-        at_k = first * at_i - (1.0 + last) * at_m
-        for atoms, force in ((i, at_i), (j, at_j), (k, at_k), (m, at_m)):
-            np.add.at(gradient, atoms, force)
+        np.add.at(gradient, atoms, slope[:, None, None] * dihedral_slopes(x[atoms]))
         return float(np.sum(height * (1.0 + np.cos(n * turn - phase))))
 
     def _wells(self, x: Floats, gradient: Floats) -> float:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import shown
@@ -260,19 +261,8 @@ def axes_along(axis: Floats) -> Floats:
 
 
 def quaternion(rotation: Floats) -> Floats:
-    """(4,) float: unit quaternion (w, x, y, z) of a rotation, w not negative."""
-    r = rotation
-    # Row i is the quaternion times four times its i-th component: the longest has no cancellation.
-    rows = np.array([
-        [1 + r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-        [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
-        [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]],
-        [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]],
-    ])  # fmt: skip
-    lengths = np.linalg.norm(rows, axis=1)
-    best = int(np.argmax(lengths))
-    found = rows[best] / lengths[best]
-    return np.asarray(found if found[0] >= 0.0 else -found)
+    """(..., 4) float: unit quaternions (w, x, y, z) of rotations (..., 3, 3), w not negative."""
+    return np.roll(Rotation.from_matrix(rotation).as_quat(canonical=True), 1, axis=-1)
 
 
 def _inward(bodies: Mapping[str, Body], hinges: Mapping[str, Hinge]) -> dict[str, str]:

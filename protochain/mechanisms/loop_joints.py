@@ -23,7 +23,6 @@ from protochain.mechanics.multibody.algebra import (
     subtract,
     turned,
     vector,
-    vector_at,
 )  # fmt: skip
 from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.kinematics import Frames, outward_twists, velocities
@@ -32,8 +31,7 @@ from protochain.mechanics.multibody.newton_euler import (
     Motion,
     carried_along,
     motion_of,
-    moved_by_hinge,
-    put_motion,
+    put_motions,
 )
 from protochain.mechanics.multibody.operational import Rows
 from protochain.mechanics.multibody.small import solve_lower
@@ -335,7 +333,7 @@ def bends(
     n, out = len(bodies), np.empty(len(body))
     motions, twists = np.empty((n, 9)), np.empty((n, 6))
     outward_twists(links, bodies, rotation, origin, qd, twists)
-    _put_motions(links, bodies, rotation, origin, qd, qdd, motions)
+    put_motions(links, bodies, rotation, origin, qd, qdd, motions)
     for i in range(len(body)):
         a, b = body[i, 0], body[i, 1]
         motion_a = motion_of(motions, a) if a >= 0 else AT_REST
@@ -366,23 +364,3 @@ def _turning(motion: Motion, fixed: Vector) -> tuple[Vector, Vector]:
     omega, alpha, _ = motion
     rate = cross(omega, fixed)
     return rate, add(cross(alpha, fixed), cross(omega, rate))
-
-
-@kernel
-def _put_motions(
-    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, qdd: Floats,
-    motions: Floats,
-) -> None:  # fmt: skip
-    """Write the motion of each body, as the loads of :func:`inertial_loads` come from."""
-    for b in range(len(bodies)):
-        p, k = links[b, PARENT], links[b, V]
-        n_v = links[b + 1, V] - k
-        motion = AT_REST
-        if p >= 0:
-            motion = carried_along(motion_of(motions, p), lever(origin, b, p))
-        if n_v == 1:
-            axis = hinge_axis(rotation, b)
-            motion = moved_by_hinge(motion, axis, bodies[b, TURN], bodies[b, SLIDE], qd[k], qdd[k])
-        elif n_v == 6:
-            motion = vector_at(qd, k), vector_at(qdd, k), vector_at(qdd, k + 3)
-        put_motion(motion, motions, b)

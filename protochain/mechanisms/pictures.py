@@ -200,11 +200,7 @@ def _told(of: Drawing) -> dict[str, Any]:
     """Data of the page: shapes, and whole numbers for poses."""
     middle, fine = 0.5 * (of.low + of.high), _FINE * of.size
     frames = [
-        [
-            round(x)
-            for b in range(len(of.names))
-            for x in (*1e4 * quaternion(turn[b]), *(at[b] - middle) / fine)
-        ]
+        np.rint(np.hstack([1e4 * quaternion(turn), (at - middle) / fine])).astype(int).ravel().tolist()
         for turn, at in zip(of.rotation, of.origin, strict=True)
     ]
     lasts = float(of.times[-1] - of.times[0])

@@ -23,7 +23,8 @@ from protochain.energies.native.terms import Bonded, Terms, compile_system
 from protochain.energies.protocol import Energy
 from protochain.minimisers import near_kernels as kernels
 from protochain.minimisers.cholesky import elimination_order, factorise
-from protochain.minimisers.spring_model import Gradients, Springs, on_moving
+from protochain.minimisers.spring_model import CARTESIAN_FLOOR, Gradients, Near, Springs, contacts
+from protochain.structure.model import Structure
 
 REACH = 0.4
 """nm, longest Lennard-Jones pair. Those up to 0.5 nm, and Coulomb's forces, gain no evaluations."""
@@ -238,10 +239,31 @@ def soft_solver(
     return _solver(curvature(terms, x, free_wells(terms, x, moving), 0.0), moving, floor)
 
 
+def springs_solver(
+    structure: Structure, bonded: Springs, x: Floats, moving: NDArray[np.bool_], near_by: Near = contacts,
+    tether: Floats | None = None, floor: float = CARTESIAN_FLOOR,
+) -> Callable[[Floats], Floats]:  # fmt: skip
+    """Solver as of :func:`near_solver` for springs of bonds, angles, dihedrals and contacts."""
+    near, x = near_by(structure, x, 3), np.array(x)
+    own, shared = np.zeros((len(x), 9)), np.zeros((len(bonded.pairs), 9))
+    for springs, slots in ((bonded, np.arange(len(shared))), (near, np.full(len(near.pairs), -1))):
+        across = np.zeros(len(springs.pairs))
+        kernels.add_springs(x, springs.pairs, springs.stiffness, across, slots, own, shared)
+    added = floor if tether is None else (floor + tether)[:, None]
+    return _solver(Curvature(own, bonded.pairs, shared), moving, added)
+
+
 def _solver(at: Curvature, moving: NDArray[np.bool_], added: float | Floats) -> Callable[[Floats], Floats]:
     at.own[:, ::4] += added
     # Pairs of atoms that both move, as places among these.
     both = moving[at.pairs].all(axis=1)
     pairs = (np.cumsum(moving) - 1)[at.pairs[both]]
     order = elimination_order(int(moving.sum()), pairs)
-    return on_moving(moving, factorise(order, at.own[moving], pairs, at.shared[both]).solve)
+    factor = factorise(order, at.own[moving], pairs, at.shared[both])
+
+    def solve(torque: Floats) -> Floats:
+        step = np.zeros((len(moving), 3))
+        step[moving] = factor.solve(torque.reshape(-1, 3)[moving].ravel()).reshape(-1, 3)
+        return step.ravel()
+
+    return solve

@@ -306,7 +306,7 @@ class Cartesian:
         if self.terms is None:
             near = near_by or spring_model.contacts
             make = partial(
-                spring_model.cartesian_solver, self.structure, self._springs, at.x, self.moving, near, tether
+                curvature.springs_solver, self.structure, self._springs, at.x, self.moving, near, tether
             )
         else:
             own = None if near_by is None else near_by(self.structure, at.x, 3)
@@ -321,7 +321,7 @@ class Cartesian:
     def softness(self, at: Evaluation) -> Callable[[Floats], Floats]:
         """Solver for the same model with all its pairs coupled, and nearly nothing added."""
         if self.terms is None:
-            solve = spring_model.cartesian_solver(
+            solve = curvature.springs_solver(
                 self.structure, self._springs, at.x, self.moving, floor=SOFT_ATOMS
             )
         else:

@@ -14,9 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array
-from scipy.sparse.linalg import splu
 
 from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import joined, near_pairs
@@ -95,58 +92,6 @@ def torsion_stiffness(
     lengths = near.pairs, np.stack([along, -along], axis=1), near.stiffness
     held = np.zeros(chain.n_atoms) if tether is None else np.array(tether)
     return stiffness_in_torsions(chain, at, [lengths, *gradients], held)
-
-
-def cartesian_solver(
-    structure: Structure,
-    bonded: Springs,
-    x: Floats,
-    moving: NDArray[np.bool_],
-    near_by: Near = contacts,
-    tether: Floats | None = None,
-    floor: float = CARTESIAN_FLOOR,
-) -> Callable[[Floats], Floats]:
-    """Solver for the sparse stiffness of bonds, angles, dihedrals and contacts, in Cartesian coordinates."""
-    # x (na, 3) nm, moving (na,) bool, tether (na,), floor kJ/mol/nm^2.
-    near = near_by(structure, x, 3)
-    matrix = _sparse(structure.n_atoms, bonded, x, True) + _sparse(structure.n_atoms, near, x, False)
-    matrix.setdiag(matrix.diagonal() + (floor if tether is None else np.repeat(floor + tether, 3)))
-    free = np.flatnonzero(np.repeat(moving, 3))
-    factors = splu(
-        csc_array(matrix[free][:, free]), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )  # fmt: skip
-
-    return on_moving(moving, factors.solve)
-
-
-def on_moving(moving: NDArray[np.bool_], solve: Callable[[Floats], Floats]) -> Callable[[Floats], Floats]:
-    """Solver for all atoms, made of one for those that move: the others take no step."""
-    free = np.flatnonzero(np.repeat(moving, 3))
-
-    def solve_all(torque: Floats) -> Floats:
-        step = np.zeros_like(torque)
-        step[free] = solve(torque[free])
-        return step
-
-    return solve_all
-
-
-def _sparse(n_atoms: int, springs: Springs, x: Floats, coupled: bool) -> csc_array:
-    """Sparse stiffness (3 na, 3 na) of springs; uncoupled, only its diagonal blocks."""
-    i, j = springs.pairs.T
-    along = _directions(x, springs.pairs)
-    block = springs.stiffness[:, None, None] * along[:, :, None] * along[:, None, :]
-    places = [(i, i, block), (j, j, block)]
-    if coupled:
-        places += [(i, j, -block), (j, i, -block)]
-    row, column = (np.concatenate([place[k] for place in places]) for k in (0, 1))
-    values = np.concatenate([place[2] for place in places])
-    three = np.arange(3)
-    rows = np.broadcast_to(3 * row[:, None, None] + three[:, None], values.shape)
-    columns = np.broadcast_to(3 * column[:, None, None] + three, values.shape)
-    shape = (3 * n_atoms, 3 * n_atoms)
-    return coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape).tocsc()
 
 
 def _directions(x: Floats, pairs: Integers) -> Floats:

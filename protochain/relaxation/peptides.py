@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers, cross
+from protochain.core.arrays import Floats, Integers, dihedral_slopes
 from protochain.structure.model import Structure
 from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import PERPENDICULAR, PLANAR, omegas
@@ -67,7 +67,7 @@ class PeptideBonds:
             return 0.0, forces
         atoms, beyond = self.atoms[far], beyond[far]
         outward = np.where(self.cis[far], 1.0, -1.0) * np.sign(angles[far])
-        slopes = _slopes(x[atoms])
+        slopes = dihedral_slopes(x[atoms], _SHORTEST)
         bent = np.minimum(beyond, _HARMONIC)
         np.subtract.at(forces, atoms, (_STIFFNESS * bent * outward)[:, None, None] * slopes)
         return float(_STIFFNESS * bent @ (beyond - 0.5 * bent)), forces
@@ -81,15 +81,3 @@ def _bonds(structure: Structure) -> PeptideBonds:
     apart = np.linalg.norm(structure.positions[atoms[:, 0]] - structure.positions[atoms[:, 3]], axis=1)
     nearer = bonds.proline & (np.abs(bonds.omega) < PERPENDICULAR)
     return PeptideBonds(atoms, (bonds.cis | nearer) & (apart < _NEAR))
-
-
-def _slopes(x: Floats) -> Floats:
-    """Gradients (n, 4, 3), rad/nm, of dihedrals by positions: Blondel, Karplus, JCC 17:1132 (1996)."""
-    f, g, h = x[:, 0] - x[:, 1], x[:, 1] - x[:, 2], x[:, 3] - x[:, 2]
-    length = np.maximum(np.linalg.norm(g, axis=1, keepdims=True), _SHORTEST)
-    a, b = cross(f, g), cross(h, g)
-    a /= np.maximum((a**2).sum(axis=1, keepdims=True), _SHORTEST**4)
-    b /= np.maximum((b**2).sum(axis=1, keepdims=True), _SHORTEST**4)
-    between = ((f * g).sum(axis=1, keepdims=True) * a - (h * g).sum(axis=1, keepdims=True) * b) / length
-    first, last = -length * a, length * b
-    return np.stack([first, between - first, -between - last, last], axis=1)

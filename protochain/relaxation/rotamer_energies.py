@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, dihedral
 from protochain.core.compilation import njit
 from protochain.energies.native.terms import Bonded, Terms
 from protochain.relaxation.rotamers import Rotamers
 from protochain.structure.sidechains.conflicts import Pairs, sphere, touching
-from protochain.structure.sidechains.ideal import dihedral
 
 _TWIST = 0.5
 """Of the torsions, which the frequencies of rotamers tell too."""

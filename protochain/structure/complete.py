@@ -5,14 +5,14 @@ from collections.abc import Mapping
 import gemmi
 import numpy as np
 
-from protochain.core.arrays import Floats
+from protochain.core.arrays import Floats, dihedral
 from protochain.core.errors import StructureError
 from protochain.structure import residues
 from protochain.structure.chirality import centres, handedness, inverted_atoms
 from protochain.structure.draft import Draft, Part, losses
 from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind, Renamed, Why
-from protochain.structure.sidechains.ideal import Places, bridged, dihedral, ideal, placed, unit
+from protochain.structure.sidechains.ideal import Places, bridged, ideal, placed, unit
 from protochain.structure.sidechains.sites import Site
 from protochain.structure.templates import Template, rename
 

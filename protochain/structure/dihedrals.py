@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from protochain.core.arrays import dihedral
 from protochain.structure import residues
-from protochain.structure.sidechains.ideal import dihedral
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from protochain.core.arrays import Floats, Integers, cross, floats, read_only
+from protochain.core.arrays import Floats, Integers, dihedral, floats, read_only
 from protochain.core.graph import both_ways
 from protochain.structure.model import Structure, at_positions, of_atoms
 from protochain.structure.residues import BACKBONE
@@ -62,20 +62,8 @@ def layout(structure: Structure) -> Layout:
 
 def dihedrals(x: Floats, atoms: Integers) -> Floats:
     """Dihedrals (n,), degrees, -180 to 180, of atoms (n, 4) at x (na, 3), with the sign of IUPAC-IUB."""
-    # Rows of x, y and z: numpy sums along an axis of three slowly.
-    a, b, c, d = x.T[:, atoms.T].swapaxes(0, 1)
-    axis = c - b
-    axis /= np.maximum(np.sqrt(_dot(axis, axis)), np.finfo(float).tiny)
-    near, far = a - b, d - c
-    near -= _dot(near, axis) * axis
-    far -= _dot(far, axis) * axis
-    found = np.degrees(np.arctan2(_dot(cross(near.T, far.T).T, axis), _dot(near, far)))
+    found = np.degrees(dihedral(*x[atoms.T]))
     return np.where((atoms == NONE).any(axis=1), np.nan, found)
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    """Scalar products (n,) of vectors (3, n)."""
-    return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
 @at_positions

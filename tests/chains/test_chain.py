@@ -6,7 +6,7 @@ from fixtures.tolerances import DIFFERENCE, GEOMETRY_NM, GEOMETRY_RAD, RIGID_MOT
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.chains.chain import dihedral
+from protochain.core.arrays import dihedral
 from protochain.mechanics.multibody import HingeKind, integrate
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.spaces import ROOT_LEVER, Torsions
@@ -34,7 +34,7 @@ def test_a_hinge_coordinate_is_the_dihedral_measured_from_the_atoms(name, root):
     q = turned(c, size=3.0)
     x = pc.pose(c, q).x
     coordinates = q[c.tree.q_start[c.hinge_body]]
-    measured = np.array([dihedral(x[list(hinge.atoms)]) for hinge in c.hinges])
+    measured = np.array([dihedral(*x[list(hinge.atoms)]) for hinge in c.hinges])
     off = (measured - coordinates + np.pi) % (2 * np.pi) - np.pi
     assert np.abs(off).max() < 1e-9
 
@@ -161,7 +161,7 @@ def test_dihedral_has_the_iupac_sign():
     for angle in (0.5, -0.5, 3.1, -3.1):
         # Looking along +z, clockwise is from x towards y.
         x[3] = [np.cos(angle), np.sin(angle), 1.0]
-        assert dihedral(x) == pytest.approx(angle, abs=1e-14)
+        assert dihedral(*x) == pytest.approx(angle, abs=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from protochain.core.errors import StrayWarning
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers import RECIPES, Stop, spring_model, verdict
 from protochain.minimisers.clash_resolution import resolving_in_all_atoms, resolving_in_torsions
-from protochain.minimisers.curvature import near_terms
+from protochain.minimisers.curvature import near_terms, springs_solver
 from protochain.minimisers.metrics import Damped
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.restraints import Bound, SoftRepulsion
@@ -70,7 +70,7 @@ def test_tethers_stiffen_torsions_and_atoms_as_their_second_derivatives():
     assert with_them - without == pytest.approx(expected, abs=1e-6 * np.abs(expected).max())
     x, moving = at.x, np.ones(c.n_atoms, dtype=bool)
     bonded = spring_model.covalent(c.structure)
-    stiff = spring_model.cartesian_solver(c.structure, bonded, x, moving, tether=1e9 * np.ones(c.n_atoms))
+    stiff = springs_solver(c.structure, bonded, x, moving, tether=1e9 * np.ones(c.n_atoms))
     pull = np.random.default_rng(2).normal(size=3 * c.n_atoms)
     # Against so stiff tethers all else is a thousandth.
     assert stiff(pull) == pytest.approx(pull / 1e9, rel=0.02, abs=1e-11)

@@ -11,10 +11,11 @@ from protochain.chains.chain import pose, pull_back
 from protochain.mechanics import multibody
 from protochain.minimisers import RECIPES, spring_model
 from protochain.minimisers.annealing import Annealing
+from protochain.minimisers.curvature import springs_solver
 from protochain.minimisers.problem import evaluate
 from protochain.minimisers.recipes import Recipe, Run
 from protochain.minimisers.spaces import ROOT_LEVER, Cartesian, Positions, Torsions, spaces
-from protochain.minimisers.spring_model import Springs, _directions, _sparse
+from protochain.minimisers.spring_model import Springs, _directions
 from protochain.minimisers.start import Start
 
 
@@ -120,9 +121,10 @@ def test_contacts_leave_out_pairs_a_few_bonds_apart():
     assert pairs[0] > pairs[1] > pairs[2]
 
 
-def test_a_sparse_stiffness_is_that_of_its_springs():
+def test_the_solver_of_springs_is_that_of_their_stiffness():
     x = np.array([[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [0.0, 0.0, 2.0], [0.0, 0.0, 2.0]])
     both = Springs(np.array([[0, 1], [0, 2], [2, 3]]), np.array([100.0, 10.0, 7.0]))
+    none, pull = Springs(np.empty((0, 2), np.int64), np.empty(0)), np.random.default_rng(0).normal(size=12)
     along = np.array([0.6, 0.8, 0.0])
     one, two = 100.0 * np.outer(along, along), 10.0 * np.diag([0.0, 0.0, 1.0])
     for coupled in (True, False):
@@ -130,7 +132,9 @@ def test_a_sparse_stiffness_is_that_of_its_springs():
         for i, j, block in ((0, 1, one), (0, 2, two)):
             for a, b, sign in ((i, i, 1), (j, j, 1), (i, j, -coupled), (j, i, -coupled)):
                 expected[3 * a : 3 * a + 3, 3 * b : 3 * b + 3] += sign * block
-        assert _sparse(4, both, x, coupled).toarray() == pytest.approx(expected, abs=1e-12)
+        bonded, near = (both, none) if coupled else (none, both)
+        solve = springs_solver(None, bonded, x, np.ones(4, dtype=bool), lambda *_, near=near: near, floor=1.0)
+        assert solve(pull) == pytest.approx(np.linalg.solve(expected + np.eye(12), pull), abs=1e-12)
     # From the second atom to the first; atoms at one point have no direction.
     assert _directions(x, both.pairs).tolist() == [[-0.6, -0.8, 0.0], [0.0, 0.0, -1.0], [0.0, 0.0, 0.0]]
 
@@ -140,7 +144,7 @@ def test_the_solver_of_free_atoms_moves_those_only():
     moving = np.zeros(s.n_atoms, dtype=bool)
     moving[2] = True
     x = 9.0 * np.arange(s.n_atoms)[:, None] * np.array([1.0, 0.0, 0.0])
-    solve = spring_model.cartesian_solver(s, Springs(np.array([[1, 2]]), np.array([2000.0])), x, moving)
+    solve = springs_solver(s, Springs(np.array([[1, 2]]), np.array([2000.0])), x, moving)
     step = solve(np.full(3 * s.n_atoms, 1e4)).reshape(-1, 3)
     assert step[2] == pytest.approx([1.0, 1.25, 1.25]) and not np.delete(step, 2, axis=0).any()
 

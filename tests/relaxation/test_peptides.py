@@ -7,10 +7,11 @@ from fixtures.repairs import sentences
 from fixtures.samples import SAMPLES, energy, load
 
 import protochain as pc
+from protochain.core.arrays import dihedral_slopes
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.restraints import Tethers
 from protochain.minimisers.verdict import verdict
-from protochain.relaxation.peptides import PeptideBonds, _slopes
+from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import PRESETS, PROTOCOLS
 from protochain.relaxation.relax_structure import _lost, left_in_words
 from protochain.relaxation.rounds import Relaxer
@@ -32,7 +33,7 @@ def pulled(structure, residue, degrees):
     def pull(x):
         off = np.radians((dihedrals(x, atoms[None])[0] - degrees + 180.0) % 360.0 - 180.0)
         value, forces = home(x)
-        forces[atoms] -= 3e3 * off * _slopes(x[atoms][None])[0]
+        forces[atoms] -= 3e3 * off * dihedral_slopes(x[atoms][None])[0]
         return value + 1.5e3 * off**2, forces
 
     chain = pc.build_chain(structure)

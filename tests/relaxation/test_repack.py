@@ -13,6 +13,7 @@ from openmm import unit
 
 import protochain as pc
 from protochain.chains.contacts import OVERLAP, near_pairs
+from protochain.core.arrays import dihedral
 from protochain.core.errors import StructureError
 from protochain.core.units import COULOMB
 from protochain.energies.native.terms import compile_system
@@ -23,7 +24,6 @@ from protochain.structure import residues
 from protochain.structure.select import select
 from protochain.structure.sidechains.arms import Arm, backbone_of, wrapped
 from protochain.structure.sidechains.assignment import best
-from protochain.structure.sidechains.ideal import dihedral
 from protochain.structure.sidechains.reduction import Part, undominated
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.validation import threaded_rings

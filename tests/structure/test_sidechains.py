@@ -8,6 +8,7 @@ import pytest
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
+from protochain.core.arrays import dihedral
 from protochain.core.markup import listed
 from protochain.structure import residues
 from protochain.structure.chirality import centres, changed_stereocentres, handedness, inverted_atoms, volume
@@ -19,7 +20,6 @@ from protochain.structure.sidechains.ideal import (
     beta_carbon,
     bridged,
     conformers,
-    dihedral,
     fixed_chi,
     grown,
     ideal,

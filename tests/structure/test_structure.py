@@ -5,7 +5,7 @@ from fixtures.repairs import sentences
 from fixtures.samples import STRUCTURES, load, shared
 
 import protochain as pc
-from protochain.chains.chain import dihedral
+from protochain.core.arrays import dihedral
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.read import read
 from protochain.structure.write import as_text
@@ -152,7 +152,7 @@ def test_every_amino_acid_is_built_with_standard_geometry():
     for r, name in enumerate(s.residue_name):
         if r:
             omega = [at[r - 1, "CA"], at[r - 1, "C"], at[r, "N"], at[r, "CA"]]
-            assert abs(dihedral(np.array(omega))) > np.radians(179)
+            assert abs(dihedral(*np.array(omega))) > np.radians(179)
         if name != "GLY":
             # L amino acids: N, C, CB run clockwise seen from the hydrogen on CA.
             n, c, cb, ha = (at[r, k] - at[r, "CA"] for k in ("N", "C", "CB", "HA"))

@@ -6,8 +6,8 @@ from fixtures.command_line import refusal_as_said
 from fixtures.samples import STRUCTURES, load, shared
 
 import protochain as pc
-from protochain.chains.chain import dihedrals
 from protochain.chains.hinges import find_hinges
+from protochain.core.arrays import dihedral
 from protochain.structure.chirality import with_mirror_images, wrong_atoms
 from protochain.structure.repairs import Kind
 from protochain.structure.residues import STANDARD
@@ -22,7 +22,7 @@ def inverted(structure):
 
 def chi1(structure):
     atoms = [hinge.atoms for hinge in find_hinges(structure, ["chi"]) if hinge.kind == "chi1"]
-    return np.degrees(dihedrals(structure.positions[atoms]))
+    return np.degrees(dihedral(*structure.positions[np.transpose(atoms)]))
 
 
 def residue(structure, place):

@@ -209,6 +209,18 @@ def outward_loads(
 ) -> None:
     """Write the loads of :func:`inertial_loads`."""
     motions = np.empty((len(bodies), 9))
+    put_motions(links, bodies, rotation, origin, qd, qdd, motions)
+    for b in range(len(bodies)):
+        moment, force = load(rigid_inertia(matrix(rotation, b), bodies, b), motion_of(motions, b))
+        put_pair(moment, force, loads, b)
+
+
+@kernel
+def put_motions(
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, qdd: Floats,
+    motions: Floats,
+) -> None:  # fmt: skip
+    """Write the motion of each body, as the loads of :func:`inertial_loads` come from."""
     for b in range(len(bodies)):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
@@ -221,8 +233,6 @@ def outward_loads(
         elif n_v == 6:
             motion = vector_at(qd, k), vector_at(qdd, k), vector_at(qdd, k + 3)
         put_motion(motion, motions, b)
-        moment, force = load(rigid_inertia(matrix(rotation, b), bodies, b), motion)
-        put_pair(moment, force, loads, b)
 
 
 @kernel

@@ -6,9 +6,9 @@ from itertools import product
 
 import numpy as np
 
-from protochain.core.arrays import Floats, Integers, cross
+from protochain.core.arrays import Floats, Integers, cross, dihedral
 from protochain.core.graph import beyond
-from protochain.structure.sidechains.ideal import dihedral, unit
+from protochain.structure.sidechains.ideal import unit
 from protochain.structure.sidechains.rotamers import BACKBONE
 
 WIDTH = np.deg2rad(20.0)

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from protochain.core.arrays import Floats, cross
+from protochain.core.arrays import Floats, cross, dihedral
 from protochain.core.graph import within
 from protochain.structure import residues
 from protochain.structure.sidechains.rotamers import rotamers
@@ -193,13 +193,6 @@ def placed(
     aside = cross(normal, along)
     out = np.sin(angle) * (np.cos(turn) * aside + np.sin(turn) * normal)
     return np.asarray(c + length * (out - np.cos(angle) * along))
-
-
-def dihedral(a: Floats, b: Floats, c: Floats, d: Floats) -> Floats:
-    """Dihedral angles, rad, of points (..., 3)."""
-    axis = unit(c - b)
-    first, second = cross(b - a, c - b), cross(c - b, d - c)
-    return np.asarray(np.arctan2((cross(first, second) * axis).sum(-1), (first * second).sum(-1)))
 
 
 def unit(v: Floats) -> Floats:

@@ -13,9 +13,8 @@ from bench.studies.stability.cells import EPS, Case, Part, case
 from bench.studies.stability.energies import on_a_line, peptide
 from bench.studies.stability.solvers import ROUTES
 from protochain.chains.articulate import build_chain
-from protochain.chains.chain import dihedral
 from protochain.chains.chain import pose as pose_of_chain
-from protochain.core.arrays import Floats
+from protochain.core.arrays import Floats, dihedral
 from protochain.core.errors import Fault
 from protochain.mechanics.multibody import (
     Frames,
@@ -204,7 +203,7 @@ def angle_of(off_line: float) -> Found:
     """
     turn = np.deg2rad(50.0)
     x = np.array([[off_line, 0.0, -1.0], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0], [np.cos(turn), np.sin(turn), 1.5]])
-    found = dihedral(x)
+    found = float(dihedral(*x))
     expected = turn if off_line else found
     # Differences of points of order one are rounded by eps: relative to the distance from the line.
     bound = 10 * EPS / off_line if off_line else np.pi
