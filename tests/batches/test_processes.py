@@ -41,9 +41,9 @@ def test_what_all_processes_read_is_named_if_it_cannot_be_written(tmp_path, monk
         raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(WriteError, match=rf"{tmp_path}.*pickle: not written \(File too large\)"):
-        with cluster.shared((1,), tmp_path):
-            pass
+    wrong = pytest.raises(WriteError, match=rf"{tmp_path}.*pickle: not written \(File too large\)")
+    with wrong, cluster.shared((1,), tmp_path):
+        pass
 
 
 class Client:
