@@ -313,7 +313,7 @@ def _line(rows: Sequence[Row]) -> str:
     """One line on a structure: how each method ended; the message of a failure, once."""
     lines: list[str] = []
     for record in (row.record for row in rows):
-        if "output" in record:
+        if "output" in record and record["status"] not in ("killed", "error"):  # These are of its page.
             of_relaxed = "n_rounds" in record
             before, after = (record.get(f"violations_{when}") for when in ("start", "end"))
             mended = f"violations {before} to {after}, " if of_relaxed else ""

@@ -15,10 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from protochain.batches.supervise import crew, started_early, supervise
 from protochain.core import defaults
-from protochain.core.checks import check_fields, integer, number, optional, text
+from protochain.core.checks import at_least, check_fields, limited, number, optional, text
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.extras import library
 from protochain.core.processors import processors
+from protochain.core.storage import writing
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -59,17 +60,9 @@ class Processes:
 
     def __post_init__(self) -> None:
         check_fields(
-            self, workers=optional(integer), scheduler=optional(text), threads=integer, time_limit=number
-        )
-        if not self.time_limit > 0 or self.threads < 1 or (self.workers is not None and self.workers < 1):
-            raise ProtochainError(
-                Argument("time_limit"),
-                ", ",
-                Argument("threads"),
-                " and ",
-                Argument("workers"),
-                ": give numbers above 0",
-            )
+            self, workers=optional(at_least(1)), scheduler=optional(text), threads=at_least(1),
+            time_limit=limited(number, lambda seconds: seconds > 0.0, "give a number above 0"),
+        )  # fmt: skip
 
     @property
     def count(self) -> int:
@@ -172,7 +165,8 @@ def shared(values: tuple[Any, ...], folder: Path | None = None) -> Iterator[Path
     with tempfile.TemporaryDirectory(prefix=_SHARED, dir=folder) as own:
         path = Path(own).absolute() / "task.pickle"
         try:
-            path.write_bytes(pickle.dumps(values))
+            with writing(path):
+                path.write_bytes(pickle.dumps(values))
         except (pickle.PicklingError, AttributeError, TypeError):
             raise ProtochainError(
                 Argument("energy"), ": cannot be sent to processes; define it in a module, or leave out ",

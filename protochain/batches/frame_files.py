@@ -1,5 +1,6 @@
 """Files of a run over frames: a row a frame as it is done, a trajectory, and where to go on after a kill."""
 
+import csv
 import json
 import os
 from collections import Counter
@@ -51,6 +52,7 @@ class FramesRun:
     counts: Mapping[str, int] = field(default_factory=dict)  # Of frames, by status.
     written: int = 0  # Frames in the trajectory.
     interrupted: bool = False  # Whether it was stopped before all frames were done.
+    was_complete: bool = False  # Whether an earlier one did all.
 
     @cached_property
     def table(self) -> "pd.DataFrame":
@@ -88,6 +90,8 @@ def run_frames(
     watch: Watch | None = None,
 ) -> FramesRun:
     """Do a task to every frame; write a row for each, and the frames that it changed."""
+    if resume and not force and table.exists() and not _checkpoint(table).exists():
+        return _complete(ensemble, frames, task, table, trajectory)
     settings = _settings(ensemble, frames, task, hydrogens)
     files = _Files(ensemble, task, table, trajectory, hydrogens, settings, resume, force)
     interrupted = False
@@ -113,6 +117,30 @@ def run_frames(
     )  # fmt: skip
 
 
+def _columns(task: Task, trajectory: Path | None) -> tuple[str, ...]:
+    return (*dict.fromkeys((*FIRST, *task.columns, "seconds")), *(("output_frame",) if trajectory else ()))
+
+
+def _complete(
+    ensemble: Ensemble, frames: Frames, task: Task, table: Path, trajectory: Path | None
+) -> FramesRun:
+    """What a run that is complete wrote; a table of other frames or columns is refused."""
+    with table.open(newline="", encoding="utf-8", errors="replace") as file:
+        reader = csv.DictReader(file)
+        has_its = tuple(reader.fieldnames or ()) == _columns(task, trajectory)
+        rows = [(row["frame"], row["status"], row.get("output_frame")) for row in reader] if has_its else []
+    written = sum(bool(place) for *_, place in rows)
+    is_its = [frame for frame, *_ in rows] == [*map(str, frames.chosen)]
+    if not is_its or (written and trajectory and not trajectory.exists()):
+        raise ProtochainError(
+            f"{table}: is of another run, or lacks what it wrote; give another output, or begin anew with ",
+            Argument("force", True),
+        )
+    topology = None if trajectory is None or _in_text(trajectory) else _beside(trajectory, ensemble)
+    counts = Counter(status for _, status, _ in rows)
+    return FramesRun(table, trajectory, topology, counts, written, was_complete=True)
+
+
 class _Files:
     """Table and trajectory, which grow together, and the checkpoint that says how far both are sound."""
 
@@ -122,8 +150,7 @@ class _Files:
     ) -> None:  # fmt: skip
         self.ensemble, self.table, self.output, self.hydrogens = ensemble, table, trajectory, hydrogens
         self.settings = settings
-        self.columns = tuple(dict.fromkeys((*FIRST, *task.columns, "seconds")))
-        self.columns += ("output_frame",) * (trajectory is not None)
+        self.columns = _columns(task, trajectory)
         self.checkpoint = _checkpoint(table)
         check_writable(table)
         kept = self._kept(resume, force)
@@ -173,8 +200,6 @@ class _Files:
                 f"{self.table}: holds an interrupted run; ", Argument("resume", True), " continues it, ",
                 Argument("force", True), " begins anew",
             )  # fmt: skip
-        if resume and self.table.exists() and not force:
-            raise ProtochainError(f"{self.table}: is of a run that is complete; nothing is left to resume")
         return _NOTHING
 
     def append(self, result: FrameResult) -> None:

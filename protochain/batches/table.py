@@ -103,12 +103,12 @@ class Tables:
         if force and not resume:
             _remove((*files, other, other.with_suffix(".parquet")))
         self._new = [file for file in files if not file.exists()]
-        if other.exists() or not (self.summary in self._new or resume):
+        # Of two tables in a folder, each would have the other's settings and traces.
+        if (is_other := other.exists()) or not (self.summary in self._new or resume):
             self.close()
-            # Of two tables in a folder, each would have the other's settings and traces.
-            how = ("give another folder; ",) if other.exists() else (Argument("resume", True), " continues it, ")
             raise ProtochainError(
-                f"{other if other.exists() else self.summary}: holds a batch; ", *how,
+                f"{other if is_other else self.summary}: holds a batch; ",
+                *(("give another folder; ",) if is_other else (Argument("resume", True), " continues it, ")),
                 Argument("force", True), " replaces it",
             )  # fmt: skip
         minimised = COLUMNS if {*methods} != {RELAX} else ()

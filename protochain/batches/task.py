@@ -60,10 +60,13 @@ class Task:
         try:
             for row, structure, end in _solve(job, self.folder, threads):
                 done.append(row)
-                repairs = structure.repairs
                 ends[row.record["method"]] = structure, end
+                if len(done) == len(job.settings.methods):
+                    try:
+                        write_page(self.folder, job, done, structure.repairs, ends)
+                    except Exception as error:  # The result is there; with space, the page may be made.
+                        row.record["status"], row.record["message"] = reason(error, job.path)
                 yield row
-            write_page(self.folder, job, done, repairs, ends)
         except Exception as error:
             yield from self.lost(done, *reason(error, job.path), perf_counter() - began)
 

@@ -1,5 +1,6 @@
 """What ``--trajectory`` and ``--frames`` do, in every command that has them: a row a frame."""
 
+import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -141,6 +142,8 @@ def run(
             ensemble, chosen, task, table, output, hydrogens=hydrogens, processes=processes, resume=resume,
             force=force, watch=watch,
         )  # fmt: skip
+    if done.was_complete:
+        print(f"{done.csv}: is complete; nothing was left to do", file=sys.stderr)
     if report:
         from protochain.batches.frame_report import write_report
 

@@ -66,11 +66,12 @@ def simulate(
     with simulation_progress(source.stem, running.n_steps, simulation.time_step) as watch:
         done = run(chain, energy, q, output=output, watch=watch, **vars(running), **vars(simulation))
     beside = {"input": str(source), "output": str(output), "seconds_preparation": preparation}
-    if done.is_sound and done.trajectory is not None:
+    page = output / "report.html"
+    if done.is_sound and done.trajectory is not None and (done.n_steps or not page.exists()):
         from protochain.comparison.simulated import write_simulated
 
         record = done.record()
-        write_simulated(chain.structure, done.trace, record, done.trajectory, output / "report.html")
+        write_simulated(chain.structure, done.trace, record, done.trajectory, page)
     _end(done, beside, as_json)
 
 

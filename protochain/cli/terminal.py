@@ -309,8 +309,10 @@ def print_simulation(record: dict[str, Any]) -> None:
     drift = record["conserved_drift_kj_mol_ps_per_100_atoms"]
     drifts = "" if drift is None else f", conserved energy drifts {drift:.2g} kJ/mol/ps for 100 atoms"
     kept = "" if record["accepted"] is None else f", {100 * record['accepted']:.0f} % of trajectories kept"
+    speed = record["ns_per_day"]
+    done = "nothing was left to do" if speed is None else f"{speed:.1f} ns/day"
     print(
-        f"{record['structure']}: {record['message']}, {record['ns_per_day']:.1f} ns/day\n"
+        f"{record['structure']}: {record['message']}, {done}\n"
         f"temperature {record['mean_temperature_second_half_k']:.1f} K over the second half{drifts}{kept}\n"
         f"{_pulled(record)}"
         f"C-alpha RMSD to the start {_distance(record['ca_rmsd_angstrom'])} angstrom\n"

@@ -349,6 +349,7 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
         ending=ending,
         message=said_of(ending, why, state.step, run.settings, structure, origin),
         rows=tuple(rows),
+        last=run.row(state, origin)[0],
         n_steps=state.step - start.step,
         seconds=seconds,
         frame=run.frame,
@@ -356,7 +357,8 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
         trajectory=None if folder is None else folder.trajectory,
     )
     if folder:
-        folder.summarise(result.record())
+        if result.n_steps or not (folder.path / "summary.json").exists():  # Of the run that made the steps.
+            folder.summarise(result.record())
         if result.is_sound:
             result.save(folder.last(structure))
     return result

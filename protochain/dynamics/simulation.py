@@ -51,6 +51,8 @@ class Simulation:
         Outcome in one line.
     rows : tuple of dict
         Rows of the log.
+    last : dict
+        What its row would be of the last state, which the log lacks if its step is no multiple of ``every``.
     n_steps : int
         Number of steps done by this call.
     seconds : float
@@ -76,6 +78,7 @@ class Simulation:
     ending: Ending
     message: str
     rows: tuple[dict[str, float], ...]
+    last: dict[str, float]
     n_steps: int
     seconds: float
     frame: Frame
@@ -177,7 +180,7 @@ class Simulation:
         """What a pull has come to; nothing without one."""
         if self.settings.pull is None:
             return {}
-        first, last = self.rows[0], self.rows[-1]
+        first, last = self.rows[0], self.last
         return {
             "pull_distance_start_nm": first["pull_distance_nm"],
             "pull_distance_end_nm": last["pull_distance_nm"],
@@ -228,20 +231,20 @@ RECORD = (
     Column("steps", lambda r: r.state.step, kind=int),
     Column("time_ps", lambda r: r.state.step * r.settings.time_step),
     Column("mean_temperature_second_half_k", lambda r: float(
-        np.mean([row["temperature_k"] for row in r.rows[len(r.rows) // 2 :]])
+        np.mean([row["temperature_k"] for row in (r.rows[len(r.rows) // 2 :] if r.rows[1:] else [r.last])])
     )),
-    Column("potential_end_kj_mol", lambda r: r.rows[-1]["potential_kj_mol"]),
+    Column("potential_end_kj_mol", lambda r: r.last["potential_kj_mol"]),
     Column(
         "conserved_drift_kj_mol_ps_per_100_atoms",
         lambda r: r.drift if len(r.rows) > 2 else None, kind=float | None,
     ),
     Column("accepted", lambda r: r.accepted, kind=float | None),
-    Column("ca_rmsd_angstrom", lambda r: r.rows[-1]["ca_rmsd_angstrom"]),
+    Column("ca_rmsd_angstrom", lambda r: r.last["ca_rmsd_angstrom"]),
     Column("ca_rmsd_input_angstrom", lambda r: r.frame.ca_rmsds(r.x)[0]),
     Column("ca_rmsd_input_as_filed_angstrom", lambda r: r.frame.ca_rmsds(r.x)[1]),
     Column("frame", lambda r: str(r.frame)),
     Column("seconds", lambda r: r.seconds),
-    Column("ns_per_day", lambda r: r.ns_per_day, kind=float | None),
+    Column("ns_per_day", lambda r: r.ns_per_day if r.n_steps else None, kind=float | None),
     Column("status", lambda r: str(r.ending), kind=Ending),
     Column("message", lambda r: r.message),
     Column("left_out", lambda r: dict(r.chain.structure.left_out), kind=dict[str, int]),

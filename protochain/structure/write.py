@@ -68,7 +68,7 @@ def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydro
     Raises
     ------
     StructureError
-        If the suffix is unknown, or the structure does not fit the format.
+        If there is no model, the suffix is unknown, or the structure does not fit the format.
 
     Examples
     --------
@@ -80,6 +80,8 @@ def save(structure: Any, path: str | Path, remarks: Iterable[str] = (), *, hydro
     check_format(path)
     several = isinstance(structure, list | tuple)
     models = [as_structure(each) for each in (structure if several else [structure])]
+    if not models:
+        raise StructureError(f"{path}: no models are given; give at least one structure")
     for each in models:
         check_fits(each, path)
     _, suffix, packing = split_name(path)

@@ -281,7 +281,7 @@ def test_a_batch_over_nothing_writes_nothing(tmp_path):
 
 @pytest.mark.parametrize("options", [{"workers": 0}, {"threads": 0}, {"time_limit": 0.0}, {"colour": "red"}])
 def test_options_that_make_no_sense_are_refused_before_any_work(options, folder, tmp_path):
-    with pytest.raises(pc.ProtochainError, match=r"numbers above 0|no setting is called 'colour'"):
+    with pytest.raises(pc.ProtochainError, match=r"at least 1|above 0|no setting is called 'colour'"):
         pc.batch(folder, tmp_path / "new", **options)
     assert not (tmp_path / "new").exists() and ROOT.exists()
 

@@ -5,6 +5,7 @@ import os
 import signal
 import struct
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -254,8 +255,17 @@ def test_an_interrupted_run_goes_on_without_lost_or_doubled_frames(tmp_path, x, 
     assert rows_of(stopped.with_suffix(".csv")) == rows_of(whole.with_suffix(".csv"))
     assert content(stopped) == content(whole) != b""
     assert {path.stem for path in tmp_path.iterdir()} == {"whole", "stopped"}
-    with pytest.raises(pc.ProtochainError, match="complete"):
-        run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, resume=True)
+    # What is complete is read, unless it is of other frames or columns, or is gone.
+    read = run_frames(ensemble, chosen, RELAX, stopped.with_suffix(".csv"), stopped, resume=True)
+    assert read.was_complete and replace(read, was_complete=False) == again
+    table = stopped.with_suffix(".csv")
+    with pytest.raises(pc.ProtochainError, match="of another run"):
+        run_frames(ensemble, chosen.without_first(1), RELAX, table, stopped, resume=True)
+    with pytest.raises(pc.ProtochainError, match="of another run"):
+        run_frames(ensemble, chosen, RELAX, table, resume=True)
+    stopped.unlink()
+    with pytest.raises(pc.ProtochainError, match="lacks what it wrote"):
+        run_frames(ensemble, chosen, RELAX, table, stopped, resume=True)
 
 
 def test_deviations_are_resumed_with_the_same_reference_and_atoms_only(tmp_path, x):

@@ -1,5 +1,7 @@
 """Where a batch runs, and how its jobs are handed out."""
 
+import errno
+import os
 import sys
 import threading
 from collections import deque
@@ -17,6 +19,7 @@ from protochain.batches.jobs import BatchSettings, Job, Row
 from protochain.batches.supervise import supervise
 from protochain.batches.table import Tables
 from protochain.batches.task import Task
+from protochain.core.errors import WriteError
 
 OWN = version("protochain")
 
@@ -27,9 +30,20 @@ OWN = version("protochain")
 def test_numbers_of_processes_are_above_zero(wrong):
     with pytest.raises(pc.ProtochainError) as refusal:
         Processes(**wrong)
-    assert str(refusal.value) == "time_limit, threads and workers: give numbers above 0"
+    ((name, value),) = wrong.items()
+    assert str(refusal.value).startswith(f"{name} {value:g}: give ")
     assert Processes(1, None, 1, 1e-3).workers == 1
     assert Processes() == Processes(None, None, 1, 3600.0)
+
+
+def test_what_all_processes_read_is_named_if_it_cannot_be_written(tmp_path, monkeypatch):
+    def full(path, data):
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    wrong = pytest.raises(WriteError, match=rf"{tmp_path}.*pickle: not written \(File too large\)")
+    with wrong, cluster.shared((1,), tmp_path):
+        pass
 
 
 class Client:

@@ -17,6 +17,7 @@ import protochain as pc
 from protochain.batches import batch_structures, cluster, supervise, task
 from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.supervise import Child
+from protochain.batches.table import Tables
 from protochain.batches.task import thinned
 from protochain.core.errors import WriteError
 from protochain.minimisers.minimise_structure import minimise
@@ -106,6 +107,21 @@ def test_an_error_is_the_row_of_each_method_that_is_left(error, status, said, tm
     assert first.record["method"] == "kcm" and first.record["seconds_preparation"] == 0.5
     assert others == [failure(job, method, status, said.format(ALA), 4.0) for method in ("lbfgs", "fire")]
     assert begun == ["kcm", "lbfgs"]
+
+
+def test_a_page_that_cannot_be_written_is_told_and_made_again(tmp_path):
+    """What was computed stays; a full disk is a circumstance."""
+    page, job = tmp_path / "pages" / "job.html", job_of("lbfgs", "cartesian", max_evaluations=2)
+    page.mkdir(parents=True)
+    first, last = task.Task(job, tmp_path).run(1)
+    assert first.record["status"] == "budget" and last.record["status"] == "killed"
+    assert str(page) in last.record["message"] and last.record["output"] == "job.cartesian.pdb"
+    assert str(page) in batch_structures._line([last])
+    tables = Tables(tmp_path, resume=False)
+    tables.finished([job])
+    tables.append([first, last])
+    assert not tables.finished([job])
+    tables.close()
 
 
 def test_a_trace_is_thinned_to_fifty_points_with_both_ends():

@@ -139,5 +139,7 @@ def test_a_stopped_run_is_not_replaced_by_chance(here, capsys, monkeypatch):
     assert "--resume" in capsys.readouterr().err
     assert "resume" in refusal(*begun)
     assert run(*begun, "--resume") == 4 and len(pd.read_csv("o.csv")) == 4
-    assert "complete" in refusal(*begun, "--resume")
+    rows = (here / "o.csv").read_bytes()
+    assert run(*begun, "--resume") == 4 and (here / "o.csv").read_bytes() == rows
+    assert "o.csv: is complete; nothing was left" in capsys.readouterr().err
     assert run(*begun) == 4

@@ -272,6 +272,21 @@ def test_files_hold_what_the_run_was(suffix, precision, small, tmp_path):
     assert "CONSTRAINED DYNAMICS, COMPLETED" in (folder / "last.pdb").read_text()
 
 
+def test_the_record_is_of_the_end_and_of_the_run_that_made_the_steps(small, tmp_path):
+    """Also where the log has the start alone, and where nothing was left to resume."""
+    first, again = (
+        simulate(*small, n_steps=30, every=1000, output=tmp_path, resume=resume) for resume in (False, True)
+    )
+    assert len(first.rows) == 1 and again.n_steps == 0
+    alpha = first.chain.structure.alpha_carbons
+    moved = 10 * np.sqrt(np.mean(np.sum((first.x - first.frames[0])[alpha] ** 2, axis=1)))
+    written = json.loads((tmp_path / "summary.json").read_text())
+    for record in (first.record(), again.record(), written):
+        assert 0.0 < record["ca_rmsd_angstrom"] <= moved + 1e-4
+        assert record["mean_temperature_second_half_k"] != first.rows[0]["temperature_k"]
+    assert written["ns_per_day"] == first.ns_per_day and again.record()["ns_per_day"] is None
+
+
 @pytest.mark.parametrize("thermostat", THERMOSTATS)
 def test_a_run_in_parts_is_the_run_in_one(thermostat, small, tmp_path):
     settings = {"thermostat": thermostat, "every": 20, "seed": 3, "fixman": thermostat == "hmc"}

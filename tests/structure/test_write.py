@@ -114,6 +114,8 @@ def test_only_known_suffixes_of_any_case_are_written(tmp_path):
     assert str(refused.value) == (
         f"{tmp_path}/a.xyz: unknown suffix '.xyz'; use .pdb or .ent or .cif or .mmcif or .pdbx"
     )
+    with pytest.raises(pc.ProtochainError, match=r"a\.pdb: no models"):
+        pc.save([], tmp_path / "a.pdb")
     with pytest.raises(pc.ProtochainError, match=r"a\.pdb\.zip: unknown suffix '\.zip'"):
         pc.save(ring(), tmp_path / "a.pdb.zip")
     assert not list(tmp_path.glob("a.xyz*")) + list(tmp_path.glob("*.zip*"))
