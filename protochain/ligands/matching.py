@@ -225,7 +225,10 @@ def _difference(here: Any, joined: Any, whole: Any, own: Any) -> str:
 
 
 def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
-    """Return the atoms of each stereocentre and double bond that is not as in the source: heavy (n, 3) nm."""
+    """Return the atoms of each stereocentre and double bond that is not as in the source: heavy (n, 3) nm.
+
+    Atoms at NaN, as those of caps, are not there.
+    """
     x = np.zeros((molecule.n_atoms, 3))
     x[molecule.heavy] = heavy
     near = neighbours(molecule.bonds, molecule.n_atoms)
@@ -236,14 +239,14 @@ def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
         hydrogen = -np.sum(list(ways.values()), axis=0)
         # RDKit's clockwise: the first three span a negative volume.
         volume = np.linalg.det([ways.get(i, hydrogen) for i in near[centre][:3]])
-        if abs(volume) < _FLAT or (volume < 0.0) != (molecule.handedness[centre] == 1):
+        if (volume if molecule.handedness[centre] == 2 else -volume) < _FLAT:
             found.append((centre,))
     for first, begin, end, last, cis in molecule.double_bonds.tolist():
         if 1 in molecule.elements[[first, last]]:
             continue
         axis = x[end] - x[begin]
         sides = np.cross(axis, x[first] - x[begin]) @ np.cross(axis, x[last] - x[end])
-        if (sides > 0.0) != bool(cis):
+        if (sides if cis else -sides) < 0.0:
             found.append((begin, end))
     return found
 

@@ -7,12 +7,14 @@ like alanine's keeps the parameters of alanine, sugar and phosphate of a nucleot
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import chain, count
+from itertools import chain, combinations, count
 from typing import NamedTuple
 
 import gemmi
+import numpy as np
 
 from protochain.core import defaults
+from protochain.core.arrays import read_only
 from protochain.core.checks import CHARGE_RULES
 from protochain.core.errors import StructureError
 from protochain.core.graph import neighbours
@@ -65,10 +67,10 @@ class Maker:
 
     def fragment(self) -> Fragment:
         """Chemistry and parameters, whose atoms these are, and what leaves at each bond."""
-        sources: dict[str, None] = {}
+        sources = {self.tag[id(m)]: self.chemist.free(m) for m in self.members}
         for m in self.members:
-            free, tag = self.chemist.free(m), self.tag[id(m)]
-            sources[free.source] = None
+            tag = self.tag[id(m)]
+            free = sources[tag]
             self.graph.add(tag, free)
             self.at |= {tag + a.name: a for a in m.heavy}
             self.flagged |= {tag + name for name in (*leaving(self.chemist.name(m)), "OXT", "OP3")}
@@ -87,9 +89,11 @@ class Maker:
         ligand = _parametrised(
             tuple((name, z, q) for name, (z, q) in self.graph.atoms.items()),
             tuple((*sorted(bond), order) for bond, order in self.graph.bonds.items()),
-            " and ".join(sources), tuple(self.acids), tuple(self.amines),
+            " and ".join(dict.fromkeys(each.source for each in sources.values())),
+            tuple(self.acids), tuple(self.amines),
             chemistry.charges if chemistry.charges in CHARGE_RULES else defaults.LIGAND_CHARGES, chemistry.ph,
         )  # fmt: skip
+        ligand = replace(ligand, molecule=_with_stereo(ligand.molecule, sources))
         graph = Graph()
         graph.add("", ligand.molecule)
         owners, core = list[tuple[Member | None, str]](), list[str]()
@@ -264,6 +268,32 @@ _STRAND_AFTER = (
     {("P+", "OP1+"): 2, ("P+", "OP2+"): 1, ("P+", "O5'+"): 1, ("O5'+", "C5'+"): 1},
 )
 """Atoms and bonds that stand for the neighbours of a nucleotide."""
+
+
+def _with_stereo(made: Molecule, sources: Mapping[str, Molecule]) -> Molecule:
+    """The molecule with the stereo of its residues' sources, by their tags, where bonds are the same."""
+    place = {name: i for i, name in enumerate(made.names)}
+    order = dict(zip(map(frozenset, made.bonds.tolist()), made.orders.tolist(), strict=True))
+    near = neighbours(made.bonds, made.n_atoms)
+    now = [[-1 if made.elements[k] == _H else k for k in each] for each in near]
+    handedness, double = made.handedness.copy(), made.double_bonds.tolist()
+    for tag, free in sources.items():
+        called = zip(free.names, free.elements, strict=True)
+        at = [-1 if z == _H else place.get(tag + name, -2) for name, z in called]
+        its = [[at[k] for k in each] for each in neighbours(free.bonds, free.n_atoms)]
+        same = [i >= 0 and sorted(each) == sorted(now[i]) for i, each in zip(at, its, strict=True)]
+        for k in np.flatnonzero(free.handedness).tolist():
+            if same[k] and its[k].count(-1) < 2:
+                ways = [now[at[k]].index(each) for each in its[k]]
+                is_odd = sum(a > b for a, b in combinations(ways, 2)) % 2
+                handedness[at[k]] = 3 - free.handedness[k] if is_odd else free.handedness[k]
+        for *about, cis in free.double_bonds.tolist():
+            first, begin, end, last = (at[k] for k in about)
+            is_same = same[about[1]] and same[about[2]] and min(first, last) >= 0
+            if is_same and order[frozenset((begin, end))] == 2:
+                double.append([first, begin, end, last, cis])
+    rows = read_only(double, np.int64).reshape(-1, 5)
+    return replace(made, handedness=read_only(handedness, np.int64), double_bonds=rows)
 
 
 def _is_core(graph: Graph, prefix: str, name: str) -> bool:

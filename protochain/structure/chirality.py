@@ -1,4 +1,4 @@
-"""Handedness of C-alpha, of C-beta of threonine, its phosphate and isoleucine, of sugars and of ligands."""
+"""Handedness of C-alpha, of other chiral atoms of amino acids, of sugars, and of what has a source."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -24,8 +24,10 @@ _CENTRES = {
     "THR": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
     "TPO": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
     "ILE": {**_ALPHA, "CB": ("CA", "CG1", "CG2")},
+    "HYP": {**_ALPHA, "CG": ("CB", "CD", "OD1")},
 }
 """Chiral atoms and three neighbours, seen clockwise from the fourth in an L-amino acid."""
+_OF_L = ("N", "C", "CB"), ("C", "CB", "N"), ("CB", "N", "C")
 _SUGAR = {"C3'": ("C4'", "C2'", "O3'"), "C4'": ("C5'", "C3'", "O4'")}
 for _name in NUCLEOTIDES:
     _ribose = {} if _name.startswith("D") else {"C2'": ("C3'", "C1'", "O2'")}
@@ -106,28 +108,38 @@ def with_mirror_images(structure: Structure) -> Structure:
 
 @of_atoms
 def chiral_atoms(structure: Structure) -> Integers:
-    """(n, 4) int: chiral atoms and three neighbours, of a ligand so that its source's volume is positive."""
+    """(n, 4) int: chiral atoms and three neighbours, whose volume is positive, but negative in ``mirrored``.
+
+    Sources of ligands and fragments come before names; in a residue that is ``mirrored``, an L-amino acid is
+    the mirror image of its source, and any other what its source says.
+    """
     names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
     named = np.isin(structure.residue_name, [*NUCLEOTIDES])
     named[[*structure.glycans]] = True
     for i in np.flatnonzero(~structure.kept | (structure.mobile & named[structure.atom_residue])).tolist():
         names[int(structure.atom_residue[i])][str(structure.atom_name[i])] = i
     sugars = {r: sugar_centres(letters_of(code)) for r, code in structure.glycans.items()}
-    found = [
-        [at[name] for name in (centre, *neighbours)]
+    found = {
+        at[centre]: [at[name] for name in (centre, *neighbours)]
         for r, (residue, at) in enumerate(zip(structure.residue_name, names, strict=True))
         for centre, neighbours in sugars.get(r, centres(str(residue))).items()
         if {centre, *neighbours} <= at.keys()
-    ]
-    found += [row for bound in structure.ligands for row in _of_ligand(bound)]
-    rows = np.array(found, dtype=np.int64).reshape(-1, 4)
+    }
+    name, of = structure.atom_name, structure.atom_residue
+    for bound in (*structure.ligands, *structure.fragments):
+        sourced = [row for row in _of_source(bound) if min(row) >= 0]
+        alphas = (row for row in sourced if name[row[0]] == "CA")
+        are_l = {of[row[0]] for row in alphas if tuple(name[row[1:]].tolist()) in _OF_L}
+        for i, a, b, c in sourced:
+            found[i] = [i, b, a, c] if structure.mirrored[of[i]] and of[i] not in are_l else [i, a, b, c]
+    rows = np.array([*found.values()], dtype=np.int64).reshape(-1, 4)
     ends = np.sort(np.stack(np.broadcast_arrays(rows[:, :1], rows[:, 1:])), axis=0)
     bonded = np.sort(structure.bonds, axis=1) @ [structure.n_atoms, 1]
     return rows[np.isin(ends[0] * structure.n_atoms + ends[1], bonded).all(axis=1)]
 
 
-def _of_ligand(bound: BoundLigand) -> Iterator[list[int]]:
-    """Stereocentres of a ligand, each with three neighbours, heavy ones first."""
+def _of_source(bound: BoundLigand) -> Iterator[list[int]]:
+    """Stereocentres of a molecule, each with three neighbours, heavy ones first; -1 of a cap's atom."""
     molecule = bound.ligand.molecule
     near = neighbours(molecule.bonds, molecule.n_atoms)
     for centre in np.flatnonzero(molecule.handedness).tolist():

@@ -59,8 +59,9 @@ def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
                 lacking.append((part, i, missing))
     if renamed:
         draft.note(Kind.ATOMS_RENAMED, changes=tuple(renamed))
-    inverted = inverted_atoms([m for part in draft.parts if not part.obstacle for m in part.members])
-    if inverted:
+    of_chains = [m for part in draft.parts if not part.obstacle for m in part.members]
+    # Those with a source of their own are told by it; a D-amino acid's may be of its mirror image.
+    if inverted := inverted_atoms([m for m in of_chains if m.own is None or m.is_d]):
         draft.note(Kind.INVERTED_IN_FILE, atoms=tuple(inverted))
     _rebuild(draft, lacking)
     for member in open_ended:

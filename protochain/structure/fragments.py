@@ -13,6 +13,8 @@ from scipy.spatial import KDTree
 from protochain.core.errors import Argument, Fault, ProtochainError, StructureError
 from protochain.core.graph import components
 from protochain.core.markup import listed
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands.matching import inverted_atoms
 from protochain.structure.bonding import Graph
 from protochain.structure.bound import Chemist, template_of
 from protochain.structure.capped import Maker, Place
@@ -232,12 +234,14 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
             odd = ", ".join(sorted(strange))
             raise StructureError(f"{m}: {odd} missing or unknown", fault=Fault.INCOMPLETE)
     parts = {id(m): part for part in draft.parts for m in part.members}
-    formal = made.ligand.molecule.formal_charges.tolist()
+    formal, wrong = made.ligand.molecule.formal_charges.tolist(), _inverted(made)
     for m, template in found.values():
         m.own = template
         charge = sum(q for (owner, _), q in zip(made.owners, formal, strict=True) if owner is m)
         source = chemist.free(m).source
         draft.note(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
+        if not m.is_d and (its := tuple(name for owner, name in wrong if owner is m)):
+            draft.note(Kind.INVERTED, residue=m.residue, atoms=its)
         if parts[id(m)].obstacle:
             parts[id(m)].mobile, parts[id(m)].is_small = True, False
         m.odd, m.parent = False, ""
@@ -254,6 +258,14 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         or not {Atom("C", each.facts["last"]), Atom("N", each.facts["first"])} <= ends
     ]
     draft.fragments.append(made)
+
+
+def _inverted(made: Fragment) -> list[tuple[Member | None, str]]:
+    """Stereocentres, and double bonds as ``C1=C2``, that are not as in their sources, by residue."""
+    molecule, own = made.ligand.molecule, made.owners
+    there = [m.atom(name) if m else None for m, name in (own[i] for i in molecule.heavy)]
+    x = np.array([a.pos.tolist() if a else [np.nan] * 3 for a in there]) / ANGSTROM_PER_NM
+    return [(own[its[0]][0], "=".join(own[i][1] for i in its)) for its in inverted_atoms(molecule, x)]
 
 
 def _lost(member: Member, names: Collection[str]) -> tuple[Loss, ...]:

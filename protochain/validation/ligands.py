@@ -142,14 +142,15 @@ def _strains(structure: Structure, x: Floats) -> tuple[float | None, ...]:
 
 def _inverted(bound: BoundLigand, x: Floats) -> list[tuple[int, ...]]:
     """Stereocentres, and ends of double bonds, by their places in the molecule."""
-    return inverted_atoms(bound.ligand.molecule, x[bound.atoms[bound.ligand.molecule.heavy]])
+    its = bound.atoms[bound.ligand.molecule.heavy]
+    return inverted_atoms(bound.ligand.molecule, np.where(its[:, None] < 0, np.nan, x[its]))
 
 
 def inverted_double_bonds(structure: Structure, x: Floats) -> Integers:
-    """(n, 2) int: double bonds of ligands that at x (na, 3), nm, are E for their source's Z, or Z for E."""
+    """(n, 2) int: double bonds that at x (na, 3), nm, are E for their source's Z, or Z for E."""
     found = [
         each.atoms[list(atoms)].tolist()
-        for each in structure.ligands
+        for each in (*structure.ligands, *structure.fragments)
         for atoms in _inverted(each, x)
         if len(atoms) == 2
     ]

@@ -1,5 +1,6 @@
 """Ligands beside the protein: where their chemistry comes from, their parameters, hydrogens and hands."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,11 +14,13 @@ from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
 from protochain.energies.factory import build_system
+from protochain.ligands.dictionary import component
 from protochain.ligands.sources import of_residue, read
 from protochain.structure.bound import _named_apart
 from protochain.structure.chirality import chiral_atoms, volume
 from protochain.structure.ligand_files import poses
 from protochain.structure.repairs import Kind
+from protochain.validation.stereocentres import inverted_stereocentres
 
 Chem, AllChem = (pytest.importorskip(f"rdkit.Chem{name}") for name in ("", ".AllChem"))
 pytest.importorskip("biotite")
@@ -180,6 +183,30 @@ def test_a_mirrored_stereocentre_is_told_and_relax_turns_it_right(tmp_path):
     assert end.HasSubstructMatch(Chem.RemoveHs(neutral), useChirality=True)
     right = pc.load(path, ligands={"LIG": other})
     assert right.ligands[0].inverted == () and Kind.INVERTED not in kinds(right)
+
+
+@pytest.mark.parametrize(
+    ("drawn", "name", "wrong"),
+    [("DAL", "DAL", []), ("ALA", "DAL", ["CA"]), ("DSN", "DSN", []), ("DAL", "ALA", ["CA"])],
+)
+def test_a_free_amino_acid_is_of_the_hand_that_its_name_says(drawn, name, wrong, tmp_path):
+    found = component(drawn)
+    found, made = found[found.element != "H"], Chem.RWMol()
+    for symbol in found.element:
+        made.AddAtom(Chem.Atom(str(symbol)))
+    made.AddConformer(Chem.Conformer(made.GetNumAtoms()))
+    made.GetConformer().SetPositions(found.coord.astype(float))
+    made.GetConformer().SetPositions(10.0 * put(made))
+    path = beside(tmp_path, made, name)
+    text = path.read_text()
+    path.write_text(re.sub(r"X(\d)  ", lambda at: f"{found.atom_name[int(at[1])]:4}", text))
+    s = pc.load(path, keep="ligands")
+    assert [s.atom_name[k] for k in inverted_stereocentres(s, s.positions)] == wrong
+    done = pc.relax(s)
+    assert done.status == "converged" and s.ligands[0].inverted == tuple(wrong)
+    assert not len(inverted_stereocentres(s, done.x))
+    centre = next(row for row in chiral_atoms(s) if row[0] in s.ligands[0].atoms)
+    assert (volume(done.x[centre]) * volume(s.positions[centre]) < 0.0) == bool(wrong)
 
 
 def test_methods_move_it_torsions_as_a_rigid_body(tmp_path):

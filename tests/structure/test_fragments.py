@@ -11,7 +11,10 @@ from fixtures.tolerances import BOND_KEPT
 
 import protochain as pc
 from protochain.energies.factory import build_system
+from protochain.structure.chirality import with_mirror_images
 from protochain.structure.repairs import Kind
+from protochain.validation.ligands import inverted_double_bonds
+from protochain.validation.stereocentres import inverted_stereocentres
 
 pytest.importorskip("rdkit")
 pytest.importorskip("dimorphite_dl")
@@ -206,3 +209,48 @@ def test_a_flat_alpha_carbon_is_of_neither_hand(sign, tmp_path):
     structure.make_mmcif_document().write_file(str(path))
     s = pc.load(path)
     assert s.residue_name_in_file[1] == "DHA" and not s.mirrored.any() and len(s.fragments) == 1
+
+
+def told(s):
+    """What is inverted by the lines of loading, and by the measures."""
+    lines = [each for each in s.repairs if each.kind in (Kind.INVERTED, Kind.INVERTED_IN_FILE)]
+    names = [getattr(a, "name", a) for each in lines for a in each.facts["atoms"]]
+    return names, [s.atom_name[k] for k in inverted_stereocentres(s, s.positions)]
+
+
+@pytest.mark.parametrize("drawn, name, wrong", [("HYP", "HYP", []), ("HZP", "HYP", ["CG"]),
+                                                ("HZP", "HZP", []), ("HYP", "HZP", ["CG"])])  # fmt: skip
+def test_a_stereocentre_of_a_modified_residue_is_that_of_its_source(drawn, name, wrong, tmp_path):
+    path = modified(STRUCTURES / "1l2y.pdb", {("A", 12): (drawn, ("CB", "CG", "CD"))}, tmp_path)
+    path.write_text(path.read_text().replace(drawn, name))
+    s = pc.load(path)
+    assert told(s) == (wrong, wrong)
+    if wrong:
+        assert pc.minimise(s, method="cartesian", max_evaluations=40).status != "converged"
+        done = pc.relax(s).structure
+        assert not len(inverted_stereocentres(s, done.positions))
+
+
+def test_a_mirror_image_of_a_modified_residue_is_one_in_a_chain_that_is(tmp_path):
+    path = modified(STRUCTURES / "1l2y.pdb", {("A", 12): ("HZP", ("CB", "CG", "CD"))}, tmp_path)
+    s = pc.load(path)
+    d = with_mirror_images(s.with_positions(s.positions * [1.0, 1.0, -1.0]))
+    assert d.mirrored.sum() == 17 and not len(inverted_stereocentres(d, d.positions))
+
+
+def test_a_sugar_beside_a_chain_and_retinal_are_as_their_sources(tmp_path):
+    path, _ = covalent.written(tmp_path, covalent.KINDS["c-mannose"])
+    assert told(pc.load(path)) == ([], [])
+    path.write_text(path.read_text().replace("MAN", "GLC"))
+    assert told(pc.load(path)) == (["C2"], ["C2"])
+    s = pc.load(covalent.written(tmp_path, covalent.KINDS["methyllanthionine"])[0])
+    assert told(s) == ([], [])  # DBB is a D-amino acid.
+    s = pc.load(covalent.written(tmp_path, covalent.KINDS["retinal"])[0])
+    assert told(s) == ([], []) and not len(inverted_double_bonds(s, s.positions))
+    at = {str(name): k for k, name in enumerate(s.atom_name) if s.residue_name[s.atom_residue[k]] == "RET"}
+    a, b = s.positions[[at["C11"], at["C12"]]]
+    axis = (b - a) / np.linalg.norm(b - a)
+    ring = [at[name] for name in at if name in ("C10", "C9", "C8", "C19", "H11", "H10")]
+    x = s.positions.copy()
+    x[ring] = 2.0 * np.outer((x[ring] - a) @ axis, axis) + 2.0 * a - x[ring]
+    assert (s.atom_name[inverted_double_bonds(s, x)] == ["C11", "C12"]).all()
