@@ -17,6 +17,7 @@ STIFFNESS = 1000.0
 _KCAL = 4.184
 _FAR = 1e6
 """Angstrom: no upper bound."""
+_EXAMPLE = "distance A:3:CA A:9:CA 0 6 1000"
 PLACES = {"distance": (2,), "dihedral": (1, 4), "position": (1,)}
 
 
@@ -62,8 +63,18 @@ class Restraint:
         if len(self.places) not in PLACES[self.kind]:
             n = " or ".join(map(str, PLACES[self.kind]))
             raise ProtochainError(f"restraint {self}: give {n} places of a {self.kind}")
-        if not (self.lower <= self.upper and 0.0 <= self.stiffness < math.inf and self.linear >= 0.0):
-            raise ProtochainError(f"restraint {self}: give a lower and an upper bound, and a stiffness")
+        turns = self.kind == "dihedral"
+        if self.lower > self.upper and self.kind != "position":
+            up = self.upper + 360.0 * math.ceil((self.lower - self.upper) / 360.0)
+            low, high = (self.lower, up) if turns else (self.upper, self.lower)
+            remedy = f"the lower bound is above the upper; give {low:g} {high:g}"
+        elif turns and self.upper - self.lower >= 360.0:
+            remedy = "every angle is within these bounds; give less than 360 degrees"
+        elif not (self.lower <= self.upper and 0.0 <= self.stiffness < math.inf and self.linear >= 0.0):
+            remedy = "give a lower and an upper bound, and a stiffness"
+        else:
+            return
+        raise ProtochainError(f"restraint {self}: {remedy}")
 
     @classmethod
     def read(cls, line: str) -> Self:
@@ -79,7 +90,7 @@ class Restraint:
         except (ValueError, KeyError):
             raise ProtochainError(
                 f"restraint {line.strip()!r}: give kind, places, bounds and stiffness, as "
-                "'distance A:3:CA A:9:CA 0 6 1000', 'dihedral \"phi A:3\" -70 -50', 'position A:3:CA 0.5'"
+                f"'{_EXAMPLE}', 'dihedral \"phi A:3\" -70 -50', 'position A:3:CA 0.5'"
             ) from None
         return cls(kind, places, lower, upper, stiffness)
 
@@ -103,20 +114,31 @@ def read_restraints(given: Any, name: str = "restraint") -> tuple[Restraint, ...
         return (given,)
     if isinstance(given, str | Path):
         if not Path(given).is_file():
+            if is_missing(given):
+                raise refused(name, str(given), "no such file")
             return (Restraint.read(str(given)),)
         text = Path(given).read_text(errors="replace")
         try:
             if "&rst" in text.lower():
-                return tuple(_of_amber(text))
-            if re.search(r"(?im)^\s*assi", text):
-                return tuple(_of_cns(text))
-            lines = (re.sub(r"(^|\s)#.*", "", line).strip() for line in text.splitlines())
-            return tuple(Restraint.read(line) for line in lines if line)
+                listed = tuple(_of_amber(text))
+            elif re.search(r"(?im)^\s*assi", text):
+                listed = tuple(_of_cns(text))
+            else:
+                lines = (re.sub(r"(^|\s)#.*", "", line).strip() for line in text.splitlines())
+                listed = tuple(Restraint.read(line) for line in lines if line)
         except ProtochainError as error:
             raise ProtochainError(f"{given}: ", *error.parts) from None
+        if not listed:
+            raise ProtochainError(f"{given}: no restraints; give a line each, as '{_EXAMPLE}'")
+        return listed
     if not isinstance(given, Iterable) or not all(isinstance(each, Restraint | str) for each in given):
         raise refused(name, shown(given), "give Restraints, their lines, or a file of them")
     return tuple(its for each in given for its in read_restraints(each))
+
+
+def is_missing(given: str | Path) -> bool:
+    """Whether what is neither a file nor a number can only have been meant as a file: it is one word."""
+    return isinstance(given, Path) or (len(given.split()) == 1 and given not in PLACES)
 
 
 def are_restraints(given: Any) -> bool:

@@ -11,6 +11,7 @@ import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from functools import cached_property
 from importlib import import_module, metadata
+from threading import Timer, main_thread
 from typing import Annotated, Any
 
 import typer
@@ -34,6 +35,7 @@ _COMMANDS = {
 }  # fmt: skip
 """Name of each command, which is that of its function, and the module that has it."""
 _NO_RESULT = "interrupted before there was a result"
+_LATER = 0.05  # s.
 _ALIASES = {"minimize": "minimise"}
 
 
@@ -57,7 +59,10 @@ class _Commands(TyperGroup):
         """Run a command, of which Typer would return the status of an interrupt without a word."""
         try:
             return super().invoke(ctx)
-        except KeyboardInterrupt:
+        except (KeyboardInterrupt, SystemError) as error:
+            # SystemError is what compiled code makes of one that it did not expect.
+            if not any(isinstance(each, KeyboardInterrupt) for each in (error, error.__cause__)):
+                raise
             raise typer.Exit(fail(_NO_RESULT, INTERRUPTED)) from None
 
 
@@ -99,9 +104,18 @@ def as_said(error: ProtochainError) -> str:
     )
 
 
+def _not_raised(lost: "sys.UnraisableHookArgs") -> None:
+    """Interrupt again, a little later, where nothing could be raised, as in a finaliser; tell all else."""
+    if lost.exc_type is KeyboardInterrupt:
+        Timer(_LATER, signal.pthread_kill, (main_thread().ident, signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(lost)
+
+
 def main() -> None:
     """Run the command line: one line on standard error and status 2 for bad input or usage."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
+    sys.unraisablehook = _not_raised
     # By default Python looks for garbage after each 700 new objects, also while 1700 modules are loaded: a
     # tenth of the time of a short run.
     gc.set_threshold(1_000_000, 20, 100)

@@ -34,7 +34,10 @@ def scan(
     from protochain.core.storage import write_atomically
     from protochain.results.page import write_scan
 
-    asked = dict(_read(each) for each in grids)
+    read = [_read(each) for each in grids]
+    asked = dict(read)
+    if len(asked) < len(read):
+        raise ProtochainError(f"{' '.join(map(repr, grids))}: give each hinge once")
     table = output or Path(f"{options.named_after(source)[0]}.scan.csv")
     options.check_page(report)
     files = [table, *([report] if report else [])]

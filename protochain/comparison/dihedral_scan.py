@@ -11,6 +11,7 @@ from protochain.chains.chain import Chain, pose
 from protochain.core.arrays import floats
 from protochain.core.checks import checked, flag, function
 from protochain.core.errors import ProtochainError
+from protochain.core.interrupts import held_interrupts
 from protochain.minimisers import minimise
 
 if TYPE_CHECKING:
@@ -71,10 +72,13 @@ def scan(
         if not len(values) or not np.isfinite(values).all():
             raise ProtochainError(f"grids: {name}: give finite numbers, in degrees")
     rows, total = [], int(np.prod([len(values) for values in axes.values()]))
-    for row in _points(cut, energy, axes, relax):
-        rows.append(row)
-        if watch:
-            watch(len(rows), total)
+    with held_interrupts() as interrupts:
+        for row in _points(cut, energy, axes, relax):
+            if interrupts:
+                raise KeyboardInterrupt
+            rows.append(row)
+            if watch:
+                watch(len(rows), total)
     return pd.DataFrame(rows)
 
 

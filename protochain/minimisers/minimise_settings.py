@@ -7,7 +7,7 @@ from typing import Any
 
 from protochain.core import defaults
 from protochain.core.checks import anything, at_least, flag, limited, number, one_of, optional, path
-from protochain.core.errors import Angle, Argument, ProtochainError
+from protochain.core.errors import Angle, Argument, ProtochainError, refused
 from protochain.core.settings import Settings, setting
 
 JUDGES = (defaults.JUDGE, "reference")
@@ -15,6 +15,12 @@ JUDGES = (defaults.JUDGE, "reference")
 
 TOLERANCE = optional(limited(number, lambda force: 0 < force <= 1e6, "give a number above 0, at most 1e6"))
 """Check of a tolerance. A bond 2 nm too long pulls by 1e6 kJ/mol/nm: above it any start is an end."""
+
+
+def _not_empty(given: str) -> str:
+    if not given.strip():
+        raise refused("restraint", "''", "give strengths, a restraint or a file, or leave it out")
+    return given
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,9 +40,12 @@ class MinimiseSettings(Settings):
     seed: int = setting(defaults.SEED, "Seed of methods that draw random numbers.", at_least(0), int)
     restraint: Any = setting(
         "",
-        "Restraints to the start, kJ/mol/nm^2, one after the other: '1000 100 0'.",
+        "Springs to the start, kJ/mol/nm^2, one after the other: '1000 100 0'; or a restraint, as 'distance "
+        "A:3:CA A:9:CA 0 6 1000', or a file of them.",
         anything,
         option="--restrain",
+        read=_not_empty,
+        metavar="K...|LINE|FILE",
     )
     max_rmsd: float = setting(math.inf, "Largest C-alpha RMSD to the start, angstrom.", number, float)
     curvature: bool | None = setting(

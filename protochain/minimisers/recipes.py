@@ -14,7 +14,7 @@ from protochain.chains.contacts import overlaps
 from protochain.core import defaults
 from protochain.core.arrays import Floats
 from protochain.core.checks import number, refuse_class
-from protochain.core.errors import ProtochainError
+from protochain.core.errors import Argument, ProtochainError, refused
 from protochain.energies.factory import lacks_dihedrals
 from protochain.energies.protocol import Energy
 from protochain.minimisers.annealing import Annealing
@@ -328,11 +328,11 @@ def kcm(angle: float = ANGLE) -> Recipe:
 
 def at_angle(recipe: Recipe, angle: float) -> Recipe:
     """Method of KCM that begins with another angle, or keeps to it: angle rad."""
-    if not 0.0 < number(angle, "angle") < np.inf:
-        raise ProtochainError(f"angle {angle:g}: give a number above 0, in rad")
+    if not 0.0 < number(angle, "angle") <= np.pi:
+        raise refused("angle", f"{angle:g}", "give a number above 0, at most pi, in rad")
     if not _has_angle(recipe):
         known = ", ".join(name for name, each in RECIPES.items() if _has_angle(each))
-        raise ProtochainError(f"angle: method {recipe.name!r} has none; give it with {known}")
+        raise ProtochainError(Argument("angle"), f": method {recipe.name!r} has none; give it with {known}")
     (run,) = recipe.runs
     method: Any = run.method
     turned = replace(method, rule=replace(method.rule, length=float(angle)))

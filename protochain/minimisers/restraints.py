@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from protochain.chains.contacts import near_pairs
-from protochain.chains.restraint_lines import Restraint, are_restraints, read_restraints
+from protochain.chains.restraint_lines import Restraint, are_restraints, is_missing, read_restraints
 from protochain.chains.restraint_list import Restraints
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import refused
@@ -174,7 +174,8 @@ class Hold:
 
     def __post_init__(self) -> None:
         if not all(0 <= strength < np.inf for strength in self.strengths):
-            raise refused("restraint", self.strengths, "give strengths in kJ/mol/nm^2, none below 0")
+            given = " ".join(f"{strength:g}" for strength in self.strengths)
+            raise refused("restraint", given, "give strengths in kJ/mol/nm^2, none below 0")
         if not self.max_rmsd > 0:
             raise refused("max_rmsd", f"{self.max_rmsd:g}", "give a number of angstrom above 0")
 
@@ -189,9 +190,9 @@ class Hold:
             given = restraint.split() if isinstance(restraint, str) else np.atleast_1d(restraint)
             strengths = tuple(float(strength) for strength in given)
         except (TypeError, ValueError):
-            raise refused(
-                "restraint", f"{restraint!r}", "give strengths in kJ/mol/nm^2, as '1000 100 0'"
-            ) from None
+            remedy = "give strengths in kJ/mol/nm^2, as '1000 100 0', or a file of restraints"
+            missing = "no such file; " * (isinstance(restraint, str) and is_missing(restraint))
+            raise refused("restraint", f"{restraint!r}", missing + remedy) from None
         return cls(strengths, max_rmsd)
 
     @property

@@ -214,7 +214,8 @@ _OWN: dict[str, Callable[[Structure, str], NDArray[np.bool_]]] = {
 def _word(structure: Structure) -> re.Pattern[str]:
     """One of them, of an interface with its sides, if they are given; not as a part of another word."""
     chain = "|".join(re.escape(name) for name in {*structure.residue_chain.tolist()} if name) or "(?!)"
-    of = rf"(?<=e)\s+([\w,]+:[\w,]+|(?:{chain})\s+(?:{chain}))"
+    side = rf"(?!(?:and|or)\b)(?:{chain}|[\w,]+)"
+    of = rf"(?<=e)\s+([\w,]+:[\w,]+|{side}\s+{side})"
     return re.compile(rf"(?<![\w:'-])(sidechain|ligand|interface)(?:{of})?(?![\w:'-])")
 
 

@@ -149,10 +149,13 @@ def test_frames_are_relaxed_under_them():
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ("distance A:3:CA 0 6", "give kind, places"), ("distance A:3:CA A:9:CA 6 0", "a lower and an upper"),
+        ("distance A:3:CA 0 6", "give kind, places"),
+        ("distance A:3:CA A:9:CA 6 0", "lower bound is above the upper; give 0 6"),
         ("angle A:3:CA A:9:CA 0 6", "1000 100 0"), ("distance A:3:CA A:99:CA 0 6", "no residues A:99"),
         ("distance A:3:CA A:3:CA 0 6", "on both sides"), ("dihedral 'phi A:1' 0 6", "A:1 has psi"),
         ("dihedral A:3 A:4:CA A:5:CA A:6:CA 0 6", "single atoms"), ("position A:3:CA -1", "a lower and an"),
+        ("dihedral phi@A:5 170 -170", "above the upper; give 170 190"), ("nofile.txt", "no such file"),
+        ("dihedral phi@A:5 -700 -50", "less than 360 degrees"),
         ("distance 'resid 3 and name XX' A:9:CA 0 6", "no atoms"), ("distance @1 @99999 0 6", "atoms @99999"),
     ],
 )  # fmt: skip
@@ -165,11 +168,14 @@ def test_damaged_tables_are_refused_by_their_name(tmp_path):
     for text, said in (
         ("&rst iat=1,2, r1=1 /", "give iat, r1 to r4"),
         ("&rst iat=-1,2,r1=1,r2=2,r3=3,r4=4,rk2=1,rk3=1 /", "two atoms"),
+        ("# none\n\n", "no restraints"), ("&rst iat=1,2", "no restraints"),
         ("assign (resid 1) (resid 2) a b c", "not a distance"), ("distance A:1\n", "give kind, places"),
     ):  # fmt: skip
         (tmp_path / "bad.tbl").write_text(text)
         with pytest.raises(pc.ProtochainError, match=f"bad.tbl: .*{said}"):
             read_restraints(tmp_path / "bad.tbl")
+    with pytest.raises(pc.ProtochainError, match=r"restraints nofile\.txt: no such file"):
+        pc.relax(load("1l2y.pdb"), restraints="nofile.txt")
 
 
 def test_commands_take_a_file_or_a_line(tmp_path, monkeypatch, capsys):
@@ -191,6 +197,7 @@ def test_commands_take_a_file_or_a_line(tmp_path, monkeypatch, capsys):
     assert len(json.loads(capsys.readouterr().out)["restraint"]) == 2
     assert "restraints_kj_mol" in (tmp_path / "sim" / "log.csv").read_text()
     assert "give kind, places" in refusal_as_said("simulate", source, "--restrain", "distance A:1", *folder)
+    assert "leave it out" in refusal_as_said("minimise", source, "--restrain", "")
 
 
 @pytest.mark.parametrize("edges", [None, np.arange(-190.0, 0.0, 10.0)])

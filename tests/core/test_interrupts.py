@@ -169,22 +169,59 @@ def test_an_untouched_start_is_not_written(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interrupt_before_a_run_is_a_line_and_status_130(monkeypatch, capsys):
-    setup = importlib.import_module("protochain.chains.setup")
+def raised():
+    raise KeyboardInterrupt
 
-    def load(*_):
+
+def raised_in_compiled_code():
+    raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+
+class Finalised:
+    def __del__(self):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(setup.Setup, "load", load)
-    monkeypatch.setattr(sys, "argv", ["protochain", "minimise", str(STRUCTURES / "ala10.pdb")])
-    handler = signal.getsignal(signal.SIGTERM)
-    try:
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-    finally:
-        signal.signal(signal.SIGTERM, handler)
+
+def lost_in_a_finaliser():
+    Finalised()
+    threading.Event().wait(20.0)
+
+
+@pytest.mark.parametrize("how", [raised, raised_in_compiled_code, lost_in_a_finaliser])
+def test_an_interrupt_before_a_run_is_a_line_and_status_130(how, signals, monkeypatch, capsys):
+    setup = importlib.import_module("protochain.chains.setup")
+    monkeypatch.setattr(setup.Setup, "load", lambda *_: how())
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
+    monkeypatch.setattr(sys, "argv", ["protochain", "validate", str(STRUCTURES / "ala10.pdb")])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
     assert ended.value.code == 130
     assert capsys.readouterr().err == "protochain: interrupted before there was a result\n"
+
+
+def test_an_interrupt_ends_a_scan(signals):
+    points = []
+
+    def watch(*done):
+        points.append(done)
+        interrupt()
+
+    for relax in (False, True):
+        with pytest.raises(KeyboardInterrupt):
+            pc.scan(chain("ala10.pdb"), energy("ala10.pdb"), {"phi A:5": range(9)}, relax=relax, watch=watch)
+    assert len(points) == 2
+
+
+def test_an_interrupt_ends_the_scan_whose_point_is_being_relaxed(signals):
+    def slow(x, calls=[]):  # noqa: B006
+        calls.append(x)
+        if len(calls) == 9:
+            interrupt()
+        assert len(calls) < 30
+        return energy("ala10.pdb")(x)
+
+    with pytest.raises(KeyboardInterrupt):
+        pc.scan(chain("ala10.pdb"), slow, {"phi A:5": range(9)}, relax=True)
 
 
 STAGES = ("preparation", "resolving clashes", "held by springs", "torsions", "all atoms", "OpenMM")

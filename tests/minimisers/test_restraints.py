@@ -108,13 +108,16 @@ def test_what_holds_is_read_from_numbers_words_and_callables():
     assert Hold((3.0,), term=term).record() == [3.0, pc.energies.custom.name_of(term)]
 
 
+OR = " in kJ/mol/nm^2, as '1000 100 0', or a file of restraints"
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"restraint": -0.5}, "restraint (-0.5,): give strengths in kJ/mol/nm^2, none below 0"),
-        ({"restraint": (1.0, np.inf)}, "restraint (1.0, inf): give strengths in kJ/mol/nm^2, none below 0"),
-        ({"restraint": "much"}, "restraint 'much': give strengths in kJ/mol/nm^2, as '1000 100 0'"),
-        ({"restraint": [[]]}, "restraint [[]]: give strengths in kJ/mol/nm^2, as '1000 100 0'"),
+        ({"restraint": -0.5}, "restraint -0.5: give strengths in kJ/mol/nm^2, none below 0"),
+        ({"restraint": (1.0, np.inf)}, "restraint 1 inf: give strengths in kJ/mol/nm^2, none below 0"),
+        ({"restraint": "much"}, "restraint 'much': no such file; give strengths{OR}"),
+        ({"restraint": [[]]}, "restraint [[]]: give strengths{OR}"),
         ({"restraint": (), "max_rmsd": 0.0}, "max_rmsd 0: give a number of angstrom above 0"),
         ({"restraint": (), "max_rmsd": np.nan}, "max_rmsd nan: give a number of angstrom above 0"),
     ],
@@ -122,4 +125,4 @@ def test_what_holds_is_read_from_numbers_words_and_callables():
 def test_what_cannot_hold_is_refused(given, said):
     with pytest.raises(pc.ProtochainError) as refusal:
         Hold.of(**given)
-    assert str(refusal.value) == said
+    assert str(refusal.value) == said.replace("{OR}", OR)
