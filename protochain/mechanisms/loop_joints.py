@@ -26,13 +26,7 @@ from protochain.mechanics.multibody.algebra import (
 )  # fmt: skip
 from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.kinematics import Frames, outward_twists, velocities
-from protochain.mechanics.multibody.newton_euler import (
-    AT_REST,
-    Motion,
-    carried_along,
-    motion_of,
-    put_motions,
-)
+from protochain.mechanics.multibody.newton_euler import AT_REST, Motion, carried_along, motion_of, put_motions
 from protochain.mechanics.multibody.operational import Rows
 from protochain.mechanics.multibody.small import solve_lower
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Protocol
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -257,25 +257,8 @@ def _refuse_passage(name: str, ball: Integers, bad: np.ndarray) -> None:
         )
 
 
-class Finder(Protocol):
-    """Where some balls touch something."""
-
-    @property
-    def balls(self) -> Balls:
-        """The balls."""
-
-    @property
-    def body(self) -> int:
-        """Body of the other, -1 for the world; any number if these are balls."""
-
-    def touches(self, frames: Frames) -> Touches:
-        """Return the touches at one pose."""
-
-    def refuse_depth(self, touches: Touches) -> None:
-        """Raise if one is so deep that its direction means nothing."""
-
-    def refuse_passage(self, before: Frames, after: Frames) -> None:
-        """Raise if a ball has passed through from one step to the next."""
+Finder = OnPlane | Among | OnSurface
+"""Where some balls touch something: a body, -1 for the world; any number if these are balls."""
 
 
 def finder(bodies: Bodies, balls: Sequence[Ball], other: Other, name: str) -> Finder:

@@ -141,7 +141,7 @@ class Evaluation:
             missing = self._most - self._helping
             self._helping = self._most
         if missing:
-            them.ask(self, missing, self._most)
+            them.ask(self.help_out, missing, self._most)
 
     def help_out(self) -> None:
         """Do tasks, as a helper, until none has come for a while."""

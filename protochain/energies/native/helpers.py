@@ -2,18 +2,12 @@
 
 import os
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from queue import SimpleQueue
-from typing import Protocol
 
-
-class Job(Protocol):
-    """What helpers are asked for."""
-
-    def help_out(self) -> None:
-        """Do some of the work, as long as there is any."""
-
-
+Job = Callable[[], None]
+"""What helpers are asked for: some of the work, as long as there is any."""
 _MEMORY = 0.1
 """s for which what helpers saved counts: many turns of the operating system's scheduler."""
 _SHORTEST, _LONGEST = 0.1, 3.2
@@ -72,7 +66,7 @@ class Helpers:
 
 def _serve(jobs: "SimpleQueue[Job]") -> None:
     while True:
-        jobs.get().help_out()
+        jobs.get()()
 
 
 _all = [Helpers()]
