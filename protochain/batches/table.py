@@ -72,6 +72,12 @@ SUMMARY, RELAXED, _TRACES = "summary", "relaxed", "traces.csv"
 """Stems of the names of tables, of a batch and of relaxed structures; name of that of traces."""
 
 
+def replaced(folder: Path, name: str, resume: bool, force: bool) -> list[Path]:
+    """Files of a folder that a new batch may replace; none if it goes on, or will be refused."""
+    is_refused = not force and any((folder / f"{table}.csv").exists() for table in (SUMMARY, RELAXED))
+    return [] if resume or is_refused else files_of(folder, name)
+
+
 def files_of(folder: Path, name: str = SUMMARY) -> list[Path]:
     """Files that a batch writes to its folder beside structures, pages and plots."""
     names = (f"{name}.csv", f"{name}.parquet", _TRACES, "summary.json", "report.html", SETTINGS)

@@ -59,7 +59,7 @@ def batch(
     from protochain.batches.cluster import Processes
     from protochain.batches.jobs import listed
     from protochain.batches.report import plot_distributions
-    from protochain.batches.table import files_of
+    from protochain.batches.table import SUMMARY, replaced
     from protochain.results.figures import check_figure, write_figure
 
     settings = BatchSettings(
@@ -78,7 +78,7 @@ def batch(
             print_jobs(jobs)
         raise typer.Exit(options.CONVERGED)
     check_figure(figure)
-    options.check_outputs([manifest], [*([] if resume else files_of(output)), figure], setup)
+    options.check_outputs([manifest], [*replaced(output, SUMMARY, resume, force), figure], setup)
     with Processes(workers, scheduler, threads, time_limit).started_early(), batch_progress() as watch:
         done = run(
             given, output, manifest=manifest, resume=resume, force=force, watch=watch,

@@ -134,7 +134,9 @@ def run(
     from protochain.cli.terminal import frames_progress
 
     processes = _processes(setup, workers, time_limit)
-    options.check_outputs([source, trajectory, *reads], [*files_of(table, output), report], setup, force)
+    files = files_of(table, output)
+    replaces = not resume and (force or not files[1].exists())  # Where there is a checkpoint, it is refused.
+    options.check_outputs([source, trajectory, *reads], [*files, report], setup, force, replaces)
     options.check_page(report)
     ensemble, chosen = opened(source, trajectory, frames, setup)
     with frames_progress(task.name, len(chosen)) as watch:

@@ -125,7 +125,7 @@ def _scan(
 
     table = output or Path(f"{options.named_after(source)[0]}.mutations.csv")
     options.check_page(report)
-    options.check_outputs([source], [table, report], setup, force)
+    options.check_outputs([source], [table, report], setup, force, not resume)
     processes = Processes(how[0], how[1], setup.threads or 1, how[2])
     with processes.started_early():
         structure = setup.load(source)

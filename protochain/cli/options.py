@@ -323,6 +323,7 @@ def check_outputs(
     writes: Sequence[str | Path | None],
     setup: Setup | None = None,
     force: bool | None = None,
+    replaces: bool = True,
 ) -> None:
     """Refuse, before any work, outputs that would replace an input or one another or cannot be written."""
     from protochain.core.storage import check_writable
@@ -339,7 +340,7 @@ def check_outputs(
             instead = "" if force is None else ", or --force to replace it"
             raise ProtochainError(f"{output}: is the input; give another name{instead}")
         check_writable(output)
-    if there := [str(output) for output in outputs if output.is_file()]:
+    if there := [str(output) for output in outputs if replaces and output.is_file()]:
         more = f" and {len(there) - 1} more" if len(there) > 1 else ""
         print(f"{there[0]}{more}: there already, will be replaced", file=sys.stderr)
 

@@ -54,7 +54,8 @@ def search(
         structure = from_sequence(str(source))
         chain, energy = setup.chain(structure), setup.energy(structure)
     else:
-        options.check_outputs([source], [output / "summary.json", output / "report.html"], setup)
+        files = [output / "summary.json", output / "report.html"]
+        options.check_outputs([source], files, setup, replaces=not running.resume)
         chain, energy, _ = options.prepare(source, setup)
     count = min(processors(), searching.n_walkers) if workers is None else workers
     with search_progress(named) as watch:

@@ -96,7 +96,9 @@ def test_a_folder_is_relaxed_with_a_row_for_each_and_resumed(here, capsys):
     page = (here / "out" / "pages" / "ala.html").read_text()
     assert all(f">{column.title}<" in page for column in SHOWN_RELAXED)
     kept = (here / "out" / "x_relaxed_rank_002_y.pdb").stat().st_mtime_ns
+    capsys.readouterr()
     assert "--resume continues it" in refusal_as_said(*given)
+    assert "replaced" not in capsys.readouterr().err
     assert "without stiffness, which is 100.0 now" in refusal(*given, "--resume", "--stiffness", 100)
     shutil.copy(STRUCTURES / "ala10.pdb", here / "in" / "new.pdb")
     assert run(*given, "--resume") == 4
