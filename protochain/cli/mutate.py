@@ -65,7 +65,8 @@ def mutate(
     from protochain.relaxation.mutations import PROTOCOL, mutated, places_of
 
     if (mutations is None) == (scan is None):
-        raise ProtochainError(f"mutate: give mutations, as A:L45F, or --scan SITES{', not both' if scan else ''}")
+        both = ", not both" if scan else ""
+        raise ProtochainError(f"mutate: give mutations, as A:L45F, or --scan SITES{both}")
     relaxing = replace(relaxing, **PROTOCOL)
     if scan is not None:
         raise typer.Exit(
