@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from protochain.chains.hinges import Hinge
 from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read_only
 from protochain.core.checks import instance, number, text
-from protochain.core.errors import ChainError
+from protochain.core.errors import ChainError, refused
 from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.algebra import (
@@ -138,12 +138,15 @@ class Chain(Value):
 
         Raises
         ------
-        ChainError
-            If no hinge of a name turns.
+        ProtochainError
+            If no hinge of a name turns, or a value is not finite.
         """
         made = np.array(self.q0 if q is None else floats(q, (self.n_q,), "q"))
         for name, value in values.items():
-            made[self.tree.q_start[self.hinge_body[self.hinge(name)]]] = np.deg2rad(number(value, "values"))
+            angle = np.deg2rad(number(value, "values"))
+            if not np.isfinite(angle):
+                raise refused("values", f"{name}: {value}", "give finite numbers, in degrees")
+            made[self.tree.q_start[self.hinge_body[self.hinge(name)]]] = angle
         return made
 
     @cached_property

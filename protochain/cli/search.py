@@ -43,6 +43,10 @@ def search(
 
     named = str(source) if is_sequence(source) else options.named_after(source)[0]
     output = output or Path(f"{named}-search")
+    if searching.method == "csa":
+        options.refuse(context, "temperatures", "csa has none")
+    if searching.method != "tempering":
+        options.refuse(context, "n_replicas pilot", "is of tempering")
     check_folder(output, running.resume, running.force)
     setup = replace(setup, threads=1)
     if is_sequence(source):

@@ -49,13 +49,18 @@ def simulate(
     from protochain.dynamics import simulate as run
     from protochain.dynamics.folder import check_folder, files_of
     from protochain.dynamics.simulate_chain import freed
+    from protochain.dynamics.thermostats import THERMOSTATS
 
-    simulation = replace(simulation, pull=pulling)
+    simulation, thermostat = replace(simulation, pull=pulling), THERMOSTATS[simulation.thermostat]
+    if not thermostat.metropolis:
+        options.refuse(context, "trajectory_length", "is of hmc")
+    if not hasattr(thermostat, "friction"):
+        options.refuse(context, "friction", f"thermostat {simulation.thermostat} has none")
     output = output or Path(f"{options.named_after(source)[0]}-simulation")
     check_folder(output, running.trajectory, running.resume, running.force)
     options.check_outputs([source], [] if running.resume else files_of(output, running.trajectory), setup)
     chain, energy, preparation = options.prepare(source, setup)
-    if simulation.pull or simulation.hinge_springs:
+    if simulation.pull or simulation.hinge_springs or simulation.hydrogen_mass is not None:
         freed(chain, simulation)  # What is not there is said before the work.
     relax = relax and not running.resume
     troubled = relax and print_outlook(source, chain.structure, METHOD)

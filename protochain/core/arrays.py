@@ -60,6 +60,8 @@ def floats(values: ArrayLike, shape: tuple[int, ...], name: str, unit: str = "")
         if not unit:
             raise ProtochainError(f"{name} has a unit; give numbers, without a unit")
         values = plain(values, unit, name)
+    if isinstance(values, np.ndarray) and values.dtype.kind == "c":
+        raise ProtochainError(f"{name}: give real numbers, not complex ones")
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError):

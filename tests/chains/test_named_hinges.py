@@ -116,6 +116,7 @@ def test_a_relaxed_scan_is_lower_and_keeps_the_dihedral():
     [
         (lambda c: c.set({"phi A:99": 1.0}), "'phi A:99': does not turn"),
         (lambda c: c.set({"omega A:5": 1.0}), "does not turn; psi A:5, phi A:5"),
+        (lambda c: c.set({"phi A:5": np.nan}), "values phi A:5: nan: give finite"),
         (lambda c: c.set({"phi A:5": "x"}), "values 'x': give a number"),
         (lambda c: pc.build_chain(c.structure, "phi psi -phi@A:99"), "no hinge 'phi A:99'"),
         (lambda c: pc.HingeSpring("phy@A:5", 1.0), "no kind of hinge"),
@@ -150,6 +151,7 @@ def test_the_command_scans(tmp_path, monkeypatch, capsys):
     ):
         assert "give a hinge and its values" in refusal_as_said(*given, wrong)
     assert "does not turn" in refusal_as_said(*given, "omega A:5=0:1:1")
+    assert "each hinge once" in refusal_as_said(*given, *2 * ["phi A:5=0:10:5"])
 
 
 def test_names_of_hinges_are_their_own():

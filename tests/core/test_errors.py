@@ -29,8 +29,8 @@ def said(monkeypatch, capsys, *arguments):
     ("arguments", "words"),
     [
         (("minimise", SAMPLE, "--max-evaluations", 0), "--max-evaluations 0: give at least 1"),
-        (("minimise", SAMPLE, "--restrain", "-1"), "--restrain (-1.0,): give strengths in kJ/mol/nm^2"),
-        (("minimise", SAMPLE, "--restrain", "strong"), "--restrain 'strong': give strengths"),
+        (("minimise", SAMPLE, "--restrain", "-1"), "--restrain -1: give strengths in kJ/mol/nm^2"),
+        (("minimise", SAMPLE, "--restrain", "strong"), "--restrain 'strong': no such file; give strengths"),
         (("minimise", SAMPLE, "--starts", 3, "--restrain", 10), ": --restrain and --max-rmsd refer to"),
         (("minimise", SAMPLE, "--starts", 3, "--spread", "-30"), "--spread -30 degrees: give an angle"),
         (("batch", SAMPLE, "--starts", 3, "--spread", 0), "--spread 0 degrees: give an angle above 0"),

@@ -44,9 +44,9 @@ def test_every_step_of_kcm_turns_the_hinge_of_largest_torque_by_the_angle():
     [
         ("lbfgs", 0.01, "angle: method 'lbfgs' has none; give it with kcm, kcm-2norm, kcm-sign, "),
         ("kcm-proportional", 0.01, "angle: method 'kcm-proportional' has none"),
-        ("kcm", 0.0, "angle 0: give a number above 0, in rad"),
-        ("kcm", np.nan, "angle nan: give a number above 0, in rad"),
-        ("kcm", np.inf, "angle inf: give a number above 0, in rad"),
+        ("kcm", 0.0, "angle 0: give a number above 0, at most pi, in rad"),
+        ("kcm", np.nan, "angle nan: give a number above 0, at most pi, in rad"),
+        ("kcm", 30.0, "angle 30: give a number above 0, at most pi, in rad"),
         ("kcm", "0.1", "angle '0.1': give a number"),
     ],
 )

@@ -202,6 +202,7 @@ def test_what_makes_no_sense_is_refused_in_one_line_that_names_it(name, argument
         (lambda: pc.ca_rmsd(S(), load("1l2y.pdb").positions, S()), "x has shape (304, 3), not (103, 3)"),
         (lambda: pc.ca_rmsd(S(), load("1l2y.pdb"), S()), "other atoms than ala10; pc.rmsd matches"),
         (lambda: pc.build_chain(S(), hinges=["phi", "fi"]), "hinges 'fi' is not a kind of hinge"),
+        (lambda: vacuum()(np.zeros((103, 3), complex)), "x: give real numbers, not complex ones"),
         (lambda: vacuum()("positions"), "x: give an array of numbers of shape (103, 3)"),
         (lambda: vacuum()(S().positions * unit.kelvin), "x is in kelvin; give it in nanometer"),
     ],

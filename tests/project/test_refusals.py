@@ -30,7 +30,7 @@ def modes():
     [
         (lambda: pc.Restraint("distance", ("A:1:CA",), 0.1, 0.2), "give 2 places of a distance"),
         (lambda: pc.Restraint("dihedral", ("A:1:CA",) * 3, 0, 9), "give 1 or 4 places of a dihedral"),
-        (lambda: pc.Restraint("distance", ("A:1", "A:2"), 3, 2), "give a lower and an upper bound"),
+        (lambda: pc.Restraint("distance", ("A:1", "A:2"), 3, 2), "give 2 3"),
         (lambda: pc.Restraint("distance", ("A:1", "A:2"), 2, 3, -1.0), "and a stiffness"),
         (lambda: next(modes().swing(2)), "mode 2: give a whole number from 0 to 1"),
         (lambda: next(modes().swing("low")), "mode 'low': give a whole number"),
@@ -51,7 +51,15 @@ def test_calls_are_refused(act, said):
     ("command", "said"),
     [
         ("mutate {ala}", "mutate: give mutations, as A:L45F, or --scan SITES"),
-        ("mutate {ala} A:A3G --scan A", "mutate: give mutations, as A:L45F, or --scan SITES"),
+        ("mutate {ala} A:A3G --scan A", "mutate: give mutations, as A:L45F, or --scan SITES, not both"),
+        ("minimise {ala} --angle 0.1 --method lbfgs", "--angle: method 'lbfgs' has none; give it with "
+         "kcm, kcm-2norm, "),
+        ("simulate {ala} --thermostat none --friction 5", "--friction: thermostat none has none; leave"),
+        ("simulate {ala} --trajectory-length 5", "--trajectory-length: is of hmc; leave it out"),
+        ("simulate {ala} --hydrogen-mass 100",
+         "--hydrogen-mass 100 amu: give a mass above 0 and at most about 4"),
+        ("search {ala} --temperatures 300-500", "--temperatures: csa has none; leave it out"),
+        ("search {ala} --pilot 5", "--pilot: is of tempering; leave it out"),
         ("mutate {ala} A:A3G --workers 2", "--workers: is of a scan; leave it out"),
         ("validate {ala} --changes c.csv", "changes c.csv: changes are from a reference; give one"),
         ("relax {ala} {own} -o d --ligand-out p.sdf", "--ligand-out: several structures need poses"),

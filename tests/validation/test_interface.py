@@ -298,6 +298,10 @@ def test_an_interface_of_two_sides_can_be_selected():
     assert len({*s.atom_residue[select(s, "interface C:D")].tolist()}) == len(touching)
     with pytest.raises(pc.ProtochainError, match="side 'Q' of an interface"):
         select(s, "interface A:Q")
+    with pytest.raises(pc.ProtochainError, match="side 'Q' of an interface"):
+        select(s, "interface A Q and name P")
+    assert np.array_equal(select(s, "interface A B and name P"), mine & (s.atom_name == "P"))
+    assert select(s, "interface and name P").sum() == (every & (s.atom_name == "P")).sum()
 
 
 def test_iptm_of_sides_is_the_mean_of_their_chains_both_ways():
