@@ -35,7 +35,8 @@ def keep_settings(
         raise ProtochainError(
             f"{folder}: holds results without {NAME}: their settings are not known; give another folder"
         )
-    write_text(path, json.dumps({"settings": settings, "structures": own}, indent=1, allow_nan=False))
+    text = json.dumps({"settings": settings, "structures": own}, indent=1, allow_nan=False)
+    write_text(path, text)
 
 
 def _holds_results(table: Path) -> bool:
