@@ -273,13 +273,9 @@ def run_batch(
 
 
 def _work(
-    workers: Workers,
-    todo: Sequence[Job],
-    tables: Tables,
-    processes: Processes,
-    skipped: int,
+    workers: Workers, todo: Sequence[Job], tables: Tables, processes: Processes, skipped: int,
     watch: Callable[[BatchProgress], None] | None,
-) -> bool:
+) -> bool:  # fmt: skip
     """Run the jobs and append their rows as they arrive. Return whether it was interrupted."""
     began = perf_counter()
     waiting, window = iter(todo), _Window(workers)
@@ -372,6 +368,5 @@ def _finish(tables: Tables, jobs: Sequence[Job]) -> None:
         **of_run("openmm", "gemmi", "numpy", "scipy", "numba", "pandas"),
         "settings": jobs[0].settings.record(),
     }
-    text = json_text(summary)
-    write_text(folder / "summary.json", text)
+    write_text(folder / "summary.json", json_text(summary))
     write_report(folder, table, summary)

@@ -62,12 +62,8 @@ class FramesRun:
 
 def files_of(table: Path, trajectory: Path | None) -> list[Path]:
     """Files that a run writes."""
-    made = [table, _checkpoint(table)]
-    return (
-        made
-        if trajectory is None
-        else [*made, trajectory, *([] if _in_text(trajectory) else [_beside(trajectory)])]
-    )
+    beside = [] if trajectory is None or _in_text(trajectory) else [_beside(trajectory)]
+    return [table, _checkpoint(table), *([trajectory] if trajectory else []), *beside]
 
 
 def check_output(trajectory: Path) -> None:
@@ -112,9 +108,7 @@ def run_frames(
             if not interrupted:
                 files.finish()
     made = files.trajectory.n_frames if files.trajectory else 0
-    return FramesRun(
-        table, trajectory, files.topology, files.counts, made, interrupted
-    )  # fmt: skip
+    return FramesRun(table, trajectory, files.topology, files.counts, made, interrupted)
 
 
 def _columns(task: Task, trajectory: Path | None) -> tuple[str, ...]:

@@ -212,10 +212,8 @@ def read_table(path: Path, types: Mapping[str, str] = _TYPES) -> "pd.DataFrame":
     """Read a table of a batch, or of frames, with kinds of columns; names of structures may be NA or null."""
     import pandas as pd
 
-    missing = {
-        name: ["", *(() if types.get(name) == "string" else ("nan",))]
-        for name in pd.read_csv(path, nrows=0).columns
-    }
+    names = pd.read_csv(path, nrows=0).columns
+    missing = {name: [""] if types.get(name) == "string" else ["", "nan"] for name in names}
     table = pd.read_csv(path, dtype={**types}, keep_default_na=False, na_values=missing)
     return table.copy()  # A block for each of a hundred columns, as read, would be slow, pandas warns.
 
@@ -258,8 +256,7 @@ def _append(path: Path, text: str) -> None:
 
 
 def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
-    text = lines(columns, rows, header=True)
-    write_text(path, text)
+    write_text(path, lines(columns, rows, header=True))
 
 
 def _whole_lines(path: Path) -> Iterable[dict[str, str]]:

@@ -128,16 +128,9 @@ def _beside(frames: Path) -> Path:
 
 
 def _one(
-    source: Path,
-    output: Path | None,
-    relaxing: RelaxSettings,
-    setup: Setup,
-    report: Path | None,
-    ligand_out: Path | None,
-    timings: bool,
-    as_json: bool,
-    force: bool,
-) -> int:
+    source: Path, output: Path | None, relaxing: RelaxSettings, setup: Setup, report: Path | None,
+    ligand_out: Path | None, timings: bool, as_json: bool, force: bool,
+) -> int:  # fmt: skip
     """Relax one file; return the exit status."""
     from protochain.cli.relaxing import print_relaxed, progress, tell_plan
     from protochain.cli.terminal import print_timings
@@ -201,17 +194,9 @@ def _tell_frames(inputs: list[str]) -> None:
 
 
 def _several(
-    inputs: list[str],
-    output: Path | None,
-    manifest: Path | None,
-    relaxing: RelaxSettings,
-    setup: Setup,
-    beside: list[Path],
-    processes: dict[str, Any],
-    as_json: bool,
-    resume: bool,
-    force: bool,
-) -> None:
+    inputs: list[str], output: Path | None, manifest: Path | None, relaxing: RelaxSettings, setup: Setup,
+    beside: list[Path], processes: dict[str, Any], as_json: bool, resume: bool, force: bool,
+) -> None:  # fmt: skip
     """Relax many files into a folder, and join their poses in a file beside; exit with the status."""
     from protochain.batches.batch_structures import relax_files
     from protochain.batches.naming import poses_name

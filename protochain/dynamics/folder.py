@@ -39,12 +39,9 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
     there = [name for name in (CHECKPOINT, "log.csv", _PART) if (path / name).exists()]
     if there and not (resume or force):
         raise ProtochainError(
-            f"{path}: holds a simulation ({there[0]}); ",
-            Argument("resume", True),
-            " continues it, ",
-            Argument("force", True),
-            " replaces it",
-        )
+            f"{path}: holds a simulation ({there[0]}); ", Argument("resume", True), " continues it, ",
+            Argument("force", True), " replaces it",
+        )  # fmt: skip
     if resume and not (path / CHECKPOINT).exists():
         raise ProtochainError(
             f"{path}: holds no {CHECKPOINT} to resume from; leave out ", Argument("resume", True)
@@ -97,13 +94,9 @@ class Folder:
         self._writer.writeheader()
 
     def reopen(
-        self,
-        tree: Tree,
-        structure: Structure,
-        frame_interval: float,
-        first: Callable[[Phase], Bath],
+        self, tree: Tree, structure: Structure, frame_interval: float, first: Callable[[Phase], Bath],
         columns_of: Callable[[State, Floats], list[str]],
-    ) -> tuple[State, list[dict[str, float]], Floats]:
+    ) -> tuple[State, list[dict[str, float]], Floats]:  # fmt: skip
         """Open the files of an earlier run and truncate them to its last checkpoint: frame_interval ps."""
         with _kept(self.path, self.settings) as kept:
             state = _state(tree, kept)
@@ -150,15 +143,10 @@ class Folder:
             self._file.flush()
             os.fsync(self._file.fileno())
         values = {
-            "step": state.step,
-            "potential": state.at.potential,
-            "bath_energy": state.bath.energy,
-            "damped": state.damped,
-            "time": state.at.time,
-            "frames": frames,
-            "trajectory_bytes": trajectory_bytes,
-            "log_bytes": self.log_part.stat().st_size,
-        }
+            "step": state.step, "potential": state.at.potential, "bath_energy": state.bath.energy,
+            "damped": state.damped, "time": state.at.time, "frames": frames,
+            "trajectory_bytes": trajectory_bytes, "log_bytes": self.log_part.stat().st_size,
+        }  # fmt: skip
         at, factors = state.at, state.at.factors
         arrays = {
             "q": at.q, "qd": at.qd, "p": at.p, "torque": at.torque, "memory": state.bath.memory,

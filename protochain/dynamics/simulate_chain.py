@@ -341,21 +341,13 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
         folder.store(state, run.varying.lists_at)
         folder.close(ending is not Ending.UNSTABLE)
     result = Simulation(
-        chain=run.chain,
-        energy_function=run.energy,
-        settings=run.settings,
-        freedoms=run.freedoms,
-        state=state,
-        ending=ending,
+        chain=run.chain, energy_function=run.energy, settings=run.settings, freedoms=run.freedoms,
+        state=state, ending=ending,
         message=said_of(ending, why, state.step, run.settings, structure, origin),
-        rows=tuple(rows),
-        last=run.row(state, origin)[0],
-        n_steps=state.step - start.step,
-        seconds=seconds,
-        frame=run.frame,
-        kept=tuple(kept),
+        rows=tuple(rows), last=run.row(state, origin)[0], n_steps=state.step - start.step,
+        seconds=seconds, frame=run.frame, kept=tuple(kept),
         trajectory=None if folder is None else folder.trajectory,
-    )
+    )  # fmt: skip
     if folder:
         if result.n_steps or not (folder.path / "summary.json").exists():  # Of the run that made the steps.
             folder.summarise(result.record())
