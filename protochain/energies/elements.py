@@ -419,9 +419,15 @@ def _add_terms(system: openmm.System, bound: BoundLigand) -> None:
         (its.angles, angles.addAngle),
         (its.torsions, lambda i, j, k, m, n, *values: torsions.addTorsion(i, j, k, m, round(n), *values)),
     ):
-        for atoms, values in zip(at[term.atoms].tolist(), term.parameters.tolist(), strict=True):
+        for places, values in zip(term.atoms.tolist(), term.parameters.tolist(), strict=True):
+            atoms = at[places].tolist()
             if min(atoms) >= 0 and own & {*atoms}:
                 add(*atoms, *values)
+            elif own & {*atoms} and (gone := [i for i in places if at[i] < 0 and not _is_cap(bound, i)]):
+                raise ForceFieldError(
+                    f"{bound.ligand.molecule.names[gone[0]]} has terms of a bond between residues, but the "
+                    "structure lacks it: leave that bond out of the file"
+                )
 
 
 def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:

@@ -65,11 +65,10 @@ class Graph:
         )  # fmt: skip
 
     def is_acyl(self, n: str) -> bool:
-        """Whether a nitrogen has the carbonyl of an amide within its residue."""
+        """Whether a nitrogen is bonded to the carbonyl of an amide."""
         return any(
-            self.order(c, o) == 2 and self.atoms[o][0] == _O
-            for c in self.heavy(n) if c[-1] not in "+-" for o in self.heavy(c)
-        )  # fmt: skip
+            self.order(c, o) == 2 and self.atoms[o][0] == _O for c in self.heavy(n) for o in self.heavy(c)
+        )
 
     def leave(self, a: str, absent: Collection[str], flagged: Collection[str]) -> tuple[list[str], int]:
         """Take away groups absent at an atom, or one that its component lets leave; and valences freed."""

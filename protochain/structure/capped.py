@@ -306,7 +306,7 @@ def _is_core(graph: Graph, prefix: str, name: str) -> bool:
     n, alpha = prefix + "N", prefix + "CA"
     if a in (n, *graph.light(n)):
         # An amine at the start of a chain is that of alanine, unless it bears more.
-        return len(graph.heavy(n)) == 1 or graph.atoms[n][1] == 0
+        return len(graph.heavy(n)) == 1 or (graph.atoms[n][1] == 0 and graph.is_acyl(n))
     return graph.atoms[a][0] != _H or a in graph.light(alpha)
 
 

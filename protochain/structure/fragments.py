@@ -7,6 +7,7 @@ theirs; SMIRNOFF has all terms that touch another atom.
 
 from collections.abc import Collection, Iterator, Sequence
 
+import gemmi
 import numpy as np
 from scipy.spatial import KDTree
 
@@ -55,8 +56,9 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
     bonds = beside + cross
     ends: dict[int, set[str]] = {}
     for link in bonds:
-        ends.setdefault(id(link.member), set()).add(link.atom.name)
-        ends.setdefault(id(link.other), set()).add(link.other_atom.name)
+        for m, a, other, its in _both_ways(link):
+            is_amine = a.name == "N" and not _is_acyl(chemist, other, its.name)
+            ends.setdefault(id(m), set()).add("amine" if is_amine else a.name)
     special = [
         m for m in draft.members
         if m.odd or (id(m) in ends and not _is_whole(where[id(m)], m, ends[id(m)]))
@@ -139,14 +141,34 @@ def _is_whole(at: Place, member: Member, ends: set[str]) -> bool:
     return not at.part.obstacle and ends <= open_ends and not member.odd
 
 
-def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
+def _both_ways(link: Link) -> Iterator[tuple[Member, gemmi.Atom, Member, gemmi.Atom]]:
+    """Residue and atom of either end of a bond, with those of the other."""
+    yield link.member, link.atom, link.other, link.other_atom
+    yield link.other, link.other_atom, link.member, link.atom
+
+
+def _is_acyl(chemist: Chemist, member: Member, name: str) -> bool:
+    """Whether nitrogen bonded to an atom is that of an amide: the file has a doubly bonded oxygen there."""
     try:
-        free = chemist.free(member)
+        graph = _graph(chemist, member)
     except ProtochainError:
         return True  # Told later.
+    oxygens = [x for x in graph.heavy(name) if graph.atoms[x][0] == _O]
+    there = [x for x in oxygens if member.atom(x) and graph.heavy(x) == [name]]
+    return bool(there) and any(graph.order(name, x) == 2 for x in oxygens)
+
+
+def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
+    try:
+        return _graph(chemist, member).backbone("")
+    except ProtochainError:
+        return True  # Told later.
+
+
+def _graph(chemist: Chemist, member: Member) -> Graph:
     graph = Graph()
-    graph.add("", free)
-    return graph.backbone("")
+    graph.add("", chemist.free(member))
+    return graph
 
 
 def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
@@ -157,7 +179,7 @@ def _crosslinks(draft: Draft, where: dict[int, Place]) -> Iterator[Link]:
     done = {*along}
     for first, second in draft.stated:
         pair = frozenset((first, second))
-        if pair in done or not pair <= there.keys() or len(pair) < 2:
+        if pair in done or not pair <= there.keys():
             continue
         done.add(pair)
         link = Link(*there[first], *there[second], stated=True)
@@ -245,7 +267,9 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         if parts[id(m)].obstacle:
             parts[id(m)].mobile, parts[id(m)].is_small = True, False
         m.odd, m.parent = False, ""
-    for link, gone in made.bonds.items():
+    for link, left in made.bonds.items():
+        back = [(m, x) for m, a, *_ in _both_ways(link) for x in _back(chemist, m, a.name, left)]
+        gone = [each for each in left if each not in back]
         lost = [loss for m in (link.member, link.other) for loss in _lost(m, {n for o, n in gone if o is m})]
         names = tuple(f"{name} of {m.residue.name}" for m, name in gone)
         draft.note(Kind.LINKED, tuple(lost), atoms=link.atoms, length=link.length, gone=names)
@@ -266,6 +290,15 @@ def _inverted(made: Fragment) -> list[tuple[Member | None, str]]:
     there = [m.atom(name) if m else None for m, name in (own[i] for i in molecule.heavy)]
     x = np.array([a.pos.tolist() if a else [np.nan] * 3 for a in there]) / ANGSTROM_PER_NM
     return [(own[its[0]][0], "=".join(own[i][1] for i in its)) for its in inverted_atoms(molecule, x)]
+
+
+def _back(chemist: Chemist, member: Member, name: str, gone: Collection[tuple[Member, str]]) -> list[str]:
+    """Hydrogens that leave an atom and that the charge of an amine brings back."""
+    if member.own is None:
+        return []
+    light, now = _graph(chemist, member).light(name), member.own.hydrogens.get(name, ())
+    leaving = [x for x in light if (member, x) in gone]
+    return leaving[: max(len(now) + len(leaving) - len(light), 0)]
 
 
 def _lost(member: Member, names: Collection[str]) -> tuple[Loss, ...]:

@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from protochain.core.checks import check_fields, flag, integer, optional, text, words
 from protochain.core.errors import Argument, OnlyAlphaError, StructureError
-from protochain.core.markup import counted
+from protochain.core.markup import counted, listed
 from protochain.structure import fragments, parents, residues
 from protochain.structure.apart import refuse_crowds
 from protochain.structure.backbone import complete_backbone
@@ -122,12 +122,18 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
         draft.note(Kind.DEUTERIUM, count=atoms)
     if corrected := with_elements_of_names(model):
         draft.note(Kind.ELEMENTS, count=len(corrected), atom=corrected[0])
-    draft.stated = [
-        (address_of(bond.partner1), address_of(bond.partner2))
-        for bond in structure.connections
-        # One to an image in the crystal is none here.
-        if bond.type in _BONDS and bond.asu != gemmi.Asu.Different
-    ] + _of_serials(structure, model)
+    images: list[residues.Atom] = []
+    for bond in (each for each in structure.connections if each.type in _BONDS):
+        ends = address_of(bond.partner1), address_of(bond.partner2)
+        # That of an atom on an axis is to its own image, whatever the file says.
+        if bond.asu == gemmi.Asu.Different or ends[0] == ends[1]:
+            residue = residues.Residue(*ends[0][:2], bond.partner1.res_id.name)
+            images.append(residues.Atom(ends[0][2], residue))
+        else:
+            draft.stated.append(ends)
+    if images:
+        draft.note(Kind.IMAGES, count=len(images), atoms=tuple(dict.fromkeys(images)))
+    draft.stated += _of_serials(structure, model)
     beside: list[Candidate] = []
     chains = choose_chains(draft, model, reading.chains)
     places = [(chain.name, group) for chain in chains for group in same_place(chain)]
@@ -183,10 +189,11 @@ def _place(part: Part) -> int:
 def _nothing_told(beside: Iterable[Candidate]) -> tuple[object, ...]:
     """What there is where there is no chain to work with, and what to do."""
     kinds = Counter("waters" if each.kind == "water" else each.given for each in beside)
-    found = ", ".join(
+    each = [
         counted(n, "water") if kind == "waters" else f"{counted(n, 'residue')} {kind}"
         for kind, n in kinds.items()
-    )
+    ]
+    found = listed(each, 8)
     what = f"no protein found{found and f', only {found}'}; "
     if any(each.kind == "nucleic" for each in beside):
         return what, "keep them by ", EVERYTHING
@@ -251,13 +258,13 @@ class _Reader:
             complete_backbone(run, i) if member.name in residues.STANDARD else ()
             for i, member in enumerate(run)
         ]
-        run = [member for member, name in zip(run, built, strict=True) if self._has_backbone(member, name)]
         bare = [[atom.name for atom in member.atoms] == ["CA"] for member in run if not member.is_cap]
         if bare and all(bare):
             raise OnlyAlphaError(
                 f"{self.draft.source}: chain {self._chain} holds only C-alpha atoms; "
                 "rebuild the others first, by PULCHRA or cg2all"
             )
+        run = [member for member, name in zip(run, built, strict=True) if self._has_backbone(member, name)]
         note_unresolved(self.draft, run)
         self.runs += self._unbroken(run)
 
@@ -356,7 +363,7 @@ class _Reader:
     def _has_backbone(self, member: Member, built: tuple[str, ...]) -> bool:
         """Whether a residue has N, CA and C, some of which may have been built."""
         missing = [name for name in residues.BACKBONE if name in built or not member.atom(name)]
-        if member.is_cap or not missing or [atom.name for atom in member.atoms] == ["CA"]:
+        if member.is_cap or not missing:
             return True
         if self.reading.strict:
             raise StructureError(
@@ -443,6 +450,10 @@ class _Reader:
     def _is_in_place(self, member: Member, i: int, n: int) -> bool:
         if n > 1 and (i == 0 if member.name == "ACE" else i == n - 1):
             return True
+        if any(member.address(a.name) in ends for ends in self.draft.stated for a in member.heavy):
+            # Bonded elsewhere than at the end of a chain, it is a molecule as any other.
+            self.beside.append(Candidate(member, member.name))
+            return False
         self.draft.note(Kind.CAP, losses(member, member.atoms, Why.CAP), residue=member.residue)
         self.draft.left_out[member.name] += 1
         return False

@@ -146,6 +146,10 @@ class Kind(Enum):
         "bond of the file between {atoms:and} ignored: {why}; mend the file if it is real", rank=Rank.LOSS
     )
     BONDS_LEFT_OUT = Words("{count:n bond} of the file to atoms that are left out", rank=Rank.LEFT_OUT)
+    IMAGES = Words(
+        "{count:n bond} of the file to symmetry mates, which are not in the model, ignored: of {atoms:6}",
+        rank=Rank.LEFT_OUT,
+    )
     NEAR = Words(
         "{count:n pair} of atoms as near as bonded ones, but not bonded (no LINK, CONECT or struct_conn, and "
         "no known kind of bond): {pairs:6}"

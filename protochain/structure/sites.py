@@ -29,6 +29,8 @@ _LEAST, _MOST = np.deg2rad(90.0), np.deg2rad(140.0)
 """Angles of a covalent bond that are beyond these are drawn to them."""
 _STRAIGHT = np.deg2rad(170.0)
 """Angles beyond this get no spring, whose force would have no direction."""
+_NEAREST = 2.5
+"""Angstrom: no atoms of the protein further apart are as near as bonded ones, but two of selenium."""
 _SHELL = {"Na": 5, "Mg": 6, "K": 6, "Ca": 6, "Mn": 6}
 _OTHER_SHELL = 4
 """Donors that hold an ion on all sides (Harding, Acta Cryst. D60:849, 2004)."""
@@ -81,8 +83,8 @@ def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) 
         draft.note(kind, atom=site[0].atoms[1], ends=ends)
     for link, why in refused:
         draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=why)
-    if close.overlapping:
-        pairs = tuple(Apart(link.atoms, link.length) for link in close.overlapping)
+    if overlapping := [*close.overlapping, *_within(draft, protein)]:
+        pairs = tuple(Apart(link.atoms, link.length) for link in overlapping)
         draft.note(Kind.NEAR, count=len(pairs), pairs=pairs)
     return links
 
@@ -105,6 +107,22 @@ def _near(draft: Draft, protein: _Owned, beside: _Owned) -> list[Link]:
             if link.stated or link.is_metal or link.excess <= COVALENT_SLACK:
                 found.append(link)
     return found
+
+
+def _within(draft: Draft, protein: _Owned) -> Iterator[Link]:
+    """Pairs of the protein as near as bonded atoms, of residues that nothing joins; disulfides come later."""
+    if not protein:
+        return
+    number = {id(m): r for r, m in enumerate(draft.members)}
+    joined = {frozenset(link.owners) for made in draft.fragments for link in made.bonds}
+    joined |= {frozenset((id(p.members[0]), id(p.members[-1]))) for p in draft.parts if p.cyclic}
+    owner = np.array([number[id(m)] for m, _ in protein])
+    pairs = KDTree([a.pos.tolist() for _, a in protein]).query_pairs(_NEAREST, output_type="ndarray")
+    for i, j in sorted(pairs[np.abs(owner[pairs[:, 0]] - owner[pairs[:, 1]]) > 1].tolist()):
+        link = Link(*protein[i], *protein[j])
+        is_bond = frozenset(link.owners) in joined or link.atom.name == link.other_atom.name == "SG"
+        if not is_bond and link.excess <= COVALENT_SLACK:
+            yield link
 
 
 def _far(draft: Draft, protein: _Owned, beside: _Owned) -> Iterator[tuple[Link, str]]:
@@ -136,7 +154,9 @@ def note_unused(draft: Draft, used: Iterable[Link]) -> None:
             gone += 1
             continue
         link = Link(*there[first], *there[second])
-        is_chains = {first[2], second[2]} in ({"C", "N"}, {"SG"}, {"O3'", "P"}) and link.length <= STATED
+        is_chains = {first[2], second[2]} in ({"C", "N"}, {"O3'", "P"}) and link.length <= STATED
+        # Those of cysteines are told with disulfides.
+        is_chains |= {first[2], second[2]} == {"SG"} and not (link.member.metals or link.other.metals)
         if not is_chains and link.member is not link.other and frozenset(link.atoms) not in done:
             draft.note(Kind.BOND_IGNORED, atoms=link.atoms, why=f"it is {link.length:.2f} angstrom long")
     if gone:
@@ -160,8 +180,7 @@ def stated_beside(draft: Draft) -> list[Link]:
         member.address(atom.name): (member, atom)
         for part in draft.parts if part.obstacle for member in part.members for atom in member.atoms
     }  # fmt: skip
-    # An ion on an axis of the crystal is bonded to its image, too.
-    pairs = {frozenset(ends) for ends in draft.stated if ends[0] != ends[1] and {*ends} <= there.keys()}
+    pairs = {frozenset(ends) for ends in draft.stated if {*ends} <= there.keys()}
     links = (Link(*there[first], *there[second]) for first, second in sorted(map(sorted, pairs)))
     return [link for link in links if link.atom.pos.dist(link.other_atom.pos) <= STATED]
 

@@ -52,6 +52,29 @@ def test_sulphurs_within_three_angstrom_are_bonded_and_that_is_said_unless_state
     assert bonded or "3.0 angstrom" in sentences(draft)[0]
 
 
+def test_a_bond_of_the_file_between_cysteines_that_is_too_long_is_said_once(tmp_path):
+    pc.save(pc.from_sequence("CAAAC"), tmp_path / "plain.pdb")
+    bond = f"{'SSBOND   1 CYS A    1    CYS A    5':59}  1555   1555  2.03\n"
+    (tmp_path / "far.pdb").write_text(bond + (tmp_path / "plain.pdb").read_text())
+    told = [kind for kind in kinds(pc.load(tmp_path / "far.pdb")) if "IGNORED" in kind.name]
+    assert told == [Kind.BRIDGE_IGNORED]
+
+
+def test_atoms_of_the_protein_as_near_as_bonded_ones_are_named_unless_something_joins_their_residues():
+    def near(name, length, number=3):
+        first, last = member("CYS", 1, ("SG", 0.0)), member("CYS", number, (name, length))
+        draft = drafted(first, *[member("GLY", 2, ("CA", 9.0))] * (number > 2), last)
+        find_links(draft)
+        return draft
+
+    assert kinds(near("CB", 1.82)) == [Kind.NEAR]
+    assert (
+        "SG of residue 1 CYS of chain A and CB of residue 3 CYS of chain A (1.82"
+        in sentences(near("CB", 1.82))[0]
+    )
+    assert [*map(kinds, (near("CB", 2.2), near("SG", 2.05), near("CB", 1.82, 2)))] == [[]] * 3
+
+
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
 def test_a_cysteine_between_two_others_is_bonded_to_the_nearer_only(order):
     near, middle, _ = three = cysteines(0.0, 2.05, 4.6)

@@ -193,3 +193,44 @@ def test_bonds_of_a_ligand_are_kept_and_read_again(tmp_path, made, ligands, bond
         assert again.bonds.tolist() == relaxed.structure.bonds.tolist()
         energies = [pc.energy(each)(relaxed.x)[0] for each in (again, relaxed.structure)]
         assert energies[0] == pytest.approx(energies[1], rel=READ_AGAIN)
+
+
+def at_amine(tmp_path, number, ends, name, rows):
+    """AAKAA with a component where its amine has a hydrogen; atoms along and behind that bond, angstrom."""
+    s = pc.from_sequence("AAKAA")
+    its = s.atom_residue == number - 1
+    before, n, hydrogen = (10.0 * s.positions[its & (s.atom_name == end)][0] for end in ends)
+    along, back = (x / np.linalg.norm(x) for x in (hydrogen - n, n - before))
+    placed = [(each, each[0], n + a * along + b * back) for each, a, b in rows]
+    residue = s.residue_name[number - 1]
+    bond = ("A", number, residue, ends[1]), ("L", 1, name, rows[0][0])
+    return written(tmp_path, "AAKAA", [(name, placed)], [bond])
+
+
+def test_an_alkyl_at_the_first_nitrogen_leaves_an_ammonium_with_all_its_terms(tmp_path):
+    rows = [("C1", 1.47, 0.0), ("C2", 1.47, 1.52), ("O2", 2.9, 1.52)]
+    s = pc.load(at_amine(tmp_path, 1, ("CA", "N", "H1"), "EDO", rows))
+    (told,) = (each for each in s.repairs if each.kind is Kind.LINKED)
+    assert told.facts["gone"] == ("O1 of EDO",) and charge(s) == pytest.approx(1.0)
+    energy, n = pc.energy(s), int(np.flatnonzero(s.atom_name == "N")[0])
+    angles = (f for f in energy.system.getForces() if isinstance(f, openmm.HarmonicAngleForce))
+    assert sum(f.getAngleParameters(k)[1] == n for f in angles for k in range(f.getNumAngles())) == 6
+    pc.save(s, tmp_path / "again.cif")
+    assert pc.load(tmp_path / "again.cif").fingerprint == s.fingerprint
+
+
+def test_a_term_of_an_atom_that_the_structure_lacks_is_refused(tmp_path):
+    s = pc.load(at_amine(tmp_path, 1, ("CA", "N", "H1"), "FMT", [("C", 1.35, 0.0), ("O1", 1.35, 1.23)]))
+    (made,) = s.fragments
+    lacking = np.where(np.array(made.ligand.molecule.names) == "ALA:H", -1, made.atoms)
+    object.__setattr__(made, "atoms", lacking)
+    with pytest.raises(pc.ProtochainError, match="ALA:H has terms of a bond between residues"):
+        build_system(s, "amber14", "vacuum")
+
+
+def test_an_acetyl_is_a_cap_only_where_a_chain_ends(tmp_path):
+    rows = [("C", 1.35, 0.0), ("O", 1.35, 1.23), ("CH3", 2.5, -1.0)]
+    s = pc.load(at_amine(tmp_path, 3, ("CE", "NZ", "HZ1"), "ACE", rows))
+    assert not {Kind.CAP, Kind.BONDS_LEFT_OUT} & {each.kind for each in s.repairs}
+    assert s.residue_name[-1] == "ACE" and s.mobile[-1] and len(s.links) == 1
+    assert charge(s) == pytest.approx(0.0, abs=1e-6)

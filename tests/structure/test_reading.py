@@ -106,6 +106,20 @@ def test_stated_bonds_are_disulfides_covalent_links_and_bonds_to_metals():
     assert stated == [(("A", "1B", "SG"), ("B", "2", kind)) for kind in ("Disulf", "Covale", "MetalC")]
 
 
+def test_bonds_to_symmetry_mates_are_named_and_are_none_of_the_model():
+    made = structure(("A", alanines(2)))
+    for number, asu in ((1, "Different"), (2, "Different"), (2, "Same")):
+        link = gemmi.Connection()
+        link.type, link.asu = gemmi.ConnectionType.Disulf, getattr(gemmi.Asu, asu)
+        link.partner1 = gemmi.AtomAddress("A", gemmi.SeqId(2, " "), "ALA", "CA")
+        link.partner2 = gemmi.AtomAddress("A", gemmi.SeqId(number, " "), "ALA", "CA")
+        made.connections.append(link)
+    draft = read_structure(made, Draft("x", "x"), Reading())
+    assert draft.stated == [] and kinds(draft) == [Kind.IMAGES]
+    assert sentences(draft)[0].startswith("3 bonds of the file to symmetry mates")
+    assert sentences(draft)[0].endswith("of CA of residue 2 ALA of chain A")
+
+
 def test_a_file_without_a_protein_says_what_there_is():
     water, iron = residue("HOH", 1, atoms=["O"]), residue("XQQ", 2, atoms=[("FE", "Fe")])
     heavy, other = residue("DOD", 3, atoms=["O", ("D1", "D")]), residue("XQQ", 4, atoms=["S"])
@@ -116,6 +130,8 @@ def test_a_file_without_a_protein_says_what_there_is():
     assert refused(residue("ALA", 1), water) == (
         "x: no protein found, only 1 water, 1 residue ALA; a chain has two amino acids or more"
     )
+    many = refused(*(residue(f"X{k}", k, atoms=["P"]) for k in range(99)))
+    assert "1 residue X7 and 91 more; give" in many and len(many) < 300
     draft = taken(*alanines(2), water, iron, heavy, other, third)
     assert dict(draft.left_out) == {"waters": 3, "XQQ": 2}
     assert kinds(draft) == [Kind.LEFT_OUT, Kind.DEUTERIUM]
@@ -128,8 +144,8 @@ def test_a_trace_of_c_alphas_is_refused_though_it_has_a_cap():
     assert refused(cap, *trace) == f"x: chain A {said}"
     assert refused(*trace, chain=" ") == f"x: chain (blank) {said}"
     draft = taken(trace[0], residue("ALA", 2), residue("ALA", 3))
-    assert names(draft) == [["ALA2", "ALA3"]] and dict(draft.left_out) == {"ALA": 1}
-    assert kinds(draft) == [Kind.LEFT_OUT, Kind.GAP, Kind.ALONE]
+    assert names(draft) == [["ALA2", "ALA3"]] and dict(draft.left_out) == {"incomplete residues": 1}
+    assert kinds(draft) == [Kind.NO_BACKBONE] and [each.name for each in draft.repairs[0].lost] == ["ALA"]
 
 
 def test_a_cap_alone_in_its_chain_is_no_trace_of_c_alphas():
