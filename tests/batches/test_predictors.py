@@ -147,7 +147,7 @@ FOLDERS = {
 REPORTED = {
     "Chai-1": ("LIG1 of chain B stays in place",),
     "RFdiffusion3": ("virtual atoms V0", "residue 20 UNK of chain A: read as ALA"),
-    "BoltzGen": ("CB, CG, OD1, ND2 at the origin or upon CA: treated as missing",),
+    "BoltzGen": ("CB, CG, OD1, ND2 at the origin, upon CA or over 15 angstrom away: treated as missing",),
 }
 
 

@@ -184,7 +184,7 @@ class Finalised:
 
 def lost_in_a_finaliser():
     Finalised()
-    threading.Event().wait(20.0)
+    threading.Event().wait(HANG)
 
 
 @pytest.mark.parametrize("how", [raised, raised_in_compiled_code, lost_in_a_finaliser])

@@ -52,7 +52,7 @@ def test_an_interface_of_two_chains_leaves_the_others_out():
              for x, its in ((s, of), (two, there))]  # fmt: skip
     assert named[0] == named[1] and 0 < len(of) < len(set(s.atom_residue[select(s, "interface")].tolist()))
     assert np.array_equal(select(s, "interface and chainID A"), select(s, "chainID A and interface"))
-    with pytest.raises(pc.ProtochainError, match="interface A X"):
+    with pytest.raises(pc.ProtochainError, match="side 'X'"):
         select(s, "interface A X")
 
 

@@ -462,7 +462,7 @@ def test_a_region_is_repacked_whether_or_not_it_is_in_the_way():
     # Natives are not left for rotamers that gain little.
     same = repacked(native, there.tolist())
     assert sum(not np.array_equal(*_of(r, native, same)) for r in there) <= 0.2 * len(there)
-    with pytest.raises(StructureError, match="interface A X"):
+    with pytest.raises(StructureError, match="side 'X'"):
         pc.relax(native, repack_region="interface A X")
 
 

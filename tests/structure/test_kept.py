@@ -427,20 +427,20 @@ def complexes(name: str) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("name", "pairs"),
+    ("name", "pairs", "count"),
     [
-        ("clash_dna.pdb", {("OG1", "OP2"), ("NH1", "O6"), ("NH2", "N7")}),
-        ("clash_ligand.cif", {("SG", "C"), ("SG", "O"), ("SG", "CH3")}),
+        ("clash_dna.pdb", {("OG1", "OP2"), ("NH1", "O6"), ("NH2", "N7")}, 3),
+        ("clash_ligand.cif", {("SG", "C"), ("SG", "O"), ("SG", "CH3")}, 4),  # Two chains, too, begin as one.
     ],
 )
-def test_molecules_pushed_into_the_protein_overlap_and_are_not_bonded(name, pairs):
+def test_molecules_pushed_into_the_protein_overlap_and_are_not_bonded(name, pairs, count):
     s = pc.load(complexes(f"models/{name}"))
     assert not s.ties and not len(s.links)
     found = [each for each in overlaps(s, s.positions) if each.beside]
     named = {tuple(s.atom_name[list(each.atoms)].tolist()) for each in found}
     assert pairs <= named | {pair[::-1] for pair in named}
     (line,) = (line for line in sentences(s) if "not bonded" in line)
-    assert line.startswith("3 pairs of atoms as near as bonded ones")
+    assert line.startswith(f"{count} pairs of atoms as near as bonded ones")
     # No hydrogen gives way to a bond that is none; tautomers of histidine may depend on what is near.
     whole = pc.load(complexes(f"models/{name}"), keep="none")
     names = [each[~np.isin(each, ["HD1", "HE2"])] for each in (whole.atom_name, s.atom_name[~s.kept])]
