@@ -79,7 +79,7 @@ RULES = (
 Constants of Organic Bases (1965); Albert, Serjeant, The Determination of Ionization Constants (1984).
 [5] Prankerd, Profiles Drug Subst. 33:1 (2007). [6] Bell, He, Wachter, Tonge, Biochemistry 39:4423 (2000).
 """
-_AT_METAL = "[$([#7+;!H0]),$([NX3;!H0]-S(=O)=O),$([SX2H]),$([OX2H]-[!$([CX4])])]"
+_AT_METAL = "[$([CH]#N),$([#7+;!H0]),$([NX3;!H0]-S(=O)=O),$([SX2H]),$([OX2H]-[!$([CX4])])]"
 """Sites that lose a proton to a metal. An alcohol, as of a sugar at calcium, keeps its own."""
 _KNOWN = Path(__file__).with_name("net_charges.csv")
 _KNOWN_AT = 7.0

@@ -95,6 +95,14 @@ def from_dictionary(name: str) -> Molecule:
     if None in known:
         raise _unknown(name)
     elements = [_atomic_number(symbol) for symbol in atoms.element]
+    # Spin labels are taken for their hydroxylamines; nitric oxide is not nitroxyl.
+    is_open = 6 not in elements and (sum(elements) - int(sum(atoms.charge))) % 2
+    if is_open or len(elements) == 1:
+        what = "a radical" if is_open else "one atom"
+        raise StructureError(
+            f"{name} of the Chemical Component Dictionary: is {what}, without parameters; "
+            "give the chemistry of what is meant"
+        )
     x = np.asarray(atoms.coord, dtype=float) / ANGSTROM_PER_NM
     made = assembled(list(map(str, atoms.atom_name)), elements, atoms.charge, table[:, :2], known, x)
     return _sanitised(made, f"{name} of the Chemical Component Dictionary")

@@ -277,9 +277,9 @@ def _parts(
                 users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
                 known_as = recognised(first, first.own, users) if first.own else None
                 first.own, part.mobile = known_as or first.own, known_as is not None
-                n_heavy = sum(not atom.is_hydrogen() for atom in first.atoms)
                 is_known = part.mobile or first.name in residues.NUCLEOTIDES
-                part.is_small = n_heavy > 1 and not is_known
+                is_ion = len(first.heavy) < 2 and not {a.element.name for a in first.heavy} & {"N", "O", "S"}
+                part.is_small = not (is_ion or is_known)
         elif len(whole) > len(first.atoms):
             lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)
             draft.note(Kind.PHOSPHATE, lost, residue=first.residue)
@@ -357,6 +357,8 @@ def report(draft: Draft) -> None:
 
 
 def water_named(member: Member, given: str) -> Member:
-    """Return a residue that is water in the tables under the name of water."""
-    info = gemmi.find_tabulated_residue(given)
-    return replace(member, name="HOH") if info is not None and info.is_water() else member
+    """Return a residue that is water in the tables under the name of water, or as unknown by its atoms."""
+    if not gemmi.find_tabulated_residue(given).is_water():
+        return member
+    is_water = {a.element.name for a in member.heavy if a.element.atomic_number} <= {"O"}
+    return replace(member, name="HOH" if is_water else "UNL")

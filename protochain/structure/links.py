@@ -49,7 +49,8 @@ class Link:
         usual = _OXYGEN_DISTANCE.get(self.other_atom.element.name, _OTHER_METAL)
         if self.stated or self.length < usual - _TOO_NEAR:
             return self.length >= usual - _TOO_NEAR
-        slack = _SLACK.get(self.atom.element.name)
+        is_cyanide = {*"CN"} == {a.element.name for a in self.member.heavy} and len(self.member.heavy) == 2
+        slack = _SLACK.get("N" if is_cyanide else self.atom.element.name)
         # An amide nitrogen of the chain has no free pair of electrons.
         is_amide = self.atom.name == "N" and bool(self.member.atom("CA"))
         return slack is not None and not is_amide and self.length <= usual + slack

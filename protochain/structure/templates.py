@@ -277,7 +277,8 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
 
     Names mean several things: ``NLN`` is asparagine with a sugar in GLYCAM, and norleucine's amide in the PDB
     archive; ``HSE`` histidine in CHARMM, and homoserine; ``HIP`` histidine in Amber, and its phosphate;
-    ``NHE`` a cap, and a buffer; ``DCY`` deoxycytidine in OpenMM's table, and D-cysteine.
+    ``NHE`` a cap, and a buffer; ``CYN`` cysteine, and cyanide; ``DCY`` deoxycytidine in OpenMM's table, and
+    D-cysteine.
     """
     name, state = standard_name(given)
     if name == given and name in (*STANDARD, *CAPS, "HOH"):
@@ -297,9 +298,8 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
         strange = heavy - {name for each in like for name in (*each.element, *each.synonyms)}
         lacking = {*template.heavy} - {template.synonyms.get(each, each) for each in heavy}
         # A whole amino acid with another atom is that, or a modified one if the archive has one so named.
-        fits = not strange or not (
-            lacking or given in LINKED or name not in STANDARD or archive_parent(given)
-        )
+        is_cut = lacking or given in LINKED or name not in STANDARD or archive_parent(given)
+        fits = not (strange and is_cut) and (name not in STANDARD or "CA" in heavy)
     return (name, state) if fits else (given, "")
 
 

@@ -209,6 +209,24 @@ def test_a_free_amino_acid_is_of_the_hand_that_its_name_says(drawn, name, wrong,
     assert (volume(done.x[centre]) * volume(s.positions[centre]) < 0.0) == bool(wrong)
 
 
+@pytest.mark.parametrize(
+    ("smiles", "name", "atoms", "charge"),
+    [("C#N", "CYN", "CN", 0), ("[NH4+]", "NH4", "N", 1), ("N=O", "NO", "NO", None),
+     ("Oc1ccccc1", "HOH", "OABDEFG", None)],
+)  # fmt: skip
+def test_the_smallest_molecules_are_what_their_atoms_are(smiles, name, atoms, charge, tmp_path):
+    path = beside(tmp_path, embedded(smiles, away=0.9), name)
+    text = path.read_text()
+    path.write_text(re.sub(r"X(\d)  ", lambda at: f"{atoms[int(at[1])]}   ", text))
+    s = pc.load(path, keep="all")
+    if charge is None:  # It stays, with a reason, and without hydrogens.
+        (line,) = (each for each in s.repairs if each.kind is Kind.STAYS_UNKNOWN)
+        assert not s.ligands and s.kept.sum() == len(atoms) and line.facts["residue"].name != "HOH"
+    else:
+        (bound,) = s.ligands
+        assert bound.ligand.molecule.charge == charge and s.formal_charge[bound.atoms].sum() == charge
+
+
 def test_methods_move_it_torsions_as_a_rigid_body(tmp_path):
     s = pc.load(PROTEIN, ligands=posed(tmp_path, THREONINE_LIKE))
     atoms = s.ligands[0].atoms
