@@ -238,7 +238,8 @@ def inverted_atoms(molecule: Molecule, heavy: Floats) -> list[tuple[int, ...]]:
         ways = {i: way / max(np.linalg.norm(way), 1e-9) for i, way in ways.items()}
         hydrogen = -np.sum(list(ways.values()), axis=0)
         # RDKit's clockwise: the first three span a negative volume.
-        volume = np.linalg.det([ways.get(i, hydrogen) for i in near[centre][:3]])
+        a, b, c = (ways.get(i, hydrogen) for i in near[centre][:3])
+        volume = a @ np.cross(b, c)  # det would warn of NaN.
         if (volume if molecule.handedness[centre] == 2 else -volume) < _FLAT:
             found.append((centre,))
     for first, begin, end, last, cis in molecule.double_bonds.tolist():

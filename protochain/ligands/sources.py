@@ -95,8 +95,8 @@ def from_dictionary(name: str) -> Molecule:
     if None in known:
         raise _unknown(name)
     elements = [_atomic_number(symbol) for symbol in atoms.element]
-    # Spin labels are taken for their hydroxylamines; nitric oxide is not nitroxyl.
-    is_open = 6 not in elements and (sum(elements) - int(sum(atoms.charge))) % 2
+    # Spin labels are taken for their hydroxylamines, NH2 ends a chain; nitric oxide is not nitroxyl.
+    is_open = not {1, 6} & {*elements} and (sum(elements) - int(sum(atoms.charge))) % 2
     if is_open or len(elements) == 1:
         what = "a radical" if is_open else "one atom"
         raise StructureError(

@@ -89,7 +89,10 @@ class Kind(Enum):
     UNRESOLVED = Words("{count:n atom} of zero occupancy kept, in {residues:1}")
     RENAMED = Words("{residue}: read as {name}")
     STATE_NAMED = Words("{residue}: read as {name} in protonation state {state}")
-    NO_PLACE = Words("{residue}: {atoms} at the origin, upon CA or over 15 angstrom away: treated as missing")
+    NO_PLACE = Words(
+        "{residue}: {atoms} at the origin, upon CA or over 15 angstrom away: treated as missing",
+        "atoms at the origin, upon CA or over 15 angstrom away treated as missing",
+    )
     VIRTUAL = Words("{residue}: virtual atoms {atoms} left out", "virtual atoms left out")
     SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
     CONVERTED = Words(

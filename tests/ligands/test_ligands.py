@@ -637,3 +637,17 @@ def test_without_the_extra_one_line_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "rdkit.Chem", None)
     with pytest.raises(pc.ProtochainError, match=re.escape('pip install "protochain[ligands]"')):
         pc.ligand("CCO")
+
+
+def test_an_atom_that_is_not_there_inverts_nothing():
+    """Nor does it warn: an amino acid of which an atom, as that of a cap, is at NaN."""
+    made = sources.from_dictionary("ALA")
+    x = np.random.default_rng(1).normal(size=(len(made.heavy), 3))
+    x[made.names.index("CB")] = np.nan
+    assert np.flatnonzero(made.handedness).size == 1 and matching.inverted_atoms(made, x) == []
+
+
+def test_an_amide_that_ends_a_chain_is_no_radical():
+    assert sources.from_dictionary("NH2").names[0] == "N"
+    with pytest.raises(pc.ProtochainError, match="NO of the Chemical Component Dictionary: is a radical"):
+        sources.from_dictionary("NO")
