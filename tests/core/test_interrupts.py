@@ -269,7 +269,7 @@ def test_ctrl_c_is_answered_within_a_second_in_every_stage(stage, tmp_path):
     name = "all atoms" if stage == "OpenMM" else stage
     process = subprocess.Popen(
         [sys.executable, "-c", TELLER, "minimise", str(source), "-o", str(tmp_path / "out.pdb"), "--json",
-         "--method", method, "--threads", "1"],
+         "--method", method, "--threads", "1", "--tolerance", "0.001"],
         cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
@@ -282,7 +282,7 @@ def test_ctrl_c_is_answered_within_a_second_in_every_stage(stage, tmp_path):
     watched = psutil.Process(process.pid)
     worked = lambda: sum(watched.cpu_times()[:2])  # noqa: E731
     begun = worked()
-    until(lambda: worked() > begun + 0.5, process)
+    until(lambda: worked() > begun + 0.1, process)
     own = worked()
     process.send_signal(signal.SIGINT)
     for line in process.stderr:
@@ -293,9 +293,9 @@ def test_ctrl_c_is_answered_within_a_second_in_every_stage(stage, tmp_path):
     out, _ = process.communicate(timeout=HANG)
     print(f"{stage}: answered in {own:.2f} s of the processor, status {process.returncode}")
     assert own < 1.0
-    if process.returncode == 3:
-        assert json.loads(out)["status"] == "interrupted" and (tmp_path / "out.pdb").exists()
+    assert process.returncode == 130
+    if (tmp_path / "out.pdb").exists():
+        assert json.loads(out)["status"] == "interrupted"
         assert json.loads(out)["energy_end_reference_kj_mol"] < json.loads(out)["energy_start_kj_mol"]
     else:
-        assert process.returncode == 1 and not (tmp_path / "out.pdb").exists()
-        assert "interrupted" in lines[-1]
+        assert "interrupted" in lines[-1] and not out
