@@ -4,6 +4,7 @@ Its own call decodes all 49,000 of them, in seconds, and keeps 800 MB; here only
 texts and coordinates (BinaryCIF: Sehnal et al., PLoS Comput. Biol. 16:e1008247, 2020).
 """
 
+import warnings
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -56,7 +57,12 @@ def _found(name: str) -> Any:
     made = _stored(name, file, pdbx)
     if not made["chem_comp_atom"].row_count:
         return None
-    found = pdbx.get_component(pdbx.BinaryCIFBlock(made), res_name=name)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # For ideal coordinates those of the model are used.
+            found = pdbx.get_component(pdbx.BinaryCIFBlock(made), res_name=name)
+    except ValueError:  # Of 62 entries both lack.
+        return None
     names, flags = (made["chem_comp_atom"][each].as_array() for each in ("atom_id", "pdbx_leaving_atom_flag"))
     leave = dict(zip(names, flags, strict=True))
     found.set_annotation("leaving", np.array([leave.get(each) == "Y" for each in found.atom_name]))

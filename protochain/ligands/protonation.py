@@ -69,6 +69,7 @@ RULES = (
     Rule(-1, "[NX3H](-S(=O)=O)-c(:n:[cH]):n:[cH]", 6.5, "sulphadiazine: [5]"),
     Rule(-1, "[OX2H]-c1c(-[#6,#7])c(=O)oc2ccccc12", 5.0, "4-hydroxycoumarins, warfarin: [5]"),
     Rule(-1, "[OX2H]-C=C(-C(=O)-N)-N-S(=O)=O", 4.2, "oxicams: [5]"),
+    Rule(-1, "[nH]1c(=O)[nH]c(=O)c2[nH]c(=O)[nH]c12", 5.4, "uric acid, N3: [7]"),
     Rule(1, "[N-;$(N(-C=O)-[#7])]", 12.0, "hydrazides: [4]"),
     Rule(1, "[N-;$(N(-C=O)-[OX2])]", 9.0, "hydroxamic acids: [4]"),
 )  # fmt: skip
@@ -78,6 +79,7 @@ RULES = (
 31:10610 (1992). [3] Yount, Babcock, Ballantyne, Ojala, Biochemistry 10:2484 (1971). [4] Perrin, Dissociation
 Constants of Organic Bases (1965); Albert, Serjeant, The Determination of Ionization Constants (1984).
 [5] Prankerd, Profiles Drug Subst. 33:1 (2007). [6] Bell, He, Wachter, Tonge, Biochemistry 39:4423 (2000).
+[7] Dawson et al. (1986), as of ``net_charges``.
 """
 _AT_METAL = "[$([CH]#N),$([#7+;!H0]),$([NX3;!H0]-S(=O)=O),$([SX2H]),$([OX2H]-[!$([CX4])])]"
 """Sites that lose a proton to a metal. An alcohol, as of a sugar at calcium, keeps its own."""

@@ -3,7 +3,6 @@
 Never from distances: orders of bonds, charges and hydrogens do not follow from coordinates.
 """
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -81,10 +80,7 @@ def read(given: str | Path) -> Molecule:
 def from_dictionary(name: str) -> Molecule:
     """Return a molecule of the Chemical Component Dictionary, which biotite carries."""
     try:
-        with warnings.catch_warnings():
-            # Of some entries coordinates lack; those of the model are used.
-            warnings.simplefilter("ignore", UserWarning)
-            atoms = component(name)
+        atoms = component(name)
     except KeyError:
         raise _unknown(name) from None
     kinds = library("biotite.structure").BondType

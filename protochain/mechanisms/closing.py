@@ -221,7 +221,7 @@ def _rates(
         rates[follow] = lstsq(g[:, follow], -(g @ rates), cond=1e-9)[0]
     left = np.abs(g @ rates)
     worst = int(np.argmax(left))
-    if left[worst] > _CONTRADICTED * np.max(np.abs(rates)):
+    if left[worst] > _CONTRADICTED * np.max(np.abs(rates), initial=0.0):
         by = left[worst] * (1.0 if joints.turns[worst] else tree.size)
         displaced = _matrix(bodies, joints, _moved(bodies, q, follow, _away(follow)), follow)
         dead = joints.rank is None and _rank(g[:, follow]) < _rank(displaced)

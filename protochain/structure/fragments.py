@@ -59,6 +59,11 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
         for m, a, other, its in _both_ways(link):
             is_amine = a.name == "N" and not _is_acyl(chemist, other, its.name)
             ends.setdefault(id(m), set()).add("amine" if is_amine else a.name)
+    for m in draft.members:
+        after, graph = where[id(m)].after, _graph(chemist, m) if m.odd else None
+        # The nitrogen after a C with single bonds is an amine.
+        if after and graph and {graph.order("C", x) for x in graph.near("C")} == {1}:
+            ends.setdefault(id(after), set()).add("amine")
     special = [
         m for m in draft.members
         if m.odd or (id(m) in ends and not _is_whole(where[id(m)], m, ends[id(m)]))
@@ -73,7 +78,7 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
             # Joined as usual, no term has changed atoms of both.
             is_usual = before and before.atom("O3'") and all(map(m.atom, ("P", "OP1", "OP2", "O5'")))
             wide = [before] if before and before.odd and not is_usual else []
-        elif (before or after) and not _is_like_alanine(chemist, m):
+        elif (before or after) and (graph := _graph(chemist, m)) and not graph.backbone(""):
             wide = [before, after]
         pairs += [(number[id(m)], number[id(each)]) for each in wide if each]
     group = components(np.array(pairs, dtype=np.int64).reshape(-1, 2), len(number))
@@ -109,7 +114,8 @@ def settle(draft: Draft, chemist: Chemist, links: Sequence[Link]) -> list[Link]:
         piece for part in draft.parts for piece in cut(draft, part, [m for m in part.members if m in still])
     ]
     # A residue that became its parent has lost atoms.
-    return [link for link in links if (link in bonds or link not in beside) and link.is_there]
+    links = [link for link in links if link in bonds or link not in beside]
+    return [link for link in links if all(a in m.atoms for m, a, *_ in _both_ways(link))]
 
 
 def _between(draft: Draft) -> Iterator[Link]:
@@ -149,25 +155,20 @@ def _both_ways(link: Link) -> Iterator[tuple[Member, gemmi.Atom, Member, gemmi.A
 
 def _is_acyl(chemist: Chemist, member: Member, name: str) -> bool:
     """Whether nitrogen bonded to an atom is that of an amide: the file has a doubly bonded oxygen there."""
-    try:
-        graph = _graph(chemist, member)
-    except ProtochainError:
-        return True  # Told later.
+    if (graph := _graph(chemist, member)) is None:
+        return True
     oxygens = [x for x in graph.heavy(name) if graph.atoms[x][0] == _O]
     there = [x for x in oxygens if member.atom(x) and graph.heavy(x) == [name]]
     return bool(there) and any(graph.order(name, x) == 2 for x in oxygens)
 
 
-def _is_like_alanine(chemist: Chemist, member: Member) -> bool:
-    try:
-        return _graph(chemist, member).backbone("")
-    except ProtochainError:
-        return True  # Told later.
-
-
-def _graph(chemist: Chemist, member: Member) -> Graph:
+def _graph(chemist: Chemist, member: Member) -> Graph | None:
+    """None where there is no chemistry, which is told later."""
     graph = Graph()
-    graph.add("", chemist.free(member))
+    try:
+        graph.add("", chemist.free(member))
+    except ProtochainError:
+        return None
     return graph
 
 
@@ -294,9 +295,9 @@ def _inverted(made: Fragment) -> list[tuple[Member | None, str]]:
 
 def _back(chemist: Chemist, member: Member, name: str, gone: Collection[tuple[Member, str]]) -> list[str]:
     """Hydrogens that leave an atom and that the charge of an amine brings back."""
-    if member.own is None:
+    if member.own is None or (graph := _graph(chemist, member)) is None:
         return []
-    light, now = _graph(chemist, member).light(name), member.own.hydrogens.get(name, ())
+    light, now = graph.light(name), member.own.hydrogens.get(name, ())
     leaving = [x for x in light if (member, x) in gone]
     return leaving[: max(len(now) + len(leaving) - len(light), 0)]
 

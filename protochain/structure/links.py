@@ -71,11 +71,6 @@ class Link:
         return id(self.atom), id(self.other_atom)
 
     @property
-    def is_there(self) -> bool:
-        """Whether the residues have the atoms still."""
-        return self.atom in self.member.atoms and self.other_atom in self.other.atoms
-
-    @property
     def owners(self) -> tuple[int, int]:
         """``id`` of the residues."""
         return id(self.member), id(self.other)

@@ -148,7 +148,7 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
     rename(member.atoms, template)
     heavy = member.heavy
     bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
-    strange, expected = 0, template.hydrogens
+    strange, expected = list[str](), template.hydrogens
     named_for = {name: parent for parent, names in expected.items() for name in names}
     for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
         # Where atoms overlap, another may be nearer than the one that it is named for.
@@ -159,7 +159,7 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
         if nearest.pos.dist(hydrogen.pos) <= BONDED:
             bonded[nearest.name].append(hydrogen)
         else:
-            strange += 1
+            strange.append(hydrogen.name)
     member.atoms = []
     for parent in heavy:
         names = list(expected.get(parent.name, []))
@@ -170,9 +170,9 @@ def _match(draft: Draft, member: Member, template: Template) -> int:
             if name not in named and others:
                 named[name] = others.pop(0)
                 named[name].name = name
-        strange += len(given) - len(named)
+        strange += [a.name for a in given if a not in named.values()]
         member.atoms.append(parent)
         member.atoms += [named.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
     if strange:
-        draft.note(Kind.STRANGE_HYDROGENS, residue=member.residue, count=strange)
+        draft.note(Kind.STRANGE_HYDROGENS, residue=member.residue, atoms=tuple(strange))
     return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)

@@ -225,7 +225,7 @@ class Kind(Enum):
     STATE_CHOSEN = Words("{residue} modelled as {state}")
     STATE_BY_PKA = Words("{residue} modelled as {state}: its pKa is {pka:.1f} by PROPKA")
     STRANGE_HYDROGENS = Words(
-        "{residue}: {count:n hydrogen} left out, not of its state",
+        "{residue}: hydrogens left out, not of its state: {atoms:6}",
         "hydrogens left out that do not belong to the state",
         Rank.LOSS,
     )

@@ -15,16 +15,17 @@ NAMES = ("ATP", "HEM", "ZN", "HOH", "MSE")
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_component_is_that_of_biotite(name):
+    found = dictionary.component(name)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        found, theirs = dictionary.component(name), biotite.residue(name)
+        theirs = biotite.residue(name)
     assert len(found) == len(theirs) > 0
     for kind in ("res_name", "atom_name", "element", "charge", "coord"):
         np.testing.assert_array_equal(getattr(found, kind), getattr(theirs, kind))
     np.testing.assert_array_equal(found.bonds.as_array(), theirs.bonds.as_array())
 
 
-@pytest.mark.parametrize("name", ["", "NO SUCH"])
+@pytest.mark.parametrize("name", ["", "NO SUCH", pytest.param("3UQ", id="without coordinates")])
 def test_what_is_not_there_is_not_found(name):
     """And its error keeps nothing of the dictionary in memory."""
     with pytest.raises(KeyError) as refused:

@@ -356,6 +356,7 @@ def test_another_molecule_is_refused():
         ("COP(=O)(O)O", 7.4, {"O3": -1, "O4": -1}),
         ("CC(=O)NC", 7.4, {}),
         ("C[N+](=O)[O-]", 7.4, {}),
+        ("O=c1[nH]c(=O)c2[nH]c(=O)[nH]c2[nH]1", 7.4, {"N4": -1}),
     ],
 )
 def test_acids_and_bases_are_charged_at_a_ph(smiles, ph, charges):

@@ -237,6 +237,14 @@ def contradicted():
     return m
 
 
+def test_a_loop_of_fixed_bodies_is_closed_as_it_stands():
+    m = Mechanism()
+    bar(m, "beam", (0, 0, 0), (1.0, 0, 0))
+    m.hinge("wall", "world", "beam", "fixed")
+    m.close("end", ("beam", (1.0, 0, 0)), ("world", (1.0, 0, 0)), "spherical")
+    assert m.build().bodies.tree.n_v == 0
+
+
 @pytest.mark.parametrize("integrator", [RungeKutta4(), Rosenbrock()])
 def test_integrators_of_accelerations_keep_loops_closed(integrator):
     run = four_bar().build().simulate(0.5, 2e-3, integrator)

@@ -61,7 +61,8 @@ def inputs(tmp_path_factory):
     mini, short, insulin = load("1l2y.pdb"), load("ala10.pdb"), load("3i40.pdb")
     for name in ("model", "model1", "relaxed", "native", "top", "protein"):
         pc.save(mini, folder / f"{name}.pdb")
-    pc.save(insulin, folder / "complex.pdb")
+    for name in ("complex", "design"):
+        pc.save(insulin, folder / f"{name}.pdb")
     pc.save(mini, folder / "model2.cif")
     saved(mini, shaken(mini, 2), folder / "samples.xtc")
     for name in ("ensemble", "nmr"):

@@ -93,7 +93,7 @@ def test_a_hydrogen_belongs_to_the_nearest_heavy_atom_and_takes_a_name_that_is_f
 def test_hydrogens_too_far_or_too_many_are_left_out_and_missing_ones_have_no_place():
     given = (("HO", 3.0, 1.501, 0.0), ("H1", 0, 1, 0), ("H2", 0, 1.1, 0), ("H3", 0, 1.2, 0), ("HN", 9, 1, 0))
     renamed, after, said = matched(*HEAVY, *given)
-    assert said == ["residue 1 XXX of chain A: 3 hydrogens left out, not of its state"]
+    assert said == ["residue 1 XXX of chain A: hydrogens left out, not of its state: HO, H3, HN"]
     assert [row[0] for row in after] == ["C1", "HA", "HB", "O1", "HO", "N1"] and renamed == 2
     assert after[1:3] == [("HA", 0, 1, 0, 50), ("HB", 0, 1.1, 0, 60)]
     assert np.isnan(after[4][1:4]).all() and after[4][4] == 20.0
