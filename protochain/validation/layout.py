@@ -53,8 +53,9 @@ def layout(structure: Structure) -> Layout:
         atom[name] = read_only(index, np.int64)
     before, after = np.full(n, NONE), np.full(n, NONE)
     ends = both_ways(structure.bonds)
-    # Also within one residue.
-    first, second = of[ends[(structure.atom_name[ends] == ["C", "N"]).all(axis=1)]].T
+    # Not of a carbon with four neighbours. Some are within one residue.
+    is_flat = np.bincount(structure.bonds.ravel(), minlength=structure.n_atoms) < 4
+    first, second = of[ends[(structure.atom_name[ends] == ["C", "N"]).all(axis=1) & is_flat[ends[:, 0]]]].T
     real = amino[first] & amino[second] & (first != second)
     after[first[real]], before[second[real]] = second[real], first[real]
     return Layout(amino, atom, read_only(before, np.int64), read_only(after, np.int64))

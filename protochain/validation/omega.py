@@ -31,8 +31,7 @@ def omegas(structure: Structure, x: Floats | None = None) -> Peptides:
     residue = np.flatnonzero(np.isfinite(omega))
     omega = omega[residue]
     size = np.abs(omega)
-    proline = structure.residue_name[residue] == "PRO"
-    cis = size < PLANAR
+    cis, proline = size < PLANAR, structure.residue_name[residue] == "PRO"
     return Peptides(residue, omega, proline, cis, ~cis & (size <= 180.0 - PLANAR))
 
 

@@ -16,6 +16,7 @@ from protochain.ligands.sources import from_dictionary
 from protochain.structure.chirality import chiral_atoms
 from protochain.structure.repairs import Kind, Why
 from protochain.structure.residues import OF_ALANINE
+from protochain.validation.omega import omegas
 
 pytest.importorskip("rdkit")
 pytest.importorskip("dimorphite_dl")
@@ -244,6 +245,8 @@ def test_an_amino_acid_of_the_dictionary_has_its_atoms_and_parameters(name, tmp_
     covalent.assert_is(s, case, product)
     _, energy, _ = reference(s, "amber14", "obc2")
     assert np.isfinite(energy)
+    # Bonds decide what a peptide bond is: the C of CE7 and I2F has four neighbours.
+    assert len(omegas(s).residue) == s.n_residues - 1 - (name in ("CE7", "I2F"))
 
 
 @pytest.mark.parametrize("name", [pytest.param(each, marks=pytest.mark.slow) for each in REFUSED])
