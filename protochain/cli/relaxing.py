@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from protochain.core.arrays import Watcher
     from protochain.energies import Energy
     from protochain.relaxation import Relaxation
-    from protochain.relaxation.wrong import Wrong
     from protochain.structure import Structure
 
 _EVALUATIONS = 90
@@ -46,6 +45,10 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     seconds = _EVALUATIONS * (monotonic() - began)
     at = Wrong(structure, x)
     n, beside = len(at.overlaps), at.n_beside
+    inverted = counted(len(at.inverted), "inverted stereocentre")
+    as_d = structure.mirrored[structure.atom_residue[at.inverted]].all()
+    advice = "" if as_d else " (name D-amino acids as DAL ...)"
+    twisted = counted(len(at.peptides), "twisted peptide bond")
     stated = [
         f"{counted(structure.n_protein_residues, 'residue')}, {counted(structure.n_atoms, 'atom')}",
         *said_of_move(structure, move),
@@ -53,8 +56,8 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
         + (f", {beside} of them with molecules kept with the protein" if beside else ""),
         str(at.violations),
         *(["threaded rings, to be freed first: " + listed([*map(str, at.rings)], 2)] if at.rings else []),
-        *_inverted(at),
-        *_twisted(len(at.peptides)),
+        *([f"{inverted}, to be corrected{advice}"] if len(at.inverted) else []),
+        *([f"{twisted}, to be turned to trans or cis"] if len(at.peptides) else []),
         *_breaks(structure),
         f"about {max(seconds, 1.0):.0f} s",
     ]
@@ -62,28 +65,13 @@ def tell_plan(source: Path, structure: "Structure", energy: "Energy", move: str 
     return seconds
 
 
-def _inverted(at: "Wrong") -> list[str]:
-    """What will become of inverted stereocentres, in words."""
-    s, n = at.structure, len(at.inverted)
-    advice = "" if s.mirrored[s.atom_residue[at.inverted]].all() else " (name D-amino acids as DAL ...)"
-    return [f"{n} inverted stereocentre{'s' * (n > 1)}, to be corrected{advice}"] if n else []
-
-
-def _twisted(n: int) -> list[str]:
-    """What will become of twisted peptide bonds, in words."""
-    return [f"{n} twisted peptide bond{'s' * (n > 1)}, to be turned to trans or cis"] if n else []
-
-
 def _breaks(structure: "Structure") -> list[str]:
     """Breaks in chains, in words."""
     mine = np.unique(structure.atom_residue[~structure.kept])
     _, first = np.unique(structure.residue_chain_index[mine], return_index=True)
     n = len(first) - len({*structure.residue_chain[mine[first]].tolist()})
-    return (
-        [f"{n} chain break{'s' * (n > 1)}, which stay{'s' * (n == 1)} as {'they are' if n > 1 else 'it is'}"]
-        if n > 0
-        else []
-    )
+    said = f"{counted(n, 'chain break')}, which {'stay as they are' if n > 1 else 'stays as it is'}"
+    return [said] if n > 0 else []
 
 
 def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":

@@ -116,6 +116,12 @@ def known(table: Iterable[Mapping[str, str]]) -> set[str]:
     return {gemmi.cif.as_string(row["comp_id"]) for row in table if row["kind"] == _KNOWN}
 
 
+def of_header(header: str) -> set[str]:
+    """Components of our own table in a header."""
+    block = gemmi.cif.read_string(header if CATEGORY in header else "data_none").sole_block()
+    return {row.str(0) for row in block.find(CATEGORY, ["comp_id"])}
+
+
 def _flag(is_so: bool) -> str:
     return "Y" if is_so else "N"
 

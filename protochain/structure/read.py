@@ -21,6 +21,7 @@ from scipy.spatial import KDTree
 from protochain.core.checks import check_fields, flag, integer, optional, text, words
 from protochain.core.errors import Argument, OnlyAlphaError, StructureError
 from protochain.core.markup import counted, listed
+from protochain.ligands.tables import of_header
 from protochain.structure import fragments, parents, residues
 from protochain.structure.apart import refuse_crowds
 from protochain.structure.backbone import complete_backbone
@@ -232,6 +233,7 @@ class _Reader:
     def __init__(self, draft: Draft, reading: Reading, beside: list[Candidate]) -> None:
         self.draft, self.reading, self.beside, self.chain_id = draft, reading, beside, ""
         self.known = templates(reading.forcefield)
+        self.own = of_header(draft.header) | reading.chemistry.moving
         self.runs: list[list[Member]] = []
         self.unknown: set[int] = set()
 
@@ -293,13 +295,13 @@ class _Reader:
         return []
 
     def _is_protein(self, residue: gemmi.Residue) -> bool:
-        name, _ = named(residue.name.strip().upper(), [*residue], self.known)
+        name, _ = named(residue.name.strip().upper(), [*residue], self.known, self.own)
         return name in residues.CAPS or name in residues.STANDARD or bool(archive_parent(name))
 
     def _member(self, residue: gemmi.Residue) -> Member | None:
         """Return a residue of the protein under its standard name, or None for another molecule."""
         given = residue.name.strip().upper()
-        name, state = named(given, [*residue], self.known)
+        name, state = named(given, [*residue], self.known, self.own)
         if name in residues.STANDARD or name in residues.CAPS:
             for atom in residue:
                 atom.element = _element(atom)

@@ -272,8 +272,12 @@ def standard_name(name: str) -> tuple[str, str]:
     return _residue_names().get(name, name), ""
 
 
-def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Template]) -> tuple[str, str]:
+def named(
+    given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Template], own: Collection[str] = ()
+) -> tuple[str, str]:
     """Return what :func:`standard_name` does of a name that has this meaning with these atoms, or as given.
+
+    ``own`` are components whose bonds the file states: another name's atoms do not make them that.
 
     Names mean several things: ``NLN`` is asparagine with a sugar in GLYCAM, and norleucine's amide in the PDB
     archive; ``HSE`` histidine in CHARMM, and homoserine; ``HIP`` histidine in Amber, and its phosphate;
@@ -284,7 +288,7 @@ def named(given: str, atoms: Collection[gemmi.Atom], known: Mapping[str, Templat
     if name == given and name in (*STANDARD, *CAPS, "HOH"):
         return given, ""
     heavy = {atom.name for atom in atoms if not atom.is_hydrogen()}
-    if (name == given or name in NUCLEOTIDES) and (found := _of_atoms(given, heavy)):
+    if (name == given or name in NUCLEOTIDES) and given not in own and (found := _of_atoms(given, heavy)):
         return found, ""
     if name == given:
         return given, ""

@@ -348,6 +348,7 @@ def test_other_than_two_places_is_refused(between):
     ],
 )
 def test_numbers_that_make_no_sense_are_refused(given, word):
+    assert pc.Pull(ENDS, stiffness=0.5).stiffness == 0.5
     with pytest.raises(pc.ProtochainError, match=word):
         pc.Pull(ENDS, **given)
 

@@ -116,6 +116,20 @@ def test_a_ligand_of_four_letters_keeps_its_name_and_pdb_files_say_how_they_call
     assert "LIG1 is called LIG here" in (tmp_path / "y.pdb").read_text()
 
 
+def test_a_molecule_whose_bonds_are_given_is_no_amino_acid_by_its_atoms(tmp_path):
+    """Prolinal, which has the atoms of proline within a chain: as given, and in files written of it."""
+    text = lines(PEPTIDE, lambda *given: given)
+    of = [line for line in text.split("\n") if line[17:20] == "PRO" and line[22:26] == "  12"]
+    its = [f"HETATM{line[6:17]}LIG1A  99    {float(line[30:38]) + 30:8.3f}{line[38:]}" for line in of]
+    s = loaded(
+        tmp_path, text.replace("END\n", "\n".join([*its, "END\n"])), keep="all", ligands="LIG1=O=CC1CCCN1"
+    )
+    for name in ("y.pdb", "y.cif"):
+        pc.save(s, tmp_path / name)
+        again = pc.load(tmp_path / name, keep="all")
+        assert len(again.ligands) == len(s.ligands) == 1 and again.n_atoms == s.n_atoms
+
+
 def test_occupancies_that_are_not_there_are_1_and_b_factors_unknown(tmp_path):
     text = lines(PEPTIDE, lambda *given: given)
     bare = "\n".join(
