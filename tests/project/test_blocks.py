@@ -65,6 +65,7 @@ def inputs(tmp_path_factory):
         pc.save(insulin, folder / f"{name}.pdb")
     pc.save(mini, folder / "model2.cif")
     saved(mini, shaken(mini, 2), folder / "samples.xtc")
+    saved(insulin, shaken(insulin, 2), folder / "run.xtc")
     for name in ("ensemble", "nmr"):
         models(short, shaken(short, 2), folder / f"{name}.pdb")
     boltz = folder / "predictions" / "boltz_results_a" / "predictions" / "a"
