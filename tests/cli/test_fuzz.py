@@ -122,10 +122,10 @@ def test_many_damaged_files_and_odd_options():
     """Cases that no table counts: `analysis/bench fuzz` begins at 0."""
     cases = judge.chosen(FILES_BY_WEIGHT, 600) + judge.chosen(OPTIONS, 200)
     ended = judge.outcomes([(kind, 5000 + seed) for kind, seed in cases], jobs=processors())
-    faulty = [each for each in ended if each.faults]
-    # Where each atom has another residue's name, what its bonds kept has none in the file that is written.
-    again = [each for each in faulty if all(fault.startswith("not read again") for fault in each.faults)]
-    assert len(faulty) == len(again) <= 1, faulty
+    # In one each atom has another residue's name: what its bonds kept has none in the file that is written.
+    known = {("PDB, residues renamed", 5005): ("not read again: out.cif: ['ValueError: 89 atoms of 96']",)}
+    faulty = {(each.kind, each.seed): each.faults for each in ended if each.faults}
+    assert faulty == known
 
 
 record = st.builds(

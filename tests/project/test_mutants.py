@@ -49,5 +49,4 @@ def test_an_excuse_is_of_a_fault_that_could_be_made():
 def test_the_tests_notice_most_random_faults():
     ended = mutants.mutation_run([*mutants.FOLDERS], number=1, seed=2, jobs=2, tree=mutants.ROOT)
     noticed = sum(fault.result != "survived" for fault in ended)
-    # Of one a folder; nine of ten are noticed where more are tried.
-    assert noticed >= 0.75 * len(ended), [fault for fault in ended if fault.result == "survived"]
+    assert noticed >= 0.85 * len(ended), [fault for fault in ended if fault.result == "survived"]

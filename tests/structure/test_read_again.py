@@ -118,6 +118,7 @@ def test_every_file_is_the_same_system_again(path, suffix, tmp_path):
     else:
         if suffix == ".pdb" and max(map(len, s.residue_name.tolist())) > 3:
             assert " here: PDB files have names of three" in (tmp_path / "again.pdb").read_text()
+            assert pc.load(tmp_path / "again.pdb", keep="all").n_atoms == s.n_atoms
         else:
             assert_same_system(s, tmp_path / f"again{suffix}")
 
