@@ -58,6 +58,12 @@ def test_links_and_pictures_are_there(page):
     assert [link for link in links if not is_there(page, link)] == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_tests_and_benchmarks_that_are_named_are_there(page):
+    named = re.findall(r"\b(?:tests|analysis/benchmarks)/[a-z_/]+\.(?:py|csv)\b", page.read_text())
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
 @pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python")], ids=page_name)
 def test_python_examples_compile_and_name_what_there_is(page):
     for block in blocks(page, "python"):
