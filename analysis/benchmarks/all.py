@@ -99,7 +99,7 @@ STARTED = " ".join(
 ENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y", "1vii", "1ejg", "3i40"))
 HELD = " ".join(f"MORE/{name}" for name in HELD_OUT[:-1])
 """Without the largest, in which OpenMM's minimiser takes more than ten minutes to a tolerance of 1."""
-FIRST = " ".join(f"MORE/{name}" for name in HELD_OUT[:5])
+HELD_OUT_FILES = " ".join(f"MORE/{name}" for name in HELD_OUT)
 DESCENDED = "structures/ala10.pdb structures/1l2y.pdb MORE/1le1_trpzip2.pdb"
 RELAXED = " ".join(
     f"MORE/{name}"
@@ -161,7 +161,7 @@ JOBS = (
     Job("fuzz", f"{HERE}/fuzz.py -o DIR", 90, apart=True),
     Job("race", f"{HERE}/race.py {HELD} --custom 450 -o DIR", 13, writes="race_gbsa race_obc2 race_vacuum"),
     Job("race-parts", f"{HERE}/parts.py -o DIR", 1, writes="minimise_parts"),
-    Job("near", f"{HERE}/near.py {FIRST} -o DIR", 9, threads=1, writes="near near_ends"),
+    Job("near", f"{HERE}/near.py {HELD_OUT_FILES} -o DIR", 40, threads=1, writes="near near_ends"),
     Job(
         "basins", f"{HERE}/near.py --basins {DESCENDED} -o DIR", 6,
         f"{HERE}/near.py --basins structures/ala10.pdb --quick -o DIR", threads=1, writes="near_basins",
