@@ -1,11 +1,12 @@
 """Notebooks, run in full and stored with what they show.
 
-    python analysis/remake.py [NAME ...] [--list]
+    python analysis/remake.py [NAME ...] [-o DIR] [--list]
 
-Each runs in a process of its own, some tens of seconds, and is written only if it reaches its end. Pictures
-are stored in few colours; of an interactive view, which is too large, only its name is. A stamp tells of what
-the outputs are: the notebook's code and, of a scene's, the scene's own files without comments and docstrings,
-and the values of its checks, against which a slow test holds those of today.
+Each runs in a process of its own, some tens of seconds. It is written only if it reaches its end, in place or
+to DIR. ``python analysis/bench all --only notebooks scenes`` also writes their rows in made.csv. Pictures are
+stored in few colours. An interactive view is too large, so that only its name is stored. A stamp has a digest
+of the notebook's code and of the files of a scene, without comments and docstrings. It also has the values of
+the checks of a scene, with which a slow test compares those of today.
 --list names the notebooks, and which have other outputs than their code asks for.
 """
 
@@ -123,6 +124,7 @@ def written(notebook: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="by default all")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder [default: in place]")
     parser.add_argument("--list", action="store_true", help="say which are current, and stop")
     options = parser.parse_args()
     unknown = sorted(set(options.names) - PATHS.keys())
@@ -142,6 +144,9 @@ def main() -> None:
             failed.append(name)
             print(f"{name:<32} failed, and stays as it is: {error}", file=sys.stderr, flush=True)
             continue
+        if options.output:
+            options.output.mkdir(parents=True, exist_ok=True)
+            path = options.output / path.name
         path.write_text(text, encoding="utf-8")
         print(f"{name:<32} {len(text) / 1e3:.0f} kB", flush=True)
     sys.exit(1 if failed else 0)

@@ -1,12 +1,12 @@
-"""Every table of results, made again, and the pages that quote them.
+"""Every table, picture and notebook, made again, and the pages that show them.
 
     python analysis/bench all [--minutes N] [--again] [--quick] [--only NAME ...] [-o DIR]
                               [--more FOLDER] [--list]
 
 Runs the commands of JOBS one after the other, each in a process of its own. One that fails stops nothing; it
 is named at the end, and the exit status is 1. Tables go to analysis/results, and into the pages; with -o DIR
-to DIR, and pages made from them to DIR/pages. Before each it waits until other programs leave the processors
-idle, half an hour at most.
+to DIR, and pages made from them to DIR/pages. Pictures and notebooks that a job collects go to their folders,
+or to DIR. Before each job it waits until other programs leave the processors idle, half an hour at most.
 
 A job is left out if all its tables were made by its command from the code of today, as made.csv has it,
 without changes that were not committed; --again repeats it. So a call after one that was stopped goes on
@@ -35,7 +35,7 @@ import made
 import pages
 import pandas as pd
 import psutil
-from made import DOCS, HELD_OUT, MORE, RESULTS, ROOT
+from made import HELD_OUT, MORE, RESULTS, ROOT
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,12 @@ class Job:
     quick: str = ""
     """What --quick runs instead; by default the same with --quick."""
     collects: dict[str, tuple[str, tuple[str, ...]]] = field(default_factory=dict)
-    """Of a command of protochain, which knows nothing of made.csv: file, name here, columns (empty: all).
-    A picture goes to the folder of the pages."""
+    """Of a command that writes no made.csv: file, name here, columns of a table (empty: all)."""
 
     threads: int | None = None
     """Of such a command; as many as there are processors, by default."""
     writes: str = ""
-    """Names of its tables; by default its own. Of one that collects, what it collects."""
+    """Names of its tables and pictures; by default one table of its own name, or the collected files."""
     continues: bool = False
     """Whether it goes on where it was stopped: from its folder KEPT, or from the tables that it collects."""
     after: str = ""
@@ -65,10 +64,11 @@ class Job:
 
     @property
     def tables(self) -> list[str]:
-        """Files of its tables."""
+        """Files with a row in made.csv: tables, pictures and notebooks."""
         if self.collects:
-            return [name for name, _ in self.collects.values() if name.endswith(".csv")]
-        return [f"{name}.csv" for name in (self.writes or self.name.replace("-", "_")).split()]
+            return [name for name, _ in self.collects.values()]
+        names = (self.writes or self.name.replace("-", "_")).split()
+        return [name if "." in name else f"{name}.csv" for name in names]
 
     @property
     def inputs(self) -> list[str]:
@@ -99,7 +99,7 @@ STARTED = " ".join(
 ENDED = " ".join(f"structures/{name}.pdb" for name in ("ala10", "1l2y", "1vii", "1ejg", "3i40"))
 HELD = " ".join(f"MORE/{name}" for name in HELD_OUT[:-1])
 """Without the largest, in which OpenMM's minimiser takes more than ten minutes to a tolerance of 1."""
-FIRST = " ".join(f"MORE/{name}" for name in HELD_OUT[:5])
+HELD_OUT_FILES = " ".join(f"MORE/{name}" for name in HELD_OUT)
 DESCENDED = "structures/ala10.pdb structures/1l2y.pdb MORE/1le1_trpzip2.pdb"
 RELAXED = " ".join(
     f"MORE/{name}"
@@ -134,12 +134,20 @@ OF_CRYSTALS = (
 )  # fmt: skip
 CURVES = "solvers,energies,integrators,sampling,closures,fixman,hessians"
 HERE = "python analysis/benchmarks"
+COMPARED = "kcm,md,lbfgs,hybrid,cartesian,openmm"
+NOTEBOOKS, SCENES = (
+    sorted(path.stem for path in (ROOT / "analysis" / kind).glob("*.ipynb"))
+    for kind in ("notebooks", "scenes")
+)
 KCM_RUNS = "analysis/results/kcm_runs.csv analysis/results/kcm_traces.csv"
 
 JOBS = (
     Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling mechanics_steps"),
     Job("engines", f"{HERE}/engines.py energies -o DIR", 6),
-    Job("engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 8, threads=1),
+    Job(
+        "engines-accuracy", f"{HERE}/engines.py accuracy -o DIR", 8, threads=1,
+        writes="engines_accuracy engines_accuracy.png",
+    ),
     Job("engines-moving", f"{HERE}/engines.py moving -o DIR", 1),
     Job("device", f"{HERE}/device.py -o DIR", 3),
     Job("large", f"{HERE}/large.py -o DIR", 5, writes="large large_exponents"),
@@ -161,7 +169,7 @@ JOBS = (
     Job("fuzz", f"{HERE}/fuzz.py -o DIR", 90, apart=True),
     Job("race", f"{HERE}/race.py {HELD} --custom 450 -o DIR", 13, writes="race_gbsa race_obc2 race_vacuum"),
     Job("race-parts", f"{HERE}/parts.py -o DIR", 1, writes="minimise_parts"),
-    Job("near", f"{HERE}/near.py {FIRST} -o DIR", 9, threads=1, writes="near near_ends"),
+    Job("near", f"{HERE}/near.py {HELD_OUT_FILES} -o DIR", 40, threads=1, writes="near near_ends near.png"),
     Job(
         "basins", f"{HERE}/near.py --basins {DESCENDED} -o DIR", 6,
         f"{HERE}/near.py --basins structures/ala10.pdb --quick -o DIR", threads=1, writes="near_basins",
@@ -189,7 +197,7 @@ JOBS = (
     ),
     Job(
         "compliance", f"{HERE}/compliance.py -o DIR", 4,
-        writes="compliance_angles compliance_evaluations compliance_starts",
+        writes="compliance_angles compliance_evaluations compliance_starts limit-cycle.png",
     ),
     Job(
         "runs-kcm", f"python analysis/bench kcm {STARTED} --starts 2 -o DIR --jobs 2 --minutes 20", 25,
@@ -230,7 +238,10 @@ JOBS = (
         "interfaces", f"{HERE}/interfaces.py --more MORE -o DIR", 7,
         writes="interfaces_columns interfaces_cost interfaces_moved",
     ),
-    Job("dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4),
+    Job(
+        "dynamics-energy", f"{HERE}/dynamics.py energy -o DIR", 4,
+        writes="dynamics_energy dynamics_energy.png",
+    ),
     Job("dynamics-steps", f"{HERE}/dynamics.py steps -o DIR", 5),
     Job("dynamics-cost", f"{HERE}/dynamics.py cost --more MORE -o DIR", 2),
     Job("dynamics-speed", f"{HERE}/dynamics.py speed --more MORE -o DIR", 5),
@@ -249,6 +260,24 @@ JOBS = (
             "grid.png": ("stability.png", ()),
         },
     ),
+    Job(
+        "comparison",
+        f"protochain compare structures/1ubq.pdb --methods {COMPARED} --figure DIR/compared.png -o DIR",
+        1, "protochain compare structures/ala10.pdb --methods lbfgs --figure DIR/compared.png -o DIR",
+        {"compared.png": ("comparison.png", ())},
+    ),
+    Job(
+        "relaxation", f"{HERE}/pocket.py structures/6bj9_model_0.cif.gz -o DIR", 1,
+        collects={"relaxation.png": ("relaxation.png", ())},
+    ),
+    *(
+        Job(
+            kind, f"python analysis/remake.py {' '.join(names)} -o DIR", minutes,
+            f"python analysis/remake.py {names[0]} -o DIR",
+            {f"{name}.ipynb": (f"{name}.ipynb", ()) for name in names},
+        )
+        for kind, minutes, names in (("notebooks", 10, NOTEBOOKS), ("scenes", 20, SCENES))
+    ),
 )  # fmt: skip
 """The one table of commands."""
 
@@ -262,7 +291,8 @@ def words_of(job: Job, output: Path, more: Path, quick: bool, kept: Path = PARTS
     line = (job.quick or f"{job.command} --quick") if quick else job.command
     folders = {"DIR": str(output), "KEPT": str(kept)}
     program, *words = shlex.split(line)
-    given = [folders.get(word) or re.sub(r"^MORE(?=$|/)", str(more), word) for word in words]
+    folders["MORE"] = str(more)
+    given = [re.sub(r"^(DIR|KEPT|MORE)(?=$|/)", lambda place: folders[place[1]], word) for word in words]
     return [sys.executable if program == "python" else shutil.which(program) or program, *given]
 
 
@@ -308,16 +338,25 @@ def run(job: Job, output: Path, more: Path, quick: bool, seconds: float | None =
         for name, (kept_as, columns) in job.collects.items():
             if not (place / name).exists():
                 return f"wrote no {name}"
-            if name.endswith(".png"):
-                shutil.copy(place / name, (DOCS if output == RESULTS else output) / kept_as)
-                continue
-            table = pd.read_csv(place / name)
-            table = table[list(columns)] if columns else table
             threads = job.threads or len(os.sched_getaffinity(0))
-            each = (monotonic() - began) / len(job.tables)
-            made.write(table, output / kept_as, job.inputs, threads, words, each)
+            about = (job.inputs, threads, words, (monotonic() - began) / len(job.tables))
+            if name.endswith(".csv"):
+                table = pd.read_csv(place / name)
+                made.write(table[list(columns)] if columns else table, output / kept_as, *about)
+            else:
+                target = folder_of(kept_as, output) / kept_as
+                shutil.copy(place / name, target)
+                made.record(target, output, *about)
         missing = [name for name in job.tables if not (quick or (output / name).exists())]
         return f"wrote no {missing[0]}" if missing else ""
+
+
+def folder_of(name: str, output: Path) -> Path:
+    """Folder of a picture or notebook that a job collects, for a folder of tables."""
+    if output != RESULTS:
+        return output
+    kinds = {**dict.fromkeys(NOTEBOOKS, "notebooks"), **dict.fromkeys(SCENES, "scenes")}
+    return ROOT / "analysis" / kinds.get(name.removesuffix(".ipynb"), "docs")
 
 
 def called(words: list[str], env: dict[str, str], seconds: float | None) -> int | None:

@@ -114,7 +114,7 @@ def draw(table: pd.DataFrame, output: Path) -> None:
     axis.set(xscale="log", yscale="log", xlabel="step, rad", ylabel="largest torque at the end, kJ/mol/rad")
     axis.legend()
     figure.tight_layout()
-    figure.savefig(output / "limit-cycle.png", dpi=150)
+    made.draw(figure, output / "limit-cycle.png")
 
 
 def dense_hessian(problem: Problem, at) -> np.ndarray:

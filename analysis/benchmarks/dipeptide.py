@@ -19,7 +19,6 @@ from pathlib import Path
 
 import gemmi
 import made
-import matplotlib.pyplot as plt
 import numpy as np
 import openmm
 import pandas as pd
@@ -167,19 +166,6 @@ def row(method: str, runs: list[np.ndarray], basin: str, exact: float) -> dict[s
     }  # fmt: skip
 
 
-def draw(surfaces: dict[str, np.ndarray], path: Path) -> None:
-    """Draw free energies side by side."""
-    figure, axes = plt.subplots(
-        1, len(surfaces), figsize=(3.7 * len(surfaces), 3.6), layout="constrained", sharey=True
-    )
-    for axis, (name, values) in zip(axes, surfaces.items(), strict=True):
-        shown = axis.pcolormesh(EDGES, EDGES, values.T, vmin=0.0, vmax=25.0, cmap="cividis")
-        axis.set(title=name, xlabel="phi, degrees", aspect="equal")
-    axes[0].set_ylabel("psi, degrees")
-    figure.colorbar(shown, ax=axes, label="free energy, kJ/mol")
-    figure.savefig(path, dpi=150)
-
-
 Runs = dict[str, list[np.ndarray]]
 
 
@@ -230,7 +216,6 @@ def report(runs: Runs, exact: dict[tuple[str, str], float], known: tuple, output
                 "share_percent": 100 * exact[name, basin]
             }
         made.write(table.round(3), output / "dipeptide.csv")
-        draw(surfaces, output / "dipeptide.png")
 
 
 def parser() -> argparse.ArgumentParser:

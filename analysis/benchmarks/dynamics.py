@@ -218,7 +218,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     axes[0].set(xlabel="time step, fs", ylabel="standard deviation of the energy, kJ/mol")
     axes[1].set(xlabel="run time, s per ps")
     figure.suptitle("Trp-cage at constant energy, 300 K: error against step and run time")
-    figure.savefig(path, dpi=150)
+    made.draw(figure, path, ["1l2y"], THREADS)
 
 
 def sizes(samples: tuple[str, ...], options: argparse.Namespace) -> list[Path]:

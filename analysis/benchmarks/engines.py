@@ -287,8 +287,7 @@ def main() -> None:
         if options.output:
             table = pd.DataFrame(rows)
             if measure is by_accuracy:
-                options.output.mkdir(parents=True, exist_ok=True)
-                curves(table).savefig(options.output / f"{name}.png", dpi=110)
+                made.draw(curves(table), options.output / f"{name}.png", dpi=110)
             of = table["structure"].unique() if "structure" in table else ["copies of 1ubq"]
             threads = 1 if measure is by_accuracy else options.threads
             made.write(table, options.output / f"{name}.csv", of, threads)

@@ -1,6 +1,7 @@
-"""What all benchmarks share: their parser, and tables with a record of how each was made, in made.csv."""
+"""Parser of all benchmarks, and the record of tables, pictures and notebooks in made.csv."""
 
 import argparse
+import hashlib
 import os
 import shlex
 import subprocess
@@ -9,6 +10,7 @@ from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import monotonic
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -76,29 +78,53 @@ def write(
     by: list[str] | None = None,
     seconds: float | None = None,
 ) -> None:
-    """Write a table as CSV, and in made.csv beside it command, commit, machine, seconds, versions and inputs.
+    """Write a table as CSV, and its row in made.csv next to it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    table.to_csv(path, index=False)
+    record(path, path.parent, inputs, threads, by, seconds)
 
-    A commit whose tree had other changes is marked "and changes"; inputs are named without their folders.
-    The command is that of this process, or ``by``; seconds are those since its last table, or ``seconds``.
+
+def draw(figure: Any, path: Path, inputs: Iterable[object] = (), threads: int = 1, dpi: int = 150) -> None:
+    """Write a matplotlib figure as PNG, and its row in made.csv next to it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=dpi)
+    record(path, path.parent, inputs, threads)
+
+
+def record(
+    path: Path,
+    folder: Path,
+    inputs: Iterable[object] = (),
+    threads: int = 1,
+    by: list[str] | None = None,
+    seconds: float | None = None,
+) -> None:
+    """Write the row of a file in made.csv: command, commit, machine, seconds, versions, inputs and digest.
+
+    A commit whose tree had other changes is marked "and changes". Inputs are named without their folders.
+    The command is that of this process, or ``by``. The seconds are those since its last file, or ``seconds``.
     """
     from bench.provenance import processor
 
     global _last
     if seconds is None:
         seconds, _last = monotonic() - _last, monotonic()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    table.to_csv(path, index=False)
     row = {
         "table": path.name, "command": command(by), "commit": COMMIT,
         "machine": f"{processor()}, {len(os.sched_getaffinity(0))} cores", "threads": threads,
         "load": round(os.getloadavg()[1], 1), "seconds": round(seconds, 1),
-        "versions": ", ".join(f"{name} {found}" for name in LIBRARIES if (found := _version(name))),
-        "inputs": " ".join(Path(str(given)).name for given in inputs),
+        "versions": ", ".join(f"{name} {number}" for name in LIBRARIES if (number := _version(name))),
+        "inputs": " ".join(Path(str(item)).name for item in inputs), "digest": digest(path),
     }  # fmt: skip
-    record = path.parent / RECORD
-    rows = pd.read_csv(record, dtype=str) if record.exists() else pd.DataFrame(columns=list(row))
+    place = folder / RECORD
+    rows = pd.read_csv(place, dtype=str) if place.exists() else pd.DataFrame(columns=list(row))
     rows = pd.concat([rows[rows["table"] != path.name], pd.DataFrame([row], dtype=str)])
-    rows.sort_values("table").to_csv(record, index=False)
+    rows.sort_values("table").to_csv(place, index=False)
+
+
+def digest(path: Path) -> str:
+    """First 16 digits of the SHA-256 of a file: it shows whether the file is the one of its row."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def surroundings(**more: str) -> dict[str, str]:

@@ -263,7 +263,7 @@ def main() -> None:
         table = pd.DataFrame(ways)
         made.write(table.round(4), options.output / "near.csv", files)
         made.write(pd.DataFrame(own).round(4), options.output / "near_ends.csv", files)
-        curves(table).savefig(options.output / "near.png", dpi=150)
+        made.draw(curves(table), options.output / "near.png", files)
 
 
 if __name__ == "__main__":

@@ -214,7 +214,8 @@ _CLUSTERED = {"frame": int, "cluster": int, "medoid": bool, "distance_to_medoid"
 _FLUCTUATING = _row("ca_fluctuation_angstrom") | _optional(_row("ca_fluctuation_after_angstrom"))
 
 _SEARCHED = {
-    **_row("structure energy_lowest_kj_mol n_minima evaluations steps acceptance round_trips seconds"),
+    **_row("structure energy_lowest_kj_mol n_minima n_walks_at_lowest agreement evaluations steps"),
+    **_row("acceptance round_trips seconds"),
     **_row("interrupted temperature_lowest_k temperature_highest_k temperatures_k n_hinges hinges"),
     **_row("forcefield solvent engine device engine_reason"), **_RUN,
     **{name: kind for name, kind in get_type_hints(SearchSettings).items() if name != "temperatures"},

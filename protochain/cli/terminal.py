@@ -258,6 +258,7 @@ def search_progress(name: str) -> Iterator["Callable[[SearchProgress], None]"]:
 def print_search(done: "Search", output: object) -> None:
     """Print the lowest minima of a search, and the populations of replicas."""
     print(f"{done.chain.structure.name}: {done.energy:.2f} kJ/mol, the lowest of {len(done.q)} minima")
+    print(f"  {done.agreement}")
     for row in done.minima.head(_SHOWN_MINIMA).to_dict("records"):
         free = row["free_energy_kj_mol"]
         rest = "" if math.isnan(free) else f", free energy {free:+.2f}"

@@ -32,7 +32,7 @@ from protochain.minimisers.openmm_reference import minimise_by_openmm
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import Recipe, recipe_of
 from protochain.minimisers.restraints import Hold, Leash
-from protochain.minimisers.saddle import ALL_ATOMS_UP_TO, SHARE_OF_RUN, with_curvature
+from protochain.minimisers.saddle import ALL_ATOMS_UP_TO, with_curvature
 from protochain.minimisers.solution import Recorder, Solution, trace_of
 from protochain.minimisers.spaces import Torsions, spaces
 from protochain.minimisers.stages import Outcome, Stage, walk
@@ -98,10 +98,9 @@ def minimise(
     max_rmsd : float, angstrom
         Upper limit of the C-alpha RMSD to the start, superposed.
     curvature : bool, optional
-        Whether to find, at the end, the lowest eigenvalue of the Hessian in what moves, torsions or all
-        atoms, and to go on from a saddle point (:mod:`protochain.minimisers.saddle`): some dozen evaluations,
-        in all atoms at most a fifth of those of the run, or ten. Default: where only hinges turn, and in all
-        atoms at tolerances up to 1 kJ/mol/nm. OpenMM's methods do not.
+        Whether to compute, at the end, the lowest eigenvalue of the Hessian in the moving degrees of freedom,
+        and to go on from a saddle point (:mod:`protochain.minimisers.saddle`). It takes 10 to 40 evaluations.
+        Default: if only hinges turn, and in all atoms at tolerances up to 1 kJ/mol/nm, without OpenMM's.
     judge : str
         What judges start and end: ``reference`` (OpenMM's Reference platform), or ``auto``, the native engine
         with all pairs in double precision, or that platform for what it cannot compute.
@@ -247,8 +246,7 @@ def _walked(start: Start, run: Minimisation, record: Recorder) -> Outcome:
     torque = start.judgement.max_torque if run.recipe.in_torsions else 0.0
     plan = run.recipe.plan(chain, start.known, reduced, run.converged_at, hold, run.seed, torque)
     if run.examines:
-        share = np.inf if run.recipe.keeps_geometry else SHARE_OF_RUN
-        plan = with_curvature(plan, _floats(start, run, record.frame), share)
+        plan = with_curvature(plan, _floats(start, run, record.frame))
     x = chain.structure.positions
     waypoint = load_checkpoint(Path(run.resume), plan, run.settings(start), x) if run.resume else None
     allowed = Leash(chain.structure, hold.max_rmsd).allows if hold.max_rmsd < np.inf else None
@@ -366,8 +364,8 @@ def _measured(
     text = f"{done.space.unit.format(residual)} for a tolerance of {tolerance:g}{restrained}, {judged}"
     known, unit = done.eigenvalue_at_most, done.space.eigenvalue_unit
     if lowest is not None:
-        most = "" if known is None else "at most "
-        return f"{text}; lowest eigenvalue of the Hessian {most}{lowest:.3g} {unit}"
+        flat = ", negative: a smaller tolerance leads lower" if lowest < 0.0 else ""
+        return f"{text}; lowest eigenvalue of the Hessian {lowest:.3g} {unit}{flat}"
     if not met:
         return text
     text += "; curvature not examined"

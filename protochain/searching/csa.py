@@ -12,7 +12,7 @@ import numpy as np
 from protochain.core.arrays import Floats, Value, read_only
 from protochain.dynamics.loop import noise
 from protochain.searching.landscape import Descended, Landscape
-from protochain.searching.minima import SAME_ENERGY, distance
+from protochain.searching.minima import SAME_ENERGY, Symmetry
 from protochain.searching.moves import a_kind, anywhere, crossed, moved
 from protochain.searching.pieces import Finding, stream
 
@@ -79,7 +79,7 @@ class Crossings:
         moves, joins = landscape.moves, len(state.q) < state.room
         if joins:
             done = landscape.minimise(anywhere(moves, state.q.shape[1], random))
-            after = joined(state, done, landscape.period)
+            after = joined(state, done, landscape.symmetry)
         else:
             seed = random.choice(np.flatnonzero(state.tried < TRIALS))
             if random.random() < MUTATED:
@@ -90,13 +90,13 @@ class Crossings:
             done = landscape.minimise(trial)
             tried = state.tried.copy()
             tried[seed] += 1.0
-            after = next_round(entered(replace(state, tried=read_only(tried)), done, landscape.period))
+            after = next_round(entered(replace(state, tried=read_only(tried)), done, landscape.symmetry))
         n_evaluations = state.n_evaluations + done.n_evaluations
         found = Finding.minimum(done.q, done.energy, n_evaluations)
         return replace(after, n_done=number, n_evaluations=n_evaluations), found
 
 
-def joined(state: Bank, done: Descended, period: Floats) -> Bank:
+def joined(state: Bank, done: Descended, symmetry: Symmetry) -> Bank:
     """Let a random minimum join; the last one sets what is near."""
     random = np.concatenate([state.random, done.q[None]])[-2 * BANK :]
     after = replace(
@@ -109,14 +109,14 @@ def joined(state: Bank, done: Descended, period: Floats) -> Bank:
     )
     if len(after.q) < state.room:
         return after
-    apart = [distance(random[:k], random[k], period) for k in range(1, len(random))]
+    apart = [symmetry.distance(random[:k], random[k]) for k in range(1, len(random))]
     return replace(after, mean=float(np.mean(np.concatenate(apart))), width=WIDE)
 
 
-def entered(state: Bank, done: Descended, period: Floats) -> Bank:
+def entered(state: Bank, done: Descended, symmetry: Symmetry) -> Bank:
     """Let a minimum displace one near it, or else the highest, if it is lower; what is near shrinks."""
     state = replace(state, width=max(state.width * _COOLING, NARROW))
-    apart = distance(state.q, done.q, period)
+    apart = symmetry.distance(state.q, done.q)
     nearest, highest = int(np.argmin(apart)), int(np.argmax(state.energies))
     is_near = apart[nearest] < state.width * state.mean
     place = nearest if is_near else highest

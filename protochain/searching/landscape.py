@@ -33,7 +33,7 @@ from protochain.minimisers.problem import Evaluation, Problem
 from protochain.minimisers.recipes import RECIPES
 from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.stages import PATIENCE
-from protochain.searching.minima import periods
+from protochain.searching.minima import Symmetry
 from protochain.searching.moves import Moves
 
 if TYPE_CHECKING:
@@ -119,9 +119,14 @@ class Landscape(Value):
         return Moves.of(self.chain)
 
     @cached_property
+    def symmetry(self) -> Symmetry:
+        """Turns that only exchange equal atoms."""
+        return Symmetry.of(self.chain)
+
+    @property
     def period(self) -> Floats:
-        """(n,) float, rad: turn of each torsion that changes nothing."""
-        return periods(self.chain)
+        """(n,) float, rad: turn of each torsion that only exchanges equal atoms."""
+        return self.symmetry.period
 
     def positions(self, q: Floats) -> Floats:
         """Positions (na, 3), nm, at torsions (n,)."""

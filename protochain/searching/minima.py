@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from protochain.batches.ensembles import grouped, rmsds
 from protochain.chains.chain import Chain
-from protochain.core.arrays import Floats, Integers
+from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.units import ANGSTROM_PER_NM, MOLAR_GAS
 
 if TYPE_CHECKING:
@@ -24,48 +25,76 @@ ALIKE = 1.0
 """angstrom. C-alpha RMSD at which clusters are cut, on average over their pairs."""
 
 HALF_TURNS = {("PHE", "chi2"), ("ASP", "chi2"), ("GLU", "chi3"), ("ARG", "chi5")}
-"""Torsions after half a turn of which a residue is as it was. Not tyrosine's: its hydroxyl then points to the
-other side."""
+"""Torsions whose half turn exchanges equal atoms."""
 
 
-def periods(chain: Chain) -> Floats:
-    """(n,) float, rad: turn of each coordinate that changes nothing."""
-    period = np.full(chain.n_q, 2.0 * np.pi)
-    for hinge, coordinate in zip(chain.hinges, chain.tree.q_start[chain.hinge_body], strict=True):
-        # psi of the last residue turns a carboxylate.
-        of_carboxylate = hinge.kind == "psi" and chain.structure.atom_name[hinge.atoms[3]] == "O"
-        is_half = (hinge.residue_name, hinge.kind) in HALF_TURNS and not _is_acid(chain, hinge)
-        if of_carboxylate or is_half:
-            period[coordinate] = np.pi
-    return period
+@dataclass(frozen=True, eq=False)
+class Symmetry(Value):
+    """Turns of the torsions of a chain that only exchange atoms of one element in a symmetric group."""
+
+    period: Floats  # (n,) rad: Turn of each coordinate alone.
+    paired: Integers  # (k, 2): Coordinates whose half turns together exchange equal atoms, as of tyrosine.
+
+    @classmethod
+    def of(cls, chain: Chain) -> Symmetry:
+        """Find the symmetric groups of a chain: methyl, NH3+, carboxylate, guanidinium, aromatic rings."""
+        structure = chain.structure
+        period, paired = np.full(chain.n_q, 2.0 * np.pi), []
+        coordinates = chain.tree.q_start[chain.hinge_body].tolist()
+        rotors = {h.atoms[1]: q for h, q in zip(chain.hinges, coordinates, strict=True) if h.kind == "rotor"}
+        for hinge, coordinate in zip(chain.hinges, coordinates, strict=True):
+            residue = _atoms_of(chain, hinge)
+            # psi of the last residue turns a carboxylate.
+            of_carboxylate = hinge.kind == "psi" and structure.atom_name[hinge.atoms[3]] == "O"
+            is_half = (hinge.residue_name, hinge.kind) in HALF_TURNS and not _is_acid(hinge, residue)
+            if of_carboxylate or is_half:
+                period[coordinate] = np.pi
+            near = structure.neighbours[hinge.atoms[2]] if hinge.kind == "rotor" else ()
+            if sum(structure.atom_element[k] == "H" for k in near) == 3:
+                period[coordinate] = 2.0 * np.pi / 3.0
+            if (hinge.residue_name, hinge.kind) == ("TYR", "chi2"):
+                # The ring is symmetric if its hydroxyl turns along, or lost its hydrogen.
+                if "HH" not in residue:
+                    period[coordinate] = np.pi
+                elif residue["CZ"] in rotors:
+                    paired.append((coordinate, rotors[residue["CZ"]]))
+        return cls(period, np.array(paired, dtype=np.int64).reshape(-1, 2))
+
+    def farthest(self, q: Floats, other: Floats) -> Floats:
+        """Difference, rad, of the torsion that differs most; q (..., n) and other (..., n)."""
+        return np.asarray(np.max(self._differences(q, other), axis=-1))
+
+    def distance(self, q: Floats, other: Floats) -> Floats:
+        """Sum of the differences, rad, of all torsions; q (..., n) and other (..., n)."""
+        return np.asarray(np.sum(self._differences(q, other), axis=-1))
+
+    def _differences(self, q: Floats, other: Floats) -> Floats:
+        """Smallest differences (..., n), rad, over the symmetric images of each group."""
+        turn = q - other
+        away = np.abs(turn - self.period * np.rint(turn / self.period))
+        for pair in self.paired:
+            image = np.pi - away[..., pair]
+            nearer = image.sum(axis=-1) < away[..., pair].sum(axis=-1)
+            away[..., pair] = np.where(nearer[..., None], image, away[..., pair])
+        return away
 
 
-def _is_acid(chain: Chain, hinge: Hinge) -> bool:
-    """Whether the hinge is in a side chain whose carboxyl group has its hydrogen."""
+def _atoms_of(chain: Chain, hinge: Hinge) -> dict[str, int]:
+    """Atoms of the residue of a hinge by name."""
     structure = chain.structure
-    its = structure.atom_residue == structure.atom_residue[hinge.atoms[1]]
+    atoms = np.flatnonzero(structure.atom_residue == structure.atom_residue[hinge.atoms[1]])
+    return {str(structure.atom_name[k]): int(k) for k in atoms}
+
+
+def _is_acid(hinge: Hinge, residue: dict[str, int]) -> bool:
+    """Whether the hinge turns a carboxyl group that has its hydrogen."""
     hydrogens = {"ASP": {"HD1", "HD2"}, "GLU": {"HE1", "HE2"}}.get(hinge.residue_name, set())
-    return not hydrogens.isdisjoint(structure.atom_name[its].tolist())
+    return not hydrogens.isdisjoint(residue)
 
 
-def farthest(q: Floats, other: Floats, period: Floats) -> Floats:
-    """Difference, rad, of the torsion that differs most; q (..., n) and other (..., n)."""
-    return np.asarray(np.max(_turns(q, other, period), axis=-1))
-
-
-def distance(q: Floats, other: Floats, period: Floats) -> Floats:
-    """Sum of the differences, rad, of all torsions; q (..., n) and other (..., n)."""
-    return np.asarray(np.sum(_turns(q, other, period), axis=-1))
-
-
-def _turns(q: Floats, other: Floats, period: Floats) -> Floats:
-    away = q - other
-    return np.asarray(np.abs(away - period * np.rint(away / period)))
-
-
-def unique(q: Floats, energy: Floats, period: Floats) -> Integers:
+def unique(q: Floats, energy: Floats, symmetry: Symmetry) -> Integers:
     """Which minima differ from all lower ones, the lowest first."""
-    # q (m, n) rad, energy (m,) kJ/mol, period (n,) rad -> (k,) int.
+    # q (m, n) rad, energy (m,) kJ/mol -> (k,) int.
     kept: list[int] = []
     first = 0
     for k in np.argsort(energy, kind="stable").tolist():
@@ -74,7 +103,7 @@ def unique(q: Floats, energy: Floats, period: Floats) -> Integers:
         while first < len(kept) and energy[kept[first]] < energy[k] - SAME_ENERGY:
             first += 1
         near = kept[first:]
-        if not near or np.min(farthest(q[near], q[k], period)) > SAME_TORSION:
+        if not near or np.min(symmetry.farthest(q[near], q[k])) > SAME_TORSION:
             kept.append(k)
     return np.array(kept, dtype=np.int64)
 

@@ -19,7 +19,7 @@ from protochain.core.units import MOLAR_GAS
 from protochain.energies import Energy
 from protochain.searching import conformers
 from protochain.searching.landscape import Landscape
-from protochain.searching.minima import clusters, free_energy, unique
+from protochain.searching.minima import SAME_ENERGY, SAME_TORSION, clusters, free_energy, unique
 from protochain.searching.pieces import Finding
 from protochain.searching.search_settings import SearchSettings
 from protochain.searching.statistics import WARM_UP, blocked, mean_and_error, slope, warm
@@ -95,7 +95,7 @@ class Search(Value):
     @cached_property
     def _unique(self) -> Integers:
         found = self._all[1]
-        return unique(found[:, 2:], found[:, 1], self.landscape.period)
+        return unique(found[:, 2:], found[:, 1], self.landscape.symmetry)
 
     @property
     def q(self) -> Floats:
@@ -111,6 +111,20 @@ class Search(Value):
     def energy(self) -> float:
         """Lowest energy, kJ/mol."""
         return float(self.energies[0])
+
+    @property
+    def n_walks_at_lowest(self) -> int:
+        """Walks that reached the lowest minimum: one of several has not shown that it is the lowest."""
+        walker, rows = self._all
+        alike = self.landscape.symmetry.farthest(rows[:, 2:], self.q[0]) <= SAME_TORSION
+        return len(np.unique(walker[alike & (rows[:, 1] <= self.energy + SAME_ENERGY)]))
+
+    @property
+    def agreement(self) -> str:
+        """How many walks reached the lowest minimum, with a warning if only one did."""
+        n, total = self.n_walks_at_lowest, len(self.findings)
+        text = f"{n} of {total} walks reached it" if total > 1 else "one walk, which nothing confirms"
+        return text if n > 1 else f"{text}: search on (--resume, more --evaluations) before you rely on it"
 
     def structure(self, number: int = 1) -> Structure:
         """Structure of a minimum, numbered from 1, superposed on the lowest."""
@@ -256,6 +270,8 @@ class Search(Value):
             "structure": self.chain.structure.name,
             "energy_lowest_kj_mol": self.energy,
             "n_minima": len(self._unique),
+            "n_walks_at_lowest": self.n_walks_at_lowest,
+            "agreement": self.agreement,
             "evaluations": self.n_evaluations,
             "steps": sum(state.n_done for state in known),
             "acceptance": sum(state.acceptance for state in known) / len(known),

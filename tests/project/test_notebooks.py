@@ -26,6 +26,9 @@ FULL, QUICK = "QUICK = False", "QUICK = True"
 
 MOST_BYTES = 300_000
 
+STORED = 1e-4
+"""Relative, of the energies that a notebook shows, which have few digits."""
+
 QUICKEST = {"01-first-steps", "impact"}
 """One of each kind that the fast tests run; scenes run by themselves, too (``test_scenes.py``)."""
 
@@ -132,6 +135,16 @@ def test_it_uses_public_names_only(path):
             assert getattr(node.value, "id", "") != "pc" or node.attr in PUBLIC["protochain"], node.attr
 
 
+def energies(notebook):
+    """Negative numbers from -100 with decimals in the texts of a notebook: seconds are not among them."""
+    texts = [
+        output.get("text", "") + output.get("data", {}).get("text/plain", "")
+        for cell in notebook.cells
+        for output in cell.get("outputs", ())
+    ]
+    return [float(number) for text in texts for number in re.findall(r"-\d{3,}\.\d+", text)]
+
+
 @pytest.mark.parametrize(
     "path",
     [pytest.param(p, marks=() if p.stem in QUICKEST else pytest.mark.slow, id=p.stem) for p in NOTEBOOKS],
@@ -143,6 +156,7 @@ def test_it_runs(path, tmp_path, monkeypatch):
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path))
     before = sorted(path.parent.iterdir())
     notebook = nbformat.read(path, as_version=4)
+    stored = energies(notebook)
     if path in OF_SCENES:
         first = next(cell for cell in notebook.cells if cell.cell_type == "code")
         first.source = first.source.replace(FULL, QUICK)
@@ -150,3 +164,5 @@ def test_it_runs(path, tmp_path, monkeypatch):
         notebook, timeout=HANG, kernel_name="python3", resources={"metadata": {"path": str(path.parent)}}
     ).execute()
     assert sorted(path.parent.iterdir()) == before, "it leaves files behind"
+    if path in LONG:
+        assert energies(notebook) == pytest.approx(stored, rel=STORED), f"run: remake.py {path.stem}"

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from made import RECORD
+from made import RECORD, RESULTS
 
 TABLES: dict[str, Callable[[Path], str]] = {}
 """What makes each table of a page from the folder of results."""
@@ -108,10 +108,12 @@ def made_by(record: pd.DataFrame, *files: str) -> str:
 
 @table("made", RECORD, dtype=str, keep_default_na=False)
 def made(record: pd.DataFrame) -> str:
-    """How every table was made."""
+    """How every table, picture and notebook was made."""
+    folders = ("results", "docs", "notebooks", "scenes")
     lines = ["| table | command | commit | machine | threads | load |", "|---|---|---|---|--:|--:|"]
     for r in record.itertuples():
-        name = f"[{r.table}](../../results/{r.table})"
+        folder = next(name for name in folders if (RESULTS.parent / name / r.table).exists())
+        name = f"[{r.table}](../../{folder}/{r.table})"
         cells = (name, f"`{r.command}`", r.commit, r.machine, r.threads, r.load)
         lines.append(f"| {' | '.join(cells)} |")
     versions = ", ".join(dict.fromkeys(v for row in record["versions"] for v in row.split(", ") if v))

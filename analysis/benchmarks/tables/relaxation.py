@@ -30,10 +30,16 @@ table_of_rows(
 )  # fmt: skip
 
 
+CLOSED = "6lfo_gap_model"
+"""Model whose chain gaps OpenMM's run closed: the two programs solved different problems."""
+
+
 @table("relax-short", "relax.csv", RECORD)
 def relax_short(rows: pd.DataFrame, record: pd.DataFrame) -> str:
-    """Relaxation beside AlphaFold's, for the README."""
-    return f"{of_rows(rows, *_MODEL, *_ENDS, *_SECONDS)}\n{made_by(record, 'relax.csv')}"
+    """Relaxation compared with AlphaFold's, for the README."""
+    short = of_rows(rows[rows["model"] != CLOSED], *_MODEL, *_ENDS, *_SECONDS)
+    note = f"{CLOSED} is not shown: OpenMM's run closed its chain gaps, and so solved a different problem."
+    return f"{short}\n{paragraph(note)}\n{made_by(record, 'relax.csv')}"
 
 
 @table("relax-words", "relax.csv")
@@ -45,13 +51,14 @@ def relax_words(r: pd.DataFrame) -> str:
     obc2 = (r["energy_ff14sb_obc2_relax"] - r["energy_ff14sb_obc2_openmm"]).dropna()
     vacuum = (r["energy_amber99sb_vacuum_relax_alphafold"] - r["energy_amber99sb_vacuum_openmm"]).dropna()
     damaged = r["model"].str.startswith("1hel-")
-    files, copies = r["times_sooner"][~damaged], r["times_sooner"][damaged]
+    files, copies = r["times_sooner"][~damaged & (r["model"] != CLOSED)], r["times_sooner"][damaged]
     return paragraph(
         f"`relax` leaves no more violations than OpenMM in {left} of {n} models, and its RMSD is at most",
         f"0.02 angstrom above OpenMM's in {fold} of {n}. Its energy is lower in {(obc2 < 0).sum()} of",
         f"{len(obc2)} in ff14SB and OBC2, and in {(vacuum < 0).sum()} of {len(vacuum)} in amber99sb and",
         f"vacuum. It is {between(files)} times as fast on the files, and {between(copies)} times on the",
-        "copies of lysozyme, where starting the program takes a second or more.",
+        "copies of lysozyme, for which the start of the program takes a second or more. The factor on the",
+        f"files does not include {CLOSED}: OpenMM's run closed its chain gaps, a different problem.",
     )
 
 
