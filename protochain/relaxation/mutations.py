@@ -150,8 +150,8 @@ def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutat
     Side chains with C-betas within 8 angstrom of the site are removed, built on rotamers and relaxed. The
     backbone and all other atoms stay. The structure itself goes through the same, with the same residues. So
     the energy of either side depends on the fixed atoms alone: a mutation to the residue itself has ``ddg``
-    0, and the reverse mutation of the mutant has the opposite ``ddg``. A residue to mutate whose side chain
-    is bonded to others, or a histidine that comes back with another tautomer, is the exception.
+    0, and the reverse mutation of the mutant has the opposite ``ddg``. Exceptions are residues to mutate
+    whose side chains are bonded to others, or in another protonation state than the usual one.
 
     Parameters
     ----------
@@ -229,6 +229,8 @@ def mutated(
     new = {r: name for r, name in names.items() if name != structure.residue_name[r]}
     near = _near(structure, [*names])
     states = {r: state for r in near if (state := _rebuildable(structure, r))}
+    # Both sides choose the tautomer that the surroundings favour: a histidine may come back as the other.
+    states |= {r: "HIS" for r in names if states.get(r) in ("HID", "HIE")}
     while True:
         built = (states, states | new)
         sides = [substituted(structure, each, **setup.of_building) for each in built]

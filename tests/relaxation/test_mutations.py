@@ -15,6 +15,7 @@ from protochain.batches.mutation_scan import heat_map, sites_of
 from protochain.core.errors import ProtochainError
 from protochain.relaxation.mutations import NEAR, mutated, places_of, protocol
 from protochain.structure.residues import STANDARD
+from protochain.structure.substitute import substituted
 
 FAST = {"solvent": "vacuum", "threads": 1}
 
@@ -99,6 +100,14 @@ def test_there_and_back_the_change_is_nothing(r, new):
     assert abs(there_and_back(load("1l2y.pdb"), r, new, **FAST)) < THERE_AND_BACK
 
 
+@pytest.mark.parametrize("state", ["HID", "HIE"])
+def test_a_histidine_goes_and_comes_back_whatever_its_tautomer(state):
+    s = load("1hel.pdb")
+    s = substituted(s, {int(np.flatnonzero(s.residue_number == "15")[0]): state})
+    assert pc.mutate(s, "A:H15H", **FAST).ddg == 0.0
+    assert abs(there_and_back(s, 14, "A", **FAST)) < THERE_AND_BACK
+
+
 def test_changes_round_a_cycle_cancel(leucine):
     f = pc.mutate(leucine.structure, "A:A7F", **FAST)
     last = pc.mutate(f.structure, "A:F7L", **FAST)
@@ -137,7 +146,7 @@ def test_null_mutations_and_round_trips_of_relaxed_proteins(name, step):
         place = f"{its.chain}:{own}{its.number}"
         assert pc.mutate(s, f"{place}{own}", threads=1).ddg == 0.0
         is_bonded = own == "C" and "HG" not in s.atom_name[s.atom_residue == r]
-        if own not in "GAH" and not is_bonded:
+        if own not in "GA" and not is_bonded:
             sums.append(there_and_back(s, r, "A", threads=1))
     assert len(sums) > 5 and np.abs(sums).max() < THERE_AND_BACK
 
