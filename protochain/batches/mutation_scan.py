@@ -45,7 +45,7 @@ class SiteJob:
     def run(self, threads: int) -> Iterator[dict[str, Any]]:
         """Make and relax each mutant; residues that move alike share the wild type."""
         structure, relaxing, setup = unpickled(self.task)
-        known: dict[tuple[int, ...], Relaxation] = {}
+        known: dict[tuple[Any, ...], Relaxation] = {}
         for letter in self.letters:
             names = {self.residue: LETTERS[letter]}
             try:

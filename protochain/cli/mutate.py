@@ -22,9 +22,14 @@ _SHOWN = (
     "clashscore_per_1000_atoms", "seconds",
 )  # fmt: skip
 """Columns of the terminal."""
+_MEANING = (
+    "ddg is an energy difference of minimised structures, not a free energy. "
+    "How far it follows experiment is measured in analysis/docs/relax.md#mutations."
+)
 _TEXT = (
-    "Estimated change of stability of each mutant: its energy less that of the wild type, both repacked and "
-    "relaxed near the site, less the same in pentapeptides GGXGG. Red is less stable, blue more."
+    "Change of stability (ddg) of each mutant: its energy less that of the wild type, less the same in "
+    f"pentapeptides GGXGG. Side chains near the site are rebuilt and relaxed alike on both sides. {_MEANING} "
+    "Red is less stable, blue more."
 )
 _WITHOUT = "hinges root move rigid_protein terms rebuild_side_chains sequence"
 _OWN = "preset tolerance interface"
@@ -57,10 +62,10 @@ def mutate(
     relaxing: RelaxSettings,
     setup: Setup,
 ) -> None:
-    """Put residues in place of others, and tell what that costs.
+    """Put residues in place of others, and report the change of energy.
 
-    Side chains are built on rotamers; what is within 8 angstrom is repacked and relaxed in all atoms, in the
-    structure itself too. With --scan each residue is mutated by itself: a table, and a page with a heat map.
+    Side chains within 8 angstrom are rebuilt on rotamers and relaxed, in the structure itself too. The
+    backbone stays. With --scan each residue is mutated by itself: a table, and a page with a heat map.
     """
     from protochain.relaxation.mutations import PROTOCOL, mutated, places_of
 
@@ -100,14 +105,15 @@ def mutate(
 
 
 def _print(done: "Mutation") -> None:
-    """Print what a mutant costs."""
+    """Print the energies of a mutant, and what they mean."""
     ddg, bound = done.ddg, done.interface_change
     parts = f"{done.change:.1f} kJ/mol, in GGXGG {'-' if done.unfolded is None else f'{done.unfolded:.1f}'}"
     stated = [
-        f"change of stability: {'not known' if ddg is None else f'{ddg:+.1f} kJ/mol'} (energy {parts})",
+        f"change of stability (ddg): {'not known' if ddg is None else f'{ddg:+.1f} kJ/mol'} (energy {parts})",
         *([] if bound is None else [f"change of the energy of binding: {bound:+.1f} kJ/mol"]),
         f"wild type: {done.wild.message}",
         f"mutant: {done.mutant.message}",
+        _MEANING,
     ]
     print("\n".join(stated))
 
@@ -148,6 +154,7 @@ def _scan(
     elif rows:
         shown = [key for key in _SHOWN if any(row[key] is not None for row in rows)]
         print_rows(shown, ([row[key] for key in shown] for row in rows), texts=2)
+        print(_MEANING)
         options.print_files(table, report)
     if interrupted:
         return options.fail("interrupted; --resume does the rest", options.INTERRUPTED)

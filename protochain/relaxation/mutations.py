@@ -1,7 +1,12 @@
-"""``mutate``: residues in place of others, what is near repacked and relaxed, and what that costs."""
+"""``mutate``: residues in place of others, side chains near them rebuilt and relaxed, and what that costs.
+
+Both sides of a mutation are the same function of the backbone and of the atoms farther away: side chains near
+the site are removed, built on rotamers and minimised, and the backbone stays. So a mutation to the residue
+itself costs exactly 0, and a mutation and its reverse cost the same with opposite signs.
+"""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +18,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.chains.setup import OF_ENERGY, Setup
-from protochain.core.arrays import Integers, Value
+from protochain.core.arrays import Value
 from protochain.core.checks import checked
 from protochain.core.checks import words as words_of
 from protochain.core.errors import Argument, ProtochainError, StructureError
@@ -27,15 +32,19 @@ from protochain.relaxation.result import Relaxation
 from protochain.results.columns import Column, record
 from protochain.structure import Structure
 from protochain.structure.build import from_sequence
-from protochain.structure.residues import STANDARD
+from protochain.structure.residues import D_NAMES, STANDARD
 from protochain.structure.select import atoms_at
+from protochain.structure.sidechains.ideal import placed
 from protochain.structure.substitute import LETTERS, substituted
+from protochain.validation.layout import NONE, layout
 
 NEAR = 8.0
-"""Angstrom from the heavy atoms of a residue, before or after, within which others are repacked and move."""
+"""Angstrom between C-betas at their ideal places, within which side chains are rebuilt and move."""
 PROTOCOL: Mapping[str, Any] = MappingProxyType({"preset": "predicted", "tolerance": 1.0})
-"""Of the relaxation. Springs to where side chains were packed keep the two sides alike: released, energies of
-80 mutants of BPTI and barstar follow experiments less (correlation 0.60 for 0.71), in twice the time."""
+"""Settings of the relaxation. Its springs lead to the rotamers, which both sides have in common."""
+_BETA = 1.53, np.deg2rad(110.1), np.deg2rad(122.8)
+"""CA-CB in angstrom, C-CA-CB, and the dihedral N-C-CA-CB: Lovell et al., Proteins 50:437 (2003)."""
+_BACKBONE = ("N", "CA", "C", "O", "OXT")
 _PLACE = re.compile(r"(?:(\S*):)?([A-Z])(-?\d+[A-Z]?)([A-Z])")
 _PROTONS = {"HIS": ("HD1", "HE2"), "ASP": ("HD2",), "GLU": ("HE2",), "LYS": ("HZ1",), "CYS": ("HG",)}
 _STATES = {
@@ -47,7 +56,7 @@ _STATES = {
 
 @dataclass(frozen=True, eq=False)
 class Mutation(Value):
-    """A mutant and the structure that it is of, both repacked and relaxed near it, the rest held.
+    """A mutant and its wild type: side chains near the site rebuilt and relaxed alike, the rest fixed.
 
     Parameters
     ----------
@@ -80,12 +89,15 @@ class Mutation(Value):
 
     @property
     def change(self) -> float:
-        """Energy of the mutant less that of the wild type, kJ/mol; of other atoms, so of no use by itself."""
+        """Energy of the mutant less that of the wild type, kJ/mol. Their atoms differ: use ``ddg``."""
         return self.mutant.energy_end - self.wild.energy_end
 
     @property
     def ddg(self) -> float | None:
-        """Estimate of how much less stable the mutant is, kJ/mol: the change beyond that of pentapeptides."""
+        """Change of energy beyond that of pentapeptides, kJ/mol, positive for a less stable mutant.
+
+        It is an energy difference of minimised structures, not a free energy.
+        """
         return None if self.unfolded is None else self.change - self.unfolded
 
     @property
@@ -133,11 +145,13 @@ COLUMNS = (
 
 @checked()
 def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutation:
-    """Put residues in place of others, and tell what that costs.
+    """Put residues in place of others, and return the change of energy.
 
-    Side chains are built on rotamers. Residues with atoms within 8 angstrom of them, before or after, are put
-    into the best of their rotamers and relaxed in all atoms; the rest stays. The structure itself goes
-    through the same, with the same residues, so that energies can be subtracted.
+    Side chains with C-betas within 8 angstrom of the site are removed, built on rotamers and relaxed. The
+    backbone and all other atoms stay. The structure itself goes through the same, with the same residues. So
+    the energy of either side depends on the fixed atoms alone: a mutation to the residue itself has ``ddg``
+    0, and the reverse mutation of the mutant has the opposite ``ddg``. Exceptions are residues to mutate
+    whose side chains are bonded to others, or in another protonation state than the usual one.
 
     Parameters
     ----------
@@ -152,7 +166,8 @@ def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutat
     Returns
     -------
     Mutation
-        Both relaxed; ``ddg`` estimates the change of stability, ``interface_change`` that of binding.
+        Both sides. ``ddg`` is an energy difference that stands for the change of stability,
+        ``interface_change`` the change of the energy of binding, kJ/mol. Neither is a free energy.
 
     Raises
     ------
@@ -206,25 +221,36 @@ def places_of(structure: Structure, mutations: str | Sequence[str]) -> dict[int,
 
 def mutated(
     structure: Structure, names: Mapping[int, str], relaxing: RelaxSettings, setup: Setup,
-    known: dict[tuple[int, ...], Relaxation],
+    known: dict[tuple[Any, ...], Relaxation],
 ) -> Mutation:  # fmt: skip
-    """A mutant, whose residues are given by index; ``known`` keeps wild types by the residues that move."""
+    """Return a mutant, whose residues are given by index; ``known`` has the sides of one site so far."""
     began = perf_counter()
-    mutant = substituted(structure, names, **setup.of_building)
-    if structure.ties:  # They are found anew, where atoms are now, in the mutant: so in the wild type, too.
-        structure = substituted(structure, {}, **setup.of_building)
-    near = _near((structure, mutant), [*names])
-    key = (*near.tolist(),)
-    if key not in known:
-        known[key] = _settled(structure, near, relaxing, setup)
-    ended = _settled(mutant, near, relaxing, setup)
-    states = [[_state(each, r) for r in names] for each in (structure, mutant)]
-    unfolded = None
-    if all(map(all, states)):
-        before, after = (sum(_unfolded(s, relaxing, setup) for s in each) for each in states)
+    # A mutation to the residue itself asks for no other protonation state.
+    new = {r: name for r, name in names.items() if name != structure.residue_name[r]}
+    near = _near(structure, [*names])
+    states = {r: state for r in near if (state := _rebuildable(structure, r))}
+    # Both sides choose the tautomer that the surroundings favour: a histidine may come back as the other.
+    states |= {r: "HIS" for r in names if states.get(r) in ("HID", "HIE")}
+    while True:
+        built = (states, states | new)
+        sides = [substituted(structure, each, **setup.of_building) for each in built]
+        # A neighbour that would get another proton or a new bond stays as it is, on both sides.
+        changed = {r for r in states if r not in names and any(_state(s, r) != states[r] for s in sides)}
+        if not changed:
+            break
+        near, states = [r for r in near if r not in changed], {r: states[r] for r in {*states} - changed}
+    keys = [(*near, *sorted(each.items())) for each in built]
+    for key, side in zip(keys, sides, strict=True):
+        if key not in known:
+            known[key] = _settled(side, near, relaxing, setup)
+    wild, mutant = (known[key] for key in keys)
+    unfolded = None if new else 0.0
+    of_sites = [[_state(each.start, r) for r in names] for each in (wild, mutant)]
+    if new and all(map(all, of_sites)):
+        before, after = (sum(_unfolded(s, relaxing, setup) for s in each) for each in of_sites)
         unfolded = after - before
-    named = tuple(told(structure, r, str(mutant.residue_name[r])) for r in names)
-    return Mutation(named, known[key], ended, unfolded, perf_counter() - began)
+    named = tuple(told(structure, r, str(mutant.start.residue_name[r])) for r in names)
+    return Mutation(named, wild, mutant, unfolded, perf_counter() - began)
 
 
 def told(structure: Structure, r: int, name: str) -> str:
@@ -233,27 +259,40 @@ def told(structure: Structure, r: int, name: str) -> str:
     return f"{its.chain}:{STANDARD[str(structure.residue_name[r])]}{its.number}{STANDARD[name]}"
 
 
-def _near(structures: Iterable[Structure], residues: Sequence[int]) -> Integers:
-    """Residues with heavy atoms near those of given ones, in any of the structures."""
-    found = set[int]()
-    for s in structures:
-        (heavy,) = np.nonzero(s.atom_element != "H")
-        x, of = s.positions[heavy], s.atom_residue[heavy]
-        apart = KDTree(x[np.isin(of, residues)]).query(x)[0]
-        found |= {*of[ANGSTROM_PER_NM * apart <= NEAR].tolist()}
-    return np.array(sorted(found))
+def _near(structure: Structure, residues: Sequence[int]) -> list[int]:
+    """Residues to mutate, and those with C-betas near: by the backbone alone, the same on both sides."""
+    atoms = layout(structure).atoms("N", "CA", "C")
+    (found,) = np.nonzero((atoms != NONE).all(axis=1))
+    n, alpha, c = ANGSTROM_PER_NM * structure.positions[atoms[found].T]
+    turn = np.where(structure.mirrored[found], -1.0, 1.0) * _BETA[2]
+    betas = placed(n, c, alpha, _BETA[0], _BETA[1], turn)
+    apart = KDTree(betas[np.isin(found, residues)]).query(betas)[0]
+    chosen = {r for r in found[apart <= NEAR].tolist() if _rebuildable(structure, r)}
+    return sorted(chosen | {*residues})
 
 
-def _settled(structure: Structure, near: Integers, relaxing: RelaxSettings, setup: Setup) -> Relaxation:
-    """Side chains of residues in their best rotamers, all their atoms relaxed, the others held."""
+def _rebuildable(structure: Structure, r: int) -> str:
+    """State of a standard residue whose side chain has no bonds or ties to others; empty for the rest."""
+    (atoms,) = np.nonzero(structure.atom_residue == r)
+    side = set(atoms[~np.isin(structure.atom_name[atoms], _BACKBONE)].tolist())
+    joined = [k for tie in structure.ties for k in tie.atoms]
+    joined += [k for k in side for other in structure.neighbours[k] if structure.atom_residue[other] != r]
+    state = "" if structure.kept[atoms].any() or side & {*joined} else _state(structure, r)
+    is_standard = structure.residue_name[r] in (D_NAMES if structure.mirrored[r] else STANDARD)
+    return state if is_standard and (state in D_NAMES or not structure.mirrored[r]) else ""
+
+
+def _settled(structure: Structure, near: Sequence[int], relaxing: RelaxSettings, setup: Setup) -> Relaxation:
+    """Side chains of residues in their best rotamers and relaxed; the backbone and all others stay."""
     move = _selected(structure, near)
     energy = setup.energy(structure, shared_energy)
     return relax_structure(structure, energy, replace(relaxing, repack_region=move), move=move)
 
 
-def _selected(structure: Structure, residues: Integers) -> str:
-    """Selection of the atoms of residues."""
-    atoms = np.flatnonzero(np.isin(structure.atom_residue, residues))
+def _selected(structure: Structure, residues: Sequence[int]) -> str:
+    """Selection of the side chains and the hydrogens of residues."""
+    of_side = np.isin(structure.atom_residue, residues) & ~np.isin(structure.atom_name, _BACKBONE)
+    atoms = np.flatnonzero(of_side)
     ends = np.flatnonzero(np.diff(atoms, prepend=-2, append=structure.n_atoms + 1) != 1)
     runs = zip(atoms[ends[:-1]], atoms[ends[1:] - 1], strict=True)
     return "index " + " ".join(f"{first}:{last}" for first, last in runs)
@@ -270,5 +309,5 @@ def _state(structure: Structure, r: int) -> str:
 def _unfolded(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
     """Energy of a residue within GGXGG, relaxed: it stands for the unfolded chain, kJ/mol."""
     made = substituted(from_sequence("GGGGG"), {2: state}, **setup.of_building)
-    relaxing = replace(relaxing, interface="", repack_region=_selected(made, np.array([2])))
+    relaxing = replace(relaxing, interface="", repack_region=_selected(made, [2]))
     return relax_structure(made, setup.energy(made), relaxing).energy_end

@@ -201,9 +201,9 @@ def _add(member: Member, places: Places) -> None:
                 continue
         kept.append(a)
     b_iso = float(np.mean([a.b_iso for a in member.atoms]))
-    member.atoms = kept + [
-        atom(name, name[0], np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()
-    ]
+    kept += [atom(name, name[0], np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()]
+    order = {name: k for k, name in enumerate(member.order)}
+    member.atoms = sorted(kept, key=lambda a: order.get(a.name, len(order)))
 
 
 def _oxygen(draft: Draft, part: Part, i: int) -> Floats:

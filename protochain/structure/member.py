@@ -33,6 +33,7 @@ class Member:
     odd: bool = False  # Whether it is an amino acid, or a nucleotide of a strand, that no force field has.
     # Standard amino acid that such a one becomes without parameters; empty if there is none.
     parent: str = ""
+    order: tuple[str, ...] = ()  # Names of its atoms, if those that are added have places among them.
 
     def __str__(self) -> str:
         return str(self.residue)

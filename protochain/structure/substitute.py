@@ -68,6 +68,10 @@ def substituted(structure: Structure, names: Mapping[int, str], **settings: Any)
     chemistry = replace(Chemistry.asked((), charges, value_of(ph), parts_of(files)), posed=known)
     reading = Reading(keep=("all",), forcefield=user_files(files), chemistry=chemistry)
     draft = read_structure(made, Draft(structure.name, structure.name), reading)
+    for r in names:
+        # Energies and arrays of the old residue are those of the new one if its name stays.
+        if draft.members[r].name == structure.residue_name[r]:
+            draft.members[r].order = tuple(structure.atom_name[structure.atom_residue == r].tolist())
     new = prepare(draft, settings.get("disulfide"), ph, reading.forcefield)
     return _as_of(new, structure, np.array(kept), noted)
 

@@ -1,16 +1,21 @@
 """Mutants, and what they cost."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
 from fixtures.command_line import refusal_as_said, run
-from fixtures.samples import STRUCTURES, load, shared
+from fixtures.samples import ROOT, STRUCTURES, load, shared
+from fixtures.tolerances import THERE_AND_BACK, THERE_AND_BACK_READ
 
 import protochain as pc
 from protochain.batches import mutation_scan
 from protochain.batches.mutation_scan import heat_map, sites_of
 from protochain.core.errors import ProtochainError
-from protochain.relaxation.mutations import mutated, places_of, protocol
+from protochain.relaxation.mutations import NEAR, mutated, places_of, protocol
+from protochain.structure.residues import STANDARD
+from protochain.structure.substitute import substituted
 
 FAST = {"solvent": "vacuum", "threads": 1}
 
@@ -20,17 +25,25 @@ def leucine():
     return pc.mutate(load("1l2y.pdb"), "A:L7A", **FAST)
 
 
-def test_what_is_near_moves_in_both_and_the_rest_is_held(leucine):
-    wild, mutant = leucine.wild, leucine.mutant
-    moved = [np.unique(each.start.atom_residue[each.moving]) for each in (wild, mutant)]
-    assert np.array_equal(*moved) and leucine.record()["n_residues_moved"] == len(moved[0]) < 20
+BACKBONE = ("N", "CA", "C", "O", "OXT")
+
+
+def test_side_chains_near_move_in_both_and_the_rest_is_fixed(leucine):
     s = load("1l2y.pdb")
-    heavy = s.atom_element != "H"
-    seventh = s.positions[heavy & (s.atom_residue == 6)]
-    apart = np.linalg.norm(s.positions[heavy][:, None] - seventh, axis=2).min(axis=1)
-    assert {*s.atom_residue[heavy][apart <= 0.8].tolist()} <= {*moved[0].tolist()}
-    for each in (wild, mutant):
-        assert np.array_equal(each.x[~each.moving], each.start.positions[~each.moving])
+    of_backbone = s.positions[np.isin(s.atom_name, BACKBONE)]
+    residues = [np.unique(each.start.atom_residue[each.moving]) for each in (leucine.wild, leucine.mutant)]
+    assert np.array_equal(*residues) and leucine.record()["n_residues_moved"] == len(residues[0]) < 20
+    # The C-betas of the wild type are within 0.2 angstrom of their ideal places.
+    (betas,) = np.nonzero(s.atom_name == "CB")
+    apart = 10.0 * np.linalg.norm(s.positions[betas] - s.positions[betas[s.atom_residue[betas] == 6]], axis=1)
+    assert {*s.atom_residue[betas][apart < NEAR - 0.4].tolist()} <= {*residues[0].tolist()}
+    assert not {*s.atom_residue[betas][apart > NEAR + 0.4].tolist()} & {*residues[0].tolist()}
+    for each in (leucine.wild, leucine.mutant):
+        names = each.start.atom_name
+        assert not np.isin(names[each.moving], BACKBONE).any()
+        assert np.array_equal(each.x[np.isin(names, BACKBONE)], of_backbone)
+        still = ~np.isin(s.atom_residue, residues[0])
+        assert np.array_equal(each.x[~np.isin(each.start.atom_residue, residues[0])], s.positions[still])
 
 
 def test_the_change_is_that_of_the_energies_of_both_ends(leucine):
@@ -39,12 +52,103 @@ def test_the_change_is_that_of_the_energies_of_both_ends(leucine):
     assert leucine.ddg == pytest.approx(leucine.change - leucine.unfolded, abs=1e-9)
 
 
-def test_a_mutation_to_itself_costs_nothing():
-    """Of a side chain that its rotamers describe: both sides are the same."""
+def letter(structure, r):
+    return STANDARD[str(structure.residue_name[r])]
+
+
+def there_and_back(structure, r, new, **options):
+    """Sum of the changes of a mutation and its reverse, kJ/mol."""
+    its = structure.residue(r)
+    old, place = letter(structure, r), f"{its.chain}:{{}}{its.number}{{}}"
+    there = pc.mutate(structure, place.format(old, new), **options)
+    back = pc.mutate(there.structure, place.format(new, old), **options)
+    return there.ddg + back.ddg
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("1l2y.pdb", "A:L2L"), ("1l2y.pdb", "A:P12P"), ("1l2y.pdb", "A:G11G"), ("1ejg.pdb", "A:C3C"), ("1l2y.pdb", "A:S20S"),
+        ("4pti.pdb", "A:A16A,A:R17R"),
+    ],
+)  # fmt: skip
+def test_a_mutation_to_itself_costs_exactly_nothing(name, place):
+    """A bonded cysteine, glycine and proline among them; both sides are one calculation."""
+    s = load(name)
+    same = pc.mutate(s, place, **FAST)
+    assert same.ddg == same.change == same.unfolded == 0.0
+    # An energy of the one is an energy of the other.
+    assert same.structure.fingerprint == s.fingerprint
+
+
+def test_each_side_is_a_function_of_the_fixed_atoms_alone(leucine):
+    """Side chains near the site may be anywhere at the start: they are built anew."""
     s = load("1l2y.pdb")
-    relaxing, setup = protocol({**FAST, "repack_region": ""})
-    same = mutated(s, {6: "LEU"}, relaxing, setup, {})
-    assert same.unfolded == 0.0 and abs(same.ddg) < 5.0
+    near = np.isin(s.atom_residue, np.unique(leucine.wild.start.atom_residue[leucine.wild.moving]))
+    away = 0.03 * np.random.default_rng(3).normal(size=(s.n_atoms, 3))
+    away[~near | np.isin(s.atom_name, BACKBONE)] = 0.0
+    again = pc.mutate(s.with_positions(s.positions + away), "A:L7A", **FAST)
+    for one, other in ((again.wild, leucine.wild), (again.mutant, leucine.mutant)):
+        assert np.array_equal(one.x, other.x) and one.energy_end == other.energy_end
+
+
+@pytest.mark.parametrize(
+    ("r", "new"), [(5, "A"), (3, "P"), (11, "W"), (10, "K"), (15, "G"), (0, "D"), (19, "Y")]
+)
+def test_there_and_back_the_change_is_nothing(r, new):
+    """Of Trp-cage: tryptophan, to and from proline, from glycine, arginine to glycine, and both ends."""
+    assert abs(there_and_back(load("1l2y.pdb"), r, new, **FAST)) < THERE_AND_BACK
+
+
+@pytest.mark.parametrize("state", ["HID", "HIE"])
+def test_a_histidine_goes_and_comes_back_whatever_its_tautomer(state):
+    s = load("1hel.pdb")
+    s = substituted(s, {int(np.flatnonzero(s.residue_number == "15")[0]): state})
+    assert pc.mutate(s, "A:H15H", **FAST).ddg == 0.0
+    assert abs(there_and_back(s, 14, "A", **FAST)) < THERE_AND_BACK
+
+
+def test_changes_round_a_cycle_cancel(leucine):
+    f = pc.mutate(leucine.structure, "A:A7F", **FAST)
+    last = pc.mutate(f.structure, "A:F7L", **FAST)
+    assert abs(leucine.ddg + f.ddg + last.ddg) < THERE_AND_BACK
+
+
+def test_a_mutant_read_again_goes_back_for_the_same(leucine, tmp_path):
+    """Of a PDB file, whose three digits move the backbone, too."""
+    leucine.save(tmp_path / "mutant.pdb")
+    back = pc.mutate(tmp_path / "mutant.pdb", "A:A7L", **FAST)
+    assert abs(leucine.ddg + back.ddg) < THERE_AND_BACK_READ
+
+
+def test_bonded_side_chains_near_the_site_stay():
+    """Of crambin, whose disulfide bonds no rotamer closes."""
+    s = load("1ejg.pdb")
+    m = pc.mutate(s, "A:T2A", **FAST)
+    for each in (m.wild, m.mutant):
+        sulphurs = each.start.atom_name == "SG"
+        assert not each.moving[sulphurs].any()
+        assert np.array_equal(each.x[sulphurs], s.positions[s.atom_name == "SG"])
+    assert len(m.wild.start.bonds) == len(s.bonds)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "step"), [("1l2y.pdb", 1), ("1ubq.pdb", 6), ("4pti.pdb", 6), ("1ejg_crambin.pdb", 4)]
+)
+def test_null_mutations_and_round_trips_of_relaxed_proteins(name, step):
+    """In the solvent, as results are used: nothing for the same residue, and there and back to alanine."""
+    s, sums = pc.relax(shared(name) if "_" in name else load(name), threads=1).structure, []
+    for r in range(0, s.n_residues, step):
+        its = s.residue(r)
+        if (own := STANDARD.get(str(s.residue_name[r]))) is None:
+            continue
+        place = f"{its.chain}:{own}{its.number}"
+        assert pc.mutate(s, f"{place}{own}", threads=1).ddg == 0.0
+        is_bonded = own == "C" and "HG" not in s.atom_name[s.atom_residue == r]
+        if own not in "GA" and not is_bonded:
+            sums.append(there_and_back(s, r, "A", threads=1))
+    assert len(sums) > 5 and np.abs(sums).max() < THERE_AND_BACK
 
 
 def test_both_sides_have_the_same_ties_to_a_metal():
@@ -55,11 +159,6 @@ def test_both_sides_have_the_same_ties_to_a_metal():
     wild, mutant = ([tie.rest for tie in each.start.ties] for each in (m.wild, m.mutant))
     assert len(s.ties) == len(wild) > 0 and wild[0] == pytest.approx(1.02 * s.ties[0].rest, rel=1e-3)
     assert mutant == pytest.approx(wild, rel=1e-4)
-
-
-def test_there_and_back_cost_the_same_in_pentapeptides(leucine):
-    back = pc.mutate(leucine.structure, "A:A7L", **FAST)
-    assert back.unfolded == pytest.approx(-leucine.unfolded, abs=1e-9)
 
 
 def test_protonation_states_are_compared_with_their_own():
@@ -160,3 +259,16 @@ def test_a_scan_goes_on_after_a_stop(tmp_path, monkeypatch, leucine):
     assert table["ddg_kj_mol"][0] == pytest.approx(leucine.ddg, rel=1e-9)
     assert "data:image/png" in (tmp_path / "scan.html").read_text()
     assert not list(tmp_path.glob("*.npz"))
+
+
+def test_terminal_and_page_call_it_an_energy_and_name_the_measurement(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    given = ["mutate", STRUCTURES / "ala10.pdb", "--solvent", "vacuum"]
+    assert run(*given, "A:A5G", "-o", "m.pdb") == 0
+    one = capsys.readouterr().out
+    assert run(*given, "--scan", "A:5", "--into", "G", "-o", "s.csv", "--report", "s.html") == 0
+    texts = (one, capsys.readouterr().out, (tmp_path / "s.html").read_text())
+    for text in texts:
+        assert "not a free energy" in text
+        (page, anchor), *_ = re.findall(r"(analysis/docs/\S+?\.md)#([\w-]+)", text)
+        assert f"\n## {anchor.capitalize()}\n" in (ROOT / page).read_text()
