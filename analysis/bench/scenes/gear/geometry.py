@@ -5,12 +5,15 @@ from functools import cached_property
 
 import numpy as np
 
+from protochain.core.arrays import Floats
 from protochain.core.checks import at_least
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics.multibody.algebra import kernel
 
 STEEL = 7850.0
 """kg/m^3."""
+FILLET = 0.38
+"""Modules: radius of the root fillet of the basic rack of ISO 53."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,18 @@ class Wheel:
         at_tip = float(np.arccos(self.base / self.tip))
         involutes = [float(np.tan(angle) - angle) for angle in (self.pressure_angle, at_tip)]
         return 2.0 * self.tip * (0.5 * self.thickness / self.pitch + involutes[0] - involutes[1])
+
+    def half_angle(self, radius: Floats) -> Floats:
+        """Half of a tooth's angle at radii: involute, radial below its base, with a fillet at the root."""
+        lean = np.arccos(self.base / np.maximum(radius, self.base))
+        half = 0.5 * self.thickness / self.pitch + np.tan(self.pressure_angle) - self.pressure_angle
+        fillet = FILLET * self.module
+        low = np.maximum(fillet - (radius - self.root), 0.0)
+        return np.asarray(half - np.tan(lean) + lean + (fillet - np.sqrt(fillet**2 - low**2)) / radius)
+
+    def touched(self, place: float) -> float:
+        """Radius at which a flank is touched, by the place on the line of action, away from the root."""
+        return float(np.hypot(self.base, self.pitch * np.sin(self.pressure_angle) + place))
 
     @property
     def reach(self) -> float:

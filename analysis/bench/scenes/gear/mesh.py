@@ -8,6 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from bench.scenes.gear.geometry import STEEL, GearPair, overlap
+from bench.scenes.gear.teeth import Springs
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.checks import check_fields, number, shown
 from protochain.core.errors import MechanicsError
@@ -37,6 +38,8 @@ class Gear:
     backlash: Play between the back flanks, m along their line of action, while the front ones touch;
         infinite: they are left out.
     friction: Coulomb's, of flanks that slide on each other.
+    along: Whether the stiffness of a tooth follows the point of contact, after Weber and Banaschek; then
+        ``stiffness`` sets the damping alone.
     """
 
     pair: GearPair = field(default_factory=GearPair)
@@ -48,6 +51,7 @@ class Gear:
     tooth: float = 1.0
     backlash: float = np.inf
     friction: float = 0.0
+    along: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self, torque=number)
@@ -278,8 +282,11 @@ def gears(
             # Its inertia about the wheel's axis, where its hinge is.
             m.body(name, tooth / wheel.pitch**2, inertia=(tooth, tooth, tooth))
             m.hinge(name, body, name, axis=axis, q=start.get(name, 0.0))
-            m.torsion(name, name, gear.tooth_stiffness[k], damping=gear.tooth_damping[k])
+            spring = 0.0 if gear.along else gear.tooth_stiffness[k]
+            m.torsion(name, name, spring, damping=gear.tooth_damping[k])
         names.append(tuple(f"tooth {k} {n}" if n in own else "" for n in range(wheel.teeth)))
+    if gear.along and any(live):
+        m.force("teeth", Springs(gear.pair, ("wheel 0", "wheel 1"), (names[0], names[1])))
     m.force("flanks", Flanks(
         gear.pair, gear.flank, gear.backlash, gear.friction, ("wheel 0", "wheel 1"), (names[0], names[1])
     ))  # fmt: skip

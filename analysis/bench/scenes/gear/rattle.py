@@ -57,9 +57,11 @@ def shaken(
     return model.simulate(until, step, DormandPrince(1e-11))
 
 
-def dragged(amplitude: float, periods: float, turning: float = 0.0, rigid: bool = True) -> Run:
+def dragged(
+    amplitude: float, periods: float, turning: float = 0.0, rigid: bool = True, along: bool = False
+) -> Run:
     """Run from where the driving wheel is farthest back, and its flanks bear the other."""
-    gear = replace(DRAG, speed=turning)
+    gear = replace(DRAG, speed=turning, along=along)
     force = gear.torque * gear.ratio / gear.pair.wheels[1].base * (1.0 + amplitude / threshold())
     give = (force / gear.flank.stiffness) ** (1.0 / gear.flank.exponent)
     return shaken(gear, amplitude, periods, -0.5 * np.pi, give, turning, rigid)
@@ -142,6 +144,23 @@ def rattling(quick: bool) -> pd.DataFrame:
                 -1e6 * min(gap), _blows(front), _blows(back),
             ))  # fmt: skip
     names = ["turning", "amplitude_um", "of_threshold", "apart", "gap_um", "blows_front", "blows_back"]
+    return pd.DataFrame(rows, columns=names)
+
+
+def rattling_teeth(quick: bool) -> pd.DataFrame:
+    """Share of the time without contact for rigid teeth, one stiffness, and stiffness along the flank."""
+    rows = []
+    for name, rigid, along in (
+        ("rigid", True, False),
+        ("one stiffness", False, False),
+        ("along", False, True),
+    ):
+        for turning in (0.0,) if quick else (0.0, 10.0):
+            run = dragged(AMPLITUDE, 0.1 if quick else 1.0, turning, rigid, along)
+            front, back = forces(run)
+            apart = float(np.mean(front + back == 0.0))
+            rows.append((name, turning, apart, _blows(front), _blows(back), run.audit().energy))
+    names = ["teeth", "turning", "apart", "blows_front", "blows_back", "audit"]
     return pd.DataFrame(rows, columns=names)
 
 
