@@ -69,6 +69,7 @@ class Function:
         m = len(pairs)
         rows = np.tile([1.0, -1.0], m), pairs.ravel(), np.arange(0, 2 * m + 1, 2)
         self.incidence = csr_array(rows, shape=(m, len(parameters.charge)))
+        self.scatter = self.incidence.T.tocsr()
 
     def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:
         """Energies, kJ/mol, and gradient (na, 3), kJ/mol/nm, at x (na, 3) nm."""
@@ -109,5 +110,5 @@ class Function:
         along = self.incidence @ x
         square = np.sum(along * along, axis=1)
         s6 = (self.sigma**2 / square) ** 3
-        gradient += self.incidence.T @ ((self.well * (24.0 * s6 - 48.0 * s6 * s6) / square)[:, None] * along)
+        gradient += self.scatter @ ((self.well * (24.0 * s6 - 48.0 * s6 * s6) / square)[:, None] * along)
         return float(np.sum(4.0 * self.well * (s6 * s6 - s6)))
