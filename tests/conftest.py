@@ -15,6 +15,8 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import pytest
 from fixtures.waiting import HANG
 
+THRESHOLD = gc.get_threshold()
+
 LONG = {
     "test_blocks.py", "test_files.py", "test_gear.py", "test_interface.py", "test_kept.py",
     "test_notebooks.py", "test_report.py", "test_schema.py", "test_tree.py",
@@ -27,12 +29,32 @@ def pytest_configure(config):
     config.option.loadscopereorder = False
 
 
+def pytest_collection_finish(session):
+    """What all files have imported is no garbage, and need not be looked at after each."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config, items):
     """Side by side, long files come first and those of few tests last: none works on alone."""
     if hasattr(config, "workerinput"):
         size = Counter(item.path for item in items)
         items.sort(key=lambda item: (item.path.name not in LONG, -size[item.path]))
+
+
+@pytest.fixture(autouse=True)
+def collection():
+    """Collect garbage as Python does: a command almost ends that in its process, and a worker would grow."""
+    yield
+    gc.set_threshold(*THRESHOLD)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def collected():
+    """Collect the cyclic garbage of a file: its figures and chains are few objects with large arrays."""
+    yield
+    gc.collect()
 
 
 @pytest.fixture
@@ -103,7 +125,7 @@ def protochain(tmp_path, monkeypatch, capsys):
     from protochain.cli import main
 
     monkeypatch.chdir(tmp_path)
-    before = signal.getsignal(signal.SIGTERM), gc.get_threshold()
+    before = signal.getsignal(signal.SIGTERM)
 
     def run(*arguments):
         monkeypatch.setattr(sys, "argv", ["protochain", *map(str, arguments)])
@@ -112,5 +134,4 @@ def protochain(tmp_path, monkeypatch, capsys):
         return Done(ended.value.code or 0, *capsys.readouterr())
 
     yield run
-    signal.signal(signal.SIGTERM, before[0])
-    gc.set_threshold(*before[1])
+    signal.signal(signal.SIGTERM, before)

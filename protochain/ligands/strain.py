@@ -13,11 +13,11 @@ from threadpoolctl import threadpool_limits
 from protochain.core.arrays import Floats, Integers
 from protochain.ligands.energy import Function, Parameters
 
-_MOST_ITERATIONS = 2000
-_RELATIVE = 1e-7
-"""Change of the energy in an iteration at which it ends, too."""
-_TOLERANCE = 1.0
-"""kJ/mol/nm of the largest force component at the minimum."""
+_MOST_EVALUATIONS = 20000
+_TOLERANCE = 1e-3
+"""kJ/mol/nm of the largest gradient component. The energy is then within 1e-8 kJ/mol of the minimum."""
+_UNIT = 0.01
+"""nm. The first step of L-BFGS-B has a norm of one, and atoms that move by 1 nm leave the molecule."""
 
 
 def strain(parameters: Parameters, x: Floats, elements: Integers) -> float:
@@ -38,19 +38,21 @@ def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]
 
     from scipy.optimize import minimize
 
-    def value(free: Floats) -> tuple[float, Floats]:
+    def value(scaled: Floats) -> tuple[float, Floats]:
         at = x.copy()
-        at[moving] = free.reshape(-1, 3)
+        at[moving] = _UNIT * scaled.reshape(-1, 3)
         energy, gradient = _summed(function, at)
-        return (energy, gradient[moving].ravel()) if np.isfinite(energy) else (1e300, np.zeros(free.size))
+        return (energy, _UNIT * gradient[moving].ravel()) if np.isfinite(energy) else (1e300, 0.0 * scaled)
 
+    # An end by the change of the energy would depend on round-off, so only the gradient ends it.
+    most = {"maxiter": _MOST_EVALUATIONS, "maxfun": _MOST_EVALUATIONS, "maxcor": 20}
     with np.errstate(all="ignore"), threadpool_limits(1, "blas"):
         found = minimize(
-            value, x[moving].ravel(), jac=True, method="L-BFGS-B",
-            options={"maxiter": _MOST_ITERATIONS, "gtol": _TOLERANCE, "ftol": _RELATIVE, "maxcor": 20},
+            value, x[moving].ravel() / _UNIT, jac=True, method="L-BFGS-B",
+            options={"gtol": _UNIT * _TOLERANCE, "ftol": 0.0} | most,
         )  # fmt: skip
     at = x.copy()
-    at[moving] = found.x.reshape(-1, 3)
+    at[moving] = _UNIT * found.x.reshape(-1, 3)
     return at
 
 

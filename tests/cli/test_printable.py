@@ -1,5 +1,6 @@
 """Names and titles may hold codes that would drive a terminal: they are never printed."""
 
+import gc
 import io
 import re
 import sys
@@ -22,6 +23,13 @@ VACUUM = ("--solvent", "vacuum", "--threads", 1)
 def odd(text):
     """Characters of an output that are not to be seen."""
     return {each for each in text if not each.isprintable() and each != "\n"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def usual_collection():
+    """Commands of this file collect garbage after a million objects, and the worker of the tests must not."""
+    yield
+    assert gc.get_threshold() == (700, 10, 10), "the next files of this worker would collect no garbage"
 
 
 @pytest.fixture

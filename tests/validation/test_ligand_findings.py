@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 from fixtures.command_line import run
-from fixtures.samples import STRUCTURES
+from fixtures.samples import STRUCTURES, shared
+from fixtures.tolerances import STRAIN
 
 import protochain as pc
 from protochain.ligands.strain import energy_and_gradient, nearest_minimum, strain
@@ -16,6 +17,8 @@ AllChem = pytest.importorskip("rdkit.Chem.AllChem")
 PROTEIN = STRUCTURES / "1l2y.pdb"
 SMILES = "C[C@H](O)[C@@H](N)C(=O)OC"
 SDF = sorted(STRUCTURES.glob("*.sdf"))
+LONG_STEPS = "1L2S_STC.sdf", "1P62_GEO.sdf"
+"""Shared ligands that a first step of 1 nm tore apart. Strains were 23 kJ/mol too high, and 0 for 151."""
 
 
 def posed(tmp_path, smiles=SMILES, away=0.3):
@@ -59,6 +62,24 @@ def test_strain_is_that_of_heavy_atoms_and_none_at_the_minimum(path):
     assert strain(parameters, stretched, z) > found
     stretched[pair[0]] = x[pair[1]]
     assert not strain(parameters, stretched, z) < found
+
+
+@pytest.mark.parametrize("name", [*(path.name for path in SDF), *LONG_STEPS])
+def test_strain_does_not_depend_on_the_round_off_of_the_start(name):
+    """With the best hydrogens, the derivative of the strain is the gradient of the heavy atoms."""
+    sample = STRUCTURES / name
+    ligand = pc.ligand(
+        sample if sample.exists() else shared(f"../complexes/ligands/{name}"), charges="gasteiger"
+    )
+    parameters, x, z = ligand.parameters, np.array(ligand.molecule.positions), ligand.molecule.elements
+    placed = nearest_minimum(parameters, x, z == 1)
+    _, gradient = energy_and_gradient(parameters, placed)
+    assert np.abs(gradient[z == 1]).max() <= 1e-3
+    found, rng = strain(parameters, x, z), np.random.default_rng(5)
+    for _ in range(2):
+        shift = 1e-10 * rng.standard_normal(x.shape)
+        expected = np.sum(gradient[z > 1] * shift[z > 1])
+        assert strain(parameters, x + shift, z) - found == pytest.approx(expected, abs=STRAIN)
 
 
 def test_contacts_and_clashes_are_those_of_the_distances(tmp_path):
