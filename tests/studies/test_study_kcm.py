@@ -73,7 +73,7 @@ def test_a_run_records_its_end_and_the_minimum_below(method):
 @pytest.mark.parametrize("method", ["kcm-adaptive", "md-1"])
 def test_legs_are_one_run(method):
     """A run in legs visits the points of a run without them."""
-    start = kcm_cases._started(CASE).of(TRIALS[method].recipe)
+    start = kcm_cases.started(CASE).of(TRIALS[method].recipe)
 
     def visited(first):
         points = []

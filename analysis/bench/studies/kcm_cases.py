@@ -271,7 +271,7 @@ def measured(case: Case, method: str, most: int = MOST) -> dict[str, Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StrayWarning)
             trial = TRIALS.get(method)
-            start = _started(case, trial.root, trial.body).of(trial.recipe) if trial else _started(case)
+            start = started(case, trial.root, trial.body).of(trial.recipe) if trial else started(case)
             found = _by_openmm(start, most) if method == "openmm" else _continued(start, case, method, most)
     except ProtochainError as error:
         return {**row, "status": f"refused: {error}"}
@@ -358,7 +358,7 @@ def _continued(start: Start, case: Case, method: str, most: int) -> Found:
     for ending, n in legs(start, q, trial, most, note):
         seconds += perf_counter() - since
         at = ending.last.state.at
-        polished = _polish(start, at.q)
+        polished = polish(start, at.q)
         left = at.energy + _kinetic(chain, ending.last.state) - polished.end.energy
         stays = ending.stop is not Stop.BUDGET or (before is not None and one_minimum(before, polished))
         finished = left <= LEFT and stays
@@ -385,7 +385,7 @@ def _kinetic(chain: Chain, state: Any) -> float:
     return 0.5 * float(state.velocity @ multibody.multiply_mass(chain.tree, frames, state.velocity))
 
 
-def _polish(start: Start, q: Floats) -> Solution:
+def polish(start: Start, q: Floats) -> Solution:
     """Minimum below an end, with a fixed root, whatever the method has."""
     structure = start.chain.structure.with_positions(pose(start.chain, q).x)
     chain = build_chain(structure, start.chain.opened, "fixed")
@@ -426,7 +426,7 @@ def _by_openmm(start: Start, most: int) -> Found:
     if raw.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     made = build_chain(raw)
-    polished = _polish(Start(made, start.energy), made.q0)
+    polished = polish(Start(made, start.energy), made.q0)
     rows = raw.trace[["evaluations", "energy_kj_mol"]].to_numpy()
     lowest = np.minimum.accumulate(rows[:, 1])
     return Found(
@@ -438,7 +438,7 @@ def _by_openmm(start: Start, most: int) -> Found:
 
 def _end(solution: Solution, case: Case) -> dict[str, Any]:
     """Columns of a polished end."""
-    structure = _started(case).chain.structure
+    structure = started(case).chain.structure
     alpha = structure.alpha_carbons
     here, native = solution.x[alpha], _native(case)
     values = (
@@ -454,7 +454,7 @@ def _end(solution: Solution, case: Case) -> dict[str, Any]:
 def traced(case: Case, method: str, most: int) -> list[dict[str, Any]]:
     """Energy and C-alpha RMSD to the start along a run of so many evaluations, as the papers draw them."""
     trial = TRIALS[method]
-    start = _started(case, trial.root, trial.body).of(trial.recipe)
+    start = started(case, trial.root, trial.body).of(trial.recipe)
     start.warm(trial.recipe)
     alpha, x = start.chain.structure.alpha_carbons, start.chain.structure.positions
     rows: list[dict[str, Any]] = []
@@ -474,7 +474,7 @@ def traced(case: Case, method: str, most: int) -> list[dict[str, Any]]:
 
 
 @lru_cache(maxsize=4)
-def _started(case: Case, root: str = "auto", body: str = "") -> Start:
+def started(case: Case, root: str = "auto", body: str = "") -> Start:
     structure = _prepared(case.source, case.is_file)
     if case.is_file and case.start == "extended":
         structure = _prepared(_sequence(structure), False)
