@@ -5,6 +5,7 @@ are not repeated. The structure of lowest energy is polished as the ends of all 
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from time import monotonic, perf_counter
 from typing import Any
@@ -18,8 +19,8 @@ from protochain.core.storage import writing
 from protochain.searching import search
 
 MINUTES = 20.0
-EVALUATIONS = 120_000
-"""Of one search: twice the median in which Met-enkephalin's lowest known minimum is reached."""
+EVALUATIONS = (40_000, 120_000)
+"""Of one search: short ones of all peptides first."""
 QUICK = ("ala2", "rgds")
 KEY = ("protein", "seed", "max_evaluations")
 COLUMNS = (*KEY, "residues", "hinges", "minima", "evaluations", "seconds", "energy_kj_mol", "torsions_deg")
@@ -32,23 +33,20 @@ def run(
     quick: bool = False,
     minutes: float = MINUTES,
     starts: int = 1,
-    evaluations: int = EVALUATIONS,
 ) -> Iterator[pd.DataFrame]:
     """Add searches to ``lowest.csv``: ``starts`` is the number of seeds."""
     path = output / "lowest.csv"
     done = set(stored(path)[list(KEY)].itertuples(index=False, name=None))
     until = monotonic() + 60.0 * minutes
-    if quick:
-        evaluations = min(evaluations, 2000)
-    for seed in range(starts):
-        for case in peptides(tuple(inputs)):
-            if (case.protein, seed, evaluations) in done or (quick and case.protein not in QUICK):
-                continue
-            if monotonic() >= until:
-                return
-            row = searched(case, seed, evaluations)
-            append(path, row)
-            yield pd.DataFrame([row]).drop(columns="torsions_deg")
+    cases = [case for case in peptides(tuple(inputs)) if not quick or case.protein in QUICK]
+    for evaluations, seed, case in product((2000,) if quick else EVALUATIONS, range(starts), cases):
+        if (case.protein, seed, evaluations) in done:
+            continue
+        if monotonic() >= until:
+            return
+        row = searched(case, seed, evaluations)
+        append(path, row)
+        yield pd.DataFrame([row]).drop(columns="torsions_deg")
 
 
 def peptides(inputs: tuple[Path, ...] = ()) -> list[Case]:
