@@ -366,8 +366,8 @@ def _percent(row: Mapping[Any, Any], name: str) -> str:
 def _with_bodies(runs: pd.DataFrame) -> pd.DataFrame:
     """Runs from the starts from which all bodies have been fixed."""
     names = {f"{name}-{end}" for name in OF_BODIES for end in FIXED}
-    found = runs.groupby(START, sort=False)["method"].transform(lambda methods: names <= set(methods))
-    return runs[found.astype(bool)]
+    is_complete = runs.groupby(START, sort=False)["method"].transform(lambda methods: names <= set(methods))
+    return runs[is_complete.astype(bool)]
 
 
 def bodies(runs: pd.DataFrame) -> pd.DataFrame:
@@ -384,8 +384,8 @@ def choices(runs: pd.DataFrame) -> pd.DataFrame:
     for name, inertia in INERTIA.items():
         methods = [name, *(f"{name}-{end}" for end in FIXED)]
         numbers = []
-        for _, own in _with_bodies(runs).groupby(START, sort=False):
-            ends = own.set_index("method").loc[methods]
+        for _, start_runs in _with_bodies(runs).groupby(START, sort=False):
+            ends = start_runs.set_index("method").loc[methods]
             if ends["finished"].all():
                 numbers.append(_different(ends.to_dict("records")))
         row: dict[str, Any] = {"method": name, "inertia": inertia, "starts": len(numbers)}
@@ -429,15 +429,15 @@ def lowest_known(runs: pd.DataFrame, searches: pd.DataFrame) -> pd.DataFrame:
     search.
     """
     rows = []
-    for protein, own in _peptides(runs).groupby("protein", sort=False):
-        of = searches[searches["protein"] == protein]
-        if of.empty:
+    for protein, ends in _peptides(runs).groupby("protein", sort=False):
+        walks = searches[searches["protein"] == protein]
+        if walks.empty:
             continue
-        best = own.loc[own["energy_kj_mol"].idxmin()]
-        csa, run = float(of["energy_kj_mol"].min()), float(best["energy_kj_mol"])
+        best = ends.loc[ends["energy_kj_mol"].idxmin()]
+        csa, run = float(walks["energy_kj_mol"].min()), float(best["energy_kj_mol"])
         rows.append(
-            {"protein": protein, "residues": best["residues"], "csa_evaluations": of["evaluations"].sum(),
-             "csa_kj_mol": csa, "runs": len(own), "runs_kj_mol": run, "lowest_kj_mol": min(csa, run),
+            {"protein": protein, "residues": best["residues"], "csa_evaluations": walks["evaluations"].sum(),
+             "csa_kj_mol": csa, "runs": len(ends), "runs_kj_mol": run, "lowest_kj_mol": min(csa, run),
              "source": "csa" if csa < run + SAME_KJ_MOL else best["method"]}
         )  # fmt: skip
     columns = ["protein", "residues", "csa_evaluations", "csa_kj_mol", "runs", "runs_kj_mol", "lowest_kj_mol"]
@@ -451,20 +451,20 @@ def above(runs: pd.DataFrame, minima: pd.DataFrame) -> pd.DataFrame:
     peptides whose run ends within ``SAME_KJ_MOL`` of the lowest known minimum, and ``lowest_high`` is the
     upper limit of their share (exact, 95 %).
     """
-    own = _peptides(runs)
-    own = own[(own["seed"] == 0) & own["protein"].isin(minima["protein"])]
+    ends = _peptides(runs)
+    ends = ends[(ends["seed"] == 0) & ends["protein"].isin(minima["protein"])]
     known = minima.set_index("protein")["lowest_kj_mol"]
     rows = []
     for method in METHODS:
-        of = own[own["method"] == method].set_index("protein")
-        finished = of[of["finished"].astype(bool)]
+        method_ends = ends[ends["method"] == method].set_index("protein")
+        finished = method_ends[method_ends["finished"].astype(bool)]
         if method.endswith(tuple(CONTROLS.values())) or finished.empty:
             continue
         rise = finished["energy_kj_mol"] - known.reindex(finished.index)
         n, reached = len(rise), int((rise < SAME_KJ_MOL).sum())
         high = binomtest(reached, n).proportion_ci(0.95, "exact").high
         rows.append(
-            {"method": method, "peptides": n, "left_out": len(of) - n, "lowest": reached, "lowest_high": high,
+            {"method": method, "peptides": n, "left_out": len(method_ends) - n, "lowest": reached, "lowest_high": high,
              **_interval("above_kj_mol", rise), "median_kj_mol": rise.median(), "largest_kj_mol": rise.max()}
         )  # fmt: skip
     names = ["above_kj_mol", *(f"above_kj_mol{end}" for end in _ENDS), "median_kj_mol", "largest_kj_mol"]
