@@ -464,8 +464,9 @@ def above(runs: pd.DataFrame, minima: pd.DataFrame) -> pd.DataFrame:
         n, reached = len(rise), int((rise < SAME_KJ_MOL).sum())
         high = binomtest(reached, n).proportion_ci(0.95, "exact").high
         rows.append(
-            {"method": method, "peptides": n, "left_out": len(method_ends) - n, "lowest": reached, "lowest_high": high,
-             **_interval("above_kj_mol", rise), "median_kj_mol": rise.median(), "largest_kj_mol": rise.max()}
+            {"method": method, "peptides": n, "left_out": len(method_ends) - n, "lowest": reached,
+             "lowest_high": high, **_interval("above_kj_mol", rise), "median_kj_mol": rise.median(),
+             "largest_kj_mol": rise.max()}
         )  # fmt: skip
     names = ["above_kj_mol", *(f"above_kj_mol{end}" for end in _ENDS), "median_kj_mol", "largest_kj_mol"]
     return pd.DataFrame(rows, columns=["method", "peptides", "left_out", "lowest", "lowest_high", *names])
