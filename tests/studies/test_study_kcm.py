@@ -191,14 +191,17 @@ def test_ends_are_counted_from_the_lowest_minimum_of_all_sources():
         {"protein": ["a", "a", "b"], "evaluations": [10, 20, 30], "energy_kj_mol": [-20.03, -19.0, -31.0]}
     )
     minima = kcm_summary.lowest_known(runs, searches)
-    assert list(minima["protein"]) == ["a", "b"] and list(minima["csa_evaluations"]) == [30, 30]
-    assert list(minima["lowest_kj_mol"]) == [-20.03, -32.0] and list(minima["source"]) == ["csa", "lbfgs"]
+    assert list(minima["protein"]) == ["a", "b", "c"] and list(minima["csa_evaluations"]) == [30, 30, 0]
+    assert list(minima["lowest_kj_mol"]) == [-20.03, -32.0, -5.0]
+    assert list(minima["source"]) == ["csa", "lbfgs", "kcm-0.005"]
     above = kcm_summary.above(runs, minima).set_index("method")
     assert list(above.index) == ["kcm-0.005", "md-10"]
-    assert above["above_kj_mol"]["kcm-0.005"] == pytest.approx((10.03 + 22.0) / 2)
-    assert above.loc["md-10", ["peptides", "left_out", "lowest"]].tolist() == [1, 1, 1]
-    # None of two: the exact limit of a share at 95 % from both sides.
-    assert above["lowest_high"]["kcm-0.005"] == pytest.approx(1.0 - 0.025**0.5)
+    assert above["above_kj_mol"]["kcm-0.005"] == pytest.approx((10.03 + 22.0 + 0.0) / 3)
+    assert above.loc["md-10", ["peptides", "left_out", "lowest"]].tolist() == [2, 1, 2]
+    # Two of two, and one of three: exact limits at 95 % from both sides.
+    assert above["lowest_high"]["md-10"] == 1.0
+    expected = scipy.stats.beta.ppf(0.975, 2, 2)
+    assert above["lowest_high"]["kcm-0.005"] == pytest.approx(expected)
 
 
 def test_a_conclusion_needs_an_adjusted_p():

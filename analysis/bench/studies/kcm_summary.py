@@ -423,7 +423,7 @@ def _peptides(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def lowest_known(runs: pd.DataFrame, searches: pd.DataFrame) -> pd.DataFrame:
-    """Lowest known minimum of each peptide that has been searched: of the searches and of all runs.
+    """Lowest known minimum of each peptide: of the searches, if there are any, and of all runs.
 
     ``source`` is ``csa`` or the first method that leads there, with a margin of ``SAME_KJ_MOL`` for the
     search.
@@ -431,14 +431,13 @@ def lowest_known(runs: pd.DataFrame, searches: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for protein, ends in _peptides(runs).groupby("protein", sort=False):
         walks = searches[searches["protein"] == protein]
-        if walks.empty:
-            continue
         best = ends.loc[ends["energy_kj_mol"].idxmin()]
         csa, run = float(walks["energy_kj_mol"].min()), float(best["energy_kj_mol"])
+        is_csa = csa < run + SAME_KJ_MOL
         rows.append(
             {"protein": protein, "residues": best["residues"], "csa_evaluations": walks["evaluations"].sum(),
-             "csa_kj_mol": csa, "runs": len(ends), "runs_kj_mol": run, "lowest_kj_mol": min(csa, run),
-             "source": "csa" if csa < run + SAME_KJ_MOL else best["method"]}
+             "csa_kj_mol": csa, "runs": len(ends), "runs_kj_mol": run, "lowest_kj_mol": np.fmin(csa, run),
+             "source": "csa" if is_csa else best["method"]}
         )  # fmt: skip
     columns = ["protein", "residues", "csa_evaluations", "csa_kj_mol", "runs", "runs_kj_mol", "lowest_kj_mol"]
     return pd.DataFrame(rows, columns=[*columns, "source"])

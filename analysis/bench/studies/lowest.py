@@ -19,7 +19,7 @@ from protochain.core.storage import writing
 from protochain.searching import search
 
 MINUTES = 20.0
-EVALUATIONS = (40_000, 120_000)
+EVALUATIONS = (4000, 40_000, 120_000)
 """Of one search: short ones of all peptides first."""
 QUICK = ("ala2", "rgds")
 KEY = ("protein", "seed", "max_evaluations")

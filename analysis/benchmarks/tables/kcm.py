@@ -90,10 +90,16 @@ def kcm_above(rows: pd.DataFrame) -> str:
     return markdown(heads, (cells(row) for _, row in rows.iterrows()))
 
 
+def searched(form: str) -> Cell:
+    """Column of a search, empty if there is none."""
+    return lambda row: form.format(**row) if row["csa_evaluations"] else "-"
+
+
 table_of_rows(
     "kcm-minima", "kcm_minima.csv",
-    ("peptide", "{protein}"), ("residues", "{residues:.0f}"), ("evaluations of csa", "{csa_evaluations:.0f}"),
-    ("lowest of csa, kJ/mol", "{csa_kj_mol:.2f}"), ("runs of the study", "{runs:.0f}"),
+    ("peptide", "{protein}"), ("residues", "{residues:.0f}"),
+    ("evaluations of csa", searched("{csa_evaluations:.0f}")),
+    ("lowest of csa, kJ/mol", searched("{csa_kj_mol:.2f}")), ("runs of the study", "{runs:.0f}"),
     ("lowest of these", "{runs_kj_mol:.2f}"), ("lowest known", "{lowest_kj_mol:.2f}"), ("by", "`{source}`"),
 )  # fmt: skip
 
