@@ -27,7 +27,7 @@ _SAME = 1e-9
 
 def sign_flip(values: Sequence[float] | Floats) -> float:
     """Two-sided exact p of a sign-flip test that the effects (n,) are symmetric about 0."""
-    sizes = np.abs(np.asarray(values, dtype=float))
+    sizes: Floats = np.abs(np.asarray(values, dtype=float))
     sizes = sizes[sizes > 0.0]
     if not len(sizes):
         return 1.0
