@@ -25,10 +25,10 @@ OPTIONS: dict[str, tuple[Any, str]] = {
     "rows": (words, "of stability: rows of its grid, with commas between"),
     "only": (words, "of precision: kinds of curves, with commas between"),
     "threads": (int, "of stability: also computed on so many [default: 2]"),
-    "minutes": (float, "of kcm: start no run after so many; call again to go on [default: 60]"),
+    "minutes": (float, "of kcm, lowest: start no run after so many; call again to go on [default: 60, 20]"),
     "jobs": (int, "of kcm: processes [default: 1]"),
-    "starts": (int, "of kcm: perturbed starts of each kind [default: 20]"),
-    "evaluations": (int, "of kcm: most of a run [default: 20000]"),
+    "starts": (int, "of kcm: perturbed starts of each kind [default: 1]; of lowest: seeds [default: 1]"),
+    "evaluations": (int, "of kcm: most of a run [default: 128000]"),
     "figure": (Path, "of kcm: also its figure for a paper; FILE.svg, .pdf or .png"),
 }
 """Options that are keywords of some studies: how each is read, and its help."""

@@ -139,7 +139,8 @@ NOTEBOOKS, SCENES = (
     sorted(path.stem for path in (ROOT / "analysis" / kind).glob("*.ipynb"))
     for kind in ("notebooks", "scenes")
 )
-KCM_RUNS = "analysis/results/kcm_runs.csv analysis/results/kcm_traces.csv"
+KCM_RUNS = " ".join(f"analysis/results/{name}.csv" for name in ("kcm_runs", "kcm_traces", "lowest"))
+KCM_TABLES = ("contrasts", "proteins", "cost", "deposited", "bodies", "choices", "minima", "above")
 
 JOBS = (
     Job("mechanics", f"{HERE}/mechanics.py -o DIR", 1, writes="mechanics mechanics_scaling mechanics_steps"),
@@ -205,10 +206,13 @@ JOBS = (
         {"runs.csv": ("kcm_runs.csv", ()), "traces.csv": ("kcm_traces.csv", ())}, continues=True,
     ),
     Job(
+        "lowest", "python analysis/bench lowest MORE/a6pa6_alpha.pdb -o DIR --minutes 20", 20,
+        "python analysis/bench lowest --quick -o DIR", {"lowest.csv": ("lowest.csv", ())}, continues=True,
+    ),
+    Job(
         "kcm", f"python analysis/bench kcm {KCM_RUNS} -o DIR --minutes 0", 1,
         f"python analysis/bench kcm {KCM_RUNS} -o DIR --minutes 0",
-        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in ("contrasts", "proteins", "cost", "deposited")}
-        | {"kcm.png": ("kcm.png", ())},
+        {f"{name}.csv": (f"kcm_{name}.csv", ()) for name in KCM_TABLES} | {"kcm.png": ("kcm.png", ())},
         after="runs-kcm",
     ),
     Job("relax", f"{HERE}/relax.py {RELAXED} --made 2 --repeats 2 -o DIR", 8),

@@ -37,8 +37,13 @@ eigenvectors of the metric, pairs of the run, or the near terms' metric take few
 and on others end twice too high, too."""
 
 LEAST = 0.1
-"""kJ/mol/rad^2, kJ/mol/nm^2. Eigenvalues nearer 0 count as 0: a turn of 1 rad, or a hundred atoms that move
-by 0.1 nm each, gain less than 0.05 kJ/mol."""
+"""kJ/mol/nm^2. Where all atoms move, eigenvalues nearer 0 count as 0: a hundred atoms that move by 0.1 nm
+each gain less than 0.05 kJ/mol."""
+
+SIGN, SOFT = 1e-3, 2.0
+"""kJ/mol/rad^2. In torsions: error of a measured eigenvalue near 0, and the least of a clear minimum.
+
+Dense Hessians of ends near a shoulder differ by up to 5.4e-4. Minima of peptides have 1.88 or more."""
 
 ALL_ATOMS_UP_TO = 1.0
 """kJ/mol/nm, tolerance above which ends in all atoms are not examined by default: they are on their way."""
@@ -116,9 +121,10 @@ class CurvatureState:
 class Curvature:
     """Find the lowest eigenvalue of the Hessian at a point; from a saddle point step down to a lower one.
 
-    A point is one if its torques meet the tolerance, and an eigenvalue is below -tolerance/lever (and
-    below -``LEAST``): a direction in which a turn of less than 1 rad brings a torque above the tolerance, or
-    a root mean square displacement of less than 0.1 nm an RMS force.
+    A point is one if its torques meet the tolerance, and an eigenvalue is below -tolerance/lever (and below
+    -``SIGN`` or -``LEAST``): a direction in which a turn of less than 1 rad brings a torque above the
+    tolerance, or a root mean square displacement of less than 0.1 nm an RMS force. A shoulder in torsions is
+    left in the same way.
     """
 
     tolerance: float  # Of the minimisation.
@@ -173,14 +179,15 @@ class Curvature:
         """State with the eigenvalue; None if there is no direction to turn in."""
         if state.direction is None:
             return None
-        value = state.ritz
+        value, is_shoulder, in_torsions = state.ritz, False, problem.space.lever == 1.0
         # Clearly a minimum: no more need be spent on it.
-        if value < LEAST or state.doubt > SHARE * value:
+        if value < (SOFT if in_torsions else LEAST) or state.doubt > SHARE * value:
             turn = CENTRAL * problem.space.lever * _largest_one(state.direction)
             before, after = (_torque(problem, state.at, side * turn) for side in (-1.0, 1.0))
             value = float(turn @ (before - after) / (2.0 * turn @ turn))
-        least = max(self.tolerance / problem.space.lever, LEAST)
-        saddle = state.at.residual <= self.tolerance and value < -least
+            is_shoulder = in_torsions and self.leaves and _is_shoulder(turn, before, state.at.torque, after)
+        least = max(self.tolerance / problem.space.lever, SIGN if in_torsions else LEAST)
+        saddle = state.at.residual <= self.tolerance and (value < -least or is_shoulder)
         return replace(state, value=value, is_saddle=saddle)
 
 
@@ -188,6 +195,13 @@ def _torque(problem: Problem, at: Evaluation, step: Floats) -> Floats:
     """Torque (n_v,) after a step (n_v,), along the freedoms before it."""
     after = problem.evaluate(problem.move(at.q, step))
     return problem.space.carried(after.torque, after.pose, at.pose)
+
+
+def _is_shoulder(turn: Floats, *torques: Floats) -> bool:
+    """Whether the torque along a soft turn (n_v,) has no zero, by a parabola through three torques."""
+    before, at, after = (float(turn @ torque) for torque in torques)
+    slope, bend = 0.5 * (after - before), before - 2.0 * at + after
+    return abs(slope) < SOFT * float(turn @ turn) and slope**2 < 2.0 * at * bend
 
 
 def stepped_off(problem: Problem, at: Evaluation, direction: Floats) -> Evaluation | None:

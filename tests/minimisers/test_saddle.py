@@ -11,10 +11,19 @@ from fixtures.samples import SAMPLES, chain, energy
 import protochain as pc
 from protochain.batches import BatchSettings, task
 from protochain.minimisers import Status
+from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Problem
-from protochain.minimisers.saddle import Curvature, CurvatureState, _extended, _orthonormal, stepped_off
-from protochain.minimisers.spaces import Torsions
+from protochain.minimisers.saddle import (
+    SIGN,
+    Curvature,
+    CurvatureState,
+    _extended,
+    _is_shoulder,
+    _orthonormal,
+    stepped_off,
+)
+from protochain.minimisers.spaces import Torsions, spaces
 
 EIGENVALUE = 0.01
 """Relative, of the lowest eigenvalue: the search ends when a vector changes it by less than 0.5 per cent."""
@@ -118,6 +127,85 @@ def test_only_a_clear_curvature_is_a_saddle():
         r = pc.minimise(flat(), flat_energy(), "lbfgs", tolerance=tolerance)
         assert r.status is Status.CONVERGED and r.lowest_eigenvalue == pytest.approx(lowest, rel=EIGENVALUE)
         assert (r.end.energy < r.start.energy) == (tolerance < 8.94)
+
+
+@pytest.mark.parametrize("tolerance", [0.01, 0.03, 0.08])
+def test_the_sign_of_an_eigenvalue_does_not_depend_on_the_unit_of_energy(tolerance):
+    """A hundredth of the energy has a hundredth of the eigenvalue, -0.089, and the same ends."""
+    c = flat()
+    whole = flat_energy()
+
+    def hundredth(x):
+        value, forces = whole(x)
+        return 0.01 * value, 0.01 * forces
+
+    scaled = pc.energies.as_energy(hundredth, c.structure)
+    r = pc.minimise(c, scaled, "lbfgs", tolerance=tolerance)
+    expected = pc.minimise(c, whole, "lbfgs", tolerance=100.0 * tolerance)
+    assert r.status is Status.CONVERGED and r.end.energy < r.start.energy - 0.02
+    assert 100.0 * r.end.energy == pytest.approx(expected.end.energy, abs=100.0 * tolerance)
+    hessian = dense(problem_of(c, scaled), problem_of(c, scaled).evaluate(r.q))
+    assert np.linalg.eigvalsh(hessian)[0] > -tolerance
+
+
+# --- Shoulders: the energy falls all the way, and is nearly level at one place
+
+
+@cache
+def shoulder(method, evaluations):
+    """RKDVY on its way along a shoulder 3.73 kJ/mol above its minimum, with a fixed root."""
+    c = pc.build_chain(pc.from_sequence("RKDVY"))
+    e = pc.energy(c.structure, threads=1)
+    on_its_way = pc.minimise(c, e, method, tolerance=1e-3, curvature=False, max_evaluations=evaluations)
+    return pc.build_chain(on_its_way.structure, root="fixed"), e
+
+
+ON_SHOULDER = [("kcm-sign", 1000), ("kcm-sign", 2000), ("kcm-adaptive", 600), ("kcm-adaptive", 2000)]
+"""Of lowest eigenvalues 0.19, -0.07, 1.64 and 0.39 kJ/mol/rad^2."""
+
+
+@pytest.mark.parametrize(("method", "evaluations"), ON_SHOULDER)
+@pytest.mark.parametrize("tolerance", [0.01, 0.1])
+def test_a_shoulder_is_left_for_the_minimum_below(method, evaluations, tolerance):
+    c, e = shoulder(method, evaluations)
+    expected = pc.minimise(c, e, "lbfgs", tolerance=1e-4).end.energy
+    r = pc.minimise(c, e, "lbfgs", tolerance=tolerance)
+    assert r.status is Status.CONVERGED
+    assert r.end.energy == pytest.approx(expected, abs=tolerance**2) and r.end.energy < r.start.energy - 3.7
+    problem = problem_of(c, e)
+    value = np.linalg.eigvalsh(dense(problem, problem.evaluate(r.q)))[0]
+    assert value > 1.0 and r.lowest_eigenvalue == pytest.approx(value, rel=EIGENVALUE)
+
+
+@pytest.mark.parametrize(("method", "evaluations"), ON_SHOULDER)
+def test_the_error_of_an_eigenvalue_near_zero_is_stated(method, evaluations):
+    c, e = shoulder(method, evaluations)
+    reduced = e.without_constants(c.rigid_groups, c.structure.positions)
+    problem = Problem(spaces(c, near_terms(e))[0], reduced, 10**6)
+    at = problem.evaluate(c.q0)
+    search = Curvature(tolerance=1e9, leaves=False)
+    state = search.init(problem, at)
+    while state.value is None:
+        state = search.step(problem, state)
+    assert state.value == pytest.approx(np.linalg.eigvalsh(dense(problem, at))[0], abs=SIGN)
+
+
+def test_a_shoulder_is_a_torque_without_a_zero():
+    """Against the roots of the torque g - k s + c s^2 / 2, in turns of unequal hinges."""
+    rng = np.random.default_rng(3)
+    turn = 1e-3 * rng.normal(size=5)
+    length = np.linalg.norm(turn)
+    outcomes = []
+    for g, k, c in rng.normal(size=(400, 3)):
+        roots = np.roots([0.5 * c, -k, g])
+        torques = [(g - k * s + 0.5 * c * s**2) * turn / length for s in (-length, 0.0, length)]
+        expected = bool(np.abs(roots.imag).min() > 1e-6)
+        assert _is_shoulder(turn, *torques) == expected
+        outcomes.append(expected)
+    assert 50 < sum(outcomes) < 350
+    # A stiff direction is a minimum nearby, however far the torque is from 0.
+    stiff = [(1.0 - 5.0 * s + 20.0 * s**2) * turn / length for s in (-length, 0.0, length)]
+    assert not _is_shoulder(turn, *stiff)
 
 
 @pytest.mark.parametrize("method", ["lbfgs", "kcm-stiffness"])

@@ -16,7 +16,7 @@ from typing import Any
 
 import pandas as pd
 
-from bench.studies import kcm_cases, kcm_summary
+from bench.studies import kcm_cases, kcm_summary, lowest
 from bench.studies.kcm_cases import ENERGIES, MODELS, MOST, N_STARTS, Case, measured
 from bench.studies.kcm_plots import SHOWN as TRACED_METHODS
 from protochain.core.errors import ProtochainError
@@ -49,7 +49,10 @@ def run(
     evaluations: int = MOST,
     figure: Path | None = None,
 ) -> Iterator[pd.DataFrame]:
-    """Add runs to ``runs.csv``, then write the tables, figures and ``summary.md`` that follow from it."""
+    """Add runs to ``runs.csv``, then write the tables, figures and ``summary.md`` that follow from it.
+
+    The study ``lowest`` adds searches to ``lowest.csv``, from which the ends' distance to them follows.
+    """
     _check(minutes, jobs, starts, evaluations)
     check_figure(figure)
     path = output / "runs.csv"
@@ -107,9 +110,11 @@ def stored(path: Path) -> pd.DataFrame:
 
 
 def _adopt(table: Path, folder: Path) -> None:
-    """Copy a table of runs, or of traces, to the folder, unless it has one."""
+    """Copy a table of runs, of traces or of searches to the folder, unless it has one."""
     text = regular(table).read_text(encoding="utf-8")
-    own = folder / ("runs.csv" if kcm_cases.COLUMNS[-1] in text.partition("\n")[0] else "traces.csv")
+    columns = text.partition("\n")[0].split(",")
+    names = {kcm_cases.COLUMNS[-1]: "runs.csv", lowest.COLUMNS[5]: "lowest.csv"}
+    own = folder / next((name for column, name in names.items() if column in columns), "traces.csv")
     if not own.exists():
         write_text(own, text)
 

@@ -2,10 +2,11 @@
 
 All methods of a case start from the same positions, and none resolves clashes: those that a perturbation
 makes are resolved before. A root is free where masses move, since a fixed one is a body of infinite mass;
-methods called ``-fixed`` have such a root, and differ in nothing else. A run goes on in legs, each to twice
-the evaluations of the one before, with the state that it has. After each its end is polished by ``lbfgs`` in
-the same torsions, off saddle points. A run is finished if no more than ``LEFT`` kJ/mol, kinetic energy
-included, is left to the polished end, and if the leg before led there too: so its continuation, by as many
+methods called ``-fixed`` have such a root, and differ in nothing else. Those called ``-first``, ``-middle``
+and ``-last`` fix another body, a peptide plane. A run goes on in legs, each to twice the evaluations of the
+one before, with the state that it has. After each its end is polished by ``lbfgs`` in the same torsions, off
+saddle points and shoulders. A run is finished if no more than ``LEFT`` kJ/mol, kinetic energy included, is
+left to the polished end, and if the leg before led there too: so its continuation, by as many
 evaluations again, has been looked at.
 """
 
@@ -23,6 +24,7 @@ import numpy as np
 
 from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, pose
+from protochain.core import defaults
 from protochain.core.arrays import Floats
 from protochain.core.errors import ProtochainError, StrayWarning
 from protochain.energies import energy
@@ -97,6 +99,15 @@ of large friction is ``kcm-metric``, which moves along M^-1 tau, without inertia
 stays, and dynamics leads to no minimum."""
 
 
+BODIES: Mapping[str, Callable[[int], int]] = {
+    "first": lambda n: 1, "middle": lambda n: n // 2, "last": lambda n: n - 1,
+}  # fmt: skip
+"""Peptide planes that are fixed instead of the middle C-alpha: number of the first of the two residues, of so
+many residues. The middle plane is the one before the middle residue."""
+OF_BODIES = ("kcm-metric", "md-10")
+"""Methods that also run with these bodies fixed, from extended peptides."""
+
+
 @dataclass(frozen=True)
 class Trial:
     """A method as the study runs it.
@@ -104,11 +115,13 @@ class Trial:
     recipe: Its run is continued.
     nudged: Whether its start is moved by ``NUDGE``.
     root: As of :func:`protochain.build_chain`.
+    body: Of ``BODIES``, the root body; by default that of the middle C-alpha.
     """
 
     recipe: Recipe
     nudged: bool = False
     root: str = "auto"
+    body: str = ""
 
 
 def _dynamics(friction: float) -> Recipe:
@@ -136,7 +149,12 @@ def _trials() -> dict[str, Trial]:
         for name in ("proportional", "sign", "adaptive", "stiffness", "metric")
     }
     found |= {f"md-{friction:g}": Trial(_dynamics(friction)) for friction in TIME_STEPS}
-    found |= {f"{name}-fixed": replace(found[name], root="fixed") for name in ("kcm-metric", "md-10")}
+    found |= {f"{name}-fixed": replace(found[name], root="fixed") for name in OF_BODIES}
+    found |= {
+        f"{name}-{body}": replace(found[name], root="fixed", body=body)
+        for name in OF_BODIES
+        for body in BODIES
+    }
     controls = {}
     for name, trial in found.items():
         controls[f"{name}-half"] = replace(trial, recipe=halved(trial.recipe))
@@ -151,8 +169,11 @@ CONTROLS = {"half the step": "half", "another order of sums": "nudged"}
 """Ends of the names of controls: what should not matter."""
 
 
-def runs_of(n_residues: int, energy: str) -> tuple[str, ...]:
-    """Methods that are run of a structure; those that would not end in it, or take hours, are left out."""
+def runs_of(n_residues: int, energy: str, bodies: bool = False) -> tuple[str, ...]:
+    """Methods that are run of a structure, with or without other fixed bodies.
+
+    Methods that would not end in it, or take hours, are skipped.
+    """
     wanted = {_base(name) for name in METHODS}
     if n_residues > SMALL or energy != "obc2":
         wanted = {"kcm-stiffness", "kcm-metric", "md-10", "lbfgs"}
@@ -164,14 +185,21 @@ def runs_of(n_residues: int, energy: str) -> tuple[str, ...]:
     return tuple(
         name
         for name in METHODS
-        if _base(name) in wanted and not (few and name.endswith(("-nudged", "-fixed-half")))
+        if _base(name) in wanted
+        and not (few and name.endswith(("-nudged", "-fixed-half")))
+        and (bodies or not fixes_plane(name))
     )
+
+
+def fixes_plane(method: str) -> bool:
+    """Whether a method fixes a body of ``BODIES``."""
+    return method in TRIALS and bool(TRIALS[method].body)
 
 
 def _base(name: str) -> str:
     """Method that another one is a control of, or has a fixed root of."""
     stem, _, end = name.rpartition("-")
-    return _base(stem) if end in {*CONTROLS.values(), "fixed"} else name
+    return _base(stem) if end in {*CONTROLS.values(), "fixed", *BODIES} else name
 
 
 _POLISHER = replace(RECIPES["lbfgs"], name="polish", parts_overlaps=False)
@@ -231,7 +259,8 @@ def cases(
                     continue
                 order = (m + (kind == "extended" and seed > 0), structure.n_atoms * (1 + seed))
                 case = Case(name, source, is_file, model, each, kind, seed)
-                found.append((order, case, runs_of(structure.n_residues, each)))
+                bodies = is_small and kind == "extended" and not (seed or m or k)
+                found.append((order, case, runs_of(structure.n_residues, each, bodies)))
     return [(case, methods) for _, case, methods in sorted(found, key=lambda each: each[0])]
 
 
@@ -241,9 +270,8 @@ def measured(case: Case, method: str, most: int = MOST) -> dict[str, Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", StrayWarning)
-            start = _started(case, TRIALS[method].root if method in TRIALS else "auto")
-            if method in TRIALS:
-                start = start.of(TRIALS[method].recipe)
+            trial = TRIALS.get(method)
+            start = started(case, trial.root, trial.body).of(trial.recipe) if trial else started(case)
             found = _by_openmm(start, most) if method == "openmm" else _continued(start, case, method, most)
     except ProtochainError as error:
         return {**row, "status": f"refused: {error}"}
@@ -330,7 +358,7 @@ def _continued(start: Start, case: Case, method: str, most: int) -> Found:
     for ending, n in legs(start, q, trial, most, note):
         seconds += perf_counter() - since
         at = ending.last.state.at
-        polished = _polish(start, at.q)
+        polished = polish(start, at.q)
         left = at.energy + _kinetic(chain, ending.last.state) - polished.end.energy
         stays = ending.stop is not Stop.BUDGET or (before is not None and one_minimum(before, polished))
         finished = left <= LEFT and stays
@@ -357,7 +385,7 @@ def _kinetic(chain: Chain, state: Any) -> float:
     return 0.5 * float(state.velocity @ multibody.multiply_mass(chain.tree, frames, state.velocity))
 
 
-def _polish(start: Start, q: Floats) -> Solution:
+def polish(start: Start, q: Floats) -> Solution:
     """Minimum below an end, with a fixed root, whatever the method has."""
     structure = start.chain.structure.with_positions(pose(start.chain, q).x)
     chain = build_chain(structure, start.chain.opened, "fixed")
@@ -398,7 +426,7 @@ def _by_openmm(start: Start, most: int) -> Found:
     if raw.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
     made = build_chain(raw)
-    polished = _polish(Start(made, start.energy), made.q0)
+    polished = polish(Start(made, start.energy), made.q0)
     rows = raw.trace[["evaluations", "energy_kj_mol"]].to_numpy()
     lowest = np.minimum.accumulate(rows[:, 1])
     return Found(
@@ -410,7 +438,7 @@ def _by_openmm(start: Start, most: int) -> Found:
 
 def _end(solution: Solution, case: Case) -> dict[str, Any]:
     """Columns of a polished end."""
-    structure = _started(case).chain.structure
+    structure = started(case).chain.structure
     alpha = structure.alpha_carbons
     here, native = solution.x[alpha], _native(case)
     values = (
@@ -426,7 +454,7 @@ def _end(solution: Solution, case: Case) -> dict[str, Any]:
 def traced(case: Case, method: str, most: int) -> list[dict[str, Any]]:
     """Energy and C-alpha RMSD to the start along a run of so many evaluations, as the papers draw them."""
     trial = TRIALS[method]
-    start = _started(case, trial.root).of(trial.recipe)
+    start = started(case, trial.root, trial.body).of(trial.recipe)
     start.warm(trial.recipe)
     alpha, x = start.chain.structure.alpha_carbons, start.chain.structure.positions
     rows: list[dict[str, Any]] = []
@@ -446,7 +474,7 @@ def traced(case: Case, method: str, most: int) -> list[dict[str, Any]]:
 
 
 @lru_cache(maxsize=4)
-def _started(case: Case, root: str = "auto") -> Start:
+def started(case: Case, root: str = "auto", body: str = "") -> Start:
     structure = _prepared(case.source, case.is_file)
     if case.is_file and case.start == "extended":
         structure = _prepared(_sequence(structure), False)
@@ -454,7 +482,10 @@ def _started(case: Case, root: str = "auto") -> Start:
     if case.seed:
         chain = perturbed(chain, SPREAD[case.start], np.random.default_rng([case.seed, 22]))
     if root != "auto":
-        chain = build_chain(chain.structure, case.model, root)
+        # The oxygen is the third atom of no hinge: all hinges turn, and its body is the root.
+        number = BODIES[body](structure.n_residues) if body else 0
+        move = f"not (resid {number} and name O)" if body else defaults.MOVE
+        chain = build_chain(chain.structure, case.model, root, move=move)
     return Start(chain, energy(structure, threads=1, **ENERGIES[case.energy]))
 
 

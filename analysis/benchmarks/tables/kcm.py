@@ -51,6 +51,61 @@ def compliance_starts(rows: pd.DataFrame) -> str:
 @table("kcm-contrasts", "kcm_contrasts.csv")
 def kcm_contrasts(contrasts: pd.DataFrame) -> str:
     """Shares of finished pairs that end in one minimum, raw and by protein, and what exceeds the controls."""
+    return _of_contrasts(contrasts[contrasts["scope"] == _first(contrasts)], "differ in")
+
+
+@table("kcm-bodies", "kcm_bodies.csv")
+def kcm_bodies(bodies: pd.DataFrame) -> str:
+    """The free root against each choice of a fixed body."""
+    return _of_contrasts(bodies[bodies["effect_p"].notna()], "fixed body")
+
+
+@table("kcm-choices", "kcm_choices.csv")
+def kcm_choices(rows: pd.DataFrame) -> str:
+    """How many minima the choice of the body leads to."""
+    return "\n".join(f"- {sentence}" for sentence in kcm_summary.body_words(rows)) + "\n"
+
+
+@table("kcm-above", "kcm_above.csv")
+def kcm_above(rows: pd.DataFrame) -> str:
+    """How far the methods end above the lowest known minimum."""
+
+    def cells(row: pd.Series) -> Iterator[str]:
+        yield f"`{row['method']}`"
+        yield f"{row['peptides']:.0f} ({row['left_out']:.0f})"
+        yield f"{row['lowest']:.0f}"
+        low, high = row["above_kj_mol_low"], row["above_kj_mol_high"]
+        yield f"{row['above_kj_mol']:.1f} ({low:.1f} to {high:.1f})"
+        yield f"{row['median_kj_mol']:.1f}"
+        yield f"{row['largest_kj_mol']:.1f}"
+
+    heads = (
+        "method",
+        "peptides (left out)",
+        "in the lowest minimum",
+        "mean above it, kJ/mol",
+        "median",
+        "largest",
+    )
+    return markdown(heads, (cells(row) for _, row in rows.iterrows()))
+
+
+def searched(form: str) -> Cell:
+    """Column of a search, empty if there is none."""
+    return lambda row: form.format(**row) if row["csa_evaluations"] else "-"
+
+
+table_of_rows(
+    "kcm-minima", "kcm_minima.csv",
+    ("peptide", "{protein}"), ("residues", "{residues:.0f}"),
+    ("evaluations of csa", searched("{csa_evaluations:.0f}")),
+    ("lowest of csa, kJ/mol", searched("{csa_kj_mol:.2f}")), ("runs of the study", "{runs:.0f}"),
+    ("lowest of these", "{runs_kj_mol:.2f}"), ("lowest known", "{lowest_kj_mol:.2f}"), ("by", "`{source}`"),
+)  # fmt: skip
+
+
+def _of_contrasts(rows: pd.DataFrame, head: str) -> str:
+    """Contrasts of one scope with their effects, the p of these, and the p corrected for this table."""
 
     def cells(row: pd.Series) -> Iterator[str]:
         yield row["what"]
@@ -58,11 +113,13 @@ def kcm_contrasts(contrasts: pd.DataFrame) -> str:
         yield _raw(row)
         for name in ("same", "baseline", "effect"):
             yield share(row, name)
+        for name in ("effect_p", "effect_p_scope"):
+            yield kcm_summary.p_value(row[name])
         yield row["control"] if isinstance(row["control"], str) else "-"
 
-    heads = ("differ in", "finished pairs (left out)", "one minimum, of pairs", "by protein", "worst control")
-    main = contrasts[contrasts["scope"] == _first(contrasts)]
-    return markdown((*heads, "effect", "that control"), (cells(row) for _, row in main.iterrows()))
+    heads = (head, "finished pairs (left out)", "one minimum, of pairs", "by protein", "worst control")
+    more = ("effect", "p", "adjusted p", "that control")
+    return markdown((*heads, *more), (cells(row) for _, row in rows.iterrows()))
 
 
 @table("kcm-scopes", "kcm_contrasts.csv")
@@ -75,10 +132,15 @@ def kcm_scopes(contrasts: pd.DataFrame) -> str:
         yield what
         for scope in scopes:
             row = of.loc[scope, what] if (scope, what) in of.index else None
-            yield "-" if row is None else f"{share(row, 'effect')}, {row['pairs']:.0f}"
+            yield "-" if row is None else _in_scope(row)
 
     whats = dict.fromkeys(of.index.get_level_values("what"))
     return markdown(("differ in", *scopes), (cells(what) for what in whats))
+
+
+def _in_scope(row: pd.Series) -> str:
+    adjusted = kcm_summary.p_value(row["effect_p_all"])
+    return f"{share(row, 'effect')}, {row['pairs']:.0f}, {adjusted}"
 
 
 @table("kcm-proteins", "kcm_proteins.csv")
@@ -136,39 +198,51 @@ def kcm_words(runs: pd.DataFrame, contrasts: pd.DataFrame) -> str:
 def kcm_rise(contrasts: pd.DataFrame) -> str:
     """How far minima of one method lie above those of another."""
     own = contrasts[contrasts["rise_kj_mol"].notna() & (contrasts["proteins"] >= kcm_summary.FEW)]
-    own = own[own["what"].str.startswith(("KCM and", "inertia", "root", "metric of"))]
+    own = own[own["what"].str.startswith(kcm_summary.RISES)]
 
     def cells(row: pd.Series) -> Iterator[str]:
         yield row["what"]
         yield row["scope"]
         yield f"{row['pairs']:.0f}"
         yield f"{row['rise_kj_mol']:+.1f} ({row['rise_kj_mol_low']:+.1f} to {row['rise_kj_mol_high']:+.1f})"
+        for name in ("rise_kj_mol_p", "rise_kj_mol_p_all"):
+            yield kcm_summary.p_value(row[name])
 
     heads = ("the second's minima above the first's", "energy, size", "finished pairs", "kJ/mol")
-    return markdown(heads, (cells(row) for _, row in own.iterrows()))
+    return markdown((*heads, "p", "adjusted p"), (cells(row) for _, row in own.iterrows()))
 
 
-@table("kcm-sentence", "kcm_contrasts.csv")
-def kcm_sentence(contrasts: pd.DataFrame) -> str:
-    """What the study says, in one sentence whose numbers are those of the contrasts."""
-    of = contrasts[contrasts["scope"] == _first(contrasts)].set_index("what")
+@table("kcm-sentence", "kcm_contrasts.csv", "kcm_above.csv")
+def kcm_sentence(contrasts: pd.DataFrame, above: pd.DataFrame) -> str:
+    """The answers of the study in a few sentences, whose numbers and verdicts are those of the tables."""
+    of = contrasts[contrasts["scope"] == _first(contrasts)].set_index("what", drop=False)
 
     def pairs(what: str) -> str:
-        return f"{of['same_pairs'][what]:.0f} of {of['pairs'][what]:.0f}"
+        row = of.loc[what]
+        verdict = "" if kcm_summary.resolved(row) else "not resolved, "
+        adjusted = kcm_summary.p_value(row["effect_p_scope"])
+        return f"{row['same_pairs']:.0f} of {row['pairs']:.0f} pairs ({verdict}adjusted p {adjusted})"
 
-    control = 100 * of["baseline"]["KCM and dynamics, friction 10"]
-    without, at_10, at_100, at_1, root, of_dynamics = map(
+    both, without, at_10, at_100, at_1, root, of_dynamics = map(
         pairs,
-        ("metric of masses", "inertia, friction 10", "inertia, friction 100", "inertia, friction 1",
-         "root, without inertia", "root, friction 10"),
+        ("KCM and dynamics, friction 10", "metric of masses", "inertia, friction 10", "inertia, friction 100",
+         "inertia, friction 1", "root, without inertia", "root, friction 10"),
     )  # fmt: skip
-    both = pairs("KCM and dynamics, friction 10")
+    control = 100 * of["baseline"]["KCM and dynamics, friction 10"]
+    ends = above.set_index("method")
+
+    def lowest(method: str) -> str:
+        row = ends.loc[method]
+        return f"`{method}` in {row['lowest']:.0f} of {row['peptides']:.0f}"
+
     return paragraph(
         "From one start, with one force field and the same rigid bodies, KCM along the torques and damped "
-        f"dynamics with a friction of 10 per ps end in one minimum in {both} pairs, where the worst "
-        f"repetition of either method comes back in {control:.0f} % (by protein); the masses suffice for "
-        "that, since KCM in their metric, which has no inertia, ends with KCM along the torques in "
-        f"{without}, and with dynamics in {at_10} at a friction of 10 and in {at_100} at 100; at a friction "
-        f"of 1 inertia, too, decides ({at_1}); and a root that is fixed, which is no part of either method, "
-        f"changes the end as well (one minimum in {root} without inertia, in {of_dynamics} in dynamics)."
+        f"dynamics with a friction of 10 per ps end in one minimum in {both}. The worst repetition of either "
+        f"method comes back in {control:.0f} % (by protein). The masses alone have an effect of that size: "
+        f"KCM in their metric, without inertia, and KCM along the torques end in one minimum in {without}. "
+        f"Inertia changes the end of KCM in the metric of masses as follows: one minimum in {at_10} at a "
+        f"friction of 10, in {at_100} at 100, and in {at_1} at 1. A fixed middle C-alpha, which is not part "
+        f"of either method, gives one minimum with the free root in {root} without inertia, and in "
+        f"{of_dynamics} in dynamics. The lowest known minimum of a peptide is the end of "
+        f"{lowest('kcm-0.005')} peptides, of {lowest('md-10')}, and of {lowest('lbfgs')}."
     )
