@@ -23,9 +23,10 @@ from protochain.mechanisms.event import Event
 from protochain.mechanisms.hinge_friction import HingeFriction
 from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
+from protochain.mechanisms.mjcf_files import mjcf, read_mjcf
 from protochain.mechanisms.model import Model, model_of
 from protochain.mechanisms.motors import Motor
-from protochain.mechanisms.robot_files import mjcf, read_mjcf, read_urdf
+from protochain.mechanisms.robot_files import read_urdf
 from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 
@@ -85,6 +86,7 @@ class Mechanism:
         self._drives: dict[str, Driven] = {}
         self._elements: dict[str, Any] = {}
         self._events: dict[str, Event] = {}
+        self.left_out: dict[str, str] = {}
 
     @classmethod
     def from_urdf(
