@@ -134,7 +134,9 @@ class Hinge(Named):
         self.fix(
             at=numbers(self.at, (3,), f"{label} place"),
             axis=direction(self.axis, f"{label} axis"),
-            rotation=np.eye(3) if self.rotation is None else rotation_matrix(self.rotation, f"{label} rotation"),
+            rotation=np.eye(3)
+            if self.rotation is None
+            else rotation_matrix(self.rotation, f"{label} rotation"),
         )
 
 

@@ -23,7 +23,8 @@ from protochain.mechanisms.event import Event
 from protochain.mechanisms.hinge_friction import HingeFriction
 from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
-from protochain.mechanisms.mjcf_files import mjcf, read_mjcf
+from protochain.mechanisms.mjcf_files import read_mjcf
+from protochain.mechanisms.mjcf_text import mjcf
 from protochain.mechanisms.model import Model, model_of
 from protochain.mechanisms.motors import Motor
 from protochain.mechanisms.robot_files import read_urdf

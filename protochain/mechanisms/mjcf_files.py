@@ -1,38 +1,23 @@
-"""Models of MJCF files, as MuJoCo compiles them, and mechanisms as MJCF.
+"""Models of MJCF files, as MuJoCo compiles them.
 
 Mechanisms, which stand on this, are Any here.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from functools import cached_property
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
-from protochain.core.storage import write_text
-from protochain.mechanisms.assemble import Body, Hinge, quaternion
 from protochain.mechanisms.bodies import WORLD
-from protochain.mechanisms.bushing import Bushing
-from protochain.mechanisms.closing import Closing
-from protochain.mechanisms.elements import Named
-from protochain.mechanisms.hinge_friction import HingeFriction
-from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.robot_files import Reading, is_text, root_of
-from protochain.mechanisms.stops import Stop
-from protochain.mechanisms.torsion import Torsion
 
 _JOINTS = {0: "free", 1: "ball", 2: "prismatic", 3: "revolute"}
 """MuJoCo's numbers of joints."""
-_LEAST = 2e-15
-"""Mass and moments of inertia that a moving body has in MJCF at least: twice what MuJoCo asks for."""
-_ROUNDED = 1e-9
-"""Excess of a moment of inertia over the sum of the other two, by their sum, that is rounding."""
 
 
 def read_mjcf(into: Any, source: str | Path, stops: float, leave_out: Collection[str]) -> None:
@@ -153,7 +138,9 @@ class _Compiled:
         """Armature of a joint and of its actuators."""
         if "armature" in self.reading.leave_out:
             return 0.0
-        return float(self.m.dof_armature[self.m.jnt_dofadr[j]]) + self.by_actuators("actuator_armature", True, j)
+        return float(self.m.dof_armature[self.m.jnt_dofadr[j]]) + self.by_actuators(
+            "actuator_armature", True, j
+        )
 
     def resistance(self, j: int) -> tuple[float, float, float]:
         """Stiffness, damping and friction of a joint, as flags have them."""
@@ -203,7 +190,10 @@ class _Compiled:
     def close_loop(self, i: int) -> None:
         """Close the loop of an equality constraint."""
         m, obj, eq = self.m, self.mujoco.mjtObj, self.mujoco.mjtEq
-        name, kinds = self.name("equality", i), {int(eq.mjEQ_CONNECT): "spherical", int(eq.mjEQ_WELD): "rigid"}
+        name, kinds = (
+            self.name("equality", i),
+            {int(eq.mjEQ_CONNECT): "spherical", int(eq.mjEQ_WELD): "rigid"},
+        )
         kind, data = kinds.get(int(m.eq_type[i])), m.eq_data[i]
         if not m.eq_active0[i] or self.is_off("EQUALITY", "CONSTRAINT"):
             self.reading.unused.setdefault("inactive equality", name)
@@ -270,113 +260,3 @@ class _Compiled:
 
 def _matrix(quat: Floats) -> Floats:
     return np.asarray(Rotation.from_quat(np.roll(quat, -1)).as_matrix())
-
-
-def _text(values: Any) -> str:
-    return " ".join(f"{x:.17g}" for x in np.ravel(values))
-
-
-def mjcf(of: Any, path: str | Path | None) -> str:
-    """MJCF of a mechanism; see :meth:`Mechanism.to_mjcf`."""
-    bodies = of.build().bodies
-    root = Element("mujoco")
-    SubElement(root, "compiler", angle="radian", autolimits="true", balanceinertia="false", eulerseq="XYZ")
-    SubElement(root, "option", gravity=_text(bodies.gravity), integrator="RK4")
-    parts = {WORLD: SubElement(root, "worldbody")}
-    inward = {hinge.child: hinge for hinge in of.parts(Hinge)}
-    own: dict[str, Element] = {}
-    for name in bodies.names:
-        body = next((each for each in of.parts(Body) if each.name == name), None)
-        if body is None:
-            continue  # Of the axes of a ball.
-        hinge = inward.get(name)
-        here: dict[str, Any] = {"name": name}
-        if hinge is None:
-            turn = np.eye(3) if body.rotation is None else body.rotation
-            here |= {"pos": _text(bodies.built.point(name)), "quat": _text(quaternion(turn))}
-        else:
-            here |= {"pos": _text(hinge.at), "quat": _text(quaternion(hinge.rotation))}
-        part = parts[name] = SubElement(parts[hinge.parent if hinge else WORLD], "body", here)
-        if hinge is None:
-            SubElement(part, "freejoint", name=name)
-        elif hinge.kind != "fixed":
-            kinds = {"revolute": "hinge", "prismatic": "slide", "ball": "ball"}
-            if hinge.kind not in kinds:
-                raise MechanicsError(f"{hinge.label}: MJCF has no {hinge.kind}; leave it out")
-            along = {} if hinge.kind == "ball" else {"axis": _text(hinge.rotation.T @ hinge.axis)}
-            own[hinge.name] = SubElement(
-                part, "joint", {"name": hinge.name, "type": kinds[hinge.kind], **along}
-            )
-        if body.mass:
-            full = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            SubElement(part, "inertial", pos=_text(body.com), mass=_text(body.mass), fullinertia=_text(full))
-    writers: dict[type, Callable[[Any], None]] = {
-        Torsion: lambda each: _joint_has(own, each, stiffness=each.stiffness, damping=each.damping,
-                                         springref=_rest(bodies, each)),
-        HingeFriction: lambda each: _joint_has(own, each, frictionloss=_constant(each)),
-        Stop: lambda each: own[each.hinge].set("range", _text(np.array([each.low, each.high])
-                                                               * bodies.unit(each.hinge))),
-        Spring: lambda each: _tendon(root, parts, bodies, each),
-        Closing: lambda each: _equality(root, each),
-    }  # fmt: skip
-    for each in of.parts(Named):
-        if isinstance(each, Body | Hinge):
-            continue
-        if type(each) not in writers:
-            raise MechanicsError(f"{each.label}: MJCF does not have it; leave it out")
-        writers[type(each)](each)
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="unicode")
-    if path is not None:
-        write_text(Path(path), text)
-    return text
-
-
-def _joint_has(own: dict[str, Element], of: Any, **values: float) -> None:
-    """Set what an element gives to its joint, which nothing else may have set."""
-    joint = own[of.hinge]
-    for key, value in values.items():
-        if value and joint.get(key) is not None:
-            raise MechanicsError(
-                f'{of.label}: hinge "{of.hinge}" has a {key} already; join them in one element'
-            )
-        if value:
-            joint.set(key, _text(value))
-
-
-def _rest(bodies: Any, of: Torsion) -> float:
-    at = bodies.freedom(of.hinge)[0]
-    return float(bodies.q[at]) if of.rest is None else float(of.rest * bodies.unit(of.hinge))
-
-
-def _constant(of: HingeFriction) -> float:
-    if of.coefficient or of.damping:
-        raise MechanicsError(f"{of.label}: MJCF has constant friction only; give its damping to a torsion")
-    return of.torque
-
-
-def _tendon(root: Element, parts: dict[str, Element], bodies: Any, of: Spring) -> None:
-    tendons = root.find("tendon")
-    tendons = SubElement(root, "tendon") if tendons is None else tendons
-    built = np.linalg.norm(bodies.built.point(*of.a) - bodies.built.point(*of.b))
-    rest = built if of.rest is None else of.rest
-    held = {"stiffness": of.stiffness, "damping": of.damping, "springlength": rest}
-    line = SubElement(tendons, "spatial", {"name": of.name, **{key: _text(x) for key, x in held.items()}})
-    for end, (body, at) in zip("ab", (of.a, of.b), strict=True):
-        SubElement(parts[body], "site", name=f"{of.name}: {end}", pos=_text(at))
-        SubElement(line, "site", site=f"{of.name}: {end}")
-
-
-def _equality(root: Element, of: Closing) -> None:
-    kinds = {"spherical": "connect", "rigid": "weld"}
-    if of.kind not in kinds:
-        raise MechanicsError(
-            f"{of.label}: MJCF closes loops by balls and welds, not as {of.kind}; give another"
-        )
-    equalities = root.find("equality")
-    equalities = SubElement(root, "equality") if equalities is None else equalities
-    (a, at), (b, there) = of.a, of.b
-    if b == WORLD or (of.kind == "rigid" and a == WORLD):
-        (a, at), (b, there) = (b, there), (a, at)
-    where = {"anchor": _text(at if of.kind == "spherical" else there)}
-    SubElement(equalities, kinds[of.kind], {"name": of.name, "body1": a, "body2": b, **where})

@@ -172,5 +172,3 @@ def root_of(reading: Reading, source: str | Path, tag: str) -> Element:
     if root.tag != tag:
         raise reading.refuse(f"its root is <{root.tag}>, not <{tag}>; see from_urdf and from_mjcf")
     return root
-
-

@@ -23,6 +23,7 @@ from protochain.mechanics.multibody.algebra import (
     vector_at,
 )  # fmt: skip
 from protochain.mechanics.multibody.kinematics import Frames, pose, pull_back, velocities
+from protochain.mechanics.multibody.rotations import velocity_rates
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
 
 Motion = tuple[Vector, Vector, Vector]
@@ -64,7 +65,12 @@ def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Flo
     loads = inertial_loads(tree, frames, qd, qdd)
     if wrench is not None:
         loads -= floats(wrench, (tree.n_bodies, 6), "wrench")
-    return pull_back(tree, frames, loads) + tree.rotors * qdd
+    return pull_back(tree, frames, loads) + rotor_torques(tree, qd, qdd)
+
+
+def rotor_torques(tree: Tree, qd: Floats, qdd: Floats) -> Floats:
+    """Torques (n_v,) that accelerate the rotors: armature times the rates at which velocities change."""
+    return tree.rotors * velocity_rates(tree, floats(qd, (tree.n_v,), "qd"), floats(qdd, (tree.n_v,), "qdd"))
 
 
 def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
