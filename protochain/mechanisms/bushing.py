@@ -81,8 +81,8 @@ class Bushing(Between):
         if rest is None:
             rest = bodies.built.rotation(self.a[0]).T @ bodies.built.rotation(self.b[0])
         row = Bushings(
-            np.array([self.name]), ends, points, read_only([bodies.axes(a) @ rest]), read_only([bodies.axes(b)]),
-            read_only([self.stiffness]), read_only([self.damping]),
+            np.array([self.name]), ends, points, read_only([bodies.axes(a) @ rest]),
+            read_only([bodies.axes(b)]), read_only([self.stiffness]), read_only([self.damping]),
         )  # fmt: skip
         return Acting(
             row if np.any(self.stiffness) else None,

@@ -72,15 +72,15 @@ class _Writing:
         self.write_the_rest()
 
     def carriers(self, given: dict[str, Body]) -> set[str]:
-        """Bodies without mass that but carry one other: MuJoCo's bodies have several joints in their place."""
+        """Bodies without mass that carry one other: bodies of MJCF have several joints instead."""
         children = [hinge.parent for hinge in self.of.parts(Hinge)]
         ends = {end for each in self.of.parts(Between) for end, _ in (each.a, each.b)}
         ends -= {each.b[0] for each in self.of.parts(Bushing) if self.is_ball(each)}
         found = {
             name
             for name, body in given.items()
-            if body.mass == 0.0 and not np.any(body.inertia) and children.count(name) == 1 and name not in ends
-            and name in self.inward
+            if body.mass == 0.0 and not np.any(body.inertia) and children.count(name) == 1
+            and name not in ends and name in self.inward
         }  # fmt: skip
         # The coordinates of a ball are along the axes of its child, which the last body has to share.
         for name in self.bodies.names:
@@ -262,10 +262,10 @@ def _fused(given: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
             ]
         still = first in inward and inward[first].kind == "fixed"
         one = Body(first, 0.0) if still else _composite(group)
-        if not is_inertia(one.inertia[None])[0]:
+        if not is_inertia(one.inertia[None] + _LEAST * np.eye(3))[0]:
             raise MechanicsError(
-                f"{body.label}: MuJoCo refuses an inertia that breaks the triangle inequality, also with that "
-                "of all bodies fixed to it; give one that a body has"
+                f"{body.label}: MuJoCo refuses an inertia that breaks the triangle inequality, as it does with "
+                "that of all bodies fixed to it; give one that a body has"
             )
         out |= {each.name: Body(each.name, 0.0) for each, _, _ in group} | {first: one}
     return out

@@ -46,6 +46,7 @@ class Reading:
         self.unused: dict[str, str] = {}  # Kind -> an example, of what does nothing by itself.
 
     def refuse(self, what: str) -> MechanicsError:
+        """Return the error that names the file."""
         return MechanicsError(f"{self.name}: {what}")
 
     def resists(
@@ -155,6 +156,7 @@ def _of(reading: Reading, joint: Element, end: str) -> str:
 
 
 def is_text(source: Any) -> bool:
+    """Whether a source is the text of a file, not its name."""
     return isinstance(source, str) and source.lstrip().startswith("<")
 
 

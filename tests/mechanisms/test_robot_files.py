@@ -284,11 +284,13 @@ def test_files_that_are_none_or_have_more_are_refused(text, said):
 
 def test_an_mjcf_with_more_is_refused_unless_it_is_left_out(tmp_path):
     pytest.importorskip("mujoco")
-    heavy = MJCF.replace('name="tilt"', 'name="tilt" armature="0.1"')
-    with pytest.raises(MechanicsError, match=r"armature.*leave_out"):
+    heavy = MJCF.replace('<body name="arm"', '<body name="arm" gravcomp="0.5"')
+    with pytest.raises(MechanicsError, match=r'gravcomp \("arm"\).*leave_out'):
         Mechanism.from_mjcf(heavy)
     file = tmp_path / "robot.xml"
     file.write_text(heavy)
-    Mechanism.from_mjcf(file, leave_out={"armature"}).build()
+    m = Mechanism.from_mjcf(file, leave_out={"gravcomp"})
+    assert m.left_out == {"gravcomp": "arm"}
+    m.build()
     with pytest.raises(MechanicsError, match="MuJoCo does not read it"):
         Mechanism.from_mjcf(MJCF.replace("slide", "glide"))

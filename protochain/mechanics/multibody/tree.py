@@ -71,7 +71,7 @@ class Tree(Value):
         Hinges of one freedom whose motion is prescribed: solutions with M leave their freedoms out, and
         :func:`~protochain.mechanics.multibody.forward_dynamics` is told their accelerations. None by default.
     armature : (nb,) float, amu nm^2 (amu for slides), optional
-        Inertia of the rotor of a motor, which the diagonal of M has in addition at every freedom of the hinge.
+        Inertia of the rotor of a motor, added to the diagonal of M at every freedom of the hinge.
         It has no weight and no momentum. Zeros by default.
     nominal : (nb,) bool, optional
         Bodies whose inertia is used as it is, though no distribution of mass has it, as those of dummy links
@@ -365,7 +365,7 @@ def _check_inertia(tree: Tree) -> None:
         raise BodyError(_first(ghost), "it has inertia but no mass")
     size = np.trace(tree.inertia, axis1=1, axis2=2)
     skew = np.any(
-        np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)) > 1e-9 * size[:, None, None], axis=(1, 2)
+        np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)) > 1e-9 * np.abs(size)[:, None, None], axis=(1, 2)
     )
     wrong = skew | ~(is_inertia(tree.inertia) | nominal)
     if np.any(wrong):
