@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats
 from protochain.core.errors import MechanicsError
+from protochain.mechanisms.assemble import Body, NominalBody
 from protochain.mechanisms.bodies import WORLD
 from protochain.mechanisms.robot_files import Reading, is_text, root_of
 
@@ -95,15 +96,17 @@ class _Compiled:
         turn = _matrix(m.body_iquat[b])
         inertia = turn @ np.diag(m.body_inertia[b]) @ turn.T
         mass: dict[str, Any] = {"mass": m.body_mass[b], "com": m.body_ipos[b], "inertia": inertia}
+        # A bound on inertia is one of bodies without mass, too.
+        kind = Body if m.body_mass[b] or not np.any(inertia) else NominalBody
         at, rotation = m.body_pos[b], _matrix(m.body_quat[b])
         joints = range(m.body_jntadr[b], m.body_jntadr[b] + m.body_jntnum[b])
         if len(joints) and _JOINTS[int(m.jnt_type[joints[0]])] == "free":
             rotor = self.armature(joints[0])
-            self.into.body(name, **mass, position=at, rotation=rotation, armature=rotor)
+            self.into.add(kind(name, **mass, position=at, rotation=rotation, armature=rotor))
             q = m.qpos_spring[m.jnt_qposadr[joints[0]] :]
             self.resist_all(joints[0], (name, (0, 0, 0)), (WORLD, q[:3]), _matrix(q[3:7]).T)
             return
-        self.into.body(name, **mass)
+        self.into.add(kind(name, **mass))
         parent, above, turned, last = self.bodies[m.body_parentid[b]], at, rotation, np.zeros(3)
         for j in joints:
             called, sort = self.name("joint", j), _JOINTS[int(m.jnt_type[j])]

@@ -74,8 +74,8 @@ class _Writing:
     def carriers(self, given: dict[str, Body]) -> set[str]:
         """Bodies without mass that carry one other: bodies of MJCF have several joints instead."""
         children = [hinge.parent for hinge in self.of.parts(Hinge)]
-        ends = {end for each in self.of.parts(Between) for end, _ in (each.a, each.b)}
-        ends -= {each.b[0] for each in self.of.parts(Bushing) if self.is_ball(each)}
+        joined = (each for each in self.of.parts(Between) if not self.is_ball(each))
+        ends = {end for each in joined for end, _ in (each.a, each.b)}
         found = {
             name
             for name, body in given.items()
@@ -91,9 +91,9 @@ class _Writing:
                         found.discard(each.hinge.child)
         return found
 
-    def is_ball(self, of: Bushing) -> bool:
-        """Whether a bushing is the spring of a ball."""
-        hinge = self.inward.get(of.a[0])
+    def is_ball(self, of: Between) -> bool:
+        """Whether an element is a bushing at a ball."""
+        hinge = self.inward.get(of.a[0]) if isinstance(of, Bushing) else None
         return hinge is not None and hinge.kind == "ball" and hinge.parent == of.b[0]
 
     def chain(self, name: str, carriers: set[str]) -> list[_Placed]:
@@ -292,8 +292,8 @@ def _weigh(element: Element, body: Body, moves: bool) -> None:
     moments, axes = np.linalg.eigh(body.inertia)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     moments, mass = np.maximum(moments, least), max(body.mass, least)
-    # Of flat bodies the largest is the sum of the others, but for rounding.
-    moments[2] = min(moments[2], moments[0] + moments[1])
+    # Of flat bodies the largest is the sum of the others, but for rounding, also that of MuJoCo's reader.
+    moments[2] = min(moments[2], (1.0 - 1e-15) * (moments[0] + moments[1]))
     if mass:
         SubElement(
             element, "inertial", pos=_text(body.com), mass=_text(mass), diaginertia=_text(moments),
