@@ -264,8 +264,8 @@ def _fused(given: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
         one = Body(first, 0.0) if still else _composite(group)
         if not is_inertia(one.inertia[None] + _LEAST * np.eye(3))[0]:
             raise MechanicsError(
-                f"{body.label}: MuJoCo refuses an inertia that breaks the triangle inequality, as it does with "
-                "that of all bodies fixed to it; give one that a body has"
+                f"{body.label}: MuJoCo refuses an inertia that breaks the triangle inequality, and that of "
+                "all bodies fixed to it breaks it, too; give one that a body has"
             )
         out |= {each.name: Body(each.name, 0.0) for each, _, _ in group} | {first: one}
     return out

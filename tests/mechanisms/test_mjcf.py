@@ -110,7 +110,7 @@ WELDS = {
 @pytest.mark.parametrize("angle", [0.5, 2.0, 3.0])
 @pytest.mark.parametrize("kind", WELDS)
 def test_loops_are_closed_as_mujoco_wants_them(kind, angle):
-    """MuJoCo, put where the mechanism begins, finds no residual of its constraint; also after a round trip."""
+    """MuJoCo, put where the mechanism begins, finds no residual of its constraint, as after a round trip."""
     turn = Rotation.from_rotvec(angle * np.array([0.6, 0.0, 0.8]))
     quat = text_of(np.roll(turn.as_quat(), 1))
     free = '<freejoint/><inertial pos="0 0 -.2" mass="1" diaginertia=".02 .03 .025"/>'

@@ -34,7 +34,8 @@ BASE = """<mujoco>
         <site name="s" pos="0.1 0 0"/>
       </body>
     </body>
-    <body name="c" pos="1 0 1"><freejoint/><geom name="gc" size="0.1 0.05 0.2" type="box" pos="0.1 0 0"/></body>
+    <body name="c" pos="1 0 1"><freejoint/>
+      <geom name="gc" size="0.1 0.05 0.2" type="box" pos="0.1 0 0"/></body>
     <body name="d" pos="0 1 1"><joint name="ball" type="ball"/>
       <geom name="gd" size="0.1 0.2" type="capsule" pos="0.1 0.1 0"/></body>
     <body name="still" pos="3 0 0"/>
@@ -64,9 +65,9 @@ APPLIED = {
         "fullinertia": ("0.03 0.02 0.025 0.003 0.001 0.002", {f"{BODY}/inertial diaginertia": None}),
     },
     "worldbody/body/joint": {
-        "armature": "0.3", "axis": "0 1 1", "class": ("other", {f"{JOINT} stiffness": None}), "damping": "0.5",
-        "pos": "0.1 0.2 0",
-        "ref": "0.4", "springdamper": ("0.5 1", {f"{JOINT} damping": "0"}), "springref": "0.3",
+        "armature": "0.3", "axis": "0 1 1", "class": ("other", {f"{JOINT} stiffness": None}),
+        "damping": "0.5", "pos": "0.1 0.2 0", "ref": "0.4",
+        "springdamper": ("0.5 1", {f"{JOINT} damping": "0"}), "springref": "0.3",
         "stiffness": "8", "type": "slide",
     },
     "worldbody/body/freejoint": {"align": "true"},
@@ -101,7 +102,7 @@ WHOLE = {
     "extension": "plugins", "worldbody/body/plugin": "plugins", "equality/joint": "equality",
     "equality/tendon": "equality", "equality/flex": "equality", "equality/flexstrain": "equality",
 }  # fmt: skip
-"""Element -> kind under which it is named, with all its attributes but the armature and damping of actuators."""
+"""Element -> kind under which it is named with its attributes, but armature and damping of actuators."""
 LOOPS = {"connect", "weld"}
 NOTHING = {
     "pictures": {
@@ -110,9 +111,11 @@ NOTHING = {
         "worldbody/body/light",
     },
     "sizes, statistics and data of users": {"size", "statistic", "custom"},
-    "actuators": {"compiler/lengthrange", *(f"default/{kind}" for kind in (
-        "general motor position velocity intvelocity orientation pid damper cylinder muscle adhesion dcmotor"
-    ).split())},
+    "actuators": {
+        "compiler/lengthrange", "default/general", "default/motor", "default/position", "default/velocity",
+        "default/intvelocity", "default/orientation", "default/pid", "default/damper", "default/cylinder",
+        "default/muscle", "default/adhesion", "default/dcmotor",
+    },
     "contacts": {"default/pair", "asset/hfield"},
     "models that MuJoCo attaches before it compiles": {"worldbody/body/attach", "asset/model"},
     "meshes, whose inertia MuJoCo finds": {"default/mesh", "asset/mesh/plugin", "worldbody/body/geom/plugin"},
@@ -300,7 +303,8 @@ def test_what_does_nothing_by_itself_is_listed():
 
 
 ACTUATORS = {
-    "motor": {}, "general": {}, "position": {"kp": "0"}, "velocity": {"kv": "0"}, "damper": {"ctrlrange": "0 1"},
+    "motor": {}, "general": {}, "position": {"kp": "0"}, "velocity": {"kv": "0"},
+    "damper": {"ctrlrange": "0 1"},
     "cylinder": {"timeconst": "1"}, "intvelocity": {"kp": "0", "actrange": "-1 1"}, "pid": {"kp": "0"},
 }  # fmt: skip
 
@@ -321,3 +325,80 @@ def test_armature_and_damping_of_actuators_are_those_of_their_joints(kind, name,
     ours, theirs = same_motion(text, 1)
     assert ours == pytest.approx(theirs, rel=BY_MUJOCO, abs=BY_MUJOCO * np.max(np.abs(theirs)))
     assert not np.allclose(same_motion(edited({}), 1)[1], theirs, rtol=1e-6)
+
+
+TENDON = '<fixed name="t" {0}><joint joint="swing" coef="2"/><joint joint="turn" coef="1"/></fixed>'
+SPATIAL = '<spatial name="t" {0}><site site="s"/><site site="w"/></spatial>'
+FLEX = (
+    '<flexcomp name="f" type="grid" count="2 2 2" spacing="0.1 0.1 0.1" pos="5 0 0" dim="3" mass="1" '
+    'radius="0.01"><elasticity young="1e3" poisson="0.2"/></flexcomp>'
+)
+
+
+@pytest.mark.parametrize("of", [TENDON, SPATIAL])
+@pytest.mark.parametrize(
+    "pulls",
+    [
+        "stiffness='3'",
+        "damping='2'",
+        "frictionloss='0.3'",
+        "armature='0.2'",
+        "damping='0 1'",
+        "stiffness='0 2'",
+    ],
+)
+def test_a_tendon_that_acts_is_refused_and_one_for_actuators_is_listed(of, pulls):
+    base = edited({}).replace("<worldbody>", '<worldbody><site name="w" pos="2 0 0"/>')
+    plain = base.replace("<tendon />", "<X/>", 1).replace("<tendon />", f"<tendon>{of.format('')}</tendon>")
+    plain = plain.replace("<X/>", "<tendon/>")
+    assert Mechanism.from_mjcf(plain).left_out["tendons"] == "t"
+    acting = plain.replace('name="t"', f'name="t" {pulls}')
+    with pytest.raises(MechanicsError, match=r'tendons \("t"\)'):
+        Mechanism.from_mjcf(acting)
+    assert Mechanism.from_mjcf(acting, leave_out={"tendons"}).left_out["tendons"] == "t"
+    off = {"stiffness": "spring", "damping": "damper", "frictionloss": "frictionloss"}.get(
+        pulls.split("=")[0]
+    )
+    if off:
+        Mechanism.from_mjcf(acting.replace("<flag", f'<flag {off}="disable"'))
+
+
+@pytest.mark.parametrize(
+    ("of", "kind"),
+    [
+        (
+            '<equality><joint name="e" joint1="swing" joint2="turn" polycoef="0 2 0 0 0"/></equality>',
+            "equality",
+        ),
+        (f"<worldbody>{FLEX}</worldbody>", "flex"),
+    ],
+)
+def test_loops_and_bodies_of_other_kinds_are_refused(of, kind):
+    text = edited({}).replace("</mujoco>", f"{of}</mujoco>")
+    with pytest.raises(MechanicsError, match=rf"{kind} \("):
+        Mechanism.from_mjcf(text)
+    assert kind in Mechanism.from_mjcf(text, leave_out={kind, "equality"}).left_out
+
+
+def test_friction_and_limits_of_balls_and_free_bodies_are_named():
+    ball = "worldbody/body[@name='d']/joint"
+    for edits, kind in (
+        ({f"{ball} frictionloss": "1"}, "resistance of balls"),
+        ({"default/joint frictionloss": "1"}, "resistance of balls"),
+    ):
+        with pytest.raises(MechanicsError, match=kind):
+            Mechanism.from_mjcf(edited(edits))
+    free = edited({}).replace("<freejoint />", '<joint type="free" frictionloss="2"/>')
+    with pytest.raises(MechanicsError, match="friction of free bodies"):
+        Mechanism.from_mjcf(free)
+    limited = edited({f"{ball} range": "0 1"})
+    assert "limits" in Mechanism.from_mjcf(limited).left_out
+    with pytest.raises(MechanicsError, match="resistance of balls"):
+        Mechanism.from_mjcf(limited, stops=10.0)
+
+
+def test_what_is_left_out_is_gone():
+    """Also what a mechanism could have: so files are read as without."""
+    text = edited({f"{JOINT} armature": "0.5"})
+    ours, _ = same_motion(text, 1, leave_out={"armature"})
+    assert np.array_equal(ours, same_motion(edited({}), 1)[0])
