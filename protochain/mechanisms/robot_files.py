@@ -64,7 +64,7 @@ class Reading:
 
     def end(self) -> None:
         """Raise if something is left out that was not to be."""
-        self.into.left_out = {**self.unused, **self.left}
+        self.into.set_left_out({**self.unused, **self.left})
         more = {kind: where for kind, where in self.left.items() if kind not in self.leave_out}
         if more:
             kinds = ", ".join(f'{kind} ("{where}")' for kind, where in sorted(more.items()))
