@@ -363,10 +363,8 @@ def _check_inertia(tree: Tree) -> None:
     ghost = (tree.mass == 0) & np.any(tree.inertia != 0.0, axis=(1, 2)) & ~nominal
     if np.any(ghost):
         raise BodyError(_first(ghost), "it has inertia but no mass")
-    size = np.trace(tree.inertia, axis1=1, axis2=2)
-    skew = np.any(
-        np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)) > 1e-9 * np.abs(size)[:, None, None], axis=(1, 2)
-    )
+    turned = np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)).max(axis=(1, 2), initial=0.0)
+    skew = turned > 1e-9 * np.abs(tree.inertia).max(axis=(1, 2), initial=0.0)
     wrong = skew | ~(is_inertia(tree.inertia) | nominal)
     if np.any(wrong):
         raise BodyError(_first(wrong), "its inertia is not that of any rigid body")
