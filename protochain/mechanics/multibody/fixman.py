@@ -58,9 +58,7 @@ class Eliminated:
     factor: Floats  # (nb, 6, 6): Cholesky factor of each hinge's block of H at its elimination.
     # (nb, 6, 6): Inverse of that block times the block that couples the hinge to its parent body.
     gain: Floats
-    n_hard: (
-        Integers  # (nb,) int: Rows of each hinge: the directions it locks; all six with a rotor or driven.
-    )
+    n_hard: Integers  # (nb,) int: Rows of each hinge: locked directions; six with a rotor, or driven.
 
 
 def eliminate(tree: Tree, frames: Frames) -> Eliminated:

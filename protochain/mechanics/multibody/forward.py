@@ -101,8 +101,9 @@ def _by_parts(tree: Tree, q: Floats, qd: Floats, x: Floats, wrench: Floats) -> F
     frames, given = pose(tree, q), np.zeros(tree.n_v)
     given[tree.driven_v] = x[tree.driven_v]
     loads = inertial_loads(tree, frames, qd, given) - wrench
-    # Those of the axes of balls turn with their bodies, so that rotors resist without accelerations, too.
-    x = x - rotor_torques(tree, qd, np.zeros(tree.n_v))
+    if len(tree.balls):
+        # The axes of balls turn with their bodies, so that rotors resist without accelerations, too.
+        x = x - rotor_torques(tree, qd, np.zeros(tree.n_v))
     return solve(articulate(tree, frames), x, loads) + given
 
 
