@@ -146,21 +146,19 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
 def _approaches(bodies: Bodies, closings: Sequence[Closing]) -> Iterator[list[Closing]]:
     """Yield the closings with their rotations in steps from those as built."""
     # The right angles of a rigid joint hold at other rotations, too, which Newton's method finds from afar.
-    turned = {}
+    turned: dict[str, tuple[Floats, Floats]] = {}
     for each in closings:
         if each.rotation is not None:
             built = bodies.built.rotation(each.a[0]).T @ bodies.built.rotation(each.b[0])
             turned[each.name] = built, Rotation.from_matrix(built.T @ each.rotation).as_rotvec()
-    angles = [np.linalg.norm(way) for _, way in turned.values()]
+    angles = [float(np.linalg.norm(turn)) for _, turn in turned.values()]
     steps = max(1, int(np.ceil(max(angles, default=0.0) / _TURN)))
     for k in range(1, steps):
-        part = k / steps
-        yield [
-            replace(each, rotation=turned[each.name][0] @ Rotation.from_rotvec(part * way).as_matrix())
-            if (way := turned.get(each.name, (None, None))[1]) is not None
-            else each
-            for each in closings
-        ]
+        way = {
+            name: built @ Rotation.from_rotvec(k / steps * turn).as_matrix()
+            for name, (built, turn) in turned.items()
+        }
+        yield [replace(each, rotation=way.get(each.name)) for each in closings]
     yield [*closings]
 
 

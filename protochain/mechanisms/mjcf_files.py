@@ -217,7 +217,8 @@ class _Compiled:
 
     def note_tendon(self, t: int) -> None:
         """Note a tendon: what pulls at it is refused, one for actuators is not."""
-        m, acts = self.m, []
+        m = self.m
+        acts: list[Any] = []
         if not self.is_off("SPRING", "PASSIVE"):
             acts += [m.tendon_stiffness[t], self.values("tendon_stiffnesspoly", t)]
         if not self.is_off("DAMPER", "PASSIVE"):

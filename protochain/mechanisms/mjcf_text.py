@@ -101,7 +101,8 @@ class _Writing:
         hinges = [self.inward[name]] if name in self.inward else []
         while hinges and hinges[0].parent in carriers:
             hinges.insert(0, self.inward[hinges[0].parent])
-        at, turn, out = np.zeros(3), np.eye(3), []
+        at, turn = np.zeros(3), np.eye(3)
+        out: list[_Placed] = []
         for hinge in hinges:
             at, axis, turn = at + turn @ hinge.at, turn @ hinge.axis, turn @ hinge.rotation
             out.append(_Placed(hinge, at, axis, turn))
@@ -232,7 +233,7 @@ class _Writing:
                 f"{of.label}: MJCF has bushings only of balls and free bodies, equal in all directions and "
                 "at rest as built; leave it out"
             )
-        joint = a if hinge is None else hinge.name
+        joint: str = a if hinge is None else hinge.name
         self.set_of(of.label, joint, stiffness=float(of.stiffness[0]), damping=float(of.damping[0]))
 
     def group(self, tag: str) -> Element:
@@ -251,7 +252,8 @@ def _fused(given: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
         while first in inward and inward[first].kind == "fixed" and inward[first].parent != WORLD:
             first = inward[first].parent
         # All bodies that are fixed to the first one, with their places in it.
-        group, waiting = [], [(first, np.zeros(3), np.eye(3))]
+        group: list[tuple[Body, Floats, Floats]] = []
+        waiting = [(first, np.zeros(3), np.eye(3))]
         while waiting:
             name, at, turn = waiting.pop()
             group.append((out[name], at, turn))

@@ -217,6 +217,7 @@ class Tree(Value):
     @cached_property
     def bodies(self) -> Floats:
         """(nb, 25) float: offset, columns of placement, rigid, twist, armature, as read by the sweeps."""
+        assert self.armature is not None
         axes = self.placement.swapaxes(1, 2).reshape(self.n_bodies, 9)
         return read_only(np.column_stack([self.offset, axes, self.rigid, self.twist, self.armature]))
 
