@@ -132,6 +132,10 @@ class StrayWarning(RuntimeWarning):
     """A run has gone far from a start whose atoms overlapped; it goes on."""
 
 
+class InertiaWarning(RuntimeWarning):
+    """A file of a robot has an inertia that no body has; it is used as it is."""
+
+
 class DeviceWarning(RuntimeWarning):
     """A device does not compute; the processor does."""
 

@@ -16,7 +16,7 @@ from protochain.core.errors import BodyError, MechanicsError
 from protochain.mechanics.multibody import HingeKind, Tree
 from protochain.mechanics.multibody.tree import BALL_PLACEMENT, NO_INERTIA
 from protochain.mechanisms.bodies import WORLD, Bodies
-from protochain.mechanisms.element_arguments import direction, is_rotation, not_negative, number, numbers
+from protochain.mechanisms.element_arguments import direction, not_negative, number, numbers, rotation_matrix
 from protochain.mechanisms.elements import Named
 
 KINDS = {
@@ -43,6 +43,7 @@ class Body(Named):
     inertia: Tensor about the centre of mass, or its diagonal, or one moment for all axes.
     position, rotation (3,): Where the origin of a free body starts, and its axes in the world, as columns.
     velocity, spin (3,): Velocity of the origin of a free body, and its angular velocity, world axes.
+    armature: Inertia that a free body has in addition in all of its six freedoms, without weight.
     """
 
     called: ClassVar[str] = "body"
@@ -54,18 +55,27 @@ class Body(Named):
     rotation: Any = None
     velocity: Any = None
     spin: Any = None
+    armature: float = 0.0
+    nominal: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         label = f"{self.label}: its"
         self.fix(
+            armature=float(not_negative(self.armature, f"{label} armature")),
             mass=float(not_negative(self.mass, f"{label} mass")),
             com=numbers(self.com, (3,), f"{label} centre of mass"),
             inertia=_inertia(self.inertia, f"{label} inertia"),
-            rotation=None if self.rotation is None else _rotation(self.rotation, f"{label} rotation"),
+            rotation=None if self.rotation is None else rotation_matrix(self.rotation, f"{label} rotation"),
         )
         for name in ("position", "velocity", "spin"):
             value = getattr(self, name)
             self.fix(**{name: None if value is None else numbers(value, (3,), f"{label} {name}")})
+
+
+class NominalBody(Body):
+    """A body whose inertia is used as it is, though no distribution of mass has it."""
+
+    nominal: ClassVar[bool] = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +89,7 @@ class Hinge(Named):
     rotation (3, 3): Axes of the child at q = 0, as columns, in those of the parent; by default the same.
     q, qd: Coordinate and rate at the start; of a ball a rotation vector, and the child's angular velocity.
     pitch: Slide of a screw per radian.
+    armature: Inertia of the rotor of a motor as the hinge feels it, by radian: of each freedom of a ball.
     """
 
     called: ClassVar[str] = "hinge"
@@ -92,13 +103,17 @@ class Hinge(Named):
     q: Any = 0.0
     qd: Any = 0.0
     pitch: float = 0.0
+    armature: float = 0.0
 
     def __post_init__(self) -> None:
         label = f"{self.label}: its"
         if not (isinstance(self.kind, str) and self.kind in KINDS):
             *kinds, last = KINDS
             raise MechanicsError(f"{label} kind {shown(self.kind)}: give {', '.join(kinds)} or {last}")
-        self.fix(pitch=number(self.pitch, f"{label} pitch"))
+        self.fix(
+            pitch=number(self.pitch, f"{label} pitch"),
+            armature=float(not_negative(self.armature, f"{label} armature")),
+        )
         for name in ("q", "qd"):
             value = getattr(self, name)
             if self.kind == "ball":
@@ -112,14 +127,16 @@ class Hinge(Named):
                 if self.kind == "screw"
                 else f"{label} pitch is of screws only; give kind screw"
             )
-        if self.kind == "fixed" and (self.q or self.qd):
+        if self.kind == "fixed" and (self.q or self.qd or self.armature):
             raise MechanicsError(
-                f"{label} q and qd must be zero as it is fixed; give a rotation, or another kind"
+                f"{label} q, qd and armature must be zero as it is fixed; give a rotation, or another kind"
             )
         self.fix(
             at=numbers(self.at, (3,), f"{label} place"),
             axis=direction(self.axis, f"{label} axis"),
-            rotation=np.eye(3) if self.rotation is None else _rotation(self.rotation, f"{label} rotation"),
+            rotation=np.eye(3)
+            if self.rotation is None
+            else rotation_matrix(self.rotation, f"{label} rotation"),
         )
 
 
@@ -133,7 +150,7 @@ def assemble(
     order = _ordered(bodies, hinges, inward)
     place = {name: number for number, name in enumerate(order)} | {WORLD: -1}
     n, given = len(order), [bodies[name] for name in order]
-    parent, kind, pitch = np.full(n, -1), np.full(n, HingeKind.FREE), np.zeros(n)
+    parent, kind, pitch, armature = np.full(n, -1), np.full(n, HingeKind.FREE), np.zeros(n), np.zeros(n)
     at, axis, rotation = np.zeros((n, 3)), np.tile([0.0, 0.0, 1.0], (n, 1)), np.tile(np.eye(3), (n, 1, 1))
     q, qd = [], []
     for b, (name, body) in enumerate(zip(order, given, strict=True)):
@@ -141,11 +158,12 @@ def assemble(
             turned = np.eye(3) if body.rotation is None else body.rotation
             q += [*quaternion(turned), *_or_still(body.position)]
             qd += [*_or_still(body.spin), *_or_still(body.velocity)]
+            armature[b] = body.armature
             continue
         hinge = hinges[inward[name]]
         # What is between the axes of a ball is named as the ball is, and inside it.
         kind[b] = HingeKind.BALL_AXIS if isinstance(hinge, _BallAxis) else KINDS[hinge.kind]
-        parent[b], pitch[b] = place[hinge.parent], hinge.pitch
+        parent[b], pitch[b], armature[b] = place[hinge.parent], hinge.pitch, hinge.armature
         at[b], axis[b], rotation[b] = hinge.at, hinge.axis, hinge.rotation
         unit = np.pi / 180.0 if degrees and hinge.kind in (*_TURNING, "ball") else 1.0
         if hinge.kind in _TURNING and abs(hinge.q * unit) > 2.0 * np.pi:
@@ -162,7 +180,7 @@ def assemble(
     offset, placement = np.einsum("bij,bj->bi", above, at), above @ rotation @ turn
     back = turn.swapaxes(1, 2)
     _refuse_free_needles(order, parent, kind, given)
-    more: dict[str, Any] = {}
+    more: dict[str, Any] = {"armature": armature, "nominal": np.array([body.nominal for body in given])}
     if driven:
         more["driven"] = np.array([inward.get(name) in driven for name in order])
     try:
@@ -202,7 +220,8 @@ def _with_axes_of_balls(
                 (_BallAxis, BALL_PLACEMENT, NOWHERE) if k else (Hinge, ball.rotation, ball.at)
             )
             hinges[name] = kind(
-                name, parent, child, "ball", at, rotation=rotation, q=ball.q, qd=ball.qd
+                name, parent, child, "ball", at, rotation=rotation, q=ball.q, qd=ball.qd,
+                armature=ball.armature,
             )  # fmt: skip
             inward[child] = name
     return bodies, hinges, inward
@@ -224,14 +243,6 @@ def _refuse_free_needles(
                 f'body "{names[b]}": it is free, and nothing resists its turning; give it an inertia about '
                 "all axes, or hinges that do not turn it"
             )
-
-
-def _rotation(value: ArrayLike, label: str) -> Floats:
-    """A rotation, (3, 3)."""
-    matrix = numbers(value, (3, 3), label)
-    if not is_rotation(matrix[None])[0]:
-        raise MechanicsError(f"{label} is none: give a matrix with orthonormal columns and determinant 1")
-    return matrix
 
 
 def _inertia(value: ArrayLike, label: str) -> Floats:
@@ -285,10 +296,11 @@ def _inward(bodies: Mapping[str, Body], hinges: Mapping[str, Hinge]) -> dict[str
         inward[hinge.child] = name
         own = bodies[hinge.child]
         strange = next((key for key in _OF_FREE_BODIES if getattr(own, key) is not None), None)
+        strange = "armature" if own.armature else strange
         if strange:
             raise MechanicsError(
                 f'body "{hinge.child}": {strange} is of free bodies only, and hinge "{name}" holds it; '
-                "give q and qd of the hinge"
+                f"give {'that' if own.armature else 'q and qd'} of the hinge"
             )
     return inward
 

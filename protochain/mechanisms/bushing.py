@@ -25,7 +25,7 @@ from protochain.mechanics.multibody.algebra import (
 from protochain.mechanics.multibody.kinematics import WORLD
 from protochain.mechanics.multibody.rotations import tangent_inverse
 from protochain.mechanisms.bodies import Bodies
-from protochain.mechanisms.element_arguments import not_negative
+from protochain.mechanisms.element_arguments import not_negative, rotation_matrix
 from protochain.mechanisms.elements import Acting, Between, Rows
 from protochain.mechanisms.linear_springs import end_of, push, speed_of
 
@@ -50,6 +50,8 @@ class Bushing(Between):
         Body, or "world", and a point of it.
     stiffness, damping : (6,) array_like
         Of three rotations, by the rotation vector of a in b, and of three translations, in b's axes.
+    rotation : (3, 3) array_like, optional
+        Axes of b, as columns, in those of a, where the bushing is at rest; by default as built.
 
     Raises
     ------
@@ -61,9 +63,12 @@ class Bushing(Between):
 
     stiffness: Any
     damping: Any = 0.0
+    rotation: Any = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.rotation is not None:
+            self.fix(rotation=rotation_matrix(self.rotation, f"{self.label}: its rotation"))
         for name in ("stiffness", "damping"):
             self.fix(**{name: not_negative(getattr(self, name), f"{self.label}: its {name}", (6,))})
 
@@ -72,11 +77,12 @@ class Bushing(Between):
         ends, points = self.ends(bodies)
         a, b = ends[0].tolist()
         # The axes of b as they lie in a at rest.
-        world = bodies.built.rotation(self.b[0])
-        turn = np.eye(3) if a < 0 else bodies.built.frames.rotation[a]
+        rest = self.rotation
+        if rest is None:
+            rest = bodies.built.rotation(self.a[0]).T @ bodies.built.rotation(self.b[0])
         row = Bushings(
-            np.array([self.name]), ends, points, read_only([turn.T @ world]), read_only([bodies.axes(b)]),
-            read_only([self.stiffness]), read_only([self.damping]),
+            np.array([self.name]), ends, points, read_only([bodies.axes(a) @ rest]),
+            read_only([bodies.axes(b)]), read_only([self.stiffness]), read_only([self.damping]),
         )  # fmt: skip
         return Acting(
             row if np.any(self.stiffness) else None,

@@ -1,11 +1,12 @@
 """Joints that close loops of bodies: what each leaves free, and the coordinates that close it."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 from scipy.linalg import lstsq, null_space
+from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats, read_only
 from protochain.core.checks import shown
@@ -14,7 +15,7 @@ from protochain.mechanics import multibody
 from protochain.mechanisms.assemble import with_z_along
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.closed_equations import CLOSED
-from protochain.mechanisms.element_arguments import direction
+from protochain.mechanisms.element_arguments import direction, rotation_matrix
 from protochain.mechanisms.elements import Between
 from protochain.mechanisms.loop_joints import LoopJoints
 
@@ -33,6 +34,8 @@ _TURNS: dict[str, tuple[tuple[Floats, Floats], ...]] = {
 _ITERATIONS = 100
 _LONGEST = 0.3
 """Longest step of Newton's method towards closed loops, in radians and sizes of the tree."""
+_TURN = 0.5
+"""rad. Largest step of a rotation on the way to where a loop closes."""
 _ASIDE = 0.05
 """How far one looks for another rank, in radians and sizes of the tree."""
 _CONTRADICTED = 1e-6
@@ -55,6 +58,8 @@ class Closing(Between):
         Its axis in the axes of a; of ``planar`` the normal of the plane, of ``universal`` the arm of a.
     axis_b : (3,) array_like, optional
         Of ``universal`` only: the arm of b, at right angles to the axis, in the axes of b.
+    rotation : (3, 3) array_like, optional
+        Of ``rigid`` only: axes of b, as columns, in those of a; by default as built.
 
     Raises
     ------
@@ -67,6 +72,7 @@ class Closing(Between):
     kind: str = "revolute"
     axis: Any = (0.0, 0.0, 1.0)
     axis_b: Any = None
+    rotation: Any = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,6 +86,10 @@ class Closing(Between):
         self.fix(axis=direction(self.axis, f"{self.label}: its axis"))
         if self.axis_b is not None:
             self.fix(axis_b=direction(self.axis_b, f"{self.label}: its axis_b"))
+        if self.rotation is not None:
+            if self.kind != "rigid":
+                raise MechanicsError(f"{self.label}: rotation belongs to kind rigid, not to {self.kind}")
+            self.fix(rotation=rotation_matrix(self.rotation, f"{self.label}: its rotation"))
 
     def bind(self, bodies: Bodies) -> LoopJoints:
         """Return its equations."""
@@ -88,6 +98,8 @@ class Closing(Between):
         world = bodies.built.rotation(self.a[0]) @ with_z_along(self.axis)
         frames = [np.eye(3) if b < 0 else bodies.built.frames.rotation[b] for b in ends]
         in_a, in_b = (frame.T @ world for frame in frames)
+        if self.rotation is not None:
+            in_b = bodies.axes(int(ends[1])) @ self.rotation.T @ with_z_along(self.axis)
         turns = [(in_a @ s, in_b @ t) for s, t in _TURNS.get(self.kind, ())]
         if self.axis_b is not None:
             turns.append((in_a @ Z, bodies.inside(int(ends[1]), self.axis_b)))
@@ -103,30 +115,51 @@ def closed(bodies: Bodies, closings: Sequence[Closing]) -> Bodies:
     """Close the loops: coordinates and rates that the mechanism was given stay if they can, others follow."""
     if not closings:
         return bodies
-    parts = [each.bind(bodies) for each in closings]
-    of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
-    columns: dict[str, Any] = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("body", "turns", "point", "along")
-    }
-    joints = LoopJoints(**columns)
     tree = bodies.tree
-    given = _given(bodies)
+    given, q = _given(bodies), bodies.q
     undriven = np.setdiff1d(np.arange(tree.n_v), tree.driven_v)
-    # What was given is kept, unless the loops close with what was not.
-    q, worst = _assembled(bodies, joints, np.setdiff1d(undriven, np.flatnonzero(given)))
-    if q is None:
-        q, worst = _assembled(bodies, joints, undriven)
-    if q is None:
-        raise MechanicsError(
-            f"{closings[of[worst[0]]].label}: it stays open by {worst[1]:.3g}; give coordinates of hinges "
-            "nearer to where it closes",
-            fault=Fault.OPEN,
-        )
+    for approached in _approaches(bodies, closings):
+        parts = [each.bind(bodies) for each in approached]
+        of = np.repeat(np.arange(len(parts)), [len(part.body) for part in parts])
+        columns: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ("body", "turns", "point", "along")
+        }
+        joints, nearby = LoopJoints(**columns), replace(bodies, q=q)
+        # What was given is kept, unless the loops close with what was not.
+        assembled, worst = _assembled(nearby, joints, np.setdiff1d(undriven, np.flatnonzero(given)))
+        if assembled is None:
+            assembled, worst = _assembled(nearby, joints, undriven)
+        if assembled is None:
+            raise MechanicsError(
+                f"{closings[of[worst[0]]].label}: it stays open by {worst[1]:.3g}; give coordinates of "
+                "hinges nearer to where it closes",
+                fault=Fault.OPEN,
+            )
+        q = assembled
     joints = replace(joints, rank=_constant_rank(bodies, joints, q, undriven))
     qd = _rates(bodies, joints, q, undriven, [each.label for each in closings], of)
     names = tuple(closings[k].name for k in of.tolist())
     return replace(bodies, q=read_only(q), qd=read_only(qd), joints=joints, joint_names=names)
+
+
+def _approaches(bodies: Bodies, closings: Sequence[Closing]) -> Iterator[list[Closing]]:
+    """Yield the closings with their rotations in steps from those as built."""
+    # The right angles of a rigid joint hold at other rotations, too, which Newton's method finds from afar.
+    turned: dict[str, tuple[Floats, Floats]] = {}
+    for each in closings:
+        if each.rotation is not None:
+            built = bodies.built.rotation(each.a[0]).T @ bodies.built.rotation(each.b[0])
+            turned[each.name] = built, Rotation.from_matrix(built.T @ each.rotation).as_rotvec()
+    angles = [float(np.linalg.norm(turn)) for _, turn in turned.values()]
+    steps = max(1, int(np.ceil(max(angles, default=0.0) / _TURN)))
+    for k in range(1, steps):
+        way = {
+            name: built @ Rotation.from_rotvec(k / steps * turn).as_matrix()
+            for name, (built, turn) in turned.items()
+        }
+        yield [replace(each, rotation=way.get(each.name)) for each in closings]
+    yield [*closings]
 
 
 def _constant_rank(bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.ndarray) -> int | None:

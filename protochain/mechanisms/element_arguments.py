@@ -66,6 +66,14 @@ def direction(value: Any, label: str) -> Floats:
     return np.asarray(vector / np.linalg.norm(vector))
 
 
+def rotation_matrix(value: Any, label: str) -> Floats:
+    """Return a rotation, (3, 3)."""
+    matrix = numbers(value, (3, 3), label)
+    if not is_rotation(matrix[None])[0]:
+        raise MechanicsError(f"{label} is none: give a matrix with orthonormal columns and determinant 1")
+    return matrix
+
+
 def is_rotation(rotation: Floats) -> np.ndarray:
     """Whether finite matrices (n, 3, 3) are rotations, (n,) bool."""
     product = rotation @ rotation.swapaxes(1, 2)

@@ -1,7 +1,7 @@
 """The builder: bodies, hinges and what acts on them, by name, of which it makes a model."""
 
 import inspect
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -23,9 +23,11 @@ from protochain.mechanisms.event import Event
 from protochain.mechanisms.hinge_friction import HingeFriction
 from protochain.mechanisms.linear_springs import Spring
 from protochain.mechanisms.loads import AppliedForce, HingeTorque
+from protochain.mechanisms.mjcf_files import read_mjcf
+from protochain.mechanisms.mjcf_text import mjcf
 from protochain.mechanisms.model import Model, model_of
 from protochain.mechanisms.motors import Motor
-from protochain.mechanisms.robot_files import mjcf, read_mjcf, read_urdf
+from protochain.mechanisms.robot_files import read_urdf
 from protochain.mechanisms.stops import Stop
 from protochain.mechanisms.torsion import Torsion
 
@@ -85,6 +87,7 @@ class Mechanism:
         self._drives: dict[str, Driven] = {}
         self._elements: dict[str, Any] = {}
         self._events: dict[str, Event] = {}
+        self._left_out: dict[str, str] = {}
 
     @classmethod
     def from_urdf(
@@ -114,7 +117,8 @@ class Mechanism:
         Returns
         -------
         Mechanism
-            To which more can be added, with damping and friction of joints.
+            To which more can be added, with damping and friction of joints. An inertia that no body has, as
+            of a dummy link, is used as it is, with an ``InertiaWarning`` that names the link.
 
         Raises
         ------
@@ -131,9 +135,10 @@ class Mechanism:
     ) -> Self:
         """Read a model from an MJCF by MuJoCo, of the extra ``robots``.
 
-        Bodies keep their frames: where a joint is not at the origin of its body, or one of several, a body
-        without mass is between. Equality constraints close loops exactly. Contacts, actuators and sensors are
-        left out.
+        Bodies keep their frames: if a joint is not at the origin of its body, or one of several, a body
+        without mass is between. Equality constraints close loops exactly. Flags, defaults and settings of the
+        compiler act as in MuJoCo. Everything else that the file has is refused by its kind, or listed in
+        :attr:`left_out`.
 
         Parameters
         ----------
@@ -142,15 +147,18 @@ class Mechanism:
         stops : float
             As of :meth:`from_urdf`.
         leave_out : collection of str
-            Kinds to go on without: ``armature``, ``tendons``, ``equality``, ``gravcomp``, ``flex``,
-            ``fluid``, ``polynomials``, ``resistance of balls``.
+            Kinds that move bodies, to go on without: ``armature``, ``tendons``, ``equality``, ``gravcomp``,
+            ``flex``, ``fluid``, ``plugins``, ``polynomials``, ``springyield``, ``resistance of balls`` (their
+            friction and limits), ``friction of free bodies``. What does nothing by itself is listed only:
+            actuators (but their armature and damping), contacts, limits without ``stops``, sensors,
+            keyframes, mocap, sleep and inactive equalities.
         units : {"rad", "deg"}
             As of the class.
 
         Returns
         -------
         Mechanism
-            With springs, dampers and friction of joints, and gravity.
+            With springs, dampers, friction and armature of joints, and gravity.
 
         Raises
         ------
@@ -163,6 +171,11 @@ class Mechanism:
 
     def to_mjcf(self, path: str | Path | None = None) -> str:
         """Write bodies, hinges, springs, torsions, constant friction, limits, balls and welds as MJCF.
+
+        MuJoCo has the same mass matrix and accelerations. A body without mass that carries one other becomes
+        a joint of that; one that carries several gets a mass and moments of 2e-15, as MuJoCo asks for 1e-15.
+        So do moments of rods and points. The largest moment of a flat body is less by 1e-15 of it at most. A
+        body whose inertia no body has is one with the bodies that are fixed to it.
 
         Parameters
         ----------
@@ -177,9 +190,18 @@ class Mechanism:
         Raises
         ------
         MechanicsError
-            If an element is of a kind that MJCF does not have.
+            If an element is of a kind that MJCF does not have, or an inertia one that MuJoCo refuses.
         """
         return mjcf(self, path)
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """What the file had that the mechanism does not have: kind -> an example's name."""
+        return dict(self._left_out)
+
+    def set_left_out(self, kinds: Mapping[str, str]) -> None:
+        """Change what :attr:`left_out` returns."""
+        self._left_out = dict(kinds)
 
     @property
     def degrees(self) -> bool:

@@ -17,6 +17,7 @@ from protochain.mechanics.motion import (
     StepTooLargeError,
 )
 from protochain.mechanics.multibody import HingeKind
+from protochain.mechanics.multibody.tree import ARMATURE
 from protochain.mechanisms.assembly import Assembly, NamedLoad, Row
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.closing import closing
@@ -160,7 +161,7 @@ def model_of(
     loads += [
         NamedLoad(name, each.load, each.dissipates, each.hinges) for name, each in acting.items() if each.load
     ]
-    held = np.any((tree.parent < 0) & (tree.kind != HingeKind.FREE))
+    held = np.any((tree.parent < 0) & ((tree.kind != HingeKind.FREE) | (tree.bodies[:, ARMATURE] > 0.0)))
     on_world = bodies.joints is not None and bool(np.any(bodies.joints.body < 0))
     model = Model(
         bodies, bodies.q, bodies.qd,

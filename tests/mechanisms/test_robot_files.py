@@ -1,16 +1,21 @@
 """Robots of URDF and MJCF: masses, frames and motion as Pinocchio and MuJoCo have them."""
 
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fixtures.mujoco_states import motion_of, without
+from fixtures.tolerances import BY_MUJOCO
 from scipy.spatial.transform import Rotation
 
-from protochain.core.errors import MechanicsError
+from protochain.core.errors import InertiaWarning, MechanicsError
 from protochain.mechanics.motion import DormandPrince
 from protochain.mechanics.multibody import forward_dynamics, pose
 from protochain.mechanisms import Mechanism
+from protochain.mechanisms.assemble import Body
+from protochain.mechanisms.hinge_friction import HingeFriction
 
 SAME = 1e-10
 """Of accelerations, relative: rounding of long chains, some thousand times."""
@@ -113,12 +118,72 @@ def test_a_urdf_moves_as_pinocchio_reads_it():
         assert np.max(np.abs(ours - wanted)) < SAME * np.max(np.abs(wanted))
 
 
+DUMMIES = {
+    "needle": ("roll", 'mass value="0.01"', "1e-9", "1e-9", "1e-3"),
+    "no mass": ("roll", 'mass value="0"', "1e-4", "1e-4", "1e-4"),
+    "negative by rounding": ("tip", 'mass value="0.1"', "-5.4e-20", "-5.4e-20", "0"),
+    "moving": ("rail", 'mass value="0.3"', "1e-3", "1e-3", "0.05"),
+}  # fmt: skip
+"""Joint, mass and moments of its child, which no body has."""
+
+
+def with_dummy(joint, mass, xx, yy, zz):
+    """The arm with a link of such an inertia fixed to the child of a joint, or in its place."""
+    inertial = f'<inertial><origin xyz="0.01 0 0.02" rpy="0.3 0 0"/><{mass}/>'
+    inertial += f'<inertia ixx="{xx}" ixy="0" ixz="0" iyy="{yy}" iyz="0" izz="{zz}"/></inertial>'
+    if joint == "rail":
+        start = URDF.index('<link name="hand">')
+        return (
+            URDF[:start]
+            + f'<link name="hand">{inertial}</link>'
+            + URDF[URDF.index('  <link name="tool"/>') :]
+        )
+    child = {"roll": "fore", "tip": "tool"}[joint]
+    more = f'<link name="dummy">{inertial}</link><joint name="to dummy" type="fixed"><parent link="{child}"/>'
+    return URDF.replace("</robot>", f'{more}<child link="dummy"/><origin xyz="0.1 0 0"/></joint></robot>')
+
+
+@pytest.mark.parametrize("case", DUMMIES)
+def test_an_inertia_that_no_body_has_is_used_as_it_is_and_named(case):
+    pin, text = pytest.importorskip("pinocchio"), with_dummy(*DUMMIES[case])
+    link = "hand" if case == "moving" else "dummy"
+    with pytest.warns(InertiaWarning, match=f'link "{link}": its inertia .* used as it is'):
+        m = Mechanism.from_urdf(text)
+    model, other = m.build(), pin.buildModelFromXML(text)
+    given = accelerations(model, 1)
+    wanted, ours = of_pinocchio(pin, other, given), np.array([each[3] for each in given.values()])
+    assert np.max(np.abs(ours - wanted)) < SAME * np.max(np.abs(wanted))
+    # As a body of its own it is refused.
+    body = next(each for each in m.parts(Body) if each.name == link)
+    alone = Mechanism()
+    alone.body("b", body.mass, inertia=body.inertia)
+    with pytest.raises(MechanicsError, match="inertia"):
+        alone.build()
+
+
+@pytest.mark.parametrize("case", DUMMIES)
+def test_what_is_fixed_to_others_goes_to_mjcf_as_one_body(case):
+    mujoco = pytest.importorskip("mujoco")
+    with pytest.warns(InertiaWarning):
+        m = Mechanism.from_urdf(with_dummy(*DUMMIES[case]))
+    m = without(m, HingeFriction)
+    if case == "moving":
+        with pytest.raises(MechanicsError, match='body "hand": MuJoCo refuses an inertia'):
+            m.to_mjcf()
+        return
+    ours, theirs = motion_of(m, mujoco.MjModel.from_xml_string(m.to_mjcf()), 2)
+    assert ours == pytest.approx(theirs, rel=BY_MUJOCO, abs=BY_MUJOCO * np.max(np.abs(theirs)))
+
+
 @pytest.mark.parametrize("path", robots() or [None], ids=lambda path: path.stem if path else "none")
 def test_public_robots_move_as_pinocchio_reads_them(path):
     if path is None:
         pytest.skip("example-robot-data is not installed")
     pin = pytest.importorskip("pinocchio")
-    model, other = Mechanism.from_urdf(path, leave_out=("mimic",)).build(), pin.buildModelFromUrdf(str(path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", InertiaWarning)
+        model = Mechanism.from_urdf(path, leave_out=("mimic",)).build()
+    other = pin.buildModelFromUrdf(str(path))
     assert np.sum(model.tree.mass) == pytest.approx(sum(each.mass for each in other.inertias))
     given = accelerations(model, 1)
     wanted, ours = of_pinocchio(pin, other, given), np.array([each[3] for each in given.values()])
@@ -284,11 +349,13 @@ def test_files_that_are_none_or_have_more_are_refused(text, said):
 
 def test_an_mjcf_with_more_is_refused_unless_it_is_left_out(tmp_path):
     pytest.importorskip("mujoco")
-    heavy = MJCF.replace('name="tilt"', 'name="tilt" armature="0.1"')
-    with pytest.raises(MechanicsError, match=r"armature.*leave_out"):
+    heavy = MJCF.replace('<body name="arm"', '<body name="arm" gravcomp="0.5"')
+    with pytest.raises(MechanicsError, match=r'gravcomp \("arm"\).*leave_out'):
         Mechanism.from_mjcf(heavy)
     file = tmp_path / "robot.xml"
     file.write_text(heavy)
-    Mechanism.from_mjcf(file, leave_out={"armature"}).build()
+    m = Mechanism.from_mjcf(file, leave_out={"gravcomp"})
+    assert m.left_out == {"gravcomp": "arm"}
+    m.build()
     with pytest.raises(MechanicsError, match="MuJoCo does not read it"):
         Mechanism.from_mjcf(MJCF.replace("slide", "glide"))

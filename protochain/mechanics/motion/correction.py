@@ -28,7 +28,7 @@ from protochain.mechanics.multibody.algebra import (
     scale,
     vector_at,
 )  # fmt: skip
-from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, V
+from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, V
 
 
 @kernel
@@ -51,7 +51,7 @@ def correct(
         if n_v == 1:
             _hinge_twists(rotation, bodies, twists, momenta, b, h, left, right, feel)
             u, y = column[b], row[b]
-            pivot, used = 0.0, 0.0
+            pivot, used = bodies[b, ARMATURE], 0.0
             for i in range(6):
                 u[i] = h * feel[i]
                 y[i] = -h * feel[i]
@@ -68,6 +68,8 @@ def correct(
                     p[i, j] -= u[i] * y[j]
                 z[i] += u[i] * x[k]
         elif n_v == 6:
+            for i in range(6):
+                p[i, i] += bodies[b, ARMATURE]
             _solve_root(p, z, twists, momenta, b, h, x[k : k + 6])
         if parent >= 0:
             _hand_inward(p, z, lever(origin, b, parent), inertia[parent], load[parent])

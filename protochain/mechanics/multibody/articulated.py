@@ -40,7 +40,7 @@ from protochain.mechanics.multibody.algebra import (
 from protochain.mechanics.multibody.kinematics import Frames
 from protochain.mechanics.multibody.massless import unresisted
 from protochain.mechanics.multibody.small import cholesky, dense_inertia, solve_lower, solve_upper
-from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, HingeKind, Q, Tree, V
+from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, HingeKind, Q, Tree, V
 
 ROUND_OFF = 1e-15
 """A pivot below this fraction of the trace of its articulated inertia is rounding error."""
@@ -58,8 +58,9 @@ class Articulated:
     # (nb, 6): Gain G = P h / D, with h the hinge's twist, about the parent's origin (of a root: its own); 0
     # where the hinge is driven.
     gain: Floats
-    pivot: Floats  # (nb,): Pivot D = h^T P h; 1 where there is no hinge, or a driven one.
-    root: Floats  # (n_free, 6, 6): Cholesky factors of P of the free roots.
+    # (nb,): Pivot D = h^T P h plus the armature; 1 where there is no hinge, or a driven one.
+    pivot: Floats
+    root: Floats  # (n_free, 6, 6): Cholesky factors of P of the free roots, plus their armature.
 
 
 def articulate(tree: Tree, frames: Frames) -> Articulated:
@@ -169,7 +170,8 @@ def factorise(
     """Factorise M; return the first body whose hinge has no pivot, or -1. ``packed``, I_b, becomes P."""
     # From the leaves inward, with h_b the twist of hinge b and X_c what moves twists from b to its child c::
     #     P_b = I_b + sum over children c of X_c^T P_c+ X_c
-    #     D_b = h_b^T P_b h_b,    G_b = P_b h_b / D_b,    P_b+ = P_b - G_b D_b G_b^T
+    #     D_b = h_b^T P_b h_b + a_b,    G_b = P_b h_b / D_b,    P_b+ = P_b - G_b D_b G_b^T
+    # An armature a_b is of the hinge alone (Featherstone 2008, section 9.6: a rotor at its gear ratio).
     # ``slow_articulated_inverse`` in tests/fixtures/slow_mechanics.py states the same in 6x6 matrices. One
     # right-hand side is carried inward as in :func:`inward_loads`, while the processor waits for the factors.
     # Inertia and gain are shifted to the parent's origin before the pivot is known, and stay in registers for
@@ -198,6 +200,8 @@ def factorise(
                 g, h = inertia_times(articulated, scale(turn, axis), scale(slide, axis))
                 d = turn * dot(axis, g) + slide * dot(axis, h)
                 whole = turn * turn * (i[0] + i[3] + i[5]) + slide * slide * (m[0] + m[3] + m[5])
+            if bodies[b, ARMATURE] > 0.0:
+                d += bodies[b, ARMATURE]
             if not d > ROUND_OFF * whole:
                 return b
             pivot[b] = d
@@ -211,6 +215,8 @@ def factorise(
             # A free root has one coordinate more than freedoms, so this difference counts the free roots.
             factor = root[links[b, Q] - k]
             dense_inertia(packed[b], factor)
+            for i in range(6):
+                factor[i, i] += bodies[b, ARMATURE]
             if not cholesky(factor, 6):
                 return b
             take_off(moment, force, x, k)

@@ -22,7 +22,7 @@ from protochain.mechanics.multibody.algebra import (
     shifted_inertia,
 )  # fmt: skip
 from protochain.mechanics.multibody.kinematics import Frames
-from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
+from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, Tree, V
 
 
 def mass_matrix(tree: Tree, frames: Frames) -> Floats:
@@ -68,6 +68,7 @@ def _composite(
             omega, u = freedom(hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE], n_v, j)
             moment, force = inertia_times(composite, omega, u)
             _project(links, bodies, rotation, b, moment, force, k, out)
+            out[k, k] += bodies[b, ARMATURE]
             at, above = b, p
             while above >= 0:
                 moment = add(moment, cross(lever(origin, at, above), force))

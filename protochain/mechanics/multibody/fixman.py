@@ -6,6 +6,9 @@ With W = M0^-1 the bodies' inverse inertias, A = E_s W E_s^T, B = E_s W E_h^T an
 
     M^-1 = A - B H^-1 B^T,    ln det M = sum of ln det M_b + ln det H.
 
+A rotor of armature a makes the soft row of its hinge one more row of H, whose diagonal it adds 1/a to: its
+torque is -a times the acceleration of that row. ln det M has ln a besides.
+
 Two hinges couple in H only through a common body. Eliminating a hinge therefore changes only its parent
 body's W, whatever the number of its siblings: no fill-in, O(n).
 """
@@ -13,6 +16,7 @@ body's W, whatever the number of its siblings: no fill-in, O(n).
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, floats, frozen, read_only
 from protochain.core.errors import BodyError, Fault, MechanicsError
@@ -32,7 +36,7 @@ from protochain.mechanics.multibody.algebra import (
 from protochain.mechanics.multibody.kinematics import Frames
 from protochain.mechanics.multibody.newton_euler import multiply_mass
 from protochain.mechanics.multibody.small import cholesky, solve_lower, solve_upper
-from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
+from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, HingeKind, Tree, V
 
 EPS = float(np.finfo(float).eps)
 TOO_THIN = 1e-10
@@ -54,7 +58,7 @@ class Eliminated:
     factor: Floats  # (nb, 6, 6): Cholesky factor of each hinge's block of H at its elimination.
     # (nb, 6, 6): Inverse of that block times the block that couples the hinge to its parent body.
     gain: Floats
-    n_hard: Integers  # (nb,) int: Number of directions locked by each hinge; all six by a driven one.
+    n_hard: Integers  # (nb,) int: Rows of each hinge: locked directions; six with a rotor, or driven.
 
 
 def eliminate(tree: Tree, frames: Frames) -> Eliminated:
@@ -71,14 +75,27 @@ def eliminate(tree: Tree, frames: Frames) -> Eliminated:
         )
     inverse = _inverse_inertias(tree, frames)
     factor, gain, n_hard = np.empty((n, 6, 6)), np.empty((n, 6, 6)), 6 - np.diff(tree.locked_links[:, V])
+    rotors, soft = _rotors(tree), np.zeros(n)
+    n_hard[rotors] = 6
+    soft[rotors] = 1.0 / tree.bodies[rotors, ARMATURE]
     failed = _eliminate(
-        tree.links, n_hard, tree.bodies, frames.rotation, frames.origin, inverse.copy(), factor, gain
+        tree.links, n_hard, soft, tree.bodies, frames.rotation, frames.origin, inverse.copy(), factor, gain
     )
     if failed >= 0:
         raise BodyError(failed, "its hinge's block of H is singular to round-off")
     return Eliminated(
         tree, frames, frozen(inverse), frozen(factor), frozen(gain), read_only(n_hard, np.int64)
     )
+
+
+def _rotors(tree: Tree) -> NDArray[np.bool_]:
+    """(nb,) bool: hinges of one freedom with armature that are not driven."""
+    return (tree.bodies[:, ARMATURE] > 0.0) & (np.diff(tree.locked_links[:, V]) == 1)
+
+
+def _heavier(tree: Tree) -> NDArray[np.bool_]:
+    """(nb,) bool: free roots with armature, which is part of their inertia."""
+    return (tree.bodies[:, ARMATURE] > 0.0) & (tree.kind == HingeKind.FREE)
 
 
 def respond(factors: Eliminated, wrench: Floats) -> Floats:
@@ -155,10 +172,14 @@ def log_det(factors: Eliminated) -> float:
     """Logarithm of det M: sum of ln det M_b plus ln det H, of factors with which equations are solved."""
     tree = factors.tree
     solve(factors, tree.units)
-    bodies = 3.0 * np.sum(np.log(tree.mass)) + np.sum(np.linalg.slogdet(tree.inertia)[1])
+    bodies = 3.0 * np.log(tree.mass) + np.linalg.slogdet(tree.inertia)[1]
+    heavier = _heavier(tree)
+    bodies[heavier] = -np.linalg.slogdet(factors.inverse_inertia[heavier])[1]
+    rotors = np.log(tree.bodies[_rotors(tree), ARMATURE])
     pivots = np.diagonal(factors.factor, axis1=1, axis2=2)
     used = np.arange(6) < factors.n_hard[:, None]
-    return float(bodies + 2.0 * np.sum(np.log(pivots, where=used, out=np.zeros_like(pivots))))
+    logs = np.log(pivots, where=used, out=np.zeros_like(pivots))
+    return float(np.sum(bodies) + np.sum(rotors) + 2.0 * np.sum(logs))
 
 
 def _inverse_inertias(tree: Tree, frames: Frames) -> Floats:
@@ -171,28 +192,30 @@ def _inverse_inertias(tree: Tree, frames: Frames) -> Floats:
     out[:, 3:, :3] = c @ inverse
     out[:, :3, 3:] = out[:, 3:, :3].swapaxes(1, 2)
     out[:, 3:, 3:] = np.eye(3) / tree.mass[:, None, None] - c @ inverse @ c
+    heavier = _heavier(tree)
+    rotors = tree.bodies[heavier, ARMATURE, None, None] * np.eye(6)
+    out[heavier] = np.linalg.inv(np.linalg.inv(out[heavier]) + rotors)
     return out
 
 
 @kernel
-def _hard_rows(rotation: Floats, bodies: Floats, b: int, n_hard: int, rows: Floats) -> None:
+def _hard_rows(rotation: Floats, bodies: Floats, b: int, rows: Floats) -> None:
     """Write an orthogonal basis of the hinge's locked directions, of determinant one with its soft row."""
-    # The soft row is rotation about z, or translation along z if the hinge does not turn. A screw locks
-    # translation other than by its pitch.
+    # The soft row is rotation about z, or translation along z if the hinge does not turn: the sixth row. A
+    # screw locks translation other than by its pitch.
     rows[:] = 0.0
     for i in range(3):
         rows[0, i] = rotation[b, i, 0]
         rows[1, i] = rotation[b, i, 1]
         rows[2, 3 + i] = rotation[b, i, 0]
         rows[3, 3 + i] = rotation[b, i, 1]
-        if n_hard == 6:
-            rows[4, i] = rotation[b, i, 2]
-            rows[5, 3 + i] = rotation[b, i, 2]
-        elif bodies[b, TURN] != 0.0:
+        if bodies[b, TURN] != 0.0:
             rows[4, i] = -bodies[b, SLIDE] * rotation[b, i, 2]
             rows[4, 3 + i] = rotation[b, i, 2]
+            rows[5, i] = rotation[b, i, 2]
         else:
             rows[4, i] = rotation[b, i, 2]
+            rows[5, 3 + i] = rotation[b, i, 2]
 
 
 @kernel
@@ -206,14 +229,14 @@ def _carry(arm: Vector, inverse: Floats, out: Floats) -> None:
 
 @kernel
 def _eliminate(
-    links: Integers, n_hard: Integers, bodies: Floats, rotation: Floats, origin: Floats, inverse: Floats,
-    factor: Floats, gain: Floats,
+    links: Integers, n_hard: Integers, soft: Floats, bodies: Floats, rotation: Floats, origin: Floats,
+    inverse: Floats, factor: Floats, gain: Floats,
 ) -> int:  # fmt: skip
     """Return the first body whose block fails, or -1. Overwrite ``inverse``."""
     rows, carried, relative = np.empty((6, 6)), np.zeros((6, 6)), np.empty((6, 6))
     for b in range(len(bodies) - 1, -1, -1):
         p, m = links[b, PARENT], n_hard[b]
-        _hard_rows(rotation, bodies, b, m, rows)
+        _hard_rows(rotation, bodies, b, rows)
         relative[:] = inverse[b]
         if p >= 0:
             arm = lever(origin, b, p)
@@ -231,6 +254,7 @@ def _eliminate(
                 for k in range(6):
                     for n in range(6):
                         factor[b, i, j] += rows[i, k] * relative[k, n] * rows[j, n]
+        factor[b, 5, 5] += soft[b]
         if not cholesky(factor[b], m):
             return b
         if p >= 0:
@@ -256,7 +280,7 @@ def _respond(
         twists[b] = inverse[b] @ impulse[b]
     for b in range(n - 1, -1, -1):
         p, m = links[b, PARENT], n_hard[b]
-        _hard_rows(rotation, bodies, b, m, rows)
+        _hard_rows(rotation, bodies, b, rows)
         omega, u = pair(twists, b)
         relative = twists[b].copy()
         if p >= 0:
@@ -275,7 +299,7 @@ def _respond(
     for b in range(n):
         # Reactions found so far act on the parent after this hinge's elimination: subtract their share.
         p, m = links[b, PARENT], n_hard[b]
-        _hard_rows(rotation, bodies, b, m, rows)
+        _hard_rows(rotation, bodies, b, rows)
         locked = -reaction[b, :m]
         if p >= 0:
             locked += gain[b, :m] @ later[p]

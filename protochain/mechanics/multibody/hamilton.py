@@ -16,7 +16,7 @@ from protochain.mechanics.multibody.algebra import (
 )
 from protochain.mechanics.multibody.kinematics import Frames, outward_twists
 from protochain.mechanics.multibody.newton_euler import body_momenta
-from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
+from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, Tree, V
 
 
 def momenta(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
@@ -44,6 +44,9 @@ def put_momenta(
     outward_twists(links, bodies, rotation, origin, qd, twists)
     body_momenta(bodies, rotation, twists, carried)
     _inward_products(links, bodies, rotation, origin, twists, carried, p, gradient)
+    for b in range(len(bodies)):
+        for k in range(links[b, V], links[b + 1, V]):
+            p[k] += bodies[b, ARMATURE] * qd[k]
 
 
 def turning_gradient(tree: Tree, frames: Frames, twists: Floats, loads: Floats) -> Floats:

@@ -23,6 +23,7 @@ from protochain.mechanics.multibody.algebra import (
     vector_at,
 )  # fmt: skip
 from protochain.mechanics.multibody.kinematics import Frames, pose, pull_back, velocities
+from protochain.mechanics.multibody.rotations import velocity_rates
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
 
 Motion = tuple[Vector, Vector, Vector]
@@ -64,7 +65,12 @@ def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Flo
     loads = inertial_loads(tree, frames, qd, qdd)
     if wrench is not None:
         loads -= floats(wrench, (tree.n_bodies, 6), "wrench")
-    return pull_back(tree, frames, loads)
+    return pull_back(tree, frames, loads) + rotor_torques(tree, qd, qdd)
+
+
+def rotor_torques(tree: Tree, qd: Floats, qdd: Floats) -> Floats:
+    """Torques (n_v,) that accelerate the rotors: armature times the rates at which velocities change."""
+    return tree.rotors * velocity_rates(tree, floats(qd, (tree.n_v,), "qd"), floats(qdd, (tree.n_v,), "qdd"))
 
 
 def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
@@ -92,7 +98,7 @@ def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
     >>> bool(np.allclose(multibody.multiply_mass(tree, frames, x), multibody.mass_matrix(tree, frames) @ x))
     True
     """
-    return pull_back(tree, frames, inertial_loads(tree, frames, np.zeros(tree.n_v), x))
+    return pull_back(tree, frames, inertial_loads(tree, frames, np.zeros(tree.n_v), x)) + tree.rotors * x
 
 
 def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = None) -> Floats:
@@ -110,7 +116,7 @@ def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = 
 
 
 def kinetic_energy(tree: Tree, frames: Frames, qd: Floats) -> float:
-    """Kinetic energy of the bodies, from their twists.
+    """Kinetic energy of the bodies, from their twists, and of the rotors.
 
     Parameters
     ----------
@@ -136,7 +142,8 @@ def kinetic_energy(tree: Tree, frames: Frames, qd: Floats) -> float:
     True
     """
     twists = velocities(tree, frames, qd)
-    return 0.5 * float(np.vdot(twists, momenta_of_bodies(tree, frames, twists)))
+    bodies = float(np.vdot(twists, momenta_of_bodies(tree, frames, twists)))
+    return 0.5 * bodies + 0.5 * float(np.dot(tree.rotors, np.square(qd)))
 
 
 def momentum(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:

@@ -12,7 +12,7 @@ from protochain.core.errors import BodyError, Fault, MechanicsError
 
 PARENT, Q, V = range(3)
 """Columns of :attr:`Tree.links`."""
-OFFSET, AXES, MASS, FIRST_MOMENT, SECOND_MOMENTS, TURN, SLIDE = 0, 3, 12, 13, 16, 22, 23
+OFFSET, AXES, MASS, FIRST_MOMENT, SECOND_MOMENTS, TURN, SLIDE, ARMATURE = 0, 3, 12, 13, 16, 22, 23, 24
 """First columns of these in :attr:`Tree.bodies`. One array, since a call pays for every array argument."""
 NO_INERTIA = 1e-12
 """Moment of inertia about an axis, relative to the sum of all three, below which it is rounding error."""
@@ -70,6 +70,12 @@ class Tree(Value):
     driven : (nb,) bool, optional
         Hinges of one freedom whose motion is prescribed: solutions with M leave their freedoms out, and
         :func:`~protochain.mechanics.multibody.forward_dynamics` is told their accelerations. None by default.
+    armature : (nb,) float, amu nm^2 (amu for slides), optional
+        Inertia of the rotor of a motor, added to the diagonal of M at every freedom of the hinge.
+        It has no weight and no momentum. Zeros by default.
+    nominal : (nb,) bool, optional
+        Bodies whose inertia is used as it is, though no distribution of mass has it, as those of dummy links
+        in files of robots. None by default.
 
     Raises
     ------
@@ -87,15 +93,18 @@ class Tree(Value):
     inertia: Floats
     pitch: Floats | None = None
     driven: NDArray[np.bool_] | None = None
+    armature: Floats | None = None
+    nominal: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.parent)
-        if self.pitch is None:
-            object.__setattr__(self, "pitch", np.zeros(n))
+        for name in ("pitch", "armature"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros(n))
         for name, dtype, shape in (
             ("parent", np.int64, (n,)), ("kind", np.int64, (n,)), ("offset", float, (n, 3)),
             ("placement", float, (n, 3, 3)), ("mass", float, (n,)), ("com", float, (n, 3)),
-            ("inertia", float, (n, 3, 3)), ("pitch", float, (n,)),
+            ("inertia", float, (n, 3, 3)), ("pitch", float, (n,)), ("armature", float, (n,)),
         ):  # fmt: skip
             array = read_only(getattr(self, name), dtype)
             if array.shape != shape:
@@ -137,6 +146,12 @@ class Tree(Value):
     def is_plain(self) -> bool:
         """Whether no hinge is driven and every body has mass."""
         return self.driven is None and len(self.massless) == 0
+
+    @cached_property
+    def rotors(self) -> Floats:
+        """(n_v,) float: armature of each freedom."""
+        assert self.armature is not None
+        return read_only(np.repeat(self.armature, np.diff(self.v_start)))
 
     @cached_property
     def balls(self) -> Integers:
@@ -201,9 +216,10 @@ class Tree(Value):
 
     @cached_property
     def bodies(self) -> Floats:
-        """(nb, 24) float: offset, columns of placement, rigid, twist, as read by the sweeps."""
+        """(nb, 25) float: offset, columns of placement, rigid, twist, armature, as read by the sweeps."""
+        assert self.armature is not None
         axes = self.placement.swapaxes(1, 2).reshape(self.n_bodies, 9)
-        return read_only(np.column_stack([self.offset, axes, self.rigid, self.twist]))
+        return read_only(np.column_stack([self.offset, axes, self.rigid, self.twist, self.armature]))
 
     @cached_property
     def size(self) -> float:
@@ -212,7 +228,7 @@ class Tree(Value):
         It makes tolerances independent of the unit of length.
         """
         mass = np.where(self.mass > 0.0, self.mass, 1.0)
-        gyration = np.sqrt(np.trace(self.inertia, axis1=1, axis2=2) / mass)
+        gyration = np.sqrt(np.maximum(np.trace(self.inertia, axis1=1, axis2=2), 0.0) / mass)
         arms = np.linalg.norm(np.concatenate([self.offset[self.parent >= 0], self.com]), axis=1)
         size = max(np.max(gyration, initial=0.0), np.max(arms, initial=0.0))
         return float(size) if size > 0.0 else 1.0
@@ -344,19 +360,20 @@ def _check_inertia(tree: Tree) -> None:
     if np.any(tree.mass < 0):
         b = _first(tree.mass < 0)
         raise BodyError(b, f"its mass {tree.mass[b]:g} must not be negative")
-    ghost = (tree.mass == 0) & np.any(tree.inertia != 0.0, axis=(1, 2))
+    nominal = np.zeros(tree.n_bodies, dtype=bool) if tree.nominal is None else tree.nominal
+    ghost = (tree.mass == 0) & np.any(tree.inertia != 0.0, axis=(1, 2)) & ~nominal
     if np.any(ghost):
         raise BodyError(_first(ghost), "it has inertia but no mass")
-    size = np.trace(tree.inertia, axis1=1, axis2=2)
-    skew = np.any(
-        np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)) > 1e-9 * size[:, None, None], axis=(1, 2)
-    )
-    moments = np.linalg.eigvalsh(tree.inertia)
-    # No distribution of mass has a moment that exceeds the sum of the other two.
-    wrong = skew | (moments[:, 2] - moments[:, 1] - moments[:, 0] > 1e-9 * size) | (moments[:, 2] < 0)
+    turned = np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)).max(axis=(1, 2), initial=0.0)
+    skew = turned > 1e-9 * np.abs(tree.inertia).max(axis=(1, 2), initial=0.0)
+    wrong = skew | ~(is_inertia(tree.inertia) | nominal)
     if np.any(wrong):
         raise BodyError(_first(wrong), "its inertia is not that of any rigid body")
-    moves = (np.diff(tree.v_start) > 0) & ~tree._is_driven
+    assert tree.armature is not None
+    if np.any(tree.armature < 0):
+        b = _first(tree.armature < 0)
+        raise BodyError(b, f"its armature {tree.armature[b]:g} must not be negative")
+    moves = (np.diff(tree.v_start) > 0) & ~tree._is_driven & (tree.armature == 0.0)
     idle = moves & _carries_nothing(tree)
     if np.any(idle):
         raise BodyError(
@@ -374,9 +391,17 @@ def _check_inertia(tree: Tree) -> None:
         )
 
 
+def is_inertia(tensor: Floats) -> NDArray[np.bool_]:
+    """Whether distributions of mass have these symmetric tensors (n, 3, 3) about their centres: (n,) bool."""
+    moments = np.linalg.eigvalsh(tensor)
+    # No moment exceeds the sum of the other two.
+    most = 1e-9 * np.sum(moments, axis=1)
+    return (moments[:, 2] - moments[:, 1] - moments[:, 0] <= most) & (moments[:, 2] >= 0.0)
+
+
 def _carries_nothing(tree: Tree) -> np.ndarray:
     """(nb,) bool: bodies without mass, with nothing but such bodies beyond them."""
-    empty = tree.mass == 0.0
+    empty = (tree.mass == 0.0) & ~np.any(tree.inertia, axis=(1, 2))
     if np.any(empty):
         for b in range(tree.n_bodies - 1, -1, -1):
             if tree.parent[b] >= 0:

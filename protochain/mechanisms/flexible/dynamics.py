@@ -48,7 +48,7 @@ def mass_matrix(flexible: Flexible, bent: Bent) -> Blocks:
     inertia = bent.rotation @ flexible.sections.inertia @ bent.rotation.swapaxes(1, 2)
     moved = np.concatenate([inertia @ j[:, :3], mass[:, None, None] * j[:, 3:]], axis=1)
     m = j.reshape(-1, flexible.n_v).T @ moved.reshape(-1, flexible.n_v)
-    return Blocks(m[:r, :r], m[:r, r:], m[r:, r:])
+    return Blocks(m[:r, :r] + np.diag(flexible.tree.rotors), m[:r, r:], m[r:, r:])
 
 
 def pull_back(flexible: Flexible, bent: Bent, wrench: Floats) -> Floats:
@@ -99,7 +99,7 @@ def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
     bent = bend(flexible, q)
     twists, changes = _twists(flexible, bent, q, qd)
     felt = _momenta_of_nodes(flexible, bent, twists)
-    p, gradient = _pulled(flexible, bent, felt), np.empty(flexible.n_v)
+    p, gradient = _pulled(flexible, bent, felt) + flexible.rotors * qd, np.empty(flexible.n_v)
     put_gradient(
         flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, twists, changes, felt,
         gradient,
@@ -109,7 +109,8 @@ def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
 
 def multiply_mass(flexible: Flexible, bent: Bent, x: Floats) -> Floats:
     """Product M x (n_v,) without forming M. O(n)."""
-    return _pulled(flexible, bent, _momenta_of_nodes(flexible, bent, velocities(flexible, bent, x)))
+    felt = _momenta_of_nodes(flexible, bent, velocities(flexible, bent, x))
+    return _pulled(flexible, bent, felt) + flexible.rotors * x
 
 
 def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
@@ -149,4 +150,4 @@ def _torques(
     )  # fmt: skip
     if wrench is not None:
         loads -= floats(wrench, loads.shape, "wrench")
-    return _pulled(flexible, bent, loads)
+    return _pulled(flexible, bent, loads) + flexible.rotors * qdd

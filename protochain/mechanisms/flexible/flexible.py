@@ -141,10 +141,15 @@ class Flexible(Value):
 
     @cached_property
     def seats(self) -> Floats:
-        """(nb, 24) float: :attr:`Tree.bodies`, with offsets from the sections that carry the bodies."""
+        """(nb, 25) float: :attr:`Tree.bodies`, with offsets from the sections that carry the bodies."""
         seats, carrier = self.tree.bodies.copy(), self.links[:-1, 0]
         seats[:, :3] -= np.where(carrier[:, None] >= 0, self.sections.place[carrier], 0.0)
         return read_only(seats)
+
+    @cached_property
+    def rotors(self) -> Floats:
+        """(n_v,) float: armature of each freedom; amplitudes have none."""
+        return read_only(np.pad(self.tree.rotors, (0, self.n_v - self.tree.n_v)))
 
     @cached_property
     def arrays(self) -> tuple[Floats, ...]:

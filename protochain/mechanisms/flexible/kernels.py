@@ -27,7 +27,7 @@ from protochain.mechanics.multibody.algebra import (
 )  # fmt: skip
 from protochain.mechanics.multibody.kinematics import WORLD, moved_freely, seat, turned_by_hinge
 from protochain.mechanics.multibody.rotations import tangent, turn_by
-from protochain.mechanics.multibody.tree import SLIDE, TURN, Q, V
+from protochain.mechanics.multibody.tree import ARMATURE, SLIDE, TURN, Q, V
 from protochain.mechanisms.flexible.algebra import (
     CARRIER,
     LOCKED,
@@ -249,6 +249,7 @@ def solve_bent(
         if n_v == 6:
             for m in range(6):
                 whole[n_shapes + m, size] += x[k + m]
+                whole[n_shapes + m, n_shapes + m] += seats[b, ARMATURE]
             if not _eliminate(whole, n_shapes, size, size):
                 return b
             for r in range(6):
@@ -260,7 +261,7 @@ def solve_bent(
             turn, slide = freedom(hinge_axis(rotation, frame), seats[b, TURN], seats[b, SLIDE], 1, 0)
             h[0], h[1], h[2] = turn
             h[3], h[4], h[5] = slide
-            if not _pass_hinge(p, h, x[k], gains[b]):
+            if not _pass_hinge(p, h, seats[b, ARMATURE], x[k], gains[b]):
                 return b
         if c >= 0:
             weighs[c] = True
@@ -368,9 +369,9 @@ def _eliminate(a: Floats, first: int, end: int, size: int) -> bool:
 
 
 @kernel
-def _pass_hinge(p: Floats, h: Floats, tau: float, gain: Floats) -> bool:
+def _pass_hinge(p: Floats, h: Floats, armature: float, tau: float, gain: Floats) -> bool:
     """Overwrite P, and its last column -z, by what is left past a hinge h; write P h / D and its rate."""
-    pivot, passed, whole = 0.0, 0.0, 0.0
+    pivot, passed, whole = armature, 0.0, 0.0
     for r in range(6):
         gain[r] = 0.0
         for m in range(6):

@@ -1,0 +1,307 @@
+"""Mechanisms as MJCF, such that MuJoCo moves them as they move here.
+
+Mechanisms, which stand on this, are Any here.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from protochain.core.arrays import Floats
+from protochain.core.errors import MechanicsError
+from protochain.core.storage import write_text
+from protochain.mechanics.multibody.tree import is_inertia
+from protochain.mechanisms.assemble import Body, Hinge, quaternion
+from protochain.mechanisms.bodies import WORLD
+from protochain.mechanisms.bushing import Bushing
+from protochain.mechanisms.closing import Closing
+from protochain.mechanisms.elements import Between, Named
+from protochain.mechanisms.hinge_friction import HingeFriction
+from protochain.mechanisms.linear_springs import Spring
+from protochain.mechanisms.stops import Stop
+from protochain.mechanisms.torsion import Torsion
+
+_JOINTS = {"revolute": "hinge", "prismatic": "slide", "ball": "ball"}
+_LOOPS = {"spherical": "connect", "rigid": "weld"}
+_LEAST = 2e-15
+"""Mass and moments of inertia that a moving body has in MJCF at least: twice what MuJoCo asks for."""
+_SAME = 1e-12
+"""Difference of directions and places that is rounding."""
+
+
+def mjcf(of: Any, path: str | Path | None) -> str:
+    """MJCF of a mechanism; see :meth:`Mechanism.to_mjcf`."""
+    root = _Writing(of).root
+    ElementTree.indent(root)
+    text = ElementTree.tostring(root, encoding="unicode")
+    if path is not None:
+        write_text(Path(path), text)
+    return text
+
+
+class _Placed(NamedTuple):
+    """A hinge of a body, as seen from the body that carries its chain of hinges."""
+
+    hinge: Hinge
+    at: Floats  # (3,): Place of the hinge.
+    axis: Floats  # (3,): Its axis.
+    turn: Floats  # (3, 3): Axes of its child, as columns.
+
+
+class _Writing:
+    """A mechanism on its way into MJCF."""
+
+    def __init__(self, of: Any) -> None:
+        self.of, self.bodies, self.root = of, of.build().bodies, Element("mujoco")
+        SubElement(
+            self.root, "compiler", angle="radian", autolimits="true", balanceinertia="false", eulerseq="XYZ"
+        )
+        SubElement(self.root, "option", gravity=_text(self.bodies.gravity), integrator="RK4")
+        self.elements = {WORLD: SubElement(self.root, "worldbody")}
+        self.joints: dict[str, Element] = {}  # Of hinges, and of free bodies, by name.
+        self.inward = {hinge.child: hinge for hinge in of.parts(Hinge)}
+        given = _fused({body.name: body for body in of.parts(Body)}, self.inward)
+        carriers = self.carriers(given)
+        for name in self.bodies.names:
+            if name in given and name not in carriers:
+                self.write_body(given[name], carriers)
+        self.write_the_rest()
+
+    def carriers(self, given: dict[str, Body]) -> set[str]:
+        """Bodies without mass that carry one other: bodies of MJCF have several joints instead."""
+        children = [hinge.parent for hinge in self.of.parts(Hinge)]
+        joined = (each for each in self.of.parts(Between) if not self.is_ball(each))
+        ends = {end for each in joined for end, _ in (each.a, each.b)}
+        found = {
+            name
+            for name, body in given.items()
+            if body.mass == 0.0 and not np.any(body.inertia) and children.count(name) == 1
+            and name not in ends and name in self.inward
+        }  # fmt: skip
+        # The coordinates of a ball are along the axes of its child, which the last body has to share.
+        for name in self.bodies.names:
+            if name in given and name not in found:
+                chain = self.chain(name, found)
+                for each in chain[:-1]:
+                    if each.hinge.kind == "ball" and not np.allclose(each.turn, chain[-1].turn, atol=_SAME):
+                        found.discard(each.hinge.child)
+        return found
+
+    def is_ball(self, of: Between) -> bool:
+        """Whether an element is a bushing at a ball."""
+        hinge = self.inward.get(of.a[0]) if isinstance(of, Bushing) else None
+        return hinge is not None and hinge.kind == "ball" and hinge.parent == of.b[0]
+
+    def chain(self, name: str, carriers: set[str]) -> list[_Placed]:
+        """Hinges from the next body inward that has an element, at q = 0."""
+        hinges = [self.inward[name]] if name in self.inward else []
+        while hinges and hinges[0].parent in carriers:
+            hinges.insert(0, self.inward[hinges[0].parent])
+        at, turn = np.zeros(3), np.eye(3)
+        out: list[_Placed] = []
+        for hinge in hinges:
+            at, axis, turn = at + turn @ hinge.at, turn @ hinge.axis, turn @ hinge.rotation
+            out.append(_Placed(hinge, at, axis, turn))
+        return out
+
+    def write_body(self, body: Body, carriers: set[str]) -> None:
+        """Write a body with its joints."""
+        chain, moves = self.chain(body.name, carriers), False
+        parent = chain[0].hinge.parent if chain else WORLD
+        at, turn = self.bodies.built.point(body.name), body.rotation
+        if chain:
+            at, turn = chain[-1].at, chain[-1].turn
+        turn = np.eye(3) if turn is None else turn
+        element = self.elements[body.name] = SubElement(
+            self.elements[parent], "body", name=body.name, pos=_text(at), quat=_text(quaternion(turn))
+        )
+        if not chain:
+            self.write_joint(element, body.name, "free", body.armature)
+        for hinge, place, axis, _ in chain:
+            if hinge.kind == "fixed":
+                continue
+            if hinge.kind not in _JOINTS:
+                raise MechanicsError(f"{hinge.label}: MJCF has no {hinge.kind}; leave it out")
+            moves = True
+            joint = self.write_joint(element, hinge.name, _JOINTS[hinge.kind], hinge.armature)
+            if place is not at:
+                joint.set("pos", _text(turn.T @ (place - at)))
+            if hinge.kind != "ball":
+                joint.set("axis", _text(turn.T @ axis))
+        _weigh(element, body, moves or not chain)
+
+    def write_joint(self, body: Element, name: str, kind: str, armature: float) -> Element:
+        """Write a joint of a body."""
+        joint = self.joints[name] = SubElement(body, "joint", name=name, type=kind)
+        if armature:
+            joint.set("armature", _text(armature))
+        return joint
+
+    def write_the_rest(self) -> None:
+        """Write what acts, and what closes loops."""
+        writers: dict[type, Callable[[Any], None]] = {
+            Torsion: self.write_torsion, HingeFriction: self.write_friction, Stop: self.write_stop,
+            Spring: self.write_spring, Closing: self.write_closing, Bushing: self.write_bushing,
+        }  # fmt: skip
+        for each in self.of.parts(Named):
+            if isinstance(each, Body | Hinge):
+                continue
+            if type(each) not in writers:
+                raise MechanicsError(f"{each.label}: MJCF does not have it; leave it out")
+            writers[type(each)](each)
+
+    def set_of(self, label: str, joint: str, **values: float) -> None:
+        """Set what an element gives to its joint, which nothing else may have set."""
+        for key, value in values.items():
+            if value and self.joints[joint].get(key) is not None:
+                raise MechanicsError(
+                    f'{label}: hinge "{joint}" has a {key} already; join them in one element'
+                )
+            if value:
+                self.joints[joint].set(key, _text(value))
+
+    def write_torsion(self, of: Torsion) -> None:
+        """Write a spring, a damper, or both."""
+        built = float(self.bodies.q[self.bodies.freedom(of.hinge)[0]])
+        rest = built if of.rest is None else float(of.rest * self.bodies.unit(of.hinge))
+        rest = rest if of.stiffness else 0.0
+        self.set_of(of.label, of.hinge, stiffness=of.stiffness, damping=of.damping, springref=rest)
+
+    def write_friction(self, of: HingeFriction) -> None:
+        """Write a constant friction."""
+        if of.coefficient or of.damping:
+            raise MechanicsError(
+                f"{of.label}: MJCF has constant friction only; give its damping to a torsion"
+            )
+        self.set_of(of.label, of.hinge, frictionloss=of.torque)
+
+    def write_stop(self, of: Stop) -> None:
+        """Write limits."""
+        limits = np.array([of.low, of.high]) * self.bodies.unit(of.hinge)
+        self.joints[of.hinge].set("range", _text(limits))
+
+    def write_site(self, name: str, body: str, at: Floats, turn: Floats) -> str:
+        """Write a point of a body, with axes as columns; return its name."""
+        SubElement(self.elements[body], "site", name=name, pos=_text(at), quat=_text(quaternion(turn)))
+        return name
+
+    def write_spring(self, of: Spring) -> None:
+        """Write a spring between two points, as a tendon."""
+        ends = of.a, of.b
+        built = np.linalg.norm(self.bodies.built.point(*of.a) - self.bodies.built.point(*of.b))
+        rest = built if of.rest is None else of.rest
+        held = {"stiffness": of.stiffness, "damping": of.damping, "springlength": rest}
+        line = SubElement(
+            self.group("tendon"), "spatial", {"name": of.name, **{key: _text(x) for key, x in held.items()}}
+        )
+        for end, (body, at) in zip("ab", ends, strict=True):
+            SubElement(line, "site", site=self.write_site(f"{of.name}: {end}", body, at, np.eye(3)))
+
+    def write_closing(self, of: Closing) -> None:
+        """Close a loop between sites: so it is as it is here, wherever MuJoCo's coordinates begin."""
+        if of.kind not in _LOOPS:
+            raise MechanicsError(
+                f"{of.label}: MJCF closes loops by balls and welds, not as {of.kind}; give another"
+            )
+        turn = np.eye(3)
+        if of.kind == "rigid":
+            built = self.bodies.built.rotation(of.a[0]).T @ self.bodies.built.rotation(of.b[0])
+            turn = built if of.rotation is None else of.rotation
+        sites = {
+            f"site{k + 1}": self.write_site(f"{of.name}: {'ab'[k]}", *end, axes)
+            for k, (end, axes) in enumerate(((of.a, turn), (of.b, np.eye(3))))
+        }
+        SubElement(self.group("equality"), _LOOPS[of.kind], name=of.name, **sites)
+
+    def write_bushing(self, of: Bushing) -> None:
+        """Write spring and damper of a ball, or of a free body."""
+        (a, at), (b, there) = of.a, of.b
+        hinge, free = self.inward.get(a), a not in self.inward and b == WORLD
+        fits, alike = (free or self.is_ball(of)) and not np.any(at), np.repeat([1.0, float(free)], 3)
+        if fits:
+            place, turn = self.bodies.built.point(a), self.bodies.built.rotation(a)
+            if hinge is not None:
+                place, turn = hinge.at, hinge.rotation
+            rest = turn.T if of.rotation is None else of.rotation
+            fits = np.allclose(there, place, atol=_SAME) and np.allclose(rest, turn.T, atol=_SAME)
+        if not (fits and all(np.array_equal(c, c[0] * alike) for c in (of.stiffness, of.damping))):
+            raise MechanicsError(
+                f"{of.label}: MJCF has bushings only of balls and free bodies, equal in all directions and "
+                "at rest as built; leave it out"
+            )
+        joint: str = a if hinge is None else hinge.name
+        self.set_of(of.label, joint, stiffness=float(of.stiffness[0]), damping=float(of.damping[0]))
+
+    def group(self, tag: str) -> Element:
+        """Element of the root for tendons, or for equalities."""
+        found = self.root.find(tag)
+        return SubElement(self.root, tag) if found is None else found
+
+
+def _fused(given: dict[str, Body], inward: dict[str, Hinge]) -> dict[str, Body]:
+    """Bodies of which those with an inertia that no body has are one with what they are fixed to."""
+    out = dict(given)
+    for body in given.values():
+        if not out[body.name].nominal:
+            continue
+        first = body.name
+        while first in inward and inward[first].kind == "fixed" and inward[first].parent != WORLD:
+            first = inward[first].parent
+        # All bodies that are fixed to the first one, with their places in it.
+        group: list[tuple[Body, Floats, Floats]] = []
+        waiting = [(first, np.zeros(3), np.eye(3))]
+        while waiting:
+            name, at, turn = waiting.pop()
+            group.append((out[name], at, turn))
+            waiting += [
+                (hinge.child, at + turn @ hinge.at, turn @ hinge.rotation)
+                for hinge in inward.values()
+                if hinge.parent == name and hinge.kind == "fixed"
+            ]
+        still = first in inward and inward[first].kind == "fixed"
+        one = Body(first, 0.0) if still else _composite(group)
+        if not is_inertia(one.inertia[None] + _LEAST * np.eye(3))[0]:
+            raise MechanicsError(
+                f"{body.label}: MuJoCo refuses an inertia that breaks the triangle inequality, and that of "
+                "all bodies fixed to it breaks it, too; give one that a body has"
+            )
+        out |= {each.name: Body(each.name, 0.0) for each, _, _ in group} | {first: one}
+    return out
+
+
+def _composite(group: list[tuple[Body, Floats, Floats]]) -> Body:
+    """One body of several, at places and axes in the first."""
+    masses = np.array([body.mass for body, _, _ in group])
+    places = np.array([at + turn @ body.com for body, at, turn in group])
+    mass, inertia = float(np.sum(masses)), np.zeros((3, 3))
+    com = masses @ places / mass if mass else np.zeros(3)
+    for (body, _, turn), arm in zip(group, places - com, strict=True):
+        inertia += turn @ body.inertia @ turn.T + body.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    first = group[0][0]
+    # As its moments may be of no body, they are checked by who asks.
+    return Body(
+        first.name, mass, com, inertia, first.position, first.rotation, armature=first.armature
+    )  # fmt: skip
+
+
+def _weigh(element: Element, body: Body, moves: bool) -> None:
+    """Write mass and moments of inertia, such that they pass MuJoCo's checks."""
+    least = _LEAST if moves else 0.0
+    moments, axes = np.linalg.eigh(body.inertia)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    moments, mass = np.maximum(moments, least), max(body.mass, least)
+    # Of flat bodies the largest is the sum of the others, but for rounding, also that of MuJoCo's reader.
+    moments[2] = min(moments[2], (1.0 - 1e-15) * (moments[0] + moments[1]))
+    if mass:
+        SubElement(
+            element, "inertial", pos=_text(body.com), mass=_text(mass), diaginertia=_text(moments),
+            quat=_text(quaternion(axes)),
+        )  # fmt: skip
+
+
+def _text(values: Any) -> str:
+    return " ".join(f"{x:.17g}" for x in np.ravel(values))
