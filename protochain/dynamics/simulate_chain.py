@@ -212,8 +212,8 @@ class _Run:
         on_input = Frame(self.chain.structure, self.held_by, self.settings.superpose)
         return replace(on_input, start=self.chain.structure.with_positions(on_input(origin)))
 
-    def row(self, state: State, frame: Frame) -> tuple[dict[str, float], Floats]:
-        """Row of the log, and positions to write; RMSDs are relative to the start."""
+    def row(self, state: State, start: Floats) -> tuple[dict[str, float], Floats]:
+        """Row of the log, and positions as the run went; RMSDs are relative to positions ``start``."""
         s, at = self.settings, state.at
         x = place_atoms(self.chain, at.factors.frames)
         biases = {name: energy(at.q, at.factors)[0] for name, energy in self.biases.items()}
@@ -227,7 +227,7 @@ class _Run:
             "total_kj_mol": at.total - bias,
             "conserved_kj_mol": state.conserved,
             "temperature_k": 2.0 * at.kinetic / (self.freedoms * MOLAR_GAS),
-            "ca_rmsd_angstrom": rmsd_angstrom(x[alpha], frame.start.positions[alpha]),
+            "ca_rmsd_angstrom": rmsd_angstrom(x[alpha], start[alpha]),
         }
         row |= {name: value for name, value in biases.items() if name != "pull"}
         if self.propagator.dampers is not None:
@@ -236,7 +236,7 @@ class _Run:
             row["closure_error_nm"] = float(np.max(np.abs(self.closure.errors(at.factors.frames))))
         if self.pull is not None:
             row |= self.pull.row(at)
-        return row, frame(x)
+        return row, x
 
 
 def freed(chain: Chain, settings: SimulationSettings) -> Chain:
@@ -320,11 +320,13 @@ def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats
 def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Watcher | None) -> Simulation:
     """Run a simulation from its start or checkpoint, and write its files."""
     every, structure = run.settings.every, run.chain.structure
-    start, frame, rows = _start(run, folder, running.resume)
+    start, origin, rows = _start(run, folder, running.resume)
+    frame = run.frame(origin)
     kept = list[Any]()
 
     def report(state: State) -> None:
-        row, x = run.row(state, frame)
+        row, at = run.row(state, origin)
+        x = frame(at)
         rows.append(row)
         if folder is None:
             kept.append(x.astype(np.float32))
@@ -353,8 +355,8 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
     result = Simulation(
         chain=run.chain, energy_function=run.energy, settings=run.settings, freedoms=run.freedoms,
         state=state, ending=ending,
-        message=said_of(ending, why, state.step, run.settings, structure, frame.start.positions),
-        rows=tuple(rows), last=run.row(state, frame)[0], n_steps=state.step - start.step,
+        message=said_of(ending, why, state.step, run.settings, structure, origin),
+        rows=tuple(rows), last=run.row(state, origin)[0], n_steps=state.step - start.step,
         seconds=seconds, frame=frame, kept=tuple(kept),
         trajectory=None if folder is None else folder.trajectory,
     )  # fmt: skip
@@ -366,21 +368,21 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
     return result
 
 
-def _start(run: _Run, folder: Folder | None, resume: bool) -> tuple[State, Frame, list[dict[str, float]]]:
-    """First state, frame of the positions at step 0, and rows logged so far; create or reopen the files."""
+def _start(run: _Run, folder: Folder | None, resume: bool) -> tuple[State, Floats, list[dict[str, float]]]:
+    """First state, positions (na, 3) at step 0, and rows logged so far; create or reopen the files."""
     interval = run.settings.every * run.settings.time_step
 
     def columns(state: State, origin: Floats) -> list[str]:
-        return list(run.row(state, run.frame(origin))[0])
+        return list(run.row(state, origin)[0])
 
     if folder and resume:
         first = run.propagator.thermostat.init
         state, rows, lists_at = folder.reopen(run.chain.tree, run.chain.structure, interval, first, columns)
         if len(lists_at):
             run.varying.list_at(lists_at)
-        return state, run.frame(folder.start), rows
+        return state, folder.start, rows
     state = initial(run.propagator, run.q)
     origin = place_atoms(run.chain, state.at.factors.frames)
     if folder:
         folder.open(run.chain.structure, origin, interval, columns(state, origin))
-    return state, run.frame(origin), []
+    return state, origin, []
