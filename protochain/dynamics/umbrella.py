@@ -1,7 +1,7 @@
 """Umbrella sampling: windows along a dihedral or a distance, put together by MBAR."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -12,7 +12,7 @@ from protochain.chains.articulate import with_energy
 from protochain.chains.restraint_lines import Restraint
 from protochain.chains.restraint_list import Restraints
 from protochain.core import defaults
-from protochain.core.arrays import Floats, finite
+from protochain.core.arrays import Floats, Integers, finite
 from protochain.core.checks import at_least, checked, instance, quantity, shown
 from protochain.core.errors import Argument, ProtochainError, refused
 from protochain.core.extras import library
@@ -55,7 +55,7 @@ def umbrella(
     Returns
     -------
     pandas.DataFrame
-        A row a bin that has samples. ``value`` is the middle of the bin, ``samples`` the number of rows in it.
+        A row a bin that has samples. ``value`` is its middle, ``samples`` the number of rows in it.
         ``free_energy_kj_mol`` is -kT ln of the probability per degree or angstrom, above the lowest bin.
         ``error_kj_mol`` is the standard error of this difference.
 
@@ -68,9 +68,9 @@ def umbrella(
     Notes
     -----
     MBAR: Shirts, Chodera, J. Chem. Phys. 129:124105 (2008), equation 11, by pymbar. The rows of a window are
-    correlated. The errors therefore count N / g rows of a window, where g is the statistical inefficiency of
-    the coordinate (Chodera et al., J. Chem. Theory Comput. 3:26, 2007, equation 17). Motions that are slower
-    than a window do not show in it.
+    correlated. The N rows of a window therefore count as N / g, where g is the statistical inefficiency of
+    what they add to the error (Chodera et al., J. Chem. Theory Comput. 3:26, 2007, equation 17). Motions that
+    are slower than a window do not show in it.
     """
     import pandas as pd
 
@@ -87,12 +87,16 @@ def umbrella(
     q, x, counts = None, list[Any](), list[int]()
     for window in windows:
         rows = list[Any]()
-        done = simulate(cut, energy, q, temperature, restraint=window, watch=partial(_append, rows), **options)
+        done = simulate(
+            cut, energy, q, temperature, restraint=window, watch=partial(_append, rows), **options
+        )
         if not done.is_sound:
             raise ProtochainError(f"umbrella: window {window}: {done.message}")
         if len(rows) < n_equilibrate + 2:
-            few = f"umbrella: window {window}: {len(rows)} rows, of which {n_equilibrate} are skipped; give more "
-            raise ProtochainError(few, Argument("n_steps"), ", or fewer as ", Argument("n_equilibrate"))
+            few = f"umbrella: window {window}: {len(rows)} rows, of which {n_equilibrate} are skipped; "
+            raise ProtochainError(
+                few, "give more ", Argument("n_steps"), ", or fewer as ", Argument("n_equilibrate")
+            )
         cut, q = done.chain, done.q
         x += rows[n_equilibrate:]
         counts.append(len(rows) - n_equilibrate)
@@ -103,12 +107,11 @@ def umbrella(
     away = (away + 180.0) % 360.0 - 180.0 if turns else away
     harmonic = np.clip(away, -coordinate.linear, coordinate.linear) if coordinate.linear else away
     bias = coordinate.stiffness / unit**2 / thermal_energy * harmonic * (away - 0.5 * harmonic)
-    # Each row of a window counts as 1 / g independent rows.
-    series = np.split(away[np.repeat(np.arange(len(at)), counts), np.arange(len(x))], np.cumsum(counts)[:-1])
-    for window, part in zip(windows, series, strict=True):
+    for window, part in zip(windows, np.split(values, np.cumsum(counts)[:-1]), strict=True):
         if np.ptp(part) == 0.0:
-            raise ProtochainError(f"umbrella: window {window}: no hinge changes this {coordinate.kind}; open one")
-    inefficiency = np.array([pymbar.timeseries.statistical_inefficiency(part) for part in series])
+            raise ProtochainError(
+                f"umbrella: window {window}: no hinge changes this {coordinate.kind}; open one"
+            )
     # Rows of a dihedral go to the turn that begins at the first edge.
     values = bins[0] + (values - bins[0]) % 360.0 if turns else values
     of_bin = np.digitize(values, bins) - 1
@@ -125,23 +128,32 @@ def umbrella(
     # The second eigenvalue of the overlap matrix is 1 if the windows form two groups (Klimovich, Shirts,
     # Mobley, J. Comput.-Aided Mol. Des. 29:397, 2015): no row then says how the groups compare.
     if len(x) * mbar.compute_overlap()["scalar"] < 1.0:
-        raise refused("centres", shown(at.tolist()), "the windows do not overlap; give more, or a softer spring")
+        raise refused(
+            "centres", shown(at.tolist()), "the windows do not overlap; give more, or a softer spring"
+        )
     # Weights without a bias, by bin: equation 13 of Shirts and Chodera with u = 0.
     unbiased = np.asarray(mbar.Log_W_nk)[:, 0] + bias[0]
     weights = np.exp(unbiased - unbiased.max())[:, None] * (of_bin[:, None] == filled)
     density = weights.sum(axis=0) / np.diff(bins)[filled]
     free = thermal_energy * np.log(density.max() / density)
-    covariance = _covariance(np.hstack([shares, weights / weights.sum(axis=0)]), np.array(counts), inefficiency)
-    k, lowest = len(counts) + np.arange(len(filled)), len(counts) + int(np.argmax(density))
-    spread = covariance[k, k] + covariance[lowest, lowest] - 2.0 * covariance[k, lowest]
+    noise = _noise(np.hstack([shares, weights / weights.sum(axis=0)]), np.array(counts))[:, len(at) :]
+    # Errors are of the differences to the lowest bin.
+    parts = np.split(noise - noise[:, [np.argmax(density)]], np.cumsum(counts)[:-1])
+    g = pymbar.timeseries.statistical_inefficiency
+    variance = np.sum([[_variance(series, g) for series in part.T] for part in parts], axis=0)
     return pd.DataFrame({
         "value": 0.5 * (bins[1:] + bins[:-1])[filled], "free_energy_kj_mol": free,
-        "error_kj_mol": thermal_energy * np.sqrt(np.maximum(spread, 0.0)), "samples": samples,
+        "error_kj_mol": thermal_energy * np.sqrt(variance), "samples": samples,
     })  # fmt: skip
 
 
 def _append(rows: list[Any], row: Any, x: Any) -> None:
     rows.append(x)
+
+
+def _variance(series: Floats, inefficiency: Callable[[Floats], float]) -> float:
+    """Variance of the sum of a series (n,) of correlated numbers."""
+    return 0.0 if np.ptp(series) == 0.0 else float(inefficiency(series) * len(series) * np.var(series))
 
 
 def _bins(at: Floats, circle: float, edges: Any) -> Floats:
@@ -165,20 +177,15 @@ def _bins(at: Floats, circle: float, edges: Any) -> Floats:
     return bins
 
 
-def _covariance(shares: Floats, counts: Floats, inefficiency: Floats) -> Floats:
-    """Covariance (m, m) of the reduced free energies of m states, from weights (n, m) of the rows.
+def _noise(shares: Floats, counts: Integers) -> Floats:
+    """Share (n, m) of each row in the errors of the reduced free energies of m states, by weights (n, m).
 
-    The first states are the windows, with rows in their order. MBAR solves sum_n W_ni(f) = 1. With the noise
-    B = sum_k g_k N_k cov_k(W) of these sums and their slope A = 1 - W^T W N the covariance is A^-1 B A^-T: the
-    estimator of extended bridge sampling (Tan, J. Am. Stat. Assoc. 99:1027, 2004), for correlated rows.
+    The first states are the windows. MBAR solves sum_n W_ni(f) = 1. To first order the error of f is the sum
+    over rows of A^-1 W_n, with the slope A = 1 - W^T W N of these equations (Tan, J. Am. Stat. Assoc.
+    99:1027, 2004).
     """
     m = shares.shape[1]
-    rows = np.zeros(m)
-    rows[: len(counts)] = counts
-    noise = np.zeros((m, m))
-    for part, count, g in zip(np.split(shares, np.cumsum(counts)[:-1]), counts, inefficiency, strict=True):
-        noise += g * count * np.cov(part.T)
+    rows = np.pad(counts, (0, m - len(counts)))
     # A constant added to all free energies changes nothing: without it the slope has an inverse.
     slope = np.eye(m) - shares.T @ shares * rows + rows / rows.sum()
-    solved = np.linalg.solve(slope, noise)
-    return np.asarray(np.linalg.solve(slope, solved.T))
+    return np.asarray(np.linalg.solve(slope, shares.T).T)

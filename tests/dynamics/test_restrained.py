@@ -1,4 +1,4 @@
-"""Molecules that something holds from outside: their motion as one, their frames, and the start of a command."""
+"""Molecules that something holds from outside: motion as one, frames, and the start of a command."""
 
 import json
 from functools import cache
@@ -110,7 +110,9 @@ def test_a_spring_to_a_place_has_three_halves_of_kt(thermostat):
     )  # fmt: skip
     energies = m.trace["restraints_kj_mol"].to_numpy()[200:]
     away = m.frames[200:, atom] - c.structure.positions[atom]
-    assert 0.5 * spring.stiffness * np.mean(np.sum(away**2, axis=1)) == pytest.approx(energies.mean(), rel=1e-3)
+    assert 0.5 * spring.stiffness * np.mean(np.sum(away**2, axis=1)) == pytest.approx(
+        energies.mean(), rel=1e-3
+    )
     assert energies.mean() == pytest.approx(1.5 * KT, rel=0.25)
 
 
@@ -145,7 +147,9 @@ def test_a_command_minimises_with_its_restraints(line, tmp_path, capsys):
     printed = capsys.readouterr()
     record, log = json.loads(printed.out), pd.read_csv(folder / "log.csv")
     c = pc.build_chain(source)
-    before = pc.simulate(c, pc.energy(c, solvent="vacuum"), n_steps=1, restraint=line).trace["restraints_kj_mol"]
+    before = pc.simulate(c, pc.energy(c, solvent="vacuum"), n_steps=1, restraint=line).trace[
+        "restraints_kj_mol"
+    ]
     assert before[0] > RESTRAINTS[line] and "restraints" in printed.err
     assert log["restraints_kj_mol"][0] < 10.0 and log["temperature_k"].max() < 600.0
     assert record["status"] == "completed"
