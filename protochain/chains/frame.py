@@ -11,8 +11,9 @@ from protochain.energies.protocol import Energy
 from protochain.structure.model import Structure
 from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
 
-_MOVED = Rotation.from_rotvec([0.4, -0.7, 0.5]).as_matrix(), np.array([0.3, 0.2, -0.4])
-"""A turn and a shift (nm) that change any energy that depends on the place."""
+_TURN = Rotation.from_rotvec([0.4, -0.7, 0.5]).as_matrix()
+_SHIFTS = np.array([[0.3, 0.2, -0.4], [6.0, 4.0, -8.0]])
+"""A turn and two shifts (nm) that change any energy that depends on the place: a map, and a wall far off."""
 
 _UNCHANGED = 1e-6
 """Relative change of an energy by the rounding of moved coordinates."""
@@ -65,7 +66,9 @@ def knows_places(energy: Energy, x: Floats) -> bool:
     """Whether the energy changes when all atoms move as one; force fields, which have atoms, know none."""
     if energy.atoms:
         return False
-    (value, forces), (moved, _) = energy.exact(x), energy.exact(x @ _MOVED[0].T + _MOVED[1])
+    value, forces = energy.exact(x)
     # Terms much larger than their sum show in the forces.
     scale = abs(value) + float(np.linalg.norm(forces)) + 1.0
-    return bool(abs(moved - value) > _UNCHANGED * scale)
+    moved = (energy.exact(x @ _TURN.T + shift)[0] for shift in _SHIFTS)
+    # A value that is not a number, as outside a map, is a change.
+    return not all(abs(energy_there - value) <= _UNCHANGED * scale for energy_there in moved)

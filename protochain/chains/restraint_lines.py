@@ -76,6 +76,11 @@ class Restraint:
             return
         raise ProtochainError(f"restraint {self}: {remedy}")
 
+    @property
+    def is_external(self) -> bool:
+        """Whether it holds the molecule from outside: its energy is of places, not of distances."""
+        return self.kind == "position" and self.stiffness > 0.0
+
     @classmethod
     def read(cls, line: str) -> Self:
         """Read ``distance A:3:CA A:9:CA 0 6 1000``; the stiffness may be left out, quotes hold blanks."""

@@ -6,7 +6,10 @@ from protochain.cli.terminal import foretell, run_progress, typical_evaluations
 from protochain.core import defaults
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from protochain.chains.chain import Chain
+    from protochain.chains.restraint_lines import Restraint
     from protochain.energies import Energy
     from protochain.minimisers import Solution
 
@@ -21,14 +24,17 @@ def foretell_both(source: object, chain: "Chain", energy: "Energy", evaluations:
 
 
 def minimised_first(
-    chain: "Chain", energy: "Energy", tolerance: float, seed: int = defaults.SEED
-) -> "tuple[Solution, str]":
-    """Minimise to a largest torque (kJ/mol/rad); return also what it changed, in words."""
+    chain: "Chain", energy: "Energy", tolerance: float, seed: int = defaults.SEED,
+    restraint: "Sequence[Restraint]" = (),
+) -> "tuple[Solution, str]":  # fmt: skip
+    """Minimise to a largest torque (kJ/mol/rad), with restraints; return also what it changed, in words."""
     from protochain.minimisers import minimise
 
     with run_progress(METHOD, defaults.MAX_EVALUATIONS, writes=False) as watch:
-        done = minimise(chain, energy, METHOD, tolerance, seed=seed, watch=watch)
+        done = minimise(chain, energy, METHOD, tolerance, seed=seed, restraint=restraint, watch=watch)
     if done.status == "interrupted":
         raise KeyboardInterrupt
     energies = f"{done.start.energy:.1f} -> {done.end.energy:.1f} kJ/mol"
+    if done.restraints is not None:
+        energies += ", restraints {:.1f} -> {:.1f} kJ/mol".format(*done.restraints)
     return done, f"minimised first: {energies}, C-alpha RMSD {done.ca_rmsd_angstrom:.2f} angstrom"

@@ -95,7 +95,7 @@ def _end(done: "Simulation", beside: dict[str, Any], as_json: bool) -> None:
 
 def _relaxed(source: Path, chain: "Chain", energy: "Energy", simulation: SimulationSettings) -> "Floats":
     """Minimise by turning hinges; report what it changed, and return the coordinates."""
-    relaxed, stated = minimised_first(chain, energy, _RELAXED, simulation.seed)
+    relaxed, stated = minimised_first(chain, energy, _RELAXED, simulation.seed, simulation.restraint)
     # Without constraints: the force field holds the loops, and takes the strain from them, too.
     kept = "; loops are kept closed as they are after it" if simulation.loops == "closed" else ""
     print(f"{source}: {stated}{kept}", file=sys.stderr)

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -132,7 +131,8 @@ def simulate(
     restraint : Restraint, str, path-like, or sequence of them
         Restraints, their lines, or a file of them; the log has their energy.
     superpose : bool
-        Superpose all positions on the input, unless something holds the chain; else they are as the run went.
+        Superpose all positions on the start of the run, and the start on the input. A molecule that something
+        holds from outside, as restraints of positions do, stays where the run went.
 
     Returns
     -------
@@ -179,6 +179,7 @@ class _Run:
     freedoms: int
     pull: MovingSpring | None
     springs: HingeSprings | None
+    held_by: str  # What holds the molecule from outside; empty for a free one.
     biases: Mapping[str, Potential]
     """What is added to the force field, by column of the log, and a pull that stands still."""
 
@@ -206,15 +207,13 @@ class _Run:
             "start": hashlib.sha256(self.chain.structure.positions.tobytes()).hexdigest(),
         }
 
-    @cached_property
-    def frame(self) -> Frame:
-        """Frame of the positions that are written; the run itself is not moved."""
-        if not self.settings.superpose:
-            return Frame(self.chain.structure, superpose=False)
-        return frame_of(self.chain, self.energy, "" if has_free_roots(self.chain.tree) else "a fixed root")
+    def frame(self, origin: Floats) -> Frame:
+        """Frame of the positions that are written: of the start (na, 3), superposed on the input."""
+        on_input = Frame(self.chain.structure, self.held_by, self.settings.superpose)
+        return replace(on_input, start=self.chain.structure.with_positions(on_input(origin)))
 
     def row(self, state: State, start: Floats) -> tuple[dict[str, float], Floats]:
-        """Row of the log, and positions to write; RMSDs are relative to positions ``start``."""
+        """Row of the log, and positions as the run went; RMSDs are relative to positions ``start``."""
         s, at = self.settings, state.at
         x = place_atoms(self.chain, at.factors.frames)
         biases = {name: energy(at.q, at.factors)[0] for name, energy in self.biases.items()}
@@ -237,7 +236,7 @@ class _Run:
             row["closure_error_nm"] = float(np.max(np.abs(self.closure.errors(at.factors.frames))))
         if self.pull is not None:
             row |= self.pull.row(at)
-        return row, self.frame(x)
+        return row, x
 
 
 def freed(chain: Chain, settings: SimulationSettings) -> Chain:
@@ -288,7 +287,9 @@ def _prepare(
     if settings.pull is not None and pull is not None:
         refuse_kept(settings.pull, pull, system, made.structure, start)
     freedoms = made.n_v - (0 if closure is None else len(closure.length))
-    removes = has_free_roots(made.tree) and THERMOSTATS[settings.thermostat].conserves_momentum
+    # Only a molecule that nothing holds from outside conserves its momentum, which can then be removed.
+    held_by = frame_of(made, energy, _holder(made, settings)).held_by
+    removes = not held_by and THERMOSTATS[settings.thermostat].conserves_momentum
     freedoms -= 6 if removes else 0
     noise = 0.0 if settings.thermostat == "none" else settings.thermal_energy
     kt = settings.thermal_energy
@@ -296,7 +297,16 @@ def _prepare(
         system, INTEGRATORS[settings.integrator], build_thermostat(settings.record(), kt, freedoms),
         settings.time_step, kt, settings.seed, removes, dampers(settings.hinge_springs, made, noise),
     )  # fmt: skip
-    return _Run(made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs, biases)
+    return _Run(
+        made, energy, varying, start, settings, propagator, closure, freedoms, pull, springs, held_by, biases
+    )
+
+
+def _holder(chain: Chain, settings: SimulationSettings) -> str:
+    """Roots or restraints that hold the molecule from outside; empty if it can move as one."""
+    if any(restraint.is_external for restraint in settings.restraint):
+        return "restraints of positions"
+    return "" if has_free_roots(chain.tree) else "a fixed root"
 
 
 def _measured(constants: Mapping[str, Floats], name: str, own: Floats) -> Floats:
@@ -311,10 +321,12 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
     """Run a simulation from its start or checkpoint, and write its files."""
     every, structure = run.settings.every, run.chain.structure
     start, origin, rows = _start(run, folder, running.resume)
+    frame = run.frame(origin)
     kept = list[Any]()
 
     def report(state: State) -> None:
-        row, x = run.row(state, origin)
+        row, at = run.row(state, origin)
+        x = frame(at)
         rows.append(row)
         if folder is None:
             kept.append(x.astype(np.float32))
@@ -345,7 +357,7 @@ def _simulate(run: _Run, folder: Folder | None, running: RunSettings, watch: Wat
         state=state, ending=ending,
         message=said_of(ending, why, state.step, run.settings, structure, origin),
         rows=tuple(rows), last=run.row(state, origin)[0], n_steps=state.step - start.step,
-        seconds=seconds, frame=run.frame, kept=tuple(kept),
+        seconds=seconds, frame=frame, kept=tuple(kept),
         trajectory=None if folder is None else folder.trajectory,
     )  # fmt: skip
     if folder:

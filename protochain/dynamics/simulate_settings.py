@@ -250,7 +250,7 @@ class SimulationSettings(Settings):
         read_restraints, list[str], "--restrain", metavar="LINE|FILE",
     )  # fmt: skip
     superpose: bool = setting(
-        True, "Write positions as the run went, not superposed on the input.", flag, bool, "--no-superpose"
+        True, "Write positions as the run went, not superposed on the start.", flag, bool, "--no-superpose"
     )
 
     def __post_init__(self) -> None:

@@ -41,8 +41,8 @@ class Simulation:
     settings : SimulationSettings
         Settings of the simulation.
     freedoms : int
-        Number of degrees of freedom, without constraints and without the centre-of-mass motion if that is
-        removed.
+        Number of degrees of freedom, without constraints. The six of the motion as one are subtracted if the
+        thermostat conserves momentum and nothing holds the molecule from outside.
     state : protochain.dynamics.State
         Last valid state.
     ending : Ending
@@ -58,7 +58,7 @@ class Simulation:
     seconds : float
         Wall time of these steps.
     frame : Frame
-        Says whether frames are superposed on the input, and if not, what held the chain in place.
+        Says whether frames are superposed on the start, and if not, what held the chain in place.
     kept : tuple of (na, 3) float32, nm
         Positions at the rows of the log, of a run without a folder.
     trajectory : Path, optional
@@ -112,7 +112,7 @@ class Simulation:
 
     @property
     def x(self) -> Floats:
-        """(na, 3) float, nm: final positions in the frame of the input; ``q`` is as the run went."""
+        """(na, 3) float, nm: final positions in the frame of the start; ``q`` is as the run went."""
         return self.frame(place_atoms(self.chain, self.state.at.factors.frames))
 
     @property
@@ -240,8 +240,8 @@ RECORD = (
     ),
     Column("accepted", lambda r: r.accepted, kind=float | None),
     Column("ca_rmsd_angstrom", lambda r: r.last["ca_rmsd_angstrom"]),
-    Column("ca_rmsd_input_angstrom", lambda r: r.frame.ca_rmsds(r.x)[0]),
-    Column("ca_rmsd_input_as_filed_angstrom", lambda r: r.frame.ca_rmsds(r.x)[1]),
+    Column("ca_rmsd_input_angstrom", lambda r: Frame(r.chain.structure).ca_rmsds(r.x)[0]),
+    Column("ca_rmsd_input_as_filed_angstrom", lambda r: Frame(r.chain.structure).ca_rmsds(r.x)[1]),
     Column("frame", lambda r: str(r.frame)),
     Column("seconds", lambda r: r.seconds),
     Column("ns_per_day", lambda r: r.ns_per_day if r.n_steps else None, kind=float | None),

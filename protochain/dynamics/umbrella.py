@@ -1,7 +1,7 @@
 """Umbrella sampling: windows along a dihedral or a distance, put together by MBAR."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -12,9 +12,9 @@ from protochain.chains.articulate import with_energy
 from protochain.chains.restraint_lines import Restraint
 from protochain.chains.restraint_list import Restraints
 from protochain.core import defaults
-from protochain.core.arrays import floats
-from protochain.core.checks import at_least, checked, instance, quantity
-from protochain.core.errors import ProtochainError
+from protochain.core.arrays import Floats, Integers, finite
+from protochain.core.checks import at_least, checked, instance, quantity, shown
+from protochain.core.errors import Argument, ProtochainError, refused
 from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM, MOLAR_GAS
 from protochain.dynamics.simulate_chain import simulate
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _COORDINATE = instance(Restraint, 'pc.Restraint("dihedral", ("phi A:3",), 0, 0, 100)')
+_APART = 1e-6
+"""Degrees or angstrom: centres that are nearer are one."""
 
 
 @checked(coordinate=_COORDINATE, n_equilibrate=at_least(0), temperature=quantity("kelvin"))
@@ -40,74 +42,150 @@ def umbrella(
     coordinate : Restraint
         Dihedral or distance, with the stiffness of all windows; its bounds are replaced.
     centres : sequence of float, degrees or angstrom
-        Of the windows.
+        Centres of the windows, all different; the centres of a dihedral within less than a full circle.
     edges : sequence of float, degrees or angstrom, optional
-        Edges of the bins; by default halfway between centres.
+        Edges of the bins in rising order; by default halfway between centres.
     n_equilibrate : int
-        Rows of the log of each window that are left out.
+        Rows at the start of the log of each window that are skipped.
     temperature : float, K
-        Of all windows.
+        Temperature of all windows.
     **options
-        Further ones of :func:`protochain.simulate`: ``n_steps`` of a window, ``every``, ``fixman`` ...
+        Further options of :func:`protochain.simulate`: ``n_steps`` of a window, ``every``, ``fixman`` ...
 
     Returns
     -------
     pandas.DataFrame
-        A row a bin: ``value``, ``free_energy_kj_mol`` above the lowest, ``error_kj_mol``, ``samples``.
+        A row a bin that has samples. ``value`` is its middle, ``samples`` the number of rows in it.
+        ``free_energy_kj_mol`` is -kT ln of the probability per degree or angstrom, above the lowest bin.
+        ``error_kj_mol`` is the standard error of this difference.
 
     Raises
     ------
     ProtochainError
-        If pymbar is not installed, or a window has no samples.
+        If pymbar is not installed, the centres or edges define no bins, a window has too few samples, or no
+        sample lies between the edges.
 
     Notes
     -----
-    MBAR: Shirts, Chodera, J. Chem. Phys. 129:124105 (2008), by pymbar.
+    MBAR: Shirts, Chodera, J. Chem. Phys. 129:124105 (2008), equation 11, by pymbar. The rows of a window are
+    correlated. The N rows of a window therefore count as N / g, where g is the statistical inefficiency of
+    what they add to the error (Chodera et al., J. Chem. Theory Comput. 3:26, 2007, equation 17). Motions that
+    are slower than a window do not show in it.
     """
     import pandas as pd
 
-    at = np.sort(floats(centres, (np.size(centres),), "centres"))
-    if len(at) < 2 or coordinate.kind == "position":
+    turns = coordinate.kind == "dihedral"
+    if np.size(centres) < 2 or coordinate.kind == "position":
         raise ProtochainError("umbrella: give two centres or more, of a dihedral or a distance")
-    bins = 0.5 * (at[1:] + at[:-1]) if edges is None else floats(edges, (np.size(edges),), "edges")
-    if edges is None:
-        bins = np.array([2 * at[0] - bins[0], *bins, 2 * at[-1] - bins[-1]])
+    at = np.sort(finite(centres, (np.size(centres),), "centres"))
+    bins = _bins(at, 360.0 if turns else np.inf, edges)
     cut, energy = with_energy(chain, energy)
     pymbar = library("pymbar", "umbrella")
-    unit = 180.0 / np.pi if coordinate.kind == "dihedral" else ANGSTROM_PER_NM
+    unit = 180.0 / np.pi if turns else ANGSTROM_PER_NM
     windows = [replace(coordinate, lower=float(c), upper=float(c)) for c in at]
-    held = [Restraints.of(cut.structure, each) for each in windows]
-    q, samples = None, list[list[Any]]()
+    places = Restraints.of(cut.structure, windows[0])
+    q, x, counts = None, list[Any](), list[int]()
     for window in windows:
-        kept = list[Any]()
-        done = simulate(cut, energy, q, temperature, restraint=window, watch=partial(_keep, kept), **options)
-        if not done.is_sound or len(kept) <= n_equilibrate:
+        rows = list[Any]()
+        done = simulate(
+            cut, energy, q, temperature, restraint=window, watch=partial(_append, rows), **options
+        )
+        if not done.is_sound:
             raise ProtochainError(f"umbrella: window {window}: {done.message}")
+        if len(rows) < n_equilibrate + 2:
+            few = f"umbrella: window {window}: {len(rows)} rows, of which {n_equilibrate} are skipped; "
+            raise ProtochainError(
+                few, "give more ", Argument("n_steps"), ", or fewer as ", Argument("n_equilibrate")
+            )
         cut, q = done.chain, done.q
-        samples.append(kept[n_equilibrate:])
-    x = [each for its in samples for each in its]
-    bias = np.array([[its(each)[0] for each in x] for its in held]) / (MOLAR_GAS * temperature)
-    values = unit * np.array([held[0].values(each)[0] for each in x])
-    if coordinate.kind == "dihedral":
-        values = bins[0] + (values - bins[0]) % 360.0
-    inside = (values >= bins[0]) & (values < bins[-1])
-    middle = 0.5 * (bins[1:] + bins[:-1])
-    count = np.histogram(values, bins)[0]
-    there = middle[count > 0]
-    how = {"bin_edges": np.array([-np.inf, *bins, np.inf]) if not inside.all() else bins}
+        x += rows[n_equilibrate:]
+        counts.append(len(rows) - n_equilibrate)
+    thermal_energy = MOLAR_GAS * temperature
+    values = unit * np.array([places.values(positions)[0] for positions in x])
+    # Energies of all springs at all rows, in units of kT.
+    away = values - at[:, None]
+    away = (away + 180.0) % 360.0 - 180.0 if turns else away
+    harmonic = np.clip(away, -coordinate.linear, coordinate.linear) if coordinate.linear else away
+    bias = coordinate.stiffness / unit**2 / thermal_energy * harmonic * (away - 0.5 * harmonic)
+    for window, part in zip(windows, np.split(values, np.cumsum(counts)[:-1]), strict=True):
+        if np.ptp(part) == 0.0:
+            raise ProtochainError(
+                f"umbrella: window {window}: no hinge changes this {coordinate.kind}; open one"
+            )
+    # Rows of a dihedral go to the turn that begins at the first edge.
+    values = bins[0] + (values - bins[0]) % 360.0 if turns else values
+    of_bin = np.digitize(values, bins) - 1
+    of_bin[of_bin == len(bins) - 1] = -1
+    filled, samples = np.unique(of_bin[of_bin >= 0], return_counts=True)
+    if not len(filled):
+        raise refused("edges", shown(bins.tolist()), f"no samples between them, but from {values.min():.4g} "
+                      f"to {values.max():.4g}")  # fmt: skip
     with warnings.catch_warnings():
         # Its solvers warn of options of one another.
         warnings.simplefilter("ignore")
-        fes = pymbar.FES(bias, np.array([len(its) for its in samples]))
-    fes.generate_fes(np.zeros(len(x)), values, fes_type="histogram", histogram_parameters=how)
-    found = fes.get_fes(there, reference_point="from-lowest", uncertainty_method="analytical")
-    scale = MOLAR_GAS * temperature
-    lowest = np.min(found["f_i"])
+        mbar = pymbar.MBAR(bias, np.array(counts))
+    shares = np.exp(mbar.Log_W_nk)
+    # The second eigenvalue of the overlap matrix is 1 if the windows form two groups (Klimovich, Shirts,
+    # Mobley, J. Comput.-Aided Mol. Des. 29:397, 2015): no row then says how the groups compare.
+    if len(x) * mbar.compute_overlap()["scalar"] < 1.0:
+        raise refused(
+            "centres", shown(at.tolist()), "the windows do not overlap; give more, or a softer spring"
+        )
+    # Weights without a bias, by bin: equation 13 of Shirts and Chodera with u = 0.
+    unbiased = np.asarray(mbar.Log_W_nk)[:, 0] + bias[0]
+    weights = np.exp(unbiased - unbiased.max())[:, None] * (of_bin[:, None] == filled)
+    density = weights.sum(axis=0) / np.diff(bins)[filled]
+    free = thermal_energy * np.log(density.max() / density)
+    noise = _noise(np.hstack([shares, weights / weights.sum(axis=0)]), np.array(counts))[:, len(at) :]
+    # Errors are of the differences to the lowest bin.
+    parts = np.split(noise - noise[:, [np.argmax(density)]], np.cumsum(counts)[:-1])
+    g = pymbar.timeseries.statistical_inefficiency
+    variance = np.sum([[_variance(series, g) for series in part.T] for part in parts], axis=0)
     return pd.DataFrame({
-        "value": there, "free_energy_kj_mol": scale * (found["f_i"] - lowest),
-        "error_kj_mol": scale * np.asarray(found["df_i"]), "samples": count[count > 0],
+        "value": 0.5 * (bins[1:] + bins[:-1])[filled], "free_energy_kj_mol": free,
+        "error_kj_mol": thermal_energy * np.sqrt(variance), "samples": samples,
     })  # fmt: skip
 
 
-def _keep(kept: list[Any], row: Any, x: Any) -> None:
-    kept.append(x)
+def _append(rows: list[Any], row: Any, x: Any) -> None:
+    rows.append(x)
+
+
+def _variance(series: Floats, inefficiency: Callable[[Floats], float]) -> float:
+    """Variance of the sum of a series (n,) of correlated numbers."""
+    return 0.0 if np.ptp(series) == 0.0 else float(inefficiency(series) * len(series) * np.var(series))
+
+
+def _bins(at: Floats, circle: float, edges: Any) -> Floats:
+    """Edges of the bins: those asked for, or halfway between sorted centres, also across the circle."""
+    if np.isinf(circle) and at[0] < 0.0:
+        raise refused("centres", f"{at[0]:g}", "give distances of 0 or more")
+    gaps = np.diff(at, append=at[0] + circle)
+    if np.min(gaps) < _APART:
+        near = int(np.argmin(gaps))
+        pair = f"{at[near]:g} and {at[(near + 1) % len(at)]:g}"
+        whole = " or more than a full circle apart" if np.isfinite(circle) else ""
+        raise refused("centres", pair, f"these are equal{whole}; give different ones")
+    if edges is None:
+        low, high = (0.5 * min(gaps[k], gaps[-1]) for k in (0, -2))
+        low = at[0] - low if np.isfinite(circle) else max(at[0] - low, 0.0)
+        return np.array([low, *(0.5 * (at[1:] + at[:-1])), at[-1] + high])
+    bins = finite(edges, (np.size(edges),), "edges")
+    if len(bins) < 2 or np.min(np.diff(bins)) <= 0.0 or bins[-1] - bins[0] > circle:
+        turn = " within 360 degrees" if np.isfinite(circle) else ""
+        raise refused("edges", shown(bins.tolist()), f"give two or more in rising order{turn}")
+    return bins
+
+
+def _noise(shares: Floats, counts: Integers) -> Floats:
+    """Share (n, m) of each row in the errors of the reduced free energies of m states, by weights (n, m).
+
+    The first states are the windows. MBAR solves sum_n W_ni(f) = 1. To first order the error of f is the sum
+    over rows of A^-1 W_n, with the slope A = 1 - W^T W N of these equations (Tan, J. Am. Stat. Assoc.
+    99:1027, 2004).
+    """
+    m = shares.shape[1]
+    rows = np.pad(counts, (0, m - len(counts)))
+    # A constant added to all free energies changes nothing: without it the slope has an inverse.
+    slope = np.eye(m) - shares.T @ shares * rows + rows / rows.sum()
+    return np.asarray(np.linalg.solve(slope, shares.T).T)
