@@ -117,7 +117,7 @@ def _about(
         _, torque, loads = system.forces(at.time, q, qd, factors)
         qdd = system.accelerations(at.time, q, qd, torque + push, loads, factors)[0]
         qdd[tree.driven_v] = 0.0
-        out = back @ system.velocity_rates(qd, qdd)
+        out = back @ qdd
         if seen is None:
             return np.asarray(out)
         return np.append(out, seen(State(model.bodies, at.time, q, qd, factors.frames), qdd))

@@ -28,6 +28,7 @@ from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.kinematics import Frames, outward_twists, velocities
 from protochain.mechanics.multibody.newton_euler import AT_REST, Motion, carried_along, motion_of, put_motions
 from protochain.mechanics.multibody.operational import Rows
+from protochain.mechanics.multibody.rotations import hinge_accelerations
 from protochain.mechanics.multibody.small import solve_lower
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
@@ -72,7 +73,7 @@ class LoopJoints:
         """(m,) float: second derivatives of the errors by time, of a motion."""
         found: Floats = bends(
             tree.links, tree.bodies, frames.rotation, frames.origin, self.body, self.turns, self.point,
-            self.along, qd, qdd,
+            self.along, qd, hinge_accelerations(tree, qd, qdd),
         )  # fmt: skip
         return found
 
@@ -148,43 +149,39 @@ def factor_loops_at(
     root: Floats, body: Integers, wrench: Floats, size: float,
 ) -> tuple[Floats, Floats, Floats, Integers]:  # fmt: skip
     """Scales, inverse, factor and last of :class:`FactoredLoops`."""
-    m, n, n_v = len(body), len(bodies), links[-1, V]
+    m, n_v = len(body), links[-1, V]
     y, first, past = np.zeros((m, n_v)), np.full(m, n_v), np.zeros(m, np.int64)
-    loads, reached = np.zeros((n, 6)), np.zeros(n, np.bool_)
     for i in range(m):
         # Of y, as large as it could be: what is left of less is rounding, and the equation nobody's to move.
+        # Loads of both bodies go their ways alone, since those of bodies that are fixed to each other cancel.
         most = 0.0
         for side in range(2):
-            if body[i, side] >= 0:
-                loads[body[i, side]] += wrench[i, side]
-                reached[body[i, side]] = True
-        for b in range(max(body[i, 0], body[i, 1]), -1, -1):
-            if not reached[b]:
-                continue
-            p, k = links[b, PARENT], links[b, V]
-            width = links[b + 1, V] - k
-            moment, force = pair(loads, b)
-            loads[b], reached[b] = 0.0, False
-            if width > 0:
-                first[i], past[i] = k, max(past[i], k + width)
-            if width == 6:
-                y[i, k], y[i, k + 1], y[i, k + 2] = moment
-                y[i, k + 3], y[i, k + 4], y[i, k + 5] = force
-                solve_lower(root[links[b, Q] - k], 6, y[i, k : k + 6])
-                most += np.dot(y[i, k : k + 6], y[i, k : k + 6])
-            along = 0.0
-            if width == 1:
-                axis = hinge_axis(rotation, b)
-                along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
-                y[i, k] = along / np.sqrt(pivot[b])
-                turn, slide = bodies[b, TURN] * bodies[b, TURN], bodies[b, SLIDE] * bodies[b, SLIDE]
-                push = dot(force, force)
-                most += (turn * (dot(moment, moment) + size * size * push) + slide * push) / pivot[b]
-            if p >= 0:
-                moment = add(moment, cross(lever(origin, b, p), force))
-                g, h = pair(gain, b)
-                add_pair(subtract(moment, scale(along, g)), subtract(force, scale(along, h)), loads, p)
-                reached[p] = True
+            moment, force = pair(wrench[i], side)
+            b = body[i, side]
+            while b >= 0:
+                k = links[b, V]
+                width = links[b + 1, V] - k
+                if width > 0:
+                    first[i], past[i] = min(first[i], k), max(past[i], k + width)
+                if width == 6:
+                    x = np.array([moment[0], moment[1], moment[2], force[0], force[1], force[2]])
+                    solve_lower(root[links[b, Q] - k], 6, x)
+                    y[i, k : k + 6] += x
+                    most += np.dot(x, x)
+                along = 0.0
+                if width == 1:
+                    axis = hinge_axis(rotation, b)
+                    along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
+                    y[i, k] += along / np.sqrt(pivot[b])
+                    turn, slide = bodies[b, TURN] * bodies[b, TURN], bodies[b, SLIDE] * bodies[b, SLIDE]
+                    push = dot(force, force)
+                    most += (turn * (dot(moment, moment) + size * size * push) + slide * push) / pivot[b]
+                p = links[b, PARENT]
+                if p >= 0:
+                    moment = add(moment, cross(lever(origin, b, p), force))
+                    g, h = pair(gain, b)
+                    moment, force = subtract(moment, scale(along, g)), subtract(force, scale(along, h))
+                b = p
         if np.dot(y[i], y[i]) <= _IMMOVABLE * most:
             y[i] = 0.0
     inverse = np.zeros((m, m))

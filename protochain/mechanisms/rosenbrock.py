@@ -88,7 +88,7 @@ def _advance(system: Equations, at: Phase, h: float) -> Tried:
         qdd, loads = system.accelerations(time, q, qd, torque, loads, factors)
         slope = system.displacement_rates(move, qd)
         slope[driven], qdd[driven] = 0.0, 0.0
-        return slope, system.velocity_rates(qd, qdd), NOTHING if loads is None else loads @ qd
+        return slope, qdd, NOTHING if loads is None else loads @ qd
 
     still = np.zeros(n)
     slope, acceleration, power = rates(at.time, still, at.qd)

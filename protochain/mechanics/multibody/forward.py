@@ -49,7 +49,7 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     Returns
     -------
     (n_v,) float, rad/ps^2 (nm/ps^2 for slides)
-        Accelerations; those of driven hinges as given. Their torques are then
+        Time derivatives of qd; those of driven hinges as given. Their torques are then
         :func:`~protochain.mechanics.multibody.inverse_dynamics` there.
 
     Raises
