@@ -37,7 +37,14 @@ from protochain.mechanics.tableaux import Tableau
 from protochain.mechanisms.closed_equations import CLOSED, ITERATIONS, ClosedEquations
 from protochain.mechanisms.elements import Conservative, Damping, Gravity, weigh
 from protochain.mechanisms.linear_springs import Springs, pull, resist
-from protochain.mechanisms.loop_joints import LoopJoints, bends, factor_loops_at, gather, least_impulses, put_rows
+from protochain.mechanisms.loop_joints import (
+    LoopJoints,
+    bends,
+    factor_loops_at,
+    gather,
+    least_impulses,
+    put_rows,
+)
 from protochain.mechanisms.torsion import Torsions, slow, wind
 
 _MOST, _LEAST = 100_000, 1e-9

@@ -92,7 +92,9 @@ class FactoredLoops:
     factors: Articulated  # Rigid bodies, their frames, and factors of M there.
     error: Floats  # (m,): Errors of the joints.
     rows: Rows  # Rates of these.
-    scales: Floats  # (m,): What scales rows Y = G M^-1/2 to a length of one; 0 of equations that nothing moves.
+    scales: (
+        Floats  # (m,): What scales rows Y = G M^-1/2 to a length of one; 0 of equations that nothing moves.
+    )
     # (m, r): Y = C Q, with r orthonormal rows Q; the rows ``order`` (r,) of C are lower triangular.
     coefficients: Floats
     order: Integers
@@ -213,16 +215,23 @@ def least_impulses(scales: Floats, coefficients: Floats, order: Integers, wanted
     c, square = scales[order] * wanted[order], coefficients.T @ coefficients
     solve_lower(top, r, c)
     if r < np.count_nonzero(scales) and cholesky(square, r):
-        # Redundant equations: z = C (C^T C)^-1 c, and once more for what is left.
+        # Redundant equations: c of least squares and z = C (C^T C)^-1 c, once more for what is left.
         for _ in range(2):
-            rest = c - coefficients.T @ x
-            solve_lower(square, r, rest)
-            solve_upper(square, r, rest)
-            x += coefficients @ rest
+            c += _solved(square, coefficients.T @ (scales * wanted - coefficients @ c))
+        for _ in range(2):
+            x += coefficients @ _solved(square, c - coefficients.T @ x)
     else:
         solve_upper(top, r, c)
         x[order] = c
     return scales * x
+
+
+@kernel
+def _solved(factor: Floats, x: Floats) -> Floats:
+    """Overwrite x by the solution with a matrix of this Cholesky factor; return it."""
+    solve_lower(factor, len(x), x)
+    solve_upper(factor, len(x), x)
+    return x
 
 
 @kernel

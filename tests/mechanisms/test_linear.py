@@ -229,7 +229,9 @@ def test_frequencies_of_fine_beams_err_by_their_cells_alone(cells):
     found = frequencies(cantilever(cells).build())
     assert len(found) == cells
     assert found[0] / CLAMPED[0] - 1.0 == pytest.approx(0.229429 / cells**2, rel=2e-4)
-    assert np.allclose(cells**2 * (found[:5] / CLAMPED[:5] - 1.0), (0.2294, 0.797, 1.308, 1.83, 2.35), rtol=0.01)
+    assert np.allclose(
+        cells**2 * (found[:5] / CLAMPED[:5] - 1.0), (0.2294, 0.797, 1.308, 1.83, 2.35), rtol=0.01
+    )
     if cells > 256:
         return
     loaded = frequencies(cantilever(cells, TIP).build())

@@ -137,6 +137,11 @@ class Phase:
         return NOTHING if self.loads is None else np.asarray(self.loads @ self.qd)
 
     @property
+    def effort(self) -> Floats:
+        """(n_v,) float: sizes of the torques, of which those at rest cancel."""
+        return np.abs(self.torque) + (0.0 if self.loads is None else np.sum(np.abs(self.loads), axis=0))
+
+    @property
     def is_finite(self) -> bool:
         """Whether energy, torques and velocities are all finite."""
         return bool(
