@@ -110,7 +110,7 @@ def linearise(
 
 @dataclass(frozen=True, eq=False)
 class _Nearby:
-    """States near one of a mechanism, by displacements and velocities along the directions in which it moves."""
+    """States near a state, by displacements and velocities along the directions of a mechanism."""
 
     model: Model
     at: Phase
@@ -168,9 +168,9 @@ class _Nearby:
 
     @property
     def turning(self) -> Floats:
-        """(k, k) float: rates of displacements at unchanged velocities, of balls and free bodies that turn."""
-        # With R = R0 exp(d) of a ball d' = dw - w x d along its axes; with R = exp(d) R0 of a free body, along
-        # the world's, d' = dw + w x d.
+        """(k, k) float: rates of displacements at unchanged velocities: balls and free bodies may turn."""
+        # With R = R0 exp(d) of a ball d' = dw - w x d along its axes. With R = exp(d) R0 of a free body
+        # d' = dw + w x d along the world's.
         tree, out = self.model.tree, np.zeros_like(self.ways)
         roots = tree.v_start[:-1][tree.kind == HingeKind.FREE]
         for sign, freedoms in ((-1.0, tree.balls), (1.0, roots[:, None] + np.arange(3))):

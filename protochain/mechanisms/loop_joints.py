@@ -9,7 +9,6 @@ from protochain.mechanics.multibody.algebra import (
     ZERO,
     Vector,
     add,
-    add_pair,
     cross,
     dot,
     hinge_axis,
@@ -32,8 +31,8 @@ from protochain.mechanics.multibody.small import cholesky, solve_lower, solve_up
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
 DEPENDENT = 1e-9
-"""Part of an equation that no other has, by the size it could have, below which it is rounding: loops are closed
-to 1e-12."""
+"""Part of an equation that no other has, by the size it could have, below which it is rounding. Loops are
+closed to 1e-12."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +64,7 @@ class LoopJoints:
         return error, Rows(self.body, wrench)
 
     def matrix(self, tree: Tree, frames: Frames) -> Floats:
-        """(m, n_v) float: rates of the errors by those of the freedoms, all in radians and sizes of the tree."""
+        """(m, n_v) float: rates of the errors by those of the freedoms, in radians and sizes of the tree."""
         rates = row_matrix(tree, frames, self.rows(frames)[1]) * tree.units
         return np.asarray(rates / np.where(self.turns, 1.0, tree.size)[:, None])
 
@@ -79,7 +78,7 @@ class LoopJoints:
 
 
 def least_change(matrix: Floats, wanted: Floats) -> Floats:
-    """Least x with matrix x = wanted, of rows in radians and sizes: what is below rounding changes nothing."""
+    """Least x with matrix x = wanted, for a matrix in radians and sizes, without what is rounding of it."""
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
     counts = sizes > DEPENDENT * max(1.0, np.max(sizes, initial=0.0))
     return np.asarray(right[counts].T @ ((left.T @ wanted)[counts].T / sizes[counts]).T)
@@ -92,9 +91,8 @@ class FactoredLoops:
     factors: Articulated  # Rigid bodies, their frames, and factors of M there.
     error: Floats  # (m,): Errors of the joints.
     rows: Rows  # Rates of these.
-    scales: (
-        Floats  # (m,): What scales rows Y = G M^-1/2 to a length of one; 0 of equations that nothing moves.
-    )
+    # (m,): What scales the rows Y of G M^-1/2 to a length of one; 0 of equations that no motion changes.
+    scales: Floats
     # (m, r): Y = C Q, with r orthonormal rows Q; the rows ``order`` (r,) of C are lower triangular.
     coefficients: Floats
     order: Integers
@@ -124,8 +122,8 @@ class FactoredLoops:
 
 def factor_loops(factors: Articulated, joints: LoopJoints) -> FactoredLoops:
     """Find what holds loop joints at one pose."""
-    # With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], G M^-1 G^T = Y Y^T, and a row of Y has but the freedoms on
-    # the paths from its bodies to the root. O(m n_v r).
+    # With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], G M^-1 G^T = Y Y^T. A row of Y has only the
+    # freedoms on the paths from its bodies to the root. O(m n_v r).
     tree, frames = factors.tree, factors.frames
     error, rows = joints.rows(frames)
     found = factor_loops_at(
@@ -182,8 +180,8 @@ def factor_loops_at(
 
 @kernel
 def _orthonormalise(y: Floats, least: Floats, rank: int) -> tuple[Floats, Integers]:
-    """Coefficients (m, r) of unit rows y by orthonormal ones, and the rows (r,) that gave these, in order."""
-    # Modified Gram-Schmidt with row pivoting (Bjorck, Numerical Methods for Least Squares Problems, 1996, 2.4).
+    """Coefficients (m, r) of unit rows y by orthonormal ones, and the rows (r,) that gave these."""
+    # Modified Gram-Schmidt with pivoting (Bjorck, Numerical Methods for Least Squares Problems, 1996, 2.4).
     # Next is the row whose rest exceeds its rounding, ``least``, by the largest factor.
     m = len(y)
     coefficients, order, left = np.zeros((m, rank)), np.empty(rank, np.int64), np.sqrt(np.sum(y * y, axis=1))
@@ -209,8 +207,8 @@ def _orthonormalise(y: Floats, least: Floats, rank: int) -> tuple[Floats, Intege
 @kernel
 def least_impulses(scales: Floats, coefficients: Floats, order: Integers, wanted: Floats) -> Floats:
     """Impulses (m,), scaled of least norm, that change rates by those wanted (m,)."""
-    # With Y = C Q and impulses z of scaled equations, the velocities Q^T c satisfy C c = wanted, and C^T z = c.
-    # These are seminormal equations, as stable as those with Q (Paige, SIAM J. Numer. Anal. 10:1160, 1973).
+    # With Y = C Q and impulses z of scaled equations, velocities Q^T c satisfy C c = wanted, and C^T z = c.
+    # Without Q these are as stable as with it (Paige, SIAM J. Numer. Anal. 10:1160, 1973).
     r, x, top = len(order), np.zeros(len(scales)), coefficients[order]
     c, square = scales[order] * wanted[order], coefficients.T @ coefficients
     solve_lower(top, r, c)

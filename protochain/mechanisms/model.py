@@ -282,7 +282,7 @@ class _Simulation:
             )
 
     def tolerated(self, time: float) -> float:
-        """Energy that forces may lose by a time in the displacements that the integrator's tolerance allows."""
+        """Energy that forces may lose by a time, in displacements that the integrator's tolerance allows."""
         # Of what creeps or rests more than moves: as a block that friction holds on a slope.
         steps = (time - self.start.time) / self.time_step
         work = float(np.sum(self.start.effort * self.model.tree.units))

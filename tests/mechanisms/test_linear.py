@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from fixtures.tolerances import DIFFERENCED
-from scipy.linalg import eigh
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
@@ -110,7 +109,7 @@ def test_outputs_get_the_time_derivatives_of_rates(make):
 
 
 def apart(tree, q, other):
-    """(n_v,): displacement from one pose to another: balls along their axes, free bodies along the world's."""
+    """(n_v,): displacement from one pose to another, of balls along their axes, free along the world's."""
     out = np.zeros(tree.n_v)
     for b in range(tree.n_bodies):
         i, v = tree.q_start[b], tree.v_start[b]

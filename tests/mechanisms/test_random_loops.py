@@ -1,4 +1,4 @@
-"""Accelerations of random mechanisms with loops, against dense algebra: fixed bodies, redundant loops, any units."""
+"""Accelerations of random mechanisms with loops against dense algebra: redundant loops, fixed bodies."""
 
 import numpy as np
 import pytest
