@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
 from protochain.core.arrays import Floats, read_only
 from protochain.core.errors import BodyError
@@ -20,6 +19,7 @@ from protochain.mechanisms.closed_equations import ClosedEquations
 from protochain.mechanisms.elements import Conservative, Dampers, Memory, Sum
 from protochain.mechanisms.event import Event, Happened
 from protochain.mechanisms.explicit import Acts, CompiledLoops, CompiledSystem
+from protochain.mechanisms.loop_joints import DEPENDENT
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +54,20 @@ class Assembly:
     @property
     def directions(self) -> Floats:
         """(n_v, k) float: directions in which it can move, as columns: of all hinges that are not driven."""
+        return self.directions_at(self.start())
+
+    def directions_at(self, at: Phase) -> Floats:
+        """As :attr:`directions`, at a phase."""
         free = np.eye(self.tree.n_v)[:, self.tree.undriven_v]
-        state = self.state()
-        if state.loops is None:
+        joints, frames = self.bodies.joints, at.factors.frames
+        if joints is None:
             return free
-        g = multibody.row_matrix(self.tree, state.frames, state.loops)
-        return np.asarray(free @ null_space(g @ free, rcond=1e-9))
+        g = joints.matrix(self.tree, frames)[:, self.tree.undriven_v]
+        sizes = np.linalg.svd(g, compute_uv=False)
+        rank = int(np.sum(sizes > DEPENDENT * max(1.0, np.max(sizes, initial=0.0))))
+        rank = rank if joints.rank is None else min(rank, joints.rank)
+        rows = multibody.row_matrix(self.tree, frames, joints.rows(frames)[1])
+        return np.asarray(free @ np.linalg.svd(rows @ free)[2][rank:].T) if rank else free
 
     @cached_property
     def system(self) -> Equations:

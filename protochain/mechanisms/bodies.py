@@ -16,11 +16,9 @@ from protochain.mechanics import multibody
 from protochain.mechanics.multibody import Frames, HingeKind, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate
 from protochain.mechanics.multibody.operational import Rows
-from protochain.mechanisms.loop_joints import LoopJoints
+from protochain.mechanisms.loop_joints import DEPENDENT, LoopJoints
 
 WORLD = "world"
-_DEPENDENT = 1e-9
-"""Part of a row that is not of others, by the largest row, which is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,11 +174,12 @@ class State:
         """Rows of the joints that close loops, without those that depend on others, as impulses need them."""
         if self.bodies.joints is None:
             return None
-        _, rows = self.bodies.joints.rows(self.frames)
-        g = multibody.row_matrix(self.bodies.tree, self.frames, rows)
-        r, order = qr(g.T, mode="r", pivoting=True)
+        joints = self.bodies.joints
+        _, rows = joints.rows(self.frames)
+        r, order = qr(joints.matrix(self.bodies.tree, self.frames).T, mode="r", pivoting=True)
         sizes = np.abs(np.diagonal(r))
-        kept = np.sort(order[: len(sizes)][sizes > _DEPENDENT * np.max(sizes, initial=0.0)])
+        counts = sizes > DEPENDENT * max(1.0, np.max(sizes, initial=0.0))
+        kept = np.sort(order[: len(sizes)][counts][: joints.rank])
         return Rows(rows.body[kept], rows.wrench[kept])
 
     def rotation(self, body: str) -> Floats:

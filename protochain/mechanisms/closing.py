@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg import lstsq, null_space
+from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
 from protochain.core.arrays import Floats, read_only
@@ -17,7 +17,7 @@ from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.closed_equations import CLOSED
 from protochain.mechanisms.element_arguments import direction, rotation_matrix
 from protochain.mechanisms.elements import Between
-from protochain.mechanisms.loop_joints import LoopJoints
+from protochain.mechanisms.loop_joints import LoopJoints, least_change
 
 X, Y, Z = np.eye(3)
 _SLIDES = {
@@ -185,9 +185,7 @@ def _constant_rank(bodies: Bodies, joints: LoopJoints, q: Floats, undriven: np.n
 
 def _matrix(bodies: Bodies, joints: LoopJoints, q: Floats, moves: np.ndarray) -> Floats:
     """(m, moves): rates of the errors by those of these freedoms, in radians and sizes of the tree."""
-    tree, frames = bodies.tree, multibody.pose(bodies.tree, q)
-    matrix = multibody.row_matrix(tree, frames, joints.rows(frames)[1])[:, moves] * tree.units[moves]
-    return np.asarray(matrix / np.where(joints.turns, 1.0, tree.size)[:, None])
+    return joints.matrix(bodies.tree, multibody.pose(bodies.tree, q))[:, moves]
 
 
 def _rank(matrix: Floats) -> int:
@@ -236,7 +234,7 @@ def _assembled(
             return q, (worst, 0.0)
         if not len(moves):
             break
-        step = lstsq(_matrix(bodies, joints, q, moves), -error / units, cond=1e-9)[0]
+        step = least_change(_matrix(bodies, joints, q, moves), -error / units)
         step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
         q = _moved(bodies, q, moves, step)
     return None, (worst, abs(float(error[worst])))
@@ -251,7 +249,7 @@ def _rates(
     rates = qd / tree.units
     follow = undriven[qd[undriven] == 0.0]
     if len(follow):
-        rates[follow] = lstsq(g[:, follow], -(g @ rates), cond=1e-9)[0]
+        rates[follow] = least_change(g[:, follow], -(g @ rates))
     left = np.abs(g @ rates)
     worst = int(np.argmax(left))
     if left[worst] > _CONTRADICTED * np.max(np.abs(rates), initial=0.0):

@@ -37,7 +37,14 @@ from protochain.mechanics.tableaux import Tableau
 from protochain.mechanisms.closed_equations import CLOSED, ITERATIONS, ClosedEquations
 from protochain.mechanisms.elements import Conservative, Damping, Gravity, weigh
 from protochain.mechanisms.linear_springs import Springs, pull, resist
-from protochain.mechanisms.loop_joints import LoopJoints, bends, factor_loops_at, gather, proximal, put_rows
+from protochain.mechanisms.loop_joints import (
+    LoopJoints,
+    bends,
+    factor_loops_at,
+    gather,
+    least_impulses,
+    put_rows,
+)
 from protochain.mechanisms.torsion import Torsions, slow, wind
 
 _MOST, _LEAST = 100_000, 1e-9
@@ -343,8 +350,8 @@ def _hold(
     m, gap = len(body), 0.0
     error, rows = np.empty(m), np.zeros((m, 2, 6))
     put_rows(rotation, origin, body, turns, point, along, error, rows)
-    scales, inverse, factor, last = factor_loops_at(
-        links, bodies, rotation, origin, gain, pivot, root, body, rows, size
+    scales, coefficients, order = factor_loops_at(
+        links, bodies, rotation, origin, gain, pivot, root, body, rows, size, -1
     )
     for k in range(m):
         gap = max(gap, abs(error[k]) / (1.0 if turns[k] else size))
@@ -360,7 +367,7 @@ def _hold(
     else:
         error *= -1.0
     loads[:], held[:] = 0.0, 0.0
-    gather(body, rows, scales * proximal(inverse, factor, last, scales * error), loads)
+    gather(body, rows, least_impulses(scales, coefficients, order, error), loads)
     loads *= -1.0
     inward_loads(links, bodies, rotation, origin, gain, pivot, loads, held)
     outward_rates(links, bodies, rotation, origin, gain, root, loads, held)

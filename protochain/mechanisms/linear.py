@@ -1,23 +1,32 @@
 """Small motions about a state: the matrix of their equations, and frequencies."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Self
 
 import numpy as np
+from scipy.linalg import cholesky, eigh, null_space, solve_triangular, svdvals
 
 from protochain.core.arrays import Floats
 from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Phase
+from protochain.mechanics.multibody import HingeKind
+from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanisms.bodies import State
 from protochain.mechanisms.element_arguments import answer, number
 from protochain.mechanisms.loads import n_parameters
+from protochain.mechanisms.loop_joints import least_change
 from protochain.mechanisms.model import Model
 
 _NUDGE = 1e-5
 """Displacement for the derivatives by central differences, in radians and sizes of the tree: the cube root of
 rounding, where both errors of a derivative are about 1e-10."""
+_NOTHING = 1e-13
+"""Square of a frequency, by that of the highest, which is rounding of the eigenvalues of K by M."""
+_RIGID = 1e-9
+"""Square of a frequency, by that of the lowest, which is rounding of a motion that nothing resists."""
 
 
 def state_matrix(model: Model, at: Phase | None = None) -> Floats:
@@ -34,7 +43,8 @@ def state_matrix(model: Model, at: Phase | None = None) -> Floats:
     -------
     (2 k, 2 k) float
         For displacements and velocities along the k :attr:`Model.directions`: of all freedoms that are not
-        driven, or of modes. A free root must be at rest.
+        driven, or of modes. Displacements of balls and free bodies are turns from where the motion has
+        them.
     """
     return _about(model, at)[0]
 
@@ -98,46 +108,102 @@ def linearise(
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Nearby:
+    """States near a state, by displacements and velocities along the directions of a mechanism."""
+
+    model: Model
+    at: Phase
+    ways: Floats  # (n_v, k): Directions.
+    back: Floats  # (k, n_v): What finds amplitudes of directions.
+    aside: Floats  # (n_v, r): All other ways of hinges that are not driven, none of which loops allow.
+
+    @classmethod
+    def of(cls, model: Model, at: Phase | None) -> Self:
+        """States near one, by default near the start."""
+        if not isinstance(model, Model):
+            raise MechanicsError(f"model {shown(model)}: give one, as build() makes it")
+        at = model.start() if at is None else at
+        ways = model.directions_at(at)
+        free = np.eye(model.tree.n_v)[:, model.tree.undriven_v]
+        return cls(model, at, ways, np.linalg.pinv(ways), free @ null_space(ways.T @ free))
+
+    def place(self, move: Floats, rate: Floats) -> tuple[Floats, Floats, Articulated, Floats]:
+        """Coordinates, velocities and factors there, and the directions (n_v, k) that loops allow there."""
+        system = self.model.system
+        q, qd = multibody.integrate(system.tree, self.at.q, move), self.at.qd + rate
+        factors = system.factors(q)
+        if self.model.bodies.joints is None:
+            return q, qd, factors, self.ways
+        return q, qd + self.follow(factors, qd), factors, self.ways + self.follow(factors, self.ways)
+
+    def follow(self, factors: Articulated, qd: Floats, bends: Floats | None = None) -> Floats:
+        """Velocities aside, of which loops need some in addition to qd; of accelerations with ``bends``."""
+        joints, tree = self.model.bodies.joints, self.model.tree
+        assert joints is not None
+        rates = joints.matrix(tree, factors.frames)
+        opening = rates @ (qd.T / tree.units).T
+        if bends is not None:
+            opening = opening + bends / np.where(joints.turns, 1.0, tree.size)
+        return np.asarray(self.aside @ least_change(rates @ (self.aside / tree.units[:, None]), -opening))
+
+    def lack(self, move: Floats, rate: Floats, qdd: Floats) -> Floats:
+        """(k,) float: forces along the directions there, less those of the accelerations along them here."""
+        model, system = self.model, self.model.system
+        q, qd, factors, there = self.place(move, rate)
+        torque, joints = system.forces(self.at.time, q, qd, factors)[1], model.bodies.joints
+        if joints is not None:
+            bends = joints.accelerations(model.tree, factors.frames, qd, np.zeros_like(qd))
+            qdd = qdd + self.follow(factors, qdd, bends)
+        return np.asarray(there.T @ (torque - system.inverse_dynamics(q, qd, qdd)))
+
+    def slopes(self, function: Callable[[Floats, Floats], Floats], kind: int) -> Floats:
+        """Derivatives by displacements (kind 0) or velocities (1) along the directions, as columns."""
+        columns = []
+        for way in self.ways.T:
+            step = _NUDGE / np.max(np.abs(way) / self.model.tree.units)
+            ends = [function(*np.roll([sign * step * way, 0.0 * way], kind, axis=0)) for sign in (1.0, -1.0)]
+            columns.append((ends[0] - ends[1]) / (2.0 * step))
+        return np.array(columns).T if columns else np.zeros((0, 0))
+
+    @property
+    def turning(self) -> Floats:
+        """(k, k) float: rates of displacements at unchanged velocities: balls and free bodies may turn."""
+        # With R = R0 exp(d) of a ball d' = dw - w x d along its axes. With R = exp(d) R0 of a free body
+        # d' = dw + w x d along the world's.
+        tree, out = self.model.tree, np.zeros_like(self.ways)
+        roots = tree.v_start[:-1][tree.kind == HingeKind.FREE]
+        for sign, freedoms in ((-1.0, tree.balls), (1.0, roots[:, None] + np.arange(3))):
+            for own in freedoms:
+                out[own] = sign * np.cross(self.at.qd[own], self.ways[own].T).T
+        return np.asarray(self.back @ out)
+
+
 def _about(
     model: Model, at: Phase | None, seen: Callable[[State, Floats], Floats] | None = None,
     freedoms: Sequence[int] = (),
 ) -> tuple[Floats, int]:  # fmt: skip
     """Derivatives of rates and outputs by state and torques, and the number of directions."""
-    if not isinstance(model, Model):
-        raise MechanicsError(f"model {shown(model)}: give one, as build() makes it")
-    system, tree = model.system, model.tree
-    at = model.start() if at is None else at
-    directions = model.directions
-    back = np.linalg.pinv(directions)
-    still, k = np.zeros(tree.n_v), directions.shape[1]
+    near = _Nearby.of(model, at)
+    system, tree, k = model.system, model.tree, near.ways.shape[1]
+    still = np.zeros(tree.n_v)
 
-    def found(move: Floats, rate: Floats, push: Floats) -> Floats:
-        q, qd = multibody.integrate(tree, at.q, move), at.qd + rate
-        factors = system.factors(q)
-        _, torque, loads = system.forces(at.time, q, qd, factors)
-        qdd = system.accelerations(at.time, q, qd, torque + push, loads, factors)[0]
-        qdd[tree.driven_v] = 0.0
-        out = back @ system.velocity_rates(qd, qdd)
+    def found(move: Floats, rate: Floats, push: Floats = still) -> Floats:
+        q, qd, factors, _ = near.place(move, rate)
+        _, torque, loads = system.forces(near.at.time, q, qd, factors)
+        qdd = system.accelerations(near.at.time, q, qd, torque + push, loads, factors)[0]
+        out = near.back @ qdd
         if seen is None:
             return np.asarray(out)
-        return np.append(out, seen(State(model.bodies, at.time, q, qd, factors.frames), qdd))
+        return np.append(out, seen(State(model.bodies, near.at.time, q, qd, factors.frames), qdd))
 
-    def slope(step: float, *change: Floats) -> Floats:
-        up, down = (found(*(sign * each for each in change)) for sign in (1.0, -1.0))
-        return (up - down) / (2.0 * step)
-
-    columns = []
-    for kind in range(2):
-        for column in directions.T:
-            step = _NUDGE / np.max(np.abs(column) / tree.units)
-            one = step * column
-            columns.append(slope(step, *((one, still) if kind == 0 else (still, one)), still))
     # Linear in torques, so that any will do: such as move a hinge by one.
-    columns += [slope(1.0, still, still, unit) for unit in np.eye(tree.n_v)[list(freedoms)]]
-    lower = np.array(columns).T
-    upper = np.zeros((k, lower.shape[1]))
-    upper[:, k : 2 * k] = np.eye(k)
-    return np.vstack([upper, lower]), k
+    units = np.eye(tree.n_v)[list(freedoms)]
+    pushed = [0.5 * (found(still, still, unit) - found(still, still, -unit)) for unit in units]
+    rows = len(found(still, still))
+    lower = [near.slopes(found, 0), near.slopes(found, 1), np.reshape(pushed, (len(units), rows)).T]
+    upper = np.hstack([near.turning, np.eye(k), np.zeros((k, len(units)))])
+    return np.vstack([upper, np.hstack([part.reshape(rows, -1) for part in lower])]), k
 
 
 def frequencies(model: Model, at: Phase | None = None) -> Floats:
@@ -154,6 +220,55 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
     -------
     (m,) float
         Imaginary parts of the eigenvalues that have one, in pairs counted once.
+
+    Notes
+    -----
+    Of M x'' + C x' + K x = 0, whose eigenvalues are found by their inverses, in coordinates by Cholesky's
+    factors of K and M: so the lowest frequencies of a fine beam have all digits. Where K is not positive
+    definite, as of a free beam, the eigenvalues are shifted first (Tisseur, Meerbergen, SIAM Rev. 43:235,
+    2001, sections 3.4 and 5.1).
     """
-    found = np.linalg.eigvals(state_matrix(model, at)).imag
-    return np.sort(found[found > 0.0])
+    near = _Nearby.of(model, at)
+    system, ways, start, k = model.system, near.ways, near.at, near.ways.shape[1]
+    if not k:
+        return np.zeros(0)
+    if np.any(near.turning):
+        found = np.linalg.eigvals(state_matrix(model, at)).imag
+        return np.sort(found[found > 0.0])
+    qdd = system.accelerations(start.time, start.q, start.qd, start.torque, start.loads, start.factors)[0]
+    mass = ways.T @ multibody.mass_matrix(model.tree, start.factors.frames) @ ways
+    stiffness = -near.slopes(lambda move, rate: near.lack(move, rate, qdd), 0)
+    conservative = not model.loads and model.drive is None and not np.any(start.qd)
+    if conservative:
+        stiffness, damping = 0.5 * (stiffness + stiffness.T), np.zeros((k, k))
+    else:
+        damping = -near.slopes(lambda move, rate: near.lack(move, rate, qdd), 1)
+    root = cholesky(mass, lower=True)
+    shift, factor = _shifted(mass, damping, stiffness, conservative)
+    # Rates of z = L_K^T x and L_M^T x', over the eigenvalue, less its shift.
+    across = solve_triangular(factor, root, lower=True)
+    if conservative:
+        squares = svdvals(across) ** -2.0 - shift**2
+        return np.sort(np.sqrt(squares[squares > _RIGID * shift**2]))
+    moved = damping + 2.0 * shift * mass
+    flexibility = np.linalg.inv(stiffness + shift * damping + shift**2 * mass)
+    first = factor.T @ flexibility @ solve_triangular(factor, moved.T, lower=True).T
+    inverse = np.block([[-first, -factor.T @ flexibility @ root], [across.T, np.zeros((k, k))]])
+    found = (1.0 / np.linalg.eigvals(inverse)).imag
+    return np.sort(found[found > np.sqrt(_RIGID) * shift])
+
+
+def _shifted(mass: Floats, damping: Floats, stiffness: Floats, conservative: bool) -> tuple[float, Floats]:
+    """Shift s for which K + s C + s^2 M is positive definite, but for K + s^2 M, and Cholesky's factor."""
+    symmetric = 0.5 * (stiffness + stiffness.T)
+    squares = eigh(symmetric, mass, eigvals_only=True)
+    counts = np.abs(squares) > _NOTHING * np.max(np.abs(squares))
+    shift, low = 0.0, squares[counts]
+    if not np.all(counts) or low[0] < 0.0:
+        shift = np.sqrt(max(-2.0 * low[0], np.min(np.abs(low)))) if len(low) else 1.0
+    while True:
+        added = shift**2 * mass + (0.0 if conservative else shift * 0.5 * (damping + damping.T))
+        try:
+            return float(shift), cholesky(symmetric + added, lower=True)
+        except np.linalg.LinAlgError:
+            shift = 2.0 * shift if shift else np.sqrt(np.min(np.abs(squares[counts])))

@@ -5,12 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody.algebra import (
     ZERO,
     Vector,
     add,
-    add_pair,
     cross,
     dot,
     hinge_axis,
@@ -27,17 +25,14 @@ from protochain.mechanics.multibody.algebra import (
 from protochain.mechanics.multibody.articulated import Articulated, solve
 from protochain.mechanics.multibody.kinematics import Frames, outward_twists, velocities
 from protochain.mechanics.multibody.newton_euler import AT_REST, Motion, carried_along, motion_of, put_motions
-from protochain.mechanics.multibody.operational import Rows
-from protochain.mechanics.multibody.small import solve_lower
+from protochain.mechanics.multibody.operational import Rows, row_matrix
+from protochain.mechanics.multibody.rotations import hinge_accelerations
+from protochain.mechanics.multibody.small import cholesky, solve_lower, solve_upper
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 
-_PROXIMAL = 1e-7
-"""e, added to a diagonal of one: far above rounding, so small that few iterations take it off."""
-_ITERATIONS = 100
-_NOTHING = 1e-14
-"""Of what is left of an equation, and of the square of what changes none, relative to what there was."""
-_IMMOVABLE = 1e-24
-"""Square of what rounding leaves of an equation that no motion changes, by its size."""
+DEPENDENT = 1e-9
+"""Part of an equation that no other has, by the size it could have, below which it is rounding. Loops are
+closed to 1e-12."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,13 +63,25 @@ class LoopJoints:
         put_rows(frames.rotation, frames.origin, self.body, self.turns, self.point, self.along, error, wrench)
         return error, Rows(self.body, wrench)
 
+    def matrix(self, tree: Tree, frames: Frames) -> Floats:
+        """(m, n_v) float: rates of the errors by those of the freedoms, in radians and sizes of the tree."""
+        rates = row_matrix(tree, frames, self.rows(frames)[1]) * tree.units
+        return np.asarray(rates / np.where(self.turns, 1.0, tree.size)[:, None])
+
     def accelerations(self, tree: Tree, frames: Frames, qd: Floats, qdd: Floats) -> Floats:
         """(m,) float: second derivatives of the errors by time, of a motion."""
         found: Floats = bends(
             tree.links, tree.bodies, frames.rotation, frames.origin, self.body, self.turns, self.point,
-            self.along, qd, qdd,
+            self.along, qd, hinge_accelerations(tree, qd, qdd),
         )  # fmt: skip
         return found
+
+
+def least_change(matrix: Floats, wanted: Floats) -> Floats:
+    """Least x with matrix x = wanted, for a matrix in radians and sizes, without what is rounding of it."""
+    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
+    counts = sizes > DEPENDENT * max(1.0, np.max(sizes, initial=0.0))
+    return np.asarray(right[counts].T @ ((left.T @ wanted)[counts].T / sizes[counts]).T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,11 +91,11 @@ class FactoredLoops:
     factors: Articulated  # Rigid bodies, their frames, and factors of M there.
     error: Floats  # (m,): Errors of the joints.
     rows: Rows  # Rates of these.
-    scales: Floats  # (m,): What scales A = G M^-1 G^T to a diagonal of one.
-    inverse: Floats  # inverse, factor: (m, m): A, scaled; Cholesky's factor of A + e, the upper.
-    factor: Floats
-    last: Integers  # (m,) int: One past the last number of each row of the factor that is not zero.
-    rank: int | None  # As of :class:`LoopJoints`.
+    # (m,): What scales the rows Y of G M^-1/2 to a length of one; 0 of equations that no motion changes.
+    scales: Floats
+    # (m, r): Y = C Q, with r orthonormal rows Q; the rows ``order`` (r,) of C are lower triangular.
+    coefficients: Floats
+    order: Integers
 
     def rates(self, qd: Floats) -> Floats:
         """(m,) float: rates of the errors at velocities (n_v,)."""
@@ -98,23 +105,8 @@ class FactoredLoops:
 
     def impulses(self, wanted: Floats) -> Floats:
         """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted."""
-        # Those of joints that depend on others have the least norm.
-        # x <- x + (A + e)^-1 (b - A x) until nothing is left, the proximal method (of mechanisms: Carpentier,
-        # Budhiraja, Mansard, RSS 2021), by conjugate gradients (Saad, Iterative Methods, 2003, algorithm
-        # 9.1), which need no more iterations than A has eigenvalues below e. At constant rank by
-        # eigenvectors.
-        if self.rank is not None:
-            values, vectors = (part[..., -self.rank :] for part in np.linalg.eigh(self.inverse))
-            return np.asarray(self.scales * (vectors @ (vectors.T @ (self.scales * wanted) / values)))
-        x = proximal(self.inverse, self.factor, self.last, self.scales * wanted)
-        if not np.all(np.isfinite(x)) and np.all(np.isfinite(wanted)):
-            values = np.linalg.eigvalsh(self.inverse)
-            worst = values[-1] / values[values > _NOTHING][0]
-            raise MechanicsError(
-                f"the forces of loops are not found: the condition number of their equations is {worst:.1g}; "
-                "shorten the chain of loops, or close some by bushings"
-            )
-        return np.asarray(self.scales * x)
+        found: Floats = least_impulses(self.scales, self.coefficients, self.order, wanted)
+        return found
 
     def wrenches(self, impulses: Floats) -> Floats:
         """Impulses of the joints (m,) as those on the bodies, (nb, 6)."""
@@ -130,145 +122,114 @@ class FactoredLoops:
 
 def factor_loops(factors: Articulated, joints: LoopJoints) -> FactoredLoops:
     """Find what holds loop joints at one pose."""
-    # With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], A = Y^T D^-1 Y, and the column y of a joint has but the
-    # freedoms on the paths from its bodies to the root. A is dense, O(m^2); its factor, O(m^3) at most, is a
-    # band where loops follow each other in the order of the tree.
+    # With M^-1 = [1 - H psi K]^T D^-1 [1 - H psi K], G M^-1 G^T = Y Y^T. A row of Y has only the
+    # freedoms on the paths from its bodies to the root. O(m n_v r).
     tree, frames = factors.tree, factors.frames
     error, rows = joints.rows(frames)
     found = factor_loops_at(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot,
-        factors.root, rows.body, rows.wrench, tree.size,
+        factors.root, rows.body, rows.wrench, tree.size, -1 if joints.rank is None else joints.rank,
     )  # fmt: skip
-    return FactoredLoops(factors, error, rows, *found, joints.rank)
+    return FactoredLoops(factors, error, rows, *found)
 
 
 @kernel
 def factor_loops_at(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
-    root: Floats, body: Integers, wrench: Floats, size: float,
-) -> tuple[Floats, Floats, Floats, Integers]:  # fmt: skip
-    """Scales, inverse, factor and last of :class:`FactoredLoops`."""
-    m, n, n_v = len(body), len(bodies), links[-1, V]
-    y, first, past = np.zeros((m, n_v)), np.full(m, n_v), np.zeros(m, np.int64)
-    loads, reached = np.zeros((n, 6)), np.zeros(n, np.bool_)
+    root: Floats, body: Integers, wrench: Floats, size: float, rank: int,
+) -> tuple[Floats, Floats, Integers]:  # fmt: skip
+    """Scales, coefficients and order of :class:`FactoredLoops`, of at most ``rank`` independent equations."""
+    m, n_v = len(body), links[-1, V]
+    y, scales, least = np.zeros((m, n_v)), np.zeros(m), np.zeros(m)
     for i in range(m):
-        # Of y, as large as it could be: what is left of less is rounding, and the equation nobody's to move.
+        # The square of the largest length that y could have decides what is rounding. Loads of the two bodies
+        # pass inward one after the other: those of bodies that are fixed to each other cancel.
         most = 0.0
         for side in range(2):
-            if body[i, side] >= 0:
-                loads[body[i, side]] += wrench[i, side]
-                reached[body[i, side]] = True
-        for b in range(max(body[i, 0], body[i, 1]), -1, -1):
-            if not reached[b]:
-                continue
-            p, k = links[b, PARENT], links[b, V]
-            width = links[b + 1, V] - k
-            moment, force = pair(loads, b)
-            loads[b], reached[b] = 0.0, False
-            if width > 0:
-                first[i], past[i] = k, max(past[i], k + width)
-            if width == 6:
-                y[i, k], y[i, k + 1], y[i, k + 2] = moment
-                y[i, k + 3], y[i, k + 4], y[i, k + 5] = force
-                solve_lower(root[links[b, Q] - k], 6, y[i, k : k + 6])
-                most += np.dot(y[i, k : k + 6], y[i, k : k + 6])
-            along = 0.0
-            if width == 1:
-                axis = hinge_axis(rotation, b)
-                along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
-                y[i, k] = along / np.sqrt(pivot[b])
-                turn, slide = bodies[b, TURN] * bodies[b, TURN], bodies[b, SLIDE] * bodies[b, SLIDE]
-                push = dot(force, force)
-                most += (turn * (dot(moment, moment) + size * size * push) + slide * push) / pivot[b]
-            if p >= 0:
-                moment = add(moment, cross(lever(origin, b, p), force))
-                g, h = pair(gain, b)
-                add_pair(subtract(moment, scale(along, g)), subtract(force, scale(along, h)), loads, p)
-                reached[p] = True
-        if np.dot(y[i], y[i]) <= _IMMOVABLE * most:
-            y[i] = 0.0
-    inverse = np.zeros((m, m))
-    for i in range(m):
-        for j in range(i, m):
-            for k in range(max(first[i], first[j]), min(past[i], past[j])):
-                inverse[i, j] += y[i, k] * y[j, k]
-    scales = np.ones(m)
-    for i in range(m):
-        if inverse[i, i] > 0.0:
-            scales[i] = 1.0 / np.sqrt(inverse[i, i])
-    for i in range(m):
-        for j in range(i, m):
-            inverse[i, j] *= scales[i] * scales[j]
-            inverse[j, i] = inverse[i, j]
-    factor, last = inverse.copy(), np.empty(m, np.int64)
-    for i in range(m):
-        factor[i, i] += _PROXIMAL
-        last[i] = i + 1
-        for j in range(i + 1, m):
-            if factor[i, j] != 0.0:
-                last[i] = j + 1
-    _factorise(factor, last)
-    return scales, inverse, factor, last
+            moment, force = pair(wrench[i], side)
+            b = body[i, side]
+            while b >= 0:
+                k = links[b, V]
+                width = links[b + 1, V] - k
+                if width == 6:
+                    x = np.array([moment[0], moment[1], moment[2], force[0], force[1], force[2]])
+                    solve_lower(root[links[b, Q] - k], 6, x)
+                    y[i, k : k + 6] += x
+                    most += np.dot(x, x)
+                along = 0.0
+                if width == 1:
+                    axis = hinge_axis(rotation, b)
+                    along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
+                    y[i, k] += along / np.sqrt(pivot[b])
+                    turn, slide = bodies[b, TURN] * bodies[b, TURN], bodies[b, SLIDE] * bodies[b, SLIDE]
+                    push = dot(force, force)
+                    most += (turn * (dot(moment, moment) + size * size * push) + slide * push) / pivot[b]
+                p = links[b, PARENT]
+                if p >= 0:
+                    moment = add(moment, cross(lever(origin, b, p), force))
+                    g, h = pair(gain, b)
+                    moment, force = subtract(moment, scale(along, g)), subtract(force, scale(along, h))
+                b = p
+        length = np.sqrt(np.dot(y[i], y[i]))
+        if length > DEPENDENT * np.sqrt(most):
+            scales[i], least[i] = 1.0 / length, DEPENDENT * np.sqrt(most) / length
+        y[i] *= scales[i]
+    coefficients, order = _orthonormalise(y, least, rank if rank >= 0 else min(m, n_v))
+    return scales, coefficients, order
 
 
 @kernel
-def _factorise(a: Floats, last: Integers) -> None:
-    """Overwrite the upper triangle of a by U with U^T U = a, by rows; ``last`` grows where U fills in."""
-    for k in range(len(a)):
-        a[k, k] = np.sqrt(a[k, k])
-        for j in range(k + 1, last[k]):
-            a[k, j] /= a[k, k]
-        for i in range(k + 1, last[k]):
-            part = a[k, i]
-            if part != 0.0:
-                last[i] = max(last[i], last[k])
-                for j in range(i, last[k]):
-                    a[i, j] -= part * a[k, j]
+def _orthonormalise(y: Floats, least: Floats, rank: int) -> tuple[Floats, Integers]:
+    """Coefficients (m, r) of unit rows y by orthonormal ones, and the rows (r,) that gave these."""
+    # Modified Gram-Schmidt with pivoting (Bjorck, Numerical Methods for Least Squares Problems, 1996, 2.4).
+    # Next is the row whose rest exceeds its rounding, ``least``, by the largest factor.
+    m = len(y)
+    coefficients, order, left = np.zeros((m, rank)), np.empty(rank, np.int64), np.sqrt(np.sum(y * y, axis=1))
+    for r in range(rank):
+        best, largest = -1, 1.0
+        for i in range(m):
+            if left[i] > largest * least[i]:
+                best, largest = i, left[i] / least[i]
+        if best < 0:
+            return coefficients[:, :r].copy(), order[:r]
+        unit = y[best] / left[best]
+        order[r], coefficients[best, r], left[best] = best, left[best], 0.0
+        for i in range(m):
+            if left[i] > 0.0:
+                coefficients[i, r] = np.dot(y[i], unit)
+                y[i] -= coefficients[i, r] * unit
+                left[i] = np.sqrt(np.dot(y[i], y[i]))
+                if left[i] <= least[i]:
+                    left[i] = 0.0
+    return coefficients, order
 
 
 @kernel
-def _solve(factor: Floats, last: Integers, x: Floats) -> None:
-    """Overwrite x by what U^T U = factor makes it of."""
-    n = len(x)
-    for k in range(n):
-        x[k] /= factor[k, k]
-        for j in range(k + 1, last[k]):
-            x[j] -= factor[k, j] * x[k]
-    for k in range(n - 1, -1, -1):
-        for j in range(k + 1, last[k]):
-            x[k] -= factor[k, j] * x[j]
-        x[k] /= factor[k, k]
+def least_impulses(scales: Floats, coefficients: Floats, order: Integers, wanted: Floats) -> Floats:
+    """Impulses (m,), scaled of least norm, that change rates by those wanted (m,)."""
+    # With Y = C Q and impulses z of scaled equations, velocities Q^T c satisfy C c = wanted, and C^T z = c.
+    # Without Q these are as stable as with it (Paige, SIAM J. Numer. Anal. 10:1160, 1973).
+    r, x, top = len(order), np.zeros(len(scales)), coefficients[order]
+    c, square = scales[order] * wanted[order], coefficients.T @ coefficients
+    solve_lower(top, r, c)
+    if r < np.count_nonzero(scales) and cholesky(square, r):
+        # Redundant equations: c of least squares and z = C (C^T C)^-1 c, once more for what is left.
+        for _ in range(2):
+            c += _solved(square, coefficients.T @ (scales * wanted - coefficients @ c))
+        for _ in range(2):
+            x += coefficients @ _solved(square, c - coefficients.T @ x)
+    else:
+        solve_upper(top, r, c)
+        x[order] = c
+    return scales * x
 
 
 @kernel
-def proximal(a: Floats, factor: Floats, last: Integers, b: Floats) -> Floats:
-    """Least x with a x = b, of which ``factor`` has that of a + e; no numbers if it is not found."""
-    n = len(b)
-    x, left, way, moved = np.zeros(n), b.copy(), np.zeros(n), np.empty(n)
-    before, largest = 1.0, np.max(np.abs(b))
-    for _ in range(_ITERATIONS):
-        step = left.copy()
-        _solve(factor, last, step)
-        now = np.dot(step, left)
-        way *= now / before
-        way += step
-        # The factor has no fewer numbers than a.
-        for k in range(n):
-            moved[k] = a[k, k] * way[k]
-        for k in range(n):
-            for j in range(k + 1, last[k]):
-                moved[k] += a[k, j] * way[j]
-                moved[j] += a[k, j] * way[k]
-        along = np.dot(way, moved)
-        # What is left is a rate that no impulse changes.
-        if not along > _NOTHING * np.dot(way, way):
-            return x
-        x += now / along * way
-        left -= now / along * moved
-        before = now
-        if np.max(np.abs(left)) <= _NOTHING * max(largest, np.max(np.abs(x))):
-            return x
-    return np.full(n, np.nan)
+def _solved(factor: Floats, x: Floats) -> Floats:
+    """Overwrite x by the solution with a matrix of this Cholesky factor; return it."""
+    solve_lower(factor, len(x), x)
+    solve_upper(factor, len(x), x)
+    return x
 
 
 @kernel

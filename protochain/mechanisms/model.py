@@ -35,6 +35,8 @@ _MOST_ROWS = 1e7
 """Rows of a run: of each some hundred bytes at least, and thousands with many bodies."""
 _MOST_STEPS = 1e10
 """Steps of a run: of ten microseconds at least, so that these take a day."""
+_TOLERATED = 10.0
+"""Displacements of a step that are errors, by the tolerance: it is that of each of several substeps."""
 _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
 
@@ -273,11 +275,19 @@ class _Simulation:
         # Perhaps there was more before: this row may be a turning point.
         run = Run(self.model, self.rows, (), self.start)
         largest = run.in_motion
-        if not (abs(lack) <= self.balance * largest + ROUNDED * run.held and np.isfinite(lack)):
+        allowed = self.balance * largest + ROUNDED * run.held + self.tolerated(time)
+        if not (abs(lack) <= allowed and np.isfinite(lack)):
             raise UnbalancedError(
                 f"by time {time:g} the energy has changed by {lack:.3g}, of {largest:.3g} in motion, "
                 f"without work: the time step {self.time_step:g} is too long; {self.remedy}"
             )
+
+    def tolerated(self, time: float) -> float:
+        """Energy that forces may lose by a time, in displacements that the integrator's tolerance allows."""
+        # Of what creeps or rests more than moves: as a block that friction holds on a slope.
+        steps = (time - self.start.time) / self.time_step
+        work = float(np.sum(self.start.effort * self.model.tree.units))
+        return _TOLERATED * getattr(self.integrator, "tolerance", 0.0) * steps * work
 
     def unspent(self, row: Row) -> tuple[float, float]:
         """Kinetic energy; energy less work and what events have given: it does not change."""

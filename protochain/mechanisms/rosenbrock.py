@@ -59,19 +59,19 @@ class Rosenbrock(Integrator):
 
         def substep(at: Phase, h: float) -> Tried:
             after, moved, quickened = _advance(system, at, h)
-            _check_balance(system, at, after, self.tolerance / abs(time_step))
+            _check_balance(system, at, after, self.tolerance / abs(time_step) * system.units)
             return after, moved, quickened
 
         return in_substeps(substep, system, at, time_step, self.tolerance, 2, _LEAST, _MOST)
 
 
-def _check_balance(system: Equations, at: Phase, after: Phase, slow: float) -> None:
+def _check_balance(system: Equations, at: Phase, after: Phase, speed: Floats) -> None:
     """Raise if energy changes by other than the work of the ends' powers, as of an unresolved damper."""
-    # What moves no faster than ``slow``, in radians and sizes of the tree, may lose its energy.
+    # What moves no faster than ``speed`` (n_v,) may lose its energy, and forces their work at such speeds.
     work = after.work - at.work
     flow = max(at.kinetic, after.kinetic) + abs(after.potential - at.potential) + np.sum(np.abs(work))
-    speed = slow * system.units
     trace = 0.5 * float(system.momenta(after.factors, speed) @ speed)
+    trace += abs(after.time - at.time) * float(np.maximum(at.effort, after.effort) @ speed)
     lack = after.total - at.total - np.sum(work)
     if abs(lack) > _BALANCED * flow + trace:
         raise StepTooLargeError(f"it loses {-lack:.2g} of {flow:.2g} of energy in motion, work not counted")
@@ -88,7 +88,7 @@ def _advance(system: Equations, at: Phase, h: float) -> Tried:
         qdd, loads = system.accelerations(time, q, qd, torque, loads, factors)
         slope = system.displacement_rates(move, qd)
         slope[driven], qdd[driven] = 0.0, 0.0
-        return slope, system.velocity_rates(qd, qdd), NOTHING if loads is None else loads @ qd
+        return slope, qdd, NOTHING if loads is None else loads @ qd
 
     still = np.zeros(n)
     slope, acceleration, power = rates(at.time, still, at.qd)

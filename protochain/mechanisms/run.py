@@ -219,5 +219,4 @@ class Run(Motion):
     @property
     def held(self) -> float:
         """Energy of what is held, of which rounding may move a part: its potential, weights by its size."""
-        torques = np.abs(self.end.torque * self.model.tree.units)
-        return float(abs(self.potential[-1]) + np.max(torques, initial=0.0))
+        return float(abs(self.potential[-1]) + np.max(self.end.effort * self.model.tree.units, initial=0.0))

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from protochain.core.errors import Fault, MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, Leapfrog, RungeKutta4
-from protochain.mechanisms import Mechanism, Rosenbrock, loop_joints
+from protochain.mechanisms import Mechanism, Rosenbrock
 from protochain.mechanisms.impacts import ContactPoint, impact
 
 G = 9.81
@@ -282,17 +282,10 @@ def accelerations(model):
 
 @pytest.mark.parametrize("n", [10, 150])
 def test_a_scissor_lift_of_any_length_falls_as_its_closed_form(n):
-    """At 150 stages the smallest eigenvalue that counts is 1e-8 of the largest, e a tenth of that."""
+    """At 150 stages the smallest eigenvalue that counts is 1e-8 of the largest."""
     model, wanted = scissor(n)
-    assert accelerations(model)[model.bodies.freedom("ha0")[1]] == pytest.approx(wanted, rel=1e-7)
+    assert accelerations(model)[model.bodies.freedom("ha0")[1]] == pytest.approx(wanted, rel=1e-10)
     model.simulate(2e-3, 1e-3)
-
-
-def test_forces_of_loops_that_are_not_found_are_refused(monkeypatch):
-    model, _ = scissor(60)
-    monkeypatch.setattr(loop_joints, "proximal", lambda a, factor, last, b: np.full(len(b), np.nan))
-    with pytest.raises(MechanicsError, match=r"the condition number of their equations is \de\+0\d"):
-        accelerations(model)
 
 
 def turned(axis, angle):

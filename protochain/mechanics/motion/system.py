@@ -16,7 +16,7 @@ from protochain.mechanics.multibody import Frames, Tree
 from protochain.mechanics.multibody.articulated import Articulated, articulate, solve
 from protochain.mechanics.multibody.forward import accelerations
 from protochain.mechanics.multibody.hamilton import momenta
-from protochain.mechanics.multibody.rotations import displacement_rates, velocity_rates
+from protochain.mechanics.multibody.rotations import displacement_rates
 from protochain.mechanics.tableaux import Tableau
 
 Potential = Callable[[Floats, Articulated], tuple[float, Floats]]
@@ -135,6 +135,11 @@ class Phase:
     def power(self) -> Floats:
         """(k,) float: power of each of the loads, and of the drive."""
         return NOTHING if self.loads is None else np.asarray(self.loads @ self.qd)
+
+    @property
+    def effort(self) -> Floats:
+        """(n_v,) float: sizes of the torques, of which those at rest cancel."""
+        return np.abs(self.torque) + (0.0 if self.loads is None else np.sum(np.abs(self.loads), axis=0))
 
     @property
     def is_finite(self) -> bool:
@@ -301,8 +306,7 @@ class Equations:
                 factors = self.factors(q)
                 _, torque, loads = self.forces(time, q, qd, factors)
             slopes[i] = self.displacement_rates(move, qd)
-            qdd, loads = self.accelerations(time, q, qd, torque, loads, factors)
-            accelerations[i] = self.velocity_rates(qd, qdd)
+            accelerations[i], loads = self.accelerations(time, q, qd, torque, loads, factors)
             if loads is not None:
                 powers.append(loads @ qd)
         q, qd = self.integrate(at.q, b @ slopes), at.qd + b @ accelerations
@@ -377,10 +381,6 @@ class Equations:
     def displacement_rates(self, move: Floats, qd: Floats) -> Floats:
         """Rates (n_v,) of a displacement, for velocities at its end."""
         return displacement_rates(self.tree, move, qd)
-
-    def velocity_rates(self, qd: Floats, qdd: Floats) -> Floats:
-        """Time derivatives (n_v,) of velocities, of accelerations along the hinges."""
-        return velocity_rates(self.tree, qd, qdd)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,7 +29,6 @@ from protochain.mechanics.multibody.newton_euler import (
     motion_of,
     moved_by_hinge,
     put_motion,
-    rotor_torques,
 )
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 from protochain.mechanics.multibody.trigonometry import cosines_and_sines
@@ -50,7 +49,7 @@ def forward_dynamics(tree: Tree, q: Floats, qd: Floats, tau: Floats, wrench: Flo
     Returns
     -------
     (n_v,) float, rad/ps^2 (nm/ps^2 for slides)
-        Accelerations; those of driven hinges as given. Their torques are then
+        Time derivatives of qd; those of driven hinges as given. Their torques are then
         :func:`~protochain.mechanics.multibody.inverse_dynamics` there.
 
     Raises
@@ -101,9 +100,6 @@ def _by_parts(tree: Tree, q: Floats, qd: Floats, x: Floats, wrench: Floats) -> F
     frames, given = pose(tree, q), np.zeros(tree.n_v)
     given[tree.driven_v] = x[tree.driven_v]
     loads = inertial_loads(tree, frames, qd, given) - wrench
-    if len(tree.balls):
-        # The axes of balls turn with their bodies, so that rotors resist without accelerations, too.
-        x = x - rotor_torques(tree, qd, np.zeros(tree.n_v))
     return solve(articulate(tree, frames), x, loads) + given
 
 

@@ -23,7 +23,7 @@ from protochain.mechanics.multibody.algebra import (
     vector_at,
 )  # fmt: skip
 from protochain.mechanics.multibody.kinematics import Frames, pose, pull_back, velocities
-from protochain.mechanics.multibody.rotations import velocity_rates
+from protochain.mechanics.multibody.rotations import hinge_accelerations
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
 
 Motion = tuple[Vector, Vector, Vector]
@@ -39,7 +39,8 @@ def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Flo
     tree, q : Tree and (n_q,) float, rad (nm for prismatic hinges and the position of free roots)
         Rigid bodies and their coordinates.
     qd, qdd : (n_v,) float, rad/ps and rad/ps^2 (nm for slides)
-        Velocities and accelerations; a free root has (omega, u) and its time derivative, world axes.
+        Velocities and their time derivatives; a free root has (omega, u), world axes, a ball the relative
+        angular velocity along its own axes.
     wrench : (nb, 6) float, optional, kJ/mol/rad and kJ/mol/nm
         External loads: moment about the body's origin, force; world axes.
 
@@ -65,12 +66,7 @@ def inverse_dynamics(tree: Tree, q: Floats, qd: Floats, qdd: Floats, wrench: Flo
     loads = inertial_loads(tree, frames, qd, qdd)
     if wrench is not None:
         loads -= floats(wrench, (tree.n_bodies, 6), "wrench")
-    return pull_back(tree, frames, loads) + rotor_torques(tree, qd, qdd)
-
-
-def rotor_torques(tree: Tree, qd: Floats, qdd: Floats) -> Floats:
-    """Torques (n_v,) that accelerate the rotors: armature times the rates at which velocities change."""
-    return tree.rotors * velocity_rates(tree, floats(qd, (tree.n_v,), "qd"), floats(qdd, (tree.n_v,), "qdd"))
+    return pull_back(tree, frames, loads) + tree.rotors * floats(qdd, (tree.n_v,), "qdd")
 
 
 def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
@@ -107,11 +103,11 @@ def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = 
     # With c the centre of mass from the origin, a the origin's acceleration and I about the origin: force = m
     # (a + alpha x c + omega x (omega x c)), moment = I alpha + m c x a + omega x I omega.
     loads = np.empty((tree.n_bodies, 6))
+    qd = floats(qd, (tree.n_v,), "qd")
+    qdd = np.zeros(tree.n_v) if qdd is None else floats(qdd, (tree.n_v,), "qdd")
     outward_loads(
-        tree.links, tree.bodies, frames.rotation, frames.origin,
-        floats(qd, (tree.n_v,), "qd"),
-        np.zeros(tree.n_v) if qdd is None else floats(qdd, (tree.n_v,), "qdd"), loads,
-    )  # fmt: skip
+        tree.links, tree.bodies, frames.rotation, frames.origin, qd, hinge_accelerations(tree, qd, qdd), loads
+    )
     return loads
 
 

@@ -24,15 +24,15 @@ def displacement_rates(tree: Tree, step: Floats, qd: Floats) -> Floats:
     return rates
 
 
-def velocity_rates(tree: Tree, qd: Floats, qdd: Floats) -> Floats:
-    """Time derivatives (n_v,) of velocities, of accelerations along the hinges one after the other."""
-    # They differ where axes move with a body beyond their hinge, those of balls: by the products a_j x a_i
-    # qd_j qd_i, j < i, by which the second and third axis are carried along.
+def hinge_accelerations(tree: Tree, qd: Floats, qdd: Floats) -> Floats:
+    """Accelerations (n_v,) along the hinges one after the other, of the time derivatives of velocities."""
+    # The two differ for balls, whose axes move with the body beyond them: by the products a_j x a_i qd_j
+    # qd_i, j < i, by which the second and third axis are carried along.
     if not len(tree.balls):
         return qdd
-    rates, (x, y, z) = qdd.copy(), qd[tree.balls].T
-    rates[tree.balls] += np.column_stack([y * z, -x * z, x * y])
-    return rates
+    accelerations, (x, y, z) = qdd.copy(), qd[tree.balls].T
+    accelerations[tree.balls] -= np.column_stack([y * z, -x * z, x * y])
+    return accelerations
 
 
 @kernel

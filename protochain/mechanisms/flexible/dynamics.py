@@ -6,6 +6,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, floats
 from protochain.core.errors import BodyError
+from protochain.mechanics.multibody.rotations import hinge_accelerations
 from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend
 from protochain.mechanisms.flexible.kernels import (
     put_changes,
@@ -143,10 +144,11 @@ def _torques(
 ) -> Floats:
     _, mass, inertia, *_ = flexible.arrays
     twists, changes = _twists(flexible, bent, q, qd)
-    loads = np.empty_like(twists)
+    loads, qd = np.empty_like(twists), floats(qd, (flexible.n_v,), "qd")
+    qdd = floats(qdd, (flexible.n_v,), "qdd")
     put_loads(
         flexible.links, flexible.seats, mass, inertia, bent.rotation, bent.origin, bent.columns, twists,
-        changes, floats(qd, (flexible.n_v,), "qd"), floats(qdd, (flexible.n_v,), "qdd"), loads,
+        changes, qd, hinge_accelerations(flexible.tree, qd, qdd), loads,
     )  # fmt: skip
     if wrench is not None:
         loads -= floats(wrench, loads.shape, "wrench")
