@@ -151,7 +151,8 @@ class _Compiled:
         name = self.name("joint", j)
         stiffness = 0.0 if self.is_off("SPRING", "PASSIVE") else float(m.jnt_stiffness[j])
         damping = float(m.dof_damping[v]) + self.by_actuators("actuator_damping", True, j)
-        curved = not self.is_off("SPRING", "PASSIVE") and np.any(self.values("jnt_stiffnesspoly", j))
+        bends = bool(np.any(self.values("jnt_stiffnesspoly", j)))
+        curved = bends and not self.is_off("SPRING", "PASSIVE")
         if self.is_off("DAMPER", "PASSIVE"):
             damping = 0.0
         elif np.any(self.values("dof_dampingpoly", v)) or self.by_actuators("actuator_dampingpoly", True, j):
@@ -211,7 +212,7 @@ class _Compiled:
             rotation, ends = axes_a @ axes_b.T, [m.site_bodyid[k] for k in ends]
         else:
             points = [data[3:6], data[:3]] if kind == "rigid" else [data[:3], data[3:6]]
-            rotation = _matrix(data[6:10]) if kind == "rigid" else None
+            rotation = _matrix(data[6:10]) if kind == "rigid" else np.eye(3)
         a, b = ((self.bodies[k], point) for k, point in zip(ends, points, strict=True))
         self.into.close(name, a, b, kind, rotation=rotation if kind == "rigid" else None)
 

@@ -215,8 +215,8 @@ def factorise(
             # A free root has one coordinate more than freedoms, so this difference counts the free roots.
             factor = root[links[b, Q] - k]
             dense_inertia(packed[b], factor)
-            for i in range(6):
-                factor[i, i] += bodies[b, ARMATURE]
+            for j in range(6):
+                factor[j, j] += bodies[b, ARMATURE]
             if not cholesky(factor, 6):
                 return b
             take_off(moment, force, x, k)
