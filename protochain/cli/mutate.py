@@ -64,7 +64,7 @@ def mutate(
 ) -> None:
     """Put residues in place of others, and report the change of energy.
 
-    Side chains within 8 angstrom are rebuilt on rotamers and relaxed, in the structure itself too. The
+    Side chains within 10 angstrom are rebuilt on rotamers and relaxed, in the structure itself too. The
     backbone stays. With --scan each residue is mutated by itself: a table, and a page with a heat map.
     """
     from protochain.relaxation.mutations import PROTOCOL, mutated, places_of

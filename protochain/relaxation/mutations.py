@@ -38,10 +38,11 @@ from protochain.structure.sidechains.ideal import placed
 from protochain.structure.substitute import LETTERS, substituted
 from protochain.validation.layout import NONE, layout
 
-NEAR = 8.0
+NEAR = 10.0
 """Angstrom between C-betas at their ideal places, within which side chains are rebuilt and move."""
-PROTOCOL: Mapping[str, Any] = MappingProxyType({"preset": "predicted", "tolerance": 1.0})
-"""Settings of the relaxation. Its springs lead to the rotamers, which both sides have in common."""
+PROTOCOL: Mapping[str, Any] = MappingProxyType({"preset": "predicted", "stiffness": 0.0, "tolerance": 1.0})
+"""Settings of the relaxation. The fixed backbone keeps the two sides alike. Springs to the rotamers would add
+strain of tens of kJ/mol if a large residue replaces a small one."""
 _BETA = 1.53, np.deg2rad(110.1), np.deg2rad(122.8)
 """CA-CB in angstrom, C-CA-CB, and the dihedral N-C-CA-CB: Lovell et al., Proteins 50:437 (2003)."""
 _BACKBONE = ("N", "CA", "C", "O", "OXT")
@@ -147,7 +148,7 @@ COLUMNS = (
 def mutate(source: Any, mutations: str | Sequence[str], **options: Any) -> Mutation:
     """Put residues in place of others, and return the change of energy.
 
-    Side chains with C-betas within 8 angstrom of the site are removed, built on rotamers and relaxed. The
+    Side chains with C-betas within 10 angstrom of the site are removed, built on rotamers and relaxed. The
     backbone and all other atoms stay. The structure itself goes through the same, with the same residues. So
     the energy of either side depends on the fixed atoms alone: a mutation to the residue itself has ``ddg``
     0, and the reverse mutation of the mutant has the opposite ``ddg``. Exceptions are residues to mutate
@@ -307,7 +308,6 @@ def _state(structure: Structure, r: int) -> str:
 
 @lru_cache(maxsize=64)
 def _unfolded(state: str, relaxing: RelaxSettings, setup: Setup) -> float:
-    """Energy of a residue within GGXGG, relaxed: it stands for the unfolded chain, kJ/mol."""
+    """Energy of a residue within GGXGG by the same protocol: it stands for the unfolded chain, kJ/mol."""
     made = substituted(from_sequence("GGGGG"), {2: state}, **setup.of_building)
-    relaxing = replace(relaxing, interface="", repack_region=_selected(made, [2]))
-    return relax_structure(made, setup.energy(made), relaxing).energy_end
+    return _settled(made, [2], replace(relaxing, interface=""), setup).energy_end
