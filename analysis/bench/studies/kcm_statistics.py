@@ -42,13 +42,15 @@ def sign_flip(values: Sequence[float] | Floats) -> float:
 
 def _sums(sizes: Floats) -> tuple[Floats, Floats]:
     """Sums of sizes (n,) under all signs in increasing order, (m,), and their probabilities (m,)."""
-    sums, weights = np.zeros(1), np.ones(1)
+    sums: Floats = np.zeros(1)
+    weights: Floats = np.ones(1)
     scale = max(float(sizes.sum()), 1e-300) if len(sizes) else 1.0
     for size in sizes:
         both = np.r_[sums - size, sums + size]
         # Equal sums are merged: shares have few different ones.
         _, first, merged = np.unique(np.round(both / scale, 12), return_index=True, return_inverse=True)
-        sums, weights = both[first], np.bincount(merged, np.r_[weights, weights] / 2.0)
+        sums = both[first]
+        weights = np.asarray(np.bincount(merged, np.r_[weights, weights] / 2.0), dtype=float)
     return sums, weights
 
 
