@@ -88,7 +88,8 @@ def restraints_of_amber(text: str) -> Iterator[Restraint]:
 
 
 _COMMENT = re.compile(r"""('(?:[^'\n]|'')*'|"(?:[^"\n]|"")*")|[!#][^\n]*""")
-_BEGIN = re.compile(r"(?im)[ \t]*[&$](?!end\b)(\w+)")
+_BEGIN = r"[ \t]*[&$](?!end\b)(\w+)"
+_NEXT, _LINE = re.compile(_BEGIN, re.IGNORECASE), re.compile(f"^{_BEGIN}", re.IGNORECASE | re.MULTILINE)
 _BODY = re.compile(r"""(?i)((?:'(?:[^']|'')*'|"(?:[^"]|"")*"|[^'"/&$])*)(/|[&$]end\b)""")
 _TOKEN = re.compile(
     r"""\s*(?:(?P<variable>\w+)\s*(?:\(\s*(?P<first>\d+)?\s*(?::\s*\d*\s*)?\))?\s*=|(?P<comma>,)
@@ -100,9 +101,7 @@ _TOKEN = re.compile(
 def _namelists(text: str) -> Iterator[tuple[int, str, str]]:
     """Line, name and body of each namelist; text between them is a comment."""
     text, position = _COMMENT.sub(lambda match: match[1] or "", text), 0
-    while begin := _BEGIN.match(text, position) or re.compile(r"(?m)^" + _BEGIN.pattern[6:]).search(
-        text, position
-    ):
+    while begin := _NEXT.match(text, position) or _LINE.search(text, position):
         line, name = text.count("\n", 0, begin.start(1)) + 1, begin[1].lower()
         body = _BODY.match(text, begin.end())
         if not body:
@@ -152,7 +151,7 @@ def _value(name: str, word: str) -> Any:
             raise ValueError(word)
     except ValueError:
         kind = "a whole number" if name in _INTEGERS else "a number"
-        raise ProtochainError(f"&rst: {name}={word} is not {kind}") from None
+        raise ProtochainError(f"&rst: {name}={word} is not {kind}; correct it") from None
     return int(word) if name in _INTEGERS else value
 
 
@@ -191,7 +190,7 @@ def _restraint(variables: Mapping[str, Mapping[int, Any]]) -> Restraint:
         raise ProtochainError("&rst: igr: groups in dihedrals are not implemented; give four atoms")
     values = [scalar(name) for name in _WELL]
     if None in values:
-        raise ProtochainError("&rst: give r1 to r4, rk2 and rk3, here or in a namelist before")
+        raise ProtochainError("&rst: there is no well; give r1 to r4, rk2 and rk3, here or before")
     r1, r2, r3, r4, k2, k3 = values
     if not r1 <= r2 <= r3 <= r4:
         raise ProtochainError(f"&rst: r1 to r4 are {r1:g}, {r2:g}, {r3:g}, {r4:g}; give them in rising order")

@@ -2,10 +2,10 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +24,14 @@ from protochain.core.arrays import (
     read_only,
 )
 from protochain.core.errors import ProtochainError, StructureError
+from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.dihedrals import finder
 from protochain.structure.model import Structure, of_atoms
 from protochain.structure.select import atoms_at
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 VIOLATED = {"angstrom": 0.5, "degrees": 10.0}
 """A restraint is violated if its coordinate is farther outside the bounds."""
@@ -161,18 +165,40 @@ class RestraintValue:
         )
 
 
+def measured(structure: Structure, restraints: Sequence[Restraint], x: Floats) -> tuple[RestraintValue, ...]:
+    """Values and violations of restraints of a structure at positions (na, 3), nm."""
+    return Restraints.of(structure, restraints).measured(x) if restraints else ()
+
+
 def violated(values: Sequence[RestraintValue]) -> list[RestraintValue]:
     """Restraints that are violated, worst first."""
     return sorted((value for value in values if value.is_violated), key=lambda value: -value.excess)
 
 
 def violated_in_words(values: Sequence[RestraintValue]) -> list[str]:
-    """Violations in one line, for a message; none if there is none."""
+    """Number and worst of the violated restraints, for a message; empty if there is none."""
     worst = violated(values)
     if not worst:
         return []
-    count = "1 restraint is violated" if len(worst) == 1 else f"{len(worst)} restraints are violated"
-    return [f"{count}, the worst by {worst[0].violation:.2f} {worst[0].unit}: {worst[0].restraint}"]
+    number = counted(len(worst), "restraint is violated", "restraints are violated")
+    return [f"{number}, the worst by {worst[0].violation:.2f} {worst[0].unit} ({worst[0].restraint})"]
+
+
+class Restrained:
+    """Result of a run whose restraints were measured at the end."""
+
+    restrained: tuple[RestraintValue, ...]
+
+    @property
+    def restraint_violations(self) -> "pd.DataFrame":
+        """Restraints that the end violates by more than 0.5 angstrom or 10 degrees, worst first.
+
+        Columns ``restraint``, ``value``, ``bound``, ``violation`` and ``unit``, angstrom or degrees.
+        """
+        import pandas as pd
+
+        names = [field.name for field in fields(RestraintValue)]
+        return pd.DataFrame([asdict(value) for value in violated(self.restrained)], columns=names)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,9 +249,8 @@ class Restraints(Value):
         outside, walls = self._walls.outside(values), self._walls
         # A side without stiffness restrains nothing.
         violation = np.abs(outside) * (walls.of_side(walls.stiffness, outside) > 0.0)
-        bound = np.where(outside > 0.0, walls.high, np.where(outside < 0.0, walls.low, np.nan))
-        far = walls.wrapped(values) > 0.5 * (walls.low + walls.high)
-        bound = np.where(np.isnan(bound), np.where(far, walls.high, walls.low), bound)
+        is_high = walls.wrapped(values) > 0.5 * (walls.low + walls.high)
+        bound = np.where(is_high, walls.high, walls.low)
         order = np.lexsort((-violation, self.row))
         _, first = np.unique(self.row[order], return_index=True)
         return tuple(
