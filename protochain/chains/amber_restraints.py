@@ -77,7 +77,7 @@ def restraints_of_amber(text: str) -> Iterator[Restraint]:
                 raise ProtochainError(f"namelist &{name} is not implemented; give a file of &rst alone")
             if end:
                 raise ProtochainError(f"AMBER reads no &rst after that without iat in line {end}; remove it")
-            variables = _with_parabola(inherited | _assigned(body, inherited))
+            variables = _expand_parabola(inherited | _read_variables(body, inherited))
             inherited = {key: value for key, value in variables.items() if key in _INHERITED}
             if any(any(variables.get(name, {}).values()) for name in ("iat", "restraint")):
                 yield _restraint(variables)
@@ -110,7 +110,7 @@ def _namelists(text: str) -> Iterator[tuple[int, str, str]]:
         position = body.end()
 
 
-def _assigned(body: str, inherited: Mapping[str, Any]) -> dict[str, Any]:
+def _read_variables(body: str, inherited: Mapping[str, Any]) -> dict[str, Any]:
     """Variables of a namelist: scalars, and arrays as values by their index."""
     variables: dict[str, Any] = {}
     name, index, after_comma, position = "", 0, True, 0
@@ -158,7 +158,7 @@ def _value(name: str, word: str) -> Any:
 _WELL = ("r1", "r2", "r3", "r4", "rk2", "rk3")
 
 
-def _with_parabola(variables: dict[str, Any]) -> dict[str, Any]:
+def _expand_parabola(variables: dict[str, Any]) -> dict[str, Any]:
     """Variables with a parabola of k0 around r0 as AMBER writes it, into the bounds and constants."""
     if not (k0 := variables.get("k0", {}).get(1)):
         return variables

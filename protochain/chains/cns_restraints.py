@@ -52,7 +52,7 @@ def restraints_of_cns(text: str) -> Iterator[Restraint]:
         word, line = tokens.popleft()
         try:
             if _is(word, "assign"):
-                yield _assigned(tokens)
+                yield _read_assign(tokens)
             else:
                 _skip_header(word, tokens)
         except ProtochainError as error:
@@ -104,7 +104,7 @@ def _numbers(tokens: deque[_Token]) -> list[float]:
     return numbers
 
 
-def _assigned(tokens: deque[_Token]) -> Restraint:
+def _read_assign(tokens: deque[_Token]) -> Restraint:
     """Restraint of an assign statement, whose tokens are removed."""
     places, numbers, weight = _selections(tokens), list[float](), 1.0
     n = len(places)
@@ -147,7 +147,7 @@ def _assigned(tokens: deque[_Token]) -> Restraint:
 def _skip_header(word: str, tokens: deque[_Token]) -> None:
     """Remove the tokens of a statement without an effect; refuse all others."""
 
-    def following() -> str:
+    def pop_value() -> str:
         while tokens and tokens[0].text == "=":
             tokens.popleft()
         return tokens.popleft().text if tokens else ""
@@ -155,16 +155,16 @@ def _skip_header(word: str, tokens: deque[_Token]) -> None:
     if _is(word, *_HEADERS):
         return
     if _is(word, *_NUMBERED, "classification"):
-        following()
+        pop_value()
     elif word.lower() == "set":
-        while tokens and following().lower() != "end":
+        while tokens and pop_value().lower() != "end":
             pass
     elif _is(word, "averaging"):
-        of, how = following(), following()
+        of, how = pop_value(), pop_value()
         if not _is(how, "sum"):
             raise ProtochainError(f"averaging {of} {how} is not implemented; give sum")
     elif _is(word, "monomers"):
-        of, count = following(), following()
+        of, count = pop_value(), pop_value()
         if count != "1":
             raise ProtochainError(f"monomers {of} {count} is not implemented; give 1")
     else:

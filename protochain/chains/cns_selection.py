@@ -54,7 +54,7 @@ def _any_of(tokens: list[str]) -> tuple[Selection, list[str]]:
     first, tokens = _all_of(tokens)
     while tokens and tokens[0].lower() == "or":
         second, tokens = _all_of(tokens[1:])
-        first = _joined(np.logical_or, first, second)
+        first = _join(np.logical_or, first, second)
     return first, tokens
 
 
@@ -62,11 +62,11 @@ def _all_of(tokens: list[str]) -> tuple[Selection, list[str]]:
     first, tokens = _factor(tokens)
     while tokens and tokens[0].lower() == "and":
         second, tokens = _factor(tokens[1:])
-        first = _joined(np.logical_and, first, second)
+        first = _join(np.logical_and, first, second)
     return first, tokens
 
 
-def _joined(join: np.ufunc, first: Selection, second: Selection) -> Selection:
+def _join(join: np.ufunc, first: Selection, second: Selection) -> Selection:
     return lambda structure: join(first(structure), second(structure))
 
 
@@ -96,11 +96,11 @@ def _factor(tokens: list[str]) -> tuple[Selection, list[str]]:
     patterns, tokens = tokens[: len(columns)], tokens[len(columns) :]
     if len(patterns) < len(columns) or {*patterns} & {"(", ")"}:
         raise ProtochainError(f"selection: {word} needs {len(columns)} words after it; add them")
-    tests = [_matching(column, pattern) for column, pattern in zip(columns, patterns, strict=True)]
+    tests = [_match_column(column, pattern) for column, pattern in zip(columns, patterns, strict=True)]
     return lambda structure: np.logical_and.reduce([test(structure) for test in tests]), tokens
 
 
-def _matching(column: int, pattern: str) -> Selection:
+def _match_column(column: int, pattern: str) -> Selection:
     """Atoms whose value in a column matches a pattern, or is a number in a range."""
     quoted = pattern[0] in "\"'" and len(pattern) > 1
     plain = (pattern[1:-1] if quoted else pattern).strip().upper()

@@ -38,7 +38,7 @@ VIOLATED = {"angstrom": 0.5, "degrees": 10.0}
 
 
 class Coordinates(Protocol):
-    """Restrained coordinates of one kind."""
+    """ViolationsAtEnd coordinates of one kind."""
 
     def values(self, x: Floats) -> Floats:
         """Values (m,) at positions (na, 3), nm or rad."""
@@ -130,7 +130,7 @@ class Displacements(Value):
 
 @dataclass(frozen=True)
 class RestraintValue:
-    """Value of a restrained coordinate, and how far it is outside its bounds.
+    """Value of a restraint_values coordinate, and how far it is outside its bounds.
 
     Parameters
     ----------
@@ -165,29 +165,31 @@ class RestraintValue:
         )
 
 
-def measured(structure: Structure, restraints: Sequence[Restraint], x: Floats) -> tuple[RestraintValue, ...]:
+def measure_restraints(
+    structure: Structure, restraints: Sequence[Restraint], x: Floats
+) -> tuple[RestraintValue, ...]:
     """Values and violations of restraints of a structure at positions (na, 3), nm."""
-    return Restraints.of(structure, restraints).measured(x) if restraints else ()
+    return Restraints.of(structure, restraints).measure(x) if restraints else ()
 
 
-def violated(values: Sequence[RestraintValue]) -> list[RestraintValue]:
+def select_violated(values: Sequence[RestraintValue]) -> list[RestraintValue]:
     """Restraints that are violated, worst first."""
     return sorted((value for value in values if value.is_violated), key=lambda value: -value.excess)
 
 
-def violated_in_words(values: Sequence[RestraintValue]) -> list[str]:
+def describe_violations(values: Sequence[RestraintValue]) -> list[str]:
     """Number and worst of the violated restraints, for a message; empty if there is none."""
-    worst = violated(values)
+    worst = select_violated(values)
     if not worst:
         return []
     number = counted(len(worst), "restraint is violated", "restraints are violated")
     return [f"{number}, the worst by {worst[0].violation:.2f} {worst[0].unit} ({worst[0].restraint})"]
 
 
-class Restrained:
+class ViolationsAtEnd:
     """Result of a run whose restraints were measured at the end."""
 
-    restrained: tuple[RestraintValue, ...]
+    restraint_values: tuple[RestraintValue, ...]
 
     @property
     def restraint_violations(self) -> "pd.DataFrame":
@@ -198,7 +200,9 @@ class Restrained:
         import pandas as pd
 
         names = [field.name for field in fields(RestraintValue)]
-        return pd.DataFrame([asdict(value) for value in violated(self.restrained)], columns=names)
+        return pd.DataFrame(
+            [asdict(value) for value in select_violated(self.restraint_values)], columns=names
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,13 +247,13 @@ class Restraints(Value):
     def _walls(self) -> "_Walls":
         return _Walls.of([self.listed[row] for row in self.row.tolist()])
 
-    def measured(self, x: Floats) -> tuple[RestraintValue, ...]:
+    def measure(self, x: Floats) -> tuple[RestraintValue, ...]:
         """Value and violation of each restraint at positions; of several atoms, those of the worst."""
         values = self.values(x)
         outside, walls = self._walls.outside(values), self._walls
         # A side without stiffness restrains nothing.
         violation = np.abs(outside) * (walls.of_side(walls.stiffness, outside) > 0.0)
-        is_high = walls.wrapped(values) > 0.5 * (walls.low + walls.high)
+        is_high = walls.wrap(values) > 0.5 * (walls.low + walls.high)
         bound = np.where(is_high, walls.high, walls.low)
         order = np.lexsort((-violation, self.row))
         _, first = np.unique(self.row[order], return_index=True)
@@ -291,7 +295,7 @@ class _Walls:
         linear = unit * np.where(linear > 0.0, linear, np.inf)
         return cls(unit * low, unit * high, stiffness, linear, exponent, tail, unit, turns)
 
-    def wrapped(self, values: Floats) -> Floats:
+    def wrap(self, values: Floats) -> Floats:
         """Values, of dihedrals within half a turn of the middle of their bounds."""
         middle = 0.5 * (self.low + self.high)
         near = middle + (values - middle + np.pi) % (2.0 * np.pi) - np.pi
@@ -299,7 +303,7 @@ class _Walls:
 
     def outside(self, values: Floats) -> Floats:
         """How far values are below the lower bound, negative, or above the upper one."""
-        at = self.wrapped(values)
+        at = self.wrap(values)
         return np.asarray(np.maximum(at - self.high, 0.0) - np.maximum(self.low - at, 0.0))
 
     def of_side(self, sides: Floats, outside: Floats) -> Floats:
@@ -407,7 +411,7 @@ def _atoms(structure: Structure, place: str) -> Integers:
 def _atom_in_file(structure: Structure, place: str) -> int:
     """Atom ``@12``, or atom CA of the eighth residue, ``:8@CA``, of the file."""
     residue, _, name = place.partition("@")
-    number, of_residue = _in_file(structure)
+    number, of_residue = _number_in_file(structure)
     if residue:
         (atoms,) = np.nonzero((of_residue == int(residue[1:])) & (structure.atom_name == name))
     else:
@@ -418,7 +422,7 @@ def _atom_in_file(structure: Structure, place: str) -> int:
 
 
 @of_atoms
-def _in_file(structure: Structure) -> tuple[Integers, Integers]:
+def _number_in_file(structure: Structure) -> tuple[Integers, Integers]:
     """Number of each atom, and of its residue, in the order of the file, from 1; 0 of added atoms."""
     if structure.origin is None:
         return np.arange(structure.n_atoms) + 1, structure.atom_residue + 1

@@ -256,7 +256,7 @@ VIOLATIONS_SHOWN = 5
 """Violated restraints that a command prints."""
 
 
-def print_violated(record: "Mapping[str, Any]") -> None:
+def print_violations(record: "Mapping[str, Any]") -> None:
     """Print the restraints that a result violates, worst first."""
     from protochain.chains.restraint_list import RestraintValue
 

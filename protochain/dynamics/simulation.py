@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from protochain.chains.chain import Chain, place_atoms
 from protochain.chains.contacts import overlaps
 from protochain.chains.frame import Frame
-from protochain.chains.restraint_list import Restrained, RestraintValue, measured
+from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd, measure_restraints
 from protochain.core.arrays import Floats
 from protochain.core.markup import counted
 from protochain.dynamics.loop import Ending, State
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation(Restrained):
+class Simulation(ViolationsAtEnd):
     """Result of a simulation: final state, log and outcome.
 
     Parameters
@@ -117,10 +117,10 @@ class Simulation(Restrained):
         return self.frame(place_atoms(self.chain, self.state.at.factors.frames))
 
     @cached_property
-    def restrained(self) -> tuple[RestraintValue, ...]:  # type: ignore[override]
+    def restraint_values(self) -> tuple[RestraintValue, ...]:  # type: ignore[override]
         """Values and violations of the restraints at the end."""
         x = place_atoms(self.chain, self.state.at.factors.frames)
-        return measured(self.chain.structure, self.settings.restraint, x)
+        return measure_restraints(self.chain.structure, self.settings.restraint, x)
 
     @property
     def structure(self) -> Structure:

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from protochain.chains.articulate import with_energy
 from protochain.chains.chain import Pose, pose
 from protochain.chains.frame import Frame, frame_of, knows_places
-from protochain.chains.restraint_list import measured, violated_in_words
+from protochain.chains.restraint_list import describe_violations, measure_restraints
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats, read_only
 from protochain.core.checks import WATCHER, checked
@@ -305,8 +305,8 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.
         stop, met = Stop.NON_FINITE, False
-    restrained = measured(structure, run.hold.listed, at.x)
-    left = [*rejected(structure, at.x), *violated_in_words(restrained)]
+    restraint_values = measure_restraints(structure, run.hold.listed, at.x)
+    left = [*rejected(structure, at.x), *describe_violations(restraint_values)]
     status, ended = verdict(stop, met, residuals, structure, at.x, done.n_evaluations, left=left)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
         ended = f"{ended}; peptide bonds that became twisted: {listed(twisted)}"
@@ -336,7 +336,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         hold=run.hold,
         seed=run.seed,
         restraints=held and (held(start.pose.x)[0], held(at.x)[0]),
-        restrained=restrained,
+        restraint_values=restraint_values,
         timings=until_now(),
         lowest_eigenvalue=lowest,
         frame_rows=read_only(list(record.kept()), np.int64),

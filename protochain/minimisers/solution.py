@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from protochain.chains.chain import Chain
 from protochain.chains.frame import Frame
-from protochain.chains.restraint_list import Restrained, RestraintValue
+from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd
 from protochain.core.arrays import Floats, Integers, Value, Watcher
 from protochain.core.errors import StrayWarning
 from protochain.core.markup import facts
@@ -147,7 +147,7 @@ class _Made:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution(TermsAtEnds, Restrained, Value):
+class Solution(TermsAtEnds, ViolationsAtEnd, Value):
     """Result of a minimisation, judged in double precision.
 
     Parameters
@@ -195,7 +195,7 @@ class Solution(TermsAtEnds, Restrained, Value):
         Of random methods.
     restraints : two float or None, kJ/mol
         Energies at start and end of what held the end, no part of others; None where nothing did.
-    restrained : tuple of RestraintValue
+    restraint_values : tuple of RestraintValue
         Values and violations of the listed restraints at the end.
     timings : mapping of str to float, s
         Wall time by part of the call, which add up to it, and the ``serial_share_of_loop``: what of the loop
@@ -239,7 +239,7 @@ class Solution(TermsAtEnds, Restrained, Value):
     hold: Hold
     seed: int
     restraints: tuple[float, float] | None = None
-    restrained: tuple[RestraintValue, ...] = ()
+    restraint_values: tuple[RestraintValue, ...] = ()
     timings: Mapping[str, float | None] = field(default_factory=dict)
     lowest_eigenvalue: float | None = None
     frame_rows: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))

@@ -144,20 +144,18 @@ def _restraints(which: int, of: Any) -> float | None:
 
 def of_restraints(kind: Kind) -> Iterator[Column]:
     """Columns of restraints at the end: how many are violated, and how far; None without restraints."""
-    yield Column(
-        "restraints_violated",
-        lambda r: sum(value.is_violated for value in r.restrained) if r.restrained else None, kind=int | None,
-    )  # fmt: skip
+    yield Column("restraints_violated", _n_violated, kind=int | None)
     for unit in ("angstrom", "degrees"):
         yield Column(f"restraint_violation_{unit}", partial(_largest_violation, unit))
-    yield Column(
-        "restraint_violations", lambda r: r.restraint_violations.to_dict("records") if r.restrained else [],
-        kind=[kind],
-    )  # fmt: skip
+    yield Column("restraint_violations", lambda r: r.restraint_violations.to_dict("records"), kind=[kind])
+
+
+def _n_violated(of: Any) -> int | None:
+    return sum(value.is_violated for value in of.restraint_values) if of.restraint_values else None
 
 
 def _largest_violation(unit: str, of: Any) -> float | None:
-    return max((value.violation for value in of.restrained if value.unit == unit), default=None)
+    return max((value.violation for value in of.restraint_values if value.unit == unit), default=None)
 
 
 def of_structure(structure: Callable[[Any], Any]) -> Iterator[Column]:

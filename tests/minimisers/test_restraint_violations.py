@@ -39,7 +39,7 @@ def test_values_and_violations_are_those_of_the_coordinates():
         f"dihedral phi@A:5 {bounds[3] - 5.0!r} {bounds[3]!r}",
         "position 'name CA' 0.2", f"distance A:3:CA A:15:CA {d + 0.4!r} {d + 5.0!r}",
     ])  # fmt: skip
-    values = held.measured(x)
+    values = held.measure(x)
     found = [(v.value, v.bound, v.violation, v.unit, v.is_violated) for v in values]
     expected = [
         (d, bounds[0], 2.0, "angstrom", True), (d, bounds[1], 0.0, "angstrom", False),  # No stiffness below.
@@ -149,7 +149,7 @@ def test_tables_of_batches_and_frames_have_violations(tmp_path, monkeypatch, cap
     (frame,) = pc.relax_frames(
         load("5awl.pdb"), load("5awl.pdb").positions[None], restraints=line, solvent="vacuum"
     )
-    assert frame.row["restraints_violated"] == 1 and frame.row["restraint_violation_angstrom"] > 10.0
+    assert frame.record["restraints_violated"] == 1 and frame.record["restraint_violation_angstrom"] > 10.0
 
 
 def test_simulations_report_their_ends(tmp_path, monkeypatch, capsys):
