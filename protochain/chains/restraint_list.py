@@ -191,6 +191,10 @@ class ViolationsAtEnd:
 
     restraint_values: tuple[RestraintValue, ...]
 
+    def violation_rows(self) -> list[dict[str, Any]]:
+        """Fields of the violated restraints, worst first."""
+        return [asdict(value) for value in select_violated(self.restraint_values)]
+
     @property
     def restraint_violations(self) -> "pd.DataFrame":
         """Restraints that the end violates by more than 0.5 angstrom or 10 degrees, worst first.
@@ -200,9 +204,7 @@ class ViolationsAtEnd:
         import pandas as pd
 
         names = [field.name for field in fields(RestraintValue)]
-        return pd.DataFrame(
-            [asdict(value) for value in select_violated(self.restraint_values)], columns=names
-        )
+        return pd.DataFrame(self.violation_rows(), columns=names)
 
 
 @dataclass(frozen=True, eq=False)

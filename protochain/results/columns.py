@@ -147,7 +147,7 @@ def of_restraints(kind: Kind) -> Iterator[Column]:
     yield Column("restraints_violated", _n_violated, kind=int | None)
     for unit in ("angstrom", "degrees"):
         yield Column(f"restraint_violation_{unit}", partial(_largest_violation, unit))
-    yield Column("restraint_violations", lambda r: r.restraint_violations.to_dict("records"), kind=[kind])
+    yield Column("restraint_violations", lambda r: r.violation_rows(), kind=[kind])
 
 
 def _n_violated(of: Any) -> int | None:
