@@ -399,15 +399,22 @@ def _atoms(structure: Structure, place: str) -> Integers:
     if _IN_FILE.fullmatch(place):
         atoms = np.unique([_atom_in_file(structure, part) for part in place.split(",")])
         return atoms.astype(np.int64)
-    try:
-        # MDAnalysis reads such selections, too, but takes a tenth of a second for each.
-        selection = parse_selection(place)
-    except ProtochainError:
+    atoms = _selected_atoms(structure, place)
+    if atoms is None:
         return atoms_at(structure, place)
-    (atoms,) = np.nonzero(selection(structure))
     if not len(atoms):
         raise StructureError(f"{structure.name}: restraint: there are no atoms {place}")
     return atoms
+
+
+@of_atoms
+def _selected_atoms(structure: Structure, place: str) -> Integers | None:
+    """Atoms of a selection in the language of CNS; None of any other place."""
+    # MDAnalysis reads most of these selections, too, but takes a tenth of a second for each.
+    try:
+        return read_only(np.flatnonzero(parse_selection(place)(structure)), np.int64)
+    except ProtochainError:
+        return None
 
 
 def _atom_in_file(structure: Structure, place: str) -> int:
