@@ -138,13 +138,13 @@ def test_tables_of_batches_and_frames_have_violations(tmp_path, monkeypatch, cap
     line = "distance A:1:CA A:10:CA 30 40 1"
     common = ["--solvent", "vacuum", "--workers", 1, "--json"]
     run("batch", source, "-o", "b", "--restrain", line, "--tolerance", 100, *common)
-    (row,) = csv.DictReader((tmp_path / "b" / "summary.csv").open())
+    (row,) = csv.DictReader((tmp_path / "b" / "summary.csv").read_text().splitlines())
     assert (row["status"], row["restraints_violated"]) == ("violations", "1")
     assert float(row["restraint_violation_angstrom"]) > 10.0 and row["restraint_violation_degrees"] == ""
     assert "<caption>Restraints violated" in (tmp_path / "b" / "pages" / "5awl.html").read_text()
     capsys.readouterr()
     run("relax", source, source, "-o", "r", "--restraints", line, *common)
-    row = next(csv.DictReader((tmp_path / "r" / "relaxed.csv").open()))
+    row = next(csv.DictReader((tmp_path / "r" / "relaxed.csv").read_text().splitlines()))
     assert (row["status"], row["restraints_violated"]) == ("violations", "1")
     (frame,) = pc.relax_frames(
         load("5awl.pdb"), load("5awl.pdb").positions[None], restraints=line, solvent="vacuum"
