@@ -399,12 +399,12 @@ def _atoms(structure: Structure, place: str) -> Integers:
     if _IN_FILE.fullmatch(place):
         atoms = np.unique([_atom_in_file(structure, part) for part in place.split(",")])
         return atoms.astype(np.int64)
-    atoms = _selected_atoms(structure, place)
-    if atoms is None:
+    selected = _selected_atoms(structure, place)
+    if selected is None:
         return atoms_at(structure, place)
-    if not len(atoms):
+    if not len(selected):
         raise StructureError(f"{structure.name}: restraint: there are no atoms {place}")
-    return atoms
+    return selected
 
 
 @of_atoms
