@@ -13,7 +13,7 @@ from .chains.chain import mass_matrix as mass_matrix
 from .chains.chain import pose as pose
 from .chains.chain import pull_back as pull_back
 from .chains.chain import solve_mass as solve_mass
-from .chains.restraint_lines import Restraint as Restraint
+from .chains.restraint import Restraint as Restraint
 from .chains.setup import Setup as Setup
 from .comparison import Comparison as Comparison
 from .comparison import compare as compare

@@ -23,14 +23,17 @@ from protochain.relaxation.record import METHOD as RELAX
 if TYPE_CHECKING:
     import pandas as pd
 
+_LISTS = ("rounds", "ligands", "restraint_violations", "timings")
+"""Columns of records that are no cells of a table."""
+
 COLUMNS = (
-    *(column.key for column in record.COLUMNS if column.key != "timings"), "ca_rmsd_to_openmm_angstrom",
+    *(column.key for column in record.COLUMNS if column.key not in _LISTS), "ca_rmsd_to_openmm_angstrom",
     "n_starts", "energy_median_kj_mol", "energy_highest_kj_mol", "n_within_1_kj_mol_of_lowest",
     "seconds_preparation", "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``summary.csv``: those of a record of a minimisation, and those of a batch."""
 RELAXED_COLUMNS = (
-    *(column.key for column in OF_RELAXING if column.key not in ("rounds", "ligands", "timings")),
+    *(column.key for column in OF_RELAXING if column.key not in _LISTS),
     "seconds_preparation", "input", "model", "output", "confidences", "key",
 )  # fmt: skip
 """Columns of ``relaxed.csv``."""

@@ -1,165 +1,445 @@
-"""Restraints of one form: energies of distances, dihedrals and positions outside their bounds."""
+"""Restraints of one form: values, energies, forces and violations of distances, dihedrals and positions."""
 
 import re
-from dataclasses import dataclass
-from fnmatch import fnmatchcase
-from typing import Any, Self
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property, partial
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from protochain.chains.restraint_lines import PLACES, Restraint, read_restraints
-from protochain.core.arrays import Floats, Integers, Value, dihedral, dihedral_slopes, dots, read_only
-from protochain.core.errors import StructureError
+from protochain.chains.cns_selection import parse_selection
+from protochain.chains.restraint import Restraint, both_sides
+from protochain.chains.restraint_lines import read_restraints
+from protochain.core.arrays import (
+    Floats,
+    Integers,
+    Value,
+    dihedral,
+    dihedral_slopes,
+    distance,
+    dots,
+    read_only,
+)
+from protochain.core.errors import ProtochainError, StructureError
+from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.dihedrals import finder
-from protochain.structure.model import Structure
+from protochain.structure.model import Structure, of_atoms
 from protochain.structure.select import atoms_at
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+VIOLATED = {"angstrom": 0.5, "degrees": 10.0}
+"""A restraint is violated if its coordinate is farther outside the bounds."""
+
+
+class Coordinates(Protocol):
+    """ViolationsAtEnd coordinates of one kind."""
+
+    def values(self, x: Floats) -> Floats:
+        """Values (m,) at positions (na, 3), nm or rad."""
+
+    def forces(self, x: Floats, slope: Floats) -> Floats:
+        """Forces (na, 3) of slopes (m,) of the energy along the coordinates."""
+
+
+@dataclass(frozen=True, eq=False)
+class Distances(Value):
+    """Distances (sum w r^-6)^(-1/6) over pairs of atoms, whose weights are 1, or 1/n of a mean."""
+
+    pairs: Integers  # (p, 2) int: Atoms.
+    of: Integers  # (p,) int: The distance of each pair.
+    weight: Floats  # (p,).
+
+    def _sums(self, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """Weighted r^-6 (p,) of the pairs, their vectors (p, 3), and sums (m,)."""
+        across = x[self.pairs[:, 0]] - x[self.pairs[:, 1]]
+        r6 = self.weight * np.maximum(dots(across, across), 1e-12) ** -3.0
+        return r6, across, np.maximum(np.bincount(self.of, r6), 1e-300)
+
+    def values(self, x: Floats) -> Floats:
+        """Distances (m,), nm."""
+        return np.asarray(self._sums(x)[2] ** (-1.0 / 6.0))
+
+    def forces(self, x: Floats, slope: Floats) -> Floats:
+        """Forces (na, 3): d R / d r_i is w_i R^7 / r_i^7."""
+        r6, across, sums = self._sums(x)
+        pull = (-slope * sums ** (-7.0 / 6.0))[self.of] * r6 * np.cbrt(r6 / self.weight)
+        vectors = pull[:, None] * across
+        return _at(self.pairs[:, 0], vectors, len(x)) - _at(self.pairs[:, 1], vectors, len(x))
+
+
+@dataclass(frozen=True, eq=False)
+class Centroids(Value):
+    """Distances between centres of mass."""
+
+    atoms: Integers  # (k,) int.
+    of: Integers  # (k,) int: The distance of each atom.
+    weight: Floats  # (k,): Share of the mass, negative of the second centre.
+
+    def _vectors(self, x: Floats) -> Floats:
+        return _at(self.of, self.weight[:, None] * x[self.atoms], int(self.of[-1]) + 1)
+
+    def values(self, x: Floats) -> Floats:
+        """Distances (m,), nm."""
+        return np.asarray(np.linalg.norm(self._vectors(x), axis=1))
+
+    def forces(self, x: Floats, slope: Floats) -> Floats:
+        """Forces (na, 3), shared by the atoms as their masses are."""
+        vectors = self._vectors(x)
+        pull = (-slope / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12))[:, None] * vectors
+        return _at(self.atoms, self.weight[:, None] * pull[self.of], len(x))
+
+
+@dataclass(frozen=True, eq=False)
+class Dihedrals(Value):
+    """Dihedrals of four atoms."""
+
+    atoms: Integers  # (m, 4) int.
+
+    def values(self, x: Floats) -> Floats:
+        """Dihedrals (m,), rad, -pi to pi."""
+        return dihedral(*x[self.atoms.T])
+
+    def forces(self, x: Floats, slope: Floats) -> Floats:
+        """Forces (na, 3)."""
+        pull = -slope[:, None, None] * dihedral_slopes(x[self.atoms])
+        return _at(self.atoms.ravel(), pull.reshape(-1, 3), len(x))
+
+
+@dataclass(frozen=True, eq=False)
+class Displacements(Value):
+    """Distances of atoms from their initial positions."""
+
+    atoms: Integers  # (m,) int.
+    initial: Floats  # (m, 3) nm.
+
+    def values(self, x: Floats) -> Floats:
+        """Distances (m,), nm."""
+        return distance(x[self.atoms], self.initial)
+
+    def forces(self, x: Floats, slope: Floats) -> Floats:
+        """Forces (na, 3)."""
+        pull = (-slope / np.maximum(self.values(x), 1e-12))[:, None] * (x[self.atoms] - self.initial)
+        return _at(self.atoms, pull, len(x))
+
+
+@dataclass(frozen=True)
+class RestraintValue:
+    """Value of a restraint_values coordinate, and how far it is outside its bounds.
+
+    Parameters
+    ----------
+    restraint : str
+        Restraint, as its line.
+    value, bound, violation : float, angstrom or degrees
+        Coordinate, the bound next to it, and how far outside it is; 0 within the bounds.
+    unit : str
+        ``angstrom`` or ``degrees``.
+    """
+
+    restraint: str
+    value: float
+    bound: float
+    violation: float
+    unit: str
+
+    @property
+    def excess(self) -> float:
+        """Violation in units of the smallest one that is reported."""
+        return self.violation / VIOLATED[self.unit]
+
+    @property
+    def is_violated(self) -> bool:
+        """Whether it is outside by more than 0.5 angstrom or 10 degrees."""
+        return self.excess > 1.0
+
+    def __str__(self) -> str:
+        return (
+            f"{self.restraint}: {self.value:.2f} {self.unit}, bound {self.bound:g}, "
+            f"violated by {self.violation:.2f} {self.unit}"
+        )
+
+
+def measure_restraints(
+    structure: Structure, restraints: Sequence[Restraint], x: Floats
+) -> tuple[RestraintValue, ...]:
+    """Values and violations of restraints of a structure at positions (na, 3), nm."""
+    return Restraints.of(structure, restraints).measure(x) if restraints else ()
+
+
+def select_violated(values: Sequence[RestraintValue]) -> list[RestraintValue]:
+    """Restraints that are violated, worst first."""
+    return sorted((value for value in values if value.is_violated), key=lambda value: -value.excess)
+
+
+def describe_violations(values: Sequence[RestraintValue]) -> list[str]:
+    """Number and worst of the violated restraints, for a message; empty if there is none."""
+    worst = select_violated(values)
+    if not worst:
+        return []
+    number = counted(len(worst), "restraint is violated", "restraints are violated")
+    return [f"{number}, the worst by {worst[0].violation:.2f} {worst[0].unit} ({worst[0].restraint})"]
+
+
+class ViolationsAtEnd:
+    """Result of a run whose restraints were measured at the end."""
+
+    restraint_values: tuple[RestraintValue, ...]
+
+    def violation_rows(self) -> list[dict[str, Any]]:
+        """Fields of the violated restraints, worst first."""
+        return [asdict(value) for value in select_violated(self.restraint_values)]
+
+    @property
+    def restraint_violations(self) -> "pd.DataFrame":
+        """Restraints that the end violates by more than 0.5 angstrom or 10 degrees, worst first.
+
+        Columns ``restraint``, ``value``, ``bound``, ``violation`` and ``unit``, angstrom or degrees.
+        """
+        import pandas as pd
+
+        names = [field.name for field in fields(RestraintValue)]
+        return pd.DataFrame(self.violation_rows(), columns=names)
 
 
 @dataclass(frozen=True, eq=False)
 class Restraints(Value):
-    """Restraints of a structure: positions (na, 3) in nm to energy in kJ/mol and forces.
-
-    lower, upper, stiffness, linear (r,): nm, rad, kJ/mol.
-    """
+    """Restraints of a structure: positions (na, 3) in nm to energy in kJ/mol and forces."""
 
     listed: tuple[Restraint, ...]  # In their order.
-    pairs: Integers  # (p, 2) int: Atoms of distances.
-    of_pair: Integers  # (p,) int: The row of each.
-    fours: Integers  # (m, 4) int: Atoms of dihedrals.
-    of_four: Integers  # (m,) int: The row of each.
-    atoms: Integers  # (n,) int: Atoms of positions.
-    of_atom: Integers  # (n,) int: The row of each.
-    home: Floats  # (na, 3) nm: Of positions.
+    coordinates: tuple[Coordinates, ...]
+    row: Integers  # (m,) int: The restraint of each value of the coordinates.
 
     @classmethod
-    def of(cls, structure: Structure, given: Any) -> Self:
+    def of(cls, structure: Structure, source: Any) -> Self:
         """Find the atoms of restraints, as :func:`read_restraints` takes them."""
-        listed = read_restraints(given)
-        found: dict[str, list[Any]] = {kind: [[], []] for kind in PLACES}
-        for row, each in enumerate(listed):
-            groups = _groups(structure, each)
-            made = groups[0]
-            if each.kind == "distance":
-                made = np.stack(np.meshgrid(*groups, indexing="ij"), axis=-1).reshape(-1, 2)
-                if {*groups[0].tolist()} & {*groups[1].tolist()}:
-                    raise StructureError(f"{structure.name}: restraint {each}: an atom is on both sides")
-            elif each.kind == "dihedral":
-                made = np.array([[atoms[0] for atoms in groups]])
-            found[each.kind][0] += made.tolist()
-            found[each.kind][1] += [row] * len(made)
-        shapes = {"distance": (-1, 2), "dihedral": (-1, 4), "position": (-1,)}
-        pairs, fours, atoms = (read_only(np.reshape(found[k][0], shapes[k]), np.int64) for k in shapes)
-        rows = [read_only(found[kind][1], np.int64) for kind in shapes]
-        return cls(listed, pairs, rows[0], fours, rows[1], atoms, rows[2], structure.positions)
+        listed = read_restraints(source)
+        groups = [_groups(structure, restraint) for restraint in listed]
+        coordinates, rows = list[Coordinates](), list[int]()
+        for kinds, build in (
+            (("distance", "mean-distance"), _distances),
+            (("centroid-distance",), partial(_centroids, structure.atom_mass)),
+            (("dihedral",), _dihedrals), (("position",), partial(_displacements, structure.positions)),
+        ):  # fmt: skip
+            own = [row for row, restraint in enumerate(listed) if restraint.kind in kinds]
+            if own:
+                coordinates.append(build([listed[row] for row in own], [groups[row] for row in own]))
+            # Each atom of a position restraint has a value.
+            rows += [row for row in own for _ in (groups[row][0] if listed[row].kind == "position" else "1")]
+        return cls(listed, tuple(coordinates), read_only(rows, np.int64))
 
     def values(self, x: Floats) -> Floats:
-        """Values (r,) of distances and dihedrals at positions, nm or rad; zero of positions."""
-        n = len(self.listed)
-        found = np.zeros(n) + np.bincount(self.of_pair, self._inverse(x)[0], n)
-        found[self.of_pair] = found[self.of_pair] ** (-1.0 / 6.0)
-        found[self.of_four] = dihedral(*x[self.fours.T])
-        return np.asarray(found)
-
-    def _inverse(self, x: Floats) -> tuple[Floats, Floats]:
-        """r^-6 (p,) of the pairs, and the vectors (p, 3)."""
-        across = x[self.pairs[:, 0]] - x[self.pairs[:, 1]]
-        return np.maximum(dots(across, across), 1e-12) ** -3.0, across
+        """Values (m,) of the coordinates at positions, nm or rad: those of ``row``."""
+        return np.concatenate([part.values(x) for part in self.coordinates] or [np.empty(0)])
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
-        n, forces, value = len(self.listed), np.zeros_like(x), 0.0
-        if len(self.pairs):
-            r6, across = self._inverse(x)
-            whole = np.bincount(self.of_pair, r6, n)
-            distance = np.maximum(whole, 1e-300) ** (-1.0 / 6.0)
-            energy, slope = self._outside(distance[self.of_pair], self.of_pair, 1.0 / ANGSTROM_PER_NM)
-            share = r6 / whole[self.of_pair]
-            value += float(np.sum(energy * share))
-            # d R / d r_i is R^7 / r_i^7.
-            pull = (-slope * share * distance[self.of_pair] * np.cbrt(r6))[:, None] * across
-            forces += _at(self.pairs[:, 0], pull, len(x)) - _at(self.pairs[:, 1], pull, len(x))
-        if len(self.fours):
-            energy, slope = self._outside(dihedral(*x[self.fours.T]), self.of_four, np.pi / 180.0, turns=True)
-            value += float(energy.sum())
-            pull = slope[:, None, None] * dihedral_slopes(x[self.fours])
-            forces -= _at(self.fours.ravel(), pull.reshape(-1, 3), len(x))
-        if len(self.atoms):
-            away = x[self.atoms] - self.home[self.atoms]
-            distance = np.linalg.norm(away, axis=1)
-            energy, slope = self._outside(distance, self.of_atom, 1.0 / ANGSTROM_PER_NM)
-            value += float(energy.sum())
-            forces -= _at(self.atoms, (slope / np.maximum(distance, 1e-12))[:, None] * away, len(x))
-        return value, forces
+        values = [part.values(x) for part in self.coordinates]
+        energy, slope = self._walls.energies(np.concatenate(values))
+        slopes = np.split(slope, np.cumsum([len(part) for part in values[:-1]]))
+        parts = zip(self.coordinates, slopes, strict=True)
+        return float(energy.sum()), np.sum([part.forces(x, slope) for part, slope in parts], axis=0)
 
-    def _outside(
-        self, at: Floats, rows: Integers, unit: float, *, turns: bool = False
-    ) -> tuple[Floats, Floats]:
-        """Energies and slopes of values of some rows, whose bounds are in a unit."""
-        low, high, k, linear = (
-            np.array([getattr(each, name) for each in self.listed])[rows]
-            for name in ("lower", "upper", "stiffness", "linear")
+    @cached_property
+    def _walls(self) -> "_Walls":
+        return _Walls.of([self.listed[row] for row in self.row.tolist()])
+
+    def measure(self, x: Floats) -> tuple[RestraintValue, ...]:
+        """Value and violation of each restraint at positions; of several atoms, those of the worst."""
+        values = self.values(x)
+        outside, walls = self._walls.outside(values), self._walls
+        # A side without stiffness restrains nothing.
+        violation = np.abs(outside) * (walls.of_side(walls.stiffness, outside) > 0.0)
+        is_high = walls.wrap(values) > 0.5 * (walls.low + walls.high)
+        bound = np.where(is_high, walls.high, walls.low)
+        order = np.lexsort((-violation, self.row))
+        _, first = np.unique(self.row[order], return_index=True)
+        return tuple(
+            RestraintValue(
+                str(self.listed[self.row[i]]), float(values[i] / walls.unit[i]),
+                float(bound[i] / walls.unit[i]), float(violation[i] / walls.unit[i]),
+                "degrees" if walls.turns[i] else "angstrom",
+            )
+            for i in order[first].tolist()
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Walls:
+    """Bounds of coordinates (m,), nm or rad, and the energy outside them; of sides below and above (2, m)."""
+
+    low: Floats
+    high: Floats
+    stiffness: Floats
+    linear: Floats
+    exponent: Floats
+    tail: Floats
+    unit: Floats  # nm of an angstrom, or rad of a degree.
+    turns: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, restraints: Sequence[Restraint]) -> Self:
+        turns = np.array([restraint.kind == "dihedral" for restraint in restraints], dtype=bool)
+        unit = np.where(turns, np.pi / 180.0, 1.0 / ANGSTROM_PER_NM)
+        stiffness, linear = (
+            np.reshape([both_sides(getattr(r, name)) for r in restraints], (-1, 2)).T
+            for name in ("stiffness", "linear")
         )
-        low, high, linear = unit * low, unit * high, unit * np.where(linear > 0.0, linear, np.inf)
-        if turns:
-            middle = 0.5 * (low + high)
-            at = middle + (at - middle + np.pi) % (2.0 * np.pi) - np.pi
-        out = np.maximum(at - high, 0.0) - np.maximum(low - at, 0.0)
-        near = np.clip(out, -linear, linear)
-        return k * near * (out - 0.5 * near), k * near
+        low, high, exponent, tail = (
+            np.array([getattr(r, name) for r in restraints], dtype=float)
+            for name in ("lower", "upper", "exponent", "tail")
+        )
+        linear = unit * np.where(linear > 0.0, linear, np.inf)
+        return cls(unit * low, unit * high, stiffness, linear, exponent, tail, unit, turns)
+
+    def wrap(self, values: Floats) -> Floats:
+        """Values, of dihedrals within half a turn of the middle of their bounds."""
+        middle = 0.5 * (self.low + self.high)
+        near = middle + (values - middle + np.pi) % (2.0 * np.pi) - np.pi
+        return np.where(self.turns, near, values)
+
+    def outside(self, values: Floats) -> Floats:
+        """How far values are below the lower bound, negative, or above the upper one."""
+        at = self.wrap(values)
+        return np.asarray(np.maximum(at - self.high, 0.0) - np.maximum(self.low - at, 0.0))
+
+    def of_side(self, sides: Floats, outside: Floats) -> Floats:
+        """Numbers (m,) of the sides (2, m) on which values are."""
+        return np.where(outside > 0.0, sides[1], sides[0])
+
+    def energies(self, values: Floats) -> tuple[Floats, Floats]:
+        """Energies and slopes (m,) of values."""
+        outside = self.outside(values)
+        e, k = np.abs(outside), self.of_side(self.stiffness, outside)
+        near = np.minimum(e, self.of_side(self.linear, outside))
+        energy = 0.5 * k * near**self.exponent
+        slope = np.where(e > 0.0, 0.5 * k * self.exponent * near ** (self.exponent - 1.0), 0.0)
+        # Beyond, the energy goes on as a power of e, with the slope that it has there.
+        ratio = np.where(e > near, e / np.maximum(near, 1e-300), 1.0)
+        energy = energy + near * slope * (ratio**self.tail - 1.0) / self.tail
+        return energy, np.sign(outside) * slope * ratio ** (self.tail - 1.0)
 
 
-def _at(atoms: Integers, pull: Floats, n: int) -> Floats:
+def _distances(restraints: Sequence[Restraint], groups: Sequence[list[Integers]]) -> Distances:
+    """Pairs of atoms of distances: of each pair of places, all combinations."""
+    pairs, of, weight = list[Any](), list[int](), list[float]()
+    for k, (restraint, places) in enumerate(zip(restraints, groups, strict=True)):
+        couples = list(zip(places[::2], places[1::2], strict=True))
+        own = np.concatenate(
+            [np.stack(np.meshgrid(*c, indexing="ij"), axis=-1).reshape(-1, 2) for c in couples]
+        )
+        pairs.append(own)
+        of += [k] * len(own)
+        weight += [1.0 / len(own) if restraint.kind == "mean-distance" else 1.0] * len(own)
+    return Distances(read_only(np.concatenate(pairs), np.int64), read_only(of, np.int64), read_only(weight))
+
+
+def _centroids(mass: Floats, restraints: Sequence[Restraint], groups: Sequence[list[Integers]]) -> Centroids:
+    """Atoms of distances between centres of mass, and their shares."""
+    atoms, of = (
+        np.concatenate(arrays)
+        for arrays in zip(*(
+            (group, np.full(len(group), k)) for k, places in enumerate(groups) for group in places
+        ), strict=True)
+    )  # fmt: skip
+    weight = np.concatenate([
+        sign * mass[group] / mass[group].sum()
+        for places in groups for sign, group in zip((1.0, -1.0), places, strict=True)
+    ])  # fmt: skip
+    return Centroids(read_only(atoms, np.int64), read_only(of, np.int64), read_only(weight))
+
+
+def _dihedrals(restraints: Sequence[Restraint], groups: Sequence[list[Integers]]) -> Dihedrals:
+    return Dihedrals(read_only(np.reshape(groups, (-1, 4)), np.int64))
+
+
+def _displacements(
+    positions: Floats, restraints: Sequence[Restraint], groups: Sequence[list[Integers]]
+) -> Displacements:
+    atoms = np.concatenate([places[0] for places in groups])
+    return Displacements(read_only(atoms, np.int64), read_only(positions[atoms]))
+
+
+def _at(atoms: Integers, vectors: Floats, n: int) -> Floats:
     """Sums (n, 3) of vectors (m, 3) at atoms (m,)."""
-    return np.column_stack([np.bincount(atoms, each, n) for each in pull.T])
+    return np.column_stack([np.bincount(atoms, column, n) for column in vectors.T])
 
 
-def _groups(structure: Structure, each: Restraint) -> list[Integers]:
+def _groups(structure: Structure, restraint: Restraint) -> list[Integers]:
     """Atoms of the places of a restraint."""
-    if each.kind == "dihedral" and len(each.places) == 1:
-        kind, _, place = each.places[0].replace("@", " ").partition(" ")
+    what = f"{structure.name}: restraint {restraint}"
+    if restraint.kind == "dihedral" and len(restraint.places) == 1:
+        kind, _, place = restraint.places[0].replace("@", " ").partition(" ")
         r = int(structure.atom_residue[atoms_at(structure, place)[0]])
         _, named = finder(structure, ("phi", "psi", "omega", "chi", "nucleic"))
-        found = {label: atoms for _, label, atoms in named(r) if None not in atoms}
-        if kind not in found:
-            raise StructureError(
-                f"{structure.name}: {each}: {place} has {', '.join(found) or 'no dihedrals'}"
-            )
-        return [np.array([k]) for k in found[kind]]
-    groups = [_atoms(structure, place) for place in each.places]
-    if each.kind == "dihedral" and any(len(atoms) != 1 for atoms in groups):
-        raise StructureError(f"{structure.name}: restraint {each}: give single atoms")
+        dihedrals = {label: atoms for _, label, atoms in named(r) if None not in atoms}
+        if kind not in dihedrals:
+            raise StructureError(f"{what}: {place} has {', '.join(dihedrals) or 'no dihedrals'}")
+        return [np.array([k]) for k in dihedrals[kind]]
+    groups = [_atoms(structure, place) for place in restraint.places]
+    if restraint.kind == "dihedral" and any(len(atoms) != 1 for atoms in groups):
+        raise StructureError(f"{what}: give single atoms")
+    if "distance" in restraint.kind and any(
+        np.intersect1d(*pair).size for pair in zip(groups[::2], groups[1::2], strict=True)
+    ):
+        raise StructureError(f"{what}: an atom is on both sides")
     return groups
 
 
+_IN_FILE = re.compile(r"(:\d+)?@[^\s@]+(,(:\d+)?@[^\s@]+)*")
+
+
 def _atoms(structure: Structure, place: str) -> Integers:
-    """Atoms of ``A:3:CA``, ``@12`` (its number in the file), ``resid 3 and name HB#``, or a selection."""
-    if place.startswith("@"):
-        where = np.arange(structure.n_atoms) if structure.origin is None else structure.origin.place
-        (found,) = np.nonzero(where == int(place[1:]) - 1)
-    elif _CNS.fullmatch(place):
-        # MDAnalysis reads these too, but takes a tenth of a second for each.
-        each = [_of_cns(structure, part) for part in re.split(r"(?i)\s+or\s+", place)]
-        found = np.unique(np.concatenate(each))
-    else:
+    """Atoms of ``A:3:CA``, of ``@12`` and ``:8@CA``, by their order in the file, or of a selection."""
+    if _IN_FILE.fullmatch(place):
+        atoms = np.unique([_atom_in_file(structure, part) for part in place.split(",")])
+        return atoms.astype(np.int64)
+    selected = _selected_atoms(structure, place)
+    if selected is None:
         return atoms_at(structure, place)
-    if not len(found):
+    if not len(selected):
         raise StructureError(f"{structure.name}: restraint: there are no atoms {place}")
-    return found
+    return selected
 
 
-_CNS = re.compile(r"(?i)(\W*\b(resid?|name|segid?|resname?)\s+[^\s()]+[\s)]*((and|or)\b)?)+\W*")
+@of_atoms
+def _selected_atoms(structure: Structure, place: str) -> Integers | None:
+    """Atoms of a selection in the language of CNS; None of any other place."""
+    # MDAnalysis reads most of these selections, too, but takes a tenth of a second for each.
+    try:
+        return read_only(np.flatnonzero(parse_selection(place)(structure)), np.int64)
+    except ProtochainError:
+        return None
 
 
-def _of_cns(structure: Structure, place: str) -> Integers:
-    """Atoms of ``resid 3 and name HB# and segid A``."""
-    of, chosen = structure.atom_residue, np.ones(structure.n_atoms, dtype=bool)
-    columns = {
-        "resi": structure.residue_number[of], "name": structure.atom_name,
-        "segi": structure.residue_chain[of], "resn": structure.residue_name[of],
-    }  # fmt: skip
-    for key, value in re.findall(r"(?i)\b(resid?|name|segid?|resname?)\s+([^\s()]+)", place):
-        asked = value.strip("\"'").upper().replace("#", "*").replace("%", "?")
-        asked = "H" if asked == "HN" else asked
-        chosen &= [fnmatchcase(str(each).upper(), asked) for each in columns[key.lower()[:4]]]
-    return np.flatnonzero(chosen)
+def _atom_in_file(structure: Structure, place: str) -> int:
+    """Atom ``@12``, or atom CA of the eighth residue, ``:8@CA``, of the file."""
+    residue, _, name = place.partition("@")
+    number, of_residue = _number_in_file(structure)
+    if residue:
+        (atoms,) = np.nonzero((of_residue == int(residue[1:])) & (structure.atom_name == name))
+    else:
+        (atoms,) = np.nonzero(number == (int(name) if name.isdigit() else -1))
+    if len(atoms) != 1:
+        raise StructureError(f"{structure.name}: restraint: there are no atoms {place}")
+    return int(atoms[0])
+
+
+@of_atoms
+def _number_in_file(structure: Structure) -> tuple[Integers, Integers]:
+    """Number of each atom, and of its residue, in the order of the file, from 1; 0 of added atoms."""
+    if structure.origin is None:
+        return np.arange(structure.n_atoms) + 1, structure.atom_residue + 1
+    residues = [atom.rpartition("/")[0] for atom in structure.origin.atoms]
+    order = np.cumsum([here != before for here, before in pairwise([None, *residues])])
+    place = structure.origin.place
+    # Atoms that were added belong to the residue of the others.
+    of_residue = np.zeros(structure.n_residues, dtype=np.int64)
+    present = place >= 0
+    of_residue[structure.atom_residue[present]] = order[place[present]]
+    return place + 1, of_residue[structure.atom_residue]

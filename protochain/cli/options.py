@@ -252,6 +252,24 @@ def print_changes(source: Path, structure: "Structure") -> None:
         print(f"{source}: protochain info lists all {len(structure.repairs)} changes", file=sys.stderr)
 
 
+VIOLATIONS_SHOWN = 5
+"""Violated restraints that a command prints."""
+
+
+def print_violations(record: "Mapping[str, Any]") -> None:
+    """Print the restraints that a result violates, worst first."""
+    from protochain.chains.restraint_list import RestraintValue
+
+    violated = record.get("restraint_violations") or []
+    if not violated:
+        return
+    print(f"{counted(len(violated), 'restraint')} violated by more than 0.5 angstrom or 10 degrees:")
+    for value in violated[:VIOLATIONS_SHOWN]:
+        print(f"  {RestraintValue(**value)}")
+    if len(violated) > VIOLATIONS_SHOWN:
+        print(f"  and {len(violated) - VIOLATIONS_SHOWN} more, which --json lists")
+
+
 def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
     """Print what the structures of records, or of rows of a table, lost."""
     from protochain.structure.losses import loss_lines

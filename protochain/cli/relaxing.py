@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from protochain.cli.options import print_changes, print_files, print_lost, said_of_move
+from protochain.cli.options import print_changes, print_files, print_lost, print_violations, said_of_move
 from protochain.core import defaults
 from protochain.core.markup import counted, listed
 from protochain.core.timings import part
@@ -109,6 +109,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         stated.insert(1, "; ".join(summarised(turned)))
     stated += remains_in_words(record)
     print("\n".join(line for each in stated for line in textwrap.wrap(each, _WIDTH)))
+    print_violations(record)
     print_lost([record])
     print(f"written: {'standard output' if record['output'] == '-' else record['output']}")
     print_files(*record.get("confidences", ()), record.get("ligands_written"), record.get("report"))

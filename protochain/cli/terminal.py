@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from time import monotonic
 from typing import TYPE_CHECKING, Any
 
-from protochain.cli.options import print_lost
+from protochain.cli.options import print_lost, print_violations
 from protochain.cli.printable import printable, printer
 from protochain.core.timings import PARTS
 
@@ -320,6 +320,7 @@ def print_simulation(record: dict[str, Any]) -> None:
         f"to the input {_distance(record['ca_rmsd_input_angstrom'])}, as filed "
         f"{_distance(record['ca_rmsd_input_as_filed_angstrom'])}: {record['frame']}"
     )
+    print_violations(record)
     print_lost([record])
     print(f"written: {record['output']}")
 
@@ -378,6 +379,7 @@ def print_written(record: dict[str, Any]) -> None:
     """Print what remains in a result, its file, and how far it lies from its start."""
     from protochain.validation.findings import remains_in_words
 
+    print_violations(record)
     for line in remains_in_words(record):
         print(line)
     superposed, filed = (_distance(record[f"ca_rmsd_{name}angstrom"]) for name in ("", "as_filed_"))

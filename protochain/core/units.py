@@ -6,6 +6,9 @@ In these units kJ/mol = amu nm^2/ps^2, so mechanics needs no conversion constant
 ANGSTROM_PER_NM = 10.0
 """Angstroms in one nanometre."""
 
+KJ_PER_KCAL = 4.184
+"""kJ in one thermochemical kilocalorie."""
+
 MOLAR_GAS = 8.31446261815324e-3
 """kJ/mol/K: Boltzmann's constant times Avogadro's (exact since 2019)."""
 

@@ -5,7 +5,8 @@ from collections.abc import Iterable
 from dataclasses import MISSING, dataclass, fields
 from typing import Any, Self
 
-from protochain.chains.restraint_lines import Restraint, read_restraints
+from protochain.chains.restraint import Restraint
+from protochain.chains.restraint_lines import read_restraints
 from protochain.core import defaults
 from protochain.core.checks import (
     Check,

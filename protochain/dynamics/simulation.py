@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from protochain.chains.chain import Chain, place_atoms
 from protochain.chains.contacts import overlaps
 from protochain.chains.frame import Frame
+from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd, measure_restraints
 from protochain.core.arrays import Floats
 from protochain.core.markup import counted
 from protochain.dynamics.loop import Ending, State
 from protochain.dynamics.simulate_settings import SimulationSettings
 from protochain.dynamics.thermostats import THERMOSTATS
 from protochain.energies.protocol import Energy
-from protochain.results.columns import Column, of_energy, of_losses
+from protochain.results.columns import Column, of_energy, of_losses, of_restraints
 from protochain.structure import Structure, save, to_mdanalysis, to_mdtraj
 from protochain.structure.frames import open_frames
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Simulation:
+class Simulation(ViolationsAtEnd):
     """Result of a simulation: final state, log and outcome.
 
     Parameters
@@ -114,6 +115,12 @@ class Simulation:
     def x(self) -> Floats:
         """(na, 3) float, nm: final positions in the frame of the start; ``q`` is as the run went."""
         return self.frame(place_atoms(self.chain, self.state.at.factors.frames))
+
+    @cached_property
+    def restraint_values(self) -> tuple[RestraintValue, ...]:  # type: ignore[override]
+        """Values and violations of the restraints at the end."""
+        x = place_atoms(self.chain, self.state.at.factors.frames)
+        return measure_restraints(self.chain.structure, self.settings.restraint, x)
 
     @property
     def structure(self) -> Structure:
@@ -247,6 +254,7 @@ RECORD = (
     Column("ns_per_day", lambda r: r.ns_per_day if r.n_steps else None, kind=float | None),
     Column("status", lambda r: str(r.ending), kind=Ending),
     Column("message", lambda r: r.message),
+    *of_restraints(RestraintValue),
     Column("left_out", lambda r: dict(r.chain.structure.left_out), kind=dict[str, int]),
     *of_losses(lambda r: r.chain.structure),
     Column("threads", lambda r: r.energy_function.threads, kind=int | None),

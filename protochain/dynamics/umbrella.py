@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from protochain.chains.articulate import with_energy
-from protochain.chains.restraint_lines import Restraint
+from protochain.chains.restraint import Restraint
 from protochain.chains.restraint_list import Restraints
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Integers, finite

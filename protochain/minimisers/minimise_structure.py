@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from protochain.chains.articulate import with_energy
 from protochain.chains.chain import Pose, pose
 from protochain.chains.frame import Frame, frame_of, knows_places
+from protochain.chains.restraint_list import describe_violations, measure_restraints
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Watcher, floats, read_only
 from protochain.core.checks import WATCHER, checked
@@ -38,7 +39,7 @@ from protochain.minimisers.spaces import Torsions, spaces
 from protochain.minimisers.stages import Outcome, Stage, walk
 from protochain.minimisers.start import Start
 from protochain.minimisers.start_warnings import Straying
-from protochain.minimisers.verdict import Judgement, judge, rebuilt, verdict
+from protochain.minimisers.verdict import Judgement, judge, rebuilt, rejected, verdict
 from protochain.validation.omega import twisted_bonds
 
 
@@ -119,9 +120,9 @@ def minimise(
     Returns
     -------
     Solution
-        Never worse than the start, and superposed on it unless something holds the run in place (an obstacle,
-        a selection, a restraint, an energy that depends on the place). Its status is the judge's, not the
-        method's own.
+        Never worse than the start, restraints included, and superposed on it unless something holds the run
+        in place (an obstacle, a selection, a restraint, an energy that depends on the place). Its status is
+        the judge's, not the method's own.
 
     Raises
     ------
@@ -297,12 +298,14 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
     lowest = done.lowest_eigenvalue if at is not start.pose else None
     residual = end.max_torque if isinstance(done.space, Torsions) else end.rms_force
     met = done.complete and residual <= run.converged_at
-    measured = _measured(done, residual, run.converged_at, energy.engine, met, lowest)
+    residuals = _residuals(done, residual, run.converged_at, energy.engine, met, lowest)
     stop = done.stop
     if not np.isfinite(end.energy) and stop is not Stop.INTERRUPTED:
         # A callable may return forces that vanish, or are small, and no energy with them.
         stop, met = Stop.NON_FINITE, False
-    status, ended = verdict(stop, met, measured, structure, at.x, done.n_evaluations)
+    restraint_values = measure_restraints(structure, run.hold.listed, at.x)
+    left = [*rejected(structure, at.x), *describe_violations(restraint_values)]
+    status, ended = verdict(stop, met, residuals, structure, at.x, done.n_evaluations, left=left)
     if twisted := twisted_bonds(structure, at.x, structure.positions):
         ended = f"{ended}; peptide bonds that became twisted: {listed(twisted)}"
     x = at.x if at is start.pose else record.frame(at.x)
@@ -331,6 +334,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
         hold=run.hold,
         seed=run.seed,
         restraints=held and (held(start.pose.x)[0], held(at.x)[0]),
+        restraint_values=restraint_values,
         timings=until_now(),
         lowest_eigenvalue=lowest,
         frame_rows=read_only(list(record.kept()), np.int64),
@@ -339,7 +343,7 @@ def _judged(start: Start, run: Minimisation, done: Outcome, record: Recorder, se
 
 
 def _better(start: Start, done: Outcome) -> tuple[Pose, Judgement]:
-    """Pose and judgement of the end, or of the start where the end is no better."""
+    """Pose and judgement of the end, or of the start where the end is no better, restraints included."""
     if isinstance(done.space, Torsions):
         chain = done.space.chain
         at = pose(chain, done.q)
@@ -350,12 +354,13 @@ def _better(start: Start, done: Outcome) -> tuple[Pose, Judgement]:
         # No digit is rounded anew: the energies are those of the run, or of the start.
         at = replace(at, x=chain.structure.positions)
     end = judge(chain, at, start.known.judged(at.x), done.restraint)
-    if end.energy <= start.judgement.energy:
+    held = done.restraint or (lambda x: (0.0, x))
+    if end.energy + held(at.x)[0] <= start.judgement.energy + held(start.pose.x)[0]:
         return at, end
     return start.pose, judge(start.chain, start.pose, start.judged, done.restraint)
 
 
-def _measured(
+def _residuals(
     done: Outcome, residual: float, tolerance: float, engine: str, met: bool, lowest: float | None
 ) -> str:
     """What was measured of an end, in words: residual, judge and curvature."""

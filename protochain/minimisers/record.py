@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from protochain.chains.articulate import turned_atoms
+from protochain.chains.restraint_list import RestraintValue
 from protochain.core import defaults
 from protochain.energies.decomposed import TERMS
 from protochain.minimisers.verdict import Status
@@ -14,6 +15,7 @@ from protochain.results.columns import (
     of_losses,
     of_measures,
     of_remains,
+    of_restraints,
     of_structure,
     of_terms,
 )
@@ -43,6 +45,7 @@ COLUMNS = (
     *of_terms(TERMS),
     *of_measures(MEASURES, "start", "end"),
     *of_remains(REMAINS),
+    *of_restraints(RestraintValue),
     Column("iterations", lambda s: s.n_iterations, kind=int),
     Column("evaluations", lambda s: s.n_evaluations, "evaluations", "evals", kind=int),
     Column("seconds", lambda s: s.seconds, "seconds", "time s", 6),

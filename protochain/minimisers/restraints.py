@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from protochain.chains.contacts import near_pairs
-from protochain.chains.restraint_lines import Restraint, are_restraints, is_missing, read_restraints
+from protochain.chains.restraint import Restraint
+from protochain.chains.restraint_lines import are_restraints, is_missing, read_restraints
 from protochain.chains.restraint_list import Restraints
 from protochain.core.arrays import Floats, Integers
 from protochain.core.errors import refused

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from protochain.chains.chain import Chain
 from protochain.chains.frame import Frame
+from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd
 from protochain.core.arrays import Floats, Integers, Value, Watcher
 from protochain.core.errors import StrayWarning
 from protochain.core.markup import facts
@@ -146,7 +147,7 @@ class _Made:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution(TermsAtEnds, Value):
+class Solution(TermsAtEnds, ViolationsAtEnd, Value):
     """Result of a minimisation, judged in double precision.
 
     Parameters
@@ -194,6 +195,8 @@ class Solution(TermsAtEnds, Value):
         Of random methods.
     restraints : two float or None, kJ/mol
         Energies at start and end of what held the end, no part of others; None where nothing did.
+    restraint_values : tuple of RestraintValue
+        Values and violations of the listed restraints at the end.
     timings : mapping of str to float, s
         Wall time by part of the call, which add up to it, and the ``serial_share_of_loop``: what of the loop
         one thread does alone, None where OpenMM computes.
@@ -236,6 +239,7 @@ class Solution(TermsAtEnds, Value):
     hold: Hold
     seed: int
     restraints: tuple[float, float] | None = None
+    restraint_values: tuple[RestraintValue, ...] = ()
     timings: Mapping[str, float | None] = field(default_factory=dict)
     lowest_eigenvalue: float | None = None
     frame_rows: Integers = field(default_factory=lambda: np.empty(0, dtype=np.int64))
@@ -303,7 +307,9 @@ class Solution(TermsAtEnds, Value):
     @property
     def is_usable(self) -> bool:
         """Whether the end has a finite energy, below that of the start unless forces are within tolerance."""
-        improved = self.status in (Status.CONVERGED, Status.VIOLATIONS) or self.end.energy < self.start.energy
+        before, after = self.restraints or (0.0, 0.0)  # They count in the energy that was minimised.
+        lower = self.end.energy + after < self.start.energy + before
+        improved = self.status in (Status.CONVERGED, Status.VIOLATIONS) or lower
         return bool(np.isfinite(self.end.energy) and improved)
 
     def to_scipy(self) -> "OptimizeResult":

@@ -5,6 +5,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
+from protochain.chains.restraint_list import RestraintValue
 from protochain.energies.decomposed import TERMS
 from protochain.minimisers.verdict import Status
 from protochain.results.columns import (
@@ -16,6 +17,7 @@ from protochain.results.columns import (
     of_losses,
     of_measures,
     of_remains,
+    of_restraints,
     of_structure,
     of_terms,
 )
@@ -49,6 +51,7 @@ COLUMNS = (
     *of_measures(MEASURES, "start"),
     *of_measures(MEASURES, "end"),
     *of_remains(REMAINS),
+    *of_restraints(RestraintValue),
     Column("overlaps_start", lambda r: len(r.wrong_start.overlaps), kind=int),
     Column("overlaps_end", lambda r: r.rounds[r.best].overlaps, kind=int),
     Column("overlaps_beside_start", lambda r: r.wrong_start.n_beside, kind=int),
@@ -101,7 +104,7 @@ _OF_ALL_FRAMES = (
     "preset", "protocol", "bonds_to_hydrogen", "tolerance", "tolerance_unit", "springs_backbone_kj_mol_nm2",
     "springs_side_chains_kj_mol_nm2", "max_iterations", "max_outer_iterations", "exclude", "free_ligands",
     "hydrogens", "repacked", "fixed", "left_out", "lost_atoms", "n_lost_atoms", "far_molecules", "repairs",
-    "threads", "seconds", "timings",
+    "threads", "seconds", "timings", "restraint_violations",
 )  # fmt: skip
 """What frames of one ensemble have in common, and the seconds of rounds alone."""
 

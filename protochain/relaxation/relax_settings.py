@@ -5,7 +5,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from protochain.chains.restraint_lines import Restraint, read_restraints
+from protochain.chains.restraint import Restraint
+from protochain.chains.restraint_lines import read_restraints
 from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, sequences, text

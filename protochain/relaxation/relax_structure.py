@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from protochain.chains.frame import Frame
-from protochain.chains.restraint_list import Restraints
+from protochain.chains.restraint_list import Restraints, RestraintValue, describe_violations
 from protochain.core import defaults
 from protochain.core.arrays import Integers, Watcher, read_only
 from protochain.core.checks import WATCHER, checked
@@ -77,7 +77,8 @@ def relax(
     Returns
     -------
     Relaxation
-        Never of higher energy than its start. Its status says what is left to mend, if anything is.
+        Never of higher energy than its start, restraints included. Its status says what is left to mend, if
+        anything is.
 
     Raises
     ------
@@ -138,7 +139,8 @@ def relax_structure(
     value, forces = known.judged(end.x)
     space, total = Cartesian(structure, mobile), forces + restraint(end.x)[1]
     force = space.residual(space.torque(space.place(space.start(end.x)), total))
-    status, message = _verdict(structure, known, settings, end, force)
+    restraint_values = held[0].measure(end.x) if held else ()
+    status, message = _verdict(structure, known, settings, end, force, restraint_values)
     return Relaxation(
         start=structure,
         turned=first.repairs[len(structure.repairs) :],
@@ -157,6 +159,7 @@ def relax_structure(
         seconds=seconds,
         trace=read_only(np.array(trace.rows).reshape(-1, 5)),
         restraints=(restraint(structure.positions)[0], restraint(end.x)[0]) if is_held else None,
+        restraint_values=restraint_values,
         timings=until_now(),
         move=move,
         moving=mobile,
@@ -221,8 +224,9 @@ def _repacked(
 
 
 def _verdict(
-    structure: Structure, known: Known, settings: RelaxSettings, end: Ended, force: float
-) -> tuple[Status, str]:
+    structure: Structure, known: Known, settings: RelaxSettings, end: Ended, force: float,
+    restraint_values: tuple[RestraintValue, ...],
+) -> tuple[Status, str]:  # fmt: skip
     tolerance = settings.strength.tolerance
     springs = ", springs included" if end.springs.weight.any() else ""
     measured = f"RMS force {force:.4g} kJ/mol/nm for a tolerance of {tolerance:g}{springs}, by {known.judge}"
@@ -234,7 +238,8 @@ def _verdict(
     measured += where if broken else ""
     return verdict(
         end.stop, force <= tolerance, measured, structure, end.x, end.round.evaluations,
-        inverted=_spoiled(at), isomerised=_bonds_before(at, _lost(at)), left=left_in_words(at),
+        inverted=_spoiled(at), isomerised=_bonds_before(at, _lost(at)),
+        left=[*left_in_words(at), *describe_violations(restraint_values)],
     )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.chains.frame import Frame
+from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd
 from protochain.core import defaults
 from protochain.core.arrays import Floats, Value
 from protochain.core.markup import counted, facts
@@ -41,7 +42,7 @@ TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", "rms_fo
 
 
 @dataclass(frozen=True, eq=False)
-class Relaxation(TermsAtEnds, Value):
+class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
     """Result of a relaxation.
 
     Parameters
@@ -78,6 +79,8 @@ class Relaxation(TermsAtEnds, Value):
         Side chains put into other rotamers first.
     restraints : two float or None, kJ/mol
         Energies at start and end of what held the end, no part of others; None where nothing did.
+    restraint_values : tuple of RestraintValue
+        Values and violations of the restraints beside the springs at the end.
     timings : mapping of str to float, s
         Wall time by part, as of :class:`protochain.Solution`.
     move : str
@@ -109,6 +112,7 @@ class Relaxation(TermsAtEnds, Value):
     trace: Floats
     turned: tuple[Repair, ...] = ()
     restraints: tuple[float, float] | None = None
+    restraint_values: tuple[RestraintValue, ...] = ()
     timings: Mapping[str, float | None] = field(default_factory=dict)
     move: str = defaults.MOVE
     moving: NDArray[np.bool_] | None = None
@@ -223,8 +227,10 @@ class Relaxation(TermsAtEnds, Value):
 
     @property
     def is_usable(self) -> bool:
-        """Whether the end has a finite energy, not above that of the start."""
-        return bool(np.isfinite(self.energy_end) and not self.energy_end > self.energy_start)
+        """Whether the end has a finite energy, not above that of the start; with restraints, of their sum."""
+        before, after = (self.restraints if self.restraint_values else None) or (0.0, 0.0)
+        above = self.energy_end + after > self.energy_start + before
+        return bool(np.isfinite(self.energy_end) and not above)
 
     def save(self, path: str | Path) -> None:
         """Write the structure with its provenance, as PDB or mmCIF by suffix; without hydrogens if so asked.

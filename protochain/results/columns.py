@@ -90,10 +90,11 @@ def _finite(value: Any) -> Any:
 
 
 def flat(value: Any) -> Any:
-    """Value of a record as a cell of a table: lists and counts as text."""
+    """Value of a record as a cell of a table: lists and counts as text; lists of objects are no cells."""
     if isinstance(value, dict):
         return "; ".join(f"{count} {name}" for name, count in value.items())
-    return "; ".join(map(str, value)) if isinstance(value, list) else value
+    is_plain = isinstance(value, list) and not any(isinstance(item, dict) for item in value)
+    return "; ".join(map(str, value)) if is_plain else value
 
 
 def number(of: Any) -> Kind:
@@ -139,6 +140,22 @@ def _term(name: str, when: str, of: Any) -> float | None:
 
 def _restraints(which: int, of: Any) -> float | None:
     return None if of.restraints is None else float(of.restraints[which])
+
+
+def of_restraints(kind: Kind) -> Iterator[Column]:
+    """Columns of restraints at the end: how many are violated, and how far; None without restraints."""
+    yield Column("restraints_violated", _n_violated, kind=int | None)
+    for unit in ("angstrom", "degrees"):
+        yield Column(f"restraint_violation_{unit}", partial(_largest_violation, unit))
+    yield Column("restraint_violations", lambda r: r.violation_rows(), kind=[kind])
+
+
+def _n_violated(of: Any) -> int | None:
+    return sum(value.is_violated for value in of.restraint_values) if of.restraint_values else None
+
+
+def _largest_violation(unit: str, of: Any) -> float | None:
+    return max((value.violation for value in of.restraint_values if value.unit == unit), default=None)
 
 
 def of_structure(structure: Callable[[Any], Any]) -> Iterator[Column]:

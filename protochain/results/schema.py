@@ -107,6 +107,6 @@ def cell(kind: Kind) -> Kind:
         return NotRequired[cell(get_args(kind)[0])]
     origin = get_origin(kind)
     plain = get_args(kind) if origin in (Union, UnionType) else (kind,)
-    if any(each not in _PLAIN for each in plain):
+    if any(isinstance(each, list) or each not in _PLAIN for each in plain):
         return str | None
     return Union[(*plain, NoneType)]  # of types known at run time only

@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from protochain.chains.restraint_lines import Restraint, read_restraints
+from protochain.chains.restraint import Restraint
+from protochain.chains.restraint_lines import read_restraints
 from protochain.core import defaults
 from protochain.core.checks import Check, at_least, flag, limited, number, one_of, optional, plain, shown
 from protochain.core.errors import refused

@@ -1,0 +1,139 @@
+"""Atom selections in the language of CNS and X-PLOR."""
+
+import re
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.core.arrays import Integers
+from protochain.core.errors import ProtochainError
+from protochain.structure.model import Structure, of_atoms
+
+Selection = Callable[[Structure], NDArray[np.bool_]]
+"""Structure -> mask of the selected atoms (na,)."""
+
+_WILDCARDS = {"*": ".*", "%": ".", "#": r"\d*", "+": r"\d"}
+"""Any string, a character, a number, a digit."""
+_COLUMNS = {"segid": 0, "residue": 1, "resid": 1, "name": 2, "resname": 3}
+_TOKEN = re.compile(r"""[()]|"[^"]*"|'[^'\s]*'(?=[\s)]|$)|[^\s()"]+""")
+
+
+def parse_selection(text: str) -> Selection:
+    """Parse ``resid 3 and (name HB# or name HG*) and not segid B``.
+
+    Parameters
+    ----------
+    text : str
+        Factors ``resid``, ``residue`` (numbers, ranges ``3:8``), ``resname``, ``segid``, ``name``, ``atom``
+        (segment, residue, name), ``all``, ``none``, ``known`` and ``hydrogen``, joined by ``and``, ``or``,
+        ``not`` and parentheses. Words are known by four letters, in any case.
+
+    Returns
+    -------
+    callable
+        Structure to mask (na,).
+
+    Raises
+    ------
+    ProtochainError
+        If a word is unknown, or a parenthesis is missing.
+
+    Notes
+    -----
+    X-PLOR's manual (Brunger 1992), "Atom Selection".
+    """
+    tokens = _TOKEN.findall(re.sub(r"\s*:\s*", ":", text))
+    selection, rest = _any_of(tokens)
+    if rest:
+        raise ProtochainError(f"selection ({text}): {rest[0]!r} is not expected; give and, or")
+    return selection
+
+
+def _any_of(tokens: list[str]) -> tuple[Selection, list[str]]:
+    first, tokens = _all_of(tokens)
+    while tokens and tokens[0].lower() == "or":
+        second, tokens = _all_of(tokens[1:])
+        first = _join(np.logical_or, first, second)
+    return first, tokens
+
+
+def _all_of(tokens: list[str]) -> tuple[Selection, list[str]]:
+    first, tokens = _factor(tokens)
+    while tokens and tokens[0].lower() == "and":
+        second, tokens = _factor(tokens[1:])
+        first = _join(np.logical_and, first, second)
+    return first, tokens
+
+
+def _join(join: np.ufunc, first: Selection, second: Selection) -> Selection:
+    return lambda structure: join(first(structure), second(structure))
+
+
+def _factor(tokens: list[str]) -> tuple[Selection, list[str]]:
+    """Selection of one factor, and the tokens after it."""
+    if not tokens:
+        raise ProtochainError("selection: it ends too early; give resid 3 and name CA")
+    word, tokens = tokens[0].lower(), tokens[1:]
+    if word == "not":
+        inner, tokens = _factor(tokens)
+        return lambda structure: ~inner(structure), tokens
+    if word == "(":
+        inner, tokens = _any_of(tokens)
+        if not tokens or tokens[0] != ")":
+            raise ProtochainError("selection: a parenthesis is not closed; add )")
+        return inner, tokens[1:]
+    if word in ("all", "none") or (len(word) >= 4 and "known".startswith(word)):
+        return lambda structure: np.full(structure.n_atoms, word != "none"), tokens
+    if len(word) >= 4 and "hydrogen".startswith(word):
+        return lambda structure: structure.atom_element == "H", tokens
+    known = {column for name, column in _COLUMNS.items() if len(word) >= 4 and name.startswith(word)}
+    columns = [0, 1, 2] if word == "atom" else [*known]
+    if not columns:
+        raise ProtochainError(
+            f"selection: {word!r} is not implemented; give resid, resname, segid, name, atom"
+        )
+    patterns, tokens = tokens[: len(columns)], tokens[len(columns) :]
+    if len(patterns) < len(columns) or {*patterns} & {"(", ")"}:
+        raise ProtochainError(f"selection: {word} needs {len(columns)} words after it; add them")
+    tests = [_match_column(column, pattern) for column, pattern in zip(columns, patterns, strict=True)]
+    return lambda structure: np.logical_and.reduce([test(structure) for test in tests]), tokens
+
+
+def _match_column(column: int, pattern: str) -> Selection:
+    """Atoms whose value in a column matches a pattern, or is a number in a range."""
+    quoted = pattern[0] in "\"'" and len(pattern) > 1
+    plain = (pattern[1:-1] if quoted else pattern).strip().upper()
+    if ":" in plain:
+        limits = plain.split(":")
+        if column != 1 or len(limits) != 2 or not all(re.fullmatch(r"-?\d+", limit) for limit in limits):
+            raise ProtochainError(f"selection: range {pattern} is not implemented; give numbers of residues")
+        first, last = map(int, limits)
+
+        def matches(value: str) -> bool:
+            return first <= int(re.sub(r"[^-\d]", "", value) or last + 1) <= last
+    else:
+        # The amide hydrogen has another name in CNS.
+        plain = "H" if column == 2 and plain == "HN" else plain
+        expression = "".join(_WILDCARDS.get(letter) or re.escape(letter) for letter in plain)
+
+        def matches(value: str) -> bool:
+            return re.fullmatch(expression, value.upper()) is not None
+
+    def selection(structure: Structure) -> NDArray[np.bool_]:
+        values, inverse = _columns(structure)[column]
+        # In a structure of one chain the segment may be blank.
+        blank = column == 0 and not plain and len(values) == 1
+        return np.array([blank or matches(value) for value in values], dtype=bool)[inverse]
+
+    return selection
+
+
+@of_atoms
+def _columns(structure: Structure) -> list[tuple[list[str], Integers]]:
+    """Different values of segment, residue number, atom name and residue name, and which each atom has."""
+    of = structure.atom_residue
+    number = np.char.add(structure.residue_number, structure.residue_insertion_code)
+    columns = structure.residue_chain[of], number[of], structure.atom_name, structure.residue_name[of]
+    pairs = (np.unique(column, return_inverse=True) for column in columns)
+    return [(values.tolist(), inverse) for values, inverse in pairs]
