@@ -19,8 +19,8 @@ WINDOW = 0.03
 """nm from the reference, 11 thermal standard deviations of a C-H bond. Hydrogens of files are up to 0.019
 nm nearer (X-ray) and 0.024 farther (OpenMM's Modeller); bonds of DNA in crystals are off by up to 0.011."""
 _LONG, _SHORT = 0.045, 0.65
-"""nm beyond the sum of the covalent radii, of molecules that stand still, and share of the sum, at which
-another bond is wrong. The first is a little more than the reader's limit of a bond."""
+"""nm beyond the reference at which bonds of fixed molecules are wrong if they are to hydrogen or not in the
+force field: a little more than the reader's limit. Share of the covalent radii that is too short for others."""
 _FILES = (PROTEIN, PHOSPHATES["amber14"], DNA, RNA)
 
 
@@ -73,7 +73,8 @@ def _references(structure: Structure) -> tuple[Integers, Floats, Floats, Floats]
         length[place[is_bond]] = term.parameters[is_bond, 0]
     reach = covalent_radii(structure)[bonds].sum(axis=1) / ANGSTROM_PER_NM
     has_none = np.isnan(length)
-    slack = np.where(has_none & structure.obstacle[bonds].all(axis=1), _LONG, WINDOW)
+    loose = has_none | (structure.atom_element[bonds] == "H").any(axis=1)
+    slack = np.where(loose & structure.obstacle[bonds].all(axis=1), _LONG, WINDOW)
     length = np.where(has_none, reach, length)
     return bonds, length, np.where(has_none, _SHORT * reach, length - WINDOW), length + slack
 
