@@ -244,7 +244,12 @@ def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFr
         for change, which in (("gained", after - before), ("lost", before - after)):
             counts[f"{plural}_{change}"] = len(which)
             rows += [
-                {"kind": kind, "change": change, "first": _end(first, bond[0]), "second": _end(first, bond[-1])}
+                {
+                    "kind": kind,
+                    "change": change,
+                    "first": _end(first, bond[0]),
+                    "second": _end(first, bond[-1]),
+                }
                 for bond in sorted(which)
             ]
     return pd.DataFrame(rows, columns=["kind", "change", "first", "second"]), counts
@@ -258,7 +263,7 @@ def _places(first: Structure, second: Structure, found: Match) -> tuple[Integers
     """Residues of the first that correspond to those of the first (nr,) and the second (ns,), or ``NONE``."""
     own, other = np.full(first.n_residues, NONE), np.full(second.n_residues, NONE)
     own[found.reference] = other[found.model] = found.reference
-    # Alignments leave out all but amino acids: caps, ligands and nucleotides are known by what files call them.
+    # Alignments have amino acids alone: caps, ligands and nucleotides correspond by their names in files.
     rest = {first.residue(r): r for r in np.flatnonzero(own == NONE).tolist()}
     for r in np.flatnonzero(other == NONE).tolist():
         if (place := rest.pop(second.residue(r), NONE)) != NONE:

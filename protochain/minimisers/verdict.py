@@ -21,7 +21,6 @@ from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
 from protochain.validation.stereocentres import inverted_stereocentres
 
-
 _REMEDY = "leave such hydrogens out of the file and they are placed anew, or relax the structure"
 """What mends a bond of a wrong length."""
 
@@ -122,11 +121,12 @@ def rejected(structure: Structure, x: Floats) -> list[str]:
     found += [f"double bonds with the other E/Z: {listed(bonds)}"] if bonds else []
     still, whole = chains_still(structure)
     found += [f"{still} of {whole} residues of the protein have no parameters: fixed"] * (2 * still > whole)
-    # Torsions turn bonds and mend none: without this line such a run would end converged.
+    # Torsions change no bond length: such a run would end converged.
     wrong = wrong_bonds(structure, x)
     wrong = wrong[~structure.kept[wrong].all(axis=1)]
-    found += [f"{counted(len(wrong), 'bond')} of a wrong length: {listed(bond_lines(structure, x, wrong), 3)}; "
-              f"{_REMEDY}"] * bool(len(wrong))  # fmt: skip
+    if len(wrong):
+        lines = listed(bond_lines(structure, x, wrong), 3)
+        found.append(f"{counted(len(wrong), 'bond')} of a wrong length: {lines}; {_REMEDY}")
     faults = fixed_faults(structure, x).summary(structure, x)
     return [*found, faults] if faults else found
 

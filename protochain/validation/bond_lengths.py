@@ -16,16 +16,17 @@ from protochain.structure.templates import DNA, PHOSPHATES, PROTEIN, RNA
 from protochain.validation.strain import norms
 
 WINDOW = 0.03
-"""nm from the reference, 11 thermal standard deviations of a C-H bond. Hydrogens of files are up to 0.019
-nm nearer (X-ray) and 0.024 farther (OpenMM's Modeller); bonds of DNA in crystals are off by up to 0.011."""
+"""nm from the reference, 11 thermal standard deviations of a C-H bond. Hydrogens of sound files are up to
+0.024 farther away (OpenMM's Modeller), bonds of DNA in crystals are off by up to 0.011."""
 _LONG, _SHORT = 0.045, 0.65
-"""nm beyond the reference at which bonds of fixed molecules are wrong if they are to hydrogen or not in the
-force field: a little more than the reader's limit. Share of the covalent radii that is too short for others."""
+"""Limits of bonds to hydrogen and of bonds that the force field does not have: nm beyond the reference of
+fixed molecules, a little more than the reader's limit of a bond; share of the reference that is too short.
+By convention hydrogens of files are nearer: C-H 0.93 angstrom for 1.09 (X-ray), S-H 0.96 for 1.34 (NMR)."""
 _FILES = (PROTEIN, PHOSPHATES["amber14"], DNA, RNA)
 
 
 def wrong_bonds(structure: Structure, x: Floats) -> Integers:
-    """Find covalent bonds more than 0.3 angstrom longer or shorter than their reference.
+    """Find covalent bonds more than 0.3 angstrom off their reference; to hydrogen, by a third too short.
 
     Parameters
     ----------
@@ -72,11 +73,10 @@ def _references(structure: Structure) -> tuple[Integers, Floats, Floats, Floats]
         is_bond = (key[place] == wanted) & (pairs >= 0).all(axis=1)
         length[place[is_bond]] = term.parameters[is_bond, 0]
     reach = covalent_radii(structure)[bonds].sum(axis=1) / ANGSTROM_PER_NM
-    has_none = np.isnan(length)
-    loose = has_none | (structure.atom_element[bonds] == "H").any(axis=1)
+    loose = np.isnan(length) | (structure.atom_element[bonds] == "H").any(axis=1)
     slack = np.where(loose & structure.obstacle[bonds].all(axis=1), _LONG, WINDOW)
-    length = np.where(has_none, reach, length)
-    return bonds, length, np.where(has_none, _SHORT * reach, length - WINDOW), length + slack
+    length = np.where(np.isnan(length), reach, length)
+    return bonds, length, np.where(loose, _SHORT * length, length - WINDOW), length + slack
 
 
 @of_atoms

@@ -128,12 +128,13 @@ class _Terms:
 
 
 @of_atoms
-def _terms(structure: Structure) -> _Terms:
+def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
     bonds, triples = structure.bonds, bond_angles(structure.bonds, structure.n_atoms)
     found = []
     for atoms in (bonds, triples):
         own = norms(structure, atoms, PROTEIN, PHOSPHATES["amber14"])
-        known = np.isfinite(own).all(axis=1) & (structure.atom_element[atoms] != "H").all(axis=1)
+        known = np.isfinite(own).all(axis=1)
+        known &= hydrogens | (structure.atom_element[atoms] != "H").all(axis=1)
         found += [atoms[known], own[known]]
     return _Terms(*found)
 

@@ -54,8 +54,8 @@ class Violations(Value):
     within : (n, 2) int
         Atoms of one residue that are too near to one another or, one or two bonds apart, too far.
     covalent : (n, 2) int
-        Atoms of covalent bonds more than 0.3 angstrom longer or shorter than usual: of all elements but
-        metals, and of all molecules that move.
+        Atoms of covalent bonds more than 0.3 angstrom longer or shorter than usual (to hydrogen shorter by a
+        third): of all elements but metals, and of all molecules that move.
     per_residue : (nr,) bool
         Residues with an atom among these; of a wrong bond or angle both residues.
     """
