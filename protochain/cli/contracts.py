@@ -71,9 +71,8 @@ _KNOWN: Kinds = {
     **{key: number(each) for key, each in {**MEASURES, **SCORES, **MAKEUP, **CONFIDENCES}.items()},
     **dict.fromkeys((*LIKENESS, *TERMS), float | None),
 }
-_KNOWN |= zip(
-    LIGAND_ENDS, (_OTHERS.get(key) or kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS), strict=True
-)
+_OF_LIGANDS = (_OTHERS.get(key) or kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS)
+_KNOWN |= zip(LIGAND_ENDS, _OF_LIGANDS, strict=False)  # The names of its last columns have units.
 """Kinds of names: of columns, and of measures, which say themselves what they are."""
 
 
