@@ -235,28 +235,23 @@ def _rotamers(s: Structure, residues: Integers) -> np.ndarray:
 
 def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFrame, dict[str, int]]:
     """Hydrogen bonds and salt bridges that one of the two has alone, and how many."""
-    places = _places(first, second, found)
     rows, counts = list[dict[str, str]](), dict[str, int]()
-    for kind, bonds in (("hydrogen bond", _hydrogen_bonds), ("salt bridge", _salt_bridges)):
-        before, after = (bonds(s, place) for s, place in zip((first, second), places, strict=True))
+    places = _places(first, second, found)
+    for kind, bonds in (("hydrogen bond", _hydrogen_bonds), ("salt bridge", salt_bridges)):
+        before, after = (
+            {(int(of[i]), int(of[j]), *names) for i, j, *names in bonds(s) if NONE not in (of[i], of[j])}
+            for s, of in zip((first, second), places, strict=True)
+        )
         plural = f"{kind.replace(' ', '_')}s"
         counts[f"{plural}_kept"] = len(before & after)
         for change, which in (("gained", after - before), ("lost", before - after)):
             counts[f"{plural}_{change}"] = len(which)
             rows += [
-                {
-                    "kind": kind,
-                    "change": change,
-                    "first": _end(first, bond[0]),
-                    "second": _end(first, bond[-1]),
-                }
-                for bond in sorted(which)
-            ]
+                {"kind": kind, "change": change, "first": _end(first, i, names[:1]),
+                 "second": _end(first, j, names[2:])}
+                for i, j, *names in sorted(which)
+            ]  # fmt: skip
     return pd.DataFrame(rows, columns=["kind", "change", "first", "second"]), counts
-
-
-_End = tuple[int, str]
-"""Residue of the first structure, and the name of an atom in it, empty if the whole residue is meant."""
 
 
 def _places(first: Structure, second: Structure, found: Match) -> tuple[Integers, Integers]:
@@ -271,27 +266,16 @@ def _places(first: Structure, second: Structure, found: Match) -> tuple[Integers
     return own, other
 
 
-def _hydrogen_bonds(s: Structure, place: Integers) -> set[tuple[_End, ...]]:
-    """Donor, hydrogen and acceptor of bonds between corresponding residues."""
+def _hydrogen_bonds(s: Structure) -> set[tuple[Any, ...]]:
+    """Residues of donor and acceptor, and names of donor, hydrogen and acceptor."""
     bonds = hydrogen_bonds(s)
-    of = place[s.atom_residue[bonds]]
-    bonds, of = (rows[(of != NONE).all(axis=1)].tolist() for rows in (bonds, of))
-    names = s.atom_name.tolist()
-    return {
-        tuple((r, names[atom]) for r, atom in zip(residues, atoms, strict=True))
-        for residues, atoms in zip(of, bonds, strict=True)
-    }
+    residues, names = s.atom_residue[bonds[:, [0, 2]]].T, s.atom_name[bonds].T
+    return set(zip(*residues.tolist(), *names.tolist(), strict=True))
 
 
-def _salt_bridges(s: Structure, place: Integers) -> set[tuple[_End, ...]]:
-    """Cation and anion of bridges between corresponding residues."""
-    pairs = ((int(place[i]), int(place[j])) for i, j in salt_bridges(s))
-    return {((i, ""), (j, "")) for i, j in pairs if NONE not in (i, j)}
-
-
-def _end(s: Structure, end: _End) -> str:
-    residue, name = end
-    return str(Atom(name, s.residue(residue)) if name else s.residue(residue))
+def _end(s: Structure, residue: int, name: list[Any]) -> str:
+    """An atom of a residue, or the residue if no name is there."""
+    return str(Atom(*name, s.residue(residue)) if name else s.residue(residue))
 
 
 def _contacts_kept(first: Structure, second: Structure, found: Match) -> float:

@@ -355,12 +355,11 @@ class Solution(TermsAtEnds, Value):
         return {"start": self.chain.structure, self.method: self.structure}
 
     def __repr__(self) -> str:
-        rmsd = f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom"
         return (
             f"<Solution {self.method}: {self.status}, "
             f"{self.start.energy:.2f} -> {self.end.energy:.2f} kJ/mol, "
             f"{self.n_evaluations} evaluations, "
-            f"{', '.join(filter(None, (rmsd, motion_in_words(self.ligand_motion))))}>"
+            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}>"
         )
 
     def _repr_html_(self) -> str:
@@ -371,8 +370,9 @@ class Solution(TermsAtEnds, Value):
                 "energy": f"{self.start.energy:.2f} to {self.end.energy:.2f} kJ/mol",
                 "largest torque": f"{self.start.max_torque:.3g} to {self.end.max_torque:.3g} kJ/mol/rad",
                 "RMS force": f"{self.start.rms_force:.3g} to {self.end.rms_force:.3g} kJ/mol/nm",
-                "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
-                **({"ligands": motion} if (motion := motion_in_words(self.ligand_motion)) else {}),
+                "C-alpha RMSD to the start": (
+                    f"{self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}"
+                ),
                 "work": f"{self.n_evaluations} evaluations, {self.seconds:.2f} s",
             },
         )

@@ -264,11 +264,10 @@ class Relaxation(TermsAtEnds, Value):
 
     def __repr__(self) -> str:
         before, after = self.measures_start["violations"], self.measures_end["violations"]
-        rmsd = f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom"
         return (
             f"<Relaxation of {self.start.name}: {self.status}, residues with violations {before} -> {after}, "
             f"{self.energy_start:.2f} -> {self.energy_end:.2f} kJ/mol, "
-            f"{', '.join(filter(None, (rmsd, motion_in_words(self.ligand_motion))))}>"
+            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}>"
         )
 
     def _repr_html_(self) -> str:
@@ -284,8 +283,9 @@ class Relaxation(TermsAtEnds, Value):
                     else {}
                 ),
                 "energy": f"{self.energy_start:.2f} to {self.energy_end:.2f} kJ/mol",
-                "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
-                **({"ligands": motion} if (motion := motion_in_words(self.ligand_motion)) else {}),
+                "C-alpha RMSD to the start": (
+                    f"{self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}"
+                ),
                 **({"side chains": "; ".join(summarised(self.turned))} if self.turned else {}),
                 **rows,
                 "work": f"{counted(len(self.rounds), 'round')}, {self.seconds:.2f} s",

@@ -26,19 +26,7 @@ _FILES = (PROTEIN, PHOSPHATES["amber14"], DNA, RNA)
 
 
 def wrong_bonds(structure: Structure, x: Floats) -> Integers:
-    """Find covalent bonds more than 0.3 angstrom off their reference; to hydrogen, by a third too short.
-
-    Parameters
-    ----------
-    structure : Structure
-    x : (na, 3) float, nm
-        Positions to measure.
-
-    Returns
-    -------
-    (n, 2) int
-        Atoms of the bonds, in the order of the structure's.
-    """
+    """(n, 2) int: covalent bonds off their reference by 0.3 angstrom, or to hydrogen too short by a third."""
     bonds, _, lower, upper = _references(structure)
     length = distance(*x[bonds.T])
     return np.asarray(bonds[(length < lower) | (length > upper)])

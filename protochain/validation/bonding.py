@@ -20,21 +20,9 @@ _PHOSPHATE = ("OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 
 
 def hydrogen_bonds(structure: Structure) -> Integers:
-    """Find hydrogen bonds: the definition behind all counts, changes and scores.
-
-    Baker, Hubbard, Prog. Biophys. Mol. Biol. 44:97 (1984), as ``mdtraj.baker_hubbard`` implements them: the
-    hydrogen of an N or O within 2.5 angstrom of another N or O, the angle at the hydrogen above 120 degrees.
-    Waters are left out. A hydrogen with two acceptors has two bonds.
-
-    Parameters
-    ----------
-    structure : Structure
-
-    Returns
-    -------
-    (n, 3) int
-        Donor, hydrogen and acceptor, by the hydrogen and then the acceptor.
-    """
+    """(n, 3) int: donor, hydrogen, acceptor; the one definition behind all counts, changes and scores."""
+    # That of mdtraj.baker_hubbard, after Baker, Hubbard, Prog. Biophys. Mol. Biol. 44:97 (1984): the hydrogen
+    # of an N or O within 2.5 angstrom of another N or O, at an angle above 120 degrees, and no waters.
     x, element = structure.positions, structure.atom_element
     polar = np.isin(element, ["N", "O"]) & (structure.residue_name != "HOH")[structure.atom_residue]
     ends = both_ways(structure.bonds)

@@ -12,12 +12,10 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, joined
 from protochain.core.markup import counted, listed
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.model import Structure
 from protochain.structure.residues import NUCLEOTIDES
-from protochain.structure.templates import DNA, RNA, templates
-from protochain.validation.bond_lengths import WINDOW, covalent_radii, metals, wrong_bonds
+from protochain.validation.bond_lengths import covalent_radii, metals, wrong_bonds
 from protochain.validation.layout import positions
-from protochain.validation.strain import bond_lengths
 
 _CLASH = 0.15
 """nm of overlap of heavy atoms, as AlphaFold counts clashes between residues."""
@@ -78,38 +76,15 @@ def _still(structure: Structure) -> Integers:
 
 def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
     """Find broken bonds and clashes of what stands still, at positions x (na, 3) or the structure's own."""
-    # Bonds of nucleotides are those of their names, by Amber's OL15 and OL3. Of other fixed molecules they
-    # are only known by distance: a torn one shows when it leaves the molecule in pieces.
+    # Bonds of fixed molecules that are no nucleotides are only known by distance: a torn one shows when it
+    # leaves the molecule in pieces.
     none = np.empty((0, 2), dtype=np.int64)
     if not structure.kept.any():
         return FixedFaults(none, none)
     x = positions(structure, x)
-    atoms, usual = _usual_bonds(structure)
-    off = np.abs(np.linalg.norm(x[atoms[:, 0]] - x[atoms[:, 1]], axis=1) - usual) > WINDOW
     wrong = wrong_bonds(structure, x)
-    parts = [np.sort(atoms[off], axis=1), wrong[structure.kept[wrong].all(axis=1)], _torn(structure, x)]
-    broken = np.unique(np.vstack(parts), axis=0)
+    broken = np.vstack([wrong[structure.kept[wrong].all(axis=1)], _torn(structure, x)])
     return FixedFaults(broken, _clashes(structure, x) if structure.obstacle.any() else none)
-
-
-@of_atoms
-def _usual_bonds(structure: Structure) -> tuple[Integers, Floats]:
-    """Bonds (n, 2) of heavy atoms of nucleotides, and their usual lengths (n,), nm."""
-    lengths, known = {**bond_lengths(DNA), **bond_lengths(RNA)}, templates()
-    pairs: list[tuple[int, int]] = []
-    kind: dict[int, str] = {}
-    of, kept = structure.atom_residue, structure.kept
-    for residue in np.flatnonzero(_of_nucleotides(structure)).tolist():
-        template = known[str(structure.residue_name[residue])]
-        its = np.flatnonzero(kept & (of == residue)).tolist()
-        names = structure.atom_name[its].tolist()
-        at = {template.synonyms.get(name, name): i for name, i in zip(names, its, strict=True)}
-        kind |= {i: template.type[name] for name, i in at.items() if name in template.type}
-        heavy = {*template.heavy} & {*at}
-        pairs += [(at[a], at[b]) for a, b in template.bonds if {a, b} <= heavy]
-    between = [(i, j) for i, j in structure.bonds.tolist() if i in kind and j in kind and of[i] != of[j]]
-    usual = [lengths.get((kind[i], kind[j]), np.nan) for i, j in [*pairs, *between]]
-    return np.array([*pairs, *between], dtype=np.int64).reshape(-1, 2), np.array(usual)
 
 
 def _of_nucleotides(structure: Structure) -> NDArray[np.bool_]:

@@ -128,20 +128,9 @@ def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple
 
 
 def ligand_motion(start: Structure, x: Floats) -> Floats:
-    """Measure how far ligands are from where a start has them, without superposing them.
-
-    Parameters
-    ----------
-    start : Structure
-    x : (na, 3) float, nm
-        Positions in the frame of the start.
-
-    Returns
-    -------
-    (n, 2) float, angstrom
-        Of the heavy atoms of each ligand: RMSD, the least over its symmetric numberings (RDKit's CalcRMS,
-        conjugated terminal groups as of carboxylates included), and the largest displacement of an atom.
-    """
+    """(n, 2) float, angstrom: RMSD and largest displacement of each ligand from a start, not superposed."""
+    # Of heavy atoms; x (na, 3) nm. RDKit's CalcRMS has the least RMSD over symmetric numberings, those of
+    # conjugated terminal groups as carboxylates included.
     motion = np.full((len(start.ligands), 2), np.nan)
     for row, bound in zip(motion, start.ligands, strict=True):
         molecule, atoms = bound.ligand.molecule, bound.atoms
@@ -159,11 +148,10 @@ def _heavy(molecule: Any) -> Any:
 
 
 def motion_in_words(motion: Floats) -> str:
-    """Largest values of ``ligand_motion``: ``ligand RMSD 4.12, largest displacement 4.72 angstrom``."""
+    """Largest values of ``ligand_motion``, to be put after others; empty without ligands."""
     if not len(motion):
         return ""
-    rmsd, farthest = motion.max(axis=0)
-    return f"ligand RMSD {rmsd:.2f}, largest displacement {farthest:.2f} angstrom"
+    return ", ligand RMSD {:.2f} angstrom, farthest atom {:.2f}".format(*motion.max(axis=0))
 
 
 def _distances(tree: cKDTree, bound: BoundLigand, x: Floats) -> Floats:

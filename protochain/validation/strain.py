@@ -190,11 +190,6 @@ def _residue_types(residue: str, names: tuple[str, ...]) -> Mapping[str, str]:
     return best.type if best is not None else {}
 
 
-def bond_lengths(file: Path) -> dict[tuple[str, ...], float]:
-    """Equilibrium lengths of bonds, nm, by the atom types of a force-field file."""
-    return {types: norm[0] for types, norm in _parameters(file)[0].items()}
-
-
 @cache
 def _parameters(*files: Path) -> tuple[Mapping[tuple[str, ...], tuple[float, float]], ...]:
     """Equilibrium values of bonds and angles, nm and rad, with their thermal widths, by atom types."""
