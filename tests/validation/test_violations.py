@@ -5,6 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from fixtures.command_line import run
 from fixtures.molecules import atom
 from fixtures.samples import ROOT, load, shared
 from openmm import HarmonicBondForce, app
@@ -353,3 +354,16 @@ def test_relax_puts_such_a_hydrogen_back():
     found = pc.relax(s.with_positions(x))
     assert (found.measures_start["violations"], found.measures_end["violations"]) == (1, 0)
     assert found.status == "converged"
+
+
+def test_commands_report_such_a_bond_of_a_file(tmp_path, capsys):
+    """Nearer than 1.5 angstrom the reader keeps a hydrogen."""
+    s = load("ala10.pdb")
+    x, _ = shifted(s, named(s, "3", "HB1"), 1.45)
+    path = tmp_path / "drawn.pdb"
+    pc.save(s.with_positions(x), path)
+    assert run("info", path) is None
+    line = "CB of A:ALA3 to HB1, 1.45 angstrom long, not 1.09"
+    assert f"violations: 1\n  covalent bond: {line}\n" in capsys.readouterr().out
+    run("validate", path)
+    assert f"residue 3 ALA of chain A: violation: {line}" in capsys.readouterr().out
