@@ -315,6 +315,8 @@ def _line(rows: Sequence[Row]) -> str:
             mended = f"violations {before} to {after}, " if of_relaxed else ""
             rmsd = record["ca_rmsd_angstrom"]  # none without C-alphas, as of DNA
             moved = "" if rmsd is None else f"RMSD {rmsd:.2f} angstrom, "
+            motion = record.get("ligand_rmsd_angstrom")
+            moved += "" if motion is None else f"ligand RMSD {motion:.2f} angstrom, "
             line = (
                 f"{record['method']} {record['status']}, {mended}"
                 f"{record['energy_end_reference_kj_mol']:.2f} kJ/mol, {moved}{record['seconds']:.1f} s"

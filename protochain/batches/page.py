@@ -11,7 +11,7 @@ import numpy as np
 from protochain.batches.jobs import Job, Row
 from protochain.core.palette import looks
 from protochain.core.storage import write_text
-from protochain.minimisers.record import SHOWN
+from protochain.minimisers.record import SHOWN, shown
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.results.columns import Column
 from protochain.results.page import write_page as fill
@@ -30,7 +30,8 @@ SHOWN_RELAXED = tuple(
         "status": "status", "violations_start": "residues with violations at start",
         "violations_end": "at end", "overlaps_start": "overlaps at start", "overlaps_end": "at end",
         "energy_start_kj_mol": "energy at start", "energy_end_reference_kj_mol": "energy at end",
-        "ca_rmsd_angstrom": "C-alpha RMSD", "n_rounds": "rounds", "seconds": "seconds",
+        "ca_rmsd_angstrom": "C-alpha RMSD", "ligand_rmsd_angstrom": "ligand RMSD",
+        "ligand_displacement_max_angstrom": "ligand displacement", "n_rounds": "rounds", "seconds": "seconds",
     }.items()
 )  # fmt: skip
 """Columns of structures that are relaxed."""
@@ -48,14 +49,16 @@ def write_page(
     """Write ``pages/NAME.html``."""
     minimised = SHOWN if {*job.settings.methods} != {RELAX} else ()
     of_relaxed = SHOWN_RELAXED if RELAX in job.settings.methods else ()
+    columns = {column.key: column for column in (*of_relaxed, *minimised)}.values()
+    records = [row.record for row in rows]
     path = folder / "pages" / f"{job.name}.html"
     fill(
         path,
         "structure.html",
         job=job,
         home="../" * len(path.relative_to(folder).parent.parts),
-        shown={column.key: column for column in (*of_relaxed, *minimised)}.values(),
-        records=[row.record for row in rows],
+        shown=shown(records, columns),
+        records=records,
         repairs=repairs,
         changes=_changes(ends),
         terms=energies_by_term({row.record["method"]: row.record for row in rows}),

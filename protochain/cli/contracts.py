@@ -71,9 +71,8 @@ _KNOWN: Kinds = {
     **{key: number(each) for key, each in {**MEASURES, **SCORES, **MAKEUP, **CONFIDENCES}.items()},
     **dict.fromkeys((*LIKENESS, *TERMS), float | None),
 }
-_KNOWN |= zip(
-    LIGAND_ENDS, (_OTHERS.get(key) or kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS), strict=True
-)
+_OF_LIGANDS = (_OTHERS.get(key) or kind_of(key) for key in LIGAND_COLUMNS[4:] for _ in _ENDS)
+_KNOWN |= zip(LIGAND_ENDS, _OF_LIGANDS, strict=False)  # The names of its last columns have units.
 """Kinds of names: of columns, and of measures, which say themselves what they are."""
 
 
@@ -278,10 +277,10 @@ _FRAMES_TOLD = _row(
 )  # fmt: skip
 _FACTS = {
     **_row("hinges input left_out loops lost_atoms n_atoms n_bodies n_chains n_hinges n_q n_residues n_v"),
-    **_row("overlaps repairs seconds_chain seconds_import seconds_preparation"),
+    **_row("overlaps violations repairs seconds_chain seconds_import seconds_preparation"),
     **_optional(_row("engine engine_reason threads constant_terms seconds_energy", seconds_energy=float)),
     **_optional(_row("device devices", devices=list[str])),
-    "hinges": dict[str, int], "loops": list[str], "overlaps": list[str],
+    "hinges": dict[str, int], "loops": list[str], "overlaps": list[str], "violations": list[str],
     **dict.fromkeys(("seconds_chain", "seconds_import", "seconds_preparation"), float),
 }  # fmt: skip
 

@@ -34,6 +34,7 @@ def info(
     from protochain.chains.contacts import overlaps
     from protochain.energies.factory import checked_files
     from protochain.structure.losses import lost_atoms
+    from protochain.validation.violations import violations
 
     checked_files(force_field_parts(setup.forcefield), setup.trust_forcefield)
     imported = perf_counter()
@@ -55,6 +56,7 @@ def info(
         "left_out": dict(structure.left_out),
         "lost_atoms": lost_atoms(structure.losses),
         "repairs": [each.told(str if as_json else options.as_option) for each in structure.repairs],
+        "violations": violations(structure).lines(structure),
         "overlaps": [f"{each}; {each.remedy}" for each in overlaps(structure, structure.positions, chain)],
         "seconds_import": imported - began,
         "seconds_preparation": loaded - imported,

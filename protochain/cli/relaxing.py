@@ -26,6 +26,8 @@ _EVALUATIONS = 90
 """That relaxations usually take."""
 _WIDTH = 80
 """Characters of the narrowest terminal."""
+_LIGANDS = 3
+"""Ligands that are listed, those that moved farthest."""
 _SHOWN = 10
 """Structures without a result, or with something left to mend, that are listed."""
 _SHOW_FROM = 5.0
@@ -101,7 +103,12 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
         f"{rounds} round{'s' * (rounds > 1)}, {record['evaluations']} evaluations, {record['seconds']:.1f} s"
     )
     moved = moved if rmsd is None else f"C-alpha RMSD to the input {rmsd:.2f} angstrom, {moved}"
-    stated = [moved, record["message"]]
+    motion = [
+        f"{m['name']} {m['chain']}:{m['residue']} RMSD {m['rmsd_angstrom']:.2f}, largest displacement "
+        f"{m['displacement_max_angstrom']:.2f} angstrom"
+        for m in sorted(record["ligands"], key=lambda m: -m["displacement_max_angstrom"])
+    ]
+    stated = [moved, *([f"ligands: {listed(motion, _LIGANDS)}"] if motion else []), record["message"]]
     if record["repacked"]:
         noted = summarised(result.turned) or ("no side chain is better turned",)
         stated.insert(1, f"repacked first: {'; '.join(noted)}")
@@ -117,7 +124,7 @@ def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
 
 def print_folder(table: "DataFrame", folder: Path) -> None:
     """Print how many ended how, what is left to mend, and where all is."""
-    from protochain.cli.terminal import mended
+    from protochain.cli.terminal import ligands_moved, mended
 
     usable = table[table["output"].notna()]
     counts = ", ".join(f"{n} {status}" for status, n in table["status"].value_counts().items())
@@ -126,6 +133,7 @@ def print_folder(table: "DataFrame", folder: Path) -> None:
         print(
             f"{mended(usable)}; medians: C-alpha RMSD "
             f"{usable['ca_rmsd_angstrom'].median():.2f} angstrom, {usable['seconds'].median():.1f} s"
+            f"{ligands_moved(usable)}"
         )
     near = usable[usable["overlaps_beside_start"] > 0]
     if len(near):

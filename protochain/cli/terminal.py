@@ -340,11 +340,12 @@ def print_table(records: list[dict[str, Any]]) -> None:
     """Print a table with a row for each record, and below it their messages."""
     from rich.table import Table
 
-    from protochain.minimisers.record import SHOWN
+    from protochain.minimisers.record import shown
 
-    rows = [[column.short_text(record[column.key]) for column in SHOWN] for record in records]
+    columns_shown = shown(records)
+    rows = [[column.short_text(record[column.key]) for column in columns_shown] for record in records]
     console = printer()
-    headings = [f"{c.short or c.heading} {c.unit}".strip() for c in SHOWN]
+    headings = [f"{c.short or c.heading} {c.unit}".strip() for c in columns_shown]
     columns = [list(cells) for cells in zip(headings, *rows, strict=True)]
     if sum(max(map(len, column)) + 1 for column in columns) > max(_WIDTH, console.width):
         # Headings wrap at blanks and numbers not at all; a name of one's own may be long, and wraps anywhere.
@@ -400,6 +401,17 @@ def mended(usable: "DataFrame") -> str:
     return f"residues with violations {before} before, {after} after"
 
 
+def ligands_moved(usable: "DataFrame") -> str:
+    """How far ligands of structures moved, in words; empty if there are none."""
+    rmsd, farthest = (usable[f"ligand_{name}_angstrom"] for name in ("rmsd", "displacement_max"))
+    if not rmsd.notna().any():
+        return ""
+    return (
+        f"; ligands: median RMSD {rmsd.median():.2f}, largest {rmsd.max():.2f}, "
+        f"largest displacement {farthest.max():.2f} angstrom"
+    )
+
+
 def print_batch(table: "DataFrame", report: str) -> None:
     """Print the number of runs of each status for each method, failures, and what is left to mend."""
     from protochain.relaxation.record import METHOD as RELAX
@@ -411,6 +423,7 @@ def print_batch(table: "DataFrame", report: str) -> None:
         rmsd, seconds = usable["ca_rmsd_angstrom"].median(), usable["seconds"].median()
         rest = f"; medians: RMSD {rmsd:.2f} angstrom, {seconds:.2f} s" if rmsd == rmsd else ""
         rest = f"; {mended(usable)}{rest}" if rest and method == RELAX else rest
+        rest += ligands_moved(usable)
         console.print(f"{method}: {counts}{rest}", markup=False, highlight=False)
     unmended = table["method"].eq(RELAX) & table["status"].ne("converged")
     failed = table[table["output"].isna() | unmended].drop_duplicates("structure")

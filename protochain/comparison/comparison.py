@@ -23,7 +23,7 @@ from protochain.comparison.work import at_equal_cost, work_to_reach
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.storage import json_text, write_atomically, write_text
 from protochain.minimisers import Solution
-from protochain.minimisers.record import SHOWN
+from protochain.minimisers.record import shown
 from protochain.minimisers.solution import TRACE_COLUMNS, alpha_residues
 from protochain.results.columns import flat
 from protochain.results.figures import data_url
@@ -279,7 +279,8 @@ class Comparison:
         return f"<Comparison of {', '.join(s.method for s in self.solutions)} on {self.structure.name}>"
 
     def _repr_html_(self) -> str:
-        return self.table[[column.key for column in SHOWN]].to_html(index=False)
+        columns = shown(self.table.to_dict("records"))
+        return self.table[[column.key for column in columns]].to_html(index=False)
 
 
 def _as_json(table: pd.DataFrame, orient: Any) -> Any:
@@ -334,7 +335,7 @@ def _figures(comparison: Comparison) -> dict[str, Figure]:
 
 def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Figure]) -> str:
     """Render ``report.html``: verdicts, tables, plots, repairs and provenance in one offline file."""
-    of_one = len(comparison.solutions) == 1
+    of_one, rows = len(comparison.solutions) == 1, comparison.table.to_dict("records")
     quality = comparison.quality.reset_index()
     if comparison.structure.n_protein_residues < _LEAST_OF_TM:
         quality = quality.drop(columns=[name for name in quality if "tm_score" in str(name)])
@@ -345,8 +346,8 @@ def _page(comparison: Comparison, summary: dict[str, Any], figures: dict[str, Fi
         structure=comparison.structure,
         solutions=comparison.solutions,
         message=comparison.message,
-        shown=SHOWN,
-        rows=comparison.table.to_dict("records"),
+        shown=shown(rows),
+        rows=rows,
         lost=loss_lines(summary["results"]),
         rmsd=comparison.rmsd,
         several=not of_one,

@@ -15,7 +15,7 @@ from protochain.results.columns import heading
 from protochain.structure import as_structure
 from protochain.structure.matching import Match, match
 from protochain.structure.model import Structure
-from protochain.structure.residues import CHI
+from protochain.structure.residues import CHI, Atom
 from protochain.structure.superpose import motion, rmsd_angstrom
 from protochain.validation.bonding import FOLD, hydrogen_bonds, salt_bridges, secondary_structure
 from protochain.validation.layout import NONE, dihedrals, layout, peptides
@@ -46,8 +46,8 @@ class Differences(Value):
         ``torsions_degrees`` (root mean square over these), ``rotamer_before``, ``rotamer_after``,
         ``ca_moved_angstrom`` after superposition of all C-alphas.
     bonds : pandas.DataFrame
-        Hydrogen bonds and salt bridges that only one has: ``kind``, ``change`` (gained or lost), and the
-        residues ``first`` and ``second``, donor or cation first.
+        Hydrogen bonds and salt bridges that only one has: ``kind``, ``change`` (gained or lost), ``first``
+        and ``second``: atoms of donor and acceptor, or residues of cation and anion.
     totals : mapping of str to int or float
         ``rotamers_changed``, ``hydrogen_bonds_kept``, ``_gained`` and ``_lost``, the same of
         ``salt_bridges``, ``contacts_kept`` (Q: of the contacts of the first, the share that the second has),
@@ -139,7 +139,9 @@ def differences(before: Any, after: Any) -> Differences:
 
     Notes
     -----
-    Hydrogen bonds by Baker and Hubbard's criterion, secondary structure by DSSP, both by mdtraj. A half turn
+    A hydrogen bond is a donor, its hydrogen and an acceptor by Baker and Hubbard's criterion, as in
+    :func:`protochain.quality`: the count of the second structure is that of the first, less those lost, and
+    those gained, if all residues correspond. Secondary structure is by mdtraj's DSSP. A half turn
     of the last dihedral of Asp, Glu, Phe and Tyr is none. A rigid domain has 20 C-alphas or more, each within
     2 angstrom of where one motion takes it: adaptive selection of Wriggers, Schulten, Proteins 29:1 (1997),
     :mod:`protochain.comparison.domains`.
@@ -233,32 +235,47 @@ def _rotamers(s: Structure, residues: Integers) -> np.ndarray:
 
 def _bonds(first: Structure, second: Structure, found: Match) -> tuple[pd.DataFrame, dict[str, int]]:
     """Hydrogen bonds and salt bridges that one of the two has alone, and how many."""
-    of_second = np.full(second.n_residues, NONE)
-    of_second[found.model] = found.reference
-    identity = np.full(first.n_residues, NONE)
-    identity[found.reference] = found.reference
     rows, counts = list[dict[str, str]](), dict[str, int]()
-    for kind, pairs in (("hydrogen bond", _hydrogen_bonds), ("salt bridge", salt_bridges)):
-        mine, theirs = (
-            {(int(of[i]), int(of[j])) for i, j in pairs(s) if of[i] != NONE and of[j] != NONE}
-            for s, of in ((first, identity), (second, of_second))
+    places = _places(first, second, found)
+    for kind, bonds in (("hydrogen bond", _hydrogen_bonds), ("salt bridge", salt_bridges)):
+        before, after = (
+            {(int(of[i]), int(of[j]), *names) for i, j, *names in bonds(s) if NONE not in (of[i], of[j])}
+            for s, of in zip((first, second), places, strict=True)
         )
         plural = f"{kind.replace(' ', '_')}s"
-        counts[f"{plural}_kept"] = len(mine & theirs)
-        for change, which in (("gained", theirs - mine), ("lost", mine - theirs)):
+        counts[f"{plural}_kept"] = len(before & after)
+        for change, which in (("gained", after - before), ("lost", before - after)):
             counts[f"{plural}_{change}"] = len(which)
             rows += [
-                {"kind": kind, "change": change, "first": str(first.describe_residue(i)),
-                 "second": str(first.describe_residue(j))}
-                for i, j in sorted(which)
+                {"kind": kind, "change": change, "first": _end(first, i, names[:1]),
+                 "second": _end(first, j, names[2:])}
+                for i, j, *names in sorted(which)
             ]  # fmt: skip
     return pd.DataFrame(rows, columns=["kind", "change", "first", "second"]), counts
 
 
-def _hydrogen_bonds(s: Structure) -> set[tuple[int, int]]:
-    """Residues of donor and acceptor, of different residues."""
-    of = s.atom_residue[hydrogen_bonds(s)[:, [0, 2]]]
-    return {(d, a) for d, a in of.tolist() if d != a}
+def _places(first: Structure, second: Structure, found: Match) -> tuple[Integers, Integers]:
+    """Residues of the first that correspond to those of the first (nr,) and the second (ns,), or ``NONE``."""
+    own, other = np.full(first.n_residues, NONE), np.full(second.n_residues, NONE)
+    own[found.reference] = other[found.model] = found.reference
+    # Alignments have amino acids alone: caps, ligands and nucleotides correspond by their names in files.
+    rest = {first.residue(r): r for r in np.flatnonzero(own == NONE).tolist()}
+    for r in np.flatnonzero(other == NONE).tolist():
+        if (place := rest.pop(second.residue(r), NONE)) != NONE:
+            own[place] = other[r] = place
+    return own, other
+
+
+def _hydrogen_bonds(s: Structure) -> set[tuple[Any, ...]]:
+    """Residues of donor and acceptor, and names of donor, hydrogen and acceptor."""
+    bonds = hydrogen_bonds(s)
+    residues, names = s.atom_residue[bonds[:, [0, 2]]].T, s.atom_name[bonds].T
+    return set(zip(*residues.tolist(), *names.tolist(), strict=True))
+
+
+def _end(s: Structure, residue: int, name: list[Any]) -> str:
+    """An atom of a residue, or the residue if no name is there."""
+    return str(Atom(*name, s.residue(residue)) if name else s.residue(residue))
 
 
 def _contacts_kept(first: Structure, second: Structure, found: Match) -> float:

@@ -1,5 +1,6 @@
 """Columns of a solution's record: the one table behind terminal, CSV, JSON and pages."""
 
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from protochain.energies.decomposed import TERMS
 from protochain.minimisers.verdict import Status
 from protochain.results.columns import (
     Column,
+    largest,
     of_energy,
     of_losses,
     of_measures,
@@ -41,6 +43,14 @@ COLUMNS = (
     Column("lowest_eigenvalue_kj_mol_nm2", lambda s: None if s.keeps_geometry else s.lowest_eigenvalue),
     Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD", 6),
     Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
+    Column("ligand_rmsd_angstrom", lambda s: largest(s.ligand_motion[:, 0]), "ligand RMSD", width=6),
+    Column(
+        "ligand_displacement_max_angstrom",
+        lambda s: largest(s.ligand_motion[:, 1]),
+        "ligand displacement",
+        "ligand shift",
+        6,
+    ),
     Column("frame", lambda s: str(s.frame)),
     *of_terms(TERMS),
     *of_measures(MEASURES, "start", "end"),
@@ -86,3 +96,11 @@ def _n_moving(solution: Any) -> int:
 
 SHOWN = tuple(column for column in COLUMNS if column.heading)
 """Columns of short tables."""
+_OF_LIGANDS = ("ligand_rmsd_angstrom", "ligand_displacement_max_angstrom")
+
+
+def shown(records: Iterable[Mapping[str, Any]], columns: Iterable[Column] = SHOWN) -> tuple[Column, ...]:
+    """Columns of a short table of records: those of ligands only if there are any."""
+    values = [record.get(key) for record in records for key in _OF_LIGANDS]
+    skipped = () if any(value is not None and value == value for value in values) else _OF_LIGANDS
+    return tuple(column for column in columns if column.key not in skipped)

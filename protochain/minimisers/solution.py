@@ -30,6 +30,7 @@ from protochain.structure import Structure, save
 from protochain.structure.superpose import displacements, rmsd_angstrom
 from protochain.validation import measures
 from protochain.validation.findings import remains
+from protochain.validation.ligands import ligand_motion, motion_in_words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -280,6 +281,11 @@ class Solution(TermsAtEnds, ViolationsAtEnd, Value):
         return remains(self.chain.structure, self.x)
 
     @cached_property
+    def ligand_motion(self) -> Floats:
+        """(n, 2) float, angstrom: RMSD and largest displacement of each ligand, not superposed."""
+        return ligand_motion(self.frame.start, self.x)
+
+    @cached_property
     def message(self) -> str:
         """Status and residual in words; beyond 2 angstrom (C-alpha RMSD) also how far the start is."""
         turned = self.frame.start is not self.chain.structure
@@ -358,7 +364,8 @@ class Solution(TermsAtEnds, ViolationsAtEnd, Value):
         return (
             f"<Solution {self.method}: {self.status}, "
             f"{self.start.energy:.2f} -> {self.end.energy:.2f} kJ/mol, "
-            f"{self.n_evaluations} evaluations, C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom>"
+            f"{self.n_evaluations} evaluations, "
+            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}>"
         )
 
     def _repr_html_(self) -> str:
@@ -369,7 +376,9 @@ class Solution(TermsAtEnds, ViolationsAtEnd, Value):
                 "energy": f"{self.start.energy:.2f} to {self.end.energy:.2f} kJ/mol",
                 "largest torque": f"{self.start.max_torque:.3g} to {self.end.max_torque:.3g} kJ/mol/rad",
                 "RMS force": f"{self.start.rms_force:.3g} to {self.end.rms_force:.3g} kJ/mol/nm",
-                "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
+                "C-alpha RMSD to the start": (
+                    f"{self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}"
+                ),
                 "work": f"{self.n_evaluations} evaluations, {self.seconds:.2f} s",
             },
         )

@@ -8,17 +8,21 @@ from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
-from protochain.core.markup import listed
+from protochain.core.markup import counted, listed
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
 from protochain.structure.chirality import atoms_named, changed_stereocentres, mirror_images
 from protochain.structure.model import Structure
+from protochain.validation.bond_lengths import bond_lines, wrong_bonds
 from protochain.validation.fixed import chains_still, fixed_faults
 from protochain.validation.ligands import double_bonds_named, inverted_double_bonds
 from protochain.validation.omega import isomerised_bonds
 from protochain.validation.rings import threaded_rings
 from protochain.validation.stereocentres import inverted_stereocentres
+
+_REMEDY = "leave such hydrogens out of the file and they are placed anew, or relax the structure"
+"""What mends a bond of a wrong length."""
 
 
 class Status(StrEnum):
@@ -117,6 +121,12 @@ def rejected(structure: Structure, x: Floats) -> list[str]:
     found += [f"double bonds with the other E/Z: {listed(bonds)}"] if bonds else []
     still, whole = chains_still(structure)
     found += [f"{still} of {whole} residues of the protein have no parameters: fixed"] * (2 * still > whole)
+    # Torsions change no bond length: such a run would end converged.
+    wrong = wrong_bonds(structure, x)
+    wrong = wrong[~structure.kept[wrong].all(axis=1)]
+    if len(wrong):
+        lines = listed(bond_lines(structure, x, wrong), 3)
+        found.append(f"{counted(len(wrong), 'bond')} of a wrong length: {lines}; {_REMEDY}")
     faults = fixed_faults(structure, x).summary(structure, x)
     return [*found, faults] if faults else found
 

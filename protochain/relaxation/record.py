@@ -12,6 +12,7 @@ from protochain.results.columns import (
     UNITS,
     Column,
     heading,
+    largest,
     number,
     of_energy,
     of_losses,
@@ -46,6 +47,8 @@ COLUMNS = (
     Column("ca_rmsd_angstrom", lambda r: r.ca_rmsd_angstrom),
     Column("ca_rmsd_as_filed_angstrom", lambda r: r.frame.ca_rmsds(r.x)[1]),
     Column("farthest_atom_angstrom", lambda r: r.farthest_angstrom),
+    Column("ligand_rmsd_angstrom", lambda r: largest(r.ligand_motion[:, 0])),
+    Column("ligand_displacement_max_angstrom", lambda r: largest(r.ligand_motion[:, 1])),
     Column("frame", lambda r: str(r.frame)),
     *of_terms(TERMS),
     *of_measures(MEASURES, "start"),
@@ -58,7 +61,7 @@ COLUMNS = (
     Column("overlaps_beside_end", lambda r: r.wrong_end.n_beside, kind=int),
     Column("ligand_strain_start_kj_mol", lambda r: _strain(r.ligands_start)),
     Column("ligand_strain_end_kj_mol", lambda r: _strain(r.ligands_end)),
-    Column("ligands", lambda r: list(map(at_both_ends, r.ligands_start, r.ligands_end))),
+    Column("ligands", lambda r: list(map(at_both_ends, r.ligands_start, r.ligands_end, r.ligand_motion))),
     Column("n_rounds", lambda r: len(r.rounds)),
     Column("n_residues_released", lambda r: r.rounds[r.best].released),
     Column("rounds", lambda r: [asdict(each) for each in r.rounds]),
@@ -135,7 +138,7 @@ INTERFACE_COLUMNS = (
 
 def _strain(found: tuple[LigandFound, ...]) -> float | None:
     """Largest strain of a ligand."""
-    return max((each.strain_kj_mol for each in found if each.strain_kj_mol is not None), default=None)
+    return largest([each.strain_kj_mol for each in found if each.strain_kj_mol is not None])
 
 
 def before_and_after(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:

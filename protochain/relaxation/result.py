@@ -33,7 +33,7 @@ from protochain.structure.superpose import displacements
 from protochain.validation import MEASURES, measures
 from protochain.validation.findings import remains
 from protochain.validation.interface import Interface, native, scored
-from protochain.validation.ligands import LigandFound, findings_of
+from protochain.validation.ligands import LigandFound, findings_of, ligand_motion, motion_in_words
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -185,6 +185,11 @@ class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
         return findings_of(self.start, self.x, posebusters=self.settings.posebusters)[0]
 
     @cached_property
+    def ligand_motion(self) -> Floats:
+        """(n, 2) float, angstrom: RMSD and largest displacement of each ligand, not superposed."""
+        return ligand_motion(self.frame.start, self.x)
+
+    @cached_property
     def interface_start(self) -> Interface | None:
         """Scores of the interface that the settings name, at the start; None if they name none."""
         return self._scored(self.start)
@@ -268,7 +273,7 @@ class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
         return (
             f"<Relaxation of {self.start.name}: {self.status}, residues with violations {before} -> {after}, "
             f"{self.energy_start:.2f} -> {self.energy_end:.2f} kJ/mol, "
-            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom>"
+            f"C-alpha RMSD {self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}>"
         )
 
     def _repr_html_(self) -> str:
@@ -284,7 +289,9 @@ class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
                     else {}
                 ),
                 "energy": f"{self.energy_start:.2f} to {self.energy_end:.2f} kJ/mol",
-                "C-alpha RMSD to the start": f"{self.ca_rmsd_angstrom:.3f} angstrom",
+                "C-alpha RMSD to the start": (
+                    f"{self.ca_rmsd_angstrom:.3f} angstrom{motion_in_words(self.ligand_motion)}"
+                ),
                 **({"side chains": "; ".join(summarised(self.turned))} if self.turned else {}),
                 **rows,
                 "work": f"{counted(len(self.rounds), 'round')}, {self.seconds:.2f} s",

@@ -56,7 +56,7 @@ class Wrong:
 
     @cached_property
     def violations(self) -> Violations:
-        """Bonds, angles and distances that AlphaFold would not have."""
+        """Bonds, angles and distances that no sound structure has."""
         return violations(self.structure, self.x)
 
     def of_rings(self) -> list[int]:
@@ -73,7 +73,7 @@ class Wrong:
         for atoms, ends in joints:
             is_bond = np.isin(np.sort(atoms[:, ends], axis=1) @ [n, 1], bonded)
             at_breaks[of[atoms[~is_bond]]] = elsewhere[of[atoms[is_bond]]] = True
-        for atoms in (found.clashes, found.within):
+        for atoms in (found.clashes, found.within, found.covalent):
             elsewhere[of[atoms]] = True
         return np.asarray(found.per_residue & ~(at_breaks & ~elsewhere))
 

@@ -85,6 +85,11 @@ def record(columns: Iterable[Column], of: Any) -> dict[str, Any]:
     return {column.key: _finite(column.value(of)) for column in columns}
 
 
+def largest(values: Any) -> float | None:
+    """Largest of some values (n,); None if there are none."""
+    return float(np.max(values)) if len(values) else None
+
+
 def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 

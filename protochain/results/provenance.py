@@ -50,3 +50,6 @@ def remarks(
         f"C-ALPHA RMSD TO THE START {rmsds[0]:.3f} ANGSTROM, AS FILED {rmsds[1]:.3f}, "
         f"{str(result.frame).upper()}"
     )
+    if len(motion := result.ligand_motion):
+        rmsd, farthest = motion.max(axis=0)
+        yield f"LIGAND RMSD {rmsd:.3f}, LARGEST DISPLACEMENT {farthest:.3f} ANGSTROM, NOT SUPERPOSED"

@@ -158,6 +158,11 @@ class Residue:
         """Chain and number: ``A:17``."""
         return f"{self.chain}:{self.number}" if self.chain else self.number
 
+    @property
+    def label(self) -> str:
+        """Chain, name and number: ``A:GLU17``."""
+        return f"{self.chain}:{self.name}{self.number}" if self.chain else f"{self.name}{self.number}"
+
 
 @dataclass(frozen=True)
 class Atom:

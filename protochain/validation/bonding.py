@@ -4,11 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Integers
+from protochain.core.arrays import Integers, angle
+from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.convert import to_mdtraj
 from protochain.structure.model import Structure
 
+_REACH, _ANGLE = 0.25, np.radians(120.0)
+"""nm from a hydrogen to its acceptor, and rad at the hydrogen: within and beyond."""
 _SALT = 4.0
 """Angstrom from a nitrogen of Arg or Lys to an oxygen of Asp, Glu or a phosphate: Barlow, Thornton, J. Mol.
 Biol. 168:867 (1983)."""
@@ -16,16 +19,24 @@ _CATION, _ANION = ("NZ", "NE", "NH1", "NH2"), ("OD1", "OD2", "OE1", "OE2")
 _PHOSPHATE = ("OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
 
 
-def hydrogen_bonds(structure: Structure, some: NDArray[np.bool_] | None = None) -> Integers:
-    """(n, 3) int: donor, hydrogen, acceptor by Baker and Hubbard (2.5 angstrom, 120 degrees), by mdtraj."""
-    import mdtraj
-
-    whole = to_mdtraj(structure)
-    if some is None:
-        return np.asarray(mdtraj.baker_hubbard(whole, periodic=False), dtype=np.int64).reshape(-1, 3)
-    atoms = np.flatnonzero(some)
-    found = mdtraj.baker_hubbard(whole.atom_slice(atoms), periodic=False)
-    return np.asarray(atoms[np.asarray(found, dtype=np.int64).reshape(-1, 3)])
+def hydrogen_bonds(structure: Structure) -> Integers:
+    """(n, 3) int: donor, hydrogen, acceptor; the one definition behind all counts, changes and scores."""
+    # That of mdtraj.baker_hubbard, after Baker, Hubbard, Prog. Biophys. Mol. Biol. 44:97 (1984): the hydrogen
+    # of an N or O within 2.5 angstrom of another N or O, at an angle above 120 degrees, and no waters.
+    x, element = structure.positions, structure.atom_element
+    polar = np.isin(element, ["N", "O"]) & (structure.residue_name != "HOH")[structure.atom_residue]
+    ends = both_ways(structure.bonds)
+    donor, hydrogen = ends[polar[ends[:, 0]] & (element[ends[:, 1]] == "H")].T
+    acceptor = np.flatnonzero(polar)
+    if not len(donor):
+        return np.empty((0, 3), dtype=np.int64)
+    pairs = cKDTree(x[hydrogen]).sparse_distance_matrix(cKDTree(x[acceptor]), _REACH, output_type="ndarray")
+    near = np.column_stack([donor[pairs["i"]], hydrogen[pairs["i"]], acceptor[pairs["j"]]])[
+        pairs["v"] < _REACH
+    ]
+    near = near[near[:, 0] != near[:, 2]]
+    found = near[angle(*x[near.T]) > _ANGLE]
+    return np.asarray(found[np.lexsort((found[:, 2], found[:, 1]))])
 
 
 def salt_bridges(structure: Structure) -> set[tuple[int, int]]:

@@ -14,6 +14,7 @@ from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.chirality import atoms_named, wrong_atoms
 from protochain.structure.model import Structure
+from protochain.validation.bond_lengths import bond_lines
 from protochain.validation.cbeta import cbeta_deviations
 from protochain.validation.clashes import clashes
 from protochain.validation.fixed import fixed_faults, fixed_residues
@@ -110,7 +111,12 @@ class Found(Value):
         kinds["angle"] = np.concatenate([kinds["angle"], self.violations.angles_c_n_ca])
         concerned = {name: set(of[atoms].ravel().tolist()) for name, atoms in kinds.items()}
         for r in self.violations.residues.tolist():
-            yield r, f"violation ({', '.join(name for name in kinds if r in concerned[name])})"
+            if named := [name for name in kinds if r in concerned[name]]:
+                yield r, f"violation ({', '.join(named)})"
+        # Bonds outside the protein are listed with the other faults there.
+        covalent = self.violations.covalent[~s.kept[self.violations.covalent].all(axis=1)]
+        for pair, line in zip(covalent.tolist(), bond_lines(s, self.x, covalent), strict=True):
+            yield int(of[pair[0]]), f"violation: {line}"
         worst: dict[tuple[int, int], float] = {}
         for (i, j), overlap in zip(of[self.clashes.pairs], self.clashes.overlap_angstrom, strict=True):
             worst.setdefault((min(i, j), max(i, j)), overlap)
@@ -191,7 +197,7 @@ class Measure(NamedTuple):
 
 MEASURES = {
     "violations": Measure(
-        "residues with violations, as AlphaFold counts them", "viol", lambda f: len(f.violations.residues)
+        "residues with violations", "viol", lambda f: len(f.violations.residues)
     ),
     "clashscore_per_1000_atoms": Measure(
         "clashes per 1000 atoms", "clash", lambda f: f.clashes.per_1000_atoms, False

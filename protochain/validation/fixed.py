@@ -3,7 +3,6 @@
 from collections import Counter
 from typing import NamedTuple
 
-import gemmi
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -13,17 +12,11 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, joined
 from protochain.core.markup import counted, listed
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.model import Structure
 from protochain.structure.residues import NUCLEOTIDES
-from protochain.structure.templates import DNA, RNA, templates
+from protochain.validation.bond_lengths import covalent_radii, metals, wrong_bonds
 from protochain.validation.layout import positions
-from protochain.validation.strain import bond_lengths
 
-_BROKEN = 0.03
-"""nm from the usual length. In the crystal structures of DNA in the tests bonds are off by 0.011 at most."""
-_LONG, _SHORT = 0.45, 0.65
-"""Angstrom beyond the sum of the covalent radii, and share of it, at which a bond of another molecule is
-broken. The first is a little more than what is read as a bond by distance."""
 _CLASH = 0.15
 """nm of overlap of heavy atoms, as AlphaFold counts clashes between residues."""
 _BOND_SLACK = 0.3
@@ -83,38 +76,15 @@ def _still(structure: Structure) -> Integers:
 
 def fixed_faults(structure: Structure, x: Floats | None = None) -> FixedFaults:
     """Find broken bonds and clashes of what stands still, at positions x (na, 3) or the structure's own."""
-    # Bonds of nucleotides are those of their names, of Amber's OL15 and OL3, broken when 0.3 angstrom off. Of
-    # others they are only known by distance: a torn one shows when it leaves the molecule in pieces.
+    # Bonds of fixed molecules that are no nucleotides are only known by distance: a torn one shows when it
+    # leaves the molecule in pieces.
     none = np.empty((0, 2), dtype=np.int64)
     if not structure.kept.any():
         return FixedFaults(none, none)
     x = positions(structure, x)
-    atoms, usual = _usual_bonds(structure)
-    off = np.abs(np.linalg.norm(x[atoms[:, 0]] - x[atoms[:, 1]], axis=1) - usual) > _BROKEN
-    if not structure.obstacle.any():
-        return FixedFaults(atoms[off], none)
-    broken = np.array([*atoms[off].tolist(), *_torn(structure, x)], dtype=np.int64).reshape(-1, 2)
-    return FixedFaults(broken, _clashes(structure, x))
-
-
-@of_atoms
-def _usual_bonds(structure: Structure) -> tuple[Integers, Floats]:
-    """Bonds (n, 2) of heavy atoms of nucleotides, and their usual lengths (n,), nm."""
-    lengths, known = {**bond_lengths(DNA), **bond_lengths(RNA)}, templates()
-    pairs: list[tuple[int, int]] = []
-    kind: dict[int, str] = {}
-    of, kept = structure.atom_residue, structure.kept
-    for residue in np.flatnonzero(_of_nucleotides(structure)).tolist():
-        template = known[str(structure.residue_name[residue])]
-        its = np.flatnonzero(kept & (of == residue)).tolist()
-        names = structure.atom_name[its].tolist()
-        at = {template.synonyms.get(name, name): i for name, i in zip(names, its, strict=True)}
-        kind |= {i: template.type[name] for name, i in at.items() if name in template.type}
-        heavy = {*template.heavy} & {*at}
-        pairs += [(at[a], at[b]) for a, b in template.bonds if {a, b} <= heavy]
-    between = [(i, j) for i, j in structure.bonds.tolist() if i in kind and j in kind and of[i] != of[j]]
-    usual = [lengths.get((kind[i], kind[j]), np.nan) for i, j in [*pairs, *between]]
-    return np.array([*pairs, *between], dtype=np.int64).reshape(-1, 2), np.array(usual)
+    wrong = wrong_bonds(structure, x)
+    broken = np.vstack([wrong[structure.kept[wrong].all(axis=1)], _torn(structure, x)])
+    return FixedFaults(broken, _clashes(structure, x) if structure.obstacle.any() else none)
 
 
 def _of_nucleotides(structure: Structure) -> NDArray[np.bool_]:
@@ -124,18 +94,14 @@ def _of_nucleotides(structure: Structure) -> NDArray[np.bool_]:
     return np.asarray(kept & np.isin(structure.residue_name, [*NUCLEOTIDES]))
 
 
-def _torn(structure: Structure, x: Floats) -> list[list[int]]:
-    """Atoms of broken bonds of the fixed molecules that are no nucleotides and have no metal."""
+def _torn(structure: Structure, x: Floats) -> Integers:
+    """(n, 2) int: nearest atoms of pieces of fixed molecules, but nucleotides and those with a metal."""
     of, element = structure.atom_residue, structure.atom_element
     skipped = _of_nucleotides(structure)
-    skipped[of[_metals(structure)]] = True
+    skipped[of[metals(structure)]] = True
     mine = structure.obstacle & (element != "H") & ~skipped[of]
     bonds = structure.bonds[mine[structure.bonds].all(axis=1)]
-    bonds = bonds[of[bonds[:, 0]] == of[bonds[:, 1]]]
-    length = ANGSTROM_PER_NM * np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
-    reach = _covalent(structure)[bonds].sum(axis=1)
-    found = bonds[(length > reach + _LONG) | (length < _SHORT * reach)].tolist()
-    piece = components(bonds, structure.n_atoms)
+    piece, found = components(bonds[of[bonds[:, 0]] == of[bonds[:, 1]]], structure.n_atoms), []
     for residue in np.unique(of[mine]).tolist():
         its = np.flatnonzero(mine & (of == residue))
         for other in np.unique(piece[its])[1:]:
@@ -143,12 +109,12 @@ def _torn(structure: Structure, x: Floats) -> list[list[int]]:
             apart = np.linalg.norm(x[loose][:, None] - x[rest], axis=2)
             i, j = np.unravel_index(np.argmin(apart), apart.shape)
             found.append(sorted((int(loose[i]), int(rest[j]))))
-    return found
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 
 def _clashes(structure: Structure, x: Floats) -> Integers:
     """Heavy atoms (n, 2), one of each pair fixed, that overlap; no metals, and no two that take turns."""
-    heavy = np.flatnonzero((structure.atom_element != "H") & ~_metals(structure))
+    heavy = np.flatnonzero((structure.atom_element != "H") & ~metals(structure))
     radius = radii(structure)
     near = heavy[cKDTree(x[heavy]).query_pairs(2.0 * radius[heavy].max() - _CLASH, output_type="ndarray")]
     near = np.sort(near[structure.obstacle[near].any(axis=1)], axis=1)
@@ -164,7 +130,7 @@ def _clashes(structure: Structure, x: Floats) -> Integers:
 def _between(structure: Structure, x: Floats) -> Integers:
     """Bonds (n, 2) between fixed residues, as those of a glycan: where one pair alone is so near."""
     fixed = np.flatnonzero(structure.obstacle & (structure.atom_element != "H"))
-    radius, of = _covalent(structure), structure.atom_residue
+    radius, of = covalent_radii(structure), structure.atom_residue
     farthest = (2.0 * radius[fixed].max() + _BOND_SLACK) / ANGSTROM_PER_NM
     near = fixed[cKDTree(x[fixed]).query_pairs(farthest, output_type="ndarray")]
     near = near[of[near[:, 0]] != of[near[:, 1]]]
@@ -172,14 +138,3 @@ def _between(structure: Structure, x: Floats) -> Integers:
     near = near[length <= radius[near].sum(axis=1) + _BOND_SLACK]
     which, count = np.unique(np.sort(of[near], axis=1), axis=0, return_inverse=True, return_counts=True)[1:]
     return near[count[which.ravel()] == 1]
-
-
-def _covalent(structure: Structure) -> Floats:
-    """(na,) float, angstrom: covalent radii."""
-    return np.array([gemmi.Element(str(symbol)).covalent_r for symbol in structure.atom_element])
-
-
-def _metals(structure: Structure) -> NDArray[np.bool_]:
-    """(na,) bool: metals."""
-    symbols = np.unique(structure.atom_element)
-    return np.isin(structure.atom_element, [each for each in symbols if gemmi.Element(str(each)).is_metal])

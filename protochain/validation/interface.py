@@ -395,8 +395,8 @@ def _bonded(structure: Structure, parts: Sides, together: Floats, lost: Floats) 
     """Hydrogen bonds, salt bridges and clashes across, and polar atoms that are buried without a bond."""
     of = structure.atom_residue
     masks = [part[of] for part in parts]
-    near = _near_residues(structure, *masks)
-    bonds = hydrogen_bonds(structure, near) if near.any() else np.empty((0, 3), dtype=np.int64)
+    bonds = hydrogen_bonds(structure)
+    bonds = bonds[(masks[0] | masks[1])[bonds].all(axis=1)]
     clashing = clashes(structure).pairs
     residues: dict[str, Integers | Sequence[tuple[int, int]]] = {
         "hydrogen_bonds": of[bonds[_across(masks, bonds[:, [0, 2]])][:, [0, 2]]],
@@ -427,15 +427,6 @@ def _within(x: Floats, mine: NDArray[np.bool_], its: NDArray[np.bool_]) -> NDArr
     if mine.any() and its.any():
         found[mine] = cKDTree(x[its]).query(x[mine], distance_upper_bound=_NEAR)[0] < _NEAR
     return found
-
-
-def _near_residues(
-    structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """(na,) bool: atoms of residues of either side that are near the other side."""
-    x, of = structure.positions, structure.atom_residue
-    near = _within(x, one, other) | _within(x, other, one)
-    return np.isin(of, of[near]) & (one | other)
 
 
 def _areas(structure: Structure, one: NDArray[np.bool_], other: NDArray[np.bool_]) -> tuple[Floats, Floats]:

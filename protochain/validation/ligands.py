@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.arrays import Floats, Integers, Value, distance
 from protochain.core.errors import ProtochainError
 from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
@@ -20,6 +20,8 @@ from protochain.structure.model import BoundLigand, Structure, at_positions
 from protochain.structure.residues import Residue
 from protochain.validation.clashes import Clashes, clashes
 
+_MOST_MATCHES = 10_000
+"""Numberings that are tried: a molecule with 4 t-butyl groups has 1296."""
 CONTACT = 4.0
 """Angstrom between heavy atoms."""
 _RECEPTOR = 10.0
@@ -125,6 +127,33 @@ def ligand_findings(structure: Structure, x: Floats, clashing: Clashes) -> tuple
     )
 
 
+def ligand_motion(start: Structure, x: Floats) -> Floats:
+    """(n, 2) float, angstrom: RMSD and largest displacement of each ligand from a start, not superposed."""
+    # Of heavy atoms; x (na, 3) nm. RDKit's CalcRMS has the least RMSD over symmetric numberings, those of
+    # conjugated terminal groups as carboxylates included.
+    motion = np.full((len(start.ligands), 2), np.nan)
+    for row, bound in zip(motion, start.ligands, strict=True):
+        molecule, atoms = bound.ligand.molecule, bound.atoms
+        if np.isfinite(x[atoms]).all():
+            ends = [_heavy(to_rdkit(molecule, each[atoms])) for each in (x, start.positions)]
+            heavy = atoms[molecule.heavy]
+            row[0] = library("rdkit.Chem.rdMolAlign").CalcRMS(*ends, maxMatches=_MOST_MATCHES)
+            row[1] = ANGSTROM_PER_NM * distance(x[heavy], start.positions[heavy]).max()
+    return motion
+
+
+def _heavy(molecule: Any) -> Any:
+    """RDKit's molecule without its hydrogens."""
+    return library("rdkit.Chem").RemoveHs(molecule, sanitize=False)
+
+
+def motion_in_words(motion: Floats) -> str:
+    """Largest values of ``ligand_motion``, to be put after others; empty without ligands."""
+    if not len(motion):
+        return ""
+    return ", ligand RMSD {:.2f} angstrom, farthest atom {:.2f}".format(*motion.max(axis=0))
+
+
 def _distances(tree: cKDTree, bound: BoundLigand, x: Floats) -> Floats:
     heavy = bound.atoms[bound.ligand.molecule.heavy]
     return np.asarray(tree.query(ANGSTROM_PER_NM * x[heavy], distance_upper_bound=CONTACT)[0])
@@ -216,13 +245,13 @@ def findings_of(
     return with_posebusters(structure, x, found) if posebusters else (found, "")
 
 
-def at_both_ends(start: LigandFound, end: LigandFound) -> dict[str, Any]:
-    """Flat row of a ligand at the start and the end of a run."""
+def at_both_ends(start: LigandFound, end: LigandFound, motion: Floats) -> dict[str, Any]:
+    """Flat row of a ligand at the start and the end of a run, with its row of ``ligand_motion``."""
     noted = {key: value for key, value in start.record().items() if key not in start.measures()}
     for key in start.measures():
         for when, found in (("start", start), ("end", end)):
             noted[_at(key, when)] = found.measures()[key]
-    return noted
+    return noted | dict(zip(MOTION, map(float, motion), strict=True))
 
 
 def _at(key: str, when: str) -> str:
@@ -231,5 +260,7 @@ def _at(key: str, when: str) -> str:
     return f"{key.removesuffix(unit)}_{when}{unit}" if key.endswith(unit) else f"{key}_{when}"
 
 
-LIGAND_ENDS = tuple(_at(key, when) for key in LIGAND_COLUMNS[4:] for when in ("start", "end"))
+MOTION = ("rmsd_angstrom", "displacement_max_angstrom")
+"""Columns of :func:`ligand_motion`."""
+LIGAND_ENDS = (*(_at(key, when) for key in LIGAND_COLUMNS[4:] for when in ("start", "end")), *MOTION)
 """What :func:`at_both_ends` tells beside residue and source."""

@@ -40,7 +40,7 @@ class Validation(Value):
         ``angle_outliers``, ``threaded_rings``, ``atoms_added`` (heavy atoms that the file lacks), with a
         reference ``lddt``.
     violations : Violations
-        As AlphaFold counts them.
+        As AlphaFold counts them, and covalent bonds of a wrong length.
     findings : tuple of (int, str)
         Index of a residue, and what is wrong with it.
     chain_mapping : str, optional

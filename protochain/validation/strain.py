@@ -7,11 +7,13 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, Value, angle, distance, read_only
 from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure, of_atoms
+from protochain.structure.residues import NUCLEOTIDES
 from protochain.structure.templates import PHOSPHATES, PROTEIN, Template, standard_name, templates
 from protochain.validation.layout import positions
 
@@ -127,25 +129,37 @@ class _Terms:
 
 @of_atoms
 def _terms(structure: Structure, hydrogens: bool = False) -> _Terms:
-    names, kind = np.unique(_types(structure), return_inverse=True)
-    lengths, angles = _parameters(PROTEIN, PHOSPHATES["amber14"])
     bonds, triples = structure.bonds, bond_angles(structure.bonds, structure.n_atoms)
     found = []
-    for atoms, table in ((bonds, lengths), (triples, angles)):
-        # Few kinds of terms, many terms.
-        kinds, which = np.unique(kind[atoms], axis=0, return_inverse=True)
-        norms = np.array([table.get(tuple(names[each].tolist()), (np.nan, np.nan)) for each in kinds])
-        own = norms.reshape(-1, 2)[which.ravel()]
+    for atoms in (bonds, triples):
+        own = norms(structure, atoms, PROTEIN, PHOSPHATES["amber14"])
         known = np.isfinite(own).all(axis=1)
-        if not hydrogens:
-            known &= (structure.atom_element[atoms] != "H").all(axis=1)
+        known &= hydrogens | (structure.atom_element[atoms] != "H").all(axis=1)
         found += [atoms[known], own[known]]
     return _Terms(*found)
 
 
+def norms(structure: Structure, atoms: Integers, *files: Path) -> Floats:
+    """Values and thermal widths (n, 2) of bonds (n, 2) or angles (n, 3) by force-field files; else NaN."""
+    names, kind = _kinds(structure)
+    table = _parameters(*files)[atoms.shape[1] - 2]
+    # Few kinds of terms, many terms.
+    kinds, which = np.unique(kind[atoms], axis=0, return_inverse=True)
+    values = [table.get(tuple(names[term].tolist()), (np.nan, np.nan)) for term in kinds]
+    return np.array(values).reshape(-1, 2)[which.ravel()]
+
+
+@of_atoms
+def _kinds(structure: Structure) -> tuple[NDArray[np.str_], Integers]:
+    """Atom types of the structure, and that of each atom by its place among them (na,)."""
+    names, kind = np.unique(_types(structure), return_inverse=True)
+    return names, kind
+
+
 def _types(structure: Structure) -> list[str]:
     """Atom types of the force field; empty where it has none."""
-    beside = structure.kept.tolist()
+    nucleotide = np.isin(structure.residue_name, [*NUCLEOTIDES])[structure.atom_residue]
+    beside = (structure.kept & ~nucleotide).tolist()
     names: list[list[str]] = [[] for _ in range(structure.n_residues)]
     residue = structure.atom_residue.tolist()
     for atom, name in enumerate(structure.atom_name.tolist()):
@@ -174,11 +188,6 @@ def _residue_types(residue: str, names: tuple[str, ...]) -> Mapping[str, str]:
     # Of two with the same atoms, a disulfide's is meant, not that of a thiolate.
     best = min(every, key=lambda each: (len(each.element) - len(wanted), "CYM" in each.name), default=None)
     return best.type if best is not None else {}
-
-
-def bond_lengths(file: Path) -> dict[tuple[str, ...], float]:
-    """Equilibrium lengths of bonds, nm, by the atom types of a force-field file."""
-    return {types: norm[0] for types, norm in _parameters(file)[0].items()}
 
 
 @cache

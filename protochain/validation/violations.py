@@ -1,7 +1,8 @@
-"""Structural violations as AlphaFold counts them, also across chains.
+"""Structural violations as AlphaFold counts them, also across chains, and covalent bonds of a wrong length.
 
 Jumper et al., Nature 596:583 (2021), supplement 1.9.11, equations 44 to 46: ``find_structural_violations``
-with a tolerance of 12 standard deviations for bonds and angles and of 1.5 angstrom for contacts.
+with a tolerance of 12 standard deviations for bonds and angles and of 1.5 angstrom for contacts. AlphaFold
+measures no bond to hydrogen: all covalent bonds are compared with :mod:`protochain.validation.bond_lengths`.
 """
 
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from protochain.core.graph import both_ways
 from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.model import Structure, at_positions, of_atoms
+from protochain.validation.bond_lengths import bond_lines, wrong_bonds
 from protochain.validation.geometry import TYPES, distances, places, slots
 from protochain.validation.layout import positions
 
@@ -51,6 +53,9 @@ class Violations(Value):
         Atoms of different residues that overlap.
     within : (n, 2) int
         Atoms of one residue that are too near to one another or, one or two bonds apart, too far.
+    covalent : (n, 2) int
+        Atoms of covalent bonds more than 0.3 angstrom longer or shorter than usual (to hydrogen shorter by a
+        third): of all elements but metals, and of all molecules that move.
     per_residue : (nr,) bool
         Residues with an atom among these; of a wrong bond or angle both residues.
     """
@@ -60,6 +65,7 @@ class Violations(Value):
     angles_c_n_ca: Integers
     clashes: Integers
     within: Integers
+    covalent: Integers
     per_residue: NDArray[np.bool_]
 
     @property
@@ -74,13 +80,14 @@ class Violations(Value):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Numbers of wrong bonds and angles, of pairs that clash, of wrong distances within residues."""
+        """Numbers of each kind: peptide bonds, their angles, clashes, distances, covalent bonds."""
         return {
             "bonds": len(self.bonds),
             "angles_ca_c_n": len(self.angles_ca_c_n),
             "angles_c_n_ca": len(self.angles_c_n_ca),
             "clashes": len(self.clashes),
             "within": len(self.within),
+            "covalent": len(self.covalent),
         }
 
     def __bool__(self) -> bool:
@@ -95,12 +102,13 @@ class Violations(Value):
             (angles, "angle at a peptide bond", "angles at peptide bonds"),
             (len(self.clashing_atoms), "atom in clashes", "atoms in clashes"),
             (len(self.within), "distance within a residue", "distances within residues"),
+            (len(self.covalent), "covalent bond of a wrong length", "covalent bonds of a wrong length"),
         )
         parts = ", ".join(counted(*each) for each in counts if each[0])
         return f"violations in {counted(len(self.residues), 'residue')}: {parts}"
 
     def lines(self, structure: Structure, x: Floats | None = None) -> list[str]:
-        """Describe each violation in a line: bonds, angles, clashes, distances within residues.
+        """Describe each violation in a line: peptide bonds, angles, clashes, distances, covalent bonds.
 
         Parameters
         ----------
@@ -108,7 +116,9 @@ class Violations(Value):
         x : (na, 3) float, nm, optional
             The positions measured; by default the structure's own.
         """
-        x = ANGSTROM_PER_NM * (structure.positions if x is None else x)
+        x = structure.positions if x is None else x
+        covalent = [f"covalent bond: {line}" for line in bond_lines(structure, x, self.covalent)]
+        x = ANGSTROM_PER_NM * x
         angles = np.vstack([self.angles_ca_c_n, self.angles_c_n_ca])
         cosine = _cosine(*(x[angles[:, k]] for k in range(3)))
         degrees = np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
@@ -127,20 +137,22 @@ class Violations(Value):
             ]
             for what, pairs in (("bond", self.bonds), ("clash", self.clashes), ("distance", self.within))
         )
-        return [*bonds, *bent, *clashes, *within]
+        return [*bonds, *bent, *clashes, *within, *covalent]
 
 
 def violations(structure: Structure, x: Floats | None = None) -> Violations:
-    """Find the structural violations that AlphaFold counts.
+    """Find the structural violations that AlphaFold counts, and covalent bonds of a wrong length.
 
-    Heavy atoms of the 20 amino acids alone, without the second oxygen of a terminus, are looked at; caps
-    and molecules kept with the protein are not. Residues are neighbours if they are bonded, or follow one
-    another in a chain with consecutive numbers: a chain that was split where its C-N bond is far too long
-    violates that bond.
+    AlphaFold's rules are of the heavy atoms of the 20 amino acids, without the second oxygen of a terminus.
+    Covalent bonds are measured of all molecules that move, with their hydrogens.
+
+    Residues are neighbours if they are bonded, or follow one another in a chain with consecutive numbers: a
+    chain that was split where its C-N bond is far too long violates that bond.
 
     AlphaFold goes by the number alone, in a file of several chains too: it compares no two residues of one
     number, and spares C and N of consecutive numbers in any chains. Here residues are known by what they
-    are, so that all contacts between chains are seen; in a single chain the counts are AlphaFold's.
+    are, so that all contacts between chains are seen. In a single chain all counts but that of covalent bonds
+    are AlphaFold's.
 
     Parameters
     ----------
@@ -164,16 +176,17 @@ def violations(structure: Structure, x: Floats | None = None) -> Violations:
 
 @at_positions
 def _violations(structure: Structure, x: Floats) -> Violations:
+    wrong = wrong_bonds(structure, x)
+    covalent = wrong[~structure.obstacle[wrong].all(axis=1)]
     x = ANGSTROM_PER_NM * x
     found = [
         read_only(atoms, np.int64)
-        for atoms in (*_connections(structure, x), _clashes(structure, x), _within(structure, x))
+        for atoms in (*_connections(structure, x), _clashes(structure, x), _within(structure, x), covalent)
     ]
     concerned = np.zeros(structure.n_residues, dtype=bool)
     for atoms in found:
         concerned[structure.atom_residue[atoms]] = True
-    bonds, ca_c_n, c_n_ca, clashes, within = found
-    return Violations(bonds, ca_c_n, c_n_ca, clashes, within, read_only(concerned, np.bool_))
+    return Violations(*found, read_only(concerned, np.bool_))
 
 
 def _connections(structure: Structure, x: Floats) -> tuple[Integers, Integers, Integers]:

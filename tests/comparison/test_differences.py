@@ -3,7 +3,7 @@
 import mdtraj
 import numpy as np
 import pytest
-from fixtures.samples import STRUCTURES, load
+from fixtures.samples import STRUCTURES, load, shared
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
@@ -57,24 +57,48 @@ def test_a_rotamer_that_changed_is_counted_and_half_a_turn_of_a_ring_is_none(ubi
     assert flipped.residues["torsions_degrees"].max() < 1e-6
 
 
+def mdtrajs(s):
+    """Hydrogen bonds by mdtraj: donor, hydrogen, acceptor."""
+    return {*map(tuple, mdtraj.baker_hubbard(pc.to_mdtraj(s), periodic=False).tolist())}
+
+
+def hydrogen_bonds_of(found):
+    return [found.totals[f"hydrogen_bonds_{kind}"] for kind in ("kept", "gained", "lost")]
+
+
 def test_hydrogen_bonds_gained_and_lost_are_mdtrajs(ubiquitin):
     after = turned(ubiquitin, "psi", "35", 60.0)
-
-    def bonds(s):
-        of = s.atom_residue
-        found = mdtraj.baker_hubbard(pc.to_mdtraj(s), periodic=False)
-        return {(of[d], of[a]) for d, _, a in found if of[d] != of[a]}
-
-    mine, theirs = bonds(ubiquitin), bonds(after)
+    mine, theirs = mdtrajs(ubiquitin), mdtrajs(after)
     found = pc.differences(ubiquitin, after)
-    assert found.totals["hydrogen_bonds_lost"] == len(mine - theirs) > 0
-    assert found.totals["hydrogen_bonds_gained"] == len(theirs - mine)
-    assert found.totals["hydrogen_bonds_kept"] == len(mine & theirs)
+    assert hydrogen_bonds_of(found) == [len(mine & theirs), len(theirs - mine), len(mine - theirs)]
+    assert min(hydrogen_bonds_of(found)) > 0
     told = found.bonds[found.bonds["kind"] == "hydrogen bond"]
-    assert (told["change"] == "lost").sum() == len(mine - theirs)
+    lost = told[told["change"] == "lost"][["first", "second"]].to_numpy().tolist()
+    named = [[str(ubiquitin.atom(d)), str(ubiquitin.atom(a))] for d, _, a in mine - theirs]
+    assert sorted(lost) == sorted(named)
     back = pc.differences(after, ubiquitin)
     assert back.totals["hydrogen_bonds_gained"] == found.totals["hydrogen_bonds_lost"]
     assert 0.0 < found.totals["contacts_kept"] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("file", "method"),
+    [("1l2y_trpcage.pdb", "cartesian"), ("3al1_caps_altloc.pdb", "cartesian"), ("5vav_cyclic.pdb", "lbfgs"),
+     ("2n0n_lactam.pdb", "relax"), ("3i40_insulin.pdb", "moved")],
+)  # fmt: skip
+def test_hydrogen_bonds_are_counted_in_one_way(file, method):
+    """The count at the end is that at the start, less those lost, and those gained; both are mdtraj's."""
+    start = pc.load(shared(file))
+    if method == "moved":
+        size = np.random.default_rng(3).normal(0.0, 0.02, start.positions.shape)
+        end = start.with_positions(start.positions + size)
+    else:
+        end = (pc.relax(start) if method == "relax" else pc.minimise(start, method=method)).structure
+    before, after = mdtrajs(start), mdtrajs(end)
+    kept, gained, lost = hydrogen_bonds_of(pc.differences(start, end))
+    assert (kept, gained, lost) == (len(before & after), len(after - before), len(before - after))
+    counts = [pc.quality(s)["hydrogen_bonds"] for s in (start, end)]
+    assert counts == [len(before), len(after)] and counts[1] == counts[0] - lost + gained
 
 
 def test_secondary_structure_is_dssps_and_its_parts_are_superposed_by_themselves(ubiquitin):

@@ -68,8 +68,8 @@ def there_and_back(structure, r, new, **options):
 @pytest.mark.parametrize(
     ("name", "place"),
     [
-        ("1l2y.pdb", "A:L2L"), ("1l2y.pdb", "A:P12P"), ("1l2y.pdb", "A:G11G"), ("1ejg.pdb", "A:C3C"), ("1l2y.pdb", "A:S20S"),
-        ("4pti.pdb", "A:A16A,A:R17R"),
+        ("1l2y.pdb", "A:L2L"), ("1l2y.pdb", "A:P12P"), ("1l2y.pdb", "A:G11G"), ("1ejg.pdb", "A:C3C"),
+        ("1l2y.pdb", "A:S20S"), ("4pti.pdb", "A:A16A,A:R17R"),
     ],
 )  # fmt: skip
 def test_a_mutation_to_itself_costs_exactly_nothing(name, place):

@@ -3,13 +3,16 @@
 import json
 
 import numpy as np
+import pandas as pd
 import pytest
 from fixtures.command_line import run
 from fixtures.samples import STRUCTURES, shared
 from fixtures.tolerances import STRAIN
 
 import protochain as pc
+from protochain.ligands.molecule import to_rdkit
 from protochain.ligands.strain import energy_and_gradient, nearest_minimum, strain
+from protochain.validation.ligands import ligand_motion
 
 Chem = pytest.importorskip("rdkit.Chem")
 AllChem = pytest.importorskip("rdkit.Chem.AllChem")
@@ -162,3 +165,81 @@ def test_posebusters_pass_after_the_stream_of_another_call_was_closed(tmp_path):
         rdkit.log_handler.stream = stream
     (after,) = pc.validate(pc.load(PROTEIN, ligands=tmp_path / "pose.sdf"), posebusters=True).ligands
     assert dict(after.posebusters) == dict(before.posebusters)
+
+
+BENZOATE = "O=C([O-])c1ccccc1"
+"""Its oxygens, and either side of its ring, are equal."""
+
+
+def test_the_motion_of_a_ligand_is_its_shift_and_equal_atoms_may_change_places(tmp_path):
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, BENZOATE))
+    (bound,) = s.ligands
+    by, x = np.array([0.03, -0.04, 0.12]), s.positions.copy()
+    x[bound.atoms] += by
+    assert ligand_motion(s, x) == pytest.approx(np.full((1, 2), 1.3), abs=1e-6)
+    # The oxygens change places, and the ring turns over: another numbering of the same place.
+    molecule = bound.ligand.molecule
+    skeleton = Chem.RemoveHs(to_rdkit(molecule))
+    order = skeleton.GetSubstructMatch(Chem.MolFromSmarts("[#8]~[#6](~[#8])-c1ccccc1"))
+    heavy = bound.atoms[molecule.heavy][list(order)]
+    x = s.positions.copy()
+    x[heavy] = x[heavy[[2, 1, 0, 3, 8, 7, 6, 5, 4]]]
+    rmsd, farthest = ligand_motion(s, x)[0]
+    assert rmsd == pytest.approx(0.0, abs=1e-6) and farthest > 2.0
+    x[bound.atoms] += by
+    assert ligand_motion(s, x)[0, 0] == pytest.approx(1.3, abs=1e-6)
+    assert ligand_motion(pc.load(PROTEIN), np.zeros((304, 3))).shape == (0, 2)
+    assert np.isnan(ligand_motion(s, np.full_like(x, np.nan))).all()
+
+
+def heavy_motion(start, end):
+    """RMSD and largest displacement of the heavy atoms of the one ligand, atom by atom, angstrom."""
+    (bound,) = start.ligands
+    its = bound.atoms[bound.ligand.molecule.heavy]
+    away = 10.0 * np.linalg.norm(end[its] - start.positions[its], axis=1)
+    return np.sqrt(np.mean(away**2)), away.max()
+
+
+COLUMNS = ["ligand_rmsd_angstrom", "ligand_displacement_max_angstrom"]
+
+
+@pytest.mark.parametrize("how", ["relax", "cartesian", "lbfgs"])
+def test_a_pose_that_moved_is_reported_where_the_protein_stands_still(tmp_path, how):
+    """The RMSD of C-alphas was the only one: 0.00 of a pose that moved by angstroms."""
+    s = pc.load(PROTEIN, ligands=posed(tmp_path, away=0.2))
+    chain = pc.build_chain(s, move="ligand")
+    found = pc.relax(s, move="ligand") if how == "relax" else pc.minimise(chain, method=how)
+    record = found.record()
+    assert record["ca_rmsd_angstrom"] == pytest.approx(0.0, abs=1e-6)
+    rmsd, farthest = heavy_motion(s, found.x)
+    assert [record[name] for name in COLUMNS] == pytest.approx([rmsd, farthest], abs=1e-6)
+    assert rmsd > 0.05 and f"ligand RMSD {rmsd:.2f}" in repr(found)
+    assert any(f"LIGAND RMSD {rmsd:.3f}, LARGEST DISPLACEMENT" in line for line in found.provenance())
+    if how == "relax":
+        (row,) = record["ligands"]
+        assert [row["rmsd_angstrom"], row["displacement_max_angstrom"]] == [record[name] for name in COLUMNS]
+
+
+def test_the_motion_of_one_pose_and_of_several_is_printed_and_in_the_tables(tmp_path, capsys):
+    poses = tmp_path / "poses.sdf"
+    poses.write_text("".join(posed(tmp_path, away=a).read_text() + "$$$$\n" for a in (0.15, 0.25)))
+    folder, page = tmp_path / "out", tmp_path / "page.html"
+    assert run("relax", PROTEIN, "--ligand", poses, "--rigid-protein", "-o", folder, "--workers", 1) == 0
+    said, table = capsys.readouterr().out, pd.read_csv(folder / "relaxed.csv")
+    starts = [pc.load(PROTEIN, ligands=f"{poses}#{k}") for k in (1, 2)]
+    ends = [pc.relax(s, move="ligand").x for s in starts]
+    expected = np.array([heavy_motion(s, x) for s, x in zip(starts, ends, strict=True)])
+    assert table[COLUMNS].to_numpy() == pytest.approx(expected, abs=1e-3)
+    assert (
+        f"ligands: median RMSD {np.median(expected[:, 0]):.2f}, largest {expected[:, 0].max():.2f}, "
+        f"largest displacement {expected[:, 1].max():.2f} angstrom" in said
+    )
+    one = ("--ligand", f"{poses}#1", "--rigid-protein", "-o", tmp_path / "one.pdb")
+    assert run("relax", PROTEIN, *one, "--report", page) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    rmsd, farthest = expected[0]
+    assert f"B:1 RMSD {rmsd:.2f}, largest displacement {farthest:.2f} angstrom" in said
+    assert f"Ligand RMSD {rmsd:.2f}, largest displacement {farthest:.2f} angstrom" in page.read_text()
+    assert run("minimise", PROTEIN, *one, "--method", "cartesian", "--force") == 0
+    said = capsys.readouterr().out
+    assert "ligand RMSD" in said and "ligand shift" in said

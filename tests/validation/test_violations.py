@@ -5,8 +5,10 @@ from itertools import combinations
 
 import numpy as np
 import pytest
+from fixtures.command_line import run
 from fixtures.molecules import atom
 from fixtures.samples import ROOT, load, shared
+from openmm import HarmonicBondForce, app
 
 import protochain as pc
 from protochain.validation.violations import violations
@@ -20,6 +22,7 @@ ATOM14 = {
     "VAL": "CB CG1 CG2",
 }  # fmt: skip
 ATOM14 = {name: ["N", "CA", "C", "O", *rest.split()] for name, rest in ATOM14.items()}
+KINDS = ("bonds", "angles_ca_c_n", "angles_c_n_ca", "clashes", "within", "covalent")
 RADIUS = {"C": 1.7, "N": 1.55, "O": 1.52, "S": 1.8}
 
 # alphafold/relax/amber_minimize_test.py of AlphaFold 2.3, test_find_violations.
@@ -47,7 +50,11 @@ def slow(structure, x):
         if name in ATOM14.get(str(structure.residue_name[residue]), ()):
             atoms[residue, str(name)] = i
     bonded = {frozenset(bond) for bond in structure.bonds.tolist()}
-    found = {kind: set() for kind in ("bonds", "angles_ca_c_n", "angles_c_n_ca", "clashes", "within")}
+    found = {kind: set() for kind in KINDS}
+    for i, j, usual in lengths(structure):
+        length, is_h = np.linalg.norm(x[i] - x[j]), "H" in structure.atom_element[[i, j]]
+        if length > usual + 0.3 or length < (0.65 * usual if is_h else usual - 0.3):
+            found["covalent"].add(tuple(sorted((i, j))))
 
     def cosine(i, j, k):
         u, v = x[i] - x[j], x[k] - x[j]
@@ -80,6 +87,14 @@ def slow(structure, x):
     return found
 
 
+def lengths(structure):
+    """Bonds of a protein and their lengths in angstrom, by OpenMM's System."""
+    system = app.ForceField("amber14/protein.ff14SB.xml").createSystem(structure.topology)
+    (force,) = (force for force in system.getForces() if isinstance(force, HarmonicBondForce))
+    terms = (force.getBondParameters(k) for k in range(force.getNumBonds()))
+    return [(i, j, 10.0 * usual._value) for i, j, usual, _ in terms]
+
+
 def bounds():
     """Least and greatest distances one and two bonds apart, by residue and names, errors by differences."""
     with (ROOT / "protochain/validation/data/geometry.csv").open() as file:
@@ -105,8 +120,7 @@ def bounds():
 
 
 def as_sets(found):
-    kinds = ("bonds", "angles_ca_c_n", "angles_c_n_ca", "clashes", "within")
-    return {kind: set(map(tuple, getattr(found, kind).tolist())) for kind in kinds}
+    return {kind: set(map(tuple, getattr(found, kind).tolist())) for kind in KINDS}
 
 
 def moved(structure, atoms, by):
@@ -125,9 +139,15 @@ def test_alphafold_finds_the_same_on_its_own_test_structure():
     assert connected(s, found) == PUBLISHED_CONNECTIONS
     assert found.counts["within"] == 0
     kinds = [line.split(":")[0] for line in found.lines(s)]
-    assert kinds == ["bond"] + 2 * ["angle"] + found.counts["clashes"] * ["clash"]
-    assert set(found.residues.tolist()) == {r for r, _ in PUBLISHED_CLASHES} | set(PUBLISHED_CONNECTIONS)
-    assert found.per_residue.sum() == len(found.residues) == 24
+    disulfides = found.counts["covalent"]
+    assert kinds == ["bond"] + 2 * ["angle"] + found.counts["clashes"] * ["clash"] + disulfides * [
+        "covalent bond"
+    ]
+    # AlphaFold spares its disulfides, 10 of which are 1.1 to 1.7 or 2.4 to 2.9 angstrom long.
+    assert disulfides == 10 and {*s.atom_name[found.covalent.ravel()]} == {"SG"}
+    published = {r for r, _ in PUBLISHED_CLASHES} | set(PUBLISHED_CONNECTIONS)
+    assert len(published) == 24 and published <= set(found.residues.tolist())
+    assert set(found.residues.tolist()) == published | set(s.atom_residue[found.covalent.ravel()].tolist())
 
 
 def test_the_structure_that_alphafold_names_after_its_violations_has_some():
@@ -207,7 +227,8 @@ def test_sulphurs_hydrogens_and_terminal_oxygens_do_not_clash():
     last = s.n_residues - 1
     for loose in (atom(s, last, "OXT"), atom(s, 10, "H")):
         x = moved(s, loose, s.positions[atom(s, 30, "CA")] + [0.05, 0, 0] - s.positions[loose])
-        assert not violations(s, x)
+        found = violations(s, x)
+        assert len(found.covalent) == sum(found.counts.values()) == 1 and loose in found.covalent
 
 
 def test_chains_are_compared_with_one_another():
@@ -254,3 +275,95 @@ def test_a_chain_split_at_a_long_bond_violates_it(tmp_path):
     ]
     (tmp_path / "gap.pdb").write_text("".join(renumbered))
     assert not violations(pc.load(tmp_path / "gap.pdb"))
+
+
+def shifted(s, i, length):
+    """Positions with one end of its first bond put at a length, angstrom, and the bond."""
+    (pair,) = s.bonds[(s.bonds == i).any(axis=1)][:1]
+    j = int(pair[pair != i][0])
+    along = s.positions[i] - s.positions[j]
+    x = s.positions.copy()
+    x[i] = s.positions[j] + 0.1 * length * along / np.linalg.norm(along)
+    return x, sorted((i, j))
+
+
+def named(s, residue, name):
+    """An atom by the name of its residue in the file, or its number, and its own."""
+    of = s.atom_residue
+    here = (s.residue_name[of] == residue) | (s.residue_number[of] == residue)
+    return int(np.flatnonzero(here & (s.atom_name == name))[0])
+
+
+@pytest.mark.parametrize(
+    ("file", "residue", "name", "lengths"),
+    [("1l2y_trpcage.pdb", "4", "HD11", (0.6, 1.5, 7.0)), ("1l2y_trpcage.pdb", "1", "H2", (0.5, 1.4)),
+     ("1l2y_trpcage.pdb", "20", "OXT", (0.8, 1.7)), ("1l2y_trpcage.pdb", "3", "HH", (0.5, 1.4)),
+     ("3al1_caps_altloc.pdb", "ACE", "H1", (0.6, 1.5)), ("3al1_caps_altloc.pdb", "MPD", "1HM", (0.6, 1.5)),
+     ("../complexes/models/1bna.pdb", "3", "H5''", (0.6, 1.6)), ("4pti_bpti.pdb", "5", "SG", (1.4, 2.6)),
+     ("1as5_conotoxin.cif", "HYP", "HD1", (0.6, 1.5)), ("2n0n_lactam.pdb", "AIB", "HB11", (0.6, 1.5))],
+)  # fmt: skip
+def test_a_covalent_bond_of_a_wrong_length_is_found_in_every_kind_of_molecule(file, residue, name, lengths):
+    """Nothing measured bonds to hydrogen, disulfides and terminal oxygens, and those of moving molecules."""
+    s = pc.load(shared(file))
+    i, sound = named(s, residue, name), violations(s)
+    for length in lengths:
+        x, bond = shifted(s, i, length)
+        found = pc.validate(s.with_positions(x))
+        new = {*map(tuple, found.violations.covalent.tolist())} - {*map(tuple, sound.covalent.tolist())}
+        # A heavy atom has more bonds than the one that was drawn out.
+        assert tuple(bond) in new and (len(new) == 1 or name == "SG")
+        at = s.residue(int(s.atom_residue[i]))
+        assert int(s.atom_residue[i]) in found.violations.residues
+        assert found.measures["violations"] > len(sound.residues)
+        said = [line for line in found.listing() if name in line and f"{length:.2f} angstrom" in line]
+        assert said and (s.kept[i] or at.label in said[0])
+
+
+@pytest.mark.parametrize(
+    ("file", "shortest"),
+    [("3u7t_crambin_neutron.cif", 0.85), ("5pti_bpti.cif", 0.90), ("3al1_caps_altloc.pdb", 0.82),
+     ("1bta_barstar.pdb", 0.95), ("1ubi_ubiquitin_addH.pdb", 1.17), ("dhfr_jac_amber.pdb", 0.95),
+     ("1ejg_crambin.pdb", 0.96), ("2sdf_sdf1_nmr30.pdb", 0.95)],
+)  # fmt: skip
+def test_hydrogens_where_methods_put_them_are_no_violations(file, shortest):
+    """Neutrons, X-rays (0.82 to 0.98 angstrom), NMR, Amber, OpenMM: conventions, and no faults."""
+    s = pc.load(shared(file))
+    to_hydrogen = s.bonds[(s.atom_element[s.bonds] == "H").any(axis=1)]
+    length = 10.0 * np.linalg.norm(np.subtract(*s.positions[to_hydrogen.T]), axis=1)
+    assert length.min() == pytest.approx(shortest, abs=0.05) and length.max() < 1.4
+    assert len(violations(s).covalent) == 0
+
+
+@pytest.mark.parametrize("method", ["lbfgs", "newton", "kcm"])
+def test_a_run_in_torsions_reports_a_hydrogen_far_from_its_atom(method):
+    """It mends no bond, and ended converged."""
+    s = load("ala10.pdb")
+    x, _ = shifted(s, named(s, "3", "HB1"), 4.0)
+    # So high a tolerance is met at the start: what remains is the bond.
+    found = pc.minimise(s.with_positions(x), method=method, tolerance=1e6, max_evaluations=20)
+    assert found.status == "violations" and "CB of A:ALA3 to HB1, 4.00 angstrom" in found.message
+    assert found.measures_end["violations"] == 1
+    sound = pc.minimise(s, method=method, tolerance=1e6, max_evaluations=20)
+    assert sound.status == "converged"
+
+
+def test_relax_puts_such_a_hydrogen_back():
+    s = load("ala10.pdb")
+    x = s.positions.copy()
+    x[named(s, "3", "HB1")] = s.positions[named(s, "6", "CB")] + [0.005, 0.0, 0.0]
+    found = pc.relax(s.with_positions(x))
+    assert (found.measures_start["violations"], found.measures_end["violations"]) == (1, 0)
+    assert found.status == "converged"
+
+
+def test_commands_report_such_a_bond_of_a_file(tmp_path, capsys):
+    """Nearer than 1.5 angstrom the reader keeps a hydrogen."""
+    s = load("ala10.pdb")
+    x, _ = shifted(s, named(s, "3", "HB1"), 1.45)
+    path = tmp_path / "drawn.pdb"
+    pc.save(s.with_positions(x), path)
+    assert run("info", path) is None
+    line = "CB of A:ALA3 to HB1, 1.45 angstrom long, not 1.09"
+    assert f"violations: 1\n  covalent bond: {line}\n" in capsys.readouterr().out
+    run("validate", path)
+    assert f"residue 3 ALA of chain A: violation: {line}" in capsys.readouterr().out

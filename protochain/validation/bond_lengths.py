@@ -1,0 +1,80 @@
+"""Covalent bonds of a wrong length: bonds of all molecules to all elements but metals, hydrogen included.
+
+The reference is the equilibrium length of Amber ff14SB, of its phosphates, and of OL15 and OL3 for
+nucleotides. Bonds of ligands and of residues without template have their own parameters. All other bonds are
+compared with the sum of covalent radii (Cordero et al., Dalton Trans. 2832, 2008).
+"""
+
+import gemmi
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.core.arrays import Floats, Integers, distance
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.model import Structure, of_atoms
+from protochain.structure.templates import DNA, PHOSPHATES, PROTEIN, RNA
+from protochain.validation.strain import norms
+
+WINDOW = 0.03
+"""nm from the reference, 11 thermal standard deviations of a C-H bond. Hydrogens of sound files are up to
+0.024 farther away (OpenMM's Modeller), bonds of DNA in crystals are off by up to 0.011."""
+_LONG, _SHORT = 0.045, 0.65
+"""Limits of bonds to hydrogen and of bonds that the force field does not have: nm beyond the reference of
+fixed molecules, a little more than the reader's limit of a bond; share of the reference that is too short.
+By convention hydrogens of files are nearer: C-H 0.93 angstrom for 1.09 (X-ray), S-H 0.96 for 1.34 (NMR)."""
+_FILES = (PROTEIN, PHOSPHATES["amber14"], DNA, RNA)
+
+
+def wrong_bonds(structure: Structure, x: Floats) -> Integers:
+    """(n, 2) int: covalent bonds off their reference by 0.3 angstrom, or to hydrogen too short by a third."""
+    bonds, _, lower, upper = _references(structure)
+    length = distance(*x[bonds.T])
+    return np.asarray(bonds[(length < lower) | (length > upper)])
+
+
+def bond_lines(structure: Structure, x: Floats, bonds: Integers) -> list[str]:
+    """Describe bonds (n, 2) by their lengths: ``CD1 of A:ILE13 to HD11, 10.33 angstrom long, not 1.09``."""
+    known, reference, _, _ = _references(structure)
+    usual = {tuple(atoms): length for atoms, length in zip(known.tolist(), reference.tolist(), strict=True)}
+    lines, of = [], structure.atom_residue
+    for (i, j), length in zip(bonds.tolist(), distance(*x[bonds.T]).tolist(), strict=True):
+        first, second = structure.atom(i), structure.atom(j)
+        other = "" if of[i] == of[j] else f" of {second.residue.label}"
+        sizes = f"{ANGSTROM_PER_NM * length:.2f} angstrom long, not {ANGSTROM_PER_NM * usual[i, j]:.2f}"
+        lines.append(f"{first.name} of {first.residue.label} to {second.name}{other}, {sizes}")
+    return lines
+
+
+@of_atoms
+def _references(structure: Structure) -> tuple[Integers, Floats, Floats, Floats]:
+    """Bonds (n, 2) without metals, their reference lengths and bounds (n,), nm."""
+    bonds = structure.bonds[~metals(structure)[structure.bonds].any(axis=1)]
+    length = norms(structure, bonds, *_FILES)[:, 0]
+    # A molecule with parameters of its own is not described by the names of its residue.
+    key = bonds @ [structure.n_atoms, 1]
+    order = np.argsort(key)
+    for molecule in (*structure.ligands, *structure.fragments):
+        term = molecule.ligand.parameters.bonds
+        pairs = np.sort(molecule.atoms[term.atoms], axis=1)
+        wanted = pairs @ [structure.n_atoms, 1]
+        place = order[np.minimum(np.searchsorted(key, wanted, sorter=order), len(key) - 1)]
+        is_bond = (key[place] == wanted) & (pairs >= 0).all(axis=1)
+        length[place[is_bond]] = term.parameters[is_bond, 0]
+    reach = covalent_radii(structure)[bonds].sum(axis=1) / ANGSTROM_PER_NM
+    loose = np.isnan(length) | (structure.atom_element[bonds] == "H").any(axis=1)
+    slack = np.where(loose & structure.obstacle[bonds].all(axis=1), _LONG, WINDOW)
+    length = np.where(np.isnan(length), reach, length)
+    return bonds, length, np.where(loose, _SHORT * length, length - WINDOW), length + slack
+
+
+@of_atoms
+def covalent_radii(structure: Structure) -> Floats:
+    """(na,) float, angstrom: covalent radii."""
+    return np.array([gemmi.Element(str(symbol)).covalent_r for symbol in structure.atom_element])
+
+
+@of_atoms
+def metals(structure: Structure) -> NDArray[np.bool_]:
+    """(na,) bool: metals."""
+    symbols = np.unique(structure.atom_element)
+    return np.isin(structure.atom_element, [each for each in symbols if gemmi.Element(str(each)).is_metal])
