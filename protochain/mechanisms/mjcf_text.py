@@ -215,7 +215,7 @@ class _Writing:
             f"site{k + 1}": self.write_site(f"{of.name}: {'ab'[k]}", *end, axes)
             for k, (end, axes) in enumerate(((of.a, turn), (of.b, np.eye(3))))
         }
-        SubElement(self.group("equality"), _LOOPS[of.kind], name=of.name, **sites)
+        SubElement(self.group("equality"), _LOOPS[of.kind], {"name": of.name, **sites})
 
     def write_bushing(self, of: Bushing) -> None:
         """Write spring and damper of a ball, or of a free body."""
