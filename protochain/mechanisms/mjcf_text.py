@@ -184,7 +184,7 @@ class _Writing:
         limits = np.array([of.low, of.high]) * self.bodies.unit(of.hinge)
         self.joints[of.hinge].set("range", _text(limits))
 
-    def write_site(self, name: str, body: str, at: Floats, turn: Floats) -> str:
+    def write_site(self, name: str, body: str, at: Any, turn: Floats) -> str:
         """Write a point of a body, with axes as columns; return its name."""
         SubElement(self.elements[body], "site", name=name, pos=_text(at), quat=_text(quaternion(turn)))
         return name
