@@ -184,7 +184,7 @@ class _Writing:
         limits = np.array([of.low, of.high]) * self.bodies.unit(of.hinge)
         self.joints[of.hinge].set("range", _text(limits))
 
-    def write_site(self, name: str, body: str, at: Floats, turn: Floats) -> str:
+    def write_site(self, name: str, body: str, at: Any, turn: Floats) -> str:
         """Write a point of a body, with axes as columns; return its name."""
         SubElement(self.elements[body], "site", name=name, pos=_text(at), quat=_text(quaternion(turn)))
         return name
@@ -215,7 +215,7 @@ class _Writing:
             f"site{k + 1}": self.write_site(f"{of.name}: {'ab'[k]}", *end, axes)
             for k, (end, axes) in enumerate(((of.a, turn), (of.b, np.eye(3))))
         }
-        SubElement(self.group("equality"), _LOOPS[of.kind], name=of.name, **sites)
+        SubElement(self.group("equality"), _LOOPS[of.kind], {"name": of.name, **sites})
 
     def write_bushing(self, of: Bushing) -> None:
         """Write spring and damper of a ball, or of a free body."""

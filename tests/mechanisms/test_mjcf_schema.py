@@ -163,6 +163,12 @@ TESTED_BELOW = {
 DEFAULTS = {"default/joint": "worldbody/body/joint", "default/geom": "worldbody/body/geom"}
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(tmp_path, monkeypatch):
+    """MuJoCo writes its warnings to a file where it runs."""
+    monkeypatch.chdir(tmp_path)
+
+
 def schema():
     """Yield elements, as paths from the root, with their attributes."""
     path, attributes = [], {}
