@@ -1,9 +1,4 @@
-"""``mutate``: residues in place of others, side chains near them rebuilt and relaxed, and what that costs.
-
-Both sides of a mutation are the same function of the backbone and of the atoms farther away: side chains near
-the site are removed, built on rotamers and minimised, and the backbone stays. So a mutation to the residue
-itself costs exactly 0, and a mutation and its reverse cost the same with opposite signs.
-"""
+"""``mutate``: residues in place of others, with both sides a function of the fixed atoms alone."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -95,10 +90,7 @@ class Mutation(Value):
 
     @property
     def ddg(self) -> float | None:
-        """Change of energy beyond that of pentapeptides, kJ/mol, positive for a less stable mutant.
-
-        It is an energy difference of minimised structures, not a free energy.
-        """
+        """Change of energy beyond that of pentapeptides, kJ/mol, above 0 if less stable; no free energy."""
         return None if self.unfolded is None else self.change - self.unfolded
 
     @property
@@ -228,8 +220,7 @@ def mutated(
     began = perf_counter()
     # A mutation to the residue itself asks for no other protonation state.
     new = {r: name for r, name in names.items() if name != structure.residue_name[r]}
-    near = _near(structure, [*names])
-    states = {r: state for r in near if (state := _rebuildable(structure, r))}
+    states = _near(structure, [*names])
     # Both sides choose the tautomer that the surroundings favour: a histidine may come back as the other.
     states |= {r: "HIS" for r in names if states.get(r) in ("HID", "HIE")}
     while True:
@@ -239,7 +230,8 @@ def mutated(
         changed = {r for r in states if r not in names and any(_state(s, r) != states[r] for s in sides)}
         if not changed:
             break
-        near, states = [r for r in near if r not in changed], {r: states[r] for r in {*states} - changed}
+        states = {r: states[r] for r in {*states} - changed}
+    near = sorted({*states, *names})
     keys = [(*near, *sorted(each.items())) for each in built]
     for key, side in zip(keys, sides, strict=True):
         if key not in known:
@@ -260,27 +252,27 @@ def told(structure: Structure, r: int, name: str) -> str:
     return f"{its.chain}:{STANDARD[str(structure.residue_name[r])]}{its.number}{STANDARD[name]}"
 
 
-def _near(structure: Structure, residues: Sequence[int]) -> list[int]:
-    """Residues to mutate, and those with C-betas near: by the backbone alone, the same on both sides."""
+def _near(structure: Structure, residues: Sequence[int]) -> dict[int, str]:
+    """States of the residues to rebuild: with C-betas near, by the backbone alone, as on the other side."""
     atoms = layout(structure).atoms("N", "CA", "C")
     (found,) = np.nonzero((atoms != NONE).all(axis=1))
     n, alpha, c = ANGSTROM_PER_NM * structure.positions[atoms[found].T]
     turn = np.where(structure.mirrored[found], -1.0, 1.0) * _BETA[2]
     betas = placed(n, c, alpha, _BETA[0], _BETA[1], turn)
     apart = KDTree(betas[np.isin(found, residues)]).query(betas)[0]
-    chosen = {r for r in found[apart <= NEAR].tolist() if _rebuildable(structure, r)}
-    return sorted(chosen | {*residues})
+    return {r: state for r in found[apart <= NEAR].tolist() if (state := _rebuildable(structure, r))}
 
 
 def _rebuildable(structure: Structure, r: int) -> str:
     """State of a standard residue whose side chain has no bonds or ties to others; empty for the rest."""
-    (atoms,) = np.nonzero(structure.atom_residue == r)
-    side = set(atoms[~np.isin(structure.atom_name[atoms], _BACKBONE)].tolist())
-    joined = [k for tie in structure.ties for k in tie.atoms]
-    joined += [k for k in side for other in structure.neighbours[k] if structure.atom_residue[other] != r]
-    state = "" if structure.kept[atoms].any() or side & {*joined} else _state(structure, r)
-    is_standard = structure.residue_name[r] in (D_NAMES if structure.mirrored[r] else STANDARD)
-    return state if is_standard and (state in D_NAMES or not structure.mirrored[r]) else ""
+    name, state, of = structure.residue_name[r], _state(structure, r), structure.atom_residue
+    side = np.flatnonzero((of == r) & ~np.isin(structure.atom_name, _BACKBONE)).tolist()
+    tied = {k for tie in structure.ties for k in tie.atoms}
+    if tied & {*side} or any(of[other] != r for k in side for other in structure.neighbours[k]):
+        return ""
+    return (
+        state if {name, state} <= D_NAMES.keys() or (name in STANDARD and not structure.mirrored[r]) else ""
+    )
 
 
 def _settled(structure: Structure, near: Sequence[int], relaxing: RelaxSettings, setup: Setup) -> Relaxation:
@@ -292,8 +284,8 @@ def _settled(structure: Structure, near: Sequence[int], relaxing: RelaxSettings,
 
 def _selected(structure: Structure, residues: Sequence[int]) -> str:
     """Selection of the side chains and the hydrogens of residues."""
-    of_side = np.isin(structure.atom_residue, residues) & ~np.isin(structure.atom_name, _BACKBONE)
-    atoms = np.flatnonzero(of_side)
+    of_backbone = np.isin(structure.atom_name, _BACKBONE)
+    atoms = np.flatnonzero(np.isin(structure.atom_residue, residues) & ~of_backbone)
     ends = np.flatnonzero(np.diff(atoms, prepend=-2, append=structure.n_atoms + 1) != 1)
     runs = zip(atoms[ends[:-1]], atoms[ends[1:] - 1], strict=True)
     return "index " + " ".join(f"{first}:{last}" for first, last in runs)
