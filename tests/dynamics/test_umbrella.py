@@ -155,3 +155,11 @@ def test_distances_are_not_negative():
     spring = pc.Restraint("distance", ("A:1:CA", "A:2:CA"), 0, 0)
     with pytest.raises(pc.ProtochainError, match="centres -1: give distances of 0 or more"):
         pc.umbrella(c, pc.energy(c), spring, [-1.0, 2.0])
+
+
+@pytest.mark.parametrize("option", ["q", "restraint", "watch"])
+def test_what_the_windows_set_is_refused(option):
+    c = pc.build_chain(pc.from_sequence("AA"), "phi")
+    spring = pc.Restraint("dihedral", ("phi A:2",), 0, 0)
+    with pytest.raises(pc.ProtochainError, match=f"umbrella: {option} is set by the windows"):
+        pc.umbrella(c, pc.energy(c), spring, [-60.0, -40.0], **{option: None})
