@@ -49,9 +49,8 @@ class Parameters(Value):
 def terms(parameters: Parameters, x: Floats) -> dict[str, float]:
     """Energies at positions: x (na, 3) nm."""
     function = Function(parameters)
-    i, j = function.pairs
     with np.errstate(all="ignore"):
-        coulomb = float(np.sum(function.charges / np.linalg.norm(x[i] - x[j], axis=1)))
+        coulomb = float(np.sum(function.charges / np.linalg.norm(function.incidence @ x, axis=1)))
         return function(x)[0] | {"coulomb": coulomb}
 
 
@@ -61,14 +60,13 @@ class Function:
     def __init__(self, parameters: Parameters) -> None:
         self.of = parameters
         pairs, lj, coulomb = parameters.pairs()
-        self.pairs = one, other = pairs.T
+        one, other = pairs.T
         self.sigma = 0.5 * (parameters.sigma[one] + parameters.sigma[other])
         self.well = lj * np.sqrt(parameters.epsilon[one] * parameters.epsilon[other])
         self.charges = coulomb * COULOMB * parameters.charge[one] * parameters.charge[other]
         # A row per pair, 1 and -1, since scattering by index costs ten times as much as this product.
-        m = len(pairs)
-        rows = np.tile([1.0, -1.0], m), pairs.ravel(), np.arange(0, 2 * m + 1, 2)
-        self.incidence = csr_array(rows, shape=(m, len(parameters.charge)))
+        rows = np.tile([1.0, -1.0], len(pairs)), pairs.ravel(), 2 * np.arange(len(pairs) + 1)
+        self.incidence = csr_array(rows, shape=(len(pairs), len(parameters.charge)))
         self.scatter = self.incidence.T.tocsr()
 
     def __call__(self, x: Floats) -> tuple[dict[str, float], Floats]:

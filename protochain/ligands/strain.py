@@ -13,7 +13,8 @@ from threadpoolctl import threadpool_limits
 from protochain.core.arrays import Floats, Integers
 from protochain.ligands.energy import Function, Parameters
 
-_MOST_EVALUATIONS = 20000
+_MOST = 20000
+"""Iterations and evaluations."""
 _TOLERANCE = 1e-3
 """kJ/mol/nm of the largest gradient component. The energy is then within 1e-8 kJ/mol of the minimum."""
 _UNIT = 0.01
@@ -41,15 +42,15 @@ def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]
     def value(scaled: Floats) -> tuple[float, Floats]:
         at = x.copy()
         at[moving] = _UNIT * scaled.reshape(-1, 3)
-        energy, gradient = _summed(function, at)
+        terms, gradient = function(at)
+        energy = sum(terms.values())
         return (energy, _UNIT * gradient[moving].ravel()) if np.isfinite(energy) else (1e300, 0.0 * scaled)
 
     # An end by the change of the energy would depend on round-off, so only the gradient ends it.
-    most = {"maxiter": _MOST_EVALUATIONS, "maxfun": _MOST_EVALUATIONS, "maxcor": 20}
     with np.errstate(all="ignore"), threadpool_limits(1, "blas"):
         found = minimize(
             value, x[moving].ravel() / _UNIT, jac=True, method="L-BFGS-B",
-            options={"gtol": _UNIT * _TOLERANCE, "ftol": 0.0} | most,
+            options={"gtol": _UNIT * _TOLERANCE, "ftol": 0, "maxiter": _MOST, "maxfun": _MOST, "maxcor": 20},
         )  # fmt: skip
     at = x.copy()
     at[moving] = _UNIT * found.x.reshape(-1, 3)
@@ -58,9 +59,5 @@ def nearest_minimum(parameters: Parameters, x: Floats, moving: NDArray[np.bool_]
 
 def energy_and_gradient(parameters: Parameters, x: Floats) -> tuple[float, Floats]:
     """Return the energy (kJ/mol) that strain is about and its gradient (na, 3), kJ/mol/nm."""
-    return _summed(Function(parameters), x)
-
-
-def _summed(function: Function, x: Floats) -> tuple[float, Floats]:
-    terms, gradient = function(x)
+    terms, gradient = Function(parameters)(x)
     return sum(terms.values()), gradient
