@@ -346,10 +346,10 @@ def test_rosenbrock_may_lose_a_thousandth_of_the_energy_that_flows():
     allowed = 1e-3 * (16.0 + 0.5 * 2.0 * G + abs(work))
     for part in (0.99, 1.02, -0.99, -1.02):
         with pytest.raises(StepTooLargeError) if abs(part) > 1.0 else nullcontext():
-            _check_balance(system, at, replace(after, work=at.work + work + part * allowed), 0.0)
+            _check_balance(system, at, replace(after, work=at.work + work + part * allowed), np.zeros(1))
 
 
-@pytest.mark.parametrize("part", [0.95, 1.05])
+@pytest.mark.parametrize("part", [0.95, 1e4])
 def test_rosenbrock_damps_at_once_what_creeps(part):
     """By its rational function, if what it loses has less energy than the tolerance, moved in a step."""
     h, damping, tolerance = 0.1, 1e4, 0.01

@@ -112,7 +112,7 @@ def made(record: pd.DataFrame) -> str:
     folders = ("results", "docs", "notebooks", "scenes")
     lines = ["| table | command | commit | machine | threads | load |", "|---|---|---|---|--:|--:|"]
     for r in record.itertuples():
-        folder = next(name for name in folders if (RESULTS.parent / name / r.table).exists())
+        folder = next((name for name in folders if (RESULTS.parent / name / r.table).exists()), folders[0])
         name = f"[{r.table}](../../{folder}/{r.table})"
         cells = (name, f"`{r.command}`", r.commit, r.machine, r.threads, r.load)
         lines.append(f"| {' | '.join(cells)} |")

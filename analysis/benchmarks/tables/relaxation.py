@@ -155,15 +155,6 @@ table_of_rows(
 )  # fmt: skip
 
 
-table_of_rows(
-    "ddg-antisymmetry", "ddg_antisymmetry.csv",
-    ("", lambda r: _PROGRAMS[r["program"]]), ("pairs", "{pairs}"),
-    ("correlation of the two", "{correlation:.2f}"), ("bias", "{bias:.1f}"),
-    ("sum, median", "{sum_median:.1f}"), ("direct and measured, correlation", "{measured_direct:.2f}"),
-    ("reverse and measured", "{measured_reverse:.2f}"),
-)  # fmt: skip
-
-
 @table("ddg-words", "ddg.csv")
 def ddg_words(rows: pd.DataFrame) -> str:
     """What is not in the table, and how long it took."""
