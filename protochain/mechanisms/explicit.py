@@ -350,8 +350,8 @@ def _hold(
     m, gap = len(body), 0.0
     error, rows = np.empty(m), np.zeros((m, 2, 6))
     put_rows(rotation, origin, body, turns, point, along, error, rows)
-    scales, coefficients, order = factor_loops_at(
-        links, bodies, rotation, origin, gain, pivot, root, body, rows, size, -1
+    scales, coefficients, order, _ = factor_loops_at(
+        links, bodies, rotation, origin, gain, pivot, root, body, rows, size
     )
     for k in range(m):
         gap = max(gap, abs(error[k]) / (1.0 if turns[k] else size))

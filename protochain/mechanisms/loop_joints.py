@@ -96,6 +96,8 @@ class FactoredLoops:
     # (m, r): Y = C Q, with r orthonormal rows Q; the rows ``order`` (r,) of C are lower triangular.
     coefficients: Floats
     order: Integers
+    lengths: Floats  # (m,): Lengths of rows, by what they could be.
+    rank: int | None  # As of :class:`LoopJoints`.
 
     def rates(self, qd: Floats) -> Floats:
         """(m,) float: rates of the errors at velocities (n_v,)."""
@@ -105,8 +107,13 @@ class FactoredLoops:
 
     def impulses(self, wanted: Floats) -> Floats:
         """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted."""
-        found: Floats = least_impulses(self.scales, self.coefficients, self.order, wanted)
-        return found
+        if self.rank is None:
+            found: Floats = least_impulses(self.scales, self.coefficients, self.order, wanted)
+            return found
+        # Of a matrix of the rank of closed loops, which counts what an equation changes by what it could.
+        scales, weighted = self.scales * self.lengths, self.coefficients * self.lengths[:, None]
+        left, sizes, _ = (part[..., : self.rank] for part in np.linalg.svd(weighted))
+        return np.asarray(scales * (left @ (left.T @ (scales * wanted) / sizes**2)))
 
     def wrenches(self, impulses: Floats) -> Floats:
         """Impulses of the joints (m,) as those on the bodies, (nb, 6)."""
@@ -128,19 +135,19 @@ def factor_loops(factors: Articulated, joints: LoopJoints) -> FactoredLoops:
     error, rows = joints.rows(frames)
     found = factor_loops_at(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot,
-        factors.root, rows.body, rows.wrench, tree.size, -1 if joints.rank is None else joints.rank,
+        factors.root, rows.body, rows.wrench, tree.size,
     )  # fmt: skip
-    return FactoredLoops(factors, error, rows, *found)
+    return FactoredLoops(factors, error, rows, *found, joints.rank)
 
 
 @kernel
 def factor_loops_at(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, gain: Floats, pivot: Floats,
-    root: Floats, body: Integers, wrench: Floats, size: float, rank: int,
-) -> tuple[Floats, Floats, Integers]:  # fmt: skip
-    """Scales, coefficients and order of :class:`FactoredLoops`, of at most ``rank`` independent equations."""
+    root: Floats, body: Integers, wrench: Floats, size: float,
+) -> tuple[Floats, Floats, Integers, Floats]:  # fmt: skip
+    """Scales, coefficients, order and lengths of :class:`FactoredLoops`."""
     m, n_v = len(body), links[-1, V]
-    y, scales, least = np.zeros((m, n_v)), np.zeros(m), np.zeros(m)
+    y, scales, lengths = np.zeros((m, n_v)), np.zeros(m), np.zeros(m)
     for i in range(m):
         # The square of the largest length that y could have decides what is rounding. Loads of the two bodies
         # pass inward one after the other: those of bodies that are fixed to each other cancel.
@@ -172,24 +179,24 @@ def factor_loops_at(
                 b = p
         length = np.sqrt(np.dot(y[i], y[i]))
         if length > DEPENDENT * np.sqrt(most):
-            scales[i], least[i] = 1.0 / length, DEPENDENT * np.sqrt(most) / length
+            scales[i], lengths[i] = 1.0 / length, length / np.sqrt(most)
         y[i] *= scales[i]
-    coefficients, order = _orthonormalise(y, least, rank if rank >= 0 else min(m, n_v))
-    return scales, coefficients, order
+    coefficients, order = _orthonormalise(y, lengths)
+    return scales, coefficients, order, lengths
 
 
 @kernel
-def _orthonormalise(y: Floats, least: Floats, rank: int) -> tuple[Floats, Integers]:
+def _orthonormalise(y: Floats, lengths: Floats) -> tuple[Floats, Integers]:
     """Coefficients (m, r) of unit rows y by orthonormal ones, and the rows (r,) that gave these."""
     # Modified Gram-Schmidt with pivoting (Bjorck, Numerical Methods for Least Squares Problems, 1996, 2.4).
-    # Next is the row whose rest exceeds its rounding, ``least``, by the largest factor.
-    m = len(y)
-    coefficients, order, left = np.zeros((m, rank)), np.empty(rank, np.int64), np.sqrt(np.sum(y * y, axis=1))
-    for r in range(rank):
-        best, largest = -1, 1.0
+    # Next is the row whose rest exceeds its rounding, an inverse length, by the largest factor.
+    m, most = len(y), min(y.shape)
+    coefficients, order, left = np.zeros((m, most)), np.empty(most, np.int64), np.sqrt(np.sum(y * y, axis=1))
+    for r in range(most):
+        best, largest = -1, DEPENDENT
         for i in range(m):
-            if left[i] > largest * least[i]:
-                best, largest = i, left[i] / least[i]
+            if left[i] * lengths[i] > largest:
+                best, largest = i, left[i] * lengths[i]
         if best < 0:
             return coefficients[:, :r].copy(), order[:r]
         unit = y[best] / left[best]
@@ -199,7 +206,7 @@ def _orthonormalise(y: Floats, least: Floats, rank: int) -> tuple[Floats, Intege
                 coefficients[i, r] = np.dot(y[i], unit)
                 y[i] -= coefficients[i, r] * unit
                 left[i] = np.sqrt(np.dot(y[i], y[i]))
-                if left[i] <= least[i]:
+                if left[i] * lengths[i] <= DEPENDENT:
                     left[i] = 0.0
     return coefficients, order
 

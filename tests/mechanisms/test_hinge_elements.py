@@ -7,9 +7,10 @@ from scipy.spatial.transform import Rotation
 
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
-from protochain.mechanics.motion import DormandPrince
+from protochain.mechanics.motion import DormandPrince, ImplicitMidpoint, RungeKutta4, StepTooLargeError
 from protochain.mechanisms import (
     Mechanism,
+    Rosenbrock,
     frequencies,
     linearise,
     state_matrix,
@@ -258,3 +259,79 @@ def test_a_cart_with_a_pendulum_has_the_matrices_of_text_books(upright):
     assert np.allclose(c, [[1, sign * length, 0, 0], [0, 0, 0, 1], want_a[2]], atol=NUDGED)
     assert np.allclose(d, [[0, 0], [0, 0], inverse[0]], atol=NUDGED)
     assert len(frequencies(model)) == (1 if upright else 2)
+
+
+# --- Rest and creeping
+
+
+def held_block(qd=0.0, speed=1e-4):
+    """A block of 2 kg on a slide 20 degrees down, which friction holds: it creeps at 0.92 of a speed."""
+    angle = np.radians(20.0)
+    m = Mechanism(gravity=(0, 0, -9.81))
+    m.body("block", 2.0, inertia=0.01)
+    m.hinge("slope", "world", "block", "prismatic", axis=(np.cos(angle), 0, -np.sin(angle)), qd=qd)
+    m.friction("rub", "slope", coefficient=0.5, speed=speed)
+    return m.build(), speed * np.arctanh(np.tan(angle) / 0.5)
+
+
+ADAPTIVE = [DormandPrince(1e-5), DormandPrince(), Rosenbrock(1e-4), Rosenbrock()]
+
+
+@pytest.mark.parametrize("integrator", ADAPTIVE)
+@pytest.mark.parametrize("qd", [0.0, 1e-4])
+def test_a_block_that_creeps_down_a_slope_is_followed_within_the_tolerance(integrator, qd):
+    """Of a balance of energy, what forces do in displacements below the tolerance is no loss."""
+    model, creeping = held_block(qd)
+    run = model.simulate(0.02, 0.01, integrator)
+    # An error of a tolerance for each step, in sizes of the tree; of the speed, of one step.
+    wrong = 10.0 * integrator.tolerance * model.tree.size
+    assert abs(run.q[-1, 0] - creeping * 0.02) < creeping * 1e-3 + 2 * wrong + 2e-5 * abs(qd - creeping)
+    assert abs(run.qd[-1, 0] - creeping) < 1e-3 * creeping + wrong / 0.01
+
+
+def test_what_a_time_step_does_not_resolve_is_refused_at_a_slope_too():
+    """The friction settles in 20 microseconds."""
+    model, _ = held_block()
+    with pytest.raises(StepTooLargeError, match="energy has changed"):
+        model.simulate(1.0, 0.01)
+
+
+def hung(q=0.0, damping=0.0):
+    m = Mechanism(gravity=(0, 0, -9.81))
+    m.body("bob", 1.0, com=(0, 0, -1.0))
+    m.hinge("pin", "world", "bob", axis=(0, 1, 0), q=q)
+    if damping:
+        m.torsion("slow", "pin", damping=damping)
+    return m.build()
+
+
+def on_a_spring():
+    m = Mechanism(gravity=(0, 0, -9.81))
+    m.body("mass", 1.0)
+    m.hinge("slide", "world", "mass", "prismatic", axis=(0, 0, 1), q=-9.81 / 70.0)
+    m.torsion("spring", "slide", stiffness=70.0)
+    return m.build()
+
+
+def seesaw():
+    """A board with loads on both sides, whose moments cancel but for rounding."""
+    m = Mechanism(gravity=(0, 0, -9.81))
+    m.body("board", 5.0, inertia=1.0, com=(0, 0, -0.01))
+    m.hinge("pin", "world", "board", axis=(0, 1, 0))
+    for name, at, mass in (("light", -1.5, 20.0), ("heavy", 0.3, 100.0)):
+        m.body(name, mass, inertia=0.1)
+        m.hinge(name, "board", name, "fixed", at=(at, 0, -0.1))
+    return m.build()
+
+
+AT_REST = {"hung": hung, "nearly": lambda: hung(1e-9), "damped": lambda: hung(1e-6, 0.5),
+           "spring": on_a_spring, "seesaw": seesaw}  # fmt: skip
+
+
+@pytest.mark.parametrize("made", AT_REST.values(), ids=AT_REST)
+@pytest.mark.parametrize("integrator", [RungeKutta4(), *ADAPTIVE, ImplicitMidpoint()])
+def test_what_is_at_rest_stays_there_with_any_integrator(made, integrator):
+    model = made()
+    run = model.simulate(0.5, 0.01, integrator)
+    assert np.max(np.abs(run.q)) <= np.max(np.abs(model.q)) + 1e-12
+    assert run.audit().energy < 1e-3
