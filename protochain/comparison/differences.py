@@ -275,7 +275,7 @@ def _hydrogen_bonds(s: Structure) -> set[tuple[Any, ...]]:
 
 def _end(s: Structure, residue: int, name: list[Any]) -> str:
     """An atom of a residue, or the residue if no name is there."""
-    return str(Atom(*name, s.residue(residue)) if name else s.residue(residue))
+    return str(Atom(name[0], s.residue(residue)) if name else s.residue(residue))
 
 
 def _contacts_kept(first: Structure, second: Structure, found: Match) -> float:

@@ -186,7 +186,8 @@ def _violations(structure: Structure, x: Floats) -> Violations:
     concerned = np.zeros(structure.n_residues, dtype=bool)
     for atoms in found:
         concerned[structure.atom_residue[atoms]] = True
-    return Violations(*found, read_only(concerned, np.bool_))
+    bonds, ca_c_n, c_n_ca, clashes, within, covalent = found
+    return Violations(bonds, ca_c_n, c_n_ca, clashes, within, covalent, read_only(concerned, np.bool_))
 
 
 def _connections(structure: Structure, x: Floats) -> tuple[Integers, Integers, Integers]:
