@@ -35,6 +35,5 @@ def minimised_first(
     if done.status == "interrupted":
         raise KeyboardInterrupt
     energies = f"{done.start.energy:.1f} -> {done.end.energy:.1f} kJ/mol"
-    if done.restraints is not None:
-        energies += ", restraints {:.1f} -> {:.1f} kJ/mol".format(*done.restraints)
+    energies += ", restraints {:.1f} -> {:.1f}".format(*done.restraints) if done.restraints else ""
     return done, f"minimised first: {energies}, C-alpha RMSD {done.ca_rmsd_angstrom:.2f} angstrom"

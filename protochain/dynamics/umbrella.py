@@ -89,16 +89,13 @@ def umbrella(
     q, x, counts = None, list[Any](), list[int]()
     for window in windows:
         rows = list[Any]()
-        done = simulate(
-            cut, energy, q, temperature, restraint=window, watch=partial(_append, rows), **options
-        )
+        watch = partial(_append, rows)
+        done = simulate(cut, energy, q, temperature, restraint=window, watch=watch, **options)
         if not done.is_sound:
             raise ProtochainError(f"umbrella: window {window}: {done.message}")
         if len(rows) < n_equilibrate + 2:
             few = f"umbrella: window {window}: {len(rows)} rows, of which {n_equilibrate} are skipped; "
-            raise ProtochainError(
-                few, "give more ", Argument("n_steps"), ", or fewer as ", Argument("n_equilibrate")
-            )
+            raise ProtochainError(few, "give more ", Argument("n_steps"))
         cut, q = done.chain, done.q
         x += rows[n_equilibrate:]
         counts.append(len(rows) - n_equilibrate)
@@ -111,17 +108,15 @@ def umbrella(
     bias = coordinate.stiffness / unit**2 / thermal_energy * harmonic * (away - 0.5 * harmonic)
     for window, part in zip(windows, np.split(values, np.cumsum(counts)[:-1]), strict=True):
         if np.ptp(part) == 0.0:
-            raise ProtochainError(
-                f"umbrella: window {window}: no hinge changes this {coordinate.kind}; open one"
-            )
+            raise ProtochainError(f"umbrella: window {window}: no hinge changes it; open one that does")
     # Rows of a dihedral go to the turn that begins at the first edge.
     values = bins[0] + (values - bins[0]) % 360.0 if turns else values
     of_bin = np.digitize(values, bins) - 1
     of_bin[of_bin == len(bins) - 1] = -1
     filled, samples = np.unique(of_bin[of_bin >= 0], return_counts=True)
     if not len(filled):
-        raise refused("edges", shown(bins.tolist()), f"no samples between them, but from {values.min():.4g} "
-                      f"to {values.max():.4g}")  # fmt: skip
+        reach = f"{values.min():.4g} to {values.max():.4g}"
+        raise refused("edges", shown(bins.tolist()), f"no samples between them, but from {reach}")
     with warnings.catch_warnings():
         # Its solvers warn of options of one another.
         warnings.simplefilter("ignore")
@@ -130,9 +125,8 @@ def umbrella(
     # The second eigenvalue of the overlap matrix is 1 if the windows form two groups (Klimovich, Shirts,
     # Mobley, J. Comput.-Aided Mol. Des. 29:397, 2015): no row then says how the groups compare.
     if len(x) * mbar.compute_overlap()["scalar"] < 1.0:
-        raise refused(
-            "centres", shown(at.tolist()), "the windows do not overlap; give more, or a softer spring"
-        )
+        remedy = "the windows do not overlap; give more, or a softer spring"
+        raise refused("centres", shown(at.tolist()), remedy)
     # Weights without a bias, by bin: equation 13 of Shirts and Chodera with u = 0.
     unbiased = np.asarray(mbar.Log_W_nk)[:, 0] + bias[0]
     weights = np.exp(unbiased - unbiased.max())[:, None] * (of_bin[:, None] == filled)

@@ -146,7 +146,7 @@ def test_windows_and_bins_that_give_no_free_energy_are_refused_in_one_line(
 def test_windows_need_rows_and_a_coordinate_that_changes(free_energy):
     with pytest.raises(pc.ProtochainError, match="1 rows, of which 0 are skipped; give more n_steps"):
         free_energy(flat, CENTRES, n=1)
-    with pytest.raises(pc.ProtochainError, match="no hinge changes this dihedral"):
+    with pytest.raises(pc.ProtochainError, match="no hinge changes it"):
         free_energy(flat, CENTRES, repeats=1.0)
 
 
