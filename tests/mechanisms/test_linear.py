@@ -75,12 +75,12 @@ def four_bar(m):
 
 
 def spatial_loop(m):
-    """A loop of ball joints and a universal one, of two rates."""
-    for k, (kind, qd) in enumerate((("ball", (1.0, 0.5, -2.0)), ("revolute", 0.0), ("ball", 0.0))):
+    """A loop of four ball joints, of which the rates of one are given."""
+    for k in range(3):
         m.body(f"l{k}", 1.0 + k, com=(0.4, 0.1, 0), inertia=(0.1, 0.2, 0.25))
-        at = (1.0 * (k > 0), 0, 0)
-        more = {"q": (0.2, 0.6, -0.4)} if kind == "ball" else {"axis": (0, 1, 2), "q": 0.5}
-        m.hinge(f"j{k}", f"l{k - 1}" if k else "world", f"l{k}", kind, at=at, qd=qd, **more)
+        bent, rate = (0.3 * k, 0.9 - k, 0.8), (1.0, 0.5, -2.0) if k == 0 else 0.0
+        at, ends = (1.0 * (k > 0), 0, 0), (f"l{k - 1}" if k else "world", f"l{k}")
+        m.hinge(f"j{k}", *ends, "ball", at=at, q=bent, qd=rate)
     end = m.build().state().point("l2", (1, 0, 0))
     m.close("end", ("l2", (1, 0, 0)), ("world", end), "spherical")
 
