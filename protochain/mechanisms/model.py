@@ -35,8 +35,7 @@ _MOST_ROWS = 1e7
 _MOST_STEPS = 1e10
 """Steps of a run: of ten microseconds at least, so that these take a day."""
 _TOLERATED = 30.0
-"""Displacements of a step that are errors, by the tolerance: that is of each substep, of which stiff motions take
-hundreds."""
+"""Displacements of a step that are errors, by the tolerance of each of its substeps."""
 _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
 
