@@ -43,7 +43,7 @@ def test_accelerations_with_loops_are_those_of_dense_algebra(seeds):
 
 
 def welded(kind=None, other=False):
-    """Two bodies on a pin, fixed to each other, and a joint between them; another from a third to the world."""
+    """Two bodies on a pin, fixed to each other, and a joint between them; another joint to the world."""
     at, place = np.array([0.1, 0.2, 0.3]), np.array([0.4, -0.3, 0.2])
     m = Mechanism(gravity=(0, 0, -9.81))
     m.body("a", 1.0, com=(0.3, 0, 0.1), inertia=0.05)
