@@ -27,6 +27,8 @@ _NOTHING = 1e-13
 """Square of a frequency, by that of the highest, which is rounding of the eigenvalues of K by M."""
 _RIGID = 1e-9
 """Square of a frequency, by that of the lowest, which is rounding of a motion that nothing resists."""
+_SYMMETRIC = 1e-9
+"""Of stiffnesses by differences: what is rounding between one and its transpose."""
 
 
 def state_matrix(model: Model, at: Phase | None = None) -> Floats:
@@ -230,45 +232,38 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
     """
     near = _Nearby.of(model, at)
     system, ways, start, k = model.system, near.ways, near.at, near.ways.shape[1]
-    if not k:
-        return np.zeros(0)
-    if np.any(near.turning):
+    if not k or np.any(near.turning):
         found = np.linalg.eigvals(state_matrix(model, at)).imag
         return np.sort(found[found > 0.0])
     qdd = system.accelerations(start.time, start.q, start.qd, start.torque, start.loads, start.factors)[0]
     mass = ways.T @ multibody.mass_matrix(model.tree, start.factors.frames) @ ways
-    stiffness = -near.slopes(lambda move, rate: near.lack(move, rate, qdd), 0)
-    conservative = not model.loads and model.drive is None and not np.any(start.qd)
-    if conservative:
-        stiffness, damping = 0.5 * (stiffness + stiffness.T), np.zeros((k, k))
-    else:
-        damping = -near.slopes(lambda move, rate: near.lack(move, rate, qdd), 1)
-    root = cholesky(mass, lower=True)
-    shift, factor = _shifted(mass, damping, stiffness, conservative)
-    # Rates of z = L_K^T x and L_M^T x', over the eigenvalue, less its shift.
+    stiffness, damping = (-near.slopes(lambda *to: near.lack(*to, qdd), kind) for kind in range(2))
+    skew = np.max(np.abs(stiffness - stiffness.T)) > _SYMMETRIC * np.max(np.abs(stiffness))
+    conservative = not (model.loads or np.any(start.qd) or skew)
+    root, (shift, factor) = cholesky(mass, lower=True), _shifted(mass, damping, stiffness)
+    # Rates of z = L_K^T x and L_M^T x', over the eigenvalue less its shift.
     across = solve_triangular(factor, root, lower=True)
     if conservative:
         squares = svdvals(across) ** -2.0 - shift**2
         return np.sort(np.sqrt(squares[squares > _RIGID * shift**2]))
     moved = damping + 2.0 * shift * mass
-    flexibility = np.linalg.inv(stiffness + shift * damping + shift**2 * mass)
-    first = factor.T @ flexibility @ solve_triangular(factor, moved.T, lower=True).T
-    inverse = np.block([[-first, -factor.T @ flexibility @ root], [across.T, np.zeros((k, k))]])
+    back = factor.T @ np.linalg.inv(stiffness + shift * damping + shift**2 * mass)
+    first = back @ solve_triangular(factor, moved.T, lower=True).T
+    inverse = np.block([[-first, -back @ root], [across.T, np.zeros((k, k))]])
     found = (1.0 / np.linalg.eigvals(inverse)).imag
     return np.sort(found[found > np.sqrt(_RIGID) * shift])
 
 
-def _shifted(mass: Floats, damping: Floats, stiffness: Floats, conservative: bool) -> tuple[float, Floats]:
-    """Shift s for which K + s C + s^2 M is positive definite, but for K + s^2 M, and Cholesky's factor."""
-    symmetric = 0.5 * (stiffness + stiffness.T)
-    squares = eigh(symmetric, mass, eigvals_only=True)
+def _shifted(mass: Floats, damping: Floats, stiffness: Floats) -> tuple[float, Floats]:
+    """Shift s, 0 if that will do, for which K + s C + s^2 M is positive definite, and Cholesky's factor."""
+    parts = [0.5 * (part + part.T) for part in (stiffness, damping, mass)]
+    squares = eigh(parts[0], mass, eigvals_only=True)
     counts = np.abs(squares) > _NOTHING * np.max(np.abs(squares))
-    shift, low = 0.0, squares[counts]
-    if not np.all(counts) or low[0] < 0.0:
-        shift = np.sqrt(max(-2.0 * low[0], np.min(np.abs(low)))) if len(low) else 1.0
+    low = squares[counts] if np.any(counts) else np.ones(1)
+    least = np.sqrt(max(-2.0 * low[0], np.min(np.abs(low))))
+    shift = 0.0 if np.all(counts) and low[0] > 0.0 else least
     while True:
-        added = shift**2 * mass + (0.0 if conservative else shift * 0.5 * (damping + damping.T))
         try:
-            return float(shift), cholesky(symmetric + added, lower=True)
+            return shift, cholesky(parts[0] + shift * parts[1] + shift**2 * parts[2], lower=True)
         except np.linalg.LinAlgError:
-            shift = 2.0 * shift if shift else np.sqrt(np.min(np.abs(squares[counts])))
+            shift = 2.0 * shift or least

@@ -163,7 +163,6 @@ def factor_loops_at(
                     solve_lower(root[links[b, Q] - k], 6, x)
                     y[i, k : k + 6] += x
                     most += np.dot(x, x)
-                along = 0.0
                 if width == 1:
                     axis = hinge_axis(rotation, b)
                     along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
@@ -174,6 +173,7 @@ def factor_loops_at(
                 p = links[b, PARENT]
                 if p >= 0:
                     moment = add(moment, cross(lever(origin, b, p), force))
+                if width == 1:
                     g, h = pair(gain, b)
                     moment, force = subtract(moment, scale(along, g)), subtract(force, scale(along, h))
                 b = p

@@ -35,8 +35,8 @@ _MOST_ROWS = 1e7
 """Rows of a run: of each some hundred bytes at least, and thousands with many bodies."""
 _MOST_STEPS = 1e10
 """Steps of a run: of ten microseconds at least, so that these take a day."""
-_TOLERATED = 10.0
-"""Displacements of a step that are errors, by the tolerance: it is that of each of several substeps."""
+_TOLERATED = 30.0
+"""Displacements of a step that are errors, by the tolerance of each of its substeps."""
 _SAME = 1e-9
 """Difference of times that is none, relative to the time step."""
 

@@ -75,12 +75,12 @@ def four_bar(m):
 
 
 def spatial_loop(m):
-    """A loop of ball joints and a universal one, of two rates."""
-    for k, (kind, qd) in enumerate((("ball", (1.0, 0.5, -2.0)), ("revolute", 0.0), ("ball", 0.0))):
+    """A loop of four ball joints, of which the rates of one are given."""
+    for k in range(3):
         m.body(f"l{k}", 1.0 + k, com=(0.4, 0.1, 0), inertia=(0.1, 0.2, 0.25))
-        at = (1.0 * (k > 0), 0, 0)
-        more = {"q": (0.2, 0.6, -0.4)} if kind == "ball" else {"axis": (0, 1, 2), "q": 0.5}
-        m.hinge(f"j{k}", f"l{k - 1}" if k else "world", f"l{k}", kind, at=at, qd=qd, **more)
+        bent, rate = (0.3 * k, 0.9 - k, 0.8), (1.0, 0.5, -2.0) if k == 0 else 0.0
+        at, ends = (1.0 * (k > 0), 0, 0), (f"l{k - 1}" if k else "world", f"l{k}")
+        m.hinge(f"j{k}", *ends, "ball", at=at, q=bent, qd=rate)
     end = m.build().state().point("l2", (1, 0, 0))
     m.close("end", ("l2", (1, 0, 0)), ("world", end), "spherical")
 
@@ -240,3 +240,45 @@ def test_frequencies_of_fine_beams_err_by_their_cells_alone(cells):
     # A turn and a slide have no frequency.
     assert len(free) == cells
     assert np.allclose(cells**4 * (1.0 - free[:3] / FREE[:3]), (0.3475, 2.638, 10.14), rtol=0.02)
+
+
+def clamped_at_both_ends(cells):
+    m = Mechanism()
+    beam = add_beam(m, "beam", BEAM, cells)
+    m.close("end", beam.tip, ("world", (1.0, 0, 0)), "rigid")
+    return m
+
+
+def rotor(cells):
+    m = Mechanism()
+    m.body("hub", 1.0, inertia=1.0)
+    m.hinge("spin", "world", "hub")
+    joint = {"kind": "fixed", "at": (0.1, 0, 0)}
+    add_beam(m, "beam", Beam(1.0, 1.0, (1.0, 2.0)), cells, "hub", joint, bends="yz")
+    m.drive("spin", lambda t: (5.0 * t, 5.0, 0.0))
+    return m
+
+
+def test_frequencies_of_a_beam_in_a_loop_and_of_a_damped_one():
+    """Both ends clamped have the wave numbers of both free; stiffness times a time damps mode by mode."""
+    found = frequencies(clamped_at_both_ends(128).build())
+    assert len(found) == 126
+    assert np.allclose(128**2 * (found[:3] / FREE[:3] - 1.0), (1.549, 2.620, 3.666), rtol=1e-3)
+    undamped = frequencies(cantilever(128).build())[:3]
+    time = 0.02 / undamped[0]
+    damped = frequencies(cantilever(128, damping=time).build())
+    assert np.allclose(damped[:3], undamped * np.sqrt(1.0 - (0.5 * time * undamped) ** 2), rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "made",
+    [cantilever(8, gravity=(0, -9.81, 0)), cantilever(8, damping=0.01, gravity=(0, -9.81, 0)),
+     cantilever(8, gravity=(-30.0, 0, 0)), floating(8), clamped_at_both_ends(8), rotor(6)],
+)  # fmt: skip
+def test_frequencies_of_coarse_beams_are_those_of_the_state_matrix(made):
+    """Of one that falls, is damped, buckles, floats, is in a loop and rotates."""
+    model = made.build()
+    wanted = np.linalg.eigvals(state_matrix(model)).imag
+    # Motions that nothing resists, and those by rounding.
+    wanted = np.sort(wanted[wanted > 1e-3])
+    assert np.allclose(frequencies(model), wanted, rtol=1e-7)

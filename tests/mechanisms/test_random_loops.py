@@ -1,5 +1,7 @@
 """Accelerations of random mechanisms with loops against dense algebra: redundant loops, fixed bodies."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fixtures.random_loops import (
@@ -12,6 +14,7 @@ from fixtures.random_loops import (
 from fixtures.tolerances import LOOPED
 from scipy.spatial.transform import Rotation
 
+from protochain.mechanics.multibody import HingeKind
 from protochain.mechanisms import Mechanism
 from protochain.mechanisms.loop_joints import factor_loops
 
@@ -39,8 +42,8 @@ def test_accelerations_with_loops_are_those_of_dense_algebra(seeds):
     assert not wrong
 
 
-def welded(kind=None, more=()):
-    """Two bodies on a pin, fixed to each other, and a joint between them; ``more`` joints of a third body."""
+def welded(kind=None, other=False):
+    """Two bodies on a pin, fixed to each other, and a joint between them; another joint to the world."""
     at, place = np.array([0.1, 0.2, 0.3]), np.array([0.4, -0.3, 0.2])
     m = Mechanism(gravity=(0, 0, -9.81))
     m.body("a", 1.0, com=(0.3, 0, 0.1), inertia=0.05)
@@ -52,6 +55,9 @@ def welded(kind=None, more=()):
     if kind:
         inward = {"axis_b": TURN.T @ np.cross((0.2, 0.5, 1.0), (1, 0, 0))} if kind == "universal" else {}
         m.close("again", ("a", place), ("b", TURN.T @ (place - at)), kind, axis=(0.2, 0.5, 1.0), **inward)
+    if other:
+        m._hinges["pin"].fix(qd=0.0)
+        m.close("held", ("c", (0.1, 0, 0)), ("world", m.build().state().point("c", (0.1, 0, 0))), "planar")
     return m.build()
 
 
@@ -67,6 +73,15 @@ def test_a_joint_between_bodies_fixed_to_each_other_changes_nothing(kind):
     runs = [model.simulate(0.2, 0.005) for model in (free, closed)]
     assert np.allclose(runs[0].q[-1], runs[1].q[-1], rtol=LOOPED)
     assert np.allclose(runs[1].reactions("again").iloc[:, 1:], 0.0)
+
+
+def test_gains_of_fixed_bodies_which_no_sweep_writes_are_not_read():
+    model = welded("revolute", other=True)
+    at, joints = model.start(), model.bodies.joints
+    unwritten = np.where((model.tree.kind == HingeKind.FIXED)[:, None], np.nan, at.factors.gain)
+    found, wanted = (factor_loops(each, joints) for each in (replace(at.factors, gain=unwritten), at.factors))
+    assert len(wanted.order) > 0
+    assert np.array_equal(found.coefficients, wanted.coefficients)
 
 
 def test_forces_of_redundant_loops_are_the_least():
