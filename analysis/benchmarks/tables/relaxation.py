@@ -167,7 +167,7 @@ def ddg_words(rows: pd.DataFrame) -> str:
         f"{len(unread)} are of files that are refused ({', '.join(unread['structure'].unique())}),",
         f"{len(rows) - done.sum() - len(unread)} of cysteines in disulfide bonds, for which there is no",
         f"reference. A mutation took a median of {rows['seconds'].median():.1f} s of the clock, both sides,",
-        "on a machine that others used, too.",
+        "on a machine that many other jobs used, too.",
     )
 
 
