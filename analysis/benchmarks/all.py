@@ -232,7 +232,7 @@ JOBS = (
     Job("sidechains-faspr", f"{HERE}/sidechains.py faspr --more MORE -o DIR", 1, apart=True),
     Job(
         "ddg", f"{HERE}/ddg.py -o DIR --more MORE --kept KEPT", 18,
-        writes="ddg ddg_programs", continues=True,
+        writes="ddg ddg_programs ddg_pairs ddg_antisymmetry", continues=True,
     ),
     Job("frames", f"{HERE}/frames.py --more MORE -o DIR", 6, writes="frames_memory frames_speed"),
     Job(

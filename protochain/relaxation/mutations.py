@@ -27,7 +27,7 @@ from protochain.relaxation.result import Relaxation
 from protochain.results.columns import Column, record
 from protochain.structure import Structure
 from protochain.structure.build import from_sequence
-from protochain.structure.residues import D_NAMES, STANDARD
+from protochain.structure.residues import STANDARD
 from protochain.structure.select import atoms_at
 from protochain.structure.sidechains.ideal import placed
 from protochain.structure.substitute import LETTERS, substituted
@@ -270,9 +270,9 @@ def _rebuildable(structure: Structure, r: int) -> str:
     tied = {k for tie in structure.ties for k in tie.atoms}
     if tied & {*side} or any(of[other] != r for k in side for other in structure.neighbours[k]):
         return ""
-    return (
-        state if {name, state} <= D_NAMES.keys() or (name in STANDARD and not structure.mirrored[r]) else ""
-    )
+    # Protonation states of D-amino acids have no names.
+    names = {name, state} if structure.mirrored[r] else {name}
+    return state if names <= STANDARD.keys() else ""
 
 
 def _settled(structure: Structure, near: Sequence[int], relaxing: RelaxSettings, setup: Setup) -> Relaxation:

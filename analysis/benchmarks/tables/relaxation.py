@@ -155,6 +155,15 @@ table_of_rows(
 )  # fmt: skip
 
 
+table_of_rows(
+    "ddg-antisymmetry", "ddg_antisymmetry.csv",
+    ("", lambda r: _PROGRAMS[r["program"]]), ("pairs", "{pairs}"),
+    ("correlation of the two", "{correlation:.2f}"), ("bias", "{bias:.1f}"),
+    ("sum, median", "{sum_median:.1f}"), ("direct and measured, correlation", "{measured_direct:.2f}"),
+    ("reverse and measured", "{measured_reverse:.2f}"),
+)  # fmt: skip
+
+
 @table("ddg-words", "ddg.csv")
 def ddg_words(rows: pd.DataFrame) -> str:
     """What is not in the table, and how long it took."""
@@ -165,7 +174,7 @@ def ddg_words(rows: pd.DataFrame) -> str:
         f"{len(unread)} are of files that are refused ({', '.join(unread['structure'].unique())}),",
         f"{len(rows) - done.sum() - len(unread)} of cysteines in disulfide bonds, for which there is no",
         f"reference. A mutation took a median of {rows['seconds'].median():.1f} s of the clock, both sides,",
-        "on a machine that others used, too.",
+        "on a machine that many other jobs used, too.",
     )
 
 
