@@ -30,8 +30,7 @@ SHOWN_RELAXED = tuple(
         "status": "status", "violations_start": "residues with violations at start",
         "violations_end": "at end", "overlaps_start": "overlaps at start", "overlaps_end": "at end",
         "energy_start_kj_mol": "energy at start", "energy_end_reference_kj_mol": "energy at end",
-        "ca_rmsd_angstrom": "C-alpha RMSD", "ligand_rmsd_angstrom": "ligand RMSD",
-        "ligand_displacement_max_angstrom": "ligand displacement", "n_rounds": "rounds", "seconds": "seconds",
+        "ca_rmsd_angstrom": "C-alpha RMSD", "n_rounds": "rounds", "seconds": "seconds",
     }.items()
 )  # fmt: skip
 """Columns of structures that are relaxed."""

@@ -403,8 +403,8 @@ def mended(usable: "DataFrame") -> str:
 
 def ligands_moved(usable: "DataFrame") -> str:
     """How far ligands of structures moved, in words; empty if there are none."""
-    rmsd, farthest = (usable[f"ligand_{name}_angstrom"] for name in ("rmsd", "displacement_max"))
-    if not rmsd.notna().any():
+    rmsd, farthest = (usable.get(f"ligand_{name}_angstrom") for name in ("rmsd", "displacement_max"))
+    if rmsd is None or farthest is None or not rmsd.notna().any():
         return ""
     return (
         f"; ligands: median RMSD {rmsd.median():.2f}, largest {rmsd.max():.2f}, "

@@ -28,6 +28,12 @@ def _structure(solution: Any) -> Any:
     return solution.chain.structure
 
 
+LIGANDS = (
+    Column("ligand_rmsd_angstrom", lambda r: largest(r.ligand_motion[:, 0]), "ligand RMSD", width=6),
+    Column("ligand_displacement_max_angstrom", lambda r: largest(r.ligand_motion[:, 1]),
+           "ligand displacement", "ligand shift", 6),
+)  # fmt: skip
+"""Columns of the ligand that moved farthest, also of a relaxation."""
 COLUMNS = (
     Column("structure", lambda s: s.chain.structure.name),
     Column("method", lambda s: s.method, "method"),
@@ -43,14 +49,7 @@ COLUMNS = (
     Column("lowest_eigenvalue_kj_mol_nm2", lambda s: None if s.keeps_geometry else s.lowest_eigenvalue),
     Column("ca_rmsd_angstrom", lambda s: s.ca_rmsd_angstrom, "C-alpha RMSD", "RMSD", 6),
     Column("ca_rmsd_as_filed_angstrom", lambda s: s.ca_rmsd_as_filed_angstrom),
-    Column("ligand_rmsd_angstrom", lambda s: largest(s.ligand_motion[:, 0]), "ligand RMSD", width=6),
-    Column(
-        "ligand_displacement_max_angstrom",
-        lambda s: largest(s.ligand_motion[:, 1]),
-        "ligand displacement",
-        "ligand shift",
-        6,
-    ),
+    *LIGANDS,
     Column("frame", lambda s: str(s.frame)),
     *of_terms(TERMS),
     *of_measures(MEASURES, "start", "end"),
@@ -94,13 +93,11 @@ def _n_moving(solution: Any) -> int:
     return int(moved.sum())
 
 
-SHOWN = tuple(column for column in COLUMNS if column.heading)
+SHOWN = tuple(column for column in COLUMNS if column.heading and column not in LIGANDS)
 """Columns of short tables."""
-_OF_LIGANDS = ("ligand_rmsd_angstrom", "ligand_displacement_max_angstrom")
 
 
-def shown(records: Iterable[Mapping[str, Any]], columns: Iterable[Column] = SHOWN) -> tuple[Column, ...]:
-    """Columns of a short table of records: those of ligands only if there are any."""
-    values = [record.get(key) for record in records for key in _OF_LIGANDS]
-    skipped = () if any(value is not None and value == value for value in values) else _OF_LIGANDS
-    return tuple(column for column in columns if column.key not in skipped)
+def shown(records: Iterable[Mapping[Any, Any]], columns: Iterable[Column] = SHOWN) -> tuple[Column, ...]:
+    """Columns of a short table of records, with those of ligands if there are any."""
+    rmsds = [record.get(LIGANDS[0].key) for record in records]
+    return (*columns, *(LIGANDS if any(value is not None and value == value for value in rmsds) else ()))

@@ -7,6 +7,7 @@ from typing import Any
 
 from protochain.chains.restraint_list import RestraintValue
 from protochain.energies.decomposed import TERMS
+from protochain.minimisers.record import LIGANDS
 from protochain.minimisers.verdict import Status
 from protochain.results.columns import (
     UNITS,
@@ -47,8 +48,7 @@ COLUMNS = (
     Column("ca_rmsd_angstrom", lambda r: r.ca_rmsd_angstrom),
     Column("ca_rmsd_as_filed_angstrom", lambda r: r.frame.ca_rmsds(r.x)[1]),
     Column("farthest_atom_angstrom", lambda r: r.farthest_angstrom),
-    Column("ligand_rmsd_angstrom", lambda r: largest(r.ligand_motion[:, 0])),
-    Column("ligand_displacement_max_angstrom", lambda r: largest(r.ligand_motion[:, 1])),
+    *LIGANDS,
     Column("frame", lambda r: str(r.frame)),
     *of_terms(TERMS),
     *of_measures(MEASURES, "start"),
