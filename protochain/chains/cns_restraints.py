@@ -5,7 +5,6 @@ from collections import deque
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from protochain.chains.cns_selection import parse_selection
 from protochain.chains.restraint import STIFFNESS, Restraint
 from protochain.core.errors import ProtochainError
 from protochain.core.markup import excerpt
@@ -86,6 +85,9 @@ def _selection(tokens: deque[_Token]) -> str:
     else:
         raise ProtochainError("assign: a parenthesis is not closed; add )")
     selection = " ".join(words[1:-1])
+    # The settings of commands read restraints, and their help must not load numpy.
+    from protochain.chains.cns_selection import parse_selection
+
     parse_selection(selection)
     return selection
 

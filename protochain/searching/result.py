@@ -124,7 +124,7 @@ class Search(Value):
         """How many walks reached the lowest minimum, with a warning if only one did."""
         n, total = self.n_walks_at_lowest, len(self.findings)
         text = f"{n} of {total} walks reached it" if total > 1 else "one walk, which nothing confirms"
-        return text if n > 1 else f"{text}: search on (--resume, more --evaluations) before you rely on it"
+        return text if n > 1 else f"{text}: continue it with more evaluations before you rely on it"
 
     def structure(self, number: int = 1) -> Structure:
         """Structure of a minimum, numbered from 1, superposed on the lowest."""

@@ -128,9 +128,15 @@ def test_minima_and_populations_of_a_search_are_said_in_their_units(capsys):
     rows = [[300.0, -10.25, 0.5, 0.125, 0.025], [600.0, 20.5, 1.5, nan, nan]]
     done = {"minima": minima, "populations": pd.DataFrame(rows, columns=names.split())}
     chain = SimpleNamespace(structure=load("ala10.pdb"))
-    terminal.print_search(SimpleNamespace(chain=chain, energy=-12.341, q=[0] * 7, **done), "out")
-    first, *rows, last = lines_of(capsys)
-    assert numbers(first)[-2:] == [-12.34, 7] and last == "written: out" and "C7eq" in rows[1]
+    done |= {"energy": -12.341, "q": [0] * 7, "agreement": "2 of 3 walks"}
+    terminal.print_search(SimpleNamespace(chain=chain, **done), "out")
+    first, agreement, *rows, last = lines_of(capsys)
+    assert (
+        numbers(first)[-2:] == [-12.34, 7]
+        and agreement.strip() == "2 of 3 walks"
+        and last == "written: out"
+        and "C7eq" in rows[1]
+    )
     assert [numbers(row.replace("C7eq", "").replace("+-", " ")) for row in rows] == [
         [1, 0.0, 0.0], [2, 3.25, 1.5, 1.75], [300, -10.2, 0.5, 12.5, 2.5], [600, 20.5, 1.5],
     ]  # fmt: skip

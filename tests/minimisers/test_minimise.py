@@ -201,9 +201,9 @@ def test_a_signal_ends_a_run(method, signals):
 
 def test_a_signal_after_the_last_step_changes_nothing(signals, monkeypatch, tmp_path):
     def interrupted(what):
-        def call(*given):
+        def call(*given, **named):
             signal.raise_signal(signal.SIGINT)
-            return what(*given)
+            return what(*given, **named)
 
         return call
 

@@ -18,6 +18,7 @@ from protochain.searching import csa, search_chain
 from protochain.searching.folder import COLOURS, drawn
 from protochain.searching.hopping import ADAPTED, metropolis
 from protochain.searching.landscape import Descended, Landscape
+from protochain.searching.minima import Symmetry
 from protochain.searching.pieces import Done, Finding, advance, read_piece, write_piece
 from protochain.searching.search_settings import SearchSettings
 
@@ -173,6 +174,10 @@ def test_the_size_of_turns_is_adapted_and_then_stays(peptide):
     assert len(set(sizes[:ADAPTED])) > 5 and len(set(sizes[ADAPTED:])) == 1
 
 
+FULL_TURNS = Symmetry(np.full(2, 2.0 * np.pi), np.zeros((0, 2), dtype=np.int64))
+"""Two torsions of groups without symmetry."""
+
+
 def bank(q, energies, **more):
     """A bank of these minima, tried twice each, in which all nearer than 1 rad is near."""
     q = np.array(q)
@@ -195,7 +200,7 @@ def bank(q, energies, **more):
 )
 def test_a_minimum_displaces_a_higher_one_near_it_or_the_highest(q, energy, energies, tried):
     before = bank([[0.0, 0.0], [2.0, 2.0], [-2.0, 2.0]], [0.0, 5.0, 1.0])
-    after = csa.entered(before, Descended(np.array(q), energy, 7), np.full(2, 2.0 * np.pi))
+    after = csa.entered(before, Descended(np.array(q), energy, 7), FULL_TURNS)
     assert after.energies.tolist() == energies and after.tried.tolist() == tried
     assert after.n_accepted == (energies != before.energies.tolist())
     assert csa.NARROW < after.width < before.width
@@ -203,7 +208,7 @@ def test_a_minimum_displaces_a_higher_one_near_it_or_the_highest(q, energy, ener
 
 def test_random_minima_set_what_is_near_and_join_again_after_some_rounds():
     few = bank(np.zeros((csa.BANK - 1, 2)), np.arange(csa.BANK - 1.0), room=csa.BANK, width=csa.NARROW)
-    full = csa.joined(few, Descended(np.array([1.0, -1.0]), 3.0, 7), np.full(2, 2.0 * np.pi))
+    full = csa.joined(few, Descended(np.array([1.0, -1.0]), 3.0, 7), FULL_TURNS)
     # Of n (n - 1) / 2 pairs, n - 1 are 2 apart.
     assert (full.mean, full.width) == (pytest.approx(4.0 / csa.BANK), csa.WIDE)
     tried = replace(full, tried=np.full(csa.BANK, float(csa.TRIALS)))
@@ -412,10 +417,9 @@ def test_energies_of_minima_are_in_double_precision():
     double = pc.energy(structure, threads=1)
     energy = pc.energy(structure, engine="openmm", threads=1)
     found = pc.search(structure, energy, "hopping", 400, n_walkers=1)
-    for q, value in zip(found.q, found.energies, strict=True):
-        x = pc.pose(found.chain, q).x
-        assert double.reference(x)[0] == pytest.approx(value, rel=1e-9)
-        assert energy(x)[0] != pytest.approx(value, rel=1e-9)
+    positions = [pc.pose(found.chain, q).x for q in found.q]
+    assert [double.reference(x)[0] for x in positions] == pytest.approx(found.energies, rel=1e-9)
+    assert [energy(x)[0] for x in positions] != pytest.approx(found.energies, rel=1e-9)
 
 
 def test_a_search_goes_on_in_the_precision_in_which_it_began(peptide, tmp_path):
