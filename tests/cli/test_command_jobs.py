@@ -32,7 +32,9 @@ def simulated(monkeypatch, tmp_path):
         assert is_held()
         seen.runs.append(given)
         start, end = SimpleNamespace(energy=5.5), SimpleNamespace(energy=-3.25)
-        return SimpleNamespace(start=start, end=end, ca_rmsd_angstrom=0.125, q="q", status=seen.relaxed)
+        return SimpleNamespace(
+            start=start, end=end, ca_rmsd_angstrom=0.125, q="q", status=seen.relaxed, restraints=None
+        )
 
     def simulate(*given, **more):
         assert is_held()

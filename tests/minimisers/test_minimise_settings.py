@@ -155,7 +155,10 @@ def test_restraints_are_judged_and_said():
     )
     done = replace(done, lowest_eigenvalue=-0.25)
     found = judged(done)
-    assert found.message.endswith("in double precision; lowest eigenvalue of the Hessian -0.25 kJ/mol/rad^2")
+    assert found.message.endswith(
+        "in double precision; lowest eigenvalue of the Hessian -0.25 kJ/mol/rad^2, "
+        "negative: a smaller tolerance leads lower"
+    )
     assert found.lowest_eigenvalue == -0.25 and found.status == Status.CONVERGED
     # Where the end is no better than the start, that is the result, and its curvature is not known.
     turned = replace(done, q=c.q0 + 0.01)

@@ -141,6 +141,7 @@ def energies(notebook):
         output.get("text", "") + output.get("data", {}).get("text/plain", "")
         for cell in notebook.cells
         for output in cell.get("outputs", ())
+        if output.get("name") != "stderr"  # progress, which is not stored
     ]
     return [float(number) for text in texts for number in re.findall(r"-\d{3,}\.\d+", text)]
 

@@ -28,7 +28,7 @@ def modes():
 @pytest.mark.parametrize(
     ("act", "said"),
     [
-        (lambda: pc.Restraint("distance", ("A:1:CA",), 0.1, 0.2), "give 2 places of a distance"),
+        (lambda: pc.Restraint("distance", ("A:1:CA",), 0.1, 0.2), "give 2 or 4 places of a distance"),
         (lambda: pc.Restraint("dihedral", ("A:1:CA",) * 3, 0, 9), "give 1 or 4 places of a dihedral"),
         (lambda: pc.Restraint("distance", ("A:1", "A:2"), 3, 2), "give 2 3"),
         (lambda: pc.Restraint("distance", ("A:1", "A:2"), 2, 3, -1.0), "and a stiffness"),

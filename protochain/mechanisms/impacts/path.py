@@ -72,10 +72,11 @@ def _impact(
     status, step, t = GOING, 0.0, (0.0, 0.0)
     for _ in range(_MOST):
         straight, length, s, turn, growth = True, np.inf, t, 0.0, 0.0
-        if turning and stopped:
+        size, s = _slip(of, slip, least, step == 0.0, y) if turning else (0.0, t)
+        # The slip can end together with a phase.
+        if turning and (stopped or size <= least):
             t, turning = _from_rest(of), False
         elif turning:
-            size, s = _slip(of, slip, step == 0.0, y)
             turn, growth = _slip_rates(of, s)
             straight = abs(turn) <= max(_STRAIGHT * abs(growth), _ROUNDING * grip)
             t = -mu * s[0], -mu * s[1]
@@ -122,7 +123,7 @@ def _normal_velocity(of: Contact, y: Floats) -> float:
 
 
 @kernel
-def _slip(of: Contact, start: Slip, anew: bool, y: Floats) -> tuple[float, Slip]:
+def _slip(of: Contact, start: Slip, least: float, anew: bool, y: Floats) -> tuple[float, Slip]:
     """Size and direction of the slip; anew, from the impulses, else from angle and logarithm."""
     if not anew:
         return np.exp(y[1]), (np.cos(y[0]), np.sin(y[0]))
@@ -130,6 +131,8 @@ def _slip(of: Contact, start: Slip, anew: bool, y: Floats) -> tuple[float, Slip]
     v1 = start[0] + n1 * y[2] + t11 * y[3] + t12 * y[4]
     v2 = start[1] + n2 * y[2] + t12 * y[3] + t22 * y[4]
     size = np.hypot(v1, v2)
+    if size <= least:
+        return 0.0, (0.0, 0.0)
     y[0], y[1] = np.arctan2(v2, v1), np.log(size)
     return size, (v1 / size, v2 / size)
 
