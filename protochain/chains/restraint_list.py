@@ -237,6 +237,10 @@ class Restraints(Value):
         """Values (m,) of the coordinates at positions, nm or rad: those of ``row``."""
         return np.concatenate([part.values(x) for part in self.coordinates] or [np.empty(0)])
 
+    def energies(self, values: Floats) -> Floats:
+        """Energies (m,), kJ/mol, of values (m,) of the coordinates."""
+        return self._walls.energies(values)[0]
+
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
         values = [part.values(x) for part in self.coordinates]

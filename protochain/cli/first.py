@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from protochain.chains.chain import Chain
-    from protochain.chains.restraint_lines import Restraint
+    from protochain.chains.restraint import Restraint
     from protochain.energies import Energy
     from protochain.minimisers import Solution
 

@@ -85,7 +85,7 @@ def umbrella(
     pymbar = library("pymbar", "umbrella")
     unit = 180.0 / np.pi if turns else ANGSTROM_PER_NM
     windows = [replace(coordinate, lower=float(c), upper=float(c)) for c in at]
-    places = Restraints.of(cut.structure, windows[0])
+    restraints = Restraints.of(cut.structure, windows)
     q, x, counts = None, list[Any](), list[int]()
     for window in windows:
         rows = list[Any]()
@@ -100,12 +100,10 @@ def umbrella(
         x += rows[n_equilibrate:]
         counts.append(len(rows) - n_equilibrate)
     thermal_energy = MOLAR_GAS * temperature
-    values = unit * np.array([places.values(positions)[0] for positions in x])
-    # Energies of all springs at all rows, in units of kT.
-    away = values - at[:, None]
-    away = (away + 180.0) % 360.0 - 180.0 if turns else away
-    harmonic = np.clip(away, -coordinate.linear, coordinate.linear) if coordinate.linear else away
-    bias = coordinate.stiffness / unit**2 / thermal_energy * harmonic * (away - 0.5 * harmonic)
+    at_windows = np.array([restraints.values(positions) for positions in x])
+    # Energies (windows, rows) of all springs at all rows, in units of kT.
+    bias = np.array([restraints.energies(row) for row in at_windows]).T / thermal_energy
+    values = unit * at_windows[:, 0]
     for window, part in zip(windows, np.split(values, np.cumsum(counts)[:-1]), strict=True):
         if np.ptp(part) == 0.0:
             raise ProtochainError(f"umbrella: window {window}: no hinge changes it; open one that does")

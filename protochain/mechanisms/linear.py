@@ -128,7 +128,8 @@ class _Nearby:
         at = model.start() if at is None else at
         ways = model.directions_at(at)
         free = np.eye(model.tree.n_v)[:, model.tree.undriven_v]
-        return cls(model, at, ways, np.linalg.pinv(ways), free @ null_space(ways.T @ free))
+        back = np.asarray(np.linalg.pinv(ways), dtype=np.float64)
+        return cls(model, at, ways, back, free @ null_space(ways.T @ free))
 
     def place(self, move: Floats, rate: Floats) -> tuple[Floats, Floats, Articulated, Floats]:
         """Coordinates, velocities and factors there, and the directions (n_v, k) that loops allow there."""
@@ -237,7 +238,9 @@ def frequencies(model: Model, at: Phase | None = None) -> Floats:
         return np.sort(found[found > 0.0])
     qdd = system.accelerations(start.time, start.q, start.qd, start.torque, start.loads, start.factors)[0]
     mass = ways.T @ multibody.mass_matrix(model.tree, start.factors.frames) @ ways
-    stiffness, damping = (-near.slopes(lambda *to: near.lack(*to, qdd), kind) for kind in range(2))
+    stiffness, damping = (
+        -near.slopes(lambda move, rate: near.lack(move, rate, qdd), kind) for kind in range(2)
+    )
     skew = np.max(np.abs(stiffness - stiffness.T)) > _SYMMETRIC * np.max(np.abs(stiffness))
     conservative = not (model.loads or np.any(start.qd) or skew)
     root, (shift, factor) = cholesky(mass, lower=True), _shifted(mass, damping, stiffness)

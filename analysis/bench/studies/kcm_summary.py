@@ -237,10 +237,10 @@ def _tested(means: np.ndarray) -> float:
 def _corrected(table: pd.DataFrame, means: Sequence[np.ndarray]) -> pd.DataFrame:
     """Contrasts with their p, those of one table corrected together, and numbers of proteins."""
     table["effect_p"] = [_tested(effect) for effect in means]
-    table["effect_p_scope"] = table.groupby("scope", sort=False)["effect_p"].transform(holm)
-    table["effect_p_all"] = holm(table["effect_p"])
+    table["effect_p_scope"] = table.groupby("scope", sort=False)["effect_p"].transform(lambda p: holm(p.to_numpy()))
+    table["effect_p_all"] = holm(table["effect_p"].to_numpy())
     is_shown = table["what"].str.startswith(RISES)
-    table["rise_kj_mol_p_all"] = holm(table["rise_kj_mol_p"].where(is_shown))
+    table["rise_kj_mol_p_all"] = holm(table["rise_kj_mol_p"].where(is_shown).to_numpy())
     table["proteins_needed"] = np.nan
     for scope in IN_WORDS:
         family = table["scope"].eq(scope) if scope == MAIN else table["scope"].notna()
@@ -431,7 +431,7 @@ def lowest_known(runs: pd.DataFrame, searches: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for protein, ends in _peptides(runs).groupby("protein", sort=False):
         walks = searches[searches["protein"] == protein]
-        best = ends.loc[ends["energy_kj_mol"].idxmin()]
+        best = ends.iloc[int(ends["energy_kj_mol"].argmin())]
         csa, run = float(walks["energy_kj_mol"].min()), float(best["energy_kj_mol"])
         is_csa = csa < run + SAME_KJ_MOL
         rows.append(
