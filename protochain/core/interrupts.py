@@ -1,5 +1,6 @@
 """Signals that end a run: held while a result is at stake, let through where none is."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -28,6 +29,11 @@ class _Noted(list[int]):
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.append(number)
+        for stream in (1, 2) if number == getattr(signal, "SIGHUP", None) else ():
+            try:
+                os.write(stream, b"")
+            except OSError:  # The terminal is gone, and printing to it would end the run.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
         if number == getattr(signal, "SIGXCPU", None):
             signal.signal(number, signal.SIG_IGN)  # The system repeats it every second.
 

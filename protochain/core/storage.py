@@ -160,7 +160,7 @@ def _locked(path: Path, refusal: str) -> Iterator[None]:
     try:
         yield
     finally:
-        _LOCKS.remove(owner)
+        _LOCKS.discard(owner)
         path.unlink(missing_ok=True)
         os.close(file)
 
