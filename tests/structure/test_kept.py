@@ -525,11 +525,11 @@ def test_what_is_near_a_pose_belongs_to_the_site(far, stays, tmp_path):
     top = x[np.argmax(x[:, 2])]
     ligand = sdf_atoms((STRUCTURES / "1P2Y_NCT.sdf").read_text())
     low = ligand[np.argmin(ligand[:, 2])]
-    by = top + [0.0, 0.0, 4.0] - low
+    by = top - low + np.array([0.0, 0.0, 4.0])
     pose = tmp_path / "pose.sdf"
     pose.write_text(moved_sdf("1P2Y_NCT.sdf", by))
     high = (ligand + by)[np.argmax(ligand[:, 2])]
-    sulphur = high + [0.0, 0.0, far]
+    sulphur = high + np.array([0.0, 0.0, far])
     oxygens = 1.49 / np.sqrt(3.0) * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * [1, 1, 0.0]
     oxygens[:, 2] = [0.86, 0.86, 0.86, 0.86]
     names = ("S", "O1", "O2", "O3", "O4")
@@ -537,9 +537,11 @@ def test_what_is_near_a_pose_belongs_to_the_site(far, stays, tmp_path):
     atoms = [
         line for line in (tmp_path / "one.pdb").read_text().splitlines(keepends=True) if line[:4] == "ATOM"
     ]
+    x = sulphur + np.vstack([np.zeros(3), oxygens])
     beside = [
-        f"HETATM{9000 + k:5d}  {name:3} SO4 B   1    {p[0]:8.3f}{p[1]:8.3f}{p[2]:8.3f}  1.00 10.00          {name[0]:>2}\n"
-        for k, (name, p) in enumerate(zip(names, sulphur + np.vstack([np.zeros(3), oxygens]), strict=True))
+        f"HETATM{9000 + k:5d}  {name:3} SO4 B   1    "
+        f"{x[k][0]:8.3f}{x[k][1]:8.3f}{x[k][2]:8.3f}  1.00 10.00          {name[0]:>2}\n"
+        for k, name in enumerate(names)
     ]
     (tmp_path / "site.pdb").write_text("".join([*atoms, "TER\n", *beside, "END\n"]))
     assert "SO4" not in pc.load(tmp_path / "site.pdb").residue_name
