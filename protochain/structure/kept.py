@@ -85,7 +85,9 @@ def choose(
     """Choose the molecules to keep; count and report the others."""
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
-    _refuse_unknown_names(draft, candidates, [*chemistry.named], "ligand ")
+    # The chemistry of an amino acid in a chain may be given, too.
+    of_chains = {member.given or member.name for member in draft.members if member.odd}
+    _refuse_unknown_names(draft, candidates, [*{*chemistry.named} - of_chains], "ligand ")
     usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
     strands = {
         id(each)

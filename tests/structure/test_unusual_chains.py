@@ -1,8 +1,8 @@
-"""Chains of unusual residues: small rings, crosslinks, planar C-alphas, and strands without a usual nucleotide."""
+"""Chains of unusual residues: small rings, crosslinks, planar C-alphas, and strands all modified."""
 
 import numpy as np
 import pytest
-from fixtures.samples import shared
+from fixtures.samples import STRUCTURES, shared
 from fixtures.tolerances import GEOMETRY_NM
 from rdkit import Chem
 from rdkit.Chem import AllChem
@@ -76,3 +76,61 @@ def test_a_planar_alpha_carbon_has_no_hand_and_no_place_of_its_beta_carbon():
 def test_a_strand_of_modified_nucleotides_alone_is_read(name):
     s, every = pc.load(case(name)), pc.load(case(name), keep="all")
     assert s.n_residues == 4 and np.array_equal(s.positions, every.positions)
+
+
+TERMS = {
+    "HarmonicBondForce": ("getNumBonds", "getBondParameters", 2),
+    "HarmonicAngleForce": ("getNumAngles", "getAngleParameters", 3),
+    "PeriodicTorsionForce": ("getNumTorsions", "getTorsionParameters", 4),
+}
+"""Methods of OpenMM that count and return terms, and how many atoms a term has."""
+
+
+def terms_between_nucleotides(s, forcefield):
+    """Values of the bonded terms across each O3'-P, by atoms and whether DNA and RNA meet there."""
+    found: tuple[dict, dict] = {}, {}
+    is_dna = np.char.startswith(s.residue_name.astype(str), "D")
+    system = pc.energy(s, forcefield, "vacuum", engine="openmm").system
+    for force in system.getForces():
+        if force.getName() not in TERMS:
+            continue
+        count, read, n = TERMS[force.getName()]
+        values: dict[tuple, set] = {}
+        for k in range(getattr(force, count)()):
+            each = getattr(force, read)(k)
+            numbers = tuple(round(float(getattr(value, "_value", value)), 6) for value in each[n:])
+            values.setdefault(tuple(each[:n]), set()).add(numbers)
+        for atoms, numbers in values.items():
+            of = s.atom_residue[list(atoms)]
+            if len({*of.tolist()}) == 2:
+                key = tuple(sorted((str(s.atom_name[i]), int(s.atom_residue[i] - of.min())) for i in atoms))
+                is_mixed = len({*is_dna[of].tolist()}) == 2
+                found[is_mixed].setdefault(key, set()).add(frozenset(numbers))
+    return found
+
+
+@pytest.mark.parametrize("forcefield", ["amber14", "amber19"])
+def test_bonds_between_rna_and_dna_have_the_terms_of_either(forcefield):
+    """Each term across a junction is one of OL3, or of OL15 or OL21, for atoms of these names."""
+    s = pc.load(case("rna_one_deoxy.cif"), forcefield=forcefield)
+    dna = pc.load(STRUCTURES / "1bna.pdb", forcefield=forcefield)
+    of_rna, across = terms_between_nucleotides(s, forcefield)
+    of_dna, _ = terms_between_nucleotides(dna, forcefield)
+    assert across.keys() == of_rna.keys() == of_dna.keys()
+    for key, its in across.items():
+        assert its <= of_rna[key] | of_dna[key], key
+
+
+def test_a_strand_of_rna_and_dna_is_relaxed():
+    assert pc.relax(pc.load(case("rna_one_deoxy.cif"))).status == "converged"
+
+
+def test_the_chemistry_of_an_amino_acid_in_a_chain_may_be_given():
+    smiles = "N[C@@H](Cc1ccc(O)c([N+](=O)[O-])c1)C(=O)O"
+    s = pc.load(case("ncaa_given_as_smiles.cif"), ligands=f"ZZA={smiles}")
+    heavy = (s.residue_name[s.atom_residue] == "ZZA") & (s.atom_element != "H")
+    # Of the amino acid, without the oxygen that a peptide bond takes.
+    assert heavy.sum() == Chem.MolFromSmiles(smiles).GetNumAtoms() - 1
+    assert not s.obstacle.any() and pc.relax(s).status == "converged"
+    with pytest.raises(pc.ProtochainError, match="ALA"):
+        pc.load(case("ncaa_given_as_smiles.cif"), ligands=("ALA=C[C@H](N)C(=O)O", f"ZZA={smiles}"))
