@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -85,14 +85,16 @@ def choose(
     """Choose the molecules to keep; count and report the others."""
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
-    _refuse_unknown_names(draft, candidates, [*chemistry.named], "ligand ")
+    # The chemistry of an amino acid in a chain may be given, too.
+    of_chains = {member.given or member.name for member in draft.members if member.odd}
+    _refuse_unknown_names(draft, candidates, [*{*chemistry.named} - of_chains], "ligand ")
     usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
-    near = _near(draft, usable) if "near" in keep else set()
     strands = {
         id(each)
         for pair in pairwise(candidates) if _is_bonded(*(each.member for each in pair))
         for each in pair
     }  # fmt: skip
+    near = _near(draft, usable, chemistry.moving, strands) if "near" in keep else set()
     chosen = []
     gone: Counter[tuple[str, Why | None]] = Counter()
     lost: list[Loss] = []
@@ -171,10 +173,17 @@ def _why_unusable(member: Member) -> Why | None:
     return Why.CHARGE if len(member.atoms) == 1 and not is_known(member.atoms[0]) else None
 
 
-def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
-    """``id`` of the candidates with an atom near the protein, and of all that is joined to one that has."""
+def _near(
+    draft: Draft, candidates: Sequence[Candidate], given: Container[str], strands: Container[int]
+) -> set[int]:
+    """``id`` of the candidates with an atom near the protein, and of all that is joined to one that has.
+
+    Molecules that the user gives, poses among them, count as the protein does: their site is kept whole.
+    """
     # Of a file without protein, its nucleic acids.
-    whole = draft.members or [each.member for each in candidates if each.kind == "nucleic"]
+    nucleic = [each.member for each in candidates if each.kind == "nucleic" or id(each) in strands]
+    whole = draft.members or nucleic
+    whole = [*whole, *(each.member for each in candidates if each.given in given)]
     protein = [a.pos.tolist() for member in whole for a in member.heavy]
     dry = [candidate for candidate in candidates if candidate.kind != "water"]
     if not dry or not protein:

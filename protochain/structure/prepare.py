@@ -83,7 +83,8 @@ def load(
         of highest occupancy.
     keep : str or sequence of str
         Molecules to keep beside the protein: ``near`` for all but waters that have an atom within 5 angstrom
-        of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.
+        of the protein or of a given ligand, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``,
+        or residue names.
         Small molecules of known chemistry move, glycans that GLYCAM-06j knows, and those whose parameters
         ``forcefield`` has; others are fixed obstacles, those that no force field has parameters for by
         element.

@@ -7,7 +7,7 @@ import numpy as np
 
 from protochain.structure import residues
 from protochain.structure.draft import Draft, Part
-from protochain.structure.histidines import settled
+from protochain.structure.flips import settled
 from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind
 from protochain.structure.templates import Template, rename
@@ -50,7 +50,8 @@ def protonate(
         for i, member in enumerate(part.members):
             before = sum(a.is_hydrogen() for a in member.atoms)
             if id(member) in turned:
-                draft.note(Kind.RING_TURNED, residue=member.residue)
+                kind = Kind.RING_TURNED if member.name == "HIS" else Kind.AMIDE_TURNED
+                draft.note(kind, residue=member.residue)
             state = states[id(member)]
             own = pka.get(id(member)) if state == _at_ph(member, ph, pka) else None
             template = _template(draft, known, part, i, shown[id(member)], state, own)

@@ -63,7 +63,7 @@ two chain ends do not come that near: C and N that are not bonded touch at 3.25.
 _UPON, _BESIDE, _FAR = 0.01, 2.0, 15.0
 """Angstrom: atoms nearer than the first are in one place, those that are bonded nearer than the second; the
 last from the middle of a residue is twice what an extended arginine has."""
-SMALLEST_RING = 4
+SMALLEST_RING = 2
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
 

@@ -222,6 +222,9 @@ class Kind(Enum):
     RING_TURNED = Words(
         "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
     )
+    AMIDE_TURNED = Words(
+        "{residue}: amide turned by 180 degrees, by its hydrogen bonds", "amides turned by 180 degrees"
+    )
     STATE_CHOSEN = Words("{residue} modelled as {state}")
     STATE_BY_PKA = Words("{residue} modelled as {state}: its pKa is {pka:.1f} by PROPKA")
     STRANGE_HYDROGENS = Words(
