@@ -62,7 +62,10 @@ class _Molecules:
         """Bring the atoms of each residue together."""
         fractions = self.x @ np.linalg.inv(self.lattice)
         bounds = [
-            (np.minimum.reduceat(fractions[:, k], self.starts[:-1]), np.maximum.reduceat(fractions[:, k], self.starts[:-1]))
+            (
+                np.minimum.reduceat(fractions[:, k], self.starts[:-1]),
+                np.maximum.reduceat(fractions[:, k], self.starts[:-1]),
+            )
             for k in range(3)
         ]
         wide = np.any([high - low > 0.5 for low, high in bounds], axis=0)

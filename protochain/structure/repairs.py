@@ -66,12 +66,19 @@ class Kind(Enum):
         rank=Rank.LOSS,
     )
     MODELS_LEFT_OUT = Words("model {used} used, {count:n other model} left out", rank=Rank.LOSS)
+    MODELS_ARE_COPIES = Words(
+        "model {used} used, {count:n other model} left out: rigid copies of it, as of an assembly; "
+        "{remedy} joins them",
+        rank=Rank.LOSS,
+    )
     NO_END = Words(
         "the file ends at {residue} without an end mark (END, or # in mmCIF) or a terminal oxygen: check that it "
         "is complete",
         rank=Rank.LOSS,
     )
-    MADE_WHOLE = Words("{count:n residue} broken across the periodic box of {box} angstrom made whole, first {residue}")
+    MADE_WHOLE = Words(
+        "{count:n residue} broken across the periodic box of {box} angstrom made whole, first {residue}"
+    )
     IMAGE_MOVED = Words(
         "{count:n molecule} moved to the image of the periodic box of {box} angstrom next to the others: "
         "those of {residues:6}"
