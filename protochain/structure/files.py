@@ -274,16 +274,13 @@ def _ends_as_listed(text: str, block: gemmi.cif.Block, source: str) -> bool:
     last = next((line for line in reversed(lines) if line.startswith("_")), "")
     if not last.lower().startswith("_atom_site."):
         return True
-    items = ["label_asym_id", "label_entity_id", "label_seq_id", "label_comp_id"]
-    rows = [list(row) for row in block.find("_atom_site.", items)]
-    if rows and set(block.find_values("_struct_asym.id")) - {row[0] for row in rows}:
+    if set(block.find_values("_struct_asym.id")) - {*block.find_values("_atom_site.label_asym_id")}:
         raise StructureError(
             f"{source}: line {len(lines)}: the file is cut short; download it again, "
             "or add a line with # if it is complete"
         )
-    if not rows:
-        return False
-    _, entity, number, name = rows[-1]
+    items = ["label_entity_id", "label_seq_id", "label_comp_id"]
+    *_, (entity, number, name) = [("", "", "GLY"), *(tuple(row) for row in block.find("_atom_site.", items))]
     sequence = [row[1] for row in block.find("_entity_poly_seq.", ["entity_id", "num"]) if row[0] == entity]
     return number in sequence[-1:] or not gemmi.find_tabulated_residue(name).is_amino_acid()
 

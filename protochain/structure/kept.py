@@ -45,7 +45,7 @@ _LARGEST = 2000
 archive have some hundreds."""
 _NAMED = 20
 _DUMMY = ("DUM", "MMB")
-"""Residues that mark a membrane: of OPM (Lomize et al., Nucleic Acids Res. 40:D370, 2012), LightDock's beads."""
+"""Marks of a membrane by OPM (Lomize et al., Nucleic Acids Res. 40:D370, 2012), and LightDock's beads."""
 
 
 @dataclass(eq=False)

@@ -1,9 +1,8 @@
 """Molecules that a periodic box breaks, made whole; chains in another image, brought back.
 
-Positions move by lattice vectors only. A structure that no face of its cell breaks stays as it is, bit for bit.
+Positions move by lattice vectors only. A structure that is whole stays as it is, bit for bit.
 """
 
-from collections.abc import Sequence
 from itertools import pairwise, product
 
 import gemmi
@@ -110,7 +109,7 @@ class _Molecules:
         self.turns[(self.piece == piece)[self.of]] += turns
 
     def join_disulfides(self) -> list[int]:
-        """Bring chains to those that they have a disulfide bond with, and return the first residue of each."""
+        """Bring chains to the chains that they have disulfide bonds with, and return their first residues."""
         sulphurs = [k for k, atom in enumerate(self.atoms) if atom.name == "SG"]
         moved = []
         for i, j in ((i, j) for n, i in enumerate(sulphurs) for j in sulphurs[n + 1 :]):
@@ -125,7 +124,7 @@ class _Molecules:
         return moved
 
     def join_images(self) -> list[int]:
-        """Bring molecules that touch no other to the image that does, and return the first residue of each."""
+        """Bring molecules that touch no other to the image that does, and return their first residues."""
         heavy = np.array([not atom.is_hydrogen() for atom in self.atoms])
         pieces = {
             piece: np.flatnonzero((self.piece == piece)[self.of] & heavy)

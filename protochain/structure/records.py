@@ -42,7 +42,7 @@ _KINDS = {
 }  # fmt: skip
 _READ = ("HETNAM", "REMARK", "JRNL", "PARENT", "PFRMAT")
 _PLDDT = [{"id": "1", "name": "pLDDT", "type": "pLDDT", "mode": "local"}]
-"""ESMFold and OpenFold write PARENT records above a model, whose B factors are pLDDT; CASP's have PFRMAT, too."""
+"""B factors of ESMFold and OpenFold, which write PARENT records. Models of CASP have PFRMAT records, too."""
 _ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 
 

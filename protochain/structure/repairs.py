@@ -72,8 +72,8 @@ class Kind(Enum):
         rank=Rank.LOSS,
     )
     NO_END = Words(
-        "the file ends at {residue} without an end mark (END, or # in mmCIF) or a terminal oxygen: check that it "
-        "is complete",
+        "the file ends at {residue} without an end mark (END, or # in mmCIF) or a terminal oxygen: check "
+        "that it is complete",
         rank=Rank.LOSS,
     )
     MADE_WHOLE = Words(

@@ -15,7 +15,8 @@ CALLED = {
 
 
 def line_of(name, residue="LEU A   2", x=(-4.0, 4.0, -2.0), element=""):
-    return f"ATOM      1 {name:^4} {residue}    {x[0]:8.3f}{x[1]:8.3f}{x[2]:8.3f}  1.00  0.00          {element:>2}"
+    at = "".join(f"{value:8.3f}" for value in x)
+    return f"ATOM      1 {name:^4} {residue}    {at}  1.00  0.00          {element:>2}"
 
 
 @pytest.mark.parametrize("element", ["", "X", "D"])
