@@ -44,8 +44,8 @@ _LARGEST = 2000
 """Atoms of a molecule by element, none of which interact: memory grows with their square. The largest of the
 archive have some hundreds."""
 _NAMED = 20
-_DUMMY = "DUM"
-"""Residue that marks the faces of a membrane (OPM: Lomize et al., Nucleic Acids Res. 40:D370, 2012)."""
+_DUMMY = ("DUM", "MMB")
+"""Marks of a membrane by OPM (Lomize et al., Nucleic Acids Res. 40:D370, 2012), and LightDock's beads."""
 
 
 @dataclass(eq=False)
@@ -164,7 +164,7 @@ def _refuse_unknown_names(
 
 
 def _why_unusable(member: Member) -> Why | None:
-    if member.name == _DUMMY:
+    if member.name in _DUMMY:
         return Why.DUMMY
     if not all(atom.element.atomic_number for atom in member.atoms) or all(
         atom.is_hydrogen() for atom in member.atoms

@@ -78,6 +78,7 @@ def load(
         Number of the model in the file; the first by default.
     assembly : str
         Name of the biological assembly to build, as the file states it; by default its molecules as filed.
+        ``models`` joins the models of a file under free chain ids.
     altloc : str
         Preferred alternate location, which some atom must have; by default, and where it is absent, the one
         of highest occupancy.

@@ -40,7 +40,9 @@ _KINDS = {
     gemmi.ResidueKind.RNA: "RNA linking", gemmi.ResidueKind.DNA: "DNA linking",
     gemmi.ResidueKind.PYR: "saccharide", gemmi.ResidueKind.KET: "saccharide",
 }  # fmt: skip
-_READ = ("HETNAM", "REMARK", "JRNL")
+_READ = ("HETNAM", "REMARK", "JRNL", "PARENT", "PFRMAT")
+_PLDDT = [{"id": "1", "name": "pLDDT", "type": "pLDDT", "mode": "local"}]
+"""B factors of ESMFold and OpenFold, which write PARENT records. Models of CASP have PFRMAT records, too."""
 _ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 
 
@@ -88,6 +90,7 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
             else [],
             **_journal(lines.get("JRNL", ())),
             CATEGORY: of_remarks(lines.get("REMARK", ())),
+            "_ma_qa_metric.": _PLDDT if "PARENT" in lines and "PFRMAT" not in lines else [],
         }
     )
 

@@ -53,6 +53,10 @@ class Kind(Enum):
         "atom names"
     )
     NO_ENDMDL = Words("{count:n model} without an ENDMDL record, taken to end where the next begins")
+    INDENTED = Words("{count:n atom record} with blanks before the record name: read without these blanks")
+    SEGMENTS_JOINED = Words(
+        "{count:n atom record} after the END or ENDMDL record of line {line}: read as parts of one structure"
+    )
     CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
     MOLECULES_RENUMBERED = Words("molecules that share number and name renumbered: {count} more")
     ATOMS_NUMBERED = Words("atoms that share a name numbered in {count:n molecule}")
@@ -62,9 +66,22 @@ class Kind(Enum):
         rank=Rank.LOSS,
     )
     MODELS_LEFT_OUT = Words("model {used} used, {count:n other model} left out", rank=Rank.LOSS)
-    NO_END = Words(
-        "the file ends at {residue} without an END record or a terminal oxygen: check that it is complete",
+    MODELS_ARE_COPIES = Words(
+        "model {used} used, {count:n other model} left out: rigid copies of it, as of an assembly; "
+        "{remedy} joins them",
         rank=Rank.LOSS,
+    )
+    NO_END = Words(
+        "the file ends at {residue} without an end mark (END, or # in mmCIF) or a terminal oxygen: check "
+        "that it is complete",
+        rank=Rank.LOSS,
+    )
+    MADE_WHOLE = Words(
+        "{count:n residue} broken across the periodic box of {box} angstrom made whole, first {residue}"
+    )
+    IMAGE_MOVED = Words(
+        "{count:n molecule} moved to the image of the periodic box of {box} angstrom next to the others: "
+        "those of {residues:6}"
     )
     # Of what is taken.
     ELEMENTS = Words("elements of {count:n atom} of standard residues corrected by their names, first {atom}")
@@ -93,7 +110,8 @@ class Kind(Enum):
         "{residue}: {atoms} at the origin, upon CA or over 15 angstrom away: treated as missing",
         "atoms at the origin, upon CA or over 15 angstrom away treated as missing",
     )
-    VIRTUAL = Words("{residue}: virtual atoms {atoms} left out", "virtual atoms left out")
+    VIRTUAL = Words("{residue}: pseudo-atoms {atoms} removed", "pseudo-atoms removed")
+    SITES = Words("{count:n virtual site} of {waters:n water} removed")
     SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
     CONVERTED = Words(
         "{residue}: converted to its standard parent {name}",
