@@ -126,7 +126,20 @@ _FARTHEST = 1e5
 """Angstrom, as of structures."""
 
 
-def _from_file(path: Path, number: int) -> Molecule:
+def as_filed(source: str) -> tuple[Molecule, str, str] | None:
+    """Return the molecule of a file, the title, and the text of the fields of SDF; None without a file."""
+    path, number = file_and_record(source)
+    if path.suffix.lower() not in MOLECULE_SUFFIXES or not path.exists():
+        return None
+    text = _record(path, number)
+    if path.suffix.lower() == ".mol2":
+        return read(source), "".join(text.removeprefix(_MOL2).split("\n")[1:2]).strip(), ""
+    fields = text.partition("M  END")[2].partition("\n")[2].strip("\n")
+    return read(source), text.split("\n")[0].strip(), f"{fields}\n\n" if fields else ""
+
+
+def _record(path: Path, number: int) -> str:
+    """Text of one molecule of a file."""
     suffix = path.suffix.lower()
     if suffix not in MOLECULE_SUFFIXES:
         raise StructureError(f"{path}: is none of {_LISTED}; give one of them, or SMILES")
@@ -134,7 +147,11 @@ def _from_file(path: Path, number: int) -> Molecule:
     if number > len(found) or (not number and len(found) != 1):
         one = f", as {path}#1" if found else ""
         raise StructureError(f"{path}: has {len(found)} molecules; give a file with one, or one of its{one}")
-    text = found[max(number, 1) - 1].removeprefix("\n" if number > 1 else "")
+    return found[max(number, 1) - 1].removeprefix("\n" if number > 1 else "")
+
+
+def _from_file(path: Path, number: int) -> Molecule:
+    text, suffix = _record(path, number), path.suffix.lower()
     source = f"{path}#{number}" if number else str(path)
     chem = library("rdkit.Chem")
     parse: Callable[..., Any] = chem.MolFromMol2Block if suffix == ".mol2" else chem.MolFromMolBlock

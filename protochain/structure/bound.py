@@ -24,7 +24,7 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import Ligand, parametrised
 from protochain.ligands.matching import Placed, named_as, placed
 from protochain.ligands.molecule import Molecule
-from protochain.ligands.protonation import Charged, at_metal, at_ph, with_hydrogens
+from protochain.ligands.protonation import Charged, at_metal, at_ph, unsure, with_hydrogens
 from protochain.ligands.sources import of_residue
 from protochain.structure.draft import Draft, Part
 from protochain.structure.links import Link, is_metal
@@ -75,9 +75,7 @@ class Chemistry:
 
     def charged(self, molecule: Molecule, given: bool) -> Charging:
         """Charge a molecule for the pH, unless its source shows its charges, as of SO4."""
-        if not np.isin(molecule.elements, (6, 15)).any() or (given and molecule.formal_charges.any()):
-            return molecule, ()
-        return at_ph(molecule, self.ph)
+        return at_ph(molecule, self.ph) if _is_charged_by_ph(molecule, given) else (molecule, ())
 
     @property
     def poses(self) -> list[str]:
@@ -128,13 +126,16 @@ class Chemist:
             called = dict(zip(molecule.names, at.molecule.names, strict=True))
             charged = tuple(replace(each, atom=called[each.atom]) for each in charged)
             molecule = _as_shown(at.molecule, member)
-            if name in self.chemistry.posed or not any(a.is_hydrogen() for a in member.atoms):
+            shows_charges = any(a.is_hydrogen() for a in member.atoms)
+            if name in self.chemistry.posed or not shows_charges:
                 molecule, charged = self._at_metals(molecule, charged, member)
             molecule = _as_filed(molecule, member)
             # What the file's hydrogens show, the pH has not done.
             now = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
             charged = tuple(each for each in charged if each.after == now[each.atom])
             part.ligand = self._parametrised(molecule, charged)
+            if not shows_charges and _is_charged_by_ph(self._of_source(member), name in self.chemistry.named):
+                part.ligand = replace(part.ligand, unsure=unsure(molecule, self.chemistry.ph))
         except ProtochainError as error:
             # What the user gives is not left aside.
             if name in self.chemistry.moving or self.chemistry.charges not in CHARGE_RULES:
@@ -190,6 +191,15 @@ class Chemist:
         if name not in self.known:
             self.known[name] = self.chemistry.charged(self._of_source(member), name in self.chemistry.named)
         return self.known[name]
+
+
+def _is_charged_by_ph(molecule: Molecule, given: bool) -> bool:
+    """Whether the pH decides the charges of a molecule: not of SO4, nor if a user gives charges."""
+    # A nitro group or an oxide, whose two charges are neighbours, says nothing of acids and bases.
+    shown = {*np.flatnonzero(molecule.formal_charges).tolist()}
+    pairs = (pair for pair in molecule.bonds.tolist() if not molecule.formal_charges[pair].sum())
+    shown -= {atom for pair in pairs if {*pair} <= shown for atom in pair}
+    return bool(np.isin(molecule.elements, (6, 15)).any()) and not (given and shown)
 
 
 def _placed(molecule: Molecule, member: Member, by_name: bool) -> Placed:
@@ -285,6 +295,8 @@ def take_up(draft: Draft, ph: float) -> None:
         if part.ligand.charged:
             atoms = tuple(f"{each.atom} {each.after:+d}" for each in part.ligand.charged)
             draft.note(Kind.CHARGED, residue=its, ph=ph, atoms=atoms)
+        if part.ligand.unsure:
+            draft.note(Kind.CHARGE_UNSURE, residue=its, ph=ph, atoms=part.ligand.unsure)
         if part.inverted:
             draft.note(Kind.INVERTED, residue=its, atoms=part.inverted)
 

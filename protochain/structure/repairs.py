@@ -193,6 +193,9 @@ class Kind(Enum):
     LINKED = Words("{atoms:and} are bonded ({length:.2f} angstrom): kept, in the place of {gone}")
     NO_PARAMETERS = Words("the bond between {atoms:and} has no parameters: {why}")
     CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
+    CHARGE_UNSURE = Words(
+        "{residue}: the charge of {atoms} at pH {ph:g} is uncertain; give the molecule with charges"
+    )
     INVERTED = Words("{residue}: of another configuration than in its source: {atoms}", rank=Rank.LOSS)
     MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
     STRAND = Words(
