@@ -24,6 +24,7 @@ from protochain.core import interrupts, storage
 from protochain.core.errors import MechanicsError, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, interrupt_on_signals
 from protochain.core.storage import check_writable, claimed, claimed_files, temporary_stem, write_text
+from protochain.mechanisms import Mechanism
 
 SAMPLE = STRUCTURES / "ala10.pdb"
 MANIFEST = ROOT.parent / "shared" / "cases" / "reliability5" / "MANIFEST.tsv"
@@ -100,7 +101,7 @@ def test_commands_refuse_outputs_of_other_runs(command, output, protochain, anot
     with claimed(Path(output), "run") if output == "run" else claimed_files(Path(output)):
         another_process()
         done = protochain(*command.replace("{}", str(SAMPLE)).split())
-    assert done.status == 2 and f"{output}: another " in done.err and "is writing" in done.err
+    assert done.returncode == 2 and f"{output}: another " in done.stderr and "is writing" in done.stderr
     assert not [path for path in Path().iterdir() if not path.is_dir()]
 
 
@@ -109,7 +110,9 @@ def test_a_table_that_another_run_writes_is_refused(protochain, another_process)
     with claimed_files(Path("t.csv")):
         another_process()
         done = protochain("validate", SAMPLE, "--frames", "all", "--csv", "t.csv", "--workers", 1)
-    assert done.status == 2 and "t.csv: another run is writing this file; give another name" in done.err
+    assert (
+        done.returncode == 2 and "t.csv: another run is writing this file; give another name" in done.stderr
+    )
     assert Path("t.csv").read_text() == "rows of the other run\n"
 
 
@@ -189,9 +192,11 @@ def test_names_of_up_to_255_bytes_are_written_and_longer_ones_refused(ending, tm
         assert pc.load(path).n_atoms == structure.n_atoms
     for name in ("a" * (256 - len(ending)) + ending, "é" * 127 + ending):
         done = protochain("minimise", SAMPLE, "-o", name)
-        assert done.status == 2 and "File name too long" in done.err and "free space" not in done.err
+        assert (
+            done.returncode == 2 and "File name too long" in done.stderr and "free space" not in done.stderr
+        )
     done = protochain("minimise", SAMPLE, "-o", "m.pdb", "--trajectory", "a" * 250 + ".dcd")
-    assert done.status == 2 and "File name too long" in done.err and not Path("m.pdb").exists()
+    assert done.returncode == 2 and "File name too long" in done.stderr and not Path("m.pdb").exists()
 
 
 # --- Outputs that are no plain files, and systems that refuse
@@ -213,7 +218,7 @@ def test_outputs_that_are_pipes_or_devices_are_refused_before_any_work(command, 
     before = sorted(Path().iterdir())
     for name in ("pipe", "device"):
         done = protochain(*command.replace("{}", str(SAMPLE)).replace("NAME", name).split())
-        assert done.status == 2 and "is not a regular file" in done.err, done.err
+        assert done.returncode == 2 and "is not a regular file" in done.stderr, done.stderr
     assert sorted(Path().iterdir()) == before and Path("pipe").is_fifo()
     with pytest.raises(ProtochainError, match="is not a regular file"):
         write_text(Path("device"), "text")
@@ -272,8 +277,8 @@ def test_signals_that_end_a_run_give_the_best_so_far(number, as_command):
     assert solution.status == pc.Status.INTERRUPTED and solution.is_usable
     with held_interrupts() as signals:
         signal.raise_signal(number)
-        signal.raise_signal(number)
-    assert signals[:1] == [number]
+    # The system repeats this one every second, while the result is written.
+    assert signals == ([] if number == signal.SIGXCPU else [number])
 
 
 def test_a_run_that_nohup_started_ignores_the_lost_connection():
@@ -302,21 +307,18 @@ def test_settings_of_numba_in_the_current_folder_are_not_read(tmp_path):
     assert done.stdout == "'' {'a': 1}\n", done.stderr
 
 
-@pytest.mark.parametrize(
-    "settings", [{"OMP_NUM_THREADS": "4,2"}, {"OMP_NUM_THREADS": "abc", "MPLBACKEND": "none"}]
-)
-def test_settings_of_other_programs_that_make_no_sense_end_no_command(settings, tmp_path):
-    program = "from protochain.cli import main; main()"
-    command = ["rmsd", str(SAMPLE), str(SAMPLE), "-o", "t.csv"]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), **settings}
-    imports = "import sys; sys.argv[1:] = sys.argv[1:]; import atexit; "
-    check = "atexit.register(lambda: __import__('numexpr') and __import__('matplotlib.figure')); "
+def test_settings_of_other_programs_that_make_no_sense_end_no_command(tmp_path):
+    """Numexpr, which pandas imports, reads the one, and matplotlib the other; numba a file."""
+    (tmp_path / ".numba_config.yaml").write_text("{ not: [yaml\n")
+    program = "import sys; from protochain.cli import main; main()"
+    settings = {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "abc", "MPLBACKEND": "none"}
+    command = ["minimise", str(SAMPLE), "-o", "m.pdb", "--max-evaluations", "3", "--report", "r.html"]
     done = subprocess.run(
-        [sys.executable, "-c", imports + check + program, *command],
-        cwd=tmp_path, env=environment, capture_output=True, text=True,
+        [sys.executable, "-P", "-c", program, *command],
+        cwd=tmp_path, env={**os.environ, **settings}, capture_output=True, text=True,
     )  # fmt: skip
-    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
-    assert len(pd.read_csv(tmp_path / "t.csv")) == 1
+    assert done.returncode in (0, 3) and "Traceback" not in done.stderr, done.stderr
+    assert pc.load(tmp_path / "m.pdb").n_residues == 10 and (tmp_path / "r.html").exists()
 
 
 # --- Files of robots, and plugins
@@ -340,8 +342,8 @@ MANY = '<replicate count="{}">{}</replicate>'
 def test_mjcf_without_bound_is_refused(text):
     pytest.importorskip("mujoco")
     with pytest.raises(MechanicsError, match="more than"):
-        pc.Mechanism.from_mjcf(f"<mujoco>{text}</mujoco>")
-    few = pc.Mechanism.from_mjcf(f"<mujoco><worldbody>{MANY.format(3, BODY)}</worldbody></mujoco>")
+        Mechanism.from_mjcf(f"<mujoco>{text}</mujoco>")
+    few = Mechanism.from_mjcf(f"<mujoco><worldbody>{MANY.format(3, BODY)}</worldbody></mujoco>")
     assert len(few.build().q) == 3
 
 
@@ -354,7 +356,7 @@ def test_errors_of_the_extension_are_errors_of_mechanics(error, monkeypatch):
 
     monkeypatch.setattr(mujoco, "MjModel", SimpleNamespace(from_xml_string=fails))
     with pytest.raises(MechanicsError, match="MuJoCo does not read it"):
-        pc.Mechanism.from_mjcf(f"<mujoco>{GEOM}</mujoco>")
+        Mechanism.from_mjcf(f"<mujoco>{GEOM}</mujoco>")
 
 
 MESH = '{}<asset><mesh name="m" file="{}"/></asset><worldbody><geom type="mesh" mesh="m"/></worldbody>'
@@ -388,9 +390,9 @@ def test_files_that_an_mjcf_names_are_plain_files_and_models_lie_in_its_folder(t
     model = folder / "model.xml"
     model.write_text(f"<mujoco>{text}</mujoco>")
     with pytest.raises(MechanicsError, match=why):
-        pc.Mechanism.from_mjcf(model)
+        Mechanism.from_mjcf(model)
     model.write_text('<mujoco><include file="below/good.xml"/></mujoco>')
-    assert len(pc.Mechanism.from_mjcf(model).build().q) == 1
+    assert len(Mechanism.from_mjcf(model).build().q) == 1
 
 
 class Refused(Exception):
