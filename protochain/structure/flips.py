@@ -24,6 +24,8 @@ _REACH = 6.0
 """Angstrom: nitrogens are 2.2 from CG, and their hydrogen bonds 3.7 long at most."""
 _BONDED = 1.9
 """Angstrom: heavy atoms nearer than this to a donor are bonded to it."""
+_UPON = 1e-9
+"""Angstrom: least length of a direction."""
 _STRAIGHT = np.cos(np.deg2rad(50.0))
 _BENT = np.deg2rad(115.0)
 """Angle at a donor with one neighbour, between that and the acceptor."""
@@ -76,7 +78,8 @@ class State:
     def energy(self, near: Iterable[Polar]) -> float:
         """Energy beside polar atoms: -1 for a hydrogen bond, 1 for two donors or acceptors together."""
         if not self.tautomer:
-            return _amide_energy(*self.polar, near)
+            oxygen, nitrogen = self.polar
+            return _amide_energy(oxygen, nitrogen, near)
         near = [*near]
         return sum(_energy(near, self.at, name, name == TAUTOMERS[self.tautomer]) for name in _RING)
 
@@ -166,7 +169,7 @@ def _states(member: Member) -> list[State]:
     """States of a site, the one of the file first."""
     at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
     start, pivot = _AXIS[member.name]
-    axis = (at[pivot] - at[start]) / np.linalg.norm(at[pivot] - at[start])
+    axis = (at[pivot] - at[start]) / max(float(np.linalg.norm(at[pivot] - at[start])), _UPON)
     arms = {name: at[name] - at[pivot] for name in at.keys() & {*_TURNING[member.name]}}
     over = {**at, **{name: at[pivot] + 2.0 * (arm @ axis) * axis - arm for name, arm in arms.items()}}
     made = []
@@ -215,7 +218,8 @@ def _amide_energy(oxygen: Polar, nitrogen: Polar, near: Iterable[Polar]) -> floa
             continue
         for end in (oxygen, nitrogen):
             way = each.x - end.x
-            length = float(np.linalg.norm(way))
+            # Atoms of poor models coincide.
+            length = max(float(np.linalg.norm(way)), _UPON)
             share = min(1.0, (_FARTHEST - length) / (_FARTHEST - _FULL))
             if share <= 0.0:
                 continue
@@ -235,19 +239,19 @@ def _amide_energy(oxygen: Polar, nitrogen: Polar, near: Iterable[Polar]) -> floa
 def _of_amine(nitrogen: Polar, way: Floats) -> float:
     """Cosine between a direction and the nearer of the two N-H bonds of an amide."""
     pivot, start = nitrogen.bonded
-    out = (nitrogen.x - pivot) / np.linalg.norm(nitrogen.x - pivot)
+    out = (nitrogen.x - pivot) / max(float(np.linalg.norm(nitrogen.x - pivot)), _UPON)
     aside = cross(out, cross(out, start - pivot))
-    aside /= max(float(np.linalg.norm(aside)), 1e-9)
+    aside /= max(float(np.linalg.norm(aside)), _UPON)
     return max(float((0.5 * out + sign * np.sqrt(0.75) * aside) @ way) for sign in (1.0, -1.0))
 
 
 def _directed(donor: Polar, way: Floats) -> float:
     """Cosine between a direction and the hydrogen that a donor turns there; 1 if nothing is bonded to it."""
-    arms = [each / np.linalg.norm(each) for each in donor.bonded - donor.x]
+    arms = [each / max(float(np.linalg.norm(each)), _UPON) for each in donor.bonded - donor.x]
     if len(arms) == 1:
         return float(np.cos(np.arccos(np.clip(arms[0] @ way, -1.0, 1.0)) - _BENT))
     out = -np.sum(arms, axis=0)
-    return float(out @ way / max(np.linalg.norm(out), 1e-9)) if arms else 1.0
+    return float(out @ way / max(np.linalg.norm(out), _UPON)) if arms else 1.0
 
 
 def _energy(near: Iterable[Polar], at: Mapping[str, Floats], name: str, has_hydrogen: bool) -> float:
@@ -255,7 +259,7 @@ def _energy(near: Iterable[Polar], at: Mapping[str, Floats], name: str, has_hydr
     reach = _CARBON if name[0] == "C" else _HYDROGEN_BOND
     first, second = _RING[name]
     out = 2.0 * at[name] - at[first] - at[second]
-    out = out / max(float(np.linalg.norm(out)), 1e-9)
+    out = out / max(float(np.linalg.norm(out)), _UPON)
     energy = 0.0
     for each in near:
         way = each.x - (at[name] + out)
