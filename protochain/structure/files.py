@@ -184,7 +184,7 @@ def _refuse_many(data: bytes, source: str) -> None:
             # Columns are counted from the last: what is quoted may have blanks.
             column = -1 if line.strip() == b"_atom_site.pdbx_PDB_model_num" else column - bool(column)
             in_loop = True
-        elif line.startswith((b"MODEL", b"ENDMDL", b"data_", b"loop_", b"_", b"#")):
+        elif line.startswith((b"MODEL", b"END", b"data_", b"loop_", b"_", b"#")):
             n, column, in_loop = 0, 0, False
         elif in_loop or line.startswith((b"ATOM", b"HETATM")):
             its = b"".join(line.split()[column : column + 1 or None]) if column else b""

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
-from protochain.core.graph import components
+from protochain.core.graph import components, grouped
 from protochain.structure.draft import Draft
 from protochain.structure.repairs import Kind
 from protochain.structure.residues import Residue
@@ -41,6 +41,8 @@ class _Molecules:
         self.x = np.array([atom.pos.tolist() for atom in self.atoms])
         self.turns = np.zeros((len(self.x), 3))
         self.piece = np.arange(len(sizes))
+        of = self.of.tolist()
+        self.ends = {(of[k], a.name): k for k, a in enumerate(self.atoms) if a.name in {*sum(_LINKS, ())}}
 
     def now(self, atoms: Integers) -> Floats:
         """Positions of atoms after their moves."""
@@ -51,11 +53,6 @@ class _Molecules:
         way = np.diff(self.now(np.array([one, other])), axis=0)[0]
         turns = np.round(way @ np.linalg.inv(self.lattice))
         return turns, float(np.linalg.norm(way - turns @ self.lattice)), float(np.linalg.norm(way))
-
-    def atom(self, residue: int, name: str) -> int:
-        """Index of an atom of a residue, -1 if there is none."""
-        atoms = range(self.starts[residue], self.starts[residue + 1])
-        return next((k for k in atoms if self.atoms[k].name == name), -1)
 
     def join_within(self) -> None:
         """Bring the atoms of each residue together."""
@@ -96,8 +93,8 @@ class _Molecules:
             if self.residues[r][0].name != self.residues[following][0].name:
                 continue
             for end, start in _LINKS:
-                i, j = self.atom(r, end), self.atom(following, start)
-                if min(i, j) < 0:
+                i, j = self.ends.get((r, end)), self.ends.get((following, start))
+                if i is None or j is None:
                     continue
                 turns, nearest, length = self.between(i, j)
                 if nearest < _LINKED:
@@ -110,9 +107,11 @@ class _Molecules:
 
     def join_disulfides(self) -> list[int]:
         """Bring chains to the chains that they have disulfide bonds with, and return their first residues."""
-        sulphurs = [k for k, atom in enumerate(self.atoms) if atom.name == "SG"]
+        sulphurs = np.array([k for k, atom in enumerate(self.atoms) if atom.name == "SG"], dtype=np.int64)
+        way = self.x[sulphurs][None] - self.x[sulphurs][:, None]
+        way -= np.round(way @ np.linalg.inv(self.lattice)) @ self.lattice
         moved = []
-        for i, j in ((i, j) for n, i in enumerate(sulphurs) for j in sulphurs[n + 1 :]):
+        for i, j in sulphurs[np.argwhere(np.triu(np.linalg.norm(way, axis=-1) < _DISULFIDE, 1))].tolist():
             one, other = (int(self.piece[self.of[k]]) for k in (i, j))
             if one != other:
                 turns, nearest, length = self.between(i, j)
@@ -125,13 +124,12 @@ class _Molecules:
 
     def join_images(self) -> list[int]:
         """Bring molecules that touch no other to the image that does, and return their first residues."""
-        heavy = np.array([not atom.is_hydrogen() for atom in self.atoms])
-        pieces = {
-            piece: np.flatnonzero((self.piece == piece)[self.of] & heavy)
-            for piece in dict.fromkeys(self.piece.tolist())
-            if not self.residues[piece][1].is_water()
-        }
-        counts = {piece: int((self.piece == piece).sum()) for piece in pieces}
+        heavy = np.array([k for k, atom in enumerate(self.atoms) if not atom.is_hydrogen()])
+        groups = [heavy[atoms] for atoms in grouped(self.piece[self.of[heavy]])]
+        # Waters stay: they are obstacles at most, and many.
+        groups = [atoms for atoms in groups if [self.atoms[k].element.name for k in atoms] not in ([], ["O"])]
+        pieces = {int(self.piece[self.of[atoms[0]]]): atoms for atoms in groups}
+        counts = np.bincount(self.piece)
         chains = [piece for piece in pieces if counts[piece] > 1]
         moved: list[int] = []
         placed = chains[:1]
@@ -146,7 +144,7 @@ class _Molecules:
             waiting.remove(chosen)
         if placed:
             tree = KDTree(self.now(np.concatenate([pieces[piece] for piece in placed])))
-            for piece in (each for each in pieces if counts[each] == 1 and len(pieces[each])):
+            for piece in (each for each in pieces if counts[each] == 1):
                 moved += self._moved(piece, self._image(tree, pieces[piece]))
         return moved
 
