@@ -17,7 +17,8 @@ _OTHER_METAL = 2.3
 _SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
 """Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
 _AXIAL = 1.2
-"""The same of methionine at blue copper, 2.8 to 3.1 angstrom away (Guss, Freeman, J. Mol. Biol. 169:521, 1983)."""
+"""The same of methionine at blue copper, 2.8 to 3.1 angstrom away (Guss, Freeman, J. Mol. Biol. 169:521,
+1983)."""
 _TRIPLE = 1.35
 """Angstrom: carbon with one heavy neighbour, no further away than this, is that of cyanide or CO."""
 _TOO_NEAR = 0.6

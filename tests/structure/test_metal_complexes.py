@@ -1,6 +1,7 @@
 """Metal complexes, clusters and bonds of metals: charges, what moves, distances that springs hold."""
 
 import csv
+from pathlib import Path
 
 import gemmi
 import numpy as np
@@ -11,14 +12,17 @@ from fixtures.tolerances import READ_AGAIN, SUM_OF_CHARGES, TIED_ANGSTROM
 
 import protochain as pc
 from protochain.ligands.dictionary import component
+from protochain.minimisers.verdict import _stretched
 from protochain.structure.repairs import Kind
 
 CASES = "../cases/metals5"
+METALS = ("Fe", "Mg", "Co", "Ni", "Zn", "Mn")
+"""Of complexes that move."""
 CHARGES = {
     "sod_bridge": 2, "hem_his_CN": -3, "cispt_link": 2, "dna5_first_incomplete": -4, "sf4": -2, "hem_his": -2,
     "nco": 3, "mgatp2": -2, "bluecu": 1,
 }  # fmt: skip
-"""Charge of each case of the manifest: a cyanide more than ``hem_his``; Mg2+ and ATP 4-; Cu2+ and a thiolate."""
+"""Charge of each case: a cyanide more than ``hem_his``; Mg2+ and ATP 4-; Cu2+ and a thiolate."""
 HELD = {
     "hem_his_CN": ("C", "FE", 1.95), "cispt_link": ("N7", "PT1", 2.0), "mgatp2": ("O1B", "MG", 2.08),
     "bluecu": ("SD", "CU", 2.80), "sf4": ("SG", "FE1", 2.3), "sod_bridge": ("NE2", "CU", 2.1),
@@ -166,3 +170,34 @@ def test_a_metal_takes_no_bond_from_the_source_of_its_ring():
     (bound,) = s.ligands
     assert not any(gemmi.Element(int(z)).is_metal for z in bound.ligand.molecule.elements)
     assert bound.ligand.molecule.charge == -4  # Ring and propionates.
+
+
+def test_a_message_names_bonds_of_metals_that_changed():
+    s = pc.load(shared(f"{CASES}/nco.pdb"), keep="all")
+    assert not s.coordination.any()
+    s = pc.load(shared(f"{CASES}/hem_his.pdb"), keep="all")
+    (row,) = np.flatnonzero(
+        s.coordination & np.isin(s.bonds, np.flatnonzero(s.atom_name == "NE2")).any(axis=1)
+    )
+    x = s.positions.copy()
+    nitrogen, iron = s.bonds[row]
+    x[nitrogen] += 0.01 * (x[nitrogen] - x[iron]) / np.linalg.norm(x[nitrogen] - x[iron])
+    assert _stretched(s, s.positions) == []
+    assert _stretched(s, x) == ["A:HIS2 NE2 and B:HEM1 FE 2.05 to 2.15"]
+
+
+@pytest.mark.slow
+def test_the_table_of_metal_components_is_that_of_the_code(tmp_path):
+    page = (Path(pc.__file__).parents[1] / "analysis" / "docs" / "files.md").read_text()
+    table = page.partition("| component | becomes | charge | moves |")[2].partition("\n\n")[0]
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in table.splitlines()[2:]]
+    assert len(rows) == 40
+    for name, _, charge, moves in rows:
+        s = pc.load(with_component(tmp_path, name), keep="all")
+        mine = s.atom_residue == s.n_residues - 1
+        found = sum(each.ligand.molecule.charge for each in s.ligands)
+        metal = np.isin(s.atom_element, [*METALS])
+        found += s.formal_charge[mine & metal].sum() if s.ligands else s.formal_charge[mine].sum()
+        assert (name, found) == (name, int(charge))
+        assert (name, s.mobile[mine].all()) == (name, moves == "yes")
+        assert (name, mine.sum() == 1) == (name, moves == "held")
