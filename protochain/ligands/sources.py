@@ -83,15 +83,16 @@ def from_dictionary(name: str) -> Molecule:
         atoms = component(_DRAWN_AS.get(name, name))
     except KeyError:
         raise _unknown(name) from None
+    if name in _CATIONS:
+        atoms = atoms[atoms.atom_name != "H82"]
     kinds = library("biotite.structure").BondType
     orders = dict.fromkeys((kinds.SINGLE, kinds.AROMATIC_SINGLE), 1)
     orders |= dict.fromkeys((kinds.DOUBLE, kinds.AROMATIC_DOUBLE), 2) | {kinds.TRIPLE: 3}
     table = atoms.bonds.as_array()
-    known = [orders.get(kinds(kind)) for kind in table[:, 2]]
+    ends, redrawn = atoms.atom_name[table[:, :2]].tolist(), _REDRAWN.get(name, {})
+    known = [redrawn.get(frozenset(a), orders.get(kinds(k))) for a, k in zip(ends, table[:, 2], strict=True)]
     if None in known:
         raise _unknown(name)
-    for k, ends in enumerate(atoms.atom_name[table[:, :2]].tolist()):
-        known[k] = 1 if {*ends} in _SATURATED.get(name, ()) else known[k]
     elements = [_atomic_number(symbol) for symbol in atoms.element]
     # Spin labels are taken for their hydroxylamines, NH2 ends a chain; nitric oxide is not nitroxyl.
     is_open = not {1, 6} & {*elements} and (sum(elements) - int(sum(atoms.charge))) % 2
@@ -102,8 +103,10 @@ def from_dictionary(name: str) -> Molecule:
             "give the chemistry of what is meant"
         )
     x = np.asarray(atoms.coord, dtype=float) / ANGSTROM_PER_NM
-    drawn = list(map(str, atoms.atom_name)), elements, atoms.charge.tolist(), table[:, :2].tolist(), known
-    kept, made = _without_metals(*drawn)
+    charges = (atoms.charge + ((atoms.atom_name == "N7") & (name in _CATIONS))).tolist()
+    kept, made = _without_metals(
+        list(map(str, atoms.atom_name)), elements, charges, table[:, :2].tolist(), [k or 0 for k in known]
+    )
     source = f"{name} of the Chemical Component Dictionary"
     n_molecules = len({*components(np.array(made[3], dtype=int).reshape(-1, 2), len(kept)).tolist()})
     anions = sum(z == 7 and q < 0 for z, q in zip(*made[1:3], strict=True))
@@ -254,9 +257,15 @@ _VALENCE = {6: 4, 7: 3, 8: 2, 16: 2}
 _RING_ANIONS = 2
 """Anions at most among the nitrogens of a macrocycle."""
 _DRAWN_AS = {"HEC": "HEM"}
-_SATURATED = {"HEC": ({"CAB", "CBB"}, {"CAC", "CBC"})}
-"""Heme c is drawn without its thioethers and with ethylidene groups, which charge all nitrogens of its ring.
-The chemistry is that of heme b with ethyl for vinyl groups: a cysteine takes the place of a hydrogen."""
+_CATIONS = ("7MG", "MGT")
+"""7-Methylguanines that are drawn with a second hydrogen at C8 in the place of their charge."""
+_REDRAWN: dict[str, dict[frozenset[str], int]] = {
+    "HEC": {frozenset(("CAB", "CBB")): 1, frozenset(("CAC", "CBC")): 1},
+    **dict.fromkeys(_CATIONS, {frozenset(("N7", "C8")): 2}),
+}
+"""Other orders of bonds. Heme c is drawn without its thioethers and with ethylidene groups, which charge all
+nitrogens of its ring. The chemistry is that of heme b with ethyl for vinyl groups: a cysteine takes the place
+of a hydrogen."""
 
 
 def _sanitised(made: Any, source: str) -> Molecule:

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+import numpy as np
+
 from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import overlaps

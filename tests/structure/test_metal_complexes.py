@@ -201,3 +201,18 @@ def test_the_table_of_metal_components_is_that_of_the_code(tmp_path):
         assert (name, found) == (name, int(charge))
         assert (name, s.mobile[mine].all()) == (name, moves == "yes")
         assert (name, mine.sum() == 1) == (name, moves == "held")
+
+
+@pytest.mark.parametrize("place", ["first", "inner", "last"])
+def test_a_strand_with_an_incomplete_nucleotide_has_a_whole_charge(tmp_path, place):
+    lines = (STRUCTURES / "1bna.pdb").read_text().splitlines()
+    number = {"first": 1, "inner": 5, "last": 12}[place]
+    gone = (f"A{number:4}", " C4 ")
+    chosen = [line for line in lines if line[:4] == "ATOM" and line[21] == "A"]
+    kept = [line for line in chosen if (line[21:26], line[12:16]) != gone]
+    assert len(kept) == len(chosen) - 1
+    path = tmp_path / "strand.pdb"
+    path.write_text("\n".join([*kept, "END"]))
+    s = pc.load(path, keep="all")
+    assert s.obstacle.any()
+    assert charge_of(s) == pytest.approx(-11, abs=SUM_OF_CHARGES)
