@@ -261,7 +261,7 @@ _CATIONS = ("7MG", "MGT")
 """7-Methylguanines that are drawn with a second hydrogen at C8 in the place of their charge."""
 _REDRAWN: dict[str, dict[frozenset[str], int]] = {
     "HEC": {frozenset(("CAB", "CBB")): 1, frozenset(("CAC", "CBC")): 1},
-    **dict.fromkeys(_CATIONS, {frozenset(("N7", "C8")): 2}),
+    **{name: {frozenset(("N7", "C8")): 2} for name in _CATIONS},
 }
 """Other orders of bonds. Heme c is drawn without its thioethers and with ethylidene groups, which charge all
 nitrogens of its ring. The chemistry is that of heme b with ethyl for vinyl groups: a cysteine takes the place
