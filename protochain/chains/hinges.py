@@ -67,6 +67,7 @@ def cross_links(structure: Structure) -> np.ndarray:
     held = np.flatnonzero(cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first])
     _, rows = np.unique(second[held], return_index=True)
     cut[held[rows]] = False
+    cut |= (r1 != r2) & free & structure.coordination
     borne = (r1 != r2) & (structure.mobile[first] != structure.mobile[second]) & ~cut
     piece = components(structure.bonds[~cut & ~borne], structure.n_atoms)
     for row in np.flatnonzero(borne).tolist():

@@ -237,8 +237,13 @@ _SHIFTS = sorted((0.25 * k for k in range(-20, 21)), key=abs)
 """pH by which rules are shifted to a charge that is known."""
 
 
-def at_ph(molecule: Molecule, ph: float) -> tuple[Molecule, tuple[Charged, ...]]:
-    """Return a molecule as it is at a pH, and what was changed: Hydrogens that stay are where they were."""
+def at_ph(
+    molecule: Molecule, ph: float, donors: Collection[str] = ()
+) -> tuple[Molecule, tuple[Charged, ...]]:
+    """Return a molecule as it is at a pH, and what was changed: Hydrogens that stay are where they were.
+
+    The donors of a metal of the molecule do not change.
+    """
     neutral = library("rdkit.Chem.MolStandardize.rdMolStandardize").Uncharger()
     made, rank = _numbered(molecule)
     smiles = library("rdkit.Chem").MolToSmiles(quietly(neutral.uncharge, made))
@@ -247,6 +252,13 @@ def at_ph(molecule: Molecule, ph: float) -> tuple[Molecule, tuple[Charged, ...]]
     state = _state(smiles, ph + shift, rank)
     if state is None or {_number(atom) for atom in state.GetAtoms()} != set(molecule.heavy.tolist()):
         raise StructureError(f"{molecule.source}: cannot be charged for pH {ph:g}; give it as it is there")
+    for atom in state.GetAtoms():
+        k = _number(atom)
+        if molecule.names[k] in donors:
+            atom.SetFormalCharge(int(molecule.formal_charges[k]))
+            ends = molecule.bonds[(molecule.bonds == k).any(axis=1)]
+            atom.SetNumExplicitHs(int((molecule.elements[ends] == 1).sum()))
+            atom.SetNoImplicit(True)
     return _in_state(molecule, state)
 
 

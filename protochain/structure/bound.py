@@ -4,7 +4,7 @@ Orders of bonds and charges are never taken from distances. A molecule whose che
 which the force field of small molecules has no parameters, stays in place, and its repair says why.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
@@ -27,6 +27,7 @@ from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import Charged, at_metal, at_ph, unsure, with_hydrogens
 from protochain.ligands.sources import of_residue
 from protochain.structure.draft import Draft, Part
+from protochain.structure.ions import oxidation_state
 from protochain.structure.links import Link, is_metal
 from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind
@@ -73,9 +74,9 @@ class Chemistry:
         """Names of residues that are to move, whatever else is kept."""
         return {*self.named, *self.posed}
 
-    def charged(self, molecule: Molecule, given: bool) -> Charging:
+    def charged(self, molecule: Molecule, given: bool, donors: Collection[str] = ()) -> Charging:
         """Charge a molecule for the pH, unless its source shows its charges, as of SO4."""
-        return at_ph(molecule, self.ph) if _is_charged_by_ph(molecule, given) else (molecule, ())
+        return at_ph(molecule, self.ph, donors) if _is_charged_by_ph(molecule, given) else (molecule, ())
 
     @property
     def poses(self) -> list[str]:
@@ -169,7 +170,8 @@ class Chemist:
 
     def free(self, member: Member) -> Molecule:
         """Chemistry of a residue as its source has it, under the names of its atoms in the file."""
-        found, atoms = self._of_source(member), member.heavy
+        found = self._of_source(member)
+        atoms = _atoms_of(found, member)
         names, is_given = tuple(a.name for a in atoms), self.name(member) in self.chemistry.moving
         if not is_given and {*names} <= {*found.names}:
             return found
@@ -189,7 +191,8 @@ class Chemist:
     def _looked_up(self, name: str, member: Member) -> Charging:
         """Chemistry of a residue by name, charged for the pH."""
         if name not in self.known:
-            self.known[name] = self.chemistry.charged(self._of_source(member), name in self.chemistry.named)
+            free, is_given = self._of_source(member), name in self.chemistry.named
+            self.known[name] = self.chemistry.charged(free, is_given, inner_donors(member))
         return self.known[name]
 
 
@@ -202,14 +205,41 @@ def _is_charged_by_ph(molecule: Molecule, given: bool) -> bool:
     return bool(np.isin(molecule.elements, (6, 15)).any()) and not (given and shown)
 
 
+def inner_donors(member: Member) -> set[str]:
+    """Names of the atoms of a residue that hold a metal of the same residue."""
+    metals = [(member, a) for a in member.heavy if is_metal(a.element.name)]
+    return {a.name for a in member.heavy if any(Link(member, a, *metal).is_coordinated for metal in metals)}
+
+
+def note_metals(draft: Draft, member: Member, metals: Sequence[gemmi.Atom]) -> None:
+    """Report metals whose bonds are springs."""
+    if metals:
+        atoms = tuple(f"{a.name} {a.charge:+d}" for a in metals)
+        draft.note(Kind.COMPLEX, residue=member.residue, atoms=atoms)
+
+
+def charged_metals(member: Member, name: str, names: Collection[str]) -> list[gemmi.Atom]:
+    """Metals of a residue beside its molecule, with their oxidation states unless the file has charges."""
+    metals = [a for a in member.heavy if a.element.is_metal and a.name not in names]
+    for a in metals:
+        a.charge = a.charge or oxidation_state(name, a.element.name)
+    return metals
+
+
 def _placed(molecule: Molecule, member: Member, by_name: bool) -> Placed:
     """The molecule where the file has it."""
-    atoms = member.heavy
+    atoms = _atoms_of(molecule, member)
     there = _hydrogens(member)
     n = [len(there[a.name]) for a in atoms]
     names, x = tuple(a.name for a in atoms), np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
     elements = [a.element.atomic_number for a in atoms]
     return placed(molecule, elements, names, x, n if any(n) else None, by_name=by_name)
+
+
+def _atoms_of(molecule: Molecule, member: Member) -> list[gemmi.Atom]:
+    """Heavy atoms of a residue but the metals, if its chemistry has none."""
+    has_metal = any(gemmi.Element(int(z)).is_metal for z in {*molecule.elements.tolist()})
+    return [a for a in member.heavy if has_metal or not a.element.is_metal]
 
 
 def _as_shown(molecule: Molecule, member: Member) -> Molecule:
@@ -282,14 +312,14 @@ def take_up(draft: Draft, ph: float) -> None:
         if part.ligand is None:
             continue
         (member,), molecule = part.members, part.ligand.molecule
-        member.own, its = (
-            template_of(member.name, part.ligand, dict(enumerate(molecule.names))),
-            member.residue,
-        )
+        its, metals = member.residue, charged_metals(member, member.given or member.name, molecule.names)
+        member.own = template_of(member.name, part.ligand, dict(enumerate(molecule.names)), metals)
         charge = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
+        charge |= {a.name: a.charge for a in metals}
         for each in member.atoms:
             each.charge = charge.get(each.name, 0)
-        draft.note(Kind.BOUND, residue=its, source=molecule.source, charge=f"{molecule.charge:+d}")
+        draft.note(Kind.BOUND, residue=its, source=molecule.source, charge=f"{sum(charge.values()):+d}")
+        note_metals(draft, member, metals)
         if part.ligand.outside:
             draft.note(Kind.CHARGES_OF_MMFF94, residue=its, atoms=part.ligand.outside)
         if part.ligand.charged:
@@ -317,14 +347,17 @@ def put_hydrogens(draft: Draft) -> None:
                 each.pos = gemmi.Position(*np.round(x, _DECIMALS))
 
 
-def template_of(name: str, ligand: Ligand, called: Mapping[int, str]) -> Template:
-    """Template of a residue: atoms of a molecule, and the names that they have there."""
+def template_of(
+    name: str, ligand: Ligand, called: Mapping[int, str], metals: Sequence[gemmi.Atom] = ()
+) -> Template:
+    """Template of a residue: atoms of a molecule, the names that they have there, and metals beside it."""
     molecule, charge = ligand.molecule, ligand.parameters.charge
     bonds = ([called[i], called[j]] for i, j in molecule.bonds.tolist() if i in called and j in called)
     return Template(
         name,
-        {each: gemmi.Element(int(molecule.elements[i])).name for i, each in called.items()},
-        {each: float(charge[i]) for i, each in called.items()},
+        {each: gemmi.Element(int(molecule.elements[i])).name for i, each in called.items()}
+        | {a.name: a.element.name for a in metals},
+        {each: float(charge[i]) for i, each in called.items()} | {a.name: float(a.charge) for a in metals},
         # By name, so that a file written of it gives the same again.
         tuple(sorted((min(bond), max(bond)) for bond in bonds)),
         {},

@@ -23,7 +23,7 @@ from protochain.ligands.dictionary import leaving
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import at_ph
 from protochain.structure.bonding import Graph
-from protochain.structure.bound import Chemist
+from protochain.structure.bound import Chemist, inner_donors
 from protochain.structure.draft import Fragment, Part
 from protochain.structure.links import Link, usual_length
 from protochain.structure.member import Member
@@ -91,6 +91,7 @@ class Maker:
             tuple((*sorted(bond), order) for bond, order in self.graph.bonds.items()),
             " and ".join(dict.fromkeys(each.source for each in sources.values())),
             tuple(self.acids), tuple(self.amines),
+            frozenset(self.tag[id(m)] + name for m in self.members for name in inner_donors(m)),
             chemistry.charges if chemistry.charges in CHARGE_RULES else defaults.LIGAND_CHARGES, chemistry.ph,
         )  # fmt: skip
         ligand = replace(ligand, molecule=_with_stereo(ligand.molecule, sources))
@@ -317,6 +318,7 @@ def _parametrised(
     source: str,
     acids: tuple[str, ...],
     amines: tuple[str, ...],
+    donors: frozenset[str],
     rule: str,
     ph: float,
 ) -> Ligand:
@@ -324,7 +326,7 @@ def _parametrised(
     graph = Graph()
     graph.atoms = {name: [z, q] for name, z, q in atoms}
     graph.bonds = {frozenset((a, b)): order for a, b, order in bonds}
-    made, charged = at_ph(graph.molecule(source), ph)
+    made, charged = at_ph(graph.molecule(source), ph, donors)
     graph = Graph()
     graph.add("", made)
     for prefix in amines:

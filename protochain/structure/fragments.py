@@ -17,7 +17,7 @@ from protochain.core.markup import listed
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.matching import inverted_atoms
 from protochain.structure.bonding import Graph
-from protochain.structure.bound import Chemist, template_of
+from protochain.structure.bound import Chemist, charged_metals, note_metals, template_of
 from protochain.structure.capped import Maker, Place
 from protochain.structure.draft import Draft, Fragment, losses
 from protochain.structure.kept import cut
@@ -249,7 +249,8 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
             mine[id(m)] = m
             called.setdefault(id(m), {})[i] = own
     # Charges of the templates only turn hydroxyls while hydrogens are placed.
-    found = {key: (m, template_of(m.name, made.ligand, called[key])) for key, m in mine.items()}
+    metals = {k: charged_metals(m, chemist.name(m), called[k].values()) for k, m in mine.items()}
+    found = {k: (m, template_of(m.name, made.ligand, called[k], metals[k])) for k, m in mine.items()}
     leavers = {(id(m), name) for gone in made.bonds.values() for m, name in gone}
     for m, template in found.values():
         there = {a.name for a in m.heavy if (id(m), a.name) not in leavers}
@@ -261,8 +262,10 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     for m, template in found.values():
         m.own = template
         charge = sum(q for (owner, _), q in zip(made.owners, formal, strict=True) if owner is m)
+        charge += sum(a.charge for a in metals[id(m)])
         source = chemist.free(m).source
         draft.note(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
+        note_metals(draft, m, metals[id(m)])
         if not m.is_d and (its := tuple(name for owner, name in wrong if owner is m)):
             draft.note(Kind.INVERTED, residue=m.residue, atoms=its)
         if parts[id(m)].obstacle:

@@ -18,7 +18,7 @@ from protochain.core.markup import counted
 from protochain.structure import glycans, residues
 from protochain.structure.bound import AS_KNOWN, Chemistry
 from protochain.structure.draft import Draft, Part, losses
-from protochain.structure.ions import is_known
+from protochain.structure.ions import charge_cluster, is_known
 from protochain.structure.linkage import STATED
 from protochain.structure.links import Link, is_metal
 from protochain.structure.member import Member
@@ -281,6 +281,7 @@ def _parts(
                         f"{draft.source}: {member} has {len(member.atoms)} atoms, more than {_LARGEST}; "
                         "give each molecule in it a number of its own, or leave it out by keep"
                     )
+                charge_cluster(member.name, member.atoms)
                 member.own = by_element(member)
             if len(part.members) == 1:
                 users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)

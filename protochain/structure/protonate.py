@@ -88,6 +88,9 @@ def _template(
     template = template or usual
     if shown and member.name in residues.PHOSPHORYLATED:
         template = template.exchanged("O1P", _acid_oxygens(member)[0])
+    if _is_imidazolate(member):
+        template = template.without_hydrogen("NE2")
+        draft.note(Kind.IMIDAZOLATE, residue=member.residue)
     for linked in member.links:
         if linked.name != "N":
             template = template.without_hydrogen(linked.name)
@@ -104,6 +107,11 @@ def _free_pair(member: Member) -> str:
     if member.name == "LYS" and any(a.name == "NZ" for a in member.metals):
         return "LYN"
     return ""
+
+
+def _is_imidazolate(member: Member) -> bool:
+    """Whether both nitrogens of a histidine hold metals, as in superoxide dismutase."""
+    return member.name == "HIS" and {"ND1", "NE2"} <= {a.name for a in member.metals}
 
 
 def _shown(member: Member) -> str:

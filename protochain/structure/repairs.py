@@ -183,6 +183,10 @@ class Kind(Enum):
         "{residue} moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
         "moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
     )
+    COMPLEX = Words(
+        "{residue}: springs at the distances of the file in the place of the bonds of {atoms}",
+        "springs at the distances of the file in the place of the bonds of {atoms}",
+    )
     MODIFIED = Words(
         "{residue}: kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
         "kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
@@ -247,6 +251,7 @@ class Kind(Enum):
         "{residue}: amide turned by 180 degrees, by its hydrogen bonds", "amides turned by 180 degrees"
     )
     STATE_CHOSEN = Words("{residue} modelled as {state}")
+    IMIDAZOLATE = Words("{residue} modelled as imidazolate: it bridges two metals")
     STATE_BY_PKA = Words("{residue} modelled as {state}: its pKa is {pka:.1f} by PROPKA")
     STRANGE_HYDROGENS = Words(
         "{residue}: hydrogens left out, not of its state: {atoms:6}",
