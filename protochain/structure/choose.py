@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import gemmi
+import numpy as np
 from scipy.spatial import KDTree
 
 from protochain.core.errors import Argument, StructureError
@@ -74,8 +75,8 @@ def _are_copies(structure: gemmi.Structure) -> bool:
         places = [place.atom.pos for place in model]
         if names != named[0] or gemmi.superpose_positions(first, places).rmsd > _SAME:
             return False
-        upon = tree.query([position.tolist() for position in places])[0] < _UPON
-        if upon.mean() > _SHARED:
+        apart, _ = tree.query([position.tolist() for position in places])
+        if np.mean(apart < _UPON) > _SHARED:
             return False
     return True
 
@@ -88,8 +89,8 @@ def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -
     if len(structure) > 1:
         if number is None:
             kind = Kind.MODELS_ARE_COPIES if _are_copies(structure) else Kind.MODELS_LEFT_OUT
-            facts = {"used": structure[0].num, "count": len(structure) - 1}
-            draft.note(kind, **facts, remedy=Argument("assembly", MODELS))
+            remedy = Argument("assembly", MODELS)
+            draft.note(kind, used=structure[0].num, count=len(structure) - 1, remedy=remedy)
         draft.left_out["models"] = len(structure) - 1
     draft.model_number = structure[chosen].num
     return structure[chosen]

@@ -156,8 +156,10 @@ def _text(path: Path, source: str) -> str:
         raise StructureError(f"{source}: larger than {MAX_MEGABYTES} megabytes; give fewer models or chains")
     if b"dataBlocks" in data[:_HEAD]:
         return foreign.text_of_binary(data, source)
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        data = data.decode("utf-16", errors="replace").encode()  # Editors of Windows write it.
+    # Editors of Windows write UTF-16, in which one of two bytes of each letter is 0.
+    for mark, odd, encoding in (codecs.BOM_UTF16_LE, 1, "utf-16-le"), (codecs.BOM_UTF16_BE, 0, "utf-16-be"):
+        if data.startswith(mark) or (len(data) > _HEAD and not any(data[odd:_HEAD:2])):
+            data = data.decode(encoding, errors="replace").removeprefix("\ufeff").encode()
     _refuse_many(data, source)
     if b"\0" in data:
         raise StructureError(f"{source}: is a binary file; give PDB or mmCIF text")

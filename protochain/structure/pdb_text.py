@@ -55,7 +55,7 @@ def add_elements(lines: list[str]) -> None:
         and standard_name(residue)[0] not in {*STANDARD, *CAPS, *NUCLEOTIDES}
         and not gemmi.find_tabulated_residue(residue).is_water()
     }
-    for k, line in enumerate(lines):
+    for k, line in enumerate(lines) if any(known.values()) else ():
         if is_atom(line) and not line[76:78].strip():
             element = known.get(line[17:20].strip().upper(), {}).get(line[12:16].strip().upper(), "")
             lines[k] = f"{line[:76]:<76}{element:>2}{line[78:]}" if element else line

@@ -77,6 +77,6 @@ def _is_named_so(name: str, heavy: Collection[str]) -> bool:
 def _sites(residue: gemmi.Residue) -> list[int]:
     """Places of the sites of a water that are not atoms: it has one oxygen and two hydrogens besides."""
     names = [atom.name.lstrip("0123456789") for atom in residue]
-    sites = [k for k, name in enumerate(names) if _SITE.match(name)]
+    sites = [k for k, name in enumerate(names) if _SITE.match(name) and not residue[k].element.is_metal]
     others = sorted(name[:1] for k, name in enumerate(names) if k not in sites)
     return sites if others in (["H", "H", "O"], ["D", "D", "O"]) else []

@@ -63,6 +63,8 @@ def has_designs(path: Path) -> None:
         assert (len(first), len(second), second[-1]) == (21, 30, last)
     with pytest.raises(pc.ProtochainError, match="has 3 records"):
         sequences(f"{path}#4", "sequence")
+    s = pc.Setup(sequence=f"{path}#2").load(path.with_name("c79_bb.pdb"))
+    assert s.residue_name[[0, 20, 21]].tolist() == ["GLY", "ASN", "PHE"]
 
 
 def without_pseudo_atoms(n_residues: int, n_atoms: int) -> Callable[[Path], None]:
