@@ -22,6 +22,7 @@ from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import Ligand, parametrised
+from protochain.ligands.dictionary import charges
 from protochain.ligands.matching import Placed, named_as, placed
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import Charged, at_metal, at_ph, unsure, with_hydrogens
@@ -142,8 +143,17 @@ class Chemist:
             if name in self.chemistry.moving or self.chemistry.charges not in CHARGE_RULES:
                 raise StructureError(f"{self.draft.source}: {member}: ", *error.parts) from None
             self.draft.note(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
+            self._charge_as_known(name, member)
             return
         part.inverted, part.mobile, part.posed = at.inverted, True, name in self.chemistry.posed
+
+    def _charge_as_known(self, name: str, member: Member) -> None:
+        """Give an inorganic ion that stays in place the dictionary's charges, unless the file has charges."""
+        known = {} if any(a.charge or a.element.name == "C" for a in member.atoms) else charges(name)
+        for each in member.atoms:
+            each.charge = known.get(each.name, 0) or each.charge
+        if total := sum(each.charge for each in member.atoms if each.name in known):
+            self.draft.note(Kind.CHARGES_OF_DICTIONARY, residue=member.residue, charge=f"{total:+d}")
 
     def _parametrised(self, molecule: Molecule, charged: tuple[Charged, ...]) -> Ligand:
         """The molecule with its parameters, which copies of it share."""

@@ -15,6 +15,7 @@ from protochain.core.errors import Argument, Fault, ProtochainError, StructureEr
 from protochain.core.graph import components
 from protochain.core.markup import listed
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands import tables
 from protochain.ligands.matching import inverted_atoms
 from protochain.structure.bonding import Graph
 from protochain.structure.bound import Chemist, charged_metals, note_metals, template_of
@@ -25,6 +26,7 @@ from protochain.structure.linkage import SHORTEST, STATED_SLACK
 from protochain.structure.links import Link
 from protochain.structure.member import Member
 from protochain.structure.parents import to_parent
+from protochain.structure.records import with_component
 from protochain.structure.repairs import Kind, Loss, Why
 from protochain.structure.residues import Atom
 from protochain.structure.sites import stated_beside
@@ -271,6 +273,9 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         if parts[id(m)].obstacle:
             parts[id(m)].mobile, parts[id(m)].is_small = True, False
         m.odd, m.parent = False, ""
+        if chemist.name(m) in chemist.chemistry.named:
+            # The file written has to give the same chemistry again.
+            draft.header = with_component(draft.header, tables.rows(chemist.name(m), chemist.free(m)))
     for link, left in made.bonds.items():
         back = [(m, x) for m, a, *_ in _both_ways(link) for x in _back(chemist, m, a.name, left)]
         gone = [each for each in left if each not in back]

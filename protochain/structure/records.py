@@ -123,6 +123,12 @@ def _with(ligands: Mapping[str, Rows], found: Mapping[str, Rows]) -> dict[str, R
     return kept | {category: kept.get(category, []) + given for category, given in ligands.items()}
 
 
+def with_component(header: str, ligand: Mapping[str, Rows]) -> str:
+    """Return a header with the tables of a component in the place of others of that component."""
+    found = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
+    return _text(_with(ligand, found))
+
+
 def pdb_lines(header: str, out: gemmi.Structure, ligands: Mapping[str, Rows]) -> tuple[list[str], list[str]]:
     """Return the records of a PDB file of citation, terms and ligands, and those of the ligands' names."""
     found = cif_rows(header, out, {}, ligands)

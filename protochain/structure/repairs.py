@@ -194,6 +194,9 @@ class Kind(Enum):
     CHARGES_OF_MMFF94 = Words(
         "{residue}: partial charges of MMFF94: {atoms:8} are outside the domain of NAGL's model"
     )
+    CHARGES_OF_DICTIONARY = Words(
+        "{residue}: charges of the Chemical Component Dictionary, {charge} in total"
+    )
     LINKED = Words("{atoms:and} are bonded ({length:.2f} angstrom): kept, in the place of {gone}")
     NO_PARAMETERS = Words("the bond between {atoms:and} has no parameters: {why}")
     CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")

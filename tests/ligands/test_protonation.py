@@ -1,6 +1,7 @@
 """Charges of classes of acids and bases at a pH, against pKa measured in water (Serjeant and Dempsey 1979;
 Perrin 1965, 1982; Prankerd 2007)."""
 
+import numpy as np
 import pytest
 
 import protochain as pc
@@ -64,3 +65,21 @@ def test_what_no_rule_covers_is_reported():
 def test_patterns_are_valid_and_have_sources():
     assert all(protonation._query(smarts) for smarts, *_ in protonation._SIGMA)
     assert all(protonation._query(rule.smarts) and rule.source[-1] == "]" for rule in protonation.RULES)
+
+
+@pytest.mark.parametrize("pair", ["COP(=O)([S-])OC COP(=S)([O-])OC", "COP(=S)([S-])OC COP(=S)([S-])OC"])
+def test_thiophosphates_are_one_anion_in_both_drawings(pair):
+    """Bonds of P and S are as long as in crystals (1.94 to 1.98 angstrom)."""
+    first, second = map(pc.ligand, pair.split())
+    for made in (first, second):
+        at = made.molecule.elements[made.parameters.bonds.atoms]
+        lengths = 10.0 * made.parameters.bonds.parameters[(np.sort(at) == [15, 16]).all(axis=1), 0]
+        assert len(lengths) and np.allclose(lengths, 1.95, atol=0.05)
+    charges = [np.sort(made.parameters.charge) for made in (first, second)]
+    assert np.allclose(*charges, atol=1e-9)
+
+
+@pytest.mark.parametrize("smiles", ["F[P-](F)(F)(F)(F)F", "FP(F)(F)(F)F", "FS(F)(F)(F)(F)c1ccccc1"])
+def test_five_and_six_neighbours_are_refused(smiles):
+    with pytest.raises(pc.ProtochainError, match="neighbours"):
+        pc.ligand(smiles)
