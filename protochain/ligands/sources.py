@@ -104,15 +104,9 @@ def from_dictionary(name: str) -> Molecule:
         )
     x = np.asarray(atoms.coord, dtype=float) / ANGSTROM_PER_NM
     charges = (atoms.charge + ((atoms.atom_name == "N7") & (name in _CATIONS))).tolist()
-    kept, made = _without_metals(
-        list(map(str, atoms.atom_name)), elements, charges, table[:, :2].tolist(), [k or 0 for k in known]
-    )
-    source = f"{name} of the Chemical Component Dictionary"
-    n_molecules = len({*components(np.array(made[3], dtype=int).reshape(-1, 2), len(kept)).tolist()})
-    anions = sum(z == 7 and q < 0 for z, q in zip(*made[1:3], strict=True))
-    if len(kept) < len(elements) and (n_molecules > 1 or anions > _RING_ANIONS):
-        why = f"of {n_molecules} molecules" if n_molecules > 1 else "drawn without the charge of its ring"
-        raise StructureError(f"{source}: is a complex of a metal, {why}, without parameters")
+    source, names = f"{name} of the Chemical Component Dictionary", list(map(str, atoms.atom_name))
+    ends = table[:, :2].tolist()
+    kept, made = _without_metals(source, names, elements, charges, ends, [k or 0 for k in known])
     return _sanitised(assembled(*made, x[kept]), source)
 
 
@@ -218,7 +212,7 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
     charges = [charge for _, charge in atoms.values()]
     if not is_charged:
         charges = _by_valence(elements, pairs, orders)
-    _, bare = _without_metals(names, elements, charges, pairs, orders)
+    _, bare = _without_metals(source, names, elements, charges, pairs, orders)
     made = _sanitised(assembled(*bare, None), source)
     own = [
         {"kind": row.str(1), "atoms": row.str(2)}
@@ -248,7 +242,12 @@ def _by_valence(elements: list[int], pairs: list[tuple[int, int]], orders: list[
 
 
 def _without_metals(
-    names: list[str], elements: list[int], charges: list[int], pairs: list[Any], orders: list[int]
+    source: str,
+    names: list[str],
+    elements: list[int],
+    charges: list[int],
+    pairs: list[Any],
+    orders: list[int],
 ) -> tuple[list[int], tuple[list[str], list[int], list[int], list[list[int]], list[int]]]:
     """Atoms that stay, and an organic molecule without metals: donors take the electrons of their bonds."""
     import gemmi
@@ -264,10 +263,13 @@ def _without_metals(
         charges[k] = sum(order for *ends, order in bonds if k in ends) - _VALENCE.get(elements[k], 0)
     kept = [k for k, is_metal in enumerate(metal) if not is_metal]
     place = {k: n for n, k in enumerate(kept)}
-    return kept, (
-        [names[k] for k in kept], [elements[k] for k in kept], [charges[k] for k in kept],
-        [[place[i], place[j]] for i, j, _ in bonds], [order for *_, order in bonds],
-    )  # fmt: skip
+    ends = [[place[i], place[j]] for i, j, _ in bonds]
+    n_molecules = len({*components(np.array(ends, dtype=int).reshape(-1, 2), len(kept)).tolist()})
+    if n_molecules > 1 or sum(elements[k] == 7 and charges[k] < 0 for k in kept) > _RING_ANIONS:
+        why = f"of {n_molecules} molecules" if n_molecules > 1 else "drawn without the charge of its ring"
+        raise StructureError(f"{source}: is a complex of a metal, {why}, without parameters")
+    found = [names[k] for k in kept], [elements[k] for k in kept], [charges[k] for k in kept]
+    return kept, (*found, ends, [order for *_, order in bonds])
 
 
 _VALENCE = {6: 4, 7: 3, 8: 2, 16: 2}

@@ -45,7 +45,7 @@ Thauer, Eur. J. Biochem. 243:110, 1997), porphyrins by their names."""
 _CLUSTERS = {
     "SF4": (3, 3, 2, 2), "FES": (3, 3), "F3S": (3, 3, 3), "CUA": (2, 1), "CUZ": (2, 1, 1, 1), "CLF": (2,) * 8,
     "ICS": (3, 3, 3, 3, 3, 2, 2, 2), "OEX": (2, 3, 3, 4, 4), "FEO": (3, 3), "NCO": (3,), "RHD": (3,),
-    "CPT": (2,),
+    "IRI": (3,), "CPT": (2,),
 }  # fmt: skip
 """Oxidation states of the metals of clusters, in any order: [Fe4S4]2+, [Fe2S2]2+, [Fe3S4]1+ (Beinert, Holm,
 Munck, Science 277:653, 1997), CuA 3+, CuZ and the copper-sulphide site (Solomon et al., Chem. Rev. 114:3659,
