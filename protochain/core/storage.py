@@ -121,8 +121,10 @@ def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
     try:
         with _locked(folder / ".lock", f"{folder}: another {kind} is writing to this folder; give another"):
             for path in folder.rglob(".protochain-*") if resume else ():
-                if _TEMPORARY.fullmatch(path.name):
-                    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+                if _TEMPORARY.fullmatch(path.name) and path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                elif _TEMPORARY.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
             yield
     finally:
         with suppress(OSError):  # Results are there.
