@@ -64,6 +64,7 @@ class Maker:
         self.graph, self.flagged = Graph(), set[str]()
         self.acids, self.amines = list[str](), list[str]()
         self.at: dict[str, gemmi.Atom] = {}
+        self.hydrogens = {self.tag[id(m)] + a.name for m in members for a in m.atoms if a.is_hydrogen()}
 
     def fragment(self) -> Fragment:
         """Chemistry and parameters, whose atoms these are, and what leaves at each bond."""
@@ -201,7 +202,7 @@ class Maker:
         adds = not carbons and not gone and not self.flagged & {*graph.light(a), *graph.light(b)}
         for end in (a, b):
             single = self._single(end) + (graph.acceptors(end) if adds else [])
-            gone += graph.give(end, 1 + is_double, free[end], single)
+            gone += graph.give(end, 1 + is_double, free[end], single, self.hydrogens)
         graph.bonds[frozenset((a, b))] = 1 + is_double
         return tuple(gone)
 
