@@ -78,7 +78,7 @@ def ligand_text(
     structure: Structure,
     sources: Sequence[str | Path] = (),
     others: bool = False,
-    measured: Sequence[Mapping[str, object]] = (),
+    measured: Sequence[Mapping[str, str]] = (),
 ) -> str:
     """Return the text that :func:`save_ligands` writes; ``measured`` are fields of each ligand."""
     check_ligands(structure)
