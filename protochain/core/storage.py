@@ -163,23 +163,26 @@ def _locked(path: Path, refusal: str) -> Iterator[None]:
         yield
     finally:
         _LOCKS.discard(owner)
-        path.unlink(missing_ok=True)
+        # Windows does not remove an open file.
+        with suppress(PermissionError):
+            path.unlink(missing_ok=True)
         os.close(file)
 
 
 def _open_locked(path: Path, refusal: str) -> int:
     """Open and lock a file; warn if the file system has no locks."""
-    import fcntl
-
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
+            # Windows has no such module.
+            import fcntl
+
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):
             os.close(file)
             raise ProtochainError(refusal) from None
-        except OSError as error:
-            what = f"{path.parent}: this file system has no locks ({error.strerror})"
+        except (ImportError, OSError) as error:
+            what = f"{path.parent}: this file system has no locks ({error})"
             warnings.warn(f"{what}; start no other run that writes here", WriteWarning, stacklevel=2)
             return file
         # The process that had the lock before may have removed this file.
