@@ -287,4 +287,4 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
 def _is_below(name: str) -> bool:
     """Whether a name of a table leads to a file in its folder: results are written under these names."""
     path = PurePath(name)
-    return not path.is_absolute() and ".." not in path.parts and "\0" not in name
+    return not path.is_absolute() and os.pardir not in path.parts and "\0" not in name

@@ -112,7 +112,8 @@ def build_chain(
     wanted = [hinge for hinge in found if moving[hinge.atoms[2]] and _is_asked(hinge, kinds_asked, single)]
     turning, group = turning_hinges(structure, bonds, wanted)
     # A molecule without a backbone or side chain to turn, as ACE-NME, is one free body.
-    is_body = not wanted and move == defaults.MOVE and " ".join(opened) == defaults.HINGES
+    is_body = not (wanted or structure.mobile.any()) and move == defaults.MOVE
+    is_body = is_body and " ".join(opened) == defaults.HINGES
     if not turning and not structure.mobile.any() and not is_body:
         of = "" if move == "all" else f" in {move!r}"
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")

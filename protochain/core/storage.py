@@ -92,7 +92,8 @@ def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     # Libraries take the format and the packing of a file from the end of its name.
     suffix = path.suffix if len(os.fsencode(path.suffix)) < _LONG_SUFFIX else ""
-    temporary = regular(path).with_name(f"{temporary_stem()}.part{suffix}")
+    # The system itself refuses to replace a folder.
+    temporary = (path if path.is_dir() else regular(path)).with_name(f"{temporary_stem()}.part{suffix}")
     try:
         temporary.touch(exist_ok=False)
         write(temporary)

@@ -490,7 +490,10 @@ def _apply(state: Any, smarts: str, gain: int, rank: list[int], among: Collectio
 def _draw_enolate(state: Any, site: Any) -> None:
     """Draw a carbanion beside a carbonyl group as the enolate, which parameters and charges mean."""
     orders = library("rdkit.Chem").BondType
-    match = next(m for m in _matches(state, "[C-]-[CX3]=[O,S]") if m[0] == site.GetIdx())
+    ends = (m for m in _matches(state, "[C-]-[CX3]=[O,S]") if m[0] == site.GetIdx())
+    if (match := next(ends, None)) is None:
+        # A carbanion of another kind, as cyanide.
+        return
     state.GetBondBetweenAtoms(*match[:2]).SetBondType(orders.DOUBLE)
     state.GetBondBetweenAtoms(*match[1:]).SetBondType(orders.SINGLE)
     site.SetFormalCharge(0)

@@ -70,6 +70,9 @@ def _pseudo(residue: gemmi.Residue, template: Template | None) -> list[int]:
 def _is_named_so(name: str, heavy: Collection[str]) -> bool:
     """Whether an unknown name is the name of a pseudo-atom: a deuterium has none of a heavy atom after D."""
     letter = name.lstrip("0123456789")[:1]
+    if name == "X":
+        # The reader gives this name to an atom without one.
+        return False
     is_drude = letter == "D" and name[1:] in heavy
     return letter not in _OF_ELEMENTS or is_drude or bool(_PSEUDO.fullmatch(name))
 
