@@ -4,6 +4,7 @@ import csv
 import errno
 import io
 import os
+import re
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -286,5 +287,4 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
 
 def _is_below(name: str) -> bool:
     """Whether a name of a table leads to a file in its folder: results are written under these names."""
-    path = PurePath(name)
-    return not path.is_absolute() and os.pardir not in path.parts and "\0" not in name
+    return not PurePath(name).is_absolute() and os.pardir not in re.split(r"[/\\]", name) and "\0" not in name
