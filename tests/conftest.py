@@ -54,6 +54,9 @@ def collection():
 def collected():
     """Collect the cyclic garbage of a file: its figures and chains are few objects with large arrays."""
     yield
+    # The whole dictionary of components, as biotite reads it for some tests, takes 1.5 GB.
+    if (dictionary := sys.modules.get("biotite.structure.info.ccd")) is not None:
+        dictionary.get_ccd.cache_clear()
     gc.collect()
 
 

@@ -38,14 +38,24 @@ def protochain_relax(selection="all", name="", options="", quiet=0, _self=cmd):
     with TemporaryDirectory() as folder:
         model, relaxed = (Path(folder) / each for each in ("model.pdb", "relaxed.pdb"))
         _self.save(str(model), selection, -1)
-        program = shlex.split(os.environ.get("PROTOCHAIN", "protochain"))
-        call = [*program, "relax", str(model), "-o", str(relaxed), "--json", *shlex.split(options)]
-        done = subprocess.run(call, capture_output=True, text=True)
-        if done.returncode not in (0, 3):
-            raise CmdException(done.stderr.strip().splitlines()[-1])
+        program = os.environ.get("PROTOCHAIN", "protochain")
+        try:
+            call = [*shlex.split(program), "relax", str(model), "-o", str(relaxed), "--json"]
+            call += shlex.split(options)
+            done = subprocess.run(call, capture_output=True, encoding="utf-8", errors="replace")
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise CmdException(f"{program}: {why}; set PROTOCHAIN to the command protochain") from None
+        try:
+            record = json.loads(done.stdout) if done.returncode in (0, 3) and relaxed.exists() else None
+        except ValueError:
+            record = None
+        if not isinstance(record, dict):
+            lines = done.stderr.strip().splitlines()
+            how = f"signal {-done.returncode}" if done.returncode < 0 else f"status {done.returncode}"
+            raise CmdException(lines[-1] if lines else f"{program}: ended by {how} without a result")
         name = name or f"{first}_relaxed"
         _self.load(str(relaxed), name)
-    record = json.loads(done.stdout)
     if not int(quiet):
         print(f" protochain: {name}: {record['message']}")
         for key in ("violations", "overlaps", "twisted_peptides", "inverted_stereocentres"):

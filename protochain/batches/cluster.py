@@ -2,7 +2,6 @@
 
 import logging
 import pickle
-import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -19,7 +18,7 @@ from protochain.core.checks import at_least, check_fields, limited, number, opti
 from protochain.core.errors import Argument, ProtochainError, WriteError
 from protochain.core.extras import library
 from protochain.core.processors import processors
-from protochain.core.storage import writing
+from protochain.core.storage import temporary_stem, writing
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 _PATIENCE = 10.0
 """s. Time for the scheduler to answer, and for the first worker before its absence is told."""
-_SHARED = ".protochain-"
 """How the name begins of the folder of what all processes need."""
 
 
@@ -160,9 +158,7 @@ def reason(error: Exception, path: object = "") -> tuple[str, str]:
 @contextmanager
 def shared(values: tuple[Any, ...], folder: Path | None = None) -> Iterator[Path]:
     """File, for as long as it is needed, of values that all processes read."""
-    for left in folder.glob(f"{_SHARED}*") if folder else ():
-        shutil.rmtree(left, ignore_errors=True)  # of a run that was killed
-    with tempfile.TemporaryDirectory(prefix=_SHARED, dir=folder) as own:
+    with tempfile.TemporaryDirectory(".part", temporary_stem(), folder) as own:
         path = Path(own).absolute() / "task.pickle"
         try:
             with writing(path):

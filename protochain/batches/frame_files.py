@@ -20,11 +20,11 @@ from protochain.batches.table import lines, read_table, saved
 from protochain.core.checkpoints import Checkpoint, checkpoint, write_checkpoint
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.storage import check_writable, writing
+from protochain.core.storage import check_writable, claimed_files, writing
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.files import format_of
 from protochain.structure.frames import Frames, open_frames
-from protochain.structure.trajectory import TrajectoryFile, check_trajectory
+from protochain.structure.trajectory import TrajectoryFile, check_trajectory, part_of
 from protochain.structure.write import common_suffix, save
 
 if TYPE_CHECKING:
@@ -62,8 +62,12 @@ class FramesRun:
 
 def files_of(table: Path, trajectory: Path | None) -> list[Path]:
     """Files that a run writes."""
-    beside = [] if trajectory is None or _in_text(trajectory) else [_beside(trajectory)]
-    return [table, _checkpoint(table), *([trajectory] if trajectory else []), *beside]
+    files = [table, _checkpoint(table)]
+    if trajectory is None:
+        return files
+    if _in_text(trajectory):
+        return [*files, trajectory, part_of(trajectory.with_suffix(".dcd"))]
+    return [*files, trajectory, part_of(trajectory), _beside(trajectory)]
 
 
 def check_output(trajectory: Path) -> None:
@@ -89,9 +93,11 @@ def run_frames(
     if resume and not force and table.exists() and not _checkpoint(table).exists():
         return _complete(ensemble, frames, task, table, trajectory)
     settings = _settings(ensemble, frames, task, hydrogens)
-    files = _Files(ensemble, task, table, trajectory, hydrogens, settings, resume, force)
     interrupted = False
-    with files:
+    with (
+        claimed_files(*files_of(table, trajectory)),
+        _Files(ensemble, task, table, trajectory, hydrogens, settings, resume, force) as files,
+    ):
         try:
             left = frames.without_first(files.n_rows)
             for result in over_frames(ensemble, left, task, processes) if len(left) else ():

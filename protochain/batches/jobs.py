@@ -26,7 +26,7 @@ from protochain.core.checks import (
 )
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.settings import Setting, setting, settings_of
-from protochain.core.storage import regular
+from protochain.core.storage import as_utf8, regular
 from protochain.minimisers.minimise_settings import MinimiseSettings, StartSettings
 from protochain.minimisers.minimise_structure import Minimisation
 from protochain.minimisers.recipes import recipe_of
@@ -266,7 +266,7 @@ def origin(job: Job) -> dict[str, Any]:
     model = job.settings.setup.model
     return {
         "structure": job.name,
-        "input": str(job.path),
+        "input": as_utf8(str(job.path)),
         "model": "" if model is None else model,
         "key": job.key,
     }

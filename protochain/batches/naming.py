@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 
+from protochain.core.storage import as_utf8
 from protochain.minimisers.recipes import recipe_of
 from protochain.relaxation.names import relaxed_stem
 from protochain.relaxation.record import METHOD as RELAX
@@ -27,7 +28,7 @@ class Wanted:
     @property
     def source(self) -> tuple[str, str]:
         """Path and model, as tables have them."""
-        return str(self.path), "" if self.model is None else str(self.model)
+        return as_utf8(str(self.path)), "" if self.model is None else str(self.model)
 
     @cached_property
     def place(self) -> Path:
@@ -41,7 +42,7 @@ class Wanted:
         model = "" if self.model is None else f".{self.model}"
         model += f".{self.pose}" if self.pose else ""
         more = ("", "", f"-{self.key[:8]}", f"-{self.key}-{position}")[level]
-        return (self.place.parent.relative_to(home) / f"{stem}{ending}{model}{more}").as_posix()
+        return as_utf8((self.place.parent.relative_to(home) / f"{stem}{ending}{model}{more}").as_posix())
 
 
 _WITH_ENDING, _LAST = 1, 3

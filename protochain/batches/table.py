@@ -4,17 +4,18 @@ import csv
 import errno
 import io
 import os
+import re
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, get_origin
 
 from protochain.batches.batch_settings import NAME as SETTINGS
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
 from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.core.storage import check_writable, claimed, write_text, writing
+from protochain.core.storage import check_writable, claimed, regular, write_text, writing
 from protochain.minimisers import record
 from protochain.relaxation.record import COLUMNS as OF_RELAXING
 from protochain.relaxation.record import INTERFACE_COLUMNS
@@ -104,7 +105,8 @@ class Tables:
     ) -> None:
         self.name = name
         self.summary, self.traces = folder / f"{name}.csv", folder / _TRACES
-        check_writable(self.summary)
+        for file in files_of(folder, name):
+            check_writable(file)
         self.folder, self._claim = folder, ExitStack()
         self._claim.enter_context(claimed(folder, "batch", resume))
         other = folder / f"{RELAXED if name == SUMMARY else SUMMARY}.csv"
@@ -228,9 +230,7 @@ def saved(path: Path, what: str) -> Iterator[None]:
         with writing(path):
             yield
     except WriteError as error:
-        raise error.with_saved(
-            what, "free space there, then continue with ", Argument("resume", True)
-        ) from error
+        raise error.with_saved(what, "continue with ", Argument("resume", True)) from error
 
 
 def lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:
@@ -266,7 +266,7 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
     """Rows of a table, without incomplete and damaged ones."""
     if not path.exists():
         return
-    with path.open(newline="", encoding="utf-8", errors="replace") as file:
+    with regular(path).open(newline="", encoding="utf-8", errors="replace") as file:
         columns, seen, numbers = None, set[tuple[str, ...]](), list[tuple[int, Callable[[str], float]]]()
         whole = (line for line in file if line.endswith("\n"))
         for cells in csv.reader(whole):
@@ -275,9 +275,16 @@ def _whole_lines(path: Path) -> Iterable[dict[str, str]]:
                 numbers = [(i, _NUMBERS[name]) for i, name in enumerate(columns) if name in _NUMBERS]
                 if not {*(TRACE_COLUMNS if path.name == _TRACES else _OF_ROWS)} <= {*columns}:
                     raise ProtochainError(f"{path}: is not a table of a batch; give another folder")
-            elif len(cells) == len(columns) and cells != columns and (row := tuple(cells)) not in seen:
-                seen.add(row)  # A table that was put behind itself has each row once.
+            elif len(cells) == len(columns) and cells != columns and tuple(cells) not in seen:
+                seen.add(tuple(cells))  # A table that was put behind itself has each row once.
                 with suppress(ValueError):
                     for i, read in numbers:
                         read(cells[i] or "0")
-                    yield dict(zip(columns, cells, strict=True))
+                    row = dict(zip(columns, cells, strict=True))
+                    if all(_is_below(row.get(name, "")) for name in ("structure", "output")):
+                        yield row
+
+
+def _is_below(name: str) -> bool:
+    """Whether a name of a table leads to a file in its folder: results are written under these names."""
+    return not PurePath(name).is_absolute() and os.pardir not in re.split(r"[/\\]", name) and "\0" not in name

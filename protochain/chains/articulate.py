@@ -111,7 +111,10 @@ def build_chain(
         )
     wanted = [hinge for hinge in found if moving[hinge.atoms[2]] and _is_asked(hinge, kinds_asked, single)]
     turning, group = turning_hinges(structure, bonds, wanted)
-    if not turning and not structure.mobile.any():
+    # A molecule without a backbone or side chain to turn, as ACE-NME, is one free body.
+    is_body = not (wanted or structure.mobile.any()) and move == defaults.MOVE
+    is_body = is_body and " ".join(opened) == defaults.HINGES
+    if not turning and not structure.mobile.any() and not is_body:
         of = "" if move == "all" else f" in {move!r}"
         raise ChainError(f"{structure.name}: no bond turns with hinges {hinges!r}{of}; open more of them")
     molecule = components(bonds, structure.n_atoms)
@@ -128,9 +131,9 @@ def build_chain(
         if not structure.obstacle[atoms].all()
         and not (structure.mobile[atoms].all() and _is_straight(structure.positions[atoms]))
     ]
-    loose = root == "free" or (root == "auto" and len(chains) > 1)
+    loose = root == "free" or (root == "auto" and (len(chains) > 1 or is_body))
     free = [loose and i in chains and bool(moving[atoms].all()) for i, atoms in enumerate(parts)]
-    if root == "auto" and len(chains) < len(parts):
+    if root == "auto" and chains and len(chains) < len(parts):
         # Kept molecules hold the frame: the largest chain must not drift away from them.
         free[max(chains, key=lambda i: len(parts[i]))] = False
     bodies, atom_body = _walk(structure.name, turning, group, roots, free, "angles" in opened)

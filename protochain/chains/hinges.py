@@ -67,6 +67,7 @@ def cross_links(structure: Structure) -> np.ndarray:
     held = np.flatnonzero(cut & structure.kept[second] & ~structure.obstacle[second] & ~structure.kept[first])
     _, rows = np.unique(second[held], return_index=True)
     cut[held[rows]] = False
+    cut |= (r1 != r2) & free & structure.coordination
     borne = (r1 != r2) & (structure.mobile[first] != structure.mobile[second]) & ~cut
     piece = components(structure.bonds[~cut & ~borne], structure.n_atoms)
     for row in np.flatnonzero(borne).tolist():
@@ -201,6 +202,9 @@ def turning_hinges(
     while True:
         group = _without_hinges(structure.n_atoms, bonds, hinges)
         hinges = [hinge for hinge in hinges if group[hinge.atoms[1]] != group[hinge.atoms[2]]]
+        if closing := _in_rings(group, hinges):
+            hinges = [hinge for k, hinge in enumerate(hinges) if k not in closing]
+            continue
         members = grouped(group)
         touching = Counter(group[[hinge.atoms[1:3] for hinge in hinges]].ravel().tolist())
         real = [
@@ -221,6 +225,35 @@ def _without_hinges(n_atoms: int, bonds: Integers, hinges: list[Hinge]) -> Integ
     turning = {frozenset(hinge.atoms[1:3]) for hinge in hinges}
     rigid = np.array([frozenset(bond) not in turning for bond in bonds.tolist()], dtype=bool)
     return components(bonds[rigid], n_atoms)
+
+
+def _in_rings(group: Integers, hinges: list[Hinge]) -> set[int]:
+    """Hinges whose groups (na,) form rings with others, by the paths of a spanning forest."""
+    ends = group[np.array([hinge.atoms[1:3] for hinge in hinges], dtype=np.int64).reshape(-1, 2)].tolist()
+    at: dict[int, list[int]] = {}
+    for k, pair in enumerate(ends):
+        for end in pair:
+            at.setdefault(end, []).append(k)
+    # Hinge towards the root of each group, and how many hinges lie between.
+    inward, depth = dict[int, int](), dict[int, int]()
+    for root in at:
+        queue = [] if root in depth else [root]
+        depth.setdefault(root, 0)
+        for one in queue:
+            for k in at[one]:
+                other = ends[k][ends[k][0] == one]
+                if other not in depth:
+                    inward[other], depth[other] = k, depth[one] + 1
+                    queue.append(other)
+    found: set[int] = set()
+    for k in {*range(len(ends))} - {*inward.values()}:
+        found.add(k)
+        one, other = ends[k]
+        while one != other:
+            one, other = (one, other) if depth[one] >= depth[other] else (other, one)
+            found.add(inward[one])
+            one = ends[inward[one]][ends[inward[one]][0] == one]
+    return found
 
 
 def _on_axis(x: Floats, members: Integers, start: int, end: int) -> bool:

@@ -172,7 +172,10 @@ class Setup(Settings):
         lambda given, name: _model(given, name),
     )
     assembly: str = setting(
-        "", "Biological assembly to build, by its name in the file [default: the molecules as filed].", text
+        "",
+        "Biological assembly to build, by its name in the file, or models: all models joined "
+        "[default: the molecules as filed].",
+        text,
     )
     altloc: str = setting("", "Alternate location to prefer [default: of highest occupancy].", text)
     keep: tuple[str, ...] = setting(

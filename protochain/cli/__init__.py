@@ -23,6 +23,7 @@ from protochain.cli.help import Command
 from protochain.cli.options import BAD_INPUT, INTERRUPTED, RENAMED, as_option, fail
 from protochain.cli.printable import Printable
 from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.core.interrupts import interrupt_on_signals
 
 __all__ = ["main"]
 
@@ -114,7 +115,9 @@ def _not_raised(lost: "sys.UnraisableHookArgs") -> None:
 
 def main() -> None:
     """Run the command line: one line on standard error and status 2 for bad input or usage."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    interrupt_on_signals()
+    # No command opens a window, and no thread of numexpr, which pandas imports, computes anything.
+    os.environ |= {"MPLBACKEND": "agg", "NUMEXPR_NUM_THREADS": "1"}
     sys.unraisablehook = _not_raised
     # By default Python looks for garbage after each 700 new objects, also while 1700 modules are loaded: a
     # tenth of the time of a short run.

@@ -14,6 +14,7 @@ from protochain.cli import options
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.markup import counted
+from protochain.core.storage import claimed_files
 
 if TYPE_CHECKING:
     from protochain.batches.cluster import Processes
@@ -138,12 +139,13 @@ def run(
     replaces = not resume and (force or not files[1].exists())  # Where there is a checkpoint, it is refused.
     options.check_outputs([source, trajectory, *reads], [*files, report], setup, force, replaces)
     options.check_page(report)
-    ensemble, chosen = opened(source, trajectory, frames, setup)
-    with frames_progress(task.name, len(chosen)) as watch:
-        done = run_frames(
-            ensemble, chosen, task, table, output, hydrogens=hydrogens, processes=processes, resume=resume,
-            force=force, watch=watch,
-        )  # fmt: skip
+    with claimed_files(*files):
+        ensemble, chosen = opened(source, trajectory, frames, setup)
+        with frames_progress(task.name, len(chosen)) as watch:
+            done = run_frames(
+                ensemble, chosen, task, table, output, hydrogens=hydrogens, processes=processes,
+                resume=resume, force=force, watch=watch,
+            )  # fmt: skip
     if done.was_complete:
         print(f"{done.csv}: is complete; nothing was left to do", file=sys.stderr)
     if report:

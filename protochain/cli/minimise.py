@@ -15,6 +15,7 @@ from protochain.cli import options, terminal
 from protochain.core import defaults
 from protochain.core.errors import Argument, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts
+from protochain.core.storage import claimed_files
 from protochain.core.timings import timed
 from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings, StartSettings
 
@@ -64,7 +65,7 @@ def minimise(
     from protochain.minimisers.minimise_structure import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
     from protochain.minimisers.starts import refuse_held
-    from protochain.structure.trajectory import check_trajectory
+    from protochain.structure.trajectory import check_trajectory, part_of
 
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
     Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
@@ -81,8 +82,10 @@ def minimise(
         single = "timings trace trajectory checkpoint resume report ligand_out"
         options.refuse(context, single, "belongs to one model, and there may be several")
     runs = _runs(source, output, setup, one_file)
-    outputs = [*dict.fromkeys(path for _, path in runs), trajectory, saving.checkpoint, *beside.values()]
+    frames = [trajectory, part_of(trajectory)] if trajectory else []
+    outputs = [*dict.fromkeys(path for _, path in runs), *frames, saving.checkpoint, *beside.values()]
     options.check_outputs([source, saving.resume], outputs, setup, force)
+    context.with_resource(claimed_files(*frames))
 
     settings: dict[str, Any] = {"method": chosen, **vars(minimising)}
     if starting.n_starts == 1:

@@ -12,6 +12,7 @@ from protochain.cli import options
 from protochain.cli.relax import Resume, Workers
 from protochain.core import defaults
 from protochain.core.errors import ProtochainError
+from protochain.core.storage import claimed_files
 from protochain.relaxation.relax_settings import RelaxSettings
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ def _scan(
     options.check_page(report)
     options.check_outputs([source], [table, report], setup, force, not resume)
     processes = Processes(how[0], how[1], setup.threads or 1, how[2])
-    with processes.started_early():
+    with claimed_files(table), processes.started_early():
         structure = setup.load(source)
         options.print_changes(source, structure)
         with count_progress("mutate") as watch:

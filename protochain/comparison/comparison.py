@@ -261,9 +261,7 @@ class Comparison:
         except WriteError as error:
             there = ", ".join(sorted(path.name for path in folder.glob("*") if not path.name.startswith(".")))
             raise error.with_saved(
-                f"{folder}: {there}" if there else "nothing",
-                "free space there, and run again with ",
-                Argument("force", True),
+                f"{folder}: {there}" if there else "nothing", "run again with ", Argument("force", True)
             ) from error
 
     def write_page(self, path: Path) -> None:

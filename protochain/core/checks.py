@@ -268,16 +268,47 @@ def file_name(value: Any, name: str) -> str:
 
 
 def sequences(value: Any, name: str) -> str:
-    """Letters of chains, with ``/`` between and ``NAME=`` before, of a text like that or of a FASTA file."""
+    """Letters of chains, with ``/`` between and ``NAME=`` before, of a text like that or of a FASTA file.
+
+    A record is a chain. Records of ProteinMPNN and LigandMPNN are designs of all chains, and so are records
+    with ``/`` or ``:`` between chains. ``FILE#2`` is the second design.
+    """
     given = text(str(value) if isinstance(value, Path) else value, name).strip()
-    if given and len(given) < 256 and Path(given).is_file():
-        records = re.findall(r"(?m)^(?:>(\w*).*)?((?:\n?[^>\n]*$)*)", Path(given).read_text(errors="replace"))
-        split = [(of, "".join(its.split()).strip("/*").split("/")) for of, its in records if its.strip()]
-        given = "/".join(f"{of}={each}" if len(its) == 1 else each for of, its in split for each in its)
+    file, sign, number = (given, "", "") if _is_file(given) else given.rpartition("#")
+    if _is_file(file) and (not sign or number.isdecimal()):
+        given = _read_fasta(Path(file), int(number or 0), name)
     if given and not re.fullmatch(r"(\w*=)?[A-Z-]+(/(\w*=)?[A-Z-]+)*", given.upper()):
         raise refused(name, shown(value), "give a FASTA file, or letters, with / between chains")
     named = (each.rpartition("=") for each in given.split("/"))
     return "/".join(f"{of}{sign}{letters.upper()}" for of, sign, letters in named)
+
+
+def _is_file(given: str) -> bool:
+    return bool(given) and len(given) < 256 and Path(given).is_file()
+
+
+def _read_fasta(file: Path, number: int, name: str) -> str:
+    """Sequences of a FASTA file, or of one of its designs, from 1; 0 takes the only one."""
+    records = re.findall(r"(?m)^(?:>(.*))?((?:\n?[^>\n]*$)*)", file.read_text(errors="replace"))
+    split = [
+        (head, re.split("[/:]", "".join(its.split()).strip("/:*"))) for head, its in records if its.strip()
+    ]
+    are_designs = len(split) > 1 and all(len(letters) > 1 for _, letters in split)
+    if not number and not are_designs and not any(_DESIGN.search(head) for head, _ in split):
+        chains = [(re.match(r"\w*", head), letters) for head, letters in split]
+        return "/".join(
+            f"{of[0]}={part}" if of and of[0] and len(letters) == 1 else part
+            for of, letters in chains
+            for part in letters
+        )
+    if number > len(split) or (not number and len(split) > 1):
+        what = f"has {len(split)} records; choose one as {file}#{len(split)}"
+        raise refused(name, shown(f"{file}#{number}" if number else str(file)), what)
+    return "/".join(split[max(number, 1) - 1][1])
+
+
+_DESIGN = re.compile(r"\b(sample|score|global_score|seq_rec\w*|overall_confidence|num_res)=")
+"""What ProteinMPNN and LigandMPNN write above each design."""
 
 
 def force_field_parts(given: str) -> list[str]:

@@ -10,7 +10,9 @@ import hashlib
 import logging
 import os
 import stat
+import sys
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, cached_property, partial
@@ -24,13 +26,30 @@ from protochain.core import compile_helpers
 from protochain.core.errors import ProtochainError
 from protochain.core.timings import part
 
+
+@contextmanager
+def _without_yaml() -> Iterator[None]:
+    """Let imports fail to import yaml, without which numba does not open its file of settings."""
+    loaded = sys.modules.get("yaml")
+    sys.modules["yaml"] = None  # type: ignore[assignment]  # which Python takes for a module that is missing
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "A Numba config file is found")
+            yield
+    finally:
+        del sys.modules["yaml"]
+        if loaded is not None:
+            sys.modules["yaml"] = loaded
+
+
 try:
-    from numba import config
-    from numba import njit as _njit
-    from numba.core.caching import FunctionCache
-    from numba.core.codegen import get_host_cpu_features
-    from numba.core.compiler_lock import global_compiler_lock
-    from numba.core.runtime.nrt import rtsys
+    with _without_yaml():
+        from numba import config
+        from numba import njit as _njit
+        from numba.core.caching import FunctionCache
+        from numba.core.codegen import get_host_cpu_features
+        from numba.core.compiler_lock import global_compiler_lock
+        from numba.core.runtime.nrt import rtsys
 except ValueError as error:
     raise ProtochainError(
         f"numba cannot start ({error}); unset NUMBA_NUM_THREADS, or give a number"
@@ -42,6 +61,7 @@ _LOG = logging.getLogger(__name__)
 _SETTINGS: Any = config
 # Numba also takes settings from a file of this name in the current folder, with them the folder of compiled
 # code, which is unpickled and run: that of somebody's structures is not to be trusted. The environment is.
+# Another package may have imported numba before, with this file.
 _SETTINGS._config_fname = os.devnull
 _SETTINGS.reload_config()
 # LLVM's superword-level vectoriser, off by default in numba, makes sweeps 1.4 times faster. Code rounds

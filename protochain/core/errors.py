@@ -3,11 +3,10 @@
 The outcome of a run is no exception but a :class:`protochain.minimisers.Status`.
 """
 
+import errno
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
-
-_MAKE_SPACE = "free space there, or give another place, and run again"
 
 
 @dataclass(frozen=True)
@@ -109,19 +108,34 @@ def refused(name: str, given: object, *remedy: object) -> ProtochainError:
 class WriteError(ProtochainError):
     """A file that could not be written: the system's reason, what was saved besides, what to do."""
 
-    def __init__(self, path: object, why: str, saved: str = "", *remedy: str | Argument) -> None:
-        super().__init__(str(path), why, saved, *(remedy or (_MAKE_SPACE,)))
+    def __init__(self, path: object, reason: OSError | str, saved: str = "", *then: str | Argument) -> None:
+        super().__init__(str(path), reason, saved, *then)
 
     @property
     def parts(self) -> tuple[object, ...]:
         """The line in parts."""
-        path, why, saved, *remedy = self.args
-        return (f"{path}: not written ({why}){saved and f'; saved: {saved}'}; ", *remedy)
+        path, reason, saved, *then = self.args
+        why = getattr(reason, "strerror", None) or reason
+        remedy = _REMEDIES.get(getattr(reason, "errno", errno.ENOSPC), "check the path")
+        after = (", then ", *then) if then else (", or give another place, and run again",)
+        return (f"{path}: not written ({why}){saved and f'; saved: {saved}'}; {remedy}", *after)
 
-    def with_saved(self, saved: str, *remedy: str | Argument) -> "WriteError":
-        """Return the same error, which also says what was saved and what to do."""
-        path, why, *_ = self.args
-        return WriteError(path, why, saved, *remedy)
+    def with_saved(self, saved: str, *then: str | Argument) -> "WriteError":
+        """Return the same error, which also says what was saved, and what to do after the remedy."""
+        path, reason, *_ = self.args
+        return WriteError(path, reason, saved, *then)
+
+
+_REMEDIES = {
+    **dict.fromkeys((errno.ENOSPC, errno.EDQUOT, errno.EFBIG), "free space there"),
+    **dict.fromkeys((errno.EACCES, errno.EPERM), "change the permissions there"),
+    **dict.fromkeys((errno.EMFILE, errno.ENFILE), "allow more open files"),
+    errno.EROFS: "make the drive writable",
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.EIO: "check the drive",
+    errno.ENOENT: "make the folder again",
+}
+"""What to do about a reason of the system. A reason that is a text is a full disk."""
 
 
 class WriteWarning(RuntimeWarning):

@@ -1,5 +1,6 @@
-"""SIGINT and SIGTERM: held while a result is at stake, let through where none is."""
+"""Signals that end a run: held while a result is at stake, let through where none is."""
 
+import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -7,11 +8,20 @@ from threading import Thread, current_thread, main_thread
 from types import FrameType
 from typing import TypeVar
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+ENDING = ("SIGTERM", "SIGHUP", "SIGXCPU")
+"""Signals that the command line takes for an interrupt: an end, a lost connection, a limit of CPU time."""
+_SIGNALS = [signal.SIGINT, *(getattr(signal, name) for name in ENDING if hasattr(signal, name))]
 _POLL = 0.1
 """s between looks at a call that runs in another thread."""
 
 Result = TypeVar("Result")
+
+
+def interrupt_on_signals() -> None:
+    """Raise KeyboardInterrupt at these signals, except at those that the caller ignores, as nohup does."""
+    for number in _SIGNALS:
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
 
 
 class _Noted(list[int]):
@@ -19,11 +29,18 @@ class _Noted(list[int]):
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         self.append(number)
+        for stream in (1, 2) if number == getattr(signal, "SIGHUP", None) else ():
+            try:
+                os.write(stream, b"")
+            except OSError:  # The terminal is gone, and printing to it would end the run.
+                os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+        if number == getattr(signal, "SIGXCPU", None):
+            signal.signal(number, signal.SIG_IGN)  # The system repeats it every second.
 
 
 @contextmanager
 def held_interrupts() -> Iterator[list[int]]:
-    """Collect SIGINT and SIGTERM in a list instead of KeyboardInterrupt; nested calls share the outer's."""
+    """Collect these signals in a list instead of KeyboardInterrupt; nested calls share the outer's."""
     handlers = {number: signal.getsignal(number) for number in _SIGNALS}
     outer = next((handler for handler in handlers.values() if isinstance(handler, _Noted)), None)
     if outer is not None:
@@ -39,7 +56,8 @@ def held_interrupts() -> Iterator[list[int]]:
         yield noted
     finally:
         for number in held:
-            signal.signal(number, signal.default_int_handler)
+            if signal.getsignal(number) is noted:
+                signal.signal(number, signal.default_int_handler)
 
 
 @contextmanager

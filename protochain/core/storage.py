@@ -1,16 +1,22 @@
 """Atomic writing of files, and folders of one process at a time."""
 
+import errno
+import hashlib
 import json
 import math
 import os
 import re
+import shutil
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from threading import get_ident
 from typing import Any
+from uuid import uuid4
 
-from protochain.core.errors import ProtochainError, WriteError
+from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 
 
 def json_text(values: Any, indent: int | None = 2) -> str:
@@ -30,16 +36,29 @@ def check_writable(path: Path) -> None:
     """Refuse a path to which no file can be written, or none that is read again."""
     if any("\ud800" <= letter <= "\udfff" for letter in str(path)):
         raise ProtochainError(f"{ascii(str(path))[1:-1]}: its name is not UTF-8; give another name")
-    if path.is_dir():
-        raise ProtochainError(f"{path}: is a folder; give the name of a file")
-    folder = next(parent for parent in path.absolute().parents if parent.exists())
-    if not folder.is_dir():
-        raise ProtochainError(f"{path}: {folder.name} is not a folder; give another name")
     try:
+        if path.is_dir():
+            raise ProtochainError(f"{path}: is a folder; give the name of a file")
+        regular(path)
+        folder = next(parent for parent in path.absolute().parents if parent.exists())
+        if not folder.is_dir():
+            raise ProtochainError(f"{path}: {folder.name} is not a folder; give another name")
+        longest = max(len(os.fsencode(name)) for name in path.absolute().relative_to(folder).parts)
+        if longest > getattr(os, "pathconf", lambda *_: _LONGEST)(folder, "PC_NAME_MAX"):
+            raise OSError(errno.ENAMETOOLONG, os.strerror(errno.ENAMETOOLONG))
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
         raise ProtochainError(f"{path}: cannot be written ({error.strerror}); give another name") from None
+
+
+_LONGEST = 255
+"""Bytes of the name of a file, on systems that do not report a limit."""
+
+
+def as_utf8(text: str) -> str:
+    """Return a text as files have it: bytes of names that are not UTF-8 as ``repr`` has them."""
+    return text.encode(errors="backslashreplace").decode()
 
 
 def regular(path: Path) -> Path:
@@ -55,7 +74,7 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise WriteError(path, error.strerror or str(error)) from error
+        raise WriteError(path, error) from error
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
@@ -71,47 +90,104 @@ def write_text(path: Path, text: str) -> None:
 
 def _write_atomically(path: Path, write: Callable[[Path], object]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    # Libraries take the format and the packing of a file from the end of its name.
+    suffix = path.suffix if len(os.fsencode(path.suffix)) < _LONG_SUFFIX else ""
+    # The system itself refuses to replace a folder.
+    temporary = (path if path.is_dir() else regular(path)).with_name(f"{temporary_stem()}.part{suffix}")
     try:
+        temporary.touch(exist_ok=False)
         write(temporary)
-        # mkstemp makes private files; results get the usual permissions of a new file.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-_TEMPORARY = re.compile(r"\..+\.([a-z0-9_]{8})\.\w+")
-"""What :func:`_write_atomically` calls a file until it is whole."""
+_LONG_SUFFIX = 100
+"""Bytes of a suffix that the name of a temporary file does not repeat."""
+_TEMPORARY = re.compile(r"\.protochain-[0-9a-f]{32}\w*\.part(\..+)?")
+"""Names of temporary files and folders, which no other program and no user writes."""
+
+
+def temporary_stem() -> str:
+    """Return the first part of a new name of a temporary file or folder; ``.part`` follows it."""
+    return f".protochain-{uuid4().hex}"
 
 
 @contextmanager
 def claimed(folder: Path, kind: str, resume: bool = False) -> Iterator[None]:
     """Hold a folder for one process, made and removed if empty; to resume, removes temporary files."""
-    from filelock import FileLock, Timeout
-
     made = [each for each in (folder, *folder.absolute().parents) if not each.exists()]
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(folder / ".lock")
     try:
-        lock.acquire(timeout=0)
-    except Timeout:
-        raise ProtochainError(f"{folder}: another {kind} is writing to this folder; give another") from None
-    for path in folder.rglob(".*.????????.*") if resume else ():
-        found = _TEMPORARY.fullmatch(path.name)
-        # Of letters alone, as of .x.settings.json, only what is as private as mkstemp makes it.
-        if found and path.is_file() and (not found[1].isalpha() or path.stat().st_mode & 0o077 == 0):
-            path.unlink(missing_ok=True)
-    try:
-        yield
+        with _locked(folder / ".lock", f"{folder}: another {kind} is writing to this folder; give another"):
+            for path in folder.rglob(".protochain-*") if resume else ():
+                if _TEMPORARY.fullmatch(path.name) and path.is_dir():
+                    shutil.rmtree(path, ignore_errors=True)
+                elif _TEMPORARY.fullmatch(path.name):
+                    path.unlink(missing_ok=True)
+            yield
     finally:
-        (folder / ".lock").unlink(missing_ok=True)
-        lock.release()
         with suppress(OSError):  # Results are there.
             for each in made:
                 each.rmdir()
+
+
+@contextmanager
+def claimed_files(*paths: Path) -> Iterator[None]:
+    """Reserve output files that grow row by row for one process, by a lock file beside each of them."""
+    with ExitStack() as locks:
+        for path in sorted({path.absolute() for path in paths}):
+            with writing(path):
+                path.parent.mkdir(parents=True, exist_ok=True)
+            digest = hashlib.sha256(os.fsencode(path.name)).hexdigest()[:32]
+            refusal = f"{path}: another run is writing this file; give another name"
+            locks.enter_context(_locked(path.with_name(f".protochain-{digest}.lock"), refusal))
+        yield
+
+
+_LOCKS: set[tuple[Path, int]] = set()
+"""Lock files that this process has locked, and the thread that did."""
+
+
+@contextmanager
+def _locked(path: Path, refusal: str) -> Iterator[None]:
+    """Lock a file and remove it at the end; calls inside this context by the same thread have the lock."""
+    owner = path.resolve(), get_ident()
+    if owner in _LOCKS:
+        yield
+        return
+    with writing(path):
+        file = _open_locked(path, refusal)
+    _LOCKS.add(owner)
+    try:
+        yield
+    finally:
+        _LOCKS.discard(owner)
+        # Windows does not remove an open file.
+        with suppress(PermissionError):
+            path.unlink(missing_ok=True)
+        os.close(file)
+
+
+def _open_locked(path: Path, refusal: str) -> int:
+    """Open and lock a file; warn if the file system has no locks."""
+    while True:
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        try:
+            # Windows has no such module.
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError):
+            os.close(file)
+            raise ProtochainError(refusal) from None
+        except (ImportError, OSError) as error:
+            what = f"{path.parent}: this file system has no locks ({error})"
+            warnings.warn(f"{what}; start no other run that writes here", WriteWarning, stacklevel=2)
+            return file
+        # The process that had the lock before may have removed this file.
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file), path.stat()):
+                return file
+        os.close(file)

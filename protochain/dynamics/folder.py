@@ -177,8 +177,6 @@ class Folder:
             if hasattr(self, "_frames"):
                 self._frames.discard()
             self.log_part.unlink(missing_ok=True)
-            with suppress(OSError):  # Other files may be there.
-                self.path.rmdir()
             return ""
         if self.log_part.exists():
             os.truncate(self.log_part, self.stored["log_bytes"])
@@ -205,9 +203,7 @@ def rescued(folder: Folder | None) -> Iterator[None]:
         saved = folder.rescue() if folder else ""
         if not saved:
             raise error.with_saved("nothing") from error
-        raise error.with_saved(
-            saved, "free space there, then continue with ", Argument("resume", True)
-        ) from error
+        raise error.with_saved(saved, "continue with ", Argument("resume", True)) from error
 
 
 _COUNTED = ("step", "frames", "trajectory_bytes", "log_bytes")

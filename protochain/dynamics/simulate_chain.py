@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -24,6 +24,7 @@ from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import listed
 from protochain.core.settings import settings_from
+from protochain.core.storage import claimed
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
 from protochain.dynamics.com_motion import has_free_roots
@@ -153,16 +154,18 @@ def simulate(
     """
     given = locals()
     settings, running = settings_from(SimulationSettings, given), settings_from(RunSettings, given)
-    if output is not None:
-        check_folder(Path(output), trajectory, running.resume, running.force)
+    path = None if output is None else Path(output)
+    if path is not None:
+        check_folder(path, trajectory, running.resume, running.force)
     elif running.resume:
         raise ProtochainError(Argument("resume", True), ": give the folder of the simulation as output")
     chain, energy = with_energy(chain, energy)
-    # A resumed run has the loops of its own start, not of this q.
-    run = _prepare(chain, energy, q, settings, constants_of(Path(output)) if resume and output else {})
-    folder = Folder(Path(output), trajectory, run.identity, run.constants) if output is not None else None
-    with threadpool_limits(1, "blas"), rescued(folder):
-        return _simulate(run, folder, running, watch)
+    with nullcontext() if path is None else claimed(path, "simulation", running.resume):
+        # A resumed run has the loops of its own start, not of this q.
+        run = _prepare(chain, energy, q, settings, constants_of(path) if resume and path else {})
+        folder = None if path is None else Folder(path, trajectory, run.identity, run.constants)
+        with threadpool_limits(1, "blas"), rescued(folder):
+            return _simulate(run, folder, running, watch)
 
 
 @dataclass(frozen=True, eq=False)

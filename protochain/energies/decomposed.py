@@ -186,8 +186,11 @@ def _parts(structure: Structure, between: Sequence[str] | str) -> tuple[NDArray[
 
 
 def residues_of(structure: Structure, part: str, what: str) -> NDArray[np.bool_]:
-    """Residues (nr,) of a chain, of ``A:1-50``, or of a selection, which an argument names."""
-    place = re.fullmatch(r"(\w+)(?::(-?\d+)(?:-(-?\d+))?)?", part)
+    """Residues (nr,) of a chain, of ``A:1-50``, or of a selection, which an argument names.
+
+    Ends with insertion codes, as ``H:111A-112``, mean the residues between them in the order of the file.
+    """
+    place = re.fullmatch(r"(\w+)(?::(-?\d+)([A-Za-z]?)(?:-(-?\d+)([A-Za-z]?))?)?", part)
     chains = [*dict.fromkeys(structure.residue_chain.tolist())]
     if place is None or place[1] not in chains:
         mask = np.zeros(structure.n_residues, dtype=bool)
@@ -200,9 +203,18 @@ def residues_of(structure: Structure, part: str, what: str) -> NDArray[np.bool_]
             ) from None
         return mask
     chosen = structure.residue_chain == place[1]
-    if place[2]:
-        number = structure.residue_number.astype(int)
-        chosen &= (number >= int(place[2])) & (number <= int(place[3] or place[2]))
+    first, last = (place[2], place[3]), (place[4] or place[2], place[5] if place[4] else place[3])
+    number, code = structure.residue_number.astype(int), structure.residue_insertion_code
+    if first[1] or last[1]:
+        # Insertion codes have no order of their own: IMGT has 112B, 112A, 112.
+        ends = [
+            np.flatnonzero(chosen & (number == int(n)) & (code == (c or "")))[:1].tolist()
+            for n, c in (first, last)
+        ]
+        order = np.arange(structure.n_residues)
+        chosen &= bool(all(ends)) & (order >= sum(ends[0])) & (order <= sum(ends[1]))
+    elif first[0]:
+        chosen &= (number >= int(first[0])) & (number <= int(last[0]))
     if not chosen.any():
         raise ProtochainError(f"{what}: {structure.name} has no residue {part}; give numbers that it has")
     return chosen

@@ -105,7 +105,7 @@ def create_system(
     chosen |= {residues[r]: code for r, code in sugars.items()}
     chosen |= {residues[r]: name for r, name in ions.items() if name}
     for bound, places in zip(bounds, framed, strict=True):
-        chosen |= _register(force_field, residues, bound, places)
+        chosen |= _register(force_field, structure, residues, bound, places)
     system = force_field.createSystem(topology, rigidWater=False, residueTemplates=chosen, **pairs)
     for bound in bounds:
         _add_terms(system, bound)
@@ -146,7 +146,8 @@ def _recognised(
     kept = structure.kept & ~np.isin(residue, [*small])
     bonds = structure.bonds
     beside = structure.kept[bonds]
-    bonds = bonds[(beside[:, 0] == beside[:, 1]) | structure.mobile[bonds].any(axis=1)]
+    is_known = (beside[:, 0] == beside[:, 1]) | structure.mobile[bonds].any(axis=1)
+    bonds = bonds[is_known & ~structure.coordination]
     unknown: set[int] = set()
     while True:
         found = {
@@ -191,7 +192,7 @@ def _refuse_unheld(structure: Structure, system: openmm.System) -> None:
     bonds = structure.bonds
     # Springs hold what is bonded to an obstacle.
     own = structure.mobile[bonds].any(axis=1) & ~structure.obstacle[bonds].any(axis=1)
-    for i, j in bonds[own].tolist():
+    for i, j in bonds[own & ~structure.coordination].tolist():
         if (i, j) not in held:
             raise ForceFieldError(
                 f"the bond of {structure.describe(i)} to {structure.atom_name[j]} has no parameters, and the "
@@ -221,12 +222,55 @@ def _topology(structure: Structure, bonds: Integers, only: Any = None) -> app.To
 def _by_element(force_field: app.ForceField, structure: Structure, residue: Any) -> str:
     """Add the template of an unknown molecule to a force field; return its name."""
     types, kinds = dict[int, tuple[str, float]](), dict[str, _Kind]()
+    charges = _nucleic_charges(force_field, structure, residue) or _charges(structure, residue)
     for a in residue.atoms():
-        symbol, charge = a.element.symbol, float(structure.formal_charge[a.index])
-        kind = f"by-element-{symbol}{charge:+g}"
-        kinds[kind] = _Kind(symbol, charge, *lennard_jones(symbol, charge))
-        types[a.index] = kind, charge
+        types[a.index], kind = _element_type(a, charges[a.index])
+        kinds[types[a.index][0]] = kind
     return _add_template(force_field, residue, types, kinds)
+
+
+def _element_type(a: Any, charge: float) -> tuple[tuple[str, float], "_Kind"]:
+    """Type, charge and parameters of an atom by its element and charge."""
+    symbol = a.element.symbol
+    return (f"by-element-{symbol}{charge:+g}", charge), _Kind(symbol, charge, *lennard_jones(symbol, charge))
+
+
+def _charges(structure: Structure, residue: Any) -> dict[int, float]:
+    """Formal charges of the atoms of a residue; in clusters, what the anions leave to the metals."""
+    # Whole charges of ions at covalent distances would tear at their surroundings: computed ones of iron and
+    # sulphide are some tenths.
+    found = {a.index: float(structure.formal_charge[a.index]) for a in residue.atoms()}
+    metals = [a.index for a in residue.atoms() if is_metal(a.element.symbol) and found[a.index] > 0.0]
+    anions = [k for k, charge in found.items() if charge < 0.0]
+    if metals and anions:
+        total = sum(found.values())
+        bearers = metals if total >= 0.0 else anions
+        found |= dict.fromkeys((*metals, *anions), 0.0) | dict.fromkeys(bearers, total / len(bearers))
+    return found
+
+
+_ALONG = ("P", "O3'"), ("O3'", "P")
+"""Atoms that join nucleotides: of one, and of its neighbour."""
+
+
+def _nucleic_charges(force_field: app.ForceField, structure: Structure, residue: Any) -> dict[int, float]:
+    """Charges of a nucleotide of a strand, whose ends have no whole ones; none without a template."""
+    # What missing atoms and hydrogens would have is spread over the others: the sum is that of the template.
+    index = {a.name: a.index for a in residue.atoms()}
+    pairs = ((index[a], b, k) for a, b in _ALONG if a in index for k in structure.neighbours[index[a]])
+    joined = {b for i, b, k in pairs if structure.atom_name[k] == b and k not in index.values()}
+    if not joined:
+        return {}
+    end = "" if len(joined) == 2 else "5" if "P" in joined else "3"
+    usual = "A" if "O2'" in index else "DA"
+    names = (residue.name + end, usual + end)
+    template = next((force_field._templates[n] for n in names if n in force_field._templates), None)
+    if template is None or any("charge" not in a.parameters for a in template.atoms):
+        return {}
+    known = {a.name: a.parameters["charge"] for a in template.atoms}
+    found = {k: known.get(name, 0.0) for name, k in index.items()}
+    lacking = (sum(known.values()) - sum(found.values())) / len(found)
+    return {k: charge + lacking for k, charge in found.items()}
 
 
 def _add_template(
@@ -329,6 +373,7 @@ def _framed(structure: Structure, bound: BoundLigand) -> dict[int, dict[int, int
 
 def _register(
     force_field: app.ForceField,
+    structure: Structure,
     residues: Sequence[Any],
     bound: BoundLigand,
     places: Mapping[int, Mapping[int, int]],
@@ -353,7 +398,11 @@ def _register(
     for r, place in places.items():
         types, kinds = dict[int, tuple[str, float]](), dict[str, _Kind]()
         for a in residues[r].atoms():
-            k, i = a.index, place[a.index]
+            if (k := a.index) not in place:  # A metal beside the molecule.
+                types[k], kind = _element_type(a, float(structure.formal_charge[k]))
+                kinds[types[k][0]] = kind
+                continue
+            i = place[k]
             types[k] = known[r][k][0] if k in known[r] else f"molecule-{r}-{a.name}", charge[k]
             if k not in known[r]:
                 kinds[types[k][0]] = _Kind(
@@ -440,13 +489,18 @@ def _force(system: openmm.System, kind: type[openmm.Force]) -> Any:
 
 
 def _linked(structure: Structure) -> dict[int, set[int]]:
-    """Residues of the protein that a covalent bond joins to an obstacle, and their atoms that it joins."""
+    """Residues of the protein without hydrogens where a bond joins them to others, and these atoms."""
     found: dict[int, set[int]] = {}
     metal = np.array([is_metal(str(symbol)) for symbol in structure.atom_element])
     for first, second in structure.bonds.tolist():
         for mine, its in ((first, second), (second, first)):
             if structure.kept[its] and not structure.kept[mine] and not metal[its]:
                 found.setdefault(int(structure.atom_residue[mine]), set()).add(mine)
+    of, name = structure.atom_residue, structure.atom_name
+    rings = np.unique(of[(structure.residue_name[of] == "HIS") & ~structure.kept])
+    protonated = {*of[np.isin(name, ["HD1", "HE2"])].tolist()}
+    for r in (r for r in rings.tolist() if r not in protonated):
+        found.setdefault(r, set()).update(np.flatnonzero((of == r) & (name == "NE2")).tolist())
     return found
 
 
@@ -480,11 +534,18 @@ def _variant(force_field: app.ForceField, residue: Any, linked: Iterable[int]) -
     # CYS before CYM: the bond takes the place of the hydrogen.
     base = max(fitting, key=lambda pair: pair[0])[1]
     made = _without(base, have)
+    if residue.name == "HIS" and open_to == {"NE2"}:
+        for a in made.atoms:
+            a.parameters["charge"] -= (a.name in _IMIDAZOLE) / len(_IMIDAZOLE)
     for bond in residue.external_bonds():
         made.addExternalBondByName(next(a.name for a in bond if a.residue is residue))
     made.name = f"{base.name}-linked-{residue.index}"
     force_field.registerResidueTemplate(made)
     return str(made.name)
+
+
+_IMIDAZOLE = ("CG", "ND1", "CD2", "CE1", "NE2")
+"""Atoms over which the charge of imidazolate is spread."""
 
 
 def _hydrogens(template: Any) -> dict[str, int]:
@@ -523,7 +584,7 @@ def _not_interacting(structure: Structure, by_element: np.ndarray) -> set[tuple[
     """Pairs joined across bonds to obstacles, and touching pairs of obstacles without parameters."""
     n, bonds, kept, mobile = structure.n_atoms, structure.bonds, structure.kept, structure.mobile
     across = (kept[bonds[:, 0]] != kept[bonds[:, 1]]) & ~mobile[bonds].any(axis=1)
-    across |= np.diff(structure.obstacle[bonds]).ravel()
+    across |= np.diff(structure.obstacle[bonds]).ravel() | structure.coordination
     pairs: set[tuple[int, int]] = set()
     if across.any():
         near, without = (map(tuple, joined(some, n, 3).tolist()) for some in (bonds, bonds[~across]))

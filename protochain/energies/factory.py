@@ -42,7 +42,7 @@ from protochain.energies.untrusted import check_expressions, check_passive
 from protochain.structure.convert import as_structure
 from protochain.structure.glycans import parameters
 from protochain.structure.model import Structure
-from protochain.structure.residues import PHOSPHORYLATED
+from protochain.structure.residues import NUCLEOTIDES, PHOSPHORYLATED
 from protochain.structure.templates import (
     CONVERT,
     HAS_GLYCAM,
@@ -52,6 +52,7 @@ from protochain.structure.templates import (
     SMIRNOFF,
     defined,
     phosphate_ends,
+    strand_junctions,
 )
 
 DATA = Path(app.__file__).parent / "data"
@@ -300,6 +301,10 @@ def build_system(
         files += [name for name in dict.fromkeys(beside) if Path(name).exists()]
         has_nucleotides = any("/DNA." in name for name in beside)
         files += [phosphate_ends()] if has_nucleotides and (structure.atom_name == "OP3").any() else []
+        strands = [
+            name for name in files if isinstance(name, str) and Path(name).name[:4] in ("DNA.", "RNA.")
+        ]
+        files += [strand_junctions(*strands)] if len(strands) == 2 and _has_junctions(structure) else []
     if structure.glycans and HAS_GLYCAM in parts:
         files.append(parameters(frozenset(structure.glycans.values())))
     if solvent == "gbn2":
@@ -324,6 +329,13 @@ def build_system(
     for atom in np.flatnonzero(structure.obstacle).tolist():
         system.setParticleMass(atom, 0.0)
     return system
+
+
+def _has_junctions(structure: Structure) -> bool:
+    """Whether nucleotides of DNA and RNA are bonded to one another."""
+    of = structure.residue_name[structure.atom_residue[structure.bonds]]
+    nucleic = np.isin(of, [*NUCLEOTIDES]).all(axis=1)
+    return bool((np.diff(np.char.startswith(of[nucleic].astype(str), "D").astype(int), axis=1) != 0).any())
 
 
 def _phosphorylated(structure: Structure) -> set[str]:

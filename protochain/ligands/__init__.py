@@ -1,6 +1,6 @@
 """Small molecules: their chemistry, and parameters for it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from protochain.core.errors import Argument, StructureError
 from protochain.ligands import charges as charging
 from protochain.ligands import energy, nagl, smirnoff
 from protochain.ligands.molecule import Molecule
-from protochain.ligands.protonation import Charged, at_ph
+from protochain.ligands.protonation import Charged, at_ph, unsure
 from protochain.ligands.sources import read
 
 __all__ = ["Ligand", "ligand"]
@@ -32,12 +32,15 @@ class Ligand(Value):
         Atoms whose formal charge the pH changed.
     outside : tuple of str
         Atoms outside the domain of NAGL's model; if there are any, MMFF94's charges take the place of its.
+    unsure : tuple of str
+        Atoms whose charge at the pH is uncertain: no rule covers them, and their class of sites is wide.
     """
 
     molecule: Molecule
     parameters: energy.Parameters
     charged: tuple[Charged, ...] = ()
     outside: tuple[str, ...] = ()
+    unsure: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         of = self.molecule
@@ -128,7 +131,8 @@ def ligand(
     """
     as_given = read(molecule)
     read_as, charged = (as_given, ()) if ph is None else at_ph(as_given, ph)
-    return parametrised(read_as, charges, forcefield, charged)
+    made = parametrised(read_as, charges, forcefield, charged)
+    return made if ph is None else replace(made, unsure=unsure(read_as, ph))
 
 
 def parametrised(

@@ -39,6 +39,18 @@ def heavy_atoms(name: str) -> frozenset[str]:
     return frozenset() if atoms is None else frozenset(atoms.atom_name[atoms.element != "H"].tolist())
 
 
+def elements(name: str) -> dict[str, str]:
+    """Elements of the atoms of a component by their names; empty if there is no such component."""
+    atoms = _found(name)
+    return {} if atoms is None else dict(zip(atoms.atom_name.tolist(), atoms.element.tolist(), strict=True))
+
+
+def charges(name: str) -> dict[str, int]:
+    """Formal charges of the atoms of a component by name; none if there is no such component."""
+    atoms = _found(name)
+    return {} if atoms is None else dict(zip(atoms.atom_name.tolist(), map(int, atoms.charge), strict=True))
+
+
 def component(name: str) -> Any:
     """Atoms and bonds of a component, as biotite's ``residue`` returns them, with those that may leave."""
     if (atoms := _found(name)) is None:  # Nothing large is here: an error keeps what is where it is raised.

@@ -122,6 +122,7 @@ def from_rdkit(made: Any, source: str) -> Molecule:
     chem = library("rdkit.Chem")
     if made.GetNumAtoms() > _MOST_ATOMS:
         raise StructureError(f"{source}: has {made.GetNumAtoms()} atoms; give a small molecule")
+    _draw_thiophosphates(made)
     in_space = made.GetNumConformers() > 0 and made.GetConformer().Is3D()
     if in_space and not np.isfinite(made.GetConformer().GetPositions()).all():
         raise StructureError(f"{source}: has coordinates that are not finite numbers; mend them")
@@ -161,6 +162,17 @@ def from_rdkit(made: Any, source: str) -> Molecule:
         None if positions is None else read_only(positions),
         source,
     )
+
+
+def _draw_thiophosphates(made: Any) -> None:
+    """Draw P(=O)[S-] as P(=S)[O-], the same anion: its bond of P and S has the length of a double one."""
+    chem = library("rdkit.Chem")
+    query = chem.MolFromSmarts("[OX1;+0]=[PX4]-[SX1-]")
+    while match := made.GetSubstructMatch(query):
+        oxygen, phosphorus, sulphur = match
+        for end, kind, charge in ((oxygen, "SINGLE", -1), (sulphur, "DOUBLE", 0)):
+            made.GetBondBetweenAtoms(phosphorus, end).SetBondType(chem.BondType.names[kind])
+            made.GetAtomWithIdx(end).SetFormalCharge(charge)
 
 
 def _acid(atom: Any) -> bool:

@@ -102,9 +102,14 @@ def parametrised(
 ) -> Parameters:
     """Give a molecule the parameters of a force field."""
     found = _Typing(molecule, force_field)
+    if force_field.path in (SAGE_2_2, SAGE_2_3):
+        found.refuse_crowded()
     found.refuse_unhandled({"LibraryCharges"} if own_charges else set())
     types = found.of("vdW", lambda atoms: atoms, ((i,) for i in range(molecule.n_atoms)))
     bonds = found.of("Bonds", _one_way, map(tuple, molecule.bonds.tolist()))
+    # Both sulphurs of a dithiophosphate end at P alike, only one is drawn with a double bond.
+    for sulphur, phosphorus, other in found.matches(_DITHIOPHOSPHATE, 3):
+        bonds[_one_way((sulphur, phosphorus))] = bonds[_one_way((other, phosphorus))]
     angles = found.of("Angles", _one_way, found.angles())
     torsions = found.of("ProperTorsions", _one_way, found.torsions())
     rows = [(*atoms, *row) for atoms, rule in torsions.items() for row in rule.values]
@@ -122,6 +127,7 @@ def parametrised(
     )  # fmt: skip
 
 
+_DITHIOPHOSPHATE = Rule("dithiophosphate", "[#16X1-:1]-[#15X4:2]=[#16X1:3]")
 Atoms = tuple[int, ...]
 
 
@@ -162,6 +168,16 @@ class _Typing:
         if len(found) == _MOST_MATCHES:
             raise ForceFieldError(f"{place}: fits {self.molecule.source} too often; make it more specific")
         return {tuple(match[i] for i in tagged) for match in found}
+
+    def refuse_crowded(self) -> None:
+        """Refuse an atom with five or six neighbours: Sage has one angle for them, near 109 degrees."""
+        for i, around in enumerate(self.near):
+            if len(around) > 4:
+                centre = f"{self.molecule.names[i]} with {len(around)} neighbours"
+                raise ForceFieldError(
+                    f"{self.molecule.source}: {self.force_field.path.name} has no Angles for {centre}; "
+                    "give a force field that has as ", Argument("forcefield"),
+                )  # fmt: skip
 
     def refuse_unhandled(self, allowed: set[str]) -> None:
         """Other sections may be there, but none of their patterns may fit this molecule."""

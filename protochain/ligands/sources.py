@@ -78,16 +78,19 @@ def read(given: str | Path) -> Molecule:
 
 @lru_cache(maxsize=64)
 def from_dictionary(name: str) -> Molecule:
-    """Return a molecule of the Chemical Component Dictionary, which biotite carries."""
+    """Return a molecule of the Chemical Component Dictionary, which biotite carries; without its metals."""
     try:
-        atoms = component(name)
+        atoms = component(_DRAWN_AS.get(name, name))
     except KeyError:
         raise _unknown(name) from None
+    if name in _CATIONS:
+        atoms = atoms[atoms.atom_name != "H82"]
     kinds = library("biotite.structure").BondType
     orders = dict.fromkeys((kinds.SINGLE, kinds.AROMATIC_SINGLE), 1)
     orders |= dict.fromkeys((kinds.DOUBLE, kinds.AROMATIC_DOUBLE), 2) | {kinds.TRIPLE: 3}
     table = atoms.bonds.as_array()
-    known = [orders.get(kinds(kind)) for kind in table[:, 2]]
+    ends, redrawn = atoms.atom_name[table[:, :2]].tolist(), _REDRAWN.get(name, {})
+    known = [redrawn.get(frozenset(a), orders.get(kinds(k))) for a, k in zip(ends, table[:, 2], strict=True)]
     if None in known:
         raise _unknown(name)
     elements = [_atomic_number(symbol) for symbol in atoms.element]
@@ -100,8 +103,11 @@ def from_dictionary(name: str) -> Molecule:
             "give the chemistry of what is meant"
         )
     x = np.asarray(atoms.coord, dtype=float) / ANGSTROM_PER_NM
-    made = assembled(list(map(str, atoms.atom_name)), elements, atoms.charge, table[:, :2], known, x)
-    return _sanitised(made, f"{name} of the Chemical Component Dictionary")
+    charges = (atoms.charge + ((atoms.atom_name == "N7") & (name in _CATIONS))).tolist()
+    source, names = f"{name} of the Chemical Component Dictionary", list(map(str, atoms.atom_name))
+    ends = table[:, :2].tolist()
+    kept, made = _without_metals(source, names, elements, charges, ends, [k or 0 for k in known])
+    return _sanitised(assembled(*made, x[kept]), source)
 
 
 def text_of(path: Path) -> str:
@@ -126,7 +132,20 @@ _FARTHEST = 1e5
 """Angstrom, as of structures."""
 
 
-def _from_file(path: Path, number: int) -> Molecule:
+def as_filed(source: str) -> tuple[Molecule, str, str] | None:
+    """Return the molecule of a file, the title, and the text of the fields of SDF; None without a file."""
+    path, number = file_and_record(source)
+    if path.suffix.lower() not in MOLECULE_SUFFIXES or not path.exists():
+        return None
+    text = _record(path, number)
+    if path.suffix.lower() == ".mol2":
+        return read(source), "".join(text.removeprefix(_MOL2).split("\n")[1:2]).strip(), ""
+    fields = text.partition("M  END")[2].partition("\n")[2].strip("\n")
+    return read(source), text.split("\n")[0].strip(), f"{fields}\n\n" if fields else ""
+
+
+def _record(path: Path, number: int) -> str:
+    """Text of one molecule of a file."""
     suffix = path.suffix.lower()
     if suffix not in MOLECULE_SUFFIXES:
         raise StructureError(f"{path}: is none of {_LISTED}; give one of them, or SMILES")
@@ -134,7 +153,11 @@ def _from_file(path: Path, number: int) -> Molecule:
     if number > len(found) or (not number and len(found) != 1):
         one = f", as {path}#1" if found else ""
         raise StructureError(f"{path}: has {len(found)} molecules; give a file with one, or one of its{one}")
-    text = found[max(number, 1) - 1].removeprefix("\n" if number > 1 else "")
+    return found[max(number, 1) - 1].removeprefix("\n" if number > 1 else "")
+
+
+def _from_file(path: Path, number: int) -> Molecule:
+    text, suffix = _record(path, number), path.suffix.lower()
     source = f"{path}#{number}" if number else str(path)
     chem = library("rdkit.Chem")
     parse: Callable[..., Any] = chem.MolFromMol2Block if suffix == ".mol2" else chem.MolFromMolBlock
@@ -189,7 +212,8 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
     charges = [charge for _, charge in atoms.values()]
     if not is_charged:
         charges = _by_valence(elements, pairs, orders)
-    made = _sanitised(assembled(names, elements, charges, pairs, orders, None), source)
+    _, bare = _without_metals(source, names, elements, charges, pairs, orders)
+    made = _sanitised(assembled(*bare, None), source)
     own = [
         {"kind": row.str(1), "atoms": row.str(2)}
         for row in block.find(CATEGORY, ["comp_id", "kind", "atoms"])
@@ -215,6 +239,52 @@ def _by_valence(elements: list[int], pairs: list[tuple[int, int]], orders: list[
         if charges[nitrogen] == 1 and elements[oxygen] == 8 and bonds[oxygen] == 1:
             charges[oxygen] = -1
     return charges
+
+
+def _without_metals(
+    source: str,
+    names: list[str],
+    elements: list[int],
+    charges: list[int],
+    pairs: list[Any],
+    orders: list[int],
+) -> tuple[list[int], tuple[list[str], list[int], list[int], list[list[int]], list[int]]]:
+    """Atoms that stay, and an organic molecule without metals: donors take the electrons of their bonds."""
+    import gemmi
+
+    metal = [gemmi.Element(z).is_metal for z in elements]
+    bonds = [(*pair, order) for pair, order in zip(pairs, orders, strict=True)]
+    donors = {(j if metal[i] else i) for i, j, _ in bonds if metal[i] != metal[j]}
+    if not donors or 6 not in elements:
+        return [*range(len(names))], (names, elements, charges, pairs, orders)
+    bonds = [bond for bond in bonds if not (metal[bond[0]] or metal[bond[1]])]
+    charges = list(charges)
+    for k in donors:
+        charges[k] = sum(order for *ends, order in bonds if k in ends) - _VALENCE.get(elements[k], 0)
+    kept = [k for k, is_metal in enumerate(metal) if not is_metal]
+    place = {k: n for n, k in enumerate(kept)}
+    ends = [[place[i], place[j]] for i, j, _ in bonds]
+    n_molecules = len({*components(np.array(ends, dtype=int).reshape(-1, 2), len(kept)).tolist()})
+    if n_molecules > 1 or sum(elements[k] == 7 and charges[k] < 0 for k in kept) > _RING_ANIONS:
+        why = f"of {n_molecules} molecules" if n_molecules > 1 else "drawn without the charge of its ring"
+        raise StructureError(f"{source}: is a complex of a metal, {why}, without parameters")
+    found = [names[k] for k in kept], [elements[k] for k in kept], [charges[k] for k in kept]
+    return kept, (*found, ends, [order for *_, order in bonds])
+
+
+_VALENCE = {6: 4, 7: 3, 8: 2, 16: 2}
+_RING_ANIONS = 2
+"""Anions at most among the nitrogens of a macrocycle."""
+_DRAWN_AS = {"HEC": "HEM"}
+_CATIONS = ("7MG", "MGT")
+"""7-Methylguanines that are drawn with a second hydrogen at C8 in the place of their charge."""
+_REDRAWN: dict[str, dict[frozenset[str], int]] = {
+    "HEC": {frozenset(("CAB", "CBB")): 1, frozenset(("CAC", "CBC")): 1},
+    **{name: {frozenset(("N7", "C8")): 2} for name in _CATIONS},
+}
+"""Other orders of bonds. Heme c is drawn without its thioethers and with ethylidene groups, which charge all
+nitrogens of its ring. The chemistry is that of heme b with ethyl for vinyl groups: a cysteine takes the place
+of a hydrogen."""
 
 
 def _sanitised(made: Any, source: str) -> Molecule:

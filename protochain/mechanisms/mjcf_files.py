@@ -3,10 +3,13 @@
 Mechanisms, which stand on this, are Any here.
 """
 
+import math
 from collections.abc import Collection
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,13 +33,68 @@ def read_mjcf(into: Any, source: str | Path, stops: float, leave_out: Collection
             "MJCF is read by MuJoCo, which is not installed: pip install 'protochain[robots]'; or give a URDF"
         ) from None
     reading = Reading(into, source, stops, leave_out)
-    root_of(reading, source, "mujoco")
+    folder = Path() if is_text(source) else Path(source).parent
+    _check_files(reading, root_of(reading, source, "mujoco"), folder)
     kind = mujoco.MjModel
     try:
         m = kind.from_xml_string(source) if is_text(source) else kind.from_xml_path(str(source))
-    except ValueError as error:
+    except (ValueError, RuntimeError, MemoryError) as error:
+        # The extension raises RuntimeError for exceptions of C++, as of memory that it does not get.
         raise reading.refuse(f"MuJoCo does not read it: {' '.join(str(error).split())}") from None
     _Compiled(reading, mujoco, m).read()
+
+
+_MOST_PARTS = 20_000
+"""Elements that counts may add to those of the file: MuJoCo takes minutes for so many."""
+_MOST_CELLS = 100_000_000
+"""Cells of a height field or texture, or numbers that a user adds to each part."""
+
+
+def _check_files(reading: Reading, root: Element, folder: Path) -> None:
+    """Refuse files that MuJoCo must not open, and parts without bound, before MuJoCo sees the model."""
+    models, folders, home = [(root, folder)], {folder}, folder.resolve()
+    opened = set[Path]()
+    # The list grows by included files, whose names start from the folder of the first file or from theirs.
+    for model, place in models:
+        for element in model.iter():
+            folders |= {folder / element.get(name, "") for name in ("meshdir", "texturedir", "assetdir")}
+            names = {value for name, value in element.items() if name.startswith("file")}
+            paths = {(start / name).resolve() for start in (folder, place) for name in names}
+            if element.tag not in ("include", "model"):
+                continue
+            for path in paths - opened:
+                opened.add(path)
+                if home not in path.parents:
+                    raise reading.refuse(f"it includes {path}, which is outside its folder; copy it there")
+                if path.exists():
+                    models.append((root_of(reading, path), path.parent))
+    elements = [element for model, _ in models for element in model.iter()]
+    for element in elements:
+        names = {value for name, value in element.items() if name.startswith("file")}
+        for path in {start / part for start in folders for name in names for part in (name, Path(name).name)}:
+            if path.exists() and not path.is_file():
+                raise reading.refuse(f"{path} is not a regular file; give the name of one")
+        numbers = [_product(element, name) for name in element.attrib if name.startswith("nuser")]
+        cells = max(_product(element, "nrow", "ncol"), _product(element, "width", "height"), *numbers, 0.0)
+        if cells > _MOST_CELLS:
+            raise reading.refuse(f"<{element.tag}> has more than {_MOST_CELLS} cells; lower its size")
+    # Every attached file may be attached in each of the others.
+    attached = 1 + sum(element.tag == "attach" for element in elements)
+    if attached * sum(_n_parts(model) for model, _ in models) > attached * len(elements) + _MOST_PARTS:
+        raise reading.refuse(f"its counts add more than {_MOST_PARTS} parts; lower them")
+
+
+def _n_parts(element: Element) -> float:
+    """Number of elements that an element becomes, with those in it."""
+    return max(1.0, _product(element, "count")) * (1 + sum(map(_n_parts, element)))
+
+
+def _product(element: Element, *names: str) -> float:
+    """Product of all numbers in these attributes; 1 without them. MuJoCo refuses what is no number."""
+    words = [word for name in names for word in element.get(name, "").split()]
+    with suppress(ValueError):
+        return math.prod(map(float, words))
+    return 1.0
 
 
 class _Compiled:

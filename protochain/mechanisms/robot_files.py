@@ -160,8 +160,8 @@ def is_text(source: Any) -> bool:
     return isinstance(source, str) and source.lstrip().startswith("<")
 
 
-def root_of(reading: Reading, source: str | Path, tag: str) -> Element:
-    """Root of an XML file, or of a text."""
+def root_of(reading: Reading, source: str | Path, tag: str = "") -> Element:
+    """Root of an XML file, or of a text, with this tag if one is given."""
     if not isinstance(source, str | Path):
         raise MechanicsError(f"source {shown(source)}: give the name of a file, or its text")
     try:
@@ -171,6 +171,6 @@ def root_of(reading: Reading, source: str | Path, tag: str) -> Element:
         raise reading.refuse(f"{error.strerror or error}; give the name of a file") from None
     except (ElementTree.ParseError, UnicodeDecodeError, ValueError) as error:
         raise reading.refuse(f"it is no XML: {error}; give a file as robots have it") from None
-    if root.tag != tag:
+    if tag and root.tag != tag:
         raise reading.refuse(f"its root is <{root.tag}>, not <{tag}>; see from_urdf and from_mjcf")
     return root

@@ -15,6 +15,7 @@ from protochain.chains.contacts import near_pairs, overlaps
 from protochain.core.arrays import Floats, read_only
 from protochain.energies.bonded import bonded_part
 from protochain.energies.protocol import Energy
+from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.descent import Descent
 from protochain.minimisers.lbfgs import LBFGS, NEAR_MEMORY
 from protochain.minimisers.metrics import NEAR_REFRESH, Solve
@@ -155,7 +156,8 @@ def soft_tethers(structure: Structure) -> Floats:
 
 def _leashes(structure: Structure) -> list[Force]:
     x = structure.positions
-    return [Tethers(x, soft_tethers(structure)), Bound(x, FARTHEST)]
+    chirality = ChiralityRestraint.preserving(structure)
+    return [Tethers(x, soft_tethers(structure)), Bound(x, FARTHEST), chirality]
 
 
 def _soft(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage:
@@ -169,14 +171,14 @@ def _soft(space: Torsions | Cartesian, gentle: Force, tolerance: float) -> Stage
 def _held(stage: Stage, strength: float, atoms: NDArray[np.bool_] | None = None) -> Stage:
     """Stage held by springs to where it starts, on all heavy atoms or on some."""
     atoms = _structure(stage.space).atom_element != "H" if atoms is None else atoms
-    return replace(
-        stage, fit=partial(_hold, read_only(np.where(atoms, strength, 0.0))), name="held by springs"
-    )
+    chirality = ChiralityRestraint.preserving(_structure(stage.space))
+    fit = partial(_hold, read_only(np.where(atoms, strength, 0.0)), chirality)
+    return replace(stage, fit=fit, name="held by springs")
 
 
-def _hold(weight: Floats, stage: Stage, x: Floats) -> Stage:
+def _hold(weight: Floats, chirality: ChiralityRestraint, stage: Stage, x: Floats) -> Stage:
     springs = Tethers(x, weight)
-    parts: list[Force] = [springs] if stage.restraint is None else [springs, stage.restraint]
+    parts: list[Force] = [springs, chirality, *([] if stage.restraint is None else [stage.restraint])]
     assert isinstance(stage.space, Torsions | Cartesian)
     if stage.space.terms is not None:
         direction = LBFGS(TetheredModel(springs.weight, refresh_every=NEAR_REFRESH), NEAR_MEMORY)

@@ -30,7 +30,7 @@ from protochain.structure import Structure, save
 from protochain.structure.superpose import displacements, rmsd_angstrom
 from protochain.validation import measures
 from protochain.validation.findings import remains
-from protochain.validation.ligands import ligand_motion, motion_in_words
+from protochain.validation.ligands import ligand_motion, motion_in_words, sdf_properties
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -284,6 +284,12 @@ class Solution(TermsAtEnds, ViolationsAtEnd, Value):
     def ligand_motion(self) -> Floats:
         """(n, 2) float, angstrom: RMSD and largest displacement of each ligand, not superposed."""
         return ligand_motion(self.frame.start, self.x)
+
+    @property
+    def ligand_properties(self) -> list[dict[str, str]]:
+        """Fields of the ligands' records of SDF, as :func:`protochain.save_ligands` writes them."""
+        s, energy = self.frame.start, self.end.energy
+        return sdf_properties(s, self.x, self.ligand_motion, energy, str(self.status))
 
     @cached_property
     def message(self) -> str:

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+import numpy as np
+
 from protochain.chains.articulate import build_chain
 from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import overlaps
@@ -102,10 +104,30 @@ def verdict(
     """Status and message, from the reason a run ended and the residual that the judge measured."""
     # x (na, 3) nm.
     left = rejected(structure, x) if left is None else left
+    if moved := _stretched(structure, x):
+        measured += f"; bonds of metals that changed by over {_STRETCHED:g} angstrom: {listed(moved, 3)}"
     status, message = _without_left(stop, met, measured, structure, x, n_evaluations, inverted, isomerised)
     if left and status is Status.CONVERGED:
         return Status.VIOLATIONS, f"violations: {'; '.join([*left, measured])}"
     return status, message if status is Status.CLASH else "; ".join([message, *left])
+
+
+_STRETCHED = 0.05
+"""Angstrom."""
+
+
+def _stretched(structure: Structure, x: Floats) -> list[str]:
+    """Bonds of metals whose springs have other lengths at x (na, 3), nm, than in the input."""
+    atoms = structure.bonds[structure.coordination].tolist()
+    rest = {tuple(sorted(tie.atoms)): tie.rest for tie in structure.ties if len(tie.atoms) == 2}
+    found = []
+    for pair in map(tuple, atoms):
+        before, after = (10.0 * each for each in (rest[pair], float(np.linalg.norm(x[pair[0]] - x[pair[1]]))))
+        if abs(after - before) > _STRETCHED:
+            ends = (structure.atom(atom) for atom in pair)
+            names = (f"{e.residue.chain}:{e.residue.name}{e.residue.number} {e.name}" for e in ends)
+            found.append(f"{' and '.join(names)} {before:.2f} to {after:.2f}")
+    return found
 
 
 def rejected(structure: Structure, x: Floats) -> list[str]:

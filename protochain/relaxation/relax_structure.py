@@ -21,13 +21,13 @@ from protochain.core.markup import counted, listed
 from protochain.core.timings import timed, until_now
 from protochain.energies import Energy
 from protochain.energies.on_device import begun
+from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.judging import Known
 from protochain.minimisers.problem import Evaluation
 from protochain.minimisers.recipes import check_dihedrals
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import Stage
 from protochain.minimisers.verdict import Status, rejected, verdict
-from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.presets import IN_RIGID_PROTEIN
 from protochain.relaxation.relax_settings import RelaxSettings, named, split

@@ -33,7 +33,13 @@ from protochain.structure.superpose import displacements
 from protochain.validation import MEASURES, measures
 from protochain.validation.findings import remains
 from protochain.validation.interface import Interface, native, scored
-from protochain.validation.ligands import LigandFound, findings_of, ligand_motion, motion_in_words
+from protochain.validation.ligands import (
+    LigandFound,
+    findings_of,
+    ligand_motion,
+    motion_in_words,
+    sdf_properties,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -188,6 +194,11 @@ class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
     def ligand_motion(self) -> Floats:
         """(n, 2) float, angstrom: RMSD and largest displacement of each ligand, not superposed."""
         return ligand_motion(self.frame.start, self.x)
+
+    @property
+    def ligand_properties(self) -> list[dict[str, str]]:
+        """Fields of the ligands' records of SDF, as :func:`protochain.save_ligands` writes them."""
+        return sdf_properties(self.start, self.x, self.ligand_motion, self.energy_end, str(self.status))
 
     @cached_property
     def interface_start(self) -> Interface | None:

@@ -13,6 +13,7 @@ from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.graph import both_ways
 from protochain.energies import Energy
 from protochain.energies.bonded import bonded_part
+from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.clash_resolution import TetheredModel, unthreading
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent
@@ -24,7 +25,6 @@ from protochain.minimisers.restraints import SoftRepulsion, Sum, Tethers
 from protochain.minimisers.spaces import Cartesian
 from protochain.minimisers.stages import PATIENCE, Outcome, Stage, walk, with_reference
 from protochain.minimisers.steps import StrongWolfe
-from protochain.relaxation.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.planarity_restraint import Planes
 from protochain.relaxation.presets import Preset

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from protochain.chains.contacts import overlapping
 from protochain.core.arrays import Floats, Integers
-from protochain.relaxation.chirality_restraint import ChiralityRestraint
+from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.structure import Structure
 from protochain.validation import threaded_rings, violations

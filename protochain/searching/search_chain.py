@@ -162,7 +162,7 @@ def search(
         check_folder(folder, resume, force)
     landscape = Landscape.of(*with_energy(chain, energy), settings.restraint)
     processes = Processes(workers, scheduler, 1, _LONG) if workers or scheduler else None
-    with nullcontext() if folder is None else claimed(folder, "search", resume):
+    with nullcontext() if folder is None else claimed(folder, "search", resume=True):
         walks = _Walks(landscape, settings, folder, running)
         began = perf_counter()
         interrupted = _work(walks, running, processes, watch)

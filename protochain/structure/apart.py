@@ -1,8 +1,9 @@
 """Chains, residues and atoms that share their ids in a file: different ones, or parts of one."""
 
 from collections import Counter
-from collections.abc import Sequence
-from itertools import count
+from collections.abc import Container, Iterator, Sequence
+from itertools import chain as chained
+from itertools import count, product
 from string import ascii_lowercase, ascii_uppercase, digits
 
 import gemmi
@@ -24,6 +25,12 @@ _CROWD, _CROWDED = 4.0, (200_000, 20)
 """Angstrom; pairs of heavy atoms this near that any file may have, and more per atom. Well packed, an
 atom has six. What is looked at later, as overlaps and who hides whom, grows with the square of crowds."""
 _IDS = ascii_uppercase + ascii_lowercase + digits
+
+
+def chain_names(used: Container[str]) -> Iterator[str]:
+    """Yield the chain ids that are free: of one character, then of two."""
+    ids = chained(_IDS, map("".join, product(_IDS, repeat=2)))
+    return (each for each in ids if each not in used)
 
 
 def separate_chains(structure: gemmi.Structure) -> list[Repair]:

@@ -118,10 +118,13 @@ class Graph:
         double = [x for x in carbons if self.order(a, x) > 1]
         return [x for x in double if any(is_multiple(y, _N, _O) for y in self.heavy(x) if y != a)]
 
-    def give(self, a: str, order: int, freed: int, single: Sequence[str]) -> list[str]:
+    def give(
+        self, a: str, order: int, freed: int, single: Sequence[str], filed: Collection[str] = ()
+    ) -> list[str]:
         """Free valences of an atom for a bond; ``single`` are neighbours whose bonds are used up first."""
         z, q = self.atoms[a]
-        light, heavy = self.light(a), self.heavy(a)
+        # Hydrogens that the file has leave last.
+        light, heavy = sorted(self.light(a), key=lambda x: x in filed), self.heavy(a)
         room = 3 - sum(self.order(a, x) for x in heavy) - order
         if z == _N and room >= 0:
             self.atoms[a][1] = 0

@@ -4,7 +4,7 @@ Orders of bonds and charges are never taken from distances. A molecule whose che
 which the force field of small molecules has no parameters, stays in place, and its repair says why.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
@@ -22,11 +22,13 @@ from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands import Ligand, parametrised
+from protochain.ligands.dictionary import charges
 from protochain.ligands.matching import Placed, named_as, placed
 from protochain.ligands.molecule import Molecule
-from protochain.ligands.protonation import Charged, at_metal, at_ph, with_hydrogens
+from protochain.ligands.protonation import Charged, at_metal, at_ph, unsure, with_hydrogens
 from protochain.ligands.sources import of_residue
 from protochain.structure.draft import Draft, Part
+from protochain.structure.ions import oxidation_state
 from protochain.structure.links import Link, is_metal
 from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind
@@ -73,11 +75,9 @@ class Chemistry:
         """Names of residues that are to move, whatever else is kept."""
         return {*self.named, *self.posed}
 
-    def charged(self, molecule: Molecule, given: bool) -> Charging:
+    def charged(self, molecule: Molecule, given: bool, donors: Collection[str] = ()) -> Charging:
         """Charge a molecule for the pH, unless its source shows its charges, as of SO4."""
-        if not np.isin(molecule.elements, (6, 15)).any() or (given and molecule.formal_charges.any()):
-            return molecule, ()
-        return at_ph(molecule, self.ph)
+        return at_ph(molecule, self.ph, donors) if _is_charged_by_ph(molecule, given) else (molecule, ())
 
     @property
     def poses(self) -> list[str]:
@@ -128,20 +128,32 @@ class Chemist:
             called = dict(zip(molecule.names, at.molecule.names, strict=True))
             charged = tuple(replace(each, atom=called[each.atom]) for each in charged)
             molecule = _as_shown(at.molecule, member)
-            if name in self.chemistry.posed or not any(a.is_hydrogen() for a in member.atoms):
+            shows_charges = any(a.is_hydrogen() for a in member.atoms)
+            if name in self.chemistry.posed or not shows_charges:
                 molecule, charged = self._at_metals(molecule, charged, member)
             molecule = _as_filed(molecule, member)
             # What the file's hydrogens show, the pH has not done.
             now = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
             charged = tuple(each for each in charged if each.after == now[each.atom])
             part.ligand = self._parametrised(molecule, charged)
+            if not shows_charges and _is_charged_by_ph(self._of_source(member), name in self.chemistry.named):
+                part.ligand = replace(part.ligand, unsure=unsure(molecule, self.chemistry.ph))
         except ProtochainError as error:
             # What the user gives is not left aside.
             if name in self.chemistry.moving or self.chemistry.charges not in CHARGE_RULES:
                 raise StructureError(f"{self.draft.source}: {member}: ", *error.parts) from None
             self.draft.note(Kind.STAYS_UNKNOWN, residue=member.residue, why=error)
+            self._charge_as_known(name, member)
             return
         part.inverted, part.mobile, part.posed = at.inverted, True, name in self.chemistry.posed
+
+    def _charge_as_known(self, name: str, member: Member) -> None:
+        """Give an inorganic ion that stays in place the dictionary's charges, unless the file has charges."""
+        known = {} if any(a.charge or a.element.name == "C" for a in member.atoms) else charges(name)
+        for each in member.atoms:
+            each.charge = known.get(each.name, 0) or each.charge
+        if total := sum(each.charge for each in member.atoms if each.name in known):
+            self.draft.note(Kind.CHARGES_OF_DICTIONARY, residue=member.residue, charge=f"{total:+d}")
 
     def _parametrised(self, molecule: Molecule, charged: tuple[Charged, ...]) -> Ligand:
         """The molecule with its parameters, which copies of it share."""
@@ -168,7 +180,8 @@ class Chemist:
 
     def free(self, member: Member) -> Molecule:
         """Chemistry of a residue as its source has it, under the names of its atoms in the file."""
-        found, atoms = self._of_source(member), member.heavy
+        found = self._of_source(member)
+        atoms = _atoms_of(found, member)
         names, is_given = tuple(a.name for a in atoms), self.name(member) in self.chemistry.moving
         if not is_given and {*names} <= {*found.names}:
             return found
@@ -188,18 +201,55 @@ class Chemist:
     def _looked_up(self, name: str, member: Member) -> Charging:
         """Chemistry of a residue by name, charged for the pH."""
         if name not in self.known:
-            self.known[name] = self.chemistry.charged(self._of_source(member), name in self.chemistry.named)
+            free, is_given = self._of_source(member), name in self.chemistry.named
+            self.known[name] = self.chemistry.charged(free, is_given, inner_donors(member))
         return self.known[name]
+
+
+def _is_charged_by_ph(molecule: Molecule, given: bool) -> bool:
+    """Whether the pH decides the charges of a molecule: not of SO4, nor if a user gives charges."""
+    # A nitro group or an oxide, whose two charges are neighbours, says nothing of acids and bases.
+    shown = {*np.flatnonzero(molecule.formal_charges).tolist()}
+    pairs = (pair for pair in molecule.bonds.tolist() if not molecule.formal_charges[pair].sum())
+    shown -= {atom for pair in pairs if {*pair} <= shown for atom in pair}
+    return bool(np.isin(molecule.elements, (6, 15)).any()) and not (given and shown)
+
+
+def inner_donors(member: Member) -> set[str]:
+    """Names of the atoms of a residue that hold a metal of the same residue."""
+    metals = [(member, a) for a in member.heavy if is_metal(a.element.name)]
+    return {a.name for a in member.heavy if any(Link(member, a, *metal).is_coordinated for metal in metals)}
+
+
+def note_metals(draft: Draft, member: Member, metals: Sequence[gemmi.Atom]) -> None:
+    """Report metals whose bonds are springs."""
+    if metals:
+        atoms = tuple(f"{a.name} {a.charge:+d}" for a in metals)
+        draft.note(Kind.COMPLEX, residue=member.residue, atoms=atoms)
+
+
+def charged_metals(member: Member, name: str, names: Collection[str]) -> list[gemmi.Atom]:
+    """Metals of a residue beside its molecule, with their oxidation states unless the file has charges."""
+    metals = [a for a in member.heavy if a.element.is_metal and a.name not in names]
+    for a in metals:
+        a.charge = a.charge or oxidation_state(name, a.element.name)
+    return metals
 
 
 def _placed(molecule: Molecule, member: Member, by_name: bool) -> Placed:
     """The molecule where the file has it."""
-    atoms = member.heavy
+    atoms = _atoms_of(molecule, member)
     there = _hydrogens(member)
     n = [len(there[a.name]) for a in atoms]
     names, x = tuple(a.name for a in atoms), np.array([a.pos.tolist() for a in atoms]) / ANGSTROM_PER_NM
     elements = [a.element.atomic_number for a in atoms]
     return placed(molecule, elements, names, x, n if any(n) else None, by_name=by_name)
+
+
+def _atoms_of(molecule: Molecule, member: Member) -> list[gemmi.Atom]:
+    """Heavy atoms of a residue but the metals, if its chemistry has none."""
+    has_metal = any(gemmi.Element(int(z)).is_metal for z in {*molecule.elements.tolist()})
+    return [a for a in member.heavy if has_metal or not a.element.is_metal]
 
 
 def _as_shown(molecule: Molecule, member: Member) -> Molecule:
@@ -272,19 +322,21 @@ def take_up(draft: Draft, ph: float) -> None:
         if part.ligand is None:
             continue
         (member,), molecule = part.members, part.ligand.molecule
-        member.own, its = (
-            template_of(member.name, part.ligand, dict(enumerate(molecule.names))),
-            member.residue,
-        )
+        its, metals = member.residue, charged_metals(member, member.given or member.name, molecule.names)
+        member.own = template_of(member.name, part.ligand, dict(enumerate(molecule.names)), metals)
         charge = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
+        charge |= {a.name: a.charge for a in metals}
         for each in member.atoms:
             each.charge = charge.get(each.name, 0)
-        draft.note(Kind.BOUND, residue=its, source=molecule.source, charge=f"{molecule.charge:+d}")
+        draft.note(Kind.BOUND, residue=its, source=molecule.source, charge=f"{sum(charge.values()):+d}")
+        note_metals(draft, member, metals)
         if part.ligand.outside:
             draft.note(Kind.CHARGES_OF_MMFF94, residue=its, atoms=part.ligand.outside)
         if part.ligand.charged:
             atoms = tuple(f"{each.atom} {each.after:+d}" for each in part.ligand.charged)
             draft.note(Kind.CHARGED, residue=its, ph=ph, atoms=atoms)
+        if part.ligand.unsure:
+            draft.note(Kind.CHARGE_UNSURE, residue=its, ph=ph, atoms=part.ligand.unsure)
         if part.inverted:
             draft.note(Kind.INVERTED, residue=its, atoms=part.inverted)
 
@@ -305,14 +357,17 @@ def put_hydrogens(draft: Draft) -> None:
                 each.pos = gemmi.Position(*np.round(x, _DECIMALS))
 
 
-def template_of(name: str, ligand: Ligand, called: Mapping[int, str]) -> Template:
-    """Template of a residue: atoms of a molecule, and the names that they have there."""
+def template_of(
+    name: str, ligand: Ligand, called: Mapping[int, str], metals: Sequence[gemmi.Atom] = ()
+) -> Template:
+    """Template of a residue: atoms of a molecule, the names that they have there, and metals beside it."""
     molecule, charge = ligand.molecule, ligand.parameters.charge
     bonds = ([called[i], called[j]] for i, j in molecule.bonds.tolist() if i in called and j in called)
     return Template(
         name,
-        {each: gemmi.Element(int(molecule.elements[i])).name for i, each in called.items()},
-        {each: float(charge[i]) for i, each in called.items()},
+        {each: gemmi.Element(int(molecule.elements[i])).name for i, each in called.items()}
+        | {a.name: a.element.name for a in metals},
+        {each: float(charge[i]) for i, each in called.items()} | {a.name: float(a.charge) for a in metals},
         # By name, so that a file written of it gives the same again.
         tuple(sorted((min(bond), max(bond)) for bond in bonds)),
         {},

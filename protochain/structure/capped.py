@@ -23,7 +23,7 @@ from protochain.ligands.dictionary import leaving
 from protochain.ligands.molecule import Molecule
 from protochain.ligands.protonation import at_ph
 from protochain.structure.bonding import Graph
-from protochain.structure.bound import Chemist
+from protochain.structure.bound import Chemist, inner_donors
 from protochain.structure.draft import Fragment, Part
 from protochain.structure.links import Link, usual_length
 from protochain.structure.member import Member
@@ -64,6 +64,7 @@ class Maker:
         self.graph, self.flagged = Graph(), set[str]()
         self.acids, self.amines = list[str](), list[str]()
         self.at: dict[str, gemmi.Atom] = {}
+        self.hydrogens = {self.tag[id(m)] + a.name for m in members for a in m.atoms if a.is_hydrogen()}
 
     def fragment(self) -> Fragment:
         """Chemistry and parameters, whose atoms these are, and what leaves at each bond."""
@@ -91,6 +92,7 @@ class Maker:
             tuple((*sorted(bond), order) for bond, order in self.graph.bonds.items()),
             " and ".join(dict.fromkeys(each.source for each in sources.values())),
             tuple(self.acids), tuple(self.amines),
+            frozenset(self.tag[id(m)] + name for m in self.members for name in inner_donors(m)),
             chemistry.charges if chemistry.charges in CHARGE_RULES else defaults.LIGAND_CHARGES, chemistry.ph,
         )  # fmt: skip
         ligand = replace(ligand, molecule=_with_stereo(ligand.molecule, sources))
@@ -200,7 +202,7 @@ class Maker:
         adds = not carbons and not gone and not self.flagged & {*graph.light(a), *graph.light(b)}
         for end in (a, b):
             single = self._single(end) + (graph.acceptors(end) if adds else [])
-            gone += graph.give(end, 1 + is_double, free[end], single)
+            gone += graph.give(end, 1 + is_double, free[end], single, self.hydrogens)
         graph.bonds[frozenset((a, b))] = 1 + is_double
         return tuple(gone)
 
@@ -317,6 +319,7 @@ def _parametrised(
     source: str,
     acids: tuple[str, ...],
     amines: tuple[str, ...],
+    donors: frozenset[str],
     rule: str,
     ph: float,
 ) -> Ligand:
@@ -324,7 +327,7 @@ def _parametrised(
     graph = Graph()
     graph.atoms = {name: [z, q] for name, z, q in atoms}
     graph.bonds = {frozenset((a, b)): order for a, b, order in bonds}
-    made, charged = at_ph(graph.molecule(source), ph)
+    made, charged = at_ph(graph.molecule(source), ph, donors)
     graph = Graph()
     graph.add("", made)
     for prefix in amines:

@@ -123,7 +123,8 @@ def chiral_atoms(structure: Structure) -> Integers:
         at[centre]: [at[name] for name in (centre, *neighbours)]
         for r, (residue, at) in enumerate(zip(structure.residue_name, names, strict=True))
         for centre, neighbours in sugars.get(r, centres(str(residue))).items()
-        if {centre, *neighbours} <= at.keys()
+        # Not of dehydroamino acids, whose C-alpha is planar.
+        if {centre, *neighbours} <= at.keys() and len(structure.neighbours[at[centre]]) > 3
     }
     name, of = structure.atom_name, structure.atom_residue
     for bound in (*structure.ligands, *structure.fragments):

@@ -3,16 +3,27 @@
 from collections.abc import Sequence
 
 import gemmi
+import numpy as np
+from scipy.spatial import KDTree
 
-from protochain.core.errors import StructureError
-from protochain.structure.apart import refuse_copies
+from protochain.core.errors import Argument, StructureError
+from protochain.structure.apart import chain_names, refuse_copies
 from protochain.structure.draft import Draft
 from protochain.structure.files import number_atoms
 from protochain.structure.repairs import Kind
 
+MODELS = "models"
+"""Name of the assembly of all models of a file."""
+_SAME = 0.02
+"""Angstrom: copies differ by the digits of a file alone; models of an experiment by more."""
+_UPON, _SHARED = 1.0, 0.05
+"""Angstrom between atoms in one place, and the largest share of such atoms in copies."""
+
 
 def assemble(draft: Draft, structure: gemmi.Structure, name: str) -> None:
-    """Build a biological assembly in the place of the molecules as filed."""
+    """Build a biological assembly in the place of the molecules as filed, or join its models."""
+    if name == MODELS:
+        return _join_models(draft, structure)
     there = [each.name for each in structure.assemblies]
     if name not in there:
         known = f"it has {', '.join(there)}" if there else "it states none"
@@ -25,6 +36,51 @@ def assemble(draft: Draft, structure: gemmi.Structure, name: str) -> None:
     draft.note(Kind.ASSEMBLY, name=name, before=len(before), chains=tuple(made))
 
 
+def _join_models(draft: Draft, structure: gemmi.Structure) -> None:
+    """Add the chains of all models to the first one, under free ids."""
+    if len(structure) < 2:
+        raise StructureError(
+            f"{draft.source}: has one model: there are none to join; change or omit assembly"
+        )
+    before = [chain.name for chain in structure[0]]
+    used = {*before}
+    for k in range(1, len(structure)):
+        names: dict[str, str] = {}
+        for chain in structure[k]:
+            if chain.name not in names:
+                free = chain_names(used)
+                names[chain.name] = next(free)
+                used.add(names[chain.name])
+            copy = chain.clone()
+            copy.name = names[chain.name]
+            structure[0].add_chain(copy)
+    while len(structure) > 1:
+        del structure[1]
+    structure.merge_chain_parts()
+    number_atoms(structure)
+    chains = tuple(chain.name for chain in structure[0])
+    draft.note(Kind.ASSEMBLY, name=MODELS, before=len({*before}), chains=chains)
+
+
+def _are_copies(structure: gemmi.Structure) -> bool:
+    """Whether all models are rigid copies of the first beside it, as assemblies in the PDB format.
+
+    Frames of a rigid body overlap. Copies share no more than what lies on an axis of symmetry.
+    """
+    models = [[*model.all()] for model in structure]
+    named = [[(str(p.residue.seqid), p.residue.name, p.atom.name) for p in model] for model in models]
+    first = [place.atom.pos for place in models[0]]
+    tree = KDTree([position.tolist() for position in first])
+    for names, model in zip(named[1:], models[1:], strict=True):
+        places = [place.atom.pos for place in model]
+        if names != named[0] or gemmi.superpose_positions(first, places).rmsd > _SAME:
+            return False
+        apart, _ = tree.query([position.tolist() for position in places])
+        if np.mean(apart < _UPON) > _SHARED:
+            return False
+    return True
+
+
 def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -> gemmi.Model:
     """Return the model of that number, or the first; the draft's repairs tell of the others."""
     numbers = [model.num for model in structure]
@@ -32,7 +88,9 @@ def choose_model(draft: Draft, structure: gemmi.Structure, number: int | None) -
     chosen = 0 if number is None else numbers.index(number)
     if len(structure) > 1:
         if number is None:
-            draft.note(Kind.MODELS_LEFT_OUT, used=structure[0].num, count=len(structure) - 1)
+            kind = Kind.MODELS_ARE_COPIES if _are_copies(structure) else Kind.MODELS_LEFT_OUT
+            remedy = Argument("assembly", MODELS)
+            draft.note(kind, used=structure[0].num, count=len(structure) - 1, remedy=remedy)
         draft.left_out["models"] = len(structure) - 1
     draft.model_number = structure[chosen].num
     return structure[chosen]

@@ -1,6 +1,7 @@
 """Formats of structure files, and their parsing by gemmi; truncated or garbled files are refused."""
 
 import bz2
+import codecs
 import gzip
 import io
 import lzma
@@ -23,6 +24,7 @@ from protochain.core.timings import part
 from protochain.structure import foreign
 from protochain.structure.apart import join_residues, separate_caps, separate_chains, separate_molecules
 from protochain.structure.ions import name_ions
+from protochain.structure.pdb_text import add_elements, is_atom, join_segments, without_indents
 from protochain.structure.records import of_cif, of_pdb
 from protochain.structure.repairs import Kind, Repair
 from protochain.structure.residues import STANDARD
@@ -98,9 +100,9 @@ def parse(path: Path) -> tuple[gemmi.Structure, list[Repair], bool, str]:
             if others:
                 names = tuple(each.name for each in others)
                 overlooked.append(Repair(Kind.BLOCKS_LEFT_OUT, {"used": block.name, "others": names}))
-            _refuse_cut_cif(text, block, source)
+            ends = _ends_as_listed(text, block, source)
             _complete(block, source)
-            structure, ends, records = gemmi.make_structure_from_block(block), True, of_cif(block)
+            structure, records = gemmi.make_structure_from_block(block), of_cif(block)
         else:
             _refuse_cut_pdb(text, source)
             text, long_names = _corrected(_ascii(text, source, _USED), source, overlooked)
@@ -154,6 +156,10 @@ def _text(path: Path, source: str) -> str:
         raise StructureError(f"{source}: larger than {MAX_MEGABYTES} megabytes; give fewer models or chains")
     if b"dataBlocks" in data[:_HEAD]:
         return foreign.text_of_binary(data, source)
+    # Editors of Windows write UTF-16, in which one of two bytes of each letter is 0.
+    for mark, odd, encoding in (codecs.BOM_UTF16_LE, 1, "utf-16-le"), (codecs.BOM_UTF16_BE, 0, "utf-16-be"):
+        if data.startswith(mark) or (len(data) > _HEAD and not any(data[odd:_HEAD:2])):
+            data = data.decode(encoding, errors="replace").removeprefix("\ufeff").encode()
     _refuse_many(data, source)
     if b"\0" in data:
         raise StructureError(f"{source}: is a binary file; give PDB or mmCIF text")
@@ -180,7 +186,7 @@ def _refuse_many(data: bytes, source: str) -> None:
             # Columns are counted from the last: what is quoted may have blanks.
             column = -1 if line.strip() == b"_atom_site.pdbx_PDB_model_num" else column - bool(column)
             in_loop = True
-        elif line.startswith((b"MODEL", b"ENDMDL", b"data_", b"loop_", b"_", b"#")):
+        elif line.startswith((b"MODEL", b"END", b"data_", b"loop_", b"_", b"#")):
             n, column, in_loop = 0, 0, False
         elif in_loop or line.startswith((b"ATOM", b"HETATM")):
             its = b"".join(line.split()[column : column + 1 or None]) if column else b""
@@ -259,36 +265,26 @@ def _complete(block: gemmi.cif.Block, source: str) -> None:
             row[0] = str(number)
 
 
-def _refuse_cut_cif(text: str, block: gemmi.cif.Block, source: str) -> None:
-    """Refuse a file whose last category has no '#' as others have, unless its atoms are whole."""
+def _ends_as_listed(text: str, block: gemmi.cif.Block, source: str) -> bool:
+    """Whether a file ends with the mark of the archive or with the last residue of a sequence.
+
+    The grammar requires no mark. A file without it is refused if chains that it lists have no atoms.
+    """
     lines = text.rstrip().splitlines() or [""]
     if lines[-1].strip() == "#" or not any(line.strip() == "#" for line in lines):
-        return
+        return True
     last = next((line for line in reversed(lines) if line.startswith("_")), "")
-    if last.lower().startswith("_atom_site.") and not _shows_its_end(block):
+    if not last.lower().startswith("_atom_site."):
+        return True
+    if set(block.find_values("_struct_asym.id")) - {*block.find_values("_atom_site.label_asym_id")}:
         raise StructureError(
             f"{source}: line {len(lines)}: the file is cut short; download it again, "
             "or add a line with # if it is complete"
         )
-
-
-def _shows_its_end(block: gemmi.cif.Block) -> bool:
-    """Whether all listed chains have atoms, and the last residue is no amino acid or ends a chain."""
-    names = [
-        "label_asym_id",
-        "label_entity_id",
-        "label_seq_id",
-        "auth_seq_id",
-        "label_comp_id",
-        "label_atom_id",
-    ]
-    rows = [list(row) for row in block.find("_atom_site.", names)]
-    if not rows or set(block.find_values("_struct_asym.id")) - {row[0] for row in rows}:
-        return False
-    _, entity, number, _, name, _ = rows[-1]
+    items = ["label_entity_id", "label_seq_id", "label_comp_id"]
+    *_, (entity, number, name) = [("", "", "GLY"), *(tuple(row) for row in block.find("_atom_site.", items))]
     sequence = [row[1] for row in block.find("_entity_poly_seq.", ["entity_id", "num"]) if row[0] == entity]
-    ends = number in sequence[-1:] or [*rows[-1][:5], "OXT"] in rows
-    return ends or not gemmi.find_tabulated_residue(name).is_amino_acid()
+    return number in sequence[-1:] or not gemmi.find_tabulated_residue(name).is_amino_acid()
 
 
 def _refuse_cut_pdb(text: str, source: str) -> None:
@@ -327,7 +323,12 @@ def _corrected(
 ) -> tuple[str, dict[tuple[str, str, str], str]]:
     """Check the columns of a PDB file that gemmi reads; correct what is clear; and long names."""
     lines = text.split("\n")
+    if indented := without_indents(lines):
+        overlooked.append(Repair(Kind.INDENTED, {"count": indented}))
+    lines, joined = join_segments(lines, source)
+    overlooked += joined
     long_names = _put_names_of_four_letters(lines)
+    add_elements(lines)
     in_model, unended, lower = False, 0, 0
     strange: list[int] = []
     for i, line in enumerate(lines):
@@ -342,10 +343,8 @@ def _corrected(
         if record.startswith(("ANISOU", "SIGATM", "SIGUIJ")):
             # Unused records: their order is no reason to refuse a file.
             lines[i] = ""
-        if record.startswith("ATOM") and record[4:].strip(" 0123456789"):
-            lines[i] = ""  # A row of Rosetta's table of scores, as atom_pair_constraint.
-            continue
-        if not record.startswith(("ATOM", "HETATM")):
+        if not is_atom(line):
+            lines[i] = "" if record.startswith("ATOM") else lines[i]
             continue
         if any(line[start:end].upper() != line[start:end] for start, end in _UPPER):
             lower += 1

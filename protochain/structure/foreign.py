@@ -2,7 +2,8 @@
 
 import io
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import islice
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from openmm import app, unit
 from protochain.core.checks import shown
 from protochain.core.errors import StructureError
 from protochain.core.extras import library
-from protochain.core.markup import excerpt
+from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.member import atom
 
@@ -53,11 +54,28 @@ def by_mdanalysis(path: Path) -> gemmi.Structure:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
+            if files[0].suffix.lower() in (".prmtop", ".parm7") and _is_of_charmm(files[0]):
+                return _of_charmm(*files)
             atoms = MDAnalysis.Universe(*map(str, files), **formats).atoms
-            return _from_mdanalysis(atoms if len(files) == 1 else atoms[atoms.masses > _LIGHTEST])
+            return _from_mdanalysis(atoms, light=len(files) > 1)
     except Exception as error:  # Its readers raise of all kinds.
-        reason = excerpt(" ".join(str(error).split()) or type(error).__name__)
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise StructureError(f"{path}: cannot be read ({reason}); convert it to PDB or mmCIF") from None
+
+
+def _is_of_charmm(topology: Path) -> bool:
+    """Whether a topology in the format of Amber is of CHARMM's force field: its title is a CTITLE."""
+    with regular(topology).open(encoding="utf-8", errors="replace") as file:
+        return any(line.startswith("%FLAG CTITLE") for line in islice(file, _TITLE_LINES))
+
+
+_TITLE_LINES = 10
+
+
+def _of_charmm(topology: Path, positions: Path) -> gemmi.Structure:
+    """Read such a topology by OpenMM: MDAnalysis finds no charges in it."""
+    prmtop = app.AmberPrmtopFile(str(topology))
+    return _from_openmm(prmtop.topology, app.AmberInpcrdFile(str(positions)).positions)
 
 
 def text_of_binary(data: bytes, source: str) -> str:
@@ -126,10 +144,15 @@ def _from_openmm(topology: app.Topology, positions: Any) -> gemmi.Structure:
             ]
             made.add_residue(_residue(residue.name, str(residue.id), residue.insertionCode.strip(), atoms))
         model.add_chain(made)
-    return _structure(model)
+    vectors = topology.getPeriodicBoxVectors()
+    if vectors is None:
+        return _structure(model)
+    lengths = app.internal.unitcell.computeLengthsAndAngles(vectors)
+    return _structure(model, [*(ANGSTROM_PER_NM * np.array(lengths[:3])), *np.degrees(lengths[3:])])
 
 
-def _from_mdanalysis(group: Any) -> gemmi.Structure:
+def _from_mdanalysis(group: Any, light: bool = False) -> gemmi.Structure:
+    """Convert atoms; with light, those lighter than hydrogen are marked as pseudo-atoms."""
     guess = library("MDAnalysis.guesser.default_guesser").DefaultGuesser(None).guess_atom_element
     model = gemmi.Model(1)
     has = {name: hasattr(group, name) for name in ("chainIDs", "icodes", "elements", "tempfactors")}
@@ -147,12 +170,15 @@ def _from_mdanalysis(group: Any) -> gemmi.Structure:
             )
             for each in mine
         ]
+        for made_atom, source in zip(atoms, mine, strict=True) if light else ():
+            if source.mass < _LIGHTEST:
+                made_atom.element, made_atom.calc_flag = gemmi.Element("X"), gemmi.CalcFlag.Dummy
         code = str(residue.icode).strip() if has["icodes"] else ""
         made = chains.setdefault(chain_id, gemmi.Chain(chain_id or " "))
         made.add_residue(_residue(str(residue.resname), str(residue.resid), code, atoms))
     for made in chains.values():
         model.add_chain(made)
-    return _structure(model)
+    return _structure(model, getattr(group, "dimensions", None))
 
 
 _NO_SEGMENT = "SYSTEM"
@@ -169,7 +195,10 @@ def _residue(name: str, number: str, insertion_code: str, atoms: Iterable[gemmi.
     return made
 
 
-def _structure(model: gemmi.Model) -> gemmi.Structure:
+def _structure(model: gemmi.Model, cell: Sequence[float] | None = None) -> gemmi.Structure:
+    """Return a structure of a model, with the lengths (angstrom) and angles (degrees) of its box."""
     made = gemmi.Structure()
     made.add_model(model)
+    if cell is not None and all(cell):
+        made.cell = gemmi.UnitCell(*map(float, cell))
     return made

@@ -15,9 +15,10 @@ from protochain.core.errors import Argument, Fault, ProtochainError, StructureEr
 from protochain.core.graph import components
 from protochain.core.markup import listed
 from protochain.core.units import ANGSTROM_PER_NM
+from protochain.ligands import tables
 from protochain.ligands.matching import inverted_atoms
 from protochain.structure.bonding import Graph
-from protochain.structure.bound import Chemist, template_of
+from protochain.structure.bound import Chemist, charged_metals, note_metals, template_of
 from protochain.structure.capped import Maker, Place
 from protochain.structure.draft import Draft, Fragment, losses
 from protochain.structure.kept import cut
@@ -25,6 +26,7 @@ from protochain.structure.linkage import SHORTEST, STATED_SLACK
 from protochain.structure.links import Link
 from protochain.structure.member import Member
 from protochain.structure.parents import to_parent
+from protochain.structure.records import with_component
 from protochain.structure.repairs import Kind, Loss, Why
 from protochain.structure.residues import Atom
 from protochain.structure.sites import stated_beside
@@ -249,7 +251,8 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
             mine[id(m)] = m
             called.setdefault(id(m), {})[i] = own
     # Charges of the templates only turn hydroxyls while hydrogens are placed.
-    found = {key: (m, template_of(m.name, made.ligand, called[key])) for key, m in mine.items()}
+    metals = {k: charged_metals(m, chemist.name(m), called[k].values()) for k, m in mine.items()}
+    found = {k: (m, template_of(m.name, made.ligand, called[k], metals[k])) for k, m in mine.items()}
     leavers = {(id(m), name) for gone in made.bonds.values() for m, name in gone}
     for m, template in found.values():
         there = {a.name for a in m.heavy if (id(m), a.name) not in leavers}
@@ -261,13 +264,18 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     for m, template in found.values():
         m.own = template
         charge = sum(q for (owner, _), q in zip(made.owners, formal, strict=True) if owner is m)
+        charge += sum(a.charge for a in metals[id(m)])
         source = chemist.free(m).source
         draft.note(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
+        note_metals(draft, m, metals[id(m)])
         if not m.is_d and (its := tuple(name for owner, name in wrong if owner is m)):
             draft.note(Kind.INVERTED, residue=m.residue, atoms=its)
         if parts[id(m)].obstacle:
             parts[id(m)].mobile, parts[id(m)].is_small = True, False
         m.odd, m.parent = False, ""
+        if chemist.name(m) in chemist.chemistry.named:
+            # The file written has to give the same chemistry again.
+            draft.header = with_component(draft.header, tables.rows(chemist.name(m), chemist.free(m)))
     for link, left in made.bonds.items():
         back = [(m, x) for m, a, *_ in _both_ways(link) for x in _back(chemist, m, a.name, left)]
         gone = [each for each in left if each not in back]

@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers, cross, dots, sphere
 from protochain.core.graph import neighbours
+from protochain.structure.links import is_metal
 
 _LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
 """nm: bond lengths to hydrogen."""
@@ -27,6 +28,8 @@ _COULOMB = 138.935 / 40.0
 """kJ/mol nm^2/e^2, with a dielectric of 4 r/angstrom."""
 _CORE = 0.2
 """nm. Distance at which the repulsion of a hydrogen is 1 kJ/mol."""
+_AT_METAL = 0.3
+"""nm. A water whose oxygen is nearer to a metal is bound: 0.24 at calcium, 0.28 at potassium."""
 _DECIMALS = 6
 """Decimals (nm) of the positions: sine and cosine differ in the last bit between libraries."""
 
@@ -59,7 +62,10 @@ class _Placing:
                 self._put(parent, hydrogens, directions)
         still = np.flatnonzero(~self.missing)
         self.still, self.tree = still, KDTree(self.x[still])
+        metals = {symbol for symbol in {*self.element} if is_metal(symbol)}
+        self.metals = np.array([k for k in still.tolist() if self.element[k] in metals], dtype=np.int64)
         for parent in turning:
+            self._turn_from_metals(parent)
             for hydrogen in self._hydrogens(parent):
                 self._turn(parent, hydrogen)
                 self.turned.append(hydrogen)
@@ -140,13 +146,33 @@ class _Placing:
             choices = self._around(parent, angle, _TURNS)
         else:
             choices = sphere(len(_TURNS))
+        energy = self._energies(parent, hydrogen, choices)
+        self._put(parent, [hydrogen], choices[[int(np.argmin(np.round(energy, 6)))]])
+
+    def _energies(self, parent: int, hydrogen: int, choices: Floats) -> Floats:
+        """(n,) kJ/mol of a hydrogen in directions (n, 3)."""
         near = self._near(parent)
         at = self.x[parent] + _LENGTH.get(self.element[parent], _LENGTH["C"]) * choices
         r = np.linalg.norm(at[:, None] - self.x[near], axis=-1)
         r = np.maximum(r, 0.01)
         coulomb = _COULOMB * self.charge[hydrogen] * self.charge[near] / r**2
-        energy = (coulomb + (_CORE / r) ** 12).sum(axis=1)
-        self._put(parent, [hydrogen], choices[[int(np.argmin(np.round(energy, 6)))]])
+        return np.asarray((coulomb + (_CORE / r) ** 12).sum(axis=1))
+
+    def _turn_from_metals(self, parent: int) -> None:
+        """Turn both hydrogens of a water at metals about the axis that leads away from them."""
+        hydrogens, to = self._hydrogens(parent), self.x[parent] - self.x[self.metals]
+        to = to[np.linalg.norm(to, axis=1) < _AT_METAL]
+        if len(hydrogens) != 2 or len(self.neighbours[parent]) != 2 or not len(to):
+            return
+        away = _unit(_unit(to).sum(axis=0))
+        side = _unit(cross(away, _least(away)))
+        across = np.cos(_TURNS)[:, None] * side + np.sin(_TURNS)[:, None] * cross(away, side)
+        pair = np.stack(
+            [np.cos(0.5 * _WATER) * away + np.sin(0.5 * _WATER) * s * across for s in (1, -1)], axis=1
+        )
+        energy = sum(self._energies(parent, hydrogen, pair[:, k]) for k, hydrogen in enumerate(hydrogens))
+        self._put(parent, hydrogens, pair[int(np.argmin(np.round(energy, 6)))])
+        self.turned += hydrogens
 
     def _near(self, parent: int) -> Integers:
         """Placed atoms within reach, without the parent and its neighbours."""

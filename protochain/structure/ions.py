@@ -1,5 +1,7 @@
 """Ions of one atom: element and charge by the names that the archive and programs give them."""
 
+from collections.abc import Iterable
+
 import gemmi
 
 _ARCHIVE = {
@@ -34,6 +36,22 @@ _OF_ELEMENT = dict(_IONS.values()) | {
     element: charge for name, (element, charge) in _IONS.items() if name == element.upper()
 }
 """The charge of each element's ion: of the component that is called as the element, if there is one."""
+_OXIDATION_STATES = {"Fe": 2, "Co": 3, "Mn": 3, "Ni": 2, "Cu": 2, "Mo": 4, "Ru": 2, "V": 4}
+"""Of metals in complexes, beside those of their ions: ferrous hemes, cobalamins as cob(III)alamin, manganese
+porphyrins."""
+_OXIDATION_STATES_BY_NAME = {("F43", "Ni"): 1, ("MNH", "Mn"): 2, ("COH", "Co"): 2, ("SIR", "Co"): 2}
+"""Of components of the dictionary: F430 as in active methyl-coenzyme M reductase (Goubeaud, Schreiner,
+Thauer, Eur. J. Biochem. 243:110, 1997), porphyrins by their names."""
+_CLUSTERS = {
+    "SF4": (3, 3, 2, 2), "FES": (3, 3), "F3S": (3, 3, 3), "CUA": (2, 1), "CUZ": (2, 1, 1, 1), "CLF": (2,) * 8,
+    "ICS": (3, 3, 3, 3, 3, 2, 2, 2), "OEX": (2, 3, 3, 4, 4), "FEO": (3, 3), "NCO": (3,), "RHD": (3,),
+    "IRI": (3,), "CPT": (2,),
+}  # fmt: skip
+"""Oxidation states of the metals of clusters, in any order: [Fe4S4]2+, [Fe2S2]2+, [Fe3S4]1+ (Beinert, Holm,
+Munck, Science 277:653, 1997), CuA 3+, CuZ and the copper-sulphide site (Solomon et al., Chem. Rev. 114:3659,
+2014), P cluster 2+ and cofactor 1- of nitrogenase (Van Stappen et al., Chem. Rev. 120:5005, 2020), S1 of
+photosystem II (Krewald et al., Chem. Sci. 6:1676, 2015); ammines by the dictionary."""
+_ANIONS = {"S": -2, "O": -2, "Cl": -1, "C": -4}
 _CHARGE = "+-0123456789"
 _ANY = ("ION", "IONS")
 """Residue names under which GROMACS has every ion."""
@@ -49,6 +67,22 @@ def name_ions(structure: gemmi.Structure) -> None:
                     if its:
                         atom.element = gemmi.Element(its[0])
                     atom.charge = atom.charge or (its[1] if its else _OF_ELEMENT.get(atom.element.name, 0))
+
+
+def oxidation_state(name: str, element: str) -> int:
+    """Oxidation state of a metal in a complex, by the name of its component and its element."""
+    usual = _OXIDATION_STATES.get(element, _OF_ELEMENT.get(element, 0))
+    return _OXIDATION_STATES_BY_NAME.get((name, element), usual)
+
+
+def charge_cluster(name: str, atoms: Iterable[gemmi.Atom]) -> None:
+    """Give the atoms of a cluster of metals their formal charges, unless the file gives some."""
+    atoms = [*atoms]
+    if name not in _CLUSTERS or any(a.charge for a in atoms):
+        return
+    states = iter(_CLUSTERS[name])
+    for a in atoms:
+        a.charge = next(states, 0) if a.element.is_metal else _ANIONS.get(a.element.name, 0)
 
 
 def is_known(atom: gemmi.Atom) -> bool:

@@ -2,7 +2,7 @@
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -18,7 +18,7 @@ from protochain.core.markup import counted
 from protochain.structure import glycans, residues
 from protochain.structure.bound import AS_KNOWN, Chemistry
 from protochain.structure.draft import Draft, Part, losses
-from protochain.structure.ions import is_known
+from protochain.structure.ions import charge_cluster, is_known
 from protochain.structure.linkage import STATED
 from protochain.structure.links import Link, is_metal
 from protochain.structure.member import Member
@@ -44,8 +44,8 @@ _LARGEST = 2000
 """Atoms of a molecule by element, none of which interact: memory grows with their square. The largest of the
 archive have some hundreds."""
 _NAMED = 20
-_DUMMY = "DUM"
-"""Residue that marks the faces of a membrane (OPM: Lomize et al., Nucleic Acids Res. 40:D370, 2012)."""
+_DUMMY = ("DUM", "MMB")
+"""Marks of a membrane by OPM (Lomize et al., Nucleic Acids Res. 40:D370, 2012), and LightDock's beads."""
 
 
 @dataclass(eq=False)
@@ -85,14 +85,16 @@ def choose(
     """Choose the molecules to keep; count and report the others."""
     check_words(keep)
     _refuse_unknown_names(draft, candidates, keep, "keep ")
-    _refuse_unknown_names(draft, candidates, [*chemistry.named], "ligand ")
+    # The chemistry of an amino acid in a chain may be given, too.
+    of_chains = {member.given or member.name for member in draft.members if member.odd}
+    _refuse_unknown_names(draft, candidates, [*{*chemistry.named} - of_chains], "ligand ")
     usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
-    near = _near(draft, usable) if "near" in keep else set()
     strands = {
         id(each)
         for pair in pairwise(candidates) if _is_bonded(*(each.member for each in pair))
         for each in pair
     }  # fmt: skip
+    near = _near(draft, usable, chemistry.moving, strands) if "near" in keep else set()
     chosen = []
     gone: Counter[tuple[str, Why | None]] = Counter()
     lost: list[Loss] = []
@@ -162,7 +164,7 @@ def _refuse_unknown_names(
 
 
 def _why_unusable(member: Member) -> Why | None:
-    if member.name == _DUMMY:
+    if member.name in _DUMMY:
         return Why.DUMMY
     if not all(atom.element.atomic_number for atom in member.atoms) or all(
         atom.is_hydrogen() for atom in member.atoms
@@ -171,10 +173,17 @@ def _why_unusable(member: Member) -> Why | None:
     return Why.CHARGE if len(member.atoms) == 1 and not is_known(member.atoms[0]) else None
 
 
-def _near(draft: Draft, candidates: Sequence[Candidate]) -> set[int]:
-    """``id`` of the candidates with an atom near the protein, and of all that is joined to one that has."""
+def _near(
+    draft: Draft, candidates: Sequence[Candidate], given: Container[str], strands: Container[int]
+) -> set[int]:
+    """``id`` of the candidates with an atom near the protein, and of all that is joined to one that has.
+
+    Molecules that the user gives, poses among them, count as the protein does: their site is kept whole.
+    """
     # Of a file without protein, its nucleic acids.
-    whole = draft.members or [each.member for each in candidates if each.kind == "nucleic"]
+    nucleic = [each.member for each in candidates if each.kind == "nucleic" or id(each) in strands]
+    whole = draft.members or nucleic
+    whole = [*whole, *(each.member for each in candidates if each.given in given)]
     protein = [a.pos.tolist() for member in whole for a in member.heavy]
     dry = [candidate for candidate in candidates if candidate.kind != "water"]
     if not dry or not protein:
@@ -272,6 +281,7 @@ def _parts(
                         f"{draft.source}: {member} has {len(member.atoms)} atoms, more than {_LARGEST}; "
                         "give each molecule in it a number of its own, or leave it out by keep"
                     )
+                charge_cluster(member.name, member.atoms)
                 member.own = by_element(member)
             if len(part.members) == 1:
                 users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)

@@ -1,16 +1,20 @@
 """Ligands of a structure as an SDF file, with orders and charges that its files may lack; files of poses."""
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from protochain.core.arrays import Floats
 from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record, flag, several
 from protochain.core.checks import path as as_path
 from protochain.core.errors import Argument, StructureError
 from protochain.core.extras import library
+from protochain.core.graph import neighbours
 from protochain.core.storage import write_text
-from protochain.ligands.molecule import to_rdkit
-from protochain.ligands.sources import records, text_of
+from protochain.ligands.matching import named_as
+from protochain.ligands.molecule import Molecule, to_rdkit
+from protochain.ligands.sources import as_filed, records, text_of
 from protochain.structure.convert import as_structure
 from protochain.structure.model import Structure
 
@@ -20,9 +24,11 @@ def save_ligands(
 ) -> None:
     """Write the ligands of a structure to an SDF file, a record for each.
 
-    Atoms are in the order of the molecule that was given, then come its hydrogens. Titles are name, chain and
-    number of the residue, and of a pose the file and record it is from, as ``LIG B 1 poses.sdf#2``; the field
-    ``source`` tells where orders and charges are from.
+    Title, fields and the order of atoms are those of the file that was given, hydrogens that the pH added
+    come last. Without a title it is name, chain and number of the residue, and of a pose the file and record
+    it is from, as ``LIG B 1 poses.sdf#2``. The field ``source`` tells where orders and charges are from, and
+    ``protochain_residue`` the residue. A result adds ``protochain_energy_kj_mol`` of the whole structure,
+    ``protochain_status``, and of the ligand ``protochain_strain_kj_mol`` and ``protochain_rmsd_angstrom``.
 
     Parameters
     ----------
@@ -48,7 +54,8 @@ def save_ligands(
     path = as_path(path, "path")
     check_ligand_file(path)
     wanted = [as_path(each, "sources") for each in several(sources, "sources")]
-    text = ligand_text(as_structure(structure), wanted, flag(others, "others"))
+    measured = getattr(structure, "ligand_properties", ())
+    text = ligand_text(as_structure(structure), wanted, flag(others, "others"), measured)
     write_text(path, text)
 
 
@@ -67,22 +74,73 @@ def check_ligands(structure: Structure) -> None:
         )  # fmt: skip
 
 
-def ligand_text(structure: Structure, sources: Sequence[str | Path] = (), others: bool = False) -> str:
-    """Return the text that :func:`save_ligands` writes."""
+def ligand_text(
+    structure: Structure,
+    sources: Sequence[str | Path] = (),
+    others: bool = False,
+    measured: Sequence[Mapping[str, str]] = (),
+) -> str:
+    """Return the text that :func:`save_ligands` writes; ``measured`` are fields of each ligand."""
     check_ligands(structure)
     chem, found, wanted = library("rdkit.Chem"), [], {str(Path(each)) for each in sources}
     chosen = [each for each in structure.ligands if each.ligand.molecule.source in wanted]
     if others or not wanted:
         chosen += [each for each in structure.ligands if each not in chosen]
     for each in chosen:
-        molecule = each.ligand.molecule
-        made = to_rdkit(molecule, structure.positions[each.atoms])
+        molecule, x = each.ligand.molecule, structure.positions[each.atoms]
+        made, filed = to_rdkit(molecule, x), as_filed(molecule.source)
+        if filed:
+            made = chem.RenumberAtoms(made, _order(molecule, filed[0], x))
         its = structure.residue(int(structure.atom_residue[each.atoms[0]]))
         source = " ".join(molecule.source.split())
         pose = f" {Path(source).name}" if each.posed else ""
-        made.SetProp("_Name", f"{its.name} {its.chain} {its.number}{pose}")
-        found.append(f"{chem.MolToMolBlock(made)}>  <source>\n{source}\n\n$$$$\n")
+        residue = f"{its.name} {its.chain} {its.number}"
+        fields = {"source": source, "protochain_residue": residue}
+        fields |= dict(measured[structure.ligands.index(each)]) if measured else {}
+        made.SetProp("_Name", (filed and filed[1]) or f"{residue}{pose}")
+        found.append(chem.MolToMolBlock(made) + _fields(filed[2] if filed else "", fields) + "$$$$\n")
     return "".join(found)
+
+
+def _order(molecule: Molecule, filed: Molecule, x: Floats) -> list[int]:
+    """Atoms of a molecule at x (na, 3) nm in the order of the file, those that the file lacks last."""
+    heavy = molecule.heavy
+    names = tuple(molecule.names[i] for i in heavy)
+    called = {name: int(z) for name, z in zip(filed.names, filed.elements, strict=True)}
+    if any(called.get(name) != z for name, z in zip(names, molecule.elements[heavy].tolist(), strict=True)):
+        # The names are those of a model: coordinates show which atom is which.
+        try:
+            filed = named_as(filed, molecule.elements[heavy], names, x[heavy])
+        except StructureError:
+            return list(range(molecule.n_atoms))
+    order: list[int] = []
+    here, there = (neighbours(each.bonds, each.n_atoms) for each in (molecule, filed))
+    for k, name in enumerate(filed.names):
+        if filed.elements[k] != 1:
+            at = [molecule.names.index(name)]
+        else:
+            (parent,) = there[k]
+            at = [j for j in here[molecule.names.index(filed.names[parent])] if molecule.elements[j] == 1]
+            # The hydrogen of this name, or else the next one.
+            at = [j for j in at if molecule.names[j] == name] or [
+                j for j in at if j not in order and molecule.names[j] not in filed.names
+            ]
+        order += [j for j in at[:1] if j not in order]
+    return order + [j for j in range(molecule.n_atoms) if j not in order]
+
+
+def _fields(filed: str, added: Mapping[str, object]) -> str:
+    """Fields of a record: those of the file, without values of an earlier run, then those that are added."""
+    blocks = [block for block in re.split(r"\n(?=>)", filed) if block.strip()]
+    names = [re.search(r"<([^<>]*)>", block.split("\n")[0]) for block in blocks]
+    stated = {name[1] for name in names if name}
+    kept = [b for b, name in zip(blocks, names, strict=True) if not (name and name[1].startswith(_PREFIX))]
+    more = {name: value for name, value in added.items() if name.startswith(_PREFIX) or name not in stated}
+    texts = [f"{block.rstrip()}\n\n" for block in kept]
+    return "".join(texts + [f">  <{name}>\n{value}\n\n" for name, value in more.items()])
+
+
+_PREFIX = "protochain_"
 
 
 def poses(path: Path) -> list[str]:

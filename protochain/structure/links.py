@@ -16,6 +16,11 @@ _OTHER_METAL = 2.3
 """Angstrom: of metals that are not in the table."""
 _SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
 """Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
+_AXIAL = 1.2
+"""The same of methionine at blue copper, 2.8 to 3.1 angstrom away (Guss, Freeman, J. Mol. Biol. 169:521,
+1983)."""
+_TRIPLE = 1.35
+"""Angstrom: carbon with one heavy neighbour, no further away than this, is that of cyanide or CO."""
 _TOO_NEAR = 0.6
 """Angstrom by which a donor may be nearer to a metal than usual; nearer ones lie on it."""
 
@@ -49,11 +54,19 @@ class Link:
         usual = _OXYGEN_DISTANCE.get(self.other_atom.element.name, _OTHER_METAL)
         if self.stated or self.length < usual - _TOO_NEAR:
             return self.length >= usual - _TOO_NEAR
-        is_cyanide = {*"CN"} == {a.element.name for a in self.member.heavy} and len(self.member.heavy) == 2
-        slack = _SLACK.get("N" if is_cyanide else self.atom.element.name)
+        slack = _SLACK.get("N" if self._is_carbonyl else self.atom.element.name)
+        if (self.atom.name, self.other_atom.element.name) == ("SD", "Cu"):
+            slack = _AXIAL
         # An amide nitrogen of the chain has no free pair of electrons.
         is_amide = self.atom.name == "N" and bool(self.member.atom("CA"))
         return slack is not None and not is_amide and self.length <= usual + slack
+
+    @property
+    def _is_carbonyl(self) -> bool:
+        """Whether the donor is the carbon of cyanide, an isocyanide or carbon monoxide."""
+        near = [a for a in self.member.heavy if a is not self.atom and self.atom.pos.dist(a.pos) <= _TRIPLE]
+        symbols = [a.element.name for a in near if not a.element.is_metal]
+        return self.atom.element.name == "C" and symbols in (["N"], ["O"])
 
     @property
     def length(self) -> float:

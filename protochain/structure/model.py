@@ -17,6 +17,7 @@ from protochain.core.graph import Neighbours, neighbours
 from protochain.core.markup import facts
 from protochain.ligands import Ligand
 from protochain.structure.header import Label
+from protochain.structure.links import is_metal
 from protochain.structure.repairs import Loss, Repair, summarised
 from protochain.structure.residues import Atom, Residue, name_in_file
 
@@ -274,6 +275,13 @@ class Structure(Value):
         """(nbonds, 2) int: bonded atoms, the smaller index first."""
         pairs = [(bond.atom1.index, bond.atom2.index) for bond in self.topology.bonds()]
         return read_only(np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1), np.int64)
+
+    @cached_property
+    def coordination(self) -> NDArray[np.bool_]:
+        """(nbonds,) bool: bonds of metals that springs hold."""
+        pairs = (tie.atoms for tie in self.ties if len(tie.atoms) == 2)
+        ends = {tuple(sorted(pair)) for pair in pairs if is_metal(str(self.atom_element[pair[1]]))}
+        return read_only([(i, j) in ends for i, j in self.bonds.tolist()], np.bool_)
 
     @property
     def neighbours(self) -> Neighbours:

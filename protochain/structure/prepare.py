@@ -33,8 +33,9 @@ from protochain.structure.protonate import protonate
 from protochain.structure.read import Reading, read
 from protochain.structure.sites import (
     glycosidic,
-    metal_ties,
+    metal_links,
     moves,
+    note_sites,
     note_unused,
     settle_mobile,
     stated_beside,
@@ -78,12 +79,14 @@ def load(
         Number of the model in the file; the first by default.
     assembly : str
         Name of the biological assembly to build, as the file states it; by default its molecules as filed.
+        ``models`` joins the models of a file under free chain ids.
     altloc : str
         Preferred alternate location, which some atom must have; by default, and where it is absent, the one
         of highest occupancy.
     keep : str or sequence of str
         Molecules to keep beside the protein: ``near`` for all but waters that have an atom within 5 angstrom
-        of the protein, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``, or residue names.
+        of the protein or of a given ligand, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``,
+        or residue names.
         Small molecules of known chemistry move, glycans that GLYCAM-06j knows, and those whose parameters
         ``forcefield`` has; others are fixed obstacles, those that no force field has parameters for by
         element.
@@ -169,7 +172,9 @@ def prepare(
     settle_mobile(draft, draft.links)
     links = [*draft.links, *strand_links(draft)]
     beyond = [*sugars, *(link for made in draft.fragments for link in made.bonds)]
-    note_unused(draft, [*links, *beyond, *beside])
+    metal = metal_links(draft)
+    note_sites(draft, metal)
+    note_unused(draft, [*links, *beyond, *beside, *metal])
     take_up(draft, value_of(ph))
     given = {
         id(atom): atom
@@ -190,13 +195,14 @@ def prepare(
                 f"{draft.source}: {member}: {twice[0]} is there under two elements; correct columns 77-78"
             )
     at = _indices(done)
-    bonds = _bonds(draft, done, bridges, [*links, *beyond], at)
+    bonds = _bonds(draft, done, bridges, [*links, *beyond, *metal], at)
     charge = np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms])
     x = np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM
     place = np.where(np.isnan(x[:, 0]), -1, [place_in_file(atom) for atom in atoms])
     x = place_hydrogens(x, elements, charge, bonds)
     owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
     _refuse_coincident(draft, owners, x, bonds)
+    springs, outer = [*links, *metal], [link for link in metal if link.member is not link.other]
     of_residues = [part for part in draft.parts for _ in part.members]
     fixed, mobile = np.repeat(
         [
@@ -219,9 +225,11 @@ def prepare(
         residue_label=tuple(member.label for member in draft.members),
         header=draft.header,
         model_number=draft.model_number,
-        ties=stated_ties(draft, links, at) or (*ties(links, at, x, elements, bonds), *metal_ties(draft, at)),
+        ties=stated_ties(draft, springs, at) or ties(springs, at, x, elements, bonds),
         mobile=mobile,
-        links=np.array(_linked(_distinct(draft, [*links, *beyond, *beside]), at), np.int64).reshape(-1, 2),
+        links=np.array(_linked(_distinct(draft, [*links, *beyond, *beside, *outer]), at), np.int64).reshape(
+            -1, 2
+        ),
         mirrored=np.array([member.is_d for member in draft.members]),
         built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
         ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),

@@ -7,7 +7,7 @@ import numpy as np
 
 from protochain.structure import residues
 from protochain.structure.draft import Draft, Part
-from protochain.structure.histidines import settled
+from protochain.structure.flips import settled
 from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind
 from protochain.structure.templates import Template, rename
@@ -50,7 +50,8 @@ def protonate(
         for i, member in enumerate(part.members):
             before = sum(a.is_hydrogen() for a in member.atoms)
             if id(member) in turned:
-                draft.note(Kind.RING_TURNED, residue=member.residue)
+                kind = Kind.RING_TURNED if member.name == "HIS" else Kind.AMIDE_TURNED
+                draft.note(kind, residue=member.residue)
             state = states[id(member)]
             own = pka.get(id(member)) if state == _at_ph(member, ph, pka) else None
             template = _template(draft, known, part, i, shown[id(member)], state, own)
@@ -87,6 +88,9 @@ def _template(
     template = template or usual
     if shown and member.name in residues.PHOSPHORYLATED:
         template = template.exchanged("O1P", _acid_oxygens(member)[0])
+    if _is_imidazolate(member):
+        template = template.without_hydrogen("NE2")
+        draft.note(Kind.IMIDAZOLATE, residue=member.residue)
     for linked in member.links:
         if linked.name != "N":
             template = template.without_hydrogen(linked.name)
@@ -103,6 +107,11 @@ def _free_pair(member: Member) -> str:
     if member.name == "LYS" and any(a.name == "NZ" for a in member.metals):
         return "LYN"
     return ""
+
+
+def _is_imidazolate(member: Member) -> bool:
+    """Whether both nitrogens of a histidine hold metals, as in superoxide dismutase."""
+    return member.name == "HIS" and {"ND1", "NE2"} <= {a.name for a in member.metals}
 
 
 def _shown(member: Member) -> str:

@@ -4,7 +4,6 @@ gemmi parses the file. Whatever is left out or changed is reported in ``repairs`
 raises an error of one line.
 """
 
-import re
 import sys
 from collections import Counter
 from collections.abc import Iterable
@@ -43,6 +42,8 @@ from protochain.structure.files import STANDARD_INPUT, in_file_order, parse, pla
 from protochain.structure.header import take_header
 from protochain.structure.kept import Candidate, choose, note_unresolved, report, water_named
 from protochain.structure.member import Address, Member, address_of
+from protochain.structure.periodic import make_whole
+from protochain.structure.pseudo_atoms import remove_pseudo_atoms
 from protochain.structure.repairs import EVERYTHING, Kind, Repair, Why
 from protochain.structure.sites import find_links
 from protochain.structure.templates import (
@@ -63,7 +64,7 @@ two chain ends do not come that near: C and N that are not bonded touch at 3.25.
 _UPON, _BESIDE, _FAR = 0.01, 2.0, 15.0
 """Angstrom: atoms nearer than the first are in one place, those that are bonded nearer than the second; the
 last from the middle of a residue is twice what an extended arginine has."""
-SMALLEST_RING = 4
+SMALLEST_RING = 2
 """Fewest residues of a head-to-tail cyclic peptide."""
 _BONDS = (gemmi.ConnectionType.Disulf, gemmi.ConnectionType.Covale, gemmi.ConnectionType.MetalC)
 
@@ -117,6 +118,8 @@ def read_structure(structure: gemmi.Structure, draft: Draft, reading: Reading) -
     model = choose_model(draft, structure, reading.model)
     draft.filed = tuple(name for name, _ in in_file_order(model))
     check_altloc(model, reading.altloc, draft.source)
+    remove_pseudo_atoms(draft, model)
+    make_whole(draft, structure, model)
     if atoms := without_nan(model):
         draft.note(Kind.NOT_A_NUMBER, count=atoms)
     if atoms := without_deuterium(model):
@@ -243,7 +246,6 @@ class _Reader:
         run: list[Member] = []
         for group, letter in places:
             found = likeliest(group, letter)
-            self._leave_virtual(found.residue)
             self.notes: list[Repair] = []
             if self._is_protein(found.residue):
                 self.draft.repairs += self._alternates(found)
@@ -269,16 +271,6 @@ class _Reader:
         run = [member for member, name in zip(run, built, strict=True) if self._has_backbone(member, name)]
         note_unresolved(self.draft, run)
         self.runs += self._unbroken(run)
-
-    def _leave_virtual(self, residue: gemmi.Residue) -> None:
-        """Leave out what RFdiffusion3 pads amino acids with, V0 to V8."""
-        virtual = [a.name for a in residue if re.fullmatch(r"V[0-8]", a.name)] if "CA" in residue else []
-        if virtual:
-            for name in virtual:
-                residue.remove_atom(name, "*")
-            self.draft.note(
-                Kind.VIRTUAL, residue=_in_file(self.chain_id, residue), atoms=tuple(dict.fromkeys(virtual))
-            )
 
     @property
     def _chain(self) -> str:

@@ -40,7 +40,9 @@ _KINDS = {
     gemmi.ResidueKind.RNA: "RNA linking", gemmi.ResidueKind.DNA: "DNA linking",
     gemmi.ResidueKind.PYR: "saccharide", gemmi.ResidueKind.KET: "saccharide",
 }  # fmt: skip
-_READ = ("HETNAM", "REMARK", "JRNL")
+_READ = ("HETNAM", "REMARK", "JRNL", "PARENT", "PFRMAT")
+_PLDDT = [{"id": "1", "name": "pLDDT", "type": "pLDDT", "mode": "local"}]
+"""B factors of ESMFold and OpenFold, which write PARENT records. Models of CASP have PFRMAT records, too."""
 _ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 
 
@@ -88,6 +90,7 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
             else [],
             **_journal(lines.get("JRNL", ())),
             CATEGORY: of_remarks(lines.get("REMARK", ())),
+            "_ma_qa_metric.": _PLDDT if "PARENT" in lines and "PFRMAT" not in lines else [],
         }
     )
 
@@ -118,6 +121,12 @@ def _with(ligands: Mapping[str, Rows], found: Mapping[str, Rows]) -> dict[str, R
         for category, given in found.items()
     }
     return kept | {category: kept.get(category, []) + given for category, given in ligands.items()}
+
+
+def with_component(header: str, ligand: Mapping[str, Rows]) -> str:
+    """Return a header with the tables of a component in the place of others of that component."""
+    found = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
+    return _text(_with(ligand, found))
 
 
 def pdb_lines(header: str, out: gemmi.Structure, ligands: Mapping[str, Rows]) -> tuple[list[str], list[str]]:

@@ -53,6 +53,10 @@ class Kind(Enum):
         "atom names"
     )
     NO_ENDMDL = Words("{count:n model} without an ENDMDL record, taken to end where the next begins")
+    INDENTED = Words("{count:n atom record} with blanks before the record name: read without these blanks")
+    SEGMENTS_JOINED = Words(
+        "{count:n atom record} after the END or ENDMDL record of line {line}: read as parts of one structure"
+    )
     CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
     MOLECULES_RENUMBERED = Words("molecules that share number and name renumbered: {count} more")
     ATOMS_NUMBERED = Words("atoms that share a name numbered in {count:n molecule}")
@@ -62,9 +66,22 @@ class Kind(Enum):
         rank=Rank.LOSS,
     )
     MODELS_LEFT_OUT = Words("model {used} used, {count:n other model} left out", rank=Rank.LOSS)
-    NO_END = Words(
-        "the file ends at {residue} without an END record or a terminal oxygen: check that it is complete",
+    MODELS_ARE_COPIES = Words(
+        "model {used} used, {count:n other model} left out: rigid copies of it, as of an assembly; "
+        "{remedy} joins them",
         rank=Rank.LOSS,
+    )
+    NO_END = Words(
+        "the file ends at {residue} without an end mark (END, or # in mmCIF) or a terminal oxygen: check "
+        "that it is complete",
+        rank=Rank.LOSS,
+    )
+    MADE_WHOLE = Words(
+        "{count:n residue} broken across the periodic box of {box} angstrom made whole, first {residue}"
+    )
+    IMAGE_MOVED = Words(
+        "{count:n molecule} moved to the image of the periodic box of {box} angstrom next to the others: "
+        "those of {residues:6}"
     )
     # Of what is taken.
     ELEMENTS = Words("elements of {count:n atom} of standard residues corrected by their names, first {atom}")
@@ -93,7 +110,8 @@ class Kind(Enum):
         "{residue}: {atoms} at the origin, upon CA or over 15 angstrom away: treated as missing",
         "atoms at the origin, upon CA or over 15 angstrom away treated as missing",
     )
-    VIRTUAL = Words("{residue}: virtual atoms {atoms} left out", "virtual atoms left out")
+    VIRTUAL = Words("{residue}: pseudo-atoms {atoms} removed", "pseudo-atoms removed")
+    SITES = Words("{count:n virtual site} of {waters:n water} removed")
     SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
     CONVERTED = Words(
         "{residue}: converted to its standard parent {name}",
@@ -165,6 +183,10 @@ class Kind(Enum):
         "{residue} moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
         "moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
     )
+    COMPLEX = Words(
+        "{residue}: springs at the distances of the file in the place of the bonds of {atoms}",
+        "springs at the distances of the file in the place of the bonds of {atoms}",
+    )
     MODIFIED = Words(
         "{residue}: kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
         "kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
@@ -172,9 +194,15 @@ class Kind(Enum):
     CHARGES_OF_MMFF94 = Words(
         "{residue}: partial charges of MMFF94: {atoms:8} are outside the domain of NAGL's model"
     )
+    CHARGES_OF_DICTIONARY = Words(
+        "{residue}: charges of the Chemical Component Dictionary, {charge} in total"
+    )
     LINKED = Words("{atoms:and} are bonded ({length:.2f} angstrom): kept, in the place of {gone}")
     NO_PARAMETERS = Words("the bond between {atoms:and} has no parameters: {why}")
     CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
+    CHARGE_UNSURE = Words(
+        "{residue}: the charge of {atoms} at pH {ph:g} is uncertain; give the molecule with charges"
+    )
     INVERTED = Words("{residue}: of another configuration than in its source: {atoms}", rank=Rank.LOSS)
     MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
     STRAND = Words(
@@ -222,7 +250,11 @@ class Kind(Enum):
     RING_TURNED = Words(
         "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
     )
+    AMIDE_TURNED = Words(
+        "{residue}: amide turned by 180 degrees, by its hydrogen bonds", "amides turned by 180 degrees"
+    )
     STATE_CHOSEN = Words("{residue} modelled as {state}")
+    IMIDAZOLATE = Words("{residue} modelled as imidazolate: it bridges two metals")
     STATE_BY_PKA = Words("{residue} modelled as {state}: its pKa is {pka:.1f} by PROPKA")
     STRANGE_HYDROGENS = Words(
         "{residue}: hydrogens left out, not of its state: {atoms:6}",

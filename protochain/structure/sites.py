@@ -35,10 +35,10 @@ _SHELL = {"Na": 5, "Mg": 6, "K": 6, "Ca": 6, "Mn": 6}
 _OTHER_SHELL = 4
 """Donors that hold an ion on all sides (Harding, Acta Cryst. D60:849, 2004)."""
 
-_METAL_BOND, _METAL_ANGLE, _DONOR_ANGLE = 8.0e4, 300.0, 540.0
+_METAL_BOND, _METAL_ANGLE, _DONOR_ANGLE = 4.8e5, 300.0, 540.0
 """kJ/mol/nm^2, kJ/mol/rad^2: angles are those of Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver,
-Merz, J. Chem. Theory Comput. 6:2935, 2010: S-Zn-S 299, C-S-Zn 539). Its bond has 2.7e4; three times that
-keeps the distances of the input where charges pull."""
+Merz, J. Chem. Theory Comput. 6:2935, 2010: S-Zn-S 299, C-S-Zn 539). Its bond, 2.7e4, gives way to charges by
+0.2 angstrom. That of C=O in ff14SB gives way by less than 0.05, also to a porphyrin of another size."""
 _BOND, _ANGLE = 2.7e5, 500.0
 """kJ/mol/nm^2, kJ/mol/rad^2: of the size of bonds and angles between first-row atoms in ff14SB."""
 
@@ -53,7 +53,7 @@ def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) 
     free = {*draft.glycosidic}
     near = [link for link in _near(draft, protein, beside) if _ends(link) not in free]
     # A result says which bonds its molecules have.
-    words = {link for link in near if draft.says_of(link.other)}
+    words = {link for link in near if draft.says_of(link.other) and (link.is_metal or not _has_metal(link))}
     sprung = {link for link in words if _ends(link) in draft.springs}
     close = bonds_and_overlaps(draft, [link for link in near if not link.is_metal and link not in sprung])
     refused = [*close.refused, *_far(draft, protein, beside)]
@@ -87,6 +87,11 @@ def find_links(draft: Draft, settle: Callable[[list[Link]], list[Link]] = list) 
         pairs = tuple(Apart(link.atoms, link.length) for link in overlapping)
         draft.note(Kind.NEAR, count=len(pairs), pairs=pairs)
     return links
+
+
+def _has_metal(link: Link) -> bool:
+    """Whether springs of a metal, which a result has, are no word on the other bonds of its residue."""
+    return len(link.other.atoms) > 1 and any(a.element.is_metal for a in link.other.atoms)
 
 
 _Owned = Sequence[tuple[Member, gemmi.Atom]]
@@ -202,6 +207,7 @@ def moves(draft: Draft, member: Member, links: Sequence[Link]) -> bool:
 def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
     """Leave mobile only molecules that are whole, not bonded to the protein or another, and report them."""
     tied = {id(link.other) for link in links}
+    bonded = {id(link.other) for link in links if not link.is_metal}
     beside = [(part, a) for part, _, a in beside_of(draft)]
     tree = KDTree([a.pos.tolist() for _, a in beside]) if beside else None
     framed = {id(m) for made in draft.fragments for m, _ in made.owners}
@@ -215,7 +221,7 @@ def settle_mobile(draft: Draft, links: Sequence[Link]) -> None:
             beside[k][0] is not part
             for m in part.members for a in m.heavy for k in tree.query_ball_point(a.pos.tolist(), JOINED)
         )  # fmt: skip
-        if joined or tied & {id(m) for m in part.members}:
+        if joined or (tied if part.ligand is None else bonded) & {id(m) for m in part.members}:
             part.mobile = False
             draft.note(Kind.STAYS, residue=part.members[0].residue)
         elif part.is_strand:
@@ -247,21 +253,38 @@ def strand_links(draft: Draft) -> list[Link]:
     return found
 
 
-def metal_ties(draft: Draft, at: Mapping[int, Mapping[str, int]]) -> tuple[Tie, ...]:
-    """Springs between metals and the donors of ligands and strands that move, as of those of the protein."""
+def metal_links(draft: Draft) -> list[Link]:
+    """Bonds of metals to donors outside the protein, also of one residue, if the metal or donor moves."""
     atoms = beside_of(draft)
-    metals = [(m, a) for part, m, a in atoms if is_metal(a.element.name) and not part.mobile]
-    if not metals:
-        return ()
-    tree = KDTree([a.pos.tolist() for _, a in metals])
+    metals = [(m, a) for _, m, a in atoms if is_metal(a.element.name)]
+    tree = KDTree([a.pos.tolist() for _, a in metals]) if metals else None
+    moving = {id(m) for part in draft.parts if part.mobile for m in part.members}
     found = []
     for part, member, donor in atoms:
-        for k in sorted(tree.query_ball_point(donor.pos.tolist(), STATED)) if part.mobile else ():
-            link = Link(member, donor, *metals[k])
-            if link.is_coordinated:
-                ends = at[id(member)][donor.name], at[id(link.other)][link.other_atom.name]
-                found.append(Tie(ends, round(0.1 * link.length, DIGITS), _METAL_BOND))
-    return tuple(found)
+        if tree is None or is_metal(donor.element.name):
+            continue
+        for k in sorted(tree.query_ball_point(donor.pos.tolist(), STATED)):
+            other, metal = metals[k]
+            if not (part.mobile or id(other) in moving) or member.name == "HOH":
+                continue
+            ends = member.address(donor.name), other.address(metal.name)
+            link = Link(member, donor, other, metal, draft.states(*ends))
+            # A result says which bonds its metals have.
+            if ends in draft.springs if draft.says_of(other) else link.is_coordinated:
+                found.append(link)
+    return found
+
+
+def note_sites(draft: Draft, links: Sequence[Link]) -> None:
+    """Report the metals that donors of other molecules which move hold."""
+    sites: dict[int, list[Link]] = {}
+    for link in links:
+        if link.member is not link.other:
+            sites.setdefault(id(link.other_atom), []).append(link)
+    for site in sites.values():
+        kind = Kind.ION_HELD if len(site[0].other.atoms) == 1 else Kind.COORDINATED
+        ends = tuple(Apart(each.atoms[:1], each.length) for each in site)
+        draft.note(kind, atom=site[0].atoms[1], ends=ends)
 
 
 def ties(

@@ -6,6 +6,7 @@ Names, elements, charges and bonds are read from the files; scripts in them are 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -157,6 +158,45 @@ def phosphate_ends() -> bytes:
             ElementTree.SubElement(node, "Bond", atomName1=first, atomName2=second)
         ElementTree.SubElement(node, "ExternalBond", atomName="O3'")
     return ElementTree.tostring(root)
+
+
+@cache
+def strand_junctions(*files: str) -> bytes:
+    """Return the terms of bonds between DNA and RNA as OpenMM XML, from the files of both.
+
+    Both have AMBER's atom types, under prefixes. A term with O3'-P is repeated with one side in the types of
+    the other kind, as in LEaP, where the types of OL3 and OL15 are of one set.
+    """
+    root = ElementTree.Element("ForceField")
+    for file in files:
+        source = ElementTree.parse(file).getroot()
+        for section in ("HarmonicBondForce", "HarmonicAngleForce", "PeriodicTorsionForce"):
+            terms = source.find(section)
+            assert terms is not None
+            node = ElementTree.SubElement(root, section, terms.attrib)
+            for term in terms:
+                keys = [key for n in "1234" for key in (f"type{n}", f"class{n}") if key in term.attrib]
+                if any(term.attrib[key] == _EXTRA_POINT for key in keys):
+                    continue
+                bare = [term.attrib[key][len(_KINDS[0]) :] for key in keys]
+                values = {key: value for key, value in term.attrib.items() if key not in keys}
+                own = next(term.attrib[key] for key in keys if term.attrib[key])[: len(_KINDS[0])]
+                for k, ends in enumerate(pairwise(bare), 1):
+                    if {*ends} != {"OS", "P"}:
+                        continue
+                    # Of the nucleotide with more of the atoms; of equal ones, that of O3'.
+                    is_first = 2 * k > len(bare) or (2 * k == len(bare) and ends[0] == "OS")
+                    other = _KINDS[own == _KINDS[0]]
+                    kinds = (own, other) if is_first else (other, own)
+                    mixed = {f"type{i + 1}": name and kinds[i >= k] + name for i, name in enumerate(bare)}
+                    ElementTree.SubElement(node, term.tag, values | mixed)
+    return ElementTree.tostring(root)
+
+
+_KINDS = ("DNA-", "RNA-")
+"""Prefixes of the atom types of OpenMM's files."""
+_EXTRA_POINT = "EP"
+"""Class of virtual sites, without a prefix."""
 
 
 def _read(files: Sequence[Path]) -> dict[str, Template]:

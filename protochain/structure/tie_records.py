@@ -55,7 +55,7 @@ def of_structure(structure: Structure) -> list[Spring]:
     ]
     drawn = {int(residue[tie.atoms[1]]) for tie in structure.ties if len(tie.atoms) == 2}
     waters = set(np.flatnonzero(structure.residue_name == "HOH").tolist())
-    molecule = components(structure.bonds, structure.n_atoms)
+    molecule = components(structure.bonds[~structure.coordination], structure.n_atoms)
     borne = structure.mobile & np.isin(molecule, molecule[~structure.kept])
     there = structure.kept & (structure.atom_element != "H") & ~borne
     residues, first = np.unique(residue[there], return_index=True)

@@ -25,6 +25,11 @@ WRITTEN = (".dcd", ".xtc")
 """Suffixes of trajectories that are written."""
 
 
+def part_of(path: Path) -> Path:
+    """Return the name of a trajectory until it is complete."""
+    return path.with_name(f"{path.stem}.part{path.suffix}")
+
+
 def check_trajectory(path: Path) -> None:
     """Refuse an unknown trajectory suffix."""
     if path.suffix.lower() not in WRITTEN:
@@ -65,7 +70,7 @@ class TrajectoryFile:
         check_trajectory(self.path)
         check_writable(self.path)
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.part = self.path.with_name(f"{self.path.stem}.part{self.path.suffix}")
+        self.part = part_of(self.path)
         self.n_frames = 0
         if kept is None:
             self.part.unlink(missing_ok=True)

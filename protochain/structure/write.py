@@ -418,6 +418,13 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
         or (each.entity_type == gemmi.EntityType.Polymer and not _is_standard(each.name))
         for each in residues
     ]
+    # A bonded molecule is drawn as the bonds to others leave it: hydrogens and orders agree.
+    bonded = _in_fragments(structure)
+    for k, charge in _charges(structure).items():
+        r = int(structure.atom_residue[k])
+        if residues[r].entity_type == gemmi.EntityType.NonPolymer:
+            for atom in residues[r]:
+                atom.charge = charge if atom.name == structure.atom_name[k] else atom.charge
     for (i, j), is_link in zip(structure.bonds.tolist(), _stated(structure).tolist(), strict=True):
         first, second = (int(structure.atom_residue[end]) for end in (i, j))
         names = str(structure.atom_name[i]), str(structure.atom_name[j])
@@ -425,9 +432,27 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
         # Hydrogens may have been left out.
         if ends[0] and ends[1] and (is_link or (first == second and drawn[first])):
             component = str(structure.residue_name[first])
-            out.add_conect(
-                ends[0], ends[1], 1 if is_link else order.get((component, min(names), max(names)), 1)
-            )
+            known = bonded.get((i, j), order.get((component, min(names), max(names)), 1))
+            out.add_conect(ends[0], ends[1], 1 if is_link else known)
+
+
+def _in_fragments(structure: Structure) -> dict[tuple[int, int], int]:
+    """Order of each bond of the residues that no template fits, by the atoms of the structure."""
+    found: dict[tuple[int, int], int] = {}
+    for each in structure.fragments:
+        molecule = each.ligand.molecule
+        for pair, order in zip(each.atoms[molecule.bonds].tolist(), molecule.orders.tolist(), strict=True):
+            found[min(pair), max(pair)] = order
+    return found
+
+
+def _charges(structure: Structure) -> dict[int, int]:
+    """Formal charges, other than zero, of the atoms of residues that no template fits."""
+    charges = [
+        zip(each.atoms.tolist(), each.ligand.molecule.formal_charges.tolist(), strict=True)
+        for each in structure.fragments
+    ]
+    return {atom: charge for its in charges for atom, charge in its if charge and atom >= 0}
 
 
 def _chemistry(structure: Structure) -> dict[str, Rows]:

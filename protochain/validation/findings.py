@@ -14,6 +14,7 @@ from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.chirality import atoms_named, wrong_atoms
 from protochain.structure.model import Structure
+from protochain.structure.repairs import Kind
 from protochain.validation.bond_lengths import bond_lines
 from protochain.validation.cbeta import cbeta_deviations
 from protochain.validation.clashes import clashes
@@ -128,6 +129,10 @@ class Found(Value):
             yield int(rama.residue[k]), f"Ramachandran outlier (phi {rama.phi[k]:.0f}, psi {rama.psi[k]:.0f})"
         for r in self.side_chains.outliers.tolist():
             yield r, "rotamer outlier"
+        places = {s.residue(r): r for r in range(s.n_residues)}
+        for repair in s.repairs:
+            if repair.kind in (Kind.RING_TURNED, Kind.AMIDE_TURNED):
+                yield places[repair.facts["residue"]], "side chain flipped in the file, turned by 180 degrees"
         for r, off in zip(*self.cbeta, strict=True):
             if r in self.cbeta.outliers:
                 yield int(r), f"C-beta {off:.2f} angstrom from its place"

@@ -142,6 +142,18 @@ def ligand_motion(start: Structure, x: Floats) -> Floats:
     return motion
 
 
+def sdf_properties(
+    structure: Structure, x: Floats, motion: Floats, energy: float, status: str
+) -> list[dict[str, str]]:
+    """Fields of the SDF record of each ligand at the end of a run; see :func:`protochain.save_ligands`."""
+    fields = []
+    for found, (rmsd, _) in zip(findings_of(structure, x)[0], motion.tolist(), strict=True):
+        strain = "" if found.strain_kj_mol is None else f"{found.strain_kj_mol:.3f}"
+        values = {"energy_kj_mol": f"{energy:.3f}", "strain_kj_mol": strain, "rmsd_angstrom": f"{rmsd:.4f}"}
+        fields.append({f"protochain_{key}": value for key, value in {**values, "status": status}.items()})
+    return fields
+
+
 def _heavy(molecule: Any) -> Any:
     """RDKit's molecule without its hydrogens."""
     return library("rdkit.Chem").RemoveHs(molecule, sanitize=False)

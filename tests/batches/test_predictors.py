@@ -146,7 +146,7 @@ FOLDERS = {
 }  # fmt: skip
 REPORTED = {
     "Chai-1": ("LIG1 of chain B stays in place",),
-    "RFdiffusion3": ("virtual atoms V0", "residue 20 UNK of chain A: read as ALA"),
+    "RFdiffusion3": ("pseudo-atoms V0", "residue 20 UNK of chain A: read as ALA"),
     "BoltzGen": ("CB, CG, OD1, ND2 at the origin, upon CA or over 15 angstrom away: treated as missing",),
 }
 

@@ -19,6 +19,7 @@ from protochain.batches.jobs import BatchSettings, Job, Row, failure
 from protochain.batches.page import HEIGHT, WIDTH, curves, write_page
 from protochain.batches.report import worst_first, write_report
 from protochain.batches.table import COLUMNS, TRACE_COLUMNS, Tables, read_table
+from protochain.core import storage
 from protochain.results.terms import energies_by_term
 
 TWO = BatchSettings(methods=("lbfgs", "kcm"))
@@ -153,10 +154,11 @@ def test_bytes_that_are_no_text_spoil_their_own_row_only(tables):
     assert tables.read()["structure"].tolist() == ["one", "one", "two"]
 
 
-def test_a_folder_is_of_one_batch_at_a_time(tables):
+def test_a_folder_is_of_one_batch_at_a_time(tables, monkeypatch):
     folder = tables.folder
     # The name is one for all versions of the program, which must see each other.
     assert (folder / ".lock").exists()
+    monkeypatch.setattr(storage, "_LOCKS", set())  # As in another process.
     for resume in (True, False):
         with pytest.raises(pc.ProtochainError) as refusal:
             Tables(folder, resume)

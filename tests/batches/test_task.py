@@ -86,7 +86,10 @@ def test_a_result_without_a_number_has_a_row_but_no_file(given, tmp_path, monkey
     [
         (pc.ProtochainError("why so"), "refused", "why so"), (MemoryError(), "killed", "out of memory"),
         (FileNotFoundError(2, "No such file", "a.xml"), "refused", "a.xml: No such file"),
-        (WriteError("a.pdb", "full", "", "free some"), "killed", "a.pdb: not written (full); free some"),
+        (
+            WriteError("a.pdb", "full", "", "go on"), "killed",
+            "a.pdb: not written (full); free space there, then go on",
+        ),
         (OSError("odd\nly"), "refused", "{}: odd ly"), (KeyError("x"), "error", "KeyError: 'x'"),
     ],
 )  # fmt: skip

@@ -42,7 +42,7 @@ def test_every_option_has_a_help_and_a_name_of_its_own():
         (
             WriteError("a", "full", "b", Argument("resume", True)),
             1,
-            "protochain: a: not written (full); saved: b; --resume\n",
+            "protochain: a: not written (full); saved: b; free space there, then --resume\n",
         ),
         (typer.BadParameter("odd"), 2, "protochain: Invalid value: odd. See protochain --help.\n"),
         (FileNotFoundError(2, "gone", "a.pdb"), 1, "protochain: a.pdb: gone\n"),

@@ -81,7 +81,10 @@ def test_an_error_that_says_where_keeps_the_arguments_of_what_it_says(tmp_path):
 
 def test_a_file_that_is_not_written_says_how_to_go_on_in_the_words_of_the_caller():
     error = WriteError("x", "full").with_saved("nothing", "continue with ", Argument("resume", True))
-    assert str(error) == "x: not written (full); saved: nothing; continue with resume=True"
+    assert (
+        str(error)
+        == "x: not written (full); saved: nothing; free space there, then continue with resume=True"
+    )
     assert as_said(pickle.loads(pickle.dumps(error))) == str(error).replace("resume=True", "--resume")
 
 

@@ -20,9 +20,10 @@ from protochain.batches import table as tables
 from protochain.cli import main
 from protochain.cli.minimise import _Frames
 from protochain.comparison.folder import clear
+from protochain.core import storage
 from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import WriteError
-from protochain.core.storage import claimed, json_text, write_atomically
+from protochain.core.storage import claimed, json_text, temporary_stem, write_atomically
 from protochain.structure.trajectory import TrajectoryFile
 
 SAMPLE = STRUCTURES / "ala10.pdb"
@@ -266,7 +267,8 @@ def test_a_trajectory_stays_only_beside_a_result(evaluations, tmp_path, monkeypa
 def test_a_comparison_does_not_share_its_folder(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     work = ("compare", SAMPLE, "-o", "out", "--methods", "lbfgs", "--max-evaluations", 5)
-    with claimed(tmp_path / "out", "comparison"):
+    with claimed(tmp_path / "out", "comparison"), monkeypatch.context() as another:
+        another.setattr(storage, "_LOCKS", set())  # As in another process.
         assert run(monkeypatch, *work) == 2
     assert "another comparison is writing to this folder" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
@@ -277,8 +279,8 @@ def test_a_comparison_does_not_share_its_folder(tmp_path, monkeypatch, capsys):
 
 
 def test_what_a_killed_run_left_goes_when_it_is_resumed_and_nothing_else(tmp_path):
-    left = [".energy.ab1cd_fg.png", "pages/.a.lbfgs.0bcdefgh.pdb"]
-    own = [".x.settings.json", ".summary.csv", "a.lbfgs.pdb"]
+    left = [f"{temporary_stem()}.part.png", f"pages/{temporary_stem()}.part"]
+    own = [".x.settings.json", ".notes.20260101.txt", ".a.ab1cd_fg.png", ".protochain-notes.part", "a.pdb"]
     (tmp_path / "pages").mkdir()
     for name in (*left, *own):
         (tmp_path / name).write_text("x")

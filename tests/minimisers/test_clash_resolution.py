@@ -16,6 +16,7 @@ from protochain.chains.contacts import overlaps
 from protochain.core.errors import StrayWarning
 from protochain.energies.bonded import bonded_part
 from protochain.minimisers import RECIPES, Stop, spring_model, verdict
+from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.clash_resolution import resolving_in_all_atoms, resolving_in_torsions
 from protochain.minimisers.curvature import near_terms, springs_solver
 from protochain.minimisers.metrics import Damped
@@ -272,3 +273,37 @@ def test_a_ring_left_threaded_is_a_clash(planted, met, monkeypatch):
     status, message = verdict.verdict(Stop.TOLERANCE, met, "so far", s, s.positions, 5)
     assert status == "clash" and str(ring) in message
     assert verdict.verdict(Stop.INTERRUPTED, met, "so far", s, s.positions, 5)[0] == "interrupted"
+
+
+def interpenetrating(path, shift):
+    """Two copies of the Trp-cage, the second one shifted into the first by so many nm."""
+    pc.save(load("1l2y.pdb"), path)
+    atoms = [line for line in path.read_text().splitlines(keepends=True) if line.startswith("ATOM")]
+    far = [f"{line[:21]}B{line[22:30]}{float(line[30:38]) + 100.0:8.3f}{line[38:]}" for line in atoms]
+    path.write_text("".join([*atoms, "TER\n", *far, "TER\n", "END\n"]))
+    s = pc.load(path)
+    second = (s.residue_chain[s.atom_residue] == "B")[:, None]
+    return s.with_positions(s.positions + np.where(second, np.array(shift) - [10.0, 0.0, 0.0], 0.0))
+
+
+@pytest.mark.filterwarnings("ignore::protochain.core.errors.StrayWarning")
+@pytest.mark.parametrize(
+    "shift",
+    [
+        (0.1, 0.0, 0.0),
+        *(pytest.param(at, marks=pytest.mark.slow) for at in ((0.05, 0.05, 0.05), (0.02, 0.01, 0.03))),
+    ],
+)
+def test_a_clash_resolution_inverts_no_stereocentre(shift, tmp_path):
+    s = interpenetrating(tmp_path / "two.pdb", shift)
+    assert len(overlaps(s, s.positions)) > 100
+    r = pc.minimise(s, max_evaluations=2000)
+    assert not changed_stereocentres(s, r.x, s.positions) and r.status != "inverted"
+
+
+def test_only_right_stereocentres_are_preserved():
+    s = models.shaken(load("1ubq.pdb"), 0.25, seed=1)
+    every, right = ChiralityRestraint.of(s), ChiralityRestraint.preserving(s)
+    wrong = every.wrong(s.positions)
+    assert len(wrong) and not len(right.wrong(s.positions))
+    assert {*right.atoms[:, 0]} == {*every.atoms[:, 0]} - {*wrong.tolist()}

@@ -11,6 +11,7 @@ from fixtures.samples import chain, energy
 import protochain as pc
 from protochain.minimisers import METHODS, RECIPES, Recipe, Run, recipe_of
 from protochain.minimisers.annealing import Annealing, AnnealingState
+from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.minimisers.clash_resolution import FIRM, once_ordinary
 from protochain.minimisers.curvature import near_terms
 from protochain.minimisers.descent import Descent, DescentState
@@ -145,8 +146,9 @@ def test_overlaps_are_parted_in_torsions_and_springs_released_one_after_the_othe
     assert {stage.energy.name for stage in (*held, free)} == {
         "reduced"
     } and free.method == BY_LBFGS.by_springs
-    repulsion, tethers, bound = soft.energy.parts
-    assert [type(part) for part in soft.energy.parts] == [SoftRepulsion, Tethers, Bound]
+    repulsion, tethers, bound, _ = soft.energy.parts
+    kinds = [SoftRepulsion, Tethers, Bound, ChiralityRestraint]
+    assert [type(part) for part in soft.energy.parts] == kinds
     assert repulsion.structure is s and not len(repulsion.passing)
     backbone = np.isin(s.atom_name, ["N", "CA", "C", "O"])
     assert set(tethers.weight[backbone]) == {FIRM} and set(tethers.weight[~backbone]) == {SOFT_TETHER}
@@ -155,7 +157,8 @@ def test_overlaps_are_parted_in_torsions_and_springs_released_one_after_the_othe
     x = s.positions + 0.1
     assert [stage.fit(stage, x).restraint.parts[0].weight.max() for stage in held] == [4184.0, 400.0, 40.0]
     user = plan_of(RECIPES["lbfgs"], c, Hold(term=term))[1]
-    springs, own = user.fit(user, x).restraint.parts
+    springs, chirality, own = user.fit(user, x).restraint.parts
+    assert isinstance(chirality, ChiralityRestraint)
     assert np.array_equal(springs.home, x) and own.parts == [UserRestraint(term)]
     assert not springs.weight[s.atom_element == "H"].any()
     assert len(plan_of(RECIPES["kcm"], c)) == 1 and len(plan_of(RECIPES["lbfgs"], chain("1l2y.pdb"))) == 1

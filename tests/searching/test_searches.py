@@ -14,6 +14,7 @@ import pytest
 import protochain as pc
 from protochain.batches import cluster
 from protochain.chains.restraint_list import Restraints
+from protochain.core.storage import temporary_stem
 from protochain.searching import csa, search_chain
 from protochain.searching.folder import COLOURS, drawn
 from protochain.searching.hopping import ADAPTED, metropolis
@@ -393,8 +394,9 @@ def test_a_search_outlives_lost_pieces_in_a_row_but_not_the_same_for_ever(lost, 
 
 
 def test_what_a_killed_search_has_left_is_removed(peptide, tmp_path):
-    (tmp_path / ".protochain-killed").mkdir()
-    (tmp_path / ".protochain-killed" / "task.pickle").write_bytes(b"")
+    left = tmp_path / f"{temporary_stem()}.part"
+    left.mkdir()
+    (left / "task.pickle").write_bytes(b"")
     pc.search(*peptide, "hopping", 100, output=tmp_path, workers=1, n_walkers=1)
     assert not list(tmp_path.glob(".protochain-*"))
 

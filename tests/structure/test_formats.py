@@ -149,3 +149,11 @@ def test_marks_of_a_binary_column_are_those_of_text():
     block = gemmi.cif.Document().add_new_block("x")
     block.set_mmcif_category("_y.", {"z": foreign._texts(column)})
     assert [*block.find_values("_y.z")] == ["a", ".", "?"]
+
+
+@pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
+@pytest.mark.parametrize("name", ["1l2y.pdb", "1ubq.cif"])
+def test_text_of_two_bytes_a_letter_is_read(name, encoding, tmp_path):
+    path = tmp_path / name
+    path.write_bytes((STRUCTURES / name).read_text().encode(encoding))
+    assert np.array_equal(pc.load(path).positions, load(name).positions)

@@ -499,3 +499,51 @@ def test_a_carbonyl_missing_at_a_kept_cap_is_added_and_the_bond_is_an_amides(tmp
     assert cut.n_atoms == whole.n_atoms
     pc.save(cut, tmp_path / "again.cif")
     assert pc.load(tmp_path / "again.cif").n_atoms == whole.n_atoms
+
+
+def moved_sdf(name, by):
+    """Text of a sample's SDF with its atoms moved, angstrom."""
+    lines = (STRUCTURES / name).read_text().splitlines(keepends=True)
+    for k in range(4, 4 + int(lines[3][:3])):
+        x = [float(lines[k][i : i + 10]) + shift for i, shift in zip((0, 10, 20), by, strict=True)]
+        lines[k] = "".join(f"{each:10.4f}" for each in x) + lines[k][30:]
+    return "".join(lines)
+
+
+def sdf_atoms(text):
+    lines = text.splitlines()
+    return np.array(
+        [[float(lines[k][i : i + 10]) for i in (0, 10, 20)] for k in range(4, 4 + int(lines[3][:3]))]
+    )
+
+
+@pytest.mark.parametrize(("far", "stays"), [(3.5, True), (7.0, False)])
+def test_what_is_near_a_pose_belongs_to_the_site(far, stays, tmp_path):
+    """A sulphate that is 5.5 angstrom or more from the protein, beside a nicotine that is put there."""
+    protein = pc.load(STRUCTURES / "1l2y.pdb")
+    x = 10.0 * protein.positions[protein.atom_element != "H"]
+    top = x[np.argmax(x[:, 2])]
+    ligand = sdf_atoms((STRUCTURES / "1P2Y_NCT.sdf").read_text())
+    low = ligand[np.argmin(ligand[:, 2])]
+    by = top - low + np.array([0.0, 0.0, 4.0])
+    pose = tmp_path / "pose.sdf"
+    pose.write_text(moved_sdf("1P2Y_NCT.sdf", by))
+    high = (ligand + by)[np.argmax(ligand[:, 2])]
+    sulphur = high + np.array([0.0, 0.0, far])
+    oxygens = 1.49 / np.sqrt(3.0) * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) * [1, 1, 0.0]
+    oxygens[:, 2] = [0.86, 0.86, 0.86, 0.86]
+    names = ("S", "O1", "O2", "O3", "O4")
+    pc.save(protein, tmp_path / "one.pdb")
+    atoms = [
+        line for line in (tmp_path / "one.pdb").read_text().splitlines(keepends=True) if line[:4] == "ATOM"
+    ]
+    x = sulphur + np.vstack([np.zeros(3), oxygens])
+    beside = [
+        f"HETATM{9000 + k:5d}  {name:3} SO4 B   1    "
+        f"{x[k][0]:8.3f}{x[k][1]:8.3f}{x[k][2]:8.3f}  1.00 10.00          {name[0]:>2}\n"
+        for k, name in enumerate(names)
+    ]
+    (tmp_path / "site.pdb").write_text("".join([*atoms, "TER\n", *beside, "END\n"]))
+    assert "SO4" not in pc.load(tmp_path / "site.pdb").residue_name
+    s = pc.load(tmp_path / "site.pdb", ligands=str(pose))
+    assert ("SO4" in s.residue_name) == stays

@@ -139,10 +139,85 @@ def test_the_sdf_has_orders_charges_stereo_and_the_order_given(tmp_path, kind):
     ]
     assert elements[0] == elements[1]
     assert Chem.MolToSmiles(Chem.RemoveHs(made)) == Chem.MolToSmiles(Chem.RemoveHs(given))
+    # Hydrogens too are in the order of the file, moved by 1 angstrom.
     assert np.allclose(
-        made.GetConformer().GetPositions(), 10.0 * moved.positions[s.ligands[0].atoms], atol=1e-4
+        made.GetConformer().GetPositions(), given.GetConformer().GetPositions() + 1.0, atol=2e-4
     )
     assert made.GetProp("_Name").split()[0] == "LIG"
+
+
+def shuffled(path, name, title="CMPD-0042", seed=3):
+    """The same molecule with atoms in another order, hydrogens among them, a title and fields."""
+    made = Chem.MolFromMolFile(str(path), removeHs=False)
+    order = np.random.default_rng(seed).permutation(made.GetNumAtoms()).tolist()
+    made = Chem.RenumberAtoms(made, order)
+    made.SetProp("_Name", title)
+    block = Chem.MolToMolBlock(made)
+    out = path.with_name(name)
+    out.write_text(f"{block}>  <IC50_nM>  (42)\n3.5\n\n> <note>\ntwo\nlines\n\n$$$$\n")
+    return out
+
+
+def as_read(path):
+    (made,) = Chem.SDMolSupplier(str(path), removeHs=False)
+    return made, made.GetConformer().GetPositions()
+
+
+@pytest.mark.parametrize("kind", ["nitro", "cis double bond", "sulphone and alkyne"])
+def test_the_sdf_has_title_fields_and_order_of_the_file(tmp_path, kind):
+    pose = shuffled(posed(tmp_path, SMILES[kind]), "given.sdf")
+    pc.save_ligands(pc.load(PROTEIN, ligands=pose), tmp_path / "out.sdf")
+    (given, x), (made, y) = as_read(pose), as_read(tmp_path / "out.sdf")
+    assert [a.GetSymbol() for a in made.GetAtoms()] == [a.GetSymbol() for a in given.GetAtoms()]
+    assert np.allclose(x, y, atol=2e-4)
+    assert made.GetProp("_Name") == "CMPD-0042"
+    assert made.GetProp("IC50_nM") == "3.5" and made.GetProp("note") == "two\nlines"
+    # Under the names of a model coordinates show which atom is which.
+    pc.save(pc.load(PROTEIN, ligands=posed(tmp_path, SMILES[kind])), tmp_path / "model.cif")
+    named = pc.load(tmp_path / "model.cif", ligands=[("LIG", str(pose))])
+    pc.save_ligands(named, tmp_path / "named.sdf")
+    made, y = as_read(tmp_path / "named.sdf")
+    heavy = [a.GetIdx() for a in given.GetAtoms() if a.GetAtomicNum() > 1]
+    assert np.allclose(np.sort(x[heavy], axis=0), np.sort(y[heavy], axis=0), atol=2e-4)
+    # Equivalent atoms may change places: all bonds of the file are bonds here.
+    assert [a.GetSymbol() for a in made.GetAtoms()] == [a.GetSymbol() for a in given.GetAtoms()]
+    pairs = ({bond.GetBeginAtomIdx(), bond.GetEndAtomIdx()} for bond in given.GetBonds())
+    assert all(made.GetBondBetweenAtoms(*pair) for pair in pairs)
+    assert made.GetProp("_Name") == "CMPD-0042" and made.GetProp("IC50_nM") == "3.5"
+
+
+def test_protons_that_the_ph_adds_come_last_and_those_it_removes_are_absent(tmp_path):
+    pose = shuffled(posed(tmp_path, "OC(=O)[C@@H](C)CCN"), "given.sdf")
+    pc.save_ligands(pc.load(PROTEIN, ligands=pose), tmp_path / "out.sdf")
+    (given, x), (made, y) = as_read(pose), as_read(tmp_path / "out.sdf")
+    acid = next(
+        a for a in given.GetAtoms() if a.GetAtomicNum() == 1 and a.GetNeighbors()[0].GetAtomicNum() == 8
+    )
+    rest = np.delete(x, acid.GetIdx(), axis=0)
+    assert len(y) == len(x) and np.allclose(rest, y[:-1], atol=2e-4)
+    assert made.GetAtomWithIdx(len(y) - 1).GetNeighbors()[0].GetFormalCharge() == 1
+
+
+def test_a_result_adds_fields_once(tmp_path):
+    pose = shuffled(posed(tmp_path, SMILES["nitro"]), "given.sdf")
+    first, again = tmp_path / "first.sdf", tmp_path / "again.sdf"
+    for given, out in ((pose, first), (first, again)):
+        result = pc.relax(PROTEIN, ligands=str(given), rigid_protein=True)
+        pc.save_ligands(result, out)
+    made, y = as_read(again)
+    (end,), record = result.ligands_end, result.record()
+    number = {
+        key: float(made.GetProp(f"protochain_{key}"))
+        for key in ("energy_kj_mol", "strain_kj_mol", "rmsd_angstrom")
+    }
+    assert number["energy_kj_mol"] == pytest.approx(result.energy_end, abs=1e-3)
+    assert number["strain_kj_mol"] == pytest.approx(end.strain_kj_mol, abs=1e-3)
+    before = as_read(first)[1]
+    heavy = [a.GetIdx() for a in made.GetAtoms() if a.GetAtomicNum() > 1]
+    moved = np.sqrt(((y - before)[heavy] ** 2).sum(axis=1).mean())
+    assert number["rmsd_angstrom"] == pytest.approx(moved, abs=2e-3)
+    assert made.GetProp("protochain_status") == record["status"] and made.GetProp("IC50_nM") == "3.5"
+    assert again.read_text().count("protochain_energy_kj_mol") == 1 and made.GetProp("_Name") == "CMPD-0042"
 
 
 def test_ligands_that_are_not_there_are_no_file(tmp_path):

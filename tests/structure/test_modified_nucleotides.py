@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.energies.factory import build_system
+from protochain.ligands.sources import from_dictionary
 from protochain.structure.repairs import Kind
 
 pytest.importorskip("rdkit")
@@ -164,3 +165,14 @@ def test_a_strand_that_a_tyrosine_holds_moves_with_it(tmp_path):
     # Eleven phosphates in each strand.
     assert charges(s).sum() == pytest.approx(-22.0, abs=1e-9)
     assert_equals_reference(pc.energy(s, engine="native"), s.positions)
+
+
+@pytest.mark.parametrize("name", ["7MG", "G7M"])
+def test_a_7_methylguanine_is_a_cation(name):
+    """The dictionary draws one with a hydrogen in the place of its charge."""
+    molecule = from_dictionary(name)
+    charge = dict(zip(molecule.names, molecule.formal_charges.tolist(), strict=True))
+    assert charge["N7"] == 1
+    assert molecule.charge == 1
+    (carbon,) = (k for k, each in enumerate(molecule.names) if each == "C8")
+    assert sum(molecule.elements[molecule.bonds[(molecule.bonds == carbon).any(axis=1)]].ravel() == 1) == 1

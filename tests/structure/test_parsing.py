@@ -86,8 +86,10 @@ def test_a_pdb_file_that_ends_too_soon_is_refused(tmp_path):
 
 
 def test_an_mmcif_file_of_the_archive_ends_in_a_hash(tmp_path):
-    last = refusal(tmp_path, f"data_a\n#\n{LOOP}{ROW}\n\n")
-    assert last == f"line 16: {CUT}, or add a line with # if it is complete"
+    assert parsed(tmp_path, f"data_a\n#\n{LOOP}{ROW}\n\n")[2] is False
+    listed = LOOP.replace("loop_\n", "loop_\n_struct_asym.id\nA B\n#\nloop_\n", 1)
+    last = refusal(tmp_path, f"{listed}{ROW}\n\n")
+    assert last == f"line 18: {CUT}, or add a line with # if it is complete"
     assert parsed(tmp_path, f"data_a\n#\n{LOOP}{ROW}#")[2] is True
     assert refusal(tmp_path, "data_a\n_cell.length_a 1\n") == NO_ATOMS
     assert refusal(tmp_path, "data_a\nloop_\n1 2\n").startswith("cannot be read: line 3")

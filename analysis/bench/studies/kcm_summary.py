@@ -237,7 +237,8 @@ def _tested(means: np.ndarray) -> float:
 def _corrected(table: pd.DataFrame, means: Sequence[np.ndarray]) -> pd.DataFrame:
     """Contrasts with their p, those of one table corrected together, and numbers of proteins."""
     table["effect_p"] = [_tested(effect) for effect in means]
-    table["effect_p_scope"] = table.groupby("scope", sort=False)["effect_p"].transform(lambda p: holm(p.to_numpy()))
+    scopes = table.groupby("scope", sort=False)["effect_p"]
+    table["effect_p_scope"] = scopes.transform(lambda p: holm(p.to_numpy()))
     table["effect_p_all"] = holm(table["effect_p"].to_numpy())
     is_shown = table["what"].str.startswith(RISES)
     table["rise_kj_mol_p_all"] = holm(table["rise_kj_mol_p"].where(is_shown).to_numpy())

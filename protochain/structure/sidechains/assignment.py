@@ -51,6 +51,15 @@ def best(
     return Assignment(states, _energy(own, pairs, states), not search.is_spent)
 
 
+def eliminated(own: Sequence[Floats], pairs: Mapping[tuple[int, int], Floats]) -> Integers:
+    """(n,) int: states of lowest energy by elimination of sites alone, for few states and loose networks."""
+    part = Part(
+        tuple(range(len(own))), tuple(own), tuple(np.arange(len(each)) for each in own), dict(pairs), 0.0
+    )
+    states = _eliminated(part, _order(part)[0])[1]
+    return np.array([states[site] for site in range(len(own))], dtype=np.int64)
+
+
 class _Search:
     """Branch and bound, counting the tables that it looks at."""
 

@@ -36,6 +36,13 @@ class ChiralityRestraint:
         """Find the chiral atoms of a protein and its ligands, and which sign their volumes should have."""
         return _chirality(structure)
 
+    @classmethod
+    def preserving(cls, structure: Structure) -> "ChiralityRestraint":
+        """Find the chiral atoms whose configuration is right at the structure's positions."""
+        every = cls.of(structure)
+        right = ~np.isin(every.atoms[:, 0], every.wrong(structure.positions))
+        return cls(every.atoms[right], every.least[right])
+
     def wrong(self, x: Floats) -> Integers:
         """(n,) int: inverted stereocentres at positions x (na, 3), nm."""
         heavy = self.atoms[self.least == _HEAVY]

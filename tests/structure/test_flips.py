@@ -1,4 +1,6 @@
-"""Tautomers of histidine: which of its nitrogens meets what, and rings that lie the wrong way round."""
+"""Flips of amides and histidines, and tautomers: what each nitrogen meets, and side chains turned back."""
+
+from itertools import product
 
 import gemmi
 import numpy as np
@@ -6,9 +8,10 @@ import pytest
 from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
-from protochain.structure.histidines import settled
+from protochain.structure.flips import settled
 from protochain.structure.member import Member, atom
 from protochain.structure.repairs import Kind
+from protochain.structure.sidechains.assignment import eliminated
 from protochain.structure.templates import templates
 
 KNOWN = templates()
@@ -107,3 +110,95 @@ def test_a_ring_is_turned_back_where_both_nitrogens_then_make_bonds(tmp_path):
     assert turned.facts["residue"].number == "349"
     assert np.array_equal(wrong.atom_name, right.atom_name)
     assert wrong.positions == pytest.approx(right.positions, abs=2e-4)
+
+
+EXCHANGED = {
+    "ASN": {"OD1": "ND2", "ND2": "OD1"},
+    "GLN": {"OE1": "NE2", "NE2": "OE1"},
+    "HIS": {"ND1": "CD2", "CD2": "ND1", "NE2": "CE1", "CE1": "NE2"},
+}
+"""Names that a file has the wrong way round exchanges."""
+FLIPPED_NM = 0.03
+"""nm: an amide turned back, whose C-O and C-N bonds differ by 0.01, against the exchanged names."""
+
+
+def exchanged(name, chosen):
+    """Text of a sample with the names of the ends exchanged in residues of these numbers."""
+    lines = (STRUCTURES / name).read_text().splitlines(keepends=True)
+    for k, line in enumerate(lines):
+        names = EXCHANGED.get(line[17:20], {})
+        new = names.get(line[12:16].strip())
+        if line.startswith("ATOM") and int(line[22:26]) in chosen and new:
+            lines[k] = f"{line[:12]} {new:3}{line[16:76]}{new[0]:>2}{line[78:]}"
+    return "".join(lines)
+
+
+def turned_in(structure):
+    kinds = (Kind.AMIDE_TURNED, Kind.RING_TURNED)
+    return {int(each.facts["residue"].number) for each in structure.repairs if each.kind in kinds}
+
+
+def places(structure):
+    """Coordinates of the heavy atoms by residue and name, nm."""
+    heavy = np.flatnonzero(structure.atom_element != "H").tolist()
+    names = [(int(structure.atom_residue[i]), str(structure.atom_name[i])) for i in heavy]
+    return structure.positions[[i for _, i in sorted(zip(names, heavy, strict=True))]]
+
+
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [
+        ("4pti.pdb", {43}), ("1ubq.pdb", {41}), ("1hel.pdb", {57}), ("1hel.pdb", {57, 59}),
+    ],
+)  # fmt: skip
+def test_an_amide_whose_ends_are_exchanged_is_turned_back(name, numbers, tmp_path):
+    right = pc.load(STRUCTURES / name)
+    (tmp_path / name).write_text(exchanged(name, numbers))
+    wrong = pc.load(tmp_path / name)
+    assert not turned_in(right) and turned_in(wrong) == numbers
+    assert places(wrong) == pytest.approx(places(right), abs=FLIPPED_NM)
+
+
+@pytest.mark.parametrize("flipped", [{19, 27, 39, 57, 59, 65, 106}, {37, 39, 44, 57, 65, 106, 113}])
+def test_of_many_flipped_side_chains_all_with_evidence_are_turned_back(flipped, tmp_path):
+    """Amides of lysozyme that gain most of a hydrogen bond or more; the other eight make none."""
+    decided = {19, 27, 37, 39, 44, 57, 59, 65, 106, 113}
+    (tmp_path / "1hel.pdb").write_text(exchanged("1hel.pdb", flipped))
+    assert turned_in(pc.load(tmp_path / "1hel.pdb")) & decided == flipped
+
+
+def test_a_flipped_amide_is_reported_and_its_energy_is_that_of_the_right_one():
+    path = shared("../cases/field5/c97b_flipped_asn43.pdb")
+    report = pc.validate(path)
+    assert [each for each in report.listing() if "ASN" in each and "43" in each and "flipped" in each]
+    s = pc.load(path)
+    assert turned_in(s) == {43}
+    # Against -7331 kJ/mol as in the file: the turned ends have the bonds of the others.
+    right, turned = (pc.energy(each)(each.positions)[0] for each in (pc.load(STRUCTURES / "4pti.pdb"), s))
+    assert turned == pytest.approx(right, abs=60.0)
+
+
+def test_an_amide_with_hydrogens_in_the_file_stays(tmp_path):
+    pc.save(pc.load(STRUCTURES / "4pti.pdb"), tmp_path / "whole.pdb")
+    lines = (tmp_path / "whole.pdb").read_text().splitlines(keepends=True)
+    names = {"OD1": "ND2", "ND2": "OD1"}
+    for k, line in enumerate(lines):
+        if line[17:20] == "ASN" and int(line[22:26]) == 43 and line[12:16].strip() in names:
+            new = names[line[12:16].strip()]
+            lines[k] = f"{line[:12]} {new:3}{line[16:76]}{new[0]:>2}{line[78:]}"
+    (tmp_path / "whole.pdb").write_text("".join(lines))
+    assert not turned_in(pc.load(tmp_path / "whole.pdb"))
+
+
+def test_elimination_gives_the_lowest_of_all_combinations():
+    draw = np.random.default_rng(5)
+    sizes = [2, 4, 2, 4, 2, 2]
+    own = [draw.normal(size=n) for n in sizes]
+    ends = [(0, 1), (1, 2), (1, 3), (3, 4)]
+    pairs = {(i, j): draw.normal(size=(sizes[i], sizes[j])) for i, j in ends}
+
+    def total(states):
+        alone = sum(each[k] for each, k in zip(own, states, strict=True))
+        return alone + sum(table[states[i], states[j]] for (i, j), table in pairs.items())
+
+    assert tuple(eliminated(own, pairs)) == min(product(*map(range, sizes)), key=total)
