@@ -128,8 +128,9 @@ class Graph:
         room = 3 - sum(self.order(a, x) for x in heavy) - order
         if z == _N and room >= 0:
             self.atoms[a][1] = 0
-            self.drop(light[room:])
-            return light[room:]
+            gone = sorted(self.light(a), key=lambda x: x not in filed)[room:]
+            self.drop(gone)
+            return gone
         # A bond that another has used up may have left it one free.
         freed = max(freed, 4 - sum(self.order(a, x) for x in (*light, *heavy)) if z == _C and not q else 0)
         need = order - freed

@@ -106,8 +106,7 @@ def _order(molecule: Molecule, filed: Molecule, x: Floats) -> list[int]:
     """Atoms of a molecule at x (na, 3) nm in the order of the file, those that the file lacks last."""
     heavy = molecule.heavy
     names = tuple(molecule.names[i] for i in heavy)
-    called = {name: int(z) for name, z in zip(filed.names, filed.elements, strict=True)}
-    if any(called.get(name) != z for name, z in zip(names, molecule.elements[heavy].tolist(), strict=True)):
+    if _named(molecule) != _named(filed):
         # The names are those of a model: coordinates show which atom is which.
         try:
             filed = named_as(filed, molecule.elements[heavy], names, x[heavy])
@@ -121,12 +120,20 @@ def _order(molecule: Molecule, filed: Molecule, x: Floats) -> list[int]:
         else:
             (parent,) = there[k]
             at = [j for j in here[molecule.names.index(filed.names[parent])] if molecule.elements[j] == 1]
-            # The hydrogen of this name, or else the next one.
+            # The hydrogen of this name, or else the next one that none beside it has.
+            beside = {filed.names[i] for i in there[parent]}
             at = [j for j in at if molecule.names[j] == name] or [
-                j for j in at if j not in order and molecule.names[j] not in filed.names
+                j for j in at if j not in order and molecule.names[j] not in beside
             ]
         order += [j for j in at[:1] if j not in order]
     return order + [j for j in range(molecule.n_atoms) if j not in order]
+
+
+def _named(molecule: Molecule) -> tuple[dict[str, int], set[frozenset[str]]]:
+    """Elements of the heavy atoms of a molecule and bonds between them, by name."""
+    heavy = {molecule.names[i]: int(molecule.elements[i]) for i in molecule.heavy.tolist()}
+    pairs = (frozenset(molecule.names[k] for k in pair) for pair in molecule.bonds.tolist())
+    return heavy, {pair for pair in pairs if pair <= heavy.keys()}
 
 
 def _fields(filed: str, added: Mapping[str, object]) -> str:

@@ -418,11 +418,13 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
         or (each.entity_type == gemmi.EntityType.Polymer and not _is_standard(each.name))
         for each in residues
     ]
-    # A bonded molecule is drawn as the bonds to others leave it: hydrogens and orders agree.
-    bonded = _in_fragments(structure)
+    # A bonded molecule whose chemistry is written is drawn as the bonds to others leave it: hydrogens and
+    # orders agree. Others are read again as the dictionary has them.
+    bonded, stated = _in_fragments(structure), {component for component, *_ in order}
     for k, charge in _charges(structure).items():
         r = int(structure.atom_residue[k])
-        if residues[r].entity_type == gemmi.EntityType.NonPolymer:
+        is_stated = str(structure.residue_name[r]) in stated
+        if is_stated and residues[r].entity_type == gemmi.EntityType.NonPolymer:
             for atom in residues[r]:
                 atom.charge = charge if atom.name == structure.atom_name[k] else atom.charge
     for (i, j), is_link in zip(structure.bonds.tolist(), _stated(structure).tolist(), strict=True):
@@ -432,7 +434,9 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
         # Hydrogens may have been left out.
         if ends[0] and ends[1] and (is_link or (first == second and drawn[first])):
             component = str(structure.residue_name[first])
-            known = bonded.get((i, j), order.get((component, min(names), max(names)), 1))
+            known = order.get((component, min(names), max(names)), 1)
+            if component in stated:
+                known = bonded.get((i, j), known)
             out.add_conect(ends[0], ends[1], 1 if is_link else known)
 
 
