@@ -197,15 +197,17 @@ def _fixed(
     heavy = [(a, m, template) for m, template in residues for a in m.heavy]
     x = np.array([a.pos.tolist() for a, _, _ in heavy])
     tree = KDTree(x)
-    polar, owners = list[Polar](), list[Member]()
-    for k, (a, member, template) in enumerate(heavy):
-        if a.name in deciding.get(id(member), ()):
-            continue
-        if a.element.name in ("N", "O") or a.element.is_metal:
-            bonded = [j for j in tree.query_ball_point(x[k], _BONDED) if j != k]
-            polar.append(Polar(x[k], *_role(a, template), x[bonded], a.element.is_metal))
-            owners.append(member)
-    return polar, owners
+    chosen = [
+        k
+        for k, (a, member, _) in enumerate(heavy)
+        if (a.element.name in ("N", "O") or a.element.is_metal) and a.name not in deciding.get(id(member), ())
+    ]
+    polar = list[Polar]()
+    for k, near in zip(chosen, tree.query_ball_point(x[chosen], _BONDED) if chosen else (), strict=True):
+        a, _, template = heavy[k]
+        bonded = x[[j for j in near if j != k]]
+        polar.append(Polar(x[k], *_role(a, template), bonded, a.element.is_metal))
+    return polar, [heavy[k][1] for k in chosen]
 
 
 def _amide_energy(oxygen: Polar, nitrogen: Polar, near: Iterable[Polar]) -> float:

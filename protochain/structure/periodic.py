@@ -38,6 +38,7 @@ class _Molecules:
         self.of = np.repeat(np.arange(len(sizes)), sizes)
         self.starts = np.concatenate([[0], np.cumsum(sizes)])
         self.lattice = np.array(cell.orth.mat.tolist()).T
+        self.to_fractions = np.linalg.inv(self.lattice)
         self.x = np.array([atom.pos.tolist() for atom in self.atoms])
         self.turns = np.zeros((len(self.x), 3))
         self.piece = np.arange(len(sizes))
@@ -51,12 +52,12 @@ class _Molecules:
     def between(self, one: int, other: int) -> tuple[Floats, float, float]:
         """Turns from one atom to the nearest image of another, and the distances with and without them."""
         way = np.diff(self.now(np.array([one, other])), axis=0)[0]
-        turns = np.round(way @ np.linalg.inv(self.lattice))
+        turns = np.round(way @ self.to_fractions)
         return turns, float(np.linalg.norm(way - turns @ self.lattice)), float(np.linalg.norm(way))
 
     def join_within(self) -> None:
         """Bring the atoms of each residue together."""
-        fractions = self.x @ np.linalg.inv(self.lattice)
+        fractions = self.x @ self.to_fractions
         bounds = [
             (
                 np.minimum.reduceat(fractions[:, k], self.starts[:-1]),
@@ -76,7 +77,7 @@ class _Molecules:
         if len(np.unique(components(direct, len(x)))) == 1:
             return turns
         way = x[None] - x[:, None]
-        images = np.round(way @ np.linalg.inv(self.lattice))
+        images = np.round(way @ self.to_fractions)
         length = np.linalg.norm(way - images @ self.lattice, axis=-1) + np.finfo(float).eps
         if not {"CA", "C1'"} & {atom.name for atom in residue}:
             # Molecules that share a number may lie anywhere: only bonds join.
@@ -109,7 +110,7 @@ class _Molecules:
         """Bring chains to the chains that they have disulfide bonds with, and return their first residues."""
         sulphurs = np.array([k for k, atom in enumerate(self.atoms) if atom.name == "SG"], dtype=np.int64)
         way = self.x[sulphurs][None] - self.x[sulphurs][:, None]
-        way -= np.round(way @ np.linalg.inv(self.lattice)) @ self.lattice
+        way -= np.round(way @ self.to_fractions) @ self.lattice
         moved = []
         for i, j in sulphurs[np.argwhere(np.triu(np.linalg.norm(way, axis=-1) < _DISULFIDE, 1))].tolist():
             one, other = (int(self.piece[self.of[k]]) for k in (i, j))

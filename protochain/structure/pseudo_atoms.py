@@ -30,7 +30,7 @@ def remove_pseudo_atoms(draft: Draft, model: gemmi.Model) -> None:
             name = standard_name(residue.name.strip().upper())[0]
             is_known = name in STANDARD or name in CAPS or name in NUCLEOTIDES
             template = known.get(template_name(name)) if is_known else None
-            of_water = _sites(residue)
+            of_water = [] if is_known else _sites(residue)
             places = of_water or _pseudo(residue, template)
             names = tuple(dict.fromkeys(residue[k].name for k in places))
             for k in reversed(places):
