@@ -186,7 +186,8 @@ Kent, J. Chem. Soc. Perkin 1:913 (1986). [10] Martell, Smith, Critical Stability
 [11] Macon, Wolfenden, Biochemistry 7:3453 (1968). [12] Serjeant, Dempsey, Ionisation Constants of Organic
 Acids (1979). [13] Brauner-Osborne et al., J. Med. Chem. 43:2609 (2000). [14] Kohara et al., J. Med. Chem.
 39:5228 (1996). [15] Catalan, Abboud, Elguero, Adv. Heterocycl. Chem. 41:187 (1987). [16] Wasik et al., J.
-Phys. Chem. B 116:7259 (2012). [17] Bishop, Indicators (1972).
+Phys. Chem. B 116:7259 (2012). [17] Bishop, Indicators (1972). Not checked: the values of [8] to [17] have
+not been compared with these works again.
 """
 _SIGMA = (
     (f"c-{_NITRO}", 1.24, 0.71, 1.25),
