@@ -26,7 +26,7 @@ from protochain.mechanics.multibody.articulated import articulate
 from protochain.mechanisms.impacts import ContactPoint, close_loops, impact
 from protochain.mechanisms.impacts.complementarity import _natural_map, restitute
 from protochain.mechanisms.impacts.impact import _together
-from protochain.mechanisms.impacts.path import follow, follow_in_turn
+from protochain.mechanisms.impacts.path import DONE, POISSON, follow, follow_in_turn
 
 LAWS = ("newton", "poisson", "stronge")
 UP = (0.0, 0.0, 1.0)
@@ -700,3 +700,20 @@ def test_in_turn_the_fastest_point_is_always_the_next(law, fastest):
         assert approach < 0.0 and len(order) < 10_000
     assert order[0] == fastest
     assert np.allclose(out, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_slip_that_ends_with_the_compression_is_followed_to_the_end():
+    """A point of one freedom: its velocity and inverse inertia are along one vector, and both end at once."""
+    rng = np.random.default_rng(2)
+    for _ in range(300):
+        v = rng.uniform(0.1, 1.0, 3) * [1.0, 0.0, rng.choice([-1.0, 1.0])]
+        friction, restitution, speed = rng.uniform([0.05, 0.05, 0.1], [2.0, 1.0, 2.0])
+        out = np.empty(8)
+        w, u = np.outer(v, v), -speed * v
+        assert follow(w, u, friction, restitution, POISSON, 1e-12 * speed, 1e-10, out) == DONE
+        normal, tangential = v[0], abs(v[2])
+        compression = speed / (normal + friction * tangential)
+        # In the restitution the slip is the other way round, or friction holds the point.
+        back = min(friction, normal / tangential)
+        expected = [1.0 + restitution, 0.0, np.sign(v[2]) * (friction - restitution * back)]
+        assert out[:3] == pytest.approx(compression * np.array(expected), rel=1e-9, abs=1e-12)
