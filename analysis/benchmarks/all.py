@@ -352,7 +352,10 @@ def run(job: Job, output: Path, more: Path, quick: bool, seconds: float | None =
                 target = folder_of(kept_as, output) / kept_as
                 shutil.copy(place / name, target)
                 made.record(target, output, *about)
-        missing = [name for name in job.tables if not (quick or (output / name).exists())]
+        places = {name: (output, folder_of(name, output)) for name in job.tables}
+        missing = [
+            n for n, folders in places.items() if not (quick or any((f / n).exists() for f in folders))
+        ]
         return f"wrote no {missing[0]}" if missing else ""
 
 
