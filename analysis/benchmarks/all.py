@@ -352,10 +352,8 @@ def run(job: Job, output: Path, more: Path, quick: bool, seconds: float | None =
                 target = folder_of(kept_as, output) / kept_as
                 shutil.copy(place / name, target)
                 made.record(target, output, *about)
-        places = {name: (output, folder_of(name, output)) for name in job.tables}
-        missing = [
-            n for n, folders in places.items() if not (quick or any((f / n).exists() for f in folders))
-        ]
+        places = {name: {output / name, folder_of(name, output) / name} for name in job.tables}
+        missing = [name for name, paths in places.items() if not (quick or any(p.exists() for p in paths))]
         return f"wrote no {missing[0]}" if missing else ""
 
 
