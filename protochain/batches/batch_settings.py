@@ -12,7 +12,7 @@ from typing import Any
 from protochain.batches.jobs import BatchSettings, Job
 from protochain.core.errors import ProtochainError
 from protochain.core.storage import write_text
-from protochain.structure.prepare import user_files
+from protochain.structure.preparation.prepare import user_files
 
 NAME = "settings.json"
 

@@ -16,7 +16,7 @@ from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.minimisers.solution import alpha_residues
 from protochain.structure import Structure
-from protochain.structure.dihedrals import finder
+from protochain.structure.molecule.dihedrals import finder
 from protochain.structure.select import select as chosen
 from protochain.structure.superpose import superpose
 

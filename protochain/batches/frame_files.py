@@ -22,9 +22,9 @@ from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import check_writable, claimed_files, writing
 from protochain.structure.ensemble import Ensemble
-from protochain.structure.files import format_of
-from protochain.structure.frames import Frames, open_frames
-from protochain.structure.trajectory import TrajectoryFile, check_trajectory, part_of
+from protochain.structure.formats.files import format_of
+from protochain.structure.formats.frames import Frames, open_frames
+from protochain.structure.formats.trajectory import TrajectoryFile, check_trajectory, part_of
 from protochain.structure.write import common_suffix, save
 
 if TYPE_CHECKING:

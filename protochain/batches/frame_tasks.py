@@ -26,7 +26,7 @@ from protochain.relaxation.relax_structure import relax_structure
 from protochain.results.columns import Column, flat, record
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
-from protochain.structure.frames import Frame, Reading, open_frames
+from protochain.structure.formats.frames import Frame, Reading, open_frames
 from protochain.structure.select import sides, sides_named, touching_chains
 from protochain.validation.findings import MEASURES, Found
 from protochain.validation.interface import MAKEUP, RESIDUES, SCORES, native, scored

@@ -17,7 +17,7 @@ from protochain.energies.shared import shared_energy
 from protochain.relaxation.relax_settings import named, split
 from protochain.structure import Structure
 from protochain.structure.ensemble import Ensemble
-from protochain.structure.frames import Frame, Frames, open_frames
+from protochain.structure.formats.frames import Frame, Frames, open_frames
 from protochain.structure.select import moved_of
 
 if TYPE_CHECKING:

@@ -34,10 +34,10 @@ from protochain.minimisers.starts import refuse_held
 from protochain.relaxation.record import METHOD as RELAX
 from protochain.relaxation.relax_settings import NAMES as OF_RELAXING
 from protochain.relaxation.relax_settings import WITHOUT, RelaxSettings
-from protochain.structure.files import format_of
+from protochain.structure.formats.files import format_of
 from protochain.structure.ligand_files import are_several, poses
-from protochain.structure.prepare import user_files
-from protochain.structure.read import model_numbers
+from protochain.structure.preparation.prepare import user_files
+from protochain.structure.preparation.read import model_numbers
 
 _GLOB = frozenset("*?[")
 

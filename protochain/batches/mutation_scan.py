@@ -20,7 +20,7 @@ from protochain.relaxation.mutations import COLUMNS, mutated, protocol, told
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.result import Relaxation
 from protochain.structure import Structure
-from protochain.structure.residues import STANDARD
+from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.substitute import LETTERS
 
 if TYPE_CHECKING:

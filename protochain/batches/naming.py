@@ -11,7 +11,7 @@ from protochain.core.storage import as_utf8
 from protochain.minimisers.recipes import recipe_of
 from protochain.relaxation.names import relaxed_stem
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.structure.files import split_name
+from protochain.structure.formats.files import split_name
 
 
 @dataclass(frozen=True)

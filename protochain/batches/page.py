@@ -18,8 +18,8 @@ from protochain.results.page import write_page as fill
 from protochain.results.terms import energies_by_term
 from protochain.results.viewer import DISPLACEMENT, library, scene
 from protochain.structure import Structure
-from protochain.structure.losses import loss_lines
-from protochain.structure.repairs import Repair
+from protochain.structure.molecule.repairs import Repair
+from protochain.structure.preparation.losses import loss_lines
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -13,7 +13,7 @@ from protochain.core.palette import looks
 from protochain.core.storage import write_atomically
 from protochain.results.figures import panels, plain
 from protochain.results.page import explored, write_page
-from protochain.structure.losses import loss_lines
+from protochain.structure.preparation.losses import loss_lines
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -11,7 +11,7 @@ from protochain.core.errors import ProtochainError
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.relax_structure import relax_structure
 from protochain.structure import Structure
-from protochain.structure.confidences import confidence_files, confidence_in
+from protochain.structure.formats.confidences import confidence_files, confidence_in
 from protochain.structure.select import sides, sides_named, touching_chains
 from protochain.validation.interface import Interface, native, scored
 

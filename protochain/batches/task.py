@@ -15,8 +15,8 @@ from protochain.batches.page import write_page
 from protochain.chains.setup import Setup
 from protochain.core.storage import regular
 from protochain.relaxation.record import METHOD as RELAX
-from protochain.structure.confidences import copy_confidences
-from protochain.structure.files import suffix_of
+from protochain.structure.formats.confidences import copy_confidences
+from protochain.structure.formats.files import suffix_of
 
 if TYPE_CHECKING:
     import pandas as pd

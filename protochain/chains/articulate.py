@@ -21,7 +21,7 @@ from protochain.core.timings import part
 from protochain.energies import Energy, as_energy
 from protochain.mechanics.multibody import Frames, HingeKind, Tree, rigid_bodies
 from protochain.structure.convert import as_structure
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.structure.select import moved_of
 from protochain.structure.select import moving as moving_atoms
 

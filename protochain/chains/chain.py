@@ -26,7 +26,7 @@ from protochain.mechanics.multibody.algebra import (
     turned,
     vector,
 )
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 _ON_HINGE = 1e-9
 """nm. Atoms nearer to an axis than this lie on it: positions are rounded to 1e-15."""

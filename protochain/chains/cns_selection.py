@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Integers
 from protochain.core.errors import ProtochainError
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, of_atoms
 
 Selection = Callable[[Structure], NDArray[np.bool_]]
 """Structure -> mask of the selected atoms (na,)."""

@@ -10,10 +10,10 @@ from protochain.chains.chain import Chain
 from protochain.core import graph
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.linkage import COVALENT_SLACK
-from protochain.structure.links import is_metal, usual_length
-from protochain.structure.model import Structure, at_positions, of_atoms
-from protochain.structure.residues import VAN_DER_WAALS
+from protochain.structure.molecule.links import is_metal, usual_length
+from protochain.structure.molecule.model import Structure, at_positions, of_atoms
+from protochain.structure.molecule.residues import VAN_DER_WAALS
+from protochain.structure.preparation.linkage import COVALENT_SLACK
 
 OVERLAP = 0.5
 """Nonbonded atoms closer than this fraction of the sum of their van der Waals radii overlap. Hydrogen bonds

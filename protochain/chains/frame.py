@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from protochain.chains.chain import Chain
 from protochain.core.arrays import Floats, frozen
 from protochain.energies.protocol import Energy
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.structure.superpose import deviation_angstrom, motion, rmsd_angstrom
 
 _TURN = Rotation.from_rotvec([0.4, -0.7, 0.5]).as_matrix()

@@ -9,10 +9,10 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers, cross
 from protochain.core.graph import Neighbours, beyond, components, grouped, neighbours
 from protochain.ligands.molecule import Molecule
-from protochain.structure import residues
-from protochain.structure.dihedrals import finder
-from protochain.structure.model import Structure
-from protochain.structure.sugars import last_of_ring
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.dihedrals import finder
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.sugars import last_of_ring
 
 HINGES = ("phi", "psi", "omega", "chi", "polar", "rotors", "angles", "nucleic", "ligand", "glycan")
 """Kinds of hinge that can be opened; ``polar`` are those of the rotors that turn hydrogens of O, S and N."""

@@ -26,8 +26,8 @@ from protochain.core.arrays import (
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.dihedrals import finder
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.molecule.dihedrals import finder
+from protochain.structure.molecule.model import Structure, of_atoms
 from protochain.structure.select import atoms_at
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from protochain.batches.frame_tasks import Task
     from protochain.chains.setup import Setup
     from protochain.structure.ensemble import Ensemble
-    from protochain.structure.frames import Frames
+    from protochain.structure.formats.frames import Frames
 
 Trajectory = Annotated[
     Path | None,
@@ -102,7 +102,7 @@ def opened(
 ) -> "tuple[Ensemble, Frames]":
     """Prepare the structure, and open its frames; say what was changed."""
     from protochain.batches.frames import ensemble_of
-    from protochain.structure.repairs import Kind
+    from protochain.structure.molecule.repairs import Kind
 
     if trajectory is None and str(source) == "-":
         raise ProtochainError("frames: standard input is read once; give a file")

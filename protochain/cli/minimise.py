@@ -65,7 +65,7 @@ def minimise(
     from protochain.minimisers.minimise_structure import Minimisation
     from protochain.minimisers.recipes import at_angle, recipe_of
     from protochain.minimisers.starts import refuse_held
-    from protochain.structure.trajectory import check_trajectory, part_of
+    from protochain.structure.formats.trajectory import check_trajectory, part_of
 
     chosen = method if angle is None else at_angle(recipe_of(method), angle)
     Minimisation(recipe_of(chosen), **vars(minimising), **vars(saving))
@@ -118,9 +118,9 @@ def _status(records: list[dict[str, Any]]) -> int:
 
 def _runs(source: Path, output: Path, setup: Setup, one_file: bool) -> list[tuple[Setup, Path]]:
     """Pair each model with its output."""
-    from protochain.structure.choose import refuse_absent
-    from protochain.structure.files import split_name
-    from protochain.structure.read import model_numbers
+    from protochain.structure.formats.files import split_name
+    from protochain.structure.preparation.choose import refuse_absent
+    from protochain.structure.preparation.read import model_numbers
 
     if not isinstance(setup.model, str):
         if one_file:
@@ -241,7 +241,7 @@ class _Frames:
     """Whether the run has a result, beside which the trajectory belongs."""
 
     def __init__(self, path: Path | None, structure: "Structure", lost: list[str]) -> None:
-        from protochain.structure.trajectory import TrajectoryFile
+        from protochain.structure.formats.trajectory import TrajectoryFile
 
         self.file, self.lost = TrajectoryFile(path, structure) if path else None, lost
 

@@ -60,8 +60,8 @@ def modes(
     from protochain.comparison.modes_folder import files_of, write_modes
     from protochain.comparison.normal_modes import DENSE, check_modes, normal_modes
     from protochain.comparison.pair_hessian import applies
+    from protochain.structure.formats.trajectory import check_trajectory
     from protochain.structure.matching import measurable
-    from protochain.structure.trajectory import check_trajectory
 
     check_modes(modes, method)
     temperature, amplitude = checked_temperature(temperature), checked_amplitude(amplitude)

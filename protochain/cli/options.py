@@ -198,7 +198,7 @@ def print_files(*paths: str | Path | None) -> None:
 
 def named_after(source: Path) -> tuple[str, str]:
     """Return stem and suffix for outputs named after an input."""
-    from protochain.structure.files import split_name, suffix_of
+    from protochain.structure.formats.files import split_name, suffix_of
 
     return ("stdin" if str(source) == "-" else split_name(source)[0]), suffix_of(source)
 
@@ -243,7 +243,7 @@ def _counted(structure: "Structure", atoms: Any) -> str:
 
 def print_changes(source: Path, structure: "Structure") -> None:
     """Say on standard error what was changed to prepare a file, losses first."""
-    from protochain.structure.repairs import summarised
+    from protochain.structure.molecule.repairs import summarised
 
     changes = summarised(structure.repairs, as_option)
     for line in changes:
@@ -272,7 +272,7 @@ def print_violations(record: "Mapping[str, Any]") -> None:
 
 def print_lost(rows: "Iterable[Mapping[Any, Any]]") -> None:
     """Print what the structures of records, or of rows of a table, lost."""
-    from protochain.structure.losses import loss_lines
+    from protochain.structure.preparation.losses import loss_lines
 
     for line in loss_lines(rows, as_option):
         print(line)
@@ -345,7 +345,7 @@ def check_outputs(
 ) -> None:
     """Refuse, before any work, outputs that would replace an input or one another or cannot be written."""
     from protochain.core.storage import check_writable
-    from protochain.structure.prepare import user_files
+    from protochain.structure.preparation.prepare import user_files
 
     inputs = [*(Path(each) for each in reads if each), *(user_files(setup.forcefield) if setup else ())]
     outputs = [Path(path) for path in writes if path and str(path) != STANDARD_OUTPUT]
@@ -420,7 +420,7 @@ def written(
 ) -> dict[str, Any]:
     """Write a structure and all beside it, as far as the disk holds it; return the record, or end without."""
     from protochain.core.storage import write_atomically
-    from protochain.structure.confidences import copy_confidences
+    from protochain.structure.formats.confidences import copy_confidences
 
     if not result.is_usable:
         why = f"{more['input']}: {result.message}; nothing is better than the start: nothing is written"

@@ -118,8 +118,8 @@ def _task(relaxing: RelaxSettings, setup: Setup, output: Path) -> "RelaxFrames":
 def _beside(frames: Path) -> Path:
     """Name of the relaxed frames: in the format that they have, or DCD, which does not round."""
     from protochain.relaxation.names import relaxed_name, relaxed_stem
-    from protochain.structure.files import format_of
-    from protochain.structure.trajectory import WRITTEN
+    from protochain.structure.formats.files import format_of
+    from protochain.structure.formats.trajectory import WRITTEN
 
     if format_of(frames):
         return Path(relaxed_name(frames))
@@ -138,7 +138,7 @@ def _one(
     from protochain.core.timings import timed
     from protochain.relaxation.names import relaxed_name
     from protochain.relaxation.relax_structure import relax_structure
-    from protochain.structure.files import suffix_of
+    from protochain.structure.formats.files import suffix_of
 
     if str(source) != "-" and not source.exists():
         raise ProtochainError(f"{source}: not found; check the name")
@@ -182,8 +182,8 @@ def _write_page(result: "Relaxation", record: dict[str, Any], path: Path) -> Non
 
 def _tell_frames(inputs: list[str]) -> None:
     """Say which trajectories in folders are left aside, and what relaxes their frames."""
-    from protochain.structure.files import format_of
-    from protochain.structure.frames import trajectories
+    from protochain.structure.formats.files import format_of
+    from protochain.structure.formats.frames import trajectories
 
     for given in filter(os.path.isdir, inputs):
         for path in trajectories(Path(given)):
@@ -204,7 +204,7 @@ def _several(
     from protochain.cli.relaxing import print_folder
     from protochain.cli.terminal import batch_progress
     from protochain.core.storage import write_text
-    from protochain.structure.files import format_of
+    from protochain.structure.formats.files import format_of
     from protochain.structure.ligand_files import check_ligand_file
 
     folder = Path("relaxed") if output is None else output

@@ -88,7 +88,7 @@ def progress(seconds: float) -> "AbstractContextManager[Watcher | None]":
 def print_relaxed(result: "Relaxation", record: dict[str, Any]) -> None:
     """Print what is wrong before and after, how far the structure moved, and where it is."""
     from protochain.relaxation.record import before_and_after
-    from protochain.structure.repairs import summarised
+    from protochain.structure.molecule.repairs import summarised
     from protochain.validation.findings import remains_in_words
 
     rows = before_and_after(record)

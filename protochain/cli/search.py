@@ -75,7 +75,7 @@ def search(
 
 def is_sequence(source: Path) -> bool:
     """Whether the input is no file, but could be one-letter codes."""
-    from protochain.structure.residues import STANDARD
+    from protochain.structure.molecule.residues import STANDARD
 
     if not {*str(source)} <= {*STANDARD.values()}:
         return False

@@ -14,8 +14,8 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.results.columns import heading
 from protochain.structure import as_structure
 from protochain.structure.matching import Match, match
-from protochain.structure.model import Structure
-from protochain.structure.residues import CHI, Atom
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import CHI, Atom
 from protochain.structure.superpose import motion, rmsd_angstrom
 from protochain.validation.bonding import FOLD, hydrogen_bonds, salt_bridges, secondary_structure
 from protochain.validation.layout import NONE, dihedrals, layout, peptides

@@ -20,7 +20,7 @@ from protochain.results.provenance import command_line
 from protochain.results.tables import save
 from protochain.results.viewer import library
 from protochain.structure import save as save_structure
-from protochain.structure.trajectory import TrajectoryFile
+from protochain.structure.formats.trajectory import TrajectoryFile
 from protochain.structure.write import as_text
 
 MOVING = 5

@@ -34,7 +34,7 @@ def write_simulated(
     structure: Structure, log: pd.DataFrame, record: Mapping[str, Any], trajectory: Path, path: Path
 ) -> None:
     """Write the page of a simulation, one file that works offline; a row of the log is a frame."""
-    from protochain.structure.frames import open_frames
+    from protochain.structure.formats.frames import open_frames
 
     every = -(-len(log) // _MOST)
     frames = [

@@ -19,7 +19,7 @@ from protochain.mechanics.motion.system import Phase
 from protochain.mechanics.multibody import Frames, Tree, pose
 from protochain.mechanics.multibody.articulated import Articulated, articulate
 from protochain.structure import Structure
-from protochain.structure.trajectory import TrajectoryFile, check_trajectory
+from protochain.structure.formats.trajectory import TrajectoryFile, check_trajectory
 from protochain.structure.write import common_suffix
 
 CHECKPOINT = "checkpoint.npz"

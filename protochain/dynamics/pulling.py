@@ -12,7 +12,7 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion.system import Applied, Load, Phase, System
 from protochain.mechanics.multibody import Frames, HingeKind, Tree
 from protochain.mechanics.multibody.articulated import Articulated, solve
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.structure.select import atoms_at
 
 _LEAST = 1e-9

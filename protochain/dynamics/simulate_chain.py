@@ -41,7 +41,7 @@ from protochain.dynamics.thermostats import THERMOSTATS, build_thermostat
 from protochain.energies import Energy
 from protochain.energies.custom import EnergyFunction
 from protochain.mechanics.motion.system import Potential, StepTooLargeError, System, total
-from protochain.structure.chirality import changed_stereocentres
+from protochain.structure.molecule.chirality import changed_stereocentres
 from protochain.structure.superpose import rmsd_angstrom
 
 

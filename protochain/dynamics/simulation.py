@@ -21,7 +21,7 @@ from protochain.dynamics.thermostats import THERMOSTATS
 from protochain.energies.protocol import Energy
 from protochain.results.columns import Column, of_energy, of_losses, of_restraints
 from protochain.structure import Structure, save, to_mdanalysis, to_mdtraj
-from protochain.structure.frames import open_frames
+from protochain.structure.formats.frames import open_frames
 
 if TYPE_CHECKING:
     import MDAnalysis

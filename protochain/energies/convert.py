@@ -13,7 +13,7 @@ from protochain.energies.custom import as_energy
 from protochain.energies.factory import energy
 from protochain.energies.protocol import Energy
 from protochain.structure.convert import as_structure
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 if TYPE_CHECKING:
     from ase import Atoms

@@ -13,7 +13,7 @@ from protochain.core.checks import plain, refuse_class, shown
 from protochain.core.errors import Fault, ProtochainError
 from protochain.energies.factory import energy, has_energy
 from protochain.energies.protocol import Energy, check_is_of
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 EnergyFunction = Callable[[Floats], tuple[float, ArrayLike]]
 """Positions (na, 3) in nm to energy in kJ/mol and forces (na, 3) in kJ/mol/nm."""

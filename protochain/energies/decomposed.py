@@ -32,7 +32,7 @@ from protochain.energies.on_device import DeviceEnergy
 from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy, an_energy
 from protochain.structure import as_structure
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.structure.select import select
 
 if TYPE_CHECKING:

@@ -20,10 +20,10 @@ from protochain.core.arrays import Integers
 from protochain.core.errors import ForceFieldError
 from protochain.core.graph import joined
 from protochain.energies.native.terms import TIES
-from protochain.structure.links import is_metal
-from protochain.structure.model import BoundLigand, Structure, Tie
-from protochain.structure.sugars import GLYCOSYLATED
-from protochain.structure.templates import HAS_GLYCAM, PHOSPHATE_END
+from protochain.structure.molecule.links import is_metal
+from protochain.structure.molecule.model import BoundLigand, Structure, Tie
+from protochain.structure.molecule.sugars import GLYCOSYLATED
+from protochain.structure.molecule.templates import HAS_GLYCAM, PHOSPHATE_END
 
 _UFF = {
     "H": (2.886, 0.044), "He": (2.362, 0.056), "Li": (2.451, 0.025), "Be": (2.745, 0.085),

@@ -40,10 +40,9 @@ from protochain.energies.openmm_engine import OpenMMEnergy
 from protochain.energies.protocol import Energy
 from protochain.energies.untrusted import check_expressions, check_passive
 from protochain.structure.convert import as_structure
-from protochain.structure.glycans import parameters
-from protochain.structure.model import Structure
-from protochain.structure.residues import NUCLEOTIDES, PHOSPHORYLATED
-from protochain.structure.templates import (
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import NUCLEOTIDES, PHOSPHORYLATED
+from protochain.structure.molecule.templates import (
     CONVERT,
     HAS_GLYCAM,
     NO_OPENMM,
@@ -54,6 +53,7 @@ from protochain.structure.templates import (
     phosphate_ends,
     strand_junctions,
 )
+from protochain.structure.preparation.glycans import parameters
 
 DATA = Path(app.__file__).parent / "data"
 """Files bundled with OpenMM, named by full path: OpenMM looks for a bare name in the working directory first,

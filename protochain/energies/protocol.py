@@ -6,7 +6,7 @@ from typing import Any, Protocol
 from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import shown
 from protochain.core.errors import ProtochainError, refused
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 
 class Energy(Protocol):

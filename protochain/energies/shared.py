@@ -6,7 +6,7 @@ from typing import Any
 
 from protochain.energies.factory import energy
 from protochain.energies.protocol import Energy
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 
 @dataclass(frozen=True)

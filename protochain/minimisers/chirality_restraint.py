@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, cross
-from protochain.structure.chirality import volume
-from protochain.structure.model import Structure
+from protochain.structure.molecule.chirality import volume
+from protochain.structure.molecule.model import Structure
 from protochain.validation.stereocentres import expected_stereocentres
 
 _STIFFNESS = 1e8

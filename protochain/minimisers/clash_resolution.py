@@ -35,7 +35,7 @@ from protochain.minimisers.stages import Stage
 from protochain.minimisers.steps import StrongWolfe
 from protochain.minimisers.unthread import freeing
 from protochain.minimisers.verdict import rebuilt
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.validation.rings import threaded_rings
 
 UNUSUAL = 1e5

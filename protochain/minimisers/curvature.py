@@ -24,7 +24,7 @@ from protochain.energies.protocol import Energy
 from protochain.minimisers import near_kernels as kernels
 from protochain.minimisers.cholesky import elimination_order, factorise
 from protochain.minimisers.spring_model import CARTESIAN_FLOOR, Gradients, Near, Springs, contacts
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 REACH = 0.4
 """nm, longest Lennard-Jones pair. Those up to 0.5 nm, and Coulomb's forces, gain no evaluations."""

@@ -19,7 +19,7 @@ from protochain.minimisers import curvature, spring_model
 from protochain.minimisers.bond_frames import inward, legs_of, moved, outward
 from protochain.minimisers.curvature import NearTerms
 from protochain.minimisers.problem import Evaluation, Placement
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 ROOT_LEVER = 0.1
 """nm. Translation of a free root that counts like one radian, so that forces and torques compare."""

@@ -19,7 +19,7 @@ from protochain.chains.chain import Chain, Pose
 from protochain.chains.contacts import joined, near_pairs
 from protochain.core.arrays import Floats, Integers
 from protochain.minimisers.torsion_kernels import stiffness_in_torsions
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, of_atoms
 
 DEPTH = 0.4
 """kJ/mol, well depth of a contact: Lennard-Jones wells of protein atoms are 0.06 to 1 deep. The curvature at

@@ -9,7 +9,7 @@ from protochain.chains.contacts import overlaps
 from protochain.core.arrays import Floats
 from protochain.core.markup import counted
 from protochain.minimisers.recipes import Recipe
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.validation.rings import threaded_rings
 from protochain.validation.violations import violations

@@ -13,7 +13,7 @@ from protochain.core.arrays import Floats, Integers, read_only
 from protochain.minimisers.problem import Force, Placement
 from protochain.minimisers.restraints import SoftRepulsion, Sum
 from protochain.minimisers.stages import Stage
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.validation.rings import ThreadedRing, threaded_rings
 
 ATTEMPTS = 5

@@ -14,8 +14,8 @@ from protochain.core.markup import counted, listed
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.problem import Force
 from protochain.minimisers.spaces import spaces
-from protochain.structure.chirality import atoms_named, changed_stereocentres, mirror_images
-from protochain.structure.model import Structure
+from protochain.structure.molecule.chirality import atoms_named, changed_stereocentres, mirror_images
+from protochain.structure.molecule.model import Structure
 from protochain.validation.bond_lengths import bond_lines, wrong_bonds
 from protochain.validation.fixed import chains_still, fixed_faults
 from protochain.validation.ligands import double_bonds_named, inverted_double_bonds

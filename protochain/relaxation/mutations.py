@@ -27,7 +27,7 @@ from protochain.relaxation.result import Relaxation
 from protochain.results.columns import Column, record
 from protochain.structure import Structure
 from protochain.structure.build import from_sequence
-from protochain.structure.residues import STANDARD
+from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.select import atoms_at
 from protochain.structure.sidechains.ideal import placed
 from protochain.structure.substitute import LETTERS, substituted

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from protochain.structure.files import split_name, suffix_of
+from protochain.structure.formats.files import split_name, suffix_of
 
 _UNRELAXED, _RELAXED = "unrelaxed", "relaxed"
 

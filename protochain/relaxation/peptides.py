@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, dihedral_slopes
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.validation.layout import dihedrals, layout
 from protochain.validation.omega import PERPENDICULAR, PLANAR, omegas
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, of_atoms
 
 _STIFFNESS = 2000.0
 """kJ/mol. Against it, angles of 90 and 180 degrees, which a force field keeps, gain some 700 kJ/mol/rad."""

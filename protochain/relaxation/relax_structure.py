@@ -35,7 +35,7 @@ from protochain.relaxation.result import Relaxation
 from protochain.relaxation.rounds import Ended, Relaxer, fewest_left
 from protochain.relaxation.wrong import Wrong
 from protochain.structure import Structure
-from protochain.structure.chirality import atoms_named, with_mirror_images
+from protochain.structure.molecule.chirality import atoms_named, with_mirror_images
 from protochain.structure.select import moved_of, moving, select, sides_named
 from protochain.validation.fixed import fixed_counts
 from protochain.validation.interface import native

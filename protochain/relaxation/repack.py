@@ -14,8 +14,8 @@ from protochain.energies import energy as energy_of
 from protochain.energies.native.terms import Terms, compile_system
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import Rotamers, rotamers_of
-from protochain.structure.model import Structure
-from protochain.structure.repairs import Kind, Repair
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.sidechains.assignment import best
 from protochain.validation.clashes import clashes
 from protochain.validation.rings import threaded_rings

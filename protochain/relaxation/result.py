@@ -27,7 +27,7 @@ from protochain.relaxation.wrong import Wrong
 from protochain.results.columns import record
 from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
-from protochain.structure.repairs import Kind, Repair, summarised
+from protochain.structure.molecule.repairs import Kind, Repair, summarised
 from protochain.structure.select import sides, sides_named
 from protochain.structure.superpose import displacements
 from protochain.validation import MEASURES, measures

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure import residues
-from protochain.structure.chirality import volume
-from protochain.structure.model import Structure
-from protochain.structure.repairs import Kind, Repair
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.chirality import volume
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.repairs import Kind, Repair
 from protochain.structure.sidechains.arms import WIDTH, arm_of, around, backbone_of, wrapped
 from protochain.structure.sidechains.rotamers import rotamers
 

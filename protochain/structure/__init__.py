@@ -3,8 +3,8 @@
 from protochain.structure.build import from_sequence
 from protochain.structure.convert import as_structure, to_mdanalysis, to_mdtraj
 from protochain.structure.ligand_files import save_ligands
-from protochain.structure.model import Structure
-from protochain.structure.prepare import load
+from protochain.structure.molecule.model import Structure
+from protochain.structure.preparation.prepare import load
 from protochain.structure.superpose import ca_rmsd
 from protochain.structure.write import save
 

@@ -2,11 +2,11 @@
 
 from protochain.core.checks import text
 from protochain.core.errors import StructureError
-from protochain.structure import residues
-from protochain.structure.draft import Draft, Part
-from protochain.structure.member import Member, atom
-from protochain.structure.model import Structure
-from protochain.structure.prepare import prepare
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.model import Structure
+from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.prepare import prepare
 
 PROLINE_PHI = -70.0
 """Degrees. Proline's ring holds phi near this value; at the extended -120 the ring would not close."""

@@ -13,14 +13,14 @@ from protochain.core.arrays import Floats, floats
 from protochain.core.checks import acidity_or_auto, plain
 from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.bound import Chemistry
-from protochain.structure.draft import Draft
-from protochain.structure.files import check, number_atoms, place_in_file
-from protochain.structure.foreign import as_gemmi
-from protochain.structure.model import Structure
-from protochain.structure.pka import value_of
-from protochain.structure.prepare import load, parts_of, prepare, user_files
-from protochain.structure.read import Reading, read_structure
+from protochain.structure.formats.files import check, number_atoms, place_in_file
+from protochain.structure.formats.foreign import as_gemmi
+from protochain.structure.molecule.model import Structure
+from protochain.structure.preparation.bound import Chemistry
+from protochain.structure.preparation.draft import Draft
+from protochain.structure.preparation.pka import value_of
+from protochain.structure.preparation.prepare import load, parts_of, prepare, user_files
+from protochain.structure.preparation.read import Reading, read_structure
 
 if TYPE_CHECKING:
     import MDAnalysis

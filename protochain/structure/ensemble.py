@@ -16,11 +16,11 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import StructureError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.convert import as_structure
-from protochain.structure.frames import Frame, Frames
-from protochain.structure.hydrogens import place_hydrogens
-from protochain.structure.model import Structure
-from protochain.structure.protonate import BONDED
-from protochain.structure.residues import BACKBONE
+from protochain.structure.formats.frames import Frame, Frames
+from protochain.structure.molecule.hydrogens import place_hydrogens
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import BACKBONE
+from protochain.structure.preparation.protonate import BONDED
 from protochain.structure.write import as_gemmi
 
 _TORN = 1.0

@@ -16,7 +16,7 @@ from protochain.ligands.matching import named_as
 from protochain.ligands.molecule import Molecule, to_rdkit
 from protochain.ligands.sources import as_filed, records, text_of
 from protochain.structure.convert import as_structure
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 
 def save_ligands(

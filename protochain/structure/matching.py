@@ -14,10 +14,10 @@ from protochain.core.errors import OnlyAlphaError, ProtochainError, StructureErr
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.chains import PairSums, least_deviation
 from protochain.structure.convert import as_structure
-from protochain.structure.files import STANDARD_INPUT, parse
-from protochain.structure.model import Structure
-from protochain.structure.residues import STANDARD
-from protochain.structure.trace import alpha_trace
+from protochain.structure.formats.files import STANDARD_INPUT, parse
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import STANDARD
+from protochain.structure.preparation.trace import alpha_trace
 
 _RELATED = 0.3
 """Of the positions of an alignment, gaps between them included: identity from which on sequences are related.

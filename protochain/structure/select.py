@@ -13,7 +13,7 @@ from protochain.core.arrays import Integers
 from protochain.core.errors import Argument, StructureError
 from protochain.core.markup import listed
 from protochain.structure.convert import as_structure, to_mdanalysis
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 
 def select(structure: Structure, selection: str) -> np.ndarray:

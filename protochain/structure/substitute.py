@@ -10,15 +10,15 @@ import numpy as np
 from protochain.core import defaults
 from protochain.core.errors import StructureError, refused
 from protochain.core.markup import listed
-from protochain.structure.bound import Chemistry
-from protochain.structure.draft import Draft
-from protochain.structure.files import number_atoms
-from protochain.structure.model import Structure
-from protochain.structure.pka import value_of
-from protochain.structure.prepare import parts_of, prepare, user_files
-from protochain.structure.read import Reading, read_structure
-from protochain.structure.repairs import Kind, Repair
-from protochain.structure.residues import CAPS, STANDARD, name_in_file
+from protochain.structure.formats.files import number_atoms
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.repairs import Kind, Repair
+from protochain.structure.molecule.residues import CAPS, STANDARD, name_in_file
+from protochain.structure.preparation.bound import Chemistry
+from protochain.structure.preparation.draft import Draft
+from protochain.structure.preparation.pka import value_of
+from protochain.structure.preparation.prepare import parts_of, prepare, user_files
+from protochain.structure.preparation.read import Reading, read_structure
 from protochain.structure.select import select
 from protochain.structure.write import as_gemmi
 

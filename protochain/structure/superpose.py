@@ -8,7 +8,7 @@ from protochain.core.arrays import Floats, floats
 from protochain.core.errors import ProtochainError
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.convert import as_structure
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 
 def superpose(x: Floats, reference: Floats) -> Floats:

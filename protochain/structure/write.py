@@ -24,14 +24,14 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.sources import from_dictionary
 from protochain.ligands.tables import ORDERS, rows
 from protochain.structure.convert import as_structure
-from protochain.structure.files import PACKINGS, SUFFIXES, format_of, split_name
-from protochain.structure.header import NO_LABEL, Label, quote_names, settle, with_header
-from protochain.structure.links import is_metal
-from protochain.structure.member import address_of
-from protochain.structure.model import Structure
-from protochain.structure.records import Rows, cif_rows, orders, pdb_lines, put, with_names
-from protochain.structure.residues import NUCLEOTIDES
-from protochain.structure.tie_records import CATEGORY, Spring, as_remarks, as_rows, of_structure
+from protochain.structure.formats.files import PACKINGS, SUFFIXES, format_of, split_name
+from protochain.structure.formats.records import Rows, cif_rows, orders, pdb_lines, put, with_names
+from protochain.structure.formats.tie_records import CATEGORY, Spring, as_remarks, as_rows, of_structure
+from protochain.structure.molecule.header import NO_LABEL, Label, quote_names, settle, with_header
+from protochain.structure.molecule.links import is_metal
+from protochain.structure.molecule.member import address_of
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import NUCLEOTIDES
 
 _REMARK_WIDTH = 68
 _PDB_LOWEST, _PDB_HIGHEST = -999.999, 9999.999

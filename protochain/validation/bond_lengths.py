@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, distance
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure, of_atoms
-from protochain.structure.templates import DNA, PHOSPHATES, PROTEIN, RNA
+from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.templates import DNA, PHOSPHATES, PROTEIN, RNA
 from protochain.validation.strain import norms
 
 WINDOW = 0.03

@@ -8,7 +8,7 @@ from protochain.core.arrays import Integers, angle
 from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.convert import to_mdtraj
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 
 _REACH, _ANGLE = 0.25, np.radians(120.0)
 """nm from a hydrogen to its acceptor, and rad at the hydrogen: within and beyond."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.structure.sidechains.ideal import placed, unit
 from protochain.validation.layout import NONE, layout, positions
 

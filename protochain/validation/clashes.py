@@ -10,7 +10,7 @@ from protochain.chains.contacts import joined
 from protochain.core.arrays import GOLDEN, Floats, Integers, Value, cross, read_only
 from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure, of_atoms
+from protochain.structure.molecule.model import Structure, of_atoms
 from protochain.validation.layout import positions
 from protochain.validation.rings import rings
 

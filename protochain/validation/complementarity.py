@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import both_ways
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.validation.dots import Dots, molecular_surface
 
 PROBE, DENSITY, BAND, WEIGHT = 1.7, 15.0, 1.5, 0.5

@@ -12,9 +12,9 @@ from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.markup import counted, listed
 from protochain.core.timings import part
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.chirality import atoms_named, wrong_atoms
-from protochain.structure.model import Structure
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.chirality import atoms_named, wrong_atoms
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.repairs import Kind
 from protochain.validation.bond_lengths import bond_lines
 from protochain.validation.cbeta import cbeta_deviations
 from protochain.validation.clashes import clashes

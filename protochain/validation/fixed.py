@@ -12,8 +12,8 @@ from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import components, joined
 from protochain.core.markup import counted, listed
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure
-from protochain.structure.residues import NUCLEOTIDES
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import NUCLEOTIDES
 from protochain.validation.bond_lengths import covalent_radii, metals, wrong_bonds
 from protochain.validation.layout import positions
 

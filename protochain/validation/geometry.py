@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, frozen, read_only
-from protochain.structure.model import Structure, of_atoms
-from protochain.structure.residues import STANDARD, STATE_PARENT
+from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.residues import STANDARD, STATE_PARENT
 
 WIDTH = 14
 """Heavy atoms of the largest amino acid, without the second oxygen of a terminus."""

@@ -21,10 +21,10 @@ from protochain.energies.custom import as_energy
 from protochain.energies.decomposed import TERMS, interaction, native_of
 from protochain.energies.native import NativeEnergy
 from protochain.energies.protocol import Energy, an_energy
-from protochain.structure.confidences import Confidence, confidence_files, confidence_in
 from protochain.structure.convert import as_structure, to_mdtraj
-from protochain.structure.model import Structure
-from protochain.structure.residues import NUCLEOTIDES
+from protochain.structure.formats.confidences import Confidence, confidence_files, confidence_in
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import NUCLEOTIDES
 from protochain.structure.select import contacts, sides
 from protochain.validation.bonding import hydrogen_bonds, salt_bridges, secondary_structure
 from protochain.validation.clashes import clashes

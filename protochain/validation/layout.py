@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, dihedral, floats, read_only
 from protochain.core.graph import both_ways
-from protochain.structure.model import Structure, at_positions, of_atoms
-from protochain.structure.residues import BACKBONE
+from protochain.structure.molecule.model import Structure, at_positions, of_atoms
+from protochain.structure.molecule.residues import BACKBONE
 
 NONE = -1
 """Index where there is no such atom or residue."""

@@ -16,8 +16,8 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.matching import inverted_atoms
 from protochain.ligands.molecule import quietly, to_rdkit
 from protochain.ligands.strain import strain
-from protochain.structure.model import BoundLigand, Structure, at_positions
-from protochain.structure.residues import Residue
+from protochain.structure.molecule.model import BoundLigand, Structure, at_positions
+from protochain.structure.molecule.residues import Residue
 from protochain.validation.clashes import Clashes, clashes
 
 _MOST_MATCHES = 10_000

@@ -12,8 +12,8 @@ from scipy.spatial import cKDTree
 from protochain.core.arrays import Floats, Integers, Value, distance, means_by, read_only
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.structure.matching import Match, match, tm_score
-from protochain.structure.model import Structure
-from protochain.structure.residues import STANDARD
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.validation.layout import NONE, layout
 

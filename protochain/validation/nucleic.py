@@ -10,8 +10,8 @@ from protochain.core.arrays import Floats, Integers, Value
 from protochain.core.errors import ProtochainError
 from protochain.core.extras import library
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure
-from protochain.structure.residues import NUCLEOTIDES
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import NUCLEOTIDES
 from protochain.validation.layout import dihedrals
 
 NUCLEOTIDE_COLUMNS = (

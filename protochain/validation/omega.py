@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.model import Structure
+from protochain.structure.molecule.model import Structure
 from protochain.validation.layout import peptides, positions
 
 PLANAR = 30.0

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.structure.model import Structure
-from protochain.structure.residues import STANDARD
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.residues import STANDARD
 from protochain.validation.layout import NONE, layout, peptides, positions
 
 CLASSES = ("general", "glycine", "cis_proline", "trans_proline", "pre_proline", "ile_val")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from protochain.core.arrays import Value
 from protochain.core.markup import counted, facts
-from protochain.structure.model import Structure
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.model import Structure
+from protochain.structure.molecule.repairs import Kind
 from protochain.validation.findings import MEASURES
 from protochain.validation.ligands import LIGAND_COLUMNS, LigandFound
 from protochain.validation.likeness import LIKENESS

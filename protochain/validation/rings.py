@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from protochain.core.arrays import Floats, Integers, cross, read_only
 from protochain.core.graph import Neighbours, neighbours
-from protochain.structure.model import Structure, at_positions, of_atoms
+from protochain.structure.molecule.model import Structure, at_positions, of_atoms
 from protochain.validation.layout import positions
 
 LARGEST = 20

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers
-from protochain.structure.model import Structure, of_atoms
-from protochain.structure.residues import CHI, SYMMETRIC
+from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.residues import CHI, SYMMETRIC
 from protochain.validation.layout import NONE, dihedrals, layout, positions
 
 _LIMITS = {

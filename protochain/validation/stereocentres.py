@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.structure.chirality import WELL_FORMED, chiral_atoms, mirror_images, volume
-from protochain.structure.model import Structure
+from protochain.structure.molecule.chirality import WELL_FORMED, chiral_atoms, mirror_images, volume
+from protochain.structure.molecule.model import Structure
 from protochain.validation.layout import peptides
 
 

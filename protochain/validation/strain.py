@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from protochain.core.arrays import Floats, Integers, Value, angle, distance, read_only
 from protochain.core.graph import bond_angles
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure, of_atoms
-from protochain.structure.residues import NUCLEOTIDES
-from protochain.structure.templates import PHOSPHATES, PROTEIN, Template, standard_name, templates
+from protochain.structure.molecule.model import Structure, of_atoms
+from protochain.structure.molecule.residues import NUCLEOTIDES
+from protochain.structure.molecule.templates import PHOSPHATES, PROTEIN, Template, standard_name, templates
 from protochain.validation.layout import positions
 
 BEYOND = 4.0

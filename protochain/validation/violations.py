@@ -16,7 +16,7 @@ from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.graph import both_ways
 from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.model import Structure, at_positions, of_atoms
+from protochain.structure.molecule.model import Structure, at_positions, of_atoms
 from protochain.validation.bond_lengths import bond_lines, wrong_bonds
 from protochain.validation.geometry import TYPES, distances, places, slots
 from protochain.validation.layout import positions

@@ -25,7 +25,7 @@ from protochain.batches.frame_tasks import EnergyFrames, RelaxFrames, ValidateFr
 from protochain.batches.frames import ensemble_of, over_frames, relax_frames
 from protochain.comparison.deviation import RmsdFrames
 from protochain.relaxation import RelaxSettings
-from protochain.structure.frames import Frame, open_frames
+from protochain.structure.formats.frames import Frame, open_frames
 
 SMALL = "ala10.pdb"
 SETUP = pc.Setup(threads=1)

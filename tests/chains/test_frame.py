@@ -9,7 +9,7 @@ from MDAnalysis.analysis.rms import rmsd as mda_rmsd
 
 import protochain as pc
 from protochain.dynamics import simulate
-from protochain.structure.trajectory import TrajectoryFile
+from protochain.structure.formats.trajectory import TrajectoryFile
 
 AGREES = 0.002
 """Angstrom, both RMSDs of a written file: what rounding to the third decimal adds to each."""

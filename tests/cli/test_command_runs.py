@@ -110,7 +110,7 @@ def test_minimise_may_be_forced_and_refuses_what_does_not_fit(asked, tmp_path, m
 )
 def test_all_models_have_outputs_of_their_own(ends, status, asked, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("protochain.structure.read.model_numbers", lambda source: [3, 7])
+    monkeypatch.setattr("protochain.structure.preparation.read.model_numbers", lambda source: [3, 7])
     asked.ends = map(Solution, ends)
     assert run("minimise", "a.pdb", "--model", "all", "--json", "-o", "d/b.cif") == status
     records = json.loads(capsys.readouterr().out)["models"]

@@ -13,7 +13,7 @@ from fixtures.samples import load
 import protochain as pc
 from protochain.cli import frames as of_frames
 from protochain.cli import terminal
-from protochain.structure.frames import open_frames
+from protochain.structure.formats.frames import open_frames
 
 SMALL = "ala10.pdb"
 

@@ -23,7 +23,7 @@ from protochain.cli import as_said
 from protochain.cli.options import BAD_INPUT
 from protochain.core.errors import ProtochainError
 from protochain.core.settings import settings_of
-from protochain.structure.trajectory import TrajectoryFile
+from protochain.structure.formats.trajectory import TrajectoryFile
 
 pytestmark = [pytest.mark.usefixtures("interruptible"), pytest.mark.slow]
 

@@ -11,10 +11,10 @@ from fixtures.tolerances import RMSD_ANGSTROM
 
 import protochain as pc
 from protochain.comparison.deviation import deviation, rmsd_table
-from protochain.structure.files import parse
+from protochain.structure.formats.files import parse
 from protochain.structure.matching import match
+from protochain.structure.preparation.trace import alpha_trace
 from protochain.structure.superpose import rmsd
-from protochain.structure.trace import alpha_trace
 
 PAIRS = [
     ("1ake_A.pdb", 1, "4ake_A_H.pdb", 1),

@@ -24,7 +24,7 @@ from protochain.core import storage
 from protochain.core.checkpoints import checkpoint, write_checkpoint
 from protochain.core.errors import WriteError
 from protochain.core.storage import claimed, json_text, temporary_stem, write_atomically
-from protochain.structure.trajectory import TrajectoryFile
+from protochain.structure.formats.trajectory import TrajectoryFile
 
 SAMPLE = STRUCTURES / "ala10.pdb"
 

@@ -17,7 +17,7 @@ from openmm import app
 import protochain as pc
 from protochain.energies import as_energy, factory, untrusted
 from protochain.energies.custom import CustomEnergy, check_forces
-from protochain.structure.templates import _amber
+from protochain.structure.molecule.templates import _amber
 
 
 def by_the_force_field(name, *files):

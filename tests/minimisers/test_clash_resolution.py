@@ -26,7 +26,7 @@ from protochain.minimisers.spaces import spaces
 from protochain.minimisers.stages import walk
 from protochain.minimisers.start_warnings import FAR, Straying, is_crowded, outlook, strayed
 from protochain.minimisers.unthread import Push, push_of
-from protochain.structure.chirality import changed_stereocentres
+from protochain.structure.molecule.chirality import changed_stereocentres
 from protochain.structure.superpose import rmsd_angstrom
 from protochain.validation import threaded_rings
 

@@ -13,7 +13,7 @@ from protochain.cli import main
 from protochain.minimisers import METHODS, Status
 from protochain.minimisers.solution import SIZES, TRACE_COLUMNS
 from protochain.minimisers.verdict import verdict
-from protochain.structure.chirality import changed_stereocentres
+from protochain.structure.molecule.chirality import changed_stereocentres
 from protochain.structure.superpose import superpose
 
 MAIN, OTHERS = ("kcm", "hybrid"), ("1ejg.pdb", "1ubq.cif", "3i40.pdb")

@@ -9,7 +9,7 @@ from fixtures.samples import STRUCTURES, chain, load
 
 import protochain as pc
 from protochain.minimisers import Descent, Direction, Euclidean, Fixed
-from protochain.structure.frames import open_frames
+from protochain.structure.formats.frames import open_frames
 
 
 @pytest.fixture(scope="module")

@@ -112,13 +112,13 @@ def in_columns(name="columns.npz"):
     ("patched", "act", "said"),
     [
         ({}, lambda: pc.load(cut("ala10.pdb")), "cut.pdb.gz: not a whole gzip file .*; download it again"),
-        ({"structure.files._BYTES": 99}, lambda: pc.load(STRUCTURES / "ala10.pdb"), "larger than"),
+        ({"structure.formats.files._BYTES": 99}, lambda: pc.load(STRUCTURES / "ala10.pdb"), "larger than"),
         (
             {"structure.write._PDB_SERIALS": 50}, lambda: pc.save(ala(), "a.pdb"),
             "a.pdb: 103 atoms do not fit a PDB file; write .cif instead",
         ),
         (
-            {"structure.pka._PER_CHAIN": 0}, lambda: pc.load(STRUCTURES / "ala10.pdb", ph="auto"),
+            {"structure.preparation.pka._PER_CHAIN": 0}, lambda: pc.load(STRUCTURES / "ala10.pdb", ph="auto"),
             "ph auto: 10 residues are too many for PROPKA",
         ),
         (

@@ -10,9 +10,9 @@ import protochain as pc
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
 from protochain.relaxation.presets import PRESETS
 from protochain.relaxation.rounds import Relaxer
-from protochain.structure.chirality import chiral_atoms, mirror_images, wrong_atoms
-from protochain.structure.repairs import Kind
-from protochain.structure.residues import Residue
+from protochain.structure.molecule.chirality import chiral_atoms, mirror_images, wrong_atoms
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.residues import Residue
 
 BACKBONE = ("N", "CA", "C", "O", "OXT", "H", "H1", "H2", "H3")
 

@@ -14,7 +14,7 @@ from protochain.batches import mutation_scan
 from protochain.batches.mutation_scan import heat_map, sites_of
 from protochain.core.errors import ProtochainError
 from protochain.relaxation.mutations import NEAR, mutated, places_of, protocol
-from protochain.structure.residues import STANDARD
+from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.substitute import substituted
 
 FAST = {"solvent": "vacuum", "threads": 1}

@@ -25,8 +25,8 @@ from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.relax_structure import _spoiled, relax_structure
 from protochain.relaxation.rounds import Relaxer
 from protochain.relaxation.wrong import Wrong
-from protochain.structure.chirality import wrong_atoms
-from protochain.structure.residues import VAN_DER_WAALS
+from protochain.structure.molecule.chirality import wrong_atoms
+from protochain.structure.molecule.residues import VAN_DER_WAALS
 from protochain.validation import violations
 
 STIFF = 4184.0

@@ -20,7 +20,7 @@ from protochain.energies.native.terms import compile_system
 from protochain.relaxation.repack import repacked, troubled
 from protochain.relaxation.rotamer_energies import Interactions
 from protochain.relaxation.rotamers import _with_hydrogen, rotamers_of
-from protochain.structure import residues
+from protochain.structure.molecule import residues
 from protochain.structure.select import select
 from protochain.structure.sidechains.arms import Arm, backbone_of, wrapped
 from protochain.structure.sidechains.assignment import best

@@ -6,7 +6,7 @@ import pytest
 from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.repairs import Kind
 
 
 def written(tmp_path, change):

@@ -16,10 +16,10 @@ import protochain as pc
 from protochain.energies.factory import build_system
 from protochain.ligands.dictionary import component
 from protochain.ligands.sources import of_residue, read
-from protochain.structure.bound import _named_apart
-from protochain.structure.chirality import chiral_atoms, volume
 from protochain.structure.ligand_files import poses
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.chirality import chiral_atoms, volume
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.preparation.bound import _named_apart
 from protochain.validation.stereocentres import inverted_stereocentres
 
 Chem, AllChem = (pytest.importorskip(f"rdkit.Chem{name}") for name in ("", ".AllChem"))

@@ -8,17 +8,17 @@ import pytest
 from fixtures.repairs import kinds, noted, sentences
 
 import protochain as pc
-from protochain.structure import fragments
-from protochain.structure.bridges import disulfides
-from protochain.structure.conformation import likeliest, same_place
-from protochain.structure.draft import Draft, Part
-from protochain.structure.kept import Candidate, check_words, choose, report, water_named
-from protochain.structure.links import is_metal
-from protochain.structure.member import Member, atom
-from protochain.structure.recognise import by_element
-from protochain.structure.repairs import Kind
-from protochain.structure.sites import find_links, measure, moves, ties
-from protochain.structure.templates import Template
+from protochain.structure.molecule.links import is_metal
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.templates import Template
+from protochain.structure.preparation import fragments
+from protochain.structure.preparation.bridges import disulfides
+from protochain.structure.preparation.conformation import likeliest, same_place
+from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.kept import Candidate, check_words, choose, report, water_named
+from protochain.structure.preparation.recognise import by_element
+from protochain.structure.preparation.sites import find_links, measure, moves, ties
 
 
 def member(name, number, *atoms, chain="A", code=""):

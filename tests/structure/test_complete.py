@@ -5,13 +5,13 @@ import pytest
 from fixtures.repairs import kinds, sentences
 
 import protochain as pc
-from protochain.structure import complete as module
-from protochain.structure.complete import add_heavy_atoms
-from protochain.structure.draft import Draft, Part
-from protochain.structure.member import Member, atom
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.templates import templates
+from protochain.structure.preparation import complete as module
+from protochain.structure.preparation.complete import add_heavy_atoms
+from protochain.structure.preparation.draft import Draft, Part
 from protochain.structure.sidechains.sites import Site
-from protochain.structure.templates import templates
 
 
 def member(name, number, *atoms, x=0.0):

@@ -11,7 +11,7 @@ import pytest
 from fixtures.command_line import run
 from fixtures.samples import ROOT, STRUCTURES
 
-from protochain.structure.confidences import confidence_files, confidence_in, copy_confidences
+from protochain.structure.formats.confidences import confidence_files, confidence_in, copy_confidences
 
 SAMPLE = STRUCTURES / "1l2y.pdb"
 MODELS = ROOT.parent / "shared" / "complexes" / "models"

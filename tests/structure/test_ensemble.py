@@ -11,7 +11,7 @@ from fixtures.tolerances import ROUND_OFF_NM
 
 import protochain as pc
 from protochain.structure.ensemble import Ensemble
-from protochain.structure.frames import Frame, open_frames
+from protochain.structure.formats.frames import Frame, open_frames
 
 BACKBONE = ("N", "CA", "C", "O", "CB")
 BOX = np.array([[4.0, 0.0, 0.0], [1.0, 3.5, 0.0], [0.5, -0.7, 3.0]])

@@ -10,8 +10,8 @@ from fixtures.samples import ROOT, STRUCTURES, load
 
 import protochain as pc
 from protochain.ligands.dictionary import component
-from protochain.structure.files import parse
-from protochain.structure.repairs import Kind
+from protochain.structure.formats.files import parse
+from protochain.structure.molecule.repairs import Kind
 from protochain.structure.write import as_text
 
 SHARED = ROOT.parent / "shared"

@@ -22,10 +22,10 @@ from pdbfixer.pdbfixer import substitutions
 import protochain as pc
 from protochain.batches import BatchSettings, find_jobs
 from protochain.batches.task import Task
-from protochain.structure import residues
-from protochain.structure.files import parse
-from protochain.structure.read import model_numbers
-from protochain.structure.templates import archive_parent
+from protochain.structure.formats.files import parse
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.templates import archive_parent
+from protochain.structure.preparation.read import model_numbers
 from protochain.structure.write import as_text
 
 FILES = sorted(
@@ -173,7 +173,7 @@ def test_other_records_may_hold_anything(letter, record, tmp_path):
 
 
 def test_too_much_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr("protochain.structure.files.MAX_ATOMS", 100)
+    monkeypatch.setattr("protochain.structure.formats.files.MAX_ATOMS", 100)
     with pytest.raises(pc.ProtochainError, match="more than 100 atoms"):
         parse(STRUCTURES / "1l2y.pdb")
     (tmp_path / "lines.pdb.gz").write_bytes(gzip.compress(b"\n" * 30_000_000))

@@ -8,11 +8,11 @@ import pytest
 from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
-from protochain.structure.flips import settled
-from protochain.structure.member import Member, atom
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.templates import templates
+from protochain.structure.preparation.flips import settled
 from protochain.structure.sidechains.assignment import eliminated
-from protochain.structure.templates import templates
 
 KNOWN = templates()
 

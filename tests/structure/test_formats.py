@@ -7,7 +7,7 @@ from fixtures.recipes import binary_cif
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
-from protochain.structure import foreign
+from protochain.structure.formats import foreign
 
 NAME = "3i40.pdb"
 

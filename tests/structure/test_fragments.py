@@ -11,8 +11,8 @@ from fixtures.tolerances import BOND_KEPT
 
 import protochain as pc
 from protochain.energies.factory import build_system
-from protochain.structure.chirality import with_mirror_images
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.chirality import with_mirror_images
+from protochain.structure.molecule.repairs import Kind
 from protochain.validation.ligands import inverted_double_bonds
 from protochain.validation.stereocentres import inverted_stereocentres
 

@@ -11,7 +11,7 @@ from fixtures.samples import load
 from fixtures.tolerances import IDEAL_NM, PDB_NM, SINGLE_NM, XTC_NM
 
 import protochain as pc
-from protochain.structure.frames import Reading, backbones, open_frames, selection
+from protochain.structure.formats.frames import Reading, backbones, open_frames, selection
 
 SMALL = "1l2y.pdb"
 BOX = np.array([[5.0, 0.0, 0.0], [1.0, 4.5, 0.0], [0.5, -0.7, 4.0]])

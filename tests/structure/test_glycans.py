@@ -16,9 +16,9 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.structure.chirality import changed_stereocentres, chiral_atoms, volume
-from protochain.structure.repairs import Kind
-from protochain.structure.sugars import SUGARS, anomeric_carbon, glycam_names, sugar_centres
+from protochain.structure.molecule.chirality import changed_stereocentres, chiral_atoms, volume
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.sugars import SUGARS, anomeric_carbon, glycam_names, sugar_centres
 
 COMPLEXES = ROOT.parent / "shared" / "complexes"
 info = pytest.importorskip("biotite.structure.info")
@@ -99,8 +99,8 @@ def test_configurations_are_those_of_the_chemical_component_dictionary(name):
 
 @pytest.mark.parametrize("name", SUGARS)
 def test_heavy_atoms_and_hydrogens_are_named_as_in_the_dictionary(name):
-    from protochain.structure.glycans import _template
-    from protochain.structure.member import Member
+    from protochain.structure.molecule.member import Member
+    from protochain.structure.preparation.glycans import _template
 
     template = _template(Member(name, "1", "", "S", []), f"0{SUGARS[name]}")
     own = set(info.residue(name).atom_name.tolist())

@@ -12,10 +12,10 @@ import protochain as pc
 from protochain.chains.contacts import near_pairs
 from protochain.minimisers.loop import Stop
 from protochain.minimisers.verdict import Status, verdict
-from protochain.structure import residues
-from protochain.structure.prepare import prepare
-from protochain.structure.read import read
-from protochain.structure.residues import D_NAMES
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.residues import D_NAMES
+from protochain.structure.preparation.prepare import prepare
+from protochain.structure.preparation.read import read
 
 BACKBONE = ("N", "CA", "C", "O", "OXT")
 OVERLAP, CHI = 0.6, 40.0

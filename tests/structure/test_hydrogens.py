@@ -9,7 +9,7 @@ from openmm import app, unit
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.structure.hydrogens import place_hydrogens
+from protochain.structure.molecule.hydrogens import place_hydrogens
 
 HEAVY_ONLY = ("4pti.pdb", "3i40.pdb")
 LENGTH_NM = 1.01e-3

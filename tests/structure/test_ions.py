@@ -8,8 +8,8 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.energies.factory import build_system
-from protochain.structure import ions
-from protochain.structure.repairs import Why
+from protochain.structure.formats import ions
+from protochain.structure.molecule.repairs import Why
 
 APART = (40.0, 40.0, 40.0)
 """Angstrom: a place that no atom of the peptide coordinates."""

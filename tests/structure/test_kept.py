@@ -17,7 +17,7 @@ import protochain as pc
 from protochain.chains.contacts import overlaps
 from protochain.energies.elements import lennard_jones
 from protochain.mechanics.multibody import HingeKind
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.repairs import Kind
 from protochain.structure.superpose import superpose
 
 SITE_NM = 0.02

@@ -13,7 +13,7 @@ from fixtures.samples import STRUCTURES
 import protochain as pc
 from protochain.ligands.molecule import to_rdkit
 from protochain.ligands.tables import stereo
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.repairs import Kind
 
 Chem = pytest.importorskip("rdkit.Chem")
 AllChem = pytest.importorskip("rdkit.Chem.AllChem")

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.energies.factory import build_system
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.repairs import Kind
 
 chem = pytest.importorskip("rdkit.Chem")
 distances = pytest.importorskip("rdkit.Chem.AllChem")

@@ -15,7 +15,7 @@ from scipy.spatial.distance import pdist
 import protochain as pc
 from protochain.core.checks import sequences
 from protochain.energies.decomposed import residues_of
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.repairs import Kind
 
 CASES = MORE_STRUCTURES.parent / "cases"
 DIGITS = 4e-4

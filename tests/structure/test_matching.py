@@ -12,7 +12,7 @@ import protochain as pc
 from protochain.comparison.deviation import deviation
 from protochain.structure import matching as module
 from protochain.structure.matching import match, tm_score
-from protochain.structure.residues import STANDARD
+from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.superpose import rmsd
 
 NAMES = {letter: name for name, letter in STANDARD.items()} | {"w": "HOH", "x": "HYP"}

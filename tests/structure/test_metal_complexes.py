@@ -13,7 +13,7 @@ from fixtures.tolerances import READ_AGAIN, SUM_OF_CHARGES, TIED_ANGSTROM
 import protochain as pc
 from protochain.ligands.dictionary import component
 from protochain.minimisers.verdict import _stretched
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.repairs import Kind
 
 CASES = "../cases/metals5"
 METALS = ("Fe", "Mg", "Co", "Ni", "Zn", "Mn")

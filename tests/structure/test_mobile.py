@@ -11,9 +11,9 @@ from fixtures.tolerances import NATIVE_FORCE
 import protochain as pc
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.mechanics.multibody import HingeKind
-from protochain.structure.member import Member
-from protochain.structure.recognise import recognised
-from protochain.structure.templates import Template
+from protochain.structure.molecule.member import Member
+from protochain.structure.molecule.templates import Template
+from protochain.structure.preparation.recognise import recognised
 
 TYPES = {"C1": ("lig-C1", "C"), "C2": ("lig-C2", "C"), "O1": ("lig-O", "O"), "HO1": ("lig-H", "H")}
 CHARGE = {"C1": 0.05, "C2": 0.2, "O1": -0.65, "HO1": 0.4}

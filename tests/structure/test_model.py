@@ -9,14 +9,14 @@ from fixtures.molecules import ring
 from openmm import app
 
 import protochain as pc
-from protochain.structure.draft import Draft, Part
-from protochain.structure.member import Member, atom
-from protochain.structure.model import Tie, at_positions
-from protochain.structure.prepare import _bonds, _indices, _refuse_coincident, user_files
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.model import Tie, at_positions
+from protochain.structure.molecule.templates import Template
+from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.prepare import _bonds, _indices, _refuse_coincident, user_files
+from protochain.structure.preparation.sites import Link
 from protochain.structure.select import select
-from protochain.structure.sites import Link
 from protochain.structure.superpose import ca_rmsd, motion, rmsd, rmsd_angstrom, superpose
-from protochain.structure.templates import Template
 
 S = ring()
 

@@ -13,9 +13,9 @@ from protochain.core.graph import bond_angles
 from protochain.energies.factory import build_system
 from protochain.ligands.protonation import Charged, at_ph
 from protochain.ligands.sources import from_dictionary
-from protochain.structure.chirality import chiral_atoms
-from protochain.structure.repairs import Kind, Why
-from protochain.structure.residues import OF_ALANINE
+from protochain.structure.molecule.chirality import chiral_atoms
+from protochain.structure.molecule.repairs import Kind, Why
+from protochain.structure.molecule.residues import OF_ALANINE
 from protochain.validation.omega import omegas
 
 pytest.importorskip("rdkit")
@@ -178,7 +178,7 @@ def test_else_it_becomes_its_parent(tmp_path, monkeypatch):
     def absent(name):
         raise ImportError(name)
 
-    from protochain.structure import capped
+    from protochain.structure.preparation import capped
 
     capped._parametrised.cache_clear()
     monkeypatch.setattr(extras.importlib, "import_module", absent)

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import protochain as pc
 from protochain.energies.factory import build_system
 from protochain.ligands.sources import from_dictionary
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.repairs import Kind
 
 pytest.importorskip("rdkit")
 pytest.importorskip("dimorphite_dl")

@@ -9,8 +9,8 @@ from fixtures.tolerances import PDB_ROUNDING_NM
 
 import protochain as pc
 from protochain.minimisers.chirality_restraint import ChiralityRestraint
-from protochain.structure.repairs import Kind, Why
-from protochain.structure.residues import D_NAMES
+from protochain.structure.molecule.repairs import Kind, Why
+from protochain.structure.molecule.residues import D_NAMES
 from protochain.structure.write import as_text
 
 BACKBONE = ("N", "CA", "C", "O")

@@ -10,9 +10,9 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.energies.factory import build_system
-from protochain.structure.chirality import chiral_atoms, volume
-from protochain.structure.repairs import Kind
-from protochain.structure.residues import NUCLEIC
+from protochain.structure.molecule.chirality import chiral_atoms, volume
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.residues import NUCLEIC
 
 
 @pytest.fixture(scope="module")

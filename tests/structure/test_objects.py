@@ -7,8 +7,8 @@ import pytest
 from fixtures.molecules import ring
 
 import protochain as pc
-from protochain.structure import foreign
 from protochain.structure.convert import to_mdanalysis
+from protochain.structure.formats import foreign
 
 S = ring()
 

@@ -11,7 +11,7 @@ import pytest
 from fixtures.samples import STRUCTURES, load, shared
 
 import protochain as pc
-from protochain.structure import header
+from protochain.structure.molecule import header
 from protochain.structure.write import as_text, check_fits
 
 ENTRIES = (

@@ -9,9 +9,9 @@ import gemmi
 import pytest
 
 import protochain as pc
-from protochain.structure import files
-from protochain.structure.files import check, parse
-from protochain.structure.repairs import Kind
+from protochain.structure.formats import files
+from protochain.structure.formats.files import check, parse
+from protochain.structure.molecule.repairs import Kind
 
 ATOM = "ATOM      1  CA  ALA A   1       1.000   2.000   3.000  1.00  0.00           C  "
 """80 columns."""

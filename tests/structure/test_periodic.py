@@ -10,8 +10,8 @@ from scipy.spatial.distance import pdist
 
 import protochain as pc
 from protochain.structure.ensemble import Ensemble
-from protochain.structure.frames import open_frames
-from protochain.structure.repairs import Kind
+from protochain.structure.formats.frames import open_frames
+from protochain.structure.molecule.repairs import Kind
 
 TRUNCATED = gemmi.UnitCell(44.0, 44.0, 44.0, 109.4712206, 109.4712206, 109.4712206)
 BOXES = {

@@ -8,8 +8,8 @@ from fixtures.samples import STRUCTURES
 
 import protochain as pc
 from protochain.energies.factory import build_system
-from protochain.structure.repairs import Why
-from protochain.structure.templates import PHOSPHATES
+from protochain.structure.molecule.repairs import Why
+from protochain.structure.molecule.templates import PHOSPHATES
 from protochain.validation.strain import strain
 
 SITES = {("A", 20): "SEP", ("A", 22): "TPO", ("A", 59): "PTR"}

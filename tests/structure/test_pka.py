@@ -8,9 +8,9 @@ import pytest
 from fixtures.samples import STRUCTURES, shared
 
 import protochain as pc
-from protochain.structure.member import Member, atom
-from protochain.structure.protonate import _at_ph
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.preparation.protonate import _at_ph
 
 STATES = {"ASP": "ASH", "GLU": "GLH", "HIS": "HIP", "CYS": "CYM", "LYS": "LYN"}
 

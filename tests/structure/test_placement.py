@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from protochain.core.arrays import sphere
-from protochain.structure import hydrogens as module
-from protochain.structure.hydrogens import place_hydrogens
+from protochain.structure.molecule import hydrogens as module
+from protochain.structure.molecule.hydrogens import place_hydrogens
 
 LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336, "P": 0.109}
 SHIFT = np.array([1.0, -2.0, 0.5])

@@ -8,12 +8,12 @@ import pytest
 from fixtures.repairs import noted
 
 from protochain.cli.options import as_option
-from protochain.structure.draft import Draft, Part
-from protochain.structure.member import Member, atom
-from protochain.structure.protonate import protonate
-from protochain.structure.repairs import EVERYTHING, Kind, Repair, summarised
-from protochain.structure.residues import Residue
-from protochain.structure.templates import templates
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.repairs import EVERYTHING, Kind, Repair, summarised
+from protochain.structure.molecule.residues import Residue
+from protochain.structure.molecule.templates import templates
+from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.protonate import protonate
 
 
 def residue(name, number, occupancies):

@@ -6,12 +6,12 @@ from fixtures.repairs import sentences
 
 import protochain as pc
 from protochain.core.checks import acidity
-from protochain.structure import protonate as module
-from protochain.structure.draft import Draft, Part
-from protochain.structure.member import Member, atom
-from protochain.structure.protonate import protonate
-from protochain.structure.repairs import Kind
-from protochain.structure.templates import Template, templates
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.templates import Template, templates
+from protochain.structure.preparation import protonate as module
+from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.protonate import protonate
 
 
 def member(name, number=1, *atoms, state=""):

@@ -4,7 +4,7 @@ import pytest
 from fixtures.samples import load
 
 import protochain as pc
-from protochain.structure.repairs import Kind
+from protochain.structure.molecule.repairs import Kind
 from protochain.structure.write import as_text
 
 LINES = [line for line in as_text(load("1l2y.pdb"), ".pdb").splitlines() if line.startswith("ATOM")]

@@ -7,13 +7,13 @@ from fixtures.repairs import kinds, sentences
 from fixtures.samples import STRUCTURES, load
 
 import protochain as pc
-from protochain.structure import read as module
-from protochain.structure.draft import Draft
-from protochain.structure.header import settle
-from protochain.structure.member import atom
-from protochain.structure.read import Reading, read, read_structure
-from protochain.structure.repairs import Kind
-from protochain.structure.templates import archive_parent
+from protochain.structure.molecule.header import settle
+from protochain.structure.molecule.member import atom
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.templates import archive_parent
+from protochain.structure.preparation import read as module
+from protochain.structure.preparation.draft import Draft
+from protochain.structure.preparation.read import Reading, read, read_structure
 
 BACKBONE = ("N", "CA", "C", "O")
 STEP = 3.7

@@ -10,10 +10,17 @@ from fixtures.samples import STRUCTURES, load
 import protochain as pc
 from protochain.core.arrays import dihedral
 from protochain.core.markup import listed
-from protochain.structure import residues
-from protochain.structure.chirality import centres, changed_stereocentres, handedness, inverted_atoms, volume
-from protochain.structure.member import Member, atom
-from protochain.structure.read import read
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.chirality import (
+    centres,
+    changed_stereocentres,
+    handedness,
+    inverted_atoms,
+    volume,
+)
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.templates import templates
+from protochain.structure.preparation.read import read
 from protochain.structure.sidechains import arms, packing
 from protochain.structure.sidechains.arms import wrapped
 from protochain.structure.sidechains.ideal import (
@@ -30,7 +37,6 @@ from protochain.structure.sidechains.packing import Choices, choosable, packed
 from protochain.structure.sidechains.packing_energies import Kinds, rarity, table
 from protochain.structure.sidechains.rotamers import rotamers
 from protochain.structure.sidechains.sites import Site
-from protochain.structure.templates import templates
 
 NAMES = tuple(residues.STANDARD)
 ORIGIN = np.zeros(3)

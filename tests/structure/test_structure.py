@@ -7,7 +7,7 @@ from fixtures.samples import STRUCTURES, load, shared
 import protochain as pc
 from protochain.core.arrays import dihedral
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.structure.read import read
+from protochain.structure.preparation.read import read
 from protochain.structure.write import as_text
 
 OXYGEN_NM = 0.02
@@ -138,7 +138,7 @@ def test_a_cut_file_is_refused_wherever_it_was_cut(name, tmp_path):
 def test_every_amino_acid_is_built_with_standard_geometry():
     sequence = "ACDEFGHIKLMNPQRSTVWY"
     s = pc.from_sequence(sequence.lower())
-    from protochain.structure.residues import STANDARD
+    from protochain.structure.molecule.residues import STANDARD
 
     assert "".join(STANDARD[name] for name in s.residue_name) == sequence
     assert set(s.residue_chain) == {"A"} and list(s.residue_number) == [str(i) for i in range(1, 21)]

@@ -8,9 +8,9 @@ from fixtures.samples import STRUCTURES, load, shared
 import protochain as pc
 from protochain.chains.hinges import find_hinges
 from protochain.core.arrays import dihedral
-from protochain.structure.chirality import with_mirror_images, wrong_atoms
-from protochain.structure.repairs import Kind
-from protochain.structure.residues import STANDARD
+from protochain.structure.molecule.chirality import with_mirror_images, wrong_atoms
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.substitute import substituted
 
 LYSOZYME = STRUCTURES / "1hel.pdb"

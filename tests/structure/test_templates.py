@@ -3,16 +3,16 @@
 import pytest
 
 import protochain as pc
-from protochain.structure.draft import Draft, Part
-from protochain.structure.member import Member, atom
-from protochain.structure.recognise import _matched
-from protochain.structure.templates import (
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.templates import (
     Template,
     rename,
     standard_name,
     template_name,
     templates,
 )
+from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.recognise import _matched
 
 OWN = """\
 <ForceField><AtomTypes><Type name="n" element="N"/><Type name="c" element="C"/><Type name="h" element="H"/>

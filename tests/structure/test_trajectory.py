@@ -8,7 +8,7 @@ import pytest
 from fixtures.molecules import ring
 
 import protochain as pc
-from protochain.structure.trajectory import TrajectoryFile, check_trajectory
+from protochain.structure.formats.trajectory import TrajectoryFile, check_trajectory
 
 FRAME = {".dcd": 3 * (14 * 4 + 8), ".XTC": 128, ".xtc": 128}
 """Bytes of a frame of 14 atoms: three records of floats between two counts; as OpenMM packs them."""

@@ -8,7 +8,7 @@ from rdkit import Chem
 from rdkit.Chem import AllChem
 
 import protochain as pc
-from protochain.structure.chirality import chiral_atoms
+from protochain.structure.molecule.chirality import chiral_atoms
 
 
 def case(name):

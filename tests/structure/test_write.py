@@ -10,7 +10,7 @@ from fixtures.repairs import noted
 from fixtures.samples import STRUCTURES
 
 import protochain as pc
-from protochain.structure.header import take_header
+from protochain.structure.molecule.header import take_header
 from protochain.structure.write import as_text, check_fits, check_format, common_suffix
 
 RING_PDB = """\

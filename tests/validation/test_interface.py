@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 import protochain as pc
-from protochain.structure.confidences import Confidence, confidence_in
+from protochain.structure.formats.confidences import Confidence, confidence_in
 from protochain.structure.select import select, sides, touching_chains
 from protochain.validation import CONFIDENCES, MAKEUP, SCORES
 from protochain.validation.interface import _unsatisfied

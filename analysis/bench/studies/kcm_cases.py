@@ -40,7 +40,7 @@ from protochain.minimisers.spaces import Torsions
 from protochain.minimisers.start import Start
 from protochain.minimisers.starts import perturbed
 from protochain.structure import Structure, from_sequence, load
-from protochain.structure.residues import CHI, SYMMETRIC
+from protochain.structure.molecule.residues import CHI, SYMMETRIC
 from protochain.structure.superpose import rmsd_angstrom
 
 PEPTIDES = {

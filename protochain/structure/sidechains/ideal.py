@@ -12,7 +12,7 @@ import numpy as np
 
 from protochain.core.arrays import Floats, cross, dihedral
 from protochain.core.graph import within
-from protochain.structure import residues
+from protochain.structure.molecule import residues
 from protochain.structure.sidechains.rotamers import rotamers
 
 Places = dict[str, Floats]

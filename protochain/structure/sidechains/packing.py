@@ -16,8 +16,8 @@ from scipy.spatial import KDTree
 
 from protochain.core.arrays import Floats, Integers
 from protochain.core.graph import within
-from protochain.structure import residues
-from protochain.structure.member import Member
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.member import Member
 from protochain.structure.sidechains.arms import WIDTH, around, wrapped
 from protochain.structure.sidechains.assignment import Assignment, best
 from protochain.structure.sidechains.conflicts import touching

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import dihedral
-from protochain.structure.member import Member
+from protochain.structure.molecule.member import Member
 from protochain.structure.sidechains.ideal import Places
 from protochain.structure.sidechains.rotamers import BACKBONE
 

@@ -1,0 +1,1 @@
+"""Files to and from gemmi's models; nothing is decided here."""

@@ -1,0 +1,204 @@
+"""Atoms of other libraries' objects, and of files that only they read, as a gemmi Structure."""
+
+import io
+import warnings
+from collections.abc import Iterable, Sequence
+from itertools import islice
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import gemmi
+import numpy as np
+from openmm import app, unit
+
+from protochain.core.checks import shown
+from protochain.core.errors import StructureError
+from protochain.core.extras import library
+from protochain.core.storage import regular
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.molecule.member import atom
+
+_POSITIONS = {
+    ".prmtop": (".inpcrd", ".rst7", ".crd"), ".parm7": (".inpcrd", ".rst7", ".crd"),
+    ".psf": (".crd", ".cor", ".pdb", ".coor"),
+}  # fmt: skip
+"""Suffixes of files of positions, by those of the topologies of Amber and CHARMM that they lie with."""
+_ALONE = {".gro": "GRO", ".pqr": "PQR", ".crd": "CRD", ".cor": "CRD"}
+"""Files of one structure, and their format in MDAnalysis."""
+_TOPOLOGY = {its: topology for topology in (".parm7", ".prmtop") for its in (".inpcrd", ".rst7")}
+SUFFIXES = (*_POSITIONS, *_ALONE, *_TOPOLOGY)
+"""Suffixes of what :func:`by_mdanalysis` reads."""
+
+_LIGHTEST = 0.9
+"""amu: what a topology has lighter than this is no atom but a lone pair, a Drude particle or a site."""
+
+
+def by_mdanalysis(path: Path) -> gemmi.Structure:
+    """Read a file of GROMACS (GRO), PQR, or of Amber or CHARMM with that of the same name beside it."""
+    import MDAnalysis
+
+    suffix = path.suffix.lower()
+    if suffix in _TOPOLOGY:
+        topology = _beside(path, (".prmtop", ".parm7"), "topology")
+        files = [topology, path]
+    elif suffix in _POSITIONS:
+        files = [path, _beside(path, _POSITIONS[suffix], "coordinate")]
+    else:
+        # A .crd file beside a topology of Amber is Amber's; that of CHARMM tells atoms from Drude particles.
+        beside = [its for end in _POSITIONS if suffix == ".crd" and (its := path.with_suffix(end)).exists()]
+        files = [*beside[:1], path]
+    formats = {"topology_format": _ALONE[suffix]} if len(files) == 1 else {}
+    if len(files) == 2 and files[0].suffix != ".psf":
+        formats = {"format": "INPCRD"}
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if files[0].suffix.lower() in (".prmtop", ".parm7") and _is_of_charmm(files[0]):
+                return _of_charmm(*files)
+            atoms = MDAnalysis.Universe(*map(str, files), **formats).atoms
+            return _from_mdanalysis(atoms, light=len(files) > 1)
+    except Exception as error:  # Its readers raise of all kinds.
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise StructureError(f"{path}: cannot be read ({reason}); convert it to PDB or mmCIF") from None
+
+
+def _is_of_charmm(topology: Path) -> bool:
+    """Whether a topology in the format of Amber is of CHARMM's force field: its title is a CTITLE."""
+    with regular(topology).open(encoding="utf-8", errors="replace") as file:
+        return any(line.startswith("%FLAG CTITLE") for line in islice(file, _TITLE_LINES))
+
+
+_TITLE_LINES = 10
+
+
+def _of_charmm(topology: Path, positions: Path) -> gemmi.Structure:
+    """Read such a topology by OpenMM: MDAnalysis finds no charges in it."""
+    prmtop = app.AmberPrmtopFile(str(topology))
+    return _from_openmm(prmtop.topology, app.AmberInpcrdFile(str(positions)).positions)
+
+
+def text_of_binary(data: bytes, source: str) -> str:
+    """Return a BinaryCIF file as mmCIF text."""
+    pdbx = library("biotite.structure.io.pdbx")
+    document = gemmi.cif.Document()
+    try:
+        for name, block in pdbx.BinaryCIFFile.read(io.BytesIO(data)).items():
+            made = document.add_new_block(name)
+            for category, columns in block.items():
+                made.set_mmcif_category(
+                    f"_{category}.", {item: _texts(column) for item, column in columns.items()}
+                )
+    except Exception as error:  # Its decoders raise of all kinds.
+        raise StructureError(f"{source}: not a whole BinaryCIF file ({error}); download it again") from None
+    return str(document.as_string(gemmi.cif.WriteOptions(gemmi.cif.Style.Pdbx)))
+
+
+def _texts(column: Any) -> list[Any]:
+    """Values of a column of BinaryCIF as gemmi takes them: texts, False for ``.`` and None for ``?``."""
+    texts = column.data.array.astype(str).tolist()
+    marks = [0] * len(texts) if column.mask is None else column.mask.array.tolist()
+    return [(text, False, None)[mark] for text, mark in zip(texts, marks, strict=True)]
+
+
+def _beside(path: Path, suffixes: Iterable[str], what: str) -> Path:
+    """File of the same name with one of these suffixes."""
+    tried = [path.with_suffix(suffix) for suffix in suffixes]
+    found = next((each for each in tried if each.is_file()), None)
+    if found is None:
+        names = ", ".join(each.name for each in tried)
+        raise StructureError(f"{path}: its {what} file is missing; put one of {names} into the same folder")
+    return found
+
+
+def as_gemmi(source: Any) -> gemmi.Structure:
+    """Atoms of an object of another library, as :func:`protochain.as_structure` takes it."""
+    if isinstance(source, gemmi.Structure):
+        return source.clone()
+    if isinstance(source, tuple | list) and len(source) == 2 and isinstance(source[0], app.Topology):
+        return _from_openmm(*source)
+    # Recognised by attributes: a test of the type would have to import the library.
+    if hasattr(source, "xyz") and hasattr(source, "topology"):
+        return _from_openmm(source.topology.to_openmm(), np.asarray(source.xyz[0], dtype=float))
+    if hasattr(source, "atoms") and hasattr(source.atoms, "residues"):
+        return _from_mdanalysis(source.atoms)
+    raise StructureError(
+        f"{shown(source)}: give a file, a Structure, a gemmi Structure, an mdtraj Trajectory, an "
+        "MDAnalysis Universe or AtomGroup, or an OpenMM Topology with its positions"
+    )
+
+
+def _from_openmm(topology: app.Topology, positions: Any) -> gemmi.Structure:
+    if unit.is_quantity(positions):
+        positions = positions.value_in_unit(unit.nanometer)
+    x = ANGSTROM_PER_NM * np.asarray(positions, dtype=float).reshape(-1, 3)
+    if len(x) != topology.getNumAtoms():
+        raise StructureError(f"{len(x)} positions do not fit a topology of {topology.getNumAtoms()} atoms")
+    model = gemmi.Model(1)
+    for chain in topology.chains():
+        made = gemmi.Chain(chain.id or " ")
+        for residue in chain.residues():
+            atoms = [
+                atom(each.name, each.element.symbol if each.element else "X", x[each.index].tolist())
+                for each in residue.atoms()
+            ]
+            made.add_residue(_residue(residue.name, str(residue.id), residue.insertionCode.strip(), atoms))
+        model.add_chain(made)
+    vectors = topology.getPeriodicBoxVectors()
+    if vectors is None:
+        return _structure(model)
+    lengths = app.internal.unitcell.computeLengthsAndAngles(vectors)
+    return _structure(model, [*(ANGSTROM_PER_NM * np.array(lengths[:3])), *np.degrees(lengths[3:])])
+
+
+def _from_mdanalysis(group: Any, light: bool = False) -> gemmi.Structure:
+    """Convert atoms; with light, those lighter than hydrogen are marked as pseudo-atoms."""
+    guess = library("MDAnalysis.guesser.default_guesser").DefaultGuesser(None).guess_atom_element
+    model = gemmi.Model(1)
+    has = {name: hasattr(group, name) for name in ("chainIDs", "icodes", "elements", "tempfactors")}
+    chains: dict[str, gemmi.Chain] = {}
+    for residue in group.residues:
+        mine = group[group.resindices == residue.resindex]
+        chain_id = str(mine[0].chainID if has["chainIDs"] and mine[0].chainID else residue.segid)
+        chain_id = "" if chain_id == _NO_SEGMENT else chain_id
+        atoms = [
+            atom(
+                str(each.name),
+                str((has["elements"] and each.element) or guess(str(each.name))),
+                [float(value) for value in each.position],
+                float(each.tempfactor) if has["tempfactors"] else nan,
+            )
+            for each in mine
+        ]
+        for made_atom, source in zip(atoms, mine, strict=True) if light else ():
+            if source.mass < _LIGHTEST:
+                made_atom.element, made_atom.calc_flag = gemmi.Element("X"), gemmi.CalcFlag.Dummy
+        code = str(residue.icode).strip() if has["icodes"] else ""
+        made = chains.setdefault(chain_id, gemmi.Chain(chain_id or " "))
+        made.add_residue(_residue(str(residue.resname), str(residue.resid), code, atoms))
+    for made in chains.values():
+        model.add_chain(made)
+    return _structure(model, getattr(group, "dimensions", None))
+
+
+_NO_SEGMENT = "SYSTEM"
+"""What MDAnalysis calls that of a file without any."""
+
+
+def _residue(name: str, number: str, insertion_code: str, atoms: Iterable[gemmi.Atom]) -> gemmi.Residue:
+    made = gemmi.Residue()
+    made.name = name
+    made.seqid = gemmi.SeqId(int(number), insertion_code or " ")
+    for each in atoms:
+        each.occ = 1.0
+        made.add_atom(each)
+    return made
+
+
+def _structure(model: gemmi.Model, cell: Sequence[float] | None = None) -> gemmi.Structure:
+    """Return a structure of a model, with the lengths (angstrom) and angles (degrees) of its box."""
+    made = gemmi.Structure()
+    made.add_model(model)
+    if cell is not None and all(cell):
+        made.cell = gemmi.UnitCell(*map(float, cell))
+    return made

@@ -1,0 +1,541 @@
+"""Frames of ensembles and trajectories, read one after the other: memory does not grow with their number.
+
+MDAnalysis reads XTC, TRR, DCD and NetCDF, gemmi the models of PDB and mmCIF files, numpy NPZ. A frame that
+cannot be read has the reason in its place, and stops no other.
+"""
+
+import math
+import re
+import struct
+import warnings
+import zipfile
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers, Value
+from protochain.core.checkpoints import check_sizes, head_of
+from protochain.core.checks import plain, shown
+from protochain.core.errors import Argument, ProtochainError, StructureError, refused
+from protochain.core.storage import regular
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.formats.files import SUFFIXES, format_of, in_file_order, parse
+
+ALL = "all"
+"""Selection of all frames."""
+
+
+@dataclass(frozen=True, eq=False)
+class Frame(Value):
+    """One frame of an ensemble."""
+
+    index: int  # Its place among all frames, from 0.
+    x: Floats | None  # (n, 3) nm: Positions of the atoms of the file; None if it cannot be read.
+    # (3, 3) nm: Vectors of the periodic box, a row each; None if the file states none.
+    box: Floats | None = None
+    time: float | None = None  # ps.
+    why: str = ""  # Why it cannot be read.
+
+
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Frames of an ensemble, or some of them; may be iterated more than once."""
+
+    source: str  # What they are read from, for messages.
+    count: int  # Of all frames of the source.
+    n_atoms: int
+    # Takes places of frames, and yields each as it is taken.
+    read: Callable[[Iterable[int]], Iterator[Frame]]
+    chosen: Sequence[int]  # Places of those that are wanted.
+    names: tuple[str, ...] = ()  # Of atoms, as ``Origin`` has them; empty if the source does not say.
+    path: Path | None = None  # File from which other processes can read them.
+    # Of a protein of which a frame has N, CA, C and O of each residue alone; X if the file does not tell it.
+    sequence: str = ""
+
+    def __len__(self) -> int:
+        return len(self.chosen)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return self.read(self.chosen)
+
+    def without_first(self, n: int) -> "Frames":
+        """Leave out the first n of the frames that are wanted."""
+        return self._with(self.chosen[n:])
+
+    def _with(self, chosen: Sequence[int]) -> "Frames":
+        kept = {name: its for name, its in vars(self).items() if name != "chosen"}
+        return Frames(**kept, chosen=chosen)
+
+    def select(self, asked: Any) -> "Frames":
+        """Choose frames: ``all``, a number, ``START:STOP:STEP``, as Python has them, or a list of these."""
+        words = asked.split(",") if isinstance(asked, str) else asked
+        parts = words if isinstance(words, list | tuple) else [words]
+        each = [range(self.count)[selection(part, "frames")] for part in parts]
+        if not parts or not all(each):
+            raise ProtochainError(
+                f"{self.source}: frames {asked}: none of its {self.count} frames; give others"
+            )
+        some: Sequence[int] = each[0] if len(each) == 1 else [k for its in each for k in its]
+        return self._with(some)
+
+
+class Reading:
+    """Frames read in any order, from a file that stays open."""
+
+    def __init__(self, frames: Frames) -> None:
+        self._asked: deque[int] = deque()
+        self._read = frames.read(iter(self._asked.popleft, None))
+
+    def at(self, k: int) -> Frame:
+        """Read a frame."""
+        self._asked.append(k)
+        return next(self._read)
+
+
+def selection(asked: Any, name: str) -> slice:
+    """Read a selection of frames, as :meth:`Frames.select` takes it."""
+    if asked is None or asked == ALL or isinstance(asked, slice):
+        return asked if isinstance(asked, slice) else slice(None)
+    if isinstance(asked, range):
+        return slice(asked.start, asked.stop, asked.step)
+    found = _SELECTION.fullmatch("".join(str(asked).split()))
+    if not found or found["step"] == "0":
+        raise ProtochainError(
+            Argument(name), f" {shown(asked)}: give all, a number, or START:STOP:STEP, as 0:1000:10"
+        )
+    start, stop, step = (int(its) if (its := found[part]) else None for part in ("start", "stop", "step"))
+    if found["several"] is None:
+        return slice(start, None if start == -1 else (start or 0) + 1)
+    return slice(start, stop, step)
+
+
+_SELECTION = re.compile(
+    r"(?P<start>-?\d{1,12})?(?P<several>:(?P<stop>-?\d{1,12})?(:(?P<step>\d{1,12})?)?)?(?<!^)"
+)
+
+
+def trajectories(folder: Path) -> list[Path]:
+    """Trajectories below a folder, by their names; ``.npz`` may be anything."""
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in {*_READERS} - {".npz"})
+
+
+def open_frames(source: Any, frames: Any = None) -> Frames:
+    """Open an ensemble."""
+    opened = source if isinstance(source, Frames) else _opened(source)
+    if not opened.count:
+        raise StructureError(f"{opened.source}: holds no frames; give a trajectory, or a file with models")
+    return opened if frames is None else opened.select(frames)
+
+
+def _opened(source: Any) -> Frames:
+    if isinstance(source, str | Path):
+        path = Path(source)
+        own = _models if format_of(path) else _READERS.get(path.suffix.lower())
+        if own is None:
+            known = ", ".join([*_READERS, *SUFFIXES])
+            raise StructureError(
+                f"{path}: unknown suffix {path.suffix!r} of a trajectory; use one of {known}"
+            )
+        if not path.exists():
+            raise StructureError(f"{path}: not found; check the name")
+        return own(regular(path))
+    if hasattr(source, "xyz") and hasattr(source, "unitcell_vectors"):
+        return _of_arrays("frames", source.xyz, source.unitcell_vectors, source.time)
+    if hasattr(source, "atoms") and hasattr(source.atoms, "universe"):
+        return _of_universe(source.atoms)
+    try:
+        x = np.asarray(plain(source, "nanometer", "frames"), dtype=float)
+    except (TypeError, ValueError):
+        raise refused("frames", shown(source), "give positions (frames, atoms, 3) in nm, or a file") from None
+    if x.ndim != 3 or x.shape[2] != 3:
+        raise StructureError(
+            f"frames: has shape {x.shape}; give positions (frames, atoms, 3) in nm, or a file"
+        )
+    return _of_arrays("frames", x)
+
+
+def _all_of(source: str | Path, count: int, n_atoms: int, read: Any, **more: Any) -> Frames:
+    path = source if isinstance(source, Path) else None
+    return Frames(str(source), count, n_atoms, read, range(count), path=path, **more)
+
+
+def _of_arrays(source: str, x: Any, boxes: Any = None, times: Any = None) -> Frames:
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
+        for k in chosen:
+            yield Frame(
+                k,
+                _own(x[k]),
+                None if boxes is None else _box(boxes[k]),
+                None if times is None else float(times[k]),
+            )
+
+    return _all_of(source, len(x), x.shape[1], read)
+
+
+def _own(x: Any, scale: float = 1.0) -> Floats:
+    """Copy of positions in nm: readers use their memory again."""
+    return np.array(x, dtype=float) / scale
+
+
+def _box(vectors: Any) -> Floats | None:
+    """Vectors of a box, nm; None where they are zeros or of 1 angstrom, as files without a box have them."""
+    box = np.array(vectors, dtype=float).reshape(3, 3)
+    is_box = np.isfinite(box).all() and np.linalg.norm(box, axis=1).min() > _THINNEST
+    return box if is_box and abs(np.linalg.det(box)) > _THINNEST**3 else None
+
+
+_THINNEST = 0.3
+"""nm. No molecule has a cell as thin as this."""
+
+
+def _of_universe(atoms: Any) -> Frames:
+    trajectory = atoms.universe.trajectory
+
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
+        for k in chosen:
+            step = trajectory[k]
+            yield Frame(k, _own(atoms.positions, ANGSTROM_PER_NM), _of_dimensions(step), float(step.time))
+
+    return _all_of("frames", len(trajectory), len(atoms), read)
+
+
+def _of_dimensions(step: Any) -> Floats | None:
+    return None if step.dimensions is None else _box(step.triclinic_dimensions / ANGSTROM_PER_NM)
+
+
+def _xdr(path: Path, kind: "_Kind") -> Frames:
+    """XTC and TRR. MDAnalysis's own readers would write a file of offsets beside that of the user."""
+    from MDAnalysis.lib.formats import libmdaxdr
+
+    begins, damaged, n_atoms = _xdr_frames(path, kind)
+
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
+        with getattr(libmdaxdr, f"{kind.name}File")(str(path)) as file, path.open("rb") as raw:
+            file.set_offsets(begins)
+            for k in chosen:
+                why = damaged.get(k, "")
+                try:
+                    if not why and not kind.is_sound(raw, int(begins[k]), n_atoms):
+                        why = "it is damaged"
+                    if not why:
+                        file.seek(k)
+                        frame = file.read()
+                except (OSError, EOFError, StopIteration, RuntimeError, ValueError) as error:
+                    why = f"cannot be read ({error})"
+                if why:
+                    yield Frame(k, None, why=why)
+                else:
+                    yield Frame(k, _own(frame.x), _box(frame.box), float(frame.time))
+
+    return _all_of(path, len(begins), n_atoms, read)
+
+
+def _xdr_frames(path: Path, kind: "_Kind") -> tuple[Integers, dict[int, str], int]:
+    """Bytes at which frames begin, what is wrong with those that would crash the library, atoms."""
+    with path.open("rb") as raw, _refusing(path), mmap(raw.fileno(), 0, access=ACCESS_READ) as data:
+        size, begins, damaged = len(data), list[int](), dict[int, str]()
+        first = bytes(data[: kind.head])
+        head = first[: kind.same]
+        if len(head) < kind.same or len(first) < kind.atoms + 4 or not head.startswith(kind.magic):
+            raise StructureError(f"{path}: is no {kind.name} file; give a trajectory")
+        (n_atoms,) = struct.unpack(">i", first[kind.atoms : kind.atoms + 4])
+        at = 0
+        while at < size:
+            begins.append(at)
+            end = kind.end(bytes(data[at : at + kind.head]), n_atoms)
+            if not end:
+                damaged[len(begins) - 1] = "it is damaged"
+            elif at + end > size:
+                damaged[len(begins) - 1] = "the file ends within it"
+            after = at + end
+            if not end or after > size or (after < size and bytes(data[after : after + kind.same]) != head):
+                # Where the next one begins; a long step between may hold several.
+                if end > 0 and after < size:
+                    damaged[len(begins) - 1] = "it is damaged"
+                after = data.find(head, at + 8)
+                after = size if after < 0 else after
+            at = after
+    return np.array(begins, dtype=np.int64), damaged, n_atoms
+
+
+def xtc_end(head: bytes, n_atoms: int) -> int:
+    """Bytes of a frame of XTC by its head; 0 if that is none."""
+    if len(head) < 8 or struct.unpack(">2i", head[:8]) != (_XTC_MAGIC, n_atoms):
+        return 0
+    if n_atoms <= _XTC_FEW:
+        return _XTC_RAW + 12 * n_atoms
+    if len(head) < XTC_HEAD:
+        return XTC_HEAD
+    again, _, *limits, small, n_bytes = struct.unpack(">if8i", head[52:])
+    spans = [high - low for low, high in zip(limits[:3], limits[3:], strict=True)]
+    is_sound = again == n_atoms and min(spans) >= 0 and max(spans) < _XTC_SPAN and small in _XTC_SIZES
+    return XTC_HEAD + 4 * -(-n_bytes // 4) if is_sound and 0 <= n_bytes <= 16 * n_atoms else 0
+
+
+def _xtc_is_sound(file: IO[bytes], begin: int, n_atoms: int) -> bool:
+    """Whether a frame packs as many atoms as it should in its bytes; the library unpacks without a look."""
+    # Each place has an atom in full and a bit, which announces a new number of near atoms and of their bits.
+    if n_atoms <= _XTC_FEW:
+        return True
+    file.seek(begin)
+    head = file.read(XTC_HEAD)
+    *limits, small, n_bytes = struct.unpack(">8i", head[60:])
+    spans = [high - low + 1 for low, high in zip(limits[:3], limits[3:], strict=True)]
+    full = sum(map(int.bit_length, spans)) if max(spans) > _XTC_APART else math.prod(spans).bit_length()
+    data, at, i, run = file.read(n_bytes) + b"\0\0", 0, 0, 0
+    while i < n_atoms and small in _XTC_SIZES and at + full < 8 * n_bytes:
+        at += full
+        six = (data[at >> 3] << 8 | data[(at >> 3) + 1]) >> 10 - (at & 7) & 63
+        at += 6 if six > 31 else 1
+        step = (six & 31) % 3 if six > 31 else 1
+        run = (six & 31) // 3 if six > 31 else run
+        at, i = at + run * small, i + 1 + run
+        small += step - 1
+    return i == n_atoms and at <= 8 * n_bytes
+
+
+XTC_HEAD, _XTC_RAW, _XTC_FEW, _XTC_MAGIC = 92, 56, 9, 1995
+"""Bytes of a frame before compressed coordinates, and before others; atoms up to which these are; magic."""
+_XTC_SPAN, _XTC_SIZES, _XTC_APART = 1 << 30, range(9, 73), 0xFFFFFF
+"""Largest span of coordinates in units of the precision; bits of small differences; span from which axes are
+packed apart."""
+
+
+def _trr_end(head: bytes, n_atoms: int) -> int:
+    """Bytes of a frame of TRR by its head; 0 if that is none."""
+    if len(head) < _TRR_HEAD:
+        return 0
+    ir, e, box, virial, pressure, top, sym, x, v, f, n, *_ = struct.unpack(">13i", head[24:76])
+    for real in (4, 8):
+        three = {0, 3 * n_atoms * real}
+        if (
+            n == n_atoms
+            and {box, virial, pressure} <= {0, 9 * real}
+            and {x, v, f} <= three
+            and box + x + v + f
+        ):
+            return 0 if ir or e or top or sym else 76 + 2 * real + box + virial + pressure + x + v + f
+    return 0
+
+
+_TRR_HEAD = 84
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """A kind of file of frames in XDR."""
+
+    name: str
+    magic: bytes  # What a frame begins with.
+    same: int  # Bytes at the beginning that all frames share.
+    atoms: int  # Where the number of atoms is.
+    head: int  # Bytes that ``end`` takes.
+    end: Callable[[bytes, int], int]
+    is_sound: Callable[[IO[bytes], int, int], bool] = lambda *_: True
+
+
+_XTC = _Kind("XTC", struct.pack(">i", _XTC_MAGIC), 8, 4, XTC_HEAD, xtc_end, _xtc_is_sound)
+_TRR = _Kind("TRR", struct.pack(">3i", 1993, 13, 12) + b"GMX_trn_file", 24, 64, _TRR_HEAD, _trr_end)
+
+
+def _mdanalysis(path: Path, kind: str) -> Frames:
+    """DCD and NetCDF, by the readers of MDAnalysis."""
+    import MDAnalysis.coordinates
+
+    make = getattr(getattr(MDAnalysis.coordinates, kind), f"{_CLASSES[kind]}Reader")
+    with path.open("rb") as raw:
+        head = raw.read(8)
+    # Of what is none, the readers complain once more when they are done with.
+    if not (head[4:] == b"CORD" if kind == "DCD" else head[:3] == b"CDF"):
+        raise StructureError(f"{path}: is no {_FORMATS[kind]} file; give a trajectory")
+
+    @contextmanager
+    def opened() -> Iterator[Any]:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with _refusing(path):
+                if kind == "DCD":  # Of what it cannot open, the reader would complain once more at its end.
+                    MDAnalysis.coordinates.DCD.DCDFile(str(path)).close()
+                file = make(str(path))
+        try:
+            yield file
+        finally:
+            with suppress(Exception):  # scipy's NetCDF complains of views of its memory.
+                file.close()
+
+    with opened() as file:
+        count, n_atoms = len(file), file.n_atoms
+    total = max(count, _stated_in_dcd(path) if kind == "DCD" else 0)
+    ends_within = total > count
+
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
+        with opened() as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            for k in chosen:
+                if k == count:
+                    yield Frame(
+                        k, None, why=f"the file ends before it is whole, and should have {total} frames"
+                    )
+                    continue
+                try:
+                    step = file[k]
+                except (OSError, EOFError, ValueError, RuntimeError, IndexError) as error:
+                    yield Frame(k, None, why=f"cannot be read ({error})")
+                    continue
+                yield Frame(k, _own(step.positions, ANGSTROM_PER_NM), _of_dimensions(step), float(step.time))
+
+    return _all_of(path, count + ends_within, n_atoms, read)
+
+
+_CLASSES = {"DCD": "DCD", "TRJ": "NCDF"}
+_FORMATS = {"DCD": "DCD", "TRJ": "NetCDF (version 3)"}
+
+
+def _stated_in_dcd(path: Path) -> int:
+    """Number of frames that the header of a DCD file states; the file may be cut."""
+    with path.open("rb") as file:
+        head = file.read(12)
+    order = "little" if head[:4] == b"T\0\0\0" else "big"
+    stated = int.from_bytes(head[8:12], order)  # type: ignore[arg-type]  # one of the two
+    return stated if stated < _MOST else 0
+
+
+_MOST = 1 << 31
+
+
+@contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Name the file where a library cannot read it."""
+    try:
+        yield
+    except ProtochainError:
+        raise
+    except Exception as error:  # Readers raise anything of damaged files.
+        reason = " ".join(f"{error}".split()) or type(error).__name__
+        raise StructureError(f"{path}: cannot be read as a trajectory: {reason}; write it again") from None
+
+
+def _models(path: Path) -> Frames:
+    """Models of a PDB or mmCIF file."""
+    parsed = parse(path)[0]
+    cell = parsed.cell
+    box = _box(np.array(cell.orth.mat.tolist()).T / ANGSTROM_PER_NM) if cell.is_crystal() else None
+    models = [*parsed]
+    names = tuple(name for name, _ in in_file_order(models[0]))
+
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
+        for k in chosen:
+            at = {name: atom.pos.tolist() for name, atom in in_file_order(models[k])}
+            absent = next((name for name in names if name not in at), None)
+            if absent is None and len(at) == len({*names}):
+                yield Frame(k, _own([at[name] for name in names], ANGSTROM_PER_NM), box)
+            else:
+                other = absent or next(name for name in at if name not in names)
+                what = "lacks" if absent else "has"
+                yield Frame(k, None, why=f"other atoms than the first: it {what} {other}")
+
+    return _all_of(path, len(models), len(names), read, names=names)
+
+
+def _npz(path: Path) -> Frames:
+    """Arrays of numpy; the positions are read frame by frame from the archive."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            shapes = check_sizes(file, packed=True)
+            of_backbones = {"pos", "node_orientations"} <= shapes.keys()
+            name = next((name for name in ("positions", "pos") if name in shapes), None)
+            unit = "nm" if of_backbones else str(file["unit"]) if "unit" in shapes else ""
+            sequence = str(file["sequence"]) if of_backbones and "sequence" in shapes else ""
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise StructureError(
+            f"{path}: cannot be read as NPZ: {error}; write it again by numpy.savez"
+        ) from None
+    if name is None or len(shapes[name]) != 3 or shapes[name][2] != 3:
+        found = ", ".join(f"{name} {shape}" for name, shape in shapes.items()) or "nothing"
+        raise StructureError(f"{path}: holds {found}; give an array positions of (frames, atoms, 3)")
+    if unit not in _UNITS:
+        raise StructureError(
+            f"{path}: does not say the unit of {name}{unit and f', but {unit!r}'}; "
+            "add unit='nm' or unit='angstrom' to its arrays"
+        )
+    count, n_atoms = shapes[name][:2]
+    sequence = sequence or "X" * n_atoms * of_backbones
+    if of_backbones and not (
+        shapes["node_orientations"] == (count, n_atoms, 3, 3) and len(sequence) == n_atoms
+    ):
+        raise StructureError(
+            f"{path}: pos, node_orientations and sequence do not fit each other; write it again"
+        )
+
+    def read(chosen: Iterable[int]) -> Iterator[Frame]:
+        for k, (x,) in _stream(path, (name,), chosen):
+            yield Frame(k, _own(x, _UNITS[unit]))
+
+    def read_backbones(chosen: Iterable[int]) -> Iterator[Frame]:
+        for k, (x, turn) in _stream(path, (name, "node_orientations"), chosen):
+            yield Frame(k, backbones(_own(x), _own(turn)))
+
+    if of_backbones:
+        return _all_of(path, count, 4 * n_atoms, read_backbones, sequence=sequence)
+    return _all_of(path, count, n_atoms, read)
+
+
+_UNITS = {"nm": 1.0, "nanometer": 1.0, "angstrom": ANGSTROM_PER_NM, "A": ANGSTROM_PER_NM}
+
+
+def _stream(path: Path, names: Sequence[str], chosen: Iterable[int]) -> Iterator[tuple[int, list[Any]]]:
+    """Rows of arrays of an archive, one after the other."""
+    with ExitStack() as stack:
+        rows = [
+            stack.enter_context(stack.enter_context(zipfile.ZipFile(path)).open(f"{name}.npy"))
+            for name in names
+        ]
+        heads = [(*head_of(file), file.tell()) for file in rows]
+        for name, (_, fortran, dtype, _) in zip(names, heads, strict=True):
+            if fortran or dtype.hasobject:
+                raise StructureError(f"{path}: {name} is not in C order; write it again by numpy.savez")
+        for k in chosen:
+            found = []
+            for file, (shape, _, dtype, begin) in zip(rows, heads, strict=True):
+                size = int(np.prod(shape[1:])) * dtype.itemsize
+                file.seek(begin + k * size)
+                data = file.read(size)
+                whole = len(data) == size
+                row = np.frombuffer(data, dtype).reshape(shape[1:]) if whole else np.full(shape[1:], np.nan)
+                found.append(row)
+            yield k, found
+
+
+_N, _C = np.array([-0.0525, 0.1363, 0.0]), np.array([0.1526, 0.0, 0.0])
+"""nm: N and C in the frame of a residue, CA at its origin (Jumper et al., Nature 596:583, 2021, supplement
+1.8.4); residues differ by 0.0002."""
+_C_O = 0.123
+"""nm, length of C=O."""
+
+
+def backbones(x: Floats, turn: Floats) -> Floats:
+    """N, CA, C and O (4 n, 3), nm, of residues with CA at x (n, 3), nm, and turned by (n, 3, 3)."""
+    n, c = x + turn @ _N, x + turn @ _C
+    away = _unit(c - x) + _unit(np.vstack([c[:-1] - n[1:], x[-1:] - n[-1:]]))
+    return np.stack([n, x, c, c + _C_O * _unit(away)], axis=1).reshape(-1, 3)
+
+
+def _unit(v: Floats) -> Floats:
+    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), np.finfo(float).tiny))
+
+
+_READERS: dict[str, Callable[[Path], Frames]] = {
+    ".xtc": partial(_xdr, kind=_XTC),
+    ".trr": partial(_xdr, kind=_TRR),
+    ".dcd": partial(_mdanalysis, kind="DCD"),
+    ".nc": partial(_mdanalysis, kind="TRJ"),
+    ".ncdf": partial(_mdanalysis, kind="TRJ"),
+    ".npz": _npz,
+}

@@ -1,0 +1,370 @@
+"""What a file says beside its atoms that gemmi does not carry: authors, terms, confidence, components.
+
+From file to file these are categories of mmCIF in the header; records of a PDB file become the categories
+that hold the same. Rows about residues and molecules that are no longer there are left out.
+"""
+
+import textwrap
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+
+import gemmi
+
+from protochain.ligands import tables
+from protochain.structure.formats.tie_records import CATEGORY, of_remarks
+from protochain.structure.molecule.header import Label
+
+Rows = list[dict[str, str]]
+"""Rows of a category; values as the file has them, with their quotes."""
+
+_MODIFIED = "_pdbx_struct_mod_residue."
+"""gemmi reads and writes it, but not by itself."""
+_ALWAYS = (
+    "_chem_comp.", "_chem_comp_atom.", "_chem_comp_bond.", "_citation.", "_citation_author.",
+    "_pdbx_data_usage.", _MODIFIED, "_database_pdb_remark.", CATEGORY,
+    tables.CATEGORY,
+)  # fmt: skip
+_OF_MODELS = ("_ma_", "_audit_author.", "_audit_conform.", "_software.")
+"""Of predicted models; of an experiment it would be said of positions that are not its own."""
+_COMPONENT = {
+    "_chem_comp.": "id", "_chem_comp_atom.": "comp_id", "_chem_comp_bond.": "comp_id",
+    tables.CATEGORY: "comp_id",
+}  # fmt: skip
+_NO_VALUE = (".", "?")
+_TERMS = 1
+"""Number of the remark in which PDB files of AlphaFold's database, among others, state their terms."""
+_REMARK_WIDTH, _NAME_WIDTH, _TEXT_WIDTH = 68, 55, 60
+_BEFORE_NAMES = ("HELIX", "SHEET", "SSBOND", "LINK", "CISPEP", "CRYST1", "ORIGX", "SCALE", "MTRIX", "MODEL")
+_KINDS = {
+    gemmi.ResidueKind.AA: "L-peptide linking", gemmi.ResidueKind.AAD: "D-peptide linking",
+    gemmi.ResidueKind.PAA: "L-peptide linking", gemmi.ResidueKind.MAA: "L-peptide linking",
+    gemmi.ResidueKind.RNA: "RNA linking", gemmi.ResidueKind.DNA: "DNA linking",
+    gemmi.ResidueKind.PYR: "saccharide", gemmi.ResidueKind.KET: "saccharide",
+}  # fmt: skip
+_READ = ("HETNAM", "REMARK", "JRNL", "PARENT", "PFRMAT")
+_PLDDT = [{"id": "1", "name": "pLDDT", "type": "pLDDT", "mode": "local"}]
+"""B factors of ESMFold and OpenFold, which write PARENT records. Models of CASP have PFRMAT records, too."""
+_ORDERS = {1: "sing", 2: "doub", 3: "trip"}
+
+
+def of_cif(block: gemmi.cif.Block) -> str:
+    """Return the categories of a file that go on to the files written of it, as mmCIF text."""
+    names = block.get_mmcif_category_names()
+    wanted = _ALWAYS + (_OF_MODELS if any(name.startswith("_ma_") for name in names) else ())
+    return _text({name: _rows(block, name) for name in names if name.lower().startswith(wanted)})
+
+
+def of_pdb(text: str, structure: gemmi.Structure) -> str:
+    """Return the records of a PDB file that go on to the files written of it, as mmCIF text."""
+    lines: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        if line.startswith(("ATOM", "HETATM", "MODEL")):
+            break
+        if not line.startswith(_READ):
+            continue
+        # mmCIF has no control characters.
+        plain = line if line.isprintable() else "".join(c if c.isprintable() else " " for c in line)
+        lines.setdefault(plain[:6].strip(), []).append(plain.ljust(80))
+    names: dict[str, list[str]] = {}
+    for line in lines.get("HETNAM", ()):
+        names.setdefault(line[11:14].strip(), []).append(line[15:70].strip())
+    remarks = [line[10:].strip() for line in lines.get("REMARK", ()) if line[6:10].strip() == f"{_TERMS}"]
+    mods = [
+        {"id": f"{k}", "auth_asym_id": mod.chain_name or "?", "auth_seq_id": f"{mod.res_id.seqid.num}",
+         "PDB_ins_code": mod.res_id.seqid.icode.strip() or "?", "label_comp_id": mod.res_id.name,
+         "auth_comp_id": mod.res_id.name, "parent_comp_id": _quoted(mod.parent_comp_id),
+         "details": _quoted(mod.details)}
+        for k, mod in enumerate(structure.mod_residues, 1)
+        if mod.res_id.seqid.num is not None
+    ]  # fmt: skip
+    own = tables.of_remarks(lines.get("REMARK", ()))
+    return _text(
+        {
+            "_chem_comp.": [
+                {"id": _quoted(name), "name": _quoted(_joined(stated))} for name, stated in names.items()
+            ],
+            "_chem_comp_bond.": list(_drawn(structure, tables.known(own))),
+            tables.CATEGORY: own,
+            _MODIFIED: mods,
+            "_database_PDB_remark.": [{"id": f"{_TERMS}", "text": _quoted("\n".join(remarks))}]
+            if remarks
+            else [],
+            **_journal(lines.get("JRNL", ())),
+            CATEGORY: of_remarks(lines.get("REMARK", ())),
+            "_ma_qa_metric.": _PLDDT if "PARENT" in lines and "PFRMAT" not in lines else [],
+        }
+    )
+
+
+def cif_rows(
+    header: str, out: gemmi.Structure, label: Mapping[Label, Label], ligands: Mapping[str, Rows]
+) -> dict[str, Rows]:
+    """Return the categories of a header, about what a structure has, under the names that it has there."""
+    names = {residue.name: residue for model in out for chain in model for residue in chain}
+    there = _There(out, label, names)
+    found = _with(ligands, _categories(gemmi.cif.read_string(header).sole_block()) if header else {})
+    kept = {}
+    for category, given in found.items():
+        if category not in (CATEGORY, _MODIFIED):
+            rows = [now for row in given if (now := there.renamed(category, row))]
+            if rows:
+                kept[category] = [*{tuple(row.items()): row for row in rows}.values()]  # Each once.
+    sequences = (each for entity in out.entities for each in entity.full_sequence)
+    unseen = {name: gemmi.Residue() for each in sequences for name in each.split(",")}
+    return kept | {"_chem_comp.": list(_components(kept.get("_chem_comp.", []), unseen | names))}
+
+
+def _with(ligands: Mapping[str, Rows], found: Mapping[str, Rows]) -> dict[str, Rows]:
+    """Categories with the chemistry of ligands in the place of others of the same components."""
+    named = {row["comp_id"] for given in ligands.values() for row in given}
+    kept = {
+        category: [row for row in given if row.get("comp_id") not in named] if category in ligands else given
+        for category, given in found.items()
+    }
+    return kept | {category: kept.get(category, []) + given for category, given in ligands.items()}
+
+
+def with_component(header: str, ligand: Mapping[str, Rows]) -> str:
+    """Return a header with the tables of a component in the place of others of that component."""
+    found = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
+    return _text(_with(ligand, found))
+
+
+def pdb_lines(header: str, out: gemmi.Structure, ligands: Mapping[str, Rows]) -> tuple[list[str], list[str]]:
+    """Return the records of a PDB file of citation, terms and ligands, and those of the ligands' names."""
+    found = cif_rows(header, out, {}, ligands)
+    citation = [
+        f"JRNL        {name:<4}{k if k > 1 else '':>2} {line}"
+        for name, text in _cited(found)
+        for k, line in enumerate(textwrap.wrap(text, _TEXT_WIDTH), 1)
+    ]
+    terms = [
+        line for row in found.get("_database_PDB_remark.", []) for line in _plain(row["text"]).split("\n")
+    ]
+    for row in found.get("_pdbx_data_usage.", []):
+        words = " ".join(
+            _plain(row[item]) for item in ("type", "details", "url", "name") if _is_given(row, item)
+        )
+        terms += textwrap.wrap(words, _REMARK_WIDTH)
+    het = {
+        residue.name for model in out for chain in model for residue in chain
+        if residue.entity_type == gemmi.EntityType.NonPolymer
+    }  # fmt: skip
+    names = [
+        f"HETNAM  {k if k > 1 else '':>2} {_plain(row['id']):>3} {line}"
+        for row in found["_chem_comp."]
+        if _plain(row["id"]) in het and _is_given(row, "name")
+        for k, line in enumerate(textwrap.wrap(_plain(row["name"]), _NAME_WIDTH), 1)
+    ]
+    stated = [f"REMARK {_TERMS:3} {line}".rstrip() for line in terms]
+    return [*citation, *stated, *tables.as_remarks(found.get(tables.CATEGORY, []))], names
+
+
+def orders(header: str, ligands: Mapping[str, Rows]) -> dict[tuple[str, str, str], int]:
+    """Order of each bond of components, by component and its atoms in alphabetic order."""
+    known = {name: order for order, name in _ORDERS.items()}
+    stated = _categories(gemmi.cif.read_string(header).sole_block()) if header else {}
+    rows = _with(ligands, stated).get("_chem_comp_bond.", [])
+    found = {}
+    for row in rows:
+        first, second = sorted(_plain(row.get(f"atom_id_{k}", "")) for k in (1, 2))
+        order = _plain(row.get("value_order", "")).lower()
+        found[_plain(row["comp_id"]), first, second] = known.get(order[:4], 1)
+    return found
+
+
+def with_names(head: str, names: Sequence[str]) -> str:
+    """Return the head of a PDB file with the names of its ligands in their place."""
+    lines = head.splitlines()
+    at = next((k for k, line in enumerate(lines) if line.startswith(_BEFORE_NAMES)), len(lines))
+    return "".join(f"{line}\n" for line in (*lines[:at], *names, *lines[at:]))
+
+
+def put(block: gemmi.cif.Block, categories: Mapping[str, Rows]) -> None:
+    """Write categories into a block, in the place of those of the same name."""
+    for category, rows in categories.items():
+        if rows:
+            items = dict.fromkeys(item for row in rows for item in row)
+            block.set_mmcif_category(
+                category, {item: [row.get(item, "?") for row in rows] for item in items}, raw=True
+            )
+
+
+class _There:
+    """What is in a structure, by the names that the file read has for it."""
+
+    def __init__(self, out: gemmi.Structure, label: Mapping[Label, Label], names: Collection[str]) -> None:
+        self.names, self.entities = names, {entity.name for entity in out.entities}
+        self.models = {f"{model.num}" for model in out}
+        now = {
+            (residue.subchain, residue.label_seq): residue.name
+            for model in out for chain in model for residue in chain
+        }  # fmt: skip
+        self.residue: dict[tuple[str, str], tuple[str, str, str]] = {}
+        self.asym: dict[str, str] = {}
+        for (asym, seq), new in label.items():
+            if new in now:
+                self.asym.setdefault(asym, new[0])
+                place = (new[0], "." if new[1] is None else f"{new[1]}", now[new])
+                self.residue.setdefault((asym, "." if seq is None else f"{seq}"), place)
+
+    def renamed(self, category: str, row: dict[str, str]) -> dict[str, str] | None:
+        """A row under the present names; none if what it tells of is not there."""
+        if category in _COMPONENT:
+            return row if _plain(row.get(_COMPONENT[category], "?")) in self.names else None
+        row = dict(row)
+        for end in ("", "_1", "_2"):
+            if f"label_asym_id{end}" in row:
+                seq = row.get(f"label_seq_id{end}", ".")
+                asym = _plain(row[f"label_asym_id{end}"])
+                key = (asym, "." if seq in _NO_VALUE else seq)
+                # Predictors number ligands and ions, which have no place in a sequence.
+                now = self.residue.get(key) or self.residue.get((asym, "."))
+                if now is None:
+                    return None
+                values = dict(zip(("asym_id", "seq_id", "comp_id"), now, strict=True))
+                if key not in self.residue:
+                    del values["seq_id"]
+                for item, value in values.items():
+                    if f"label_{item}{end}" in row:
+                        row[f"label_{item}{end}"] = value if value == "." else _quoted(value)
+        for item, value in row.items():
+            if value in _NO_VALUE:
+                continue
+            if item in ("asym_id", "target_asym_id"):
+                if _plain(value) not in self.asym:
+                    return None
+                row[item] = _quoted(self.asym[_plain(value)])
+            gone = item in ("entity_id", "target_entity_id") and _plain(value) not in self.entities
+            if gone or (item == "model_id" and _plain(value) not in self.models):
+                return None
+        return row
+
+
+def _components(known: Rows, names: Mapping[str, gemmi.Residue]) -> Iterator[dict[str, str]]:
+    """Rows of ``_chem_comp``: those of the file, those of others from the tables, or by their sugar."""
+    there = {_plain(row["id"]): row for row in known}
+    for name in sorted(names):
+        row = there.get(name, {})
+        kind = row["type"] if _is_given(row, "type") else _quoted(component_type(name, names[name]))
+        yield {"id": _quoted(name), "type": kind, **{k: v for k, v in row.items() if k not in ("id", "type")}}
+
+
+def component_type(name: str, residue: gemmi.Residue) -> str:
+    """Return the type of a component, as ``_chem_comp.type`` of the PDB's dictionary has it."""
+    if name == "GLY":
+        return "peptide linking"
+    info = gemmi.find_tabulated_residue(name)
+    if not info.found() and residue.entity_type == gemmi.EntityType.Polymer and residue.find_atom("C1'", "*"):
+        return "RNA linking" if residue.find_atom("O2'", "*") else "DNA linking"
+    return _KINDS.get(info.kind, "non-polymer")
+
+
+def _drawn(structure: gemmi.Structure, known: set[str]) -> Iterator[dict[str, str]]:
+    """Bonds of components whose CONECT records give a bond more than once, and so tell orders."""
+    at = {
+        place.atom.serial: (place.residue.name, str(place.residue.seqid), place.chain.name, place.atom.name)
+        for place in structure[0].all()
+    } if len(structure) else {}  # fmt: skip
+    drawn: dict[str, dict[tuple[str, str], int]] = {}
+    for one, ends in structure.conect_map.items():
+        for other in dict.fromkeys(ends):
+            if one in at and other in at and at[one][:3] == at[other][:3]:
+                pair = (at[one][3], at[other][3])
+                if pair[::-1] not in drawn.setdefault(at[one][0], {}):
+                    drawn[at[one][0]].setdefault(pair, ends.count(other))
+    for name, bonds in drawn.items():
+        if name in known or max(bonds.values()) > 1:
+            for (first, second), order in bonds.items():
+                yield {
+                    "comp_id": _quoted(name), "atom_id_1": _quoted(first), "atom_id_2": _quoted(second),
+                    "value_order": _ORDERS.get(order, "?"),
+                }  # fmt: skip
+
+
+def _journal(lines: Iterable[str]) -> dict[str, Rows]:
+    """Citation of the JRNL records."""
+    given: dict[str, list[str]] = {}
+    for line in lines:
+        given.setdefault(line[12:16].strip(), []).append(line[19:79].strip())
+    if not given:
+        return {}
+    text = {name: _joined(stated) for name, stated in given.items()}
+    items = {
+        "id": "primary",
+        "title": text.get("TITL", ""),
+        "journal_full": text.get("REF", ""),
+        "pdbx_database_id_PubMed": text.get("PMID", ""),
+        "pdbx_database_id_DOI": text.get("DOI", ""),
+    }
+    authors = [name.strip() for name in text.get("AUTH", "").split(",") if name.strip()]
+    return {
+        "_citation.": [{item: _quoted(value) for item, value in items.items()}],
+        "_citation_author.": [
+            {"citation_id": "primary", "name": _quoted(name), "ordinal": f"{k}"}
+            for k, name in enumerate(authors, 1)
+        ],
+    }
+
+
+def _cited(found: Mapping[str, Rows]) -> Iterator[tuple[str, str]]:
+    """Records of the primary citation, or the first one."""
+    rows = sorted(found.get("_citation.", []), key=lambda row: _plain(row.get("id", "")) != "primary")
+    for row in rows[:1]:
+        authors = [
+            # J.Doe, as the format has it.
+            "".join(reversed(_plain(each["name"]).split(", ", 1)))
+            for each in found.get("_citation_author.", [])
+            if each.get("citation_id") == row.get("id") and _is_given(each, "name")
+        ]  # fmt: skip
+        journal = ("journal_full",) if _is_given(row, "journal_full") else (
+            "journal_abbrev", "journal_volume", "page_first", "year")  # fmt: skip
+        stated = {
+            "AUTH": ",".join(authors),
+            "TITL": _plain(row["title"]) if _is_given(row, "title") else "",
+            "REF": " ".join(_plain(row[item]) for item in journal if _is_given(row, item)),
+            **{
+                name: _plain(row[item])
+                for name, item in (("PMID", "pdbx_database_id_PubMed"), ("DOI", "pdbx_database_id_DOI"))
+                if _is_given(row, item)
+            },
+        }
+        yield from ((name, text) for name, text in stated.items() if text)
+
+
+def _categories(block: gemmi.cif.Block) -> dict[str, Rows]:
+    wanted = (*_ALWAYS, *_OF_MODELS)
+    names = [name for name in block.get_mmcif_category_names() if name.lower().startswith(wanted)]
+    return {name: _rows(block, name) for name in names}
+
+
+def _rows(block: gemmi.cif.Block, category: str) -> Rows:
+    columns = block.get_mmcif_category(category, raw=True)
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+
+def _text(categories: Mapping[str, Rows]) -> str:
+    document = gemmi.cif.Document()
+    put(document.add_new_block("records"), categories)
+    return str(document.as_string())
+
+
+def _joined(lines: Iterable[str]) -> str:
+    """Text of the lines of a record; after a hyphen or comma a line needs no space before."""
+    text: list[str] = []
+    for line in lines:
+        space = text and not text[-1].endswith(("-", ","))
+        text += [piece] if (piece := f"{' ' if space else ''}{line}") else []
+    return "".join(text)
+
+
+def _quoted(value: str) -> str:
+    # A semicolon that begins a line would end a text of several.
+    return str(gemmi.cif.quote(value.replace("\n;", "\n ;"))) if value else "?"
+
+
+def _plain(value: str) -> str:
+    return gemmi.cif.as_string(value)
+
+
+def _is_given(row: Mapping[str, str], item: str) -> bool:
+    return row.get(item, "?") not in _NO_VALUE

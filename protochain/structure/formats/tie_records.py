@@ -1,0 +1,125 @@
+"""Springs of bonds to molecules kept with the protein, from file to file: read again, they pull as before.
+
+mmCIF has them in a category of its own, a PDB file in the columns of a remark.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from math import isfinite
+
+import gemmi
+import numpy as np
+
+from protochain.core.graph import components
+from protochain.structure.molecule.member import Address
+from protochain.structure.molecule.model import Structure
+
+CATEGORY = "_protochain_tie."
+_REMARK = "REMARK 980"
+"""A number that the PDB does not use."""
+_ENDS = ("auth_asym_id_{}", "auth_seq_id_{}", "PDB_ins_code_{}", "auth_atom_id_{}")
+DIGITS = 9
+"""Of nm and rad in a remark, and so of springs anywhere: read again, they are the same."""
+_START, _WIDTH = 11, 12
+"""Columns of a remark: chain, number with insertion code and name of up to three atoms, rest, stiffness."""
+
+Spring = tuple[tuple[Address, ...], float, float]
+"""Atoms, rest (nm, rad), stiffness (kJ/mol/nm^2, kJ/mol/rad^2); an atom of a molecule that stays in place."""
+
+
+def springs(records: str) -> Mapping[tuple[Address, ...], tuple[float, float]]:
+    """Return the springs that a file states, by their atoms."""
+    block = gemmi.cif.read_string(records).sole_block() if CATEGORY in records else gemmi.cif.Block("")
+    columns = block.get_mmcif_category(CATEGORY, raw=True)
+    found: dict[tuple[Address, ...], tuple[float, float]] = {}
+    for values in zip(*columns.values(), strict=True):
+        row = {item: gemmi.cif.as_string(value) for item, value in zip(columns, values, strict=True)}
+        ends = [[row.get(item.format(k), "") for item in _ENDS] for k in (1, 2, 3)]
+        atoms = tuple((chain, number + code, name) for chain, number, code, name in ends if name)
+        rest, stiffness = (_number(row.get(item, "")) for item in ("rest", "stiffness"))
+        if atoms and isfinite(rest) and isfinite(stiffness) and rest >= 0.0 and stiffness >= 0.0:
+            found[atoms] = (rest, stiffness)
+    return found
+
+
+def of_structure(structure: Structure) -> list[Spring]:
+    """Springs of a structure; an atom of each kept molecule that stays, or is free, but waters, sugars."""
+    residue = structure.atom_residue
+
+    def address(atom: int) -> Address:
+        r = int(residue[atom])
+        number = f"{structure.residue_number[r]}{structure.residue_insertion_code[r]}"
+        return str(structure.residue_chain[r]), number, str(structure.atom_name[atom])
+
+    found: list[Spring] = [
+        (tuple(address(atom) for atom in tie.atoms), tie.rest, tie.stiffness) for tie in structure.ties
+    ]
+    drawn = {int(residue[tie.atoms[1]]) for tie in structure.ties if len(tie.atoms) == 2}
+    waters = set(np.flatnonzero(structure.residue_name == "HOH").tolist())
+    molecule = components(structure.bonds[~structure.coordination], structure.n_atoms)
+    borne = structure.mobile & np.isin(molecule, molecule[~structure.kept])
+    there = structure.kept & (structure.atom_element != "H") & ~borne
+    residues, first = np.unique(residue[there], return_index=True)
+    for r, k in zip(residues.tolist(), np.flatnonzero(there)[first].tolist(), strict=True):
+        if r not in waters and (structure.obstacle[k] or r not in drawn):
+            found.append(((address(k),), 0.0, 0.0))
+    return found
+
+
+def as_rows(found: Iterable[Spring]) -> list[dict[str, str]]:
+    """Return the rows of the category."""
+    return [
+        {
+            "ordinal": f"{n}",
+            **{
+                item.format(k + 1): _value(atoms, k, part)
+                for k in range(3)
+                for part, item in enumerate(_ENDS)
+            },
+            "rest": repr(rest),
+            "stiffness": repr(stiffness),
+        }
+        for n, (atoms, rest, stiffness) in enumerate(found, 1)
+    ]
+
+
+def as_remarks(found: Iterable[Spring]) -> list[str]:
+    """Return the remarks of a PDB file."""
+    made = []
+    for atoms, rest, stiffness in found:
+        cells = "".join(f"{chain:1}{_padded(number):>5} {name:<4} " for chain, number, name in atoms)
+        made.append(f"{_REMARK} {cells.ljust(3 * _WIDTH)}{rest:12.{DIGITS}f}{stiffness:11.1f}")
+    return made
+
+
+def of_remarks(lines: Iterable[str]) -> list[dict[str, str]]:
+    """Return the rows of the category that the remarks of a PDB file tell."""
+    return as_rows(_of_remarks(lines))
+
+
+def _of_remarks(lines: Iterable[str]) -> Iterator[Spring]:
+    for line in lines:
+        if line.startswith(_REMARK):
+            cells = [line[_START + k * _WIDTH : _START + (k + 1) * _WIDTH] for k in range(3)]
+            atoms = tuple(
+                (cell[:1].strip(), cell[1:6].strip(), cell[7:11].strip()) for cell in cells if cell.strip()
+            )
+            rest, _, stiffness = line[_START + 3 * _WIDTH :].strip().partition(" ")
+            yield atoms, _number(rest), _number(stiffness)
+
+
+def _number(text: str) -> float:
+    return float(gemmi.cif.as_number(text.strip() or "?", float("nan")))
+
+
+def _padded(number: str) -> str:
+    """Number and insertion code, with the code in a column of its own."""
+    return number if number[-1:].isalpha() else f"{number} "
+
+
+def _value(atoms: tuple[Address, ...], k: int, part: int) -> str:
+    if k >= len(atoms):
+        return "."
+    chain, number, name = atoms[k]
+    code = number[-1:] if number[-1:].isalpha() else ""
+    value = (chain, number.removesuffix(code), code, name)[part]
+    return str(gemmi.cif.quote(value)) if value else "?"

@@ -1,0 +1,1 @@
+"""Molecules, residues and their templates; no file is known here."""

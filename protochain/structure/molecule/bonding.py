@@ -1,0 +1,170 @@
+"""Atoms and bonds by name, as molecules are bonded: groups leave, valences are freed, charges follow."""
+
+from collections.abc import Collection, Sequence
+
+from protochain.core.errors import StructureError
+from protochain.core.extras import library
+from protochain.ligands.molecule import Molecule, assembled, from_rdkit, quietly
+from protochain.structure.molecule.residues import BACKBONE
+
+_H, _C, _N, _O, _S = 1, 6, 7, 8, 16
+_MONOVALENT = (_N, _O, 9, 16, 17, 35, 53)
+"""Elements of atoms at the end of a single bond that may leave, hydrogens aside."""
+
+
+class Graph:
+    """Atoms and bonds by name, as they are put together."""
+
+    def __init__(self) -> None:
+        self.atoms: dict[str, list[int]] = {}
+        self.bonds: dict[frozenset[str], int] = {}
+
+    def add(self, prefix: str, of: Molecule) -> None:
+        """Add a molecule under names with a prefix."""
+        names = [prefix + name for name in of.names]
+        for name, z, q in zip(names, of.elements.tolist(), of.formal_charges.tolist(), strict=True):
+            self.atoms[name] = [z, q]
+        for (i, j), order in zip(of.bonds.tolist(), of.orders.tolist(), strict=True):
+            self.bonds[frozenset((names[i], names[j]))] = order
+
+    def near(self, a: str) -> list[str]:
+        """Atoms bonded to one."""
+        return [end for bond in self.bonds if a in bond for end in bond if end != a]
+
+    def heavy(self, a: str) -> list[str]:
+        """Heavy atoms bonded to one."""
+        return [each for each in self.near(a) if self.atoms[each][0] != _H]
+
+    def light(self, a: str) -> list[str]:
+        """Hydrogens bonded to one."""
+        return [each for each in self.near(a) if self.atoms[each][0] == _H]
+
+    def order(self, a: str, b: str) -> int:
+        """Order of a bond; 0 if there is none."""
+        return self.bonds.get(frozenset((a, b)), 0)
+
+    def drop(self, gone: Sequence[str]) -> None:
+        """Take away atoms with their bonds."""
+        for each in gone:
+            del self.atoms[each]
+        self.bonds = {bond: order for bond, order in self.bonds.items() if not bond & {*gone}}
+
+    def backbone(self, prefix: str) -> bool:
+        """Whether N, CA, C and O are bonded as in alanine: CA is tetrahedral, C that of an acid or amide."""
+        n, alpha, c, o = (prefix + name for name in (*BACKBONE, "O"))
+        if not {n, alpha, c, o} <= self.atoms.keys():
+            return False
+        around = self.near(alpha)
+        return (
+            [self.order(alpha, n), self.order(alpha, c), self.order(c, o)] == [1, 1, 2]
+            and len(around) == 4
+            and all(self.order(alpha, each) == 1 for each in around)
+            and self.atoms[n][0] == _N and self.atoms[c][0] == _C and self.atoms[o][0] == _O
+            and len(self.heavy(c)) == 3
+            and any(self.atoms[each][0] in (_N, _O) for each in self.heavy(c) if each not in (alpha, o))
+        )  # fmt: skip
+
+    def is_acyl(self, n: str) -> bool:
+        """Whether a nitrogen is bonded to the carbonyl of an amide."""
+        return any(
+            self.order(c, o) == 2 and self.atoms[o][0] == _O for c in self.heavy(n) for o in self.heavy(c)
+        )
+
+    def leave(self, a: str, absent: Collection[str], flagged: Collection[str]) -> tuple[list[str], int]:
+        """Take away groups absent at an atom, or one that its component lets leave; and valences freed."""
+        groups = {x: self.beyond(a, x) for x in self.heavy(a)}
+        marked = sorted((x for x in groups if groups[x].keys() <= {*flagged}), key=lambda x: self.order(a, x))
+        at = [x for x in groups if groups[x].keys() <= {*absent} and (x in marked or len(groups[x]) == 1)]
+        at = at or marked[:1]
+        if len(at) > 1 and self.atoms[a][0] == _C:  # A carbonyl has not left, too: it is missing.
+            at = [x for x in at if self.atoms[x][0] != _O or self.order(a, x) == 1]
+        for x in at:  # Of an acid a hydroxyl leaves, whatever its oxygens are called.
+            self.turn(x)
+        gone = [each for x in at for each in groups[x]]
+        freed = sum(self.order(a, x) for x in at)
+        self.drop([each for x in gone for each in (x, *self.light(x))])
+        return gone, freed
+
+    def beyond(self, a: str, x: str) -> dict[str, None]:
+        """Heavy atoms of a group: a neighbour of an atom, and all that only this holds."""
+        found = {x: None}
+        ends = [x]
+        while ends:
+            ends = [y for end in ends for y in self.heavy(end) if (end, y) != (x, a) and y not in found]
+            found |= dict.fromkeys(ends)
+        return found
+
+    def turn(self, a: str) -> None:
+        """Give a doubly bonded oxygen of an acid the hydrogen and the charge of one of its others."""
+        for c in self.heavy(a) if self.atoms[a][0] == _O else ():
+            single = (x for x in self.heavy(c) if self.order(x, c) == 1 and self.heavy(x) == [c])
+            x = next((x for x in single if self.atoms[x][0] == _O), a)
+            if self.order(a, c) == 2 and x != a:
+                self.bonds |= {frozenset((a, c)): 1, frozenset((x, c)): 2}
+                self.bonds |= {frozenset((a, h)): self.bonds.pop(frozenset((x, h))) for h in self.light(x)}
+                self.atoms[a], self.atoms[x] = self.atoms[x], self.atoms[a]
+
+    def acceptors(self, a: str) -> list[str]:
+        """Neighbours whose double bond is used up when a nucleophile adds to a carbon, as of acrylamides."""
+        # Distances have to show it in quinones, where more carbons are conjugated, and in but-2-enamides, as
+        # which the archive has bonded but-2-ynamides.
+
+        def is_multiple(x: str, *elements: int) -> bool:
+            return any(self.order(x, y) > 1 and self.atoms[y][0] in elements for y in self.heavy(x) if y != a)
+
+        carbons = [x for x in self.heavy(a) if self.atoms[a][0] == self.atoms[x][0] == _C]
+        if any(is_multiple(x, _C) or self.heavy(x) == [a] for x in carbons):
+            return []
+        double = [x for x in carbons if self.order(a, x) > 1]
+        return [x for x in double if any(is_multiple(y, _N, _O) for y in self.heavy(x) if y != a)]
+
+    def give(
+        self, a: str, order: int, freed: int, single: Sequence[str], filed: Collection[str] = ()
+    ) -> list[str]:
+        """Free valences of an atom for a bond; ``single`` are neighbours whose bonds are used up first."""
+        z, q = self.atoms[a]
+        # Hydrogens that the file has leave last.
+        light, heavy = sorted(self.light(a), key=lambda x: x in filed), self.heavy(a)
+        room = 3 - sum(self.order(a, x) for x in heavy) - order
+        if z == _N and room >= 0:
+            self.atoms[a][1] = 0
+            gone = sorted(self.light(a), key=lambda x: x not in filed)[room:]
+            self.drop(gone)
+            return gone
+        # A bond that another has used up may have left it one free.
+        freed = max(freed, 4 - sum(self.order(a, x) for x in (*light, *heavy)) if z == _C and not q else 0)
+        need = order - freed
+        if q < 0 < need:
+            self.atoms[a][1], need = q + 1, need - 1
+        multiple = [x for x in heavy if self.order(a, x) > 1 and z == _C]
+        # An acid keeps its carbonyl: a group of it leaves.
+        is_acid = any(self.order(a, x) == 1 and self.atoms[x][0] in (_N, _O, _S) for x in heavy)
+        for x in multiple:
+            is_kept = is_acid and self.atoms[x][0] == _O
+            if need > 0 and (x in single or (len(light) < need and not is_kept)):
+                self.bonds[frozenset((a, x))] -= 1
+                need -= 1
+        alone = [x for x in heavy if self.order(a, x) == 1 and self.heavy(x) == [a]]
+        ends = [x for x in alone if self.atoms[x][0] in _MONOVALENT]
+        gone = [*light, *ends][: max(need, 0)]
+        if len(gone) < need == 1 and z == _S and len(heavy) == 2 and not q:
+            self.atoms[a][1], need = 1, 0  # A sulphonium, as of methionine and tyrosine of catalases.
+        if len(gone) < need:
+            raise StructureError(f"{a.partition(':')[2]} has no valence left for a bond")
+        self.drop([y for x in gone for y in (x, *(self.light(x) if x in ends else ()))])
+        return gone
+
+    def molecule(self, source: str) -> Molecule:
+        """As a value, with the hydrogens that lack."""
+        names = [*self.atoms]
+        place = {name: k for k, name in enumerate(names)}
+        made = assembled(
+            names, [z for z, _ in self.atoms.values()], [q for _, q in self.atoms.values()],
+            [sorted(place[end] for end in bond) for bond in self.bonds], [*self.bonds.values()], None,
+        )  # fmt: skip
+        try:
+            quietly(library("rdkit.Chem").SanitizeMol, made)
+        except ValueError as error:
+            reason = " ".join(str(error).split())
+            raise StructureError(f"{source}: cannot be bonded as the file has it ({reason})") from None
+        return from_rdkit(made, source)

@@ -1,0 +1,153 @@
+"""Handedness of C-alpha, of other chiral atoms of amino acids, of sugars, and of what has a source."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protochain.core.arrays import Floats, Integers, cross
+from protochain.core.graph import neighbours
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.molecule.member import Member
+from protochain.structure.molecule.model import BoundLigand, Structure, of_atoms
+from protochain.structure.molecule.residues import NUCLEOTIDES, Atom
+from protochain.structure.molecule.sugars import letters_of, sugar_centres
+
+WELL_FORMED = 2.2e-3
+"""nm^3. Volume at a C-alpha below which its configuration may be noise; 2.5e-3 in ideal residues."""
+_BONDED = 0.22
+"""nm: neighbours further away are not bonded; 0.25 where another atom is between."""
+_ALPHA = {"CA": ("N", "C", "CB")}
+_CENTRES = {
+    "THR": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
+    "TPO": {**_ALPHA, "CB": ("CA", "OG1", "CG2")},
+    "ILE": {**_ALPHA, "CB": ("CA", "CG1", "CG2")},
+    "HYP": {**_ALPHA, "CG": ("CB", "CD", "OD1")},
+}
+"""Chiral atoms and three neighbours, seen clockwise from the fourth in an L-amino acid."""
+_OF_L = ("N", "C", "CB"), ("C", "CB", "N"), ("CB", "N", "C")
+_SUGAR = {"C3'": ("C4'", "C2'", "O3'"), "C4'": ("C5'", "C3'", "O4'")}
+for _name in NUCLEOTIDES:
+    _ribose = {} if _name.startswith("D") else {"C2'": ("C3'", "C1'", "O2'")}
+    _CENTRES[_name] = {"C1'": ("O4'", "C2'", "N9" if _name[-1] in "AG" else "N1"), **_SUGAR, **_ribose}
+
+
+def centres(residue: str) -> dict[str, tuple[str, str, str]]:
+    """Chiral atoms of a residue, each with three neighbours."""
+    return _CENTRES.get(residue, _ALPHA)
+
+
+def volume(x: Floats) -> Floats:
+    """Signed volume (...) of the bonds of x (..., 4, 3): positive in an L-amino acid."""
+    arms = x[..., 1:, :] - x[..., :1, :]
+    return np.asarray((arms[..., 0, :] * cross(arms[..., 1, :], arms[..., 2, :])).sum(-1))
+
+
+def handedness(member: Member, centre: str = "CA", least: float = 0.0) -> int:
+    """Hand of a chiral atom: 1 as in an L-amino acid, -1 as in D, 0 if atoms lack or it is flatter (nm^3)."""
+    # An atom that is not bonded to it counts as missing, as CB of a peptoid.
+    neighbours = centres(member.name).get(centre, ())
+    found = [member.atom(name) for name in (centre, *neighbours)]
+    x = np.array([atom.pos.tolist() for atom in found if atom is not None]) / ANGSTROM_PER_NM
+    is_whole = len(x) == 4 and np.linalg.norm(x[1:] - x[0], axis=1).max() < _BONDED
+    size = float(volume(x)) if is_whole else 0.0
+    return int(np.sign(size)) if abs(size) > least else 0
+
+
+def inverted_atoms(members: Sequence[Member]) -> list[Atom]:
+    """Name the chiral atoms whose configuration is not that of their residue's name."""
+    return [
+        Atom(centre, member.residue)
+        for member in members
+        for centre in centres(member.name)
+        if handedness(member, centre) == (1 if member.is_d else -1)
+    ]
+
+
+def changed_stereocentres(structure: Structure, x: Floats, reference: Floats) -> list[str]:
+    """Name the chiral atoms (``CA of residue 14 LYS of chain A``) differing between positions (na, 3), nm."""
+    atoms = chiral_atoms(structure)
+    if not len(atoms):
+        return []
+    flipped = np.sign(volume(x[atoms])) != np.sign(volume(reference[atoms]))
+    return atoms_named(structure, atoms[flipped, 0])
+
+
+def atoms_named(structure: Structure, atoms: Integers) -> list[str]:
+    """Name atoms (n,) of a structure, as :func:`changed_stereocentres` does."""
+    return [str(structure.atom(atom)) for atom in atoms.tolist()]
+
+
+def wrong_atoms(structure: Structure, x: Floats, mirrored: NDArray[np.bool_]) -> Integers:
+    """Find the chiral atoms (n,) at x (na, 3), nm, that are not L, or not D where ``mirrored`` (nr,)."""
+    atoms = chiral_atoms(structure)
+    signs = np.where(mirrored[structure.atom_residue[atoms[:, 0]]], -1.0, 1.0)
+    return np.asarray(atoms[signs * volume(x[atoms]) < 0.0, 0])
+
+
+def mirror_images(structure: Structure) -> dict[str, Integers]:
+    """Find chains that are mirror images: most stereocentres of their amino acids are D under names of L."""
+    atoms = chiral_atoms(structure)
+    of = structure.atom_residue[atoms[:, 0]]
+    amino = np.isin(of, structure.atom_residue[structure.alpha_carbons])
+    atoms, of = atoms[amino], of[amino]
+    chain = structure.residue_chain[of]
+    is_other = ~structure.mirrored[of] & (volume(structure.positions[atoms]) < 0.0)
+    its = {str(name): chain == name for name in np.unique(chain)}
+    return {name: np.unique(of[there]) for name, there in its.items() if is_other[there].mean() > 0.5}
+
+
+def with_mirror_images(structure: Structure) -> Structure:
+    """Return the structure with the residues of chains that are mirror images as D-amino acids."""
+    mirrored = structure.mirrored.copy()
+    mirrored[[r for residues in mirror_images(structure).values() for r in residues.tolist()]] = True
+    return replace(structure, mirrored=mirrored)
+
+
+@of_atoms
+def chiral_atoms(structure: Structure) -> Integers:
+    """(n, 4) int: chiral atoms and three neighbours, whose volume is positive, but negative in ``mirrored``.
+
+    Sources of ligands and fragments come before names; in a residue that is ``mirrored``, an L-amino acid is
+    the mirror image of its source, and any other what its source says.
+    """
+    names: list[dict[str, int]] = [{} for _ in range(structure.n_residues)]
+    named = np.isin(structure.residue_name, [*NUCLEOTIDES])
+    named[[*structure.glycans]] = True
+    for i in np.flatnonzero(~structure.kept | (structure.mobile & named[structure.atom_residue])).tolist():
+        names[int(structure.atom_residue[i])][str(structure.atom_name[i])] = i
+    sugars = {r: sugar_centres(letters_of(code)) for r, code in structure.glycans.items()}
+    found = {
+        at[centre]: [at[name] for name in (centre, *neighbours)]
+        for r, (residue, at) in enumerate(zip(structure.residue_name, names, strict=True))
+        for centre, neighbours in sugars.get(r, centres(str(residue))).items()
+        # Not of dehydroamino acids, whose C-alpha is planar.
+        if {centre, *neighbours} <= at.keys() and len(structure.neighbours[at[centre]]) > 3
+    }
+    name, of = structure.atom_name, structure.atom_residue
+    for bound in (*structure.ligands, *structure.fragments):
+        sourced = [row for row in _of_source(bound) if min(row) >= 0]
+        alphas = (row for row in sourced if name[row[0]] == "CA")
+        are_l = {of[row[0]] for row in alphas if tuple(name[row[1:]].tolist()) in _OF_L}
+        for i, a, b, c in sourced:
+            found[i] = [i, b, a, c] if structure.mirrored[of[i]] and of[i] not in are_l else [i, a, b, c]
+    rows = np.array([*found.values()], dtype=np.int64).reshape(-1, 4)
+    ends = np.sort(np.stack(np.broadcast_arrays(rows[:, :1], rows[:, 1:])), axis=0)
+    bonded = np.sort(structure.bonds, axis=1) @ [structure.n_atoms, 1]
+    return rows[np.isin(ends[0] * structure.n_atoms + ends[1], bonded).all(axis=1)]
+
+
+def _of_source(bound: BoundLigand) -> Iterator[list[int]]:
+    """Stereocentres of a molecule, each with three neighbours, heavy ones first; -1 of a cap's atom."""
+    molecule = bound.ligand.molecule
+    near = neighbours(molecule.bonds, molecule.n_atoms)
+    for centre in np.flatnonzero(molecule.handedness).tolist():
+        its = near[centre]
+        order = sorted(range(len(its)), key=lambda k: (molecule.elements[its[k]] == 1, k))
+        swaps = sum(a > b for a, b in combinations(order, 2))
+        # RDKit's clockwise: the first three neighbours span a negative volume.
+        positive = (molecule.handedness[centre] == 2) == (swaps % 2 == 0)
+        a, b, c = (its[k] for k in order[:3])
+        yield bound.atoms[[centre, *((a, b, c) if positive else (b, a, c))]].tolist()

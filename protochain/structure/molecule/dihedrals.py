@@ -1,0 +1,64 @@
+"""Dihedrals of residues by name: phi, psi, omega, chi1 ...; their atoms, and where they are."""
+
+from collections.abc import Callable, Collection
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from protochain.core.arrays import dihedral
+from protochain.structure.molecule import residues
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Named = tuple[str, str, list[int | None]]
+"""Kind of a hinge, name of the dihedral, and its four atoms; None for one that is not there."""
+_SHOWN = ("phi", "psi", "omega", *(f"chi{k}" for k in range(1, 6)))
+
+
+def finder(
+    structure: Any, kinds: Collection[str]
+) -> tuple[list[dict[str, int]], Callable[[int], list[Named]]]:
+    """Atoms of each residue by name, and what finds the dihedrals of these kinds of a residue."""
+    index = [dict[str, int]() for _ in range(structure.n_residues)]
+    places = zip(structure.atom_name.tolist(), structure.atom_residue.tolist(), strict=True)
+    for atom, (name, residue) in enumerate(places):
+        index[residue][name] = atom
+    chain, names = structure.residue_chain_index.tolist(), structure.residue_name.tolist()
+
+    def atom_at(residue: int, name: str) -> int | None:
+        other = residue + {"+": 1, "-": -1}.get(name[-1], 0)
+        if not 0 <= other < structure.n_residues or chain[other] != chain[residue]:
+            return None
+        return index[other].get(name.rstrip("+-"))
+
+    def found(r: int) -> list[Named]:
+        psi = residues.PSI_TERMINAL if atom_at(r, "N+") is None else residues.PSI
+        table: list[tuple[str, str, tuple[str, ...]]] = [("phi", "phi", residues.PHI), ("psi", "psi", psi)]
+        table.append(("omega", "omega", residues.OMEGA))
+        table += [("chi", f"chi{i}", four) for i, four in enumerate(residues.CHI.get(names[r], ()), 1)]
+        rotors = (*residues.ROTORS.get(names[r], ()), residues.ROTOR_N_TERMINAL)
+        table += [("rotors", "rotor", four) for four in rotors]
+        table += [("nucleic", *torsion) for torsion in residues.NUCLEIC.get(names[r], {}).items()]
+        return [(kind, label, [atom_at(r, n) for n in four]) for kind, label, four in table if kind in kinds]
+
+    return index, found
+
+
+def dihedrals(structure: Any) -> "pd.DataFrame":
+    """Dihedrals in degrees: a row a residue of the protein, as :meth:`Structure.dihedrals`."""
+    import pandas as pd
+
+    _, its = finder(structure, ("phi", "psi", "omega", "chi"))
+    own = np.unique(structure.atom_residue[~structure.kept]).tolist()
+    rows = [(r, label, atoms) for r in own for _, label, atoms in its(r) if None not in atoms]
+    atoms = np.array([atoms for *_, atoms in rows], dtype=np.int64).reshape(-1, 4)
+    values = np.degrees(dihedral(*structure.positions[atoms].swapaxes(0, 1)))
+    number = np.char.add(structure.residue_number, structure.residue_insertion_code)
+    table = pd.DataFrame(
+        {"chain": structure.residue_chain, "residue": number, "name": structure.residue_name_in_file}
+    ).loc[own]
+    table = table.assign(**dict.fromkeys(_SHOWN, np.nan))
+    for (r, label, _), value in zip(rows, values.tolist(), strict=True):
+        table.loc[r, label] = value
+    return table.reset_index(drop=True)

@@ -1,0 +1,194 @@
+"""Placement of hydrogens by geometry.
+
+OpenMM's Modeller places hydrogens at random and minimises; here the same atoms give the same positions. Bond
+lengths are ff14SB's, angles follow the hybridisation of the parent, methyl and amine hydrogens are staggered.
+Hydroxyls and thiols are rotated, one after the other, to the minimum of a Coulomb energy with a dielectric of
+4 r/angstrom (Gelin, Karplus, Biochemistry 18:1256, 1979) and a repulsion.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from protochain.core.arrays import Floats, Integers, cross, dots, sphere
+from protochain.core.graph import neighbours
+from protochain.structure.molecule.links import is_metal
+
+_LENGTH = {"C": 0.109, "N": 0.101, "O": 0.096, "S": 0.1336}
+"""nm: bond lengths to hydrogen."""
+_TETRAHEDRAL, _TRIGONAL = np.deg2rad(109.5), np.deg2rad(120.0)
+_BENT = {"O": float(np.deg2rad(108.5)), "S": float(np.deg2rad(96.0))}
+_WATER = float(np.deg2rad(104.52))
+_STAGGERED = np.deg2rad([180.0, 300.0, 60.0])
+_TURNS = np.deg2rad(np.arange(0.0, 360.0, 10.0))
+_REACH = 0.6
+"""nm. Cutoff of the energy that orients a hydroxyl."""
+_COULOMB = 138.935 / 40.0
+"""kJ/mol nm^2/e^2, with a dielectric of 4 r/angstrom."""
+_CORE = 0.2
+"""nm. Distance at which the repulsion of a hydrogen is 1 kJ/mol."""
+_AT_METAL = 0.3
+"""nm. A water whose oxygen is nearer to a metal is bound: 0.24 at calcium, 0.28 at potassium."""
+_DECIMALS = 6
+"""Decimals (nm) of the positions: sine and cosine differ in the last bit between libraries."""
+
+
+def place_hydrogens(x: Floats, element: list[str], charge: Floats, bonds: Integers) -> Floats:
+    """Place hydrogens that have no position: x (na, 3) nm, charge (na,) e, bonds (nbonds, 2) int."""
+    return _Placing(x, element, charge, bonds).placed()
+
+
+class _Placing:
+    """Positions placed so far, and the bonded neighbours of each atom."""
+
+    def __init__(self, x: Floats, element: list[str], charge: Floats, bonds: Integers) -> None:
+        self.x, self.element, self.charge = np.array(x), element, charge
+        self.missing = np.isnan(self.x[:, 0])
+        self.turned: list[int] = []
+        self.neighbours = neighbours(bonds, len(element))
+
+    def placed(self) -> Floats:
+        """Place hydrogens whose position is determined, then those that rotate."""
+        parents = dict.fromkeys(self.neighbours[h][0] for h in np.flatnonzero(self.missing).tolist())
+        turning = []
+        for parent in self._between(parents):
+            hydrogens = self._hydrogens(parent)
+            directions = self._directions(parent, len(hydrogens))
+            # A stray hydrogen more than a parent has room for goes where the energy is lowest.
+            if directions is None or len(directions) < len(hydrogens):
+                turning.append(parent)
+            else:
+                self._put(parent, hydrogens, directions)
+        still = np.flatnonzero(~self.missing)
+        self.still, self.tree = still, KDTree(self.x[still])
+        metals = {symbol for symbol in {*self.element} if is_metal(symbol)}
+        self.metals = np.array([k for k in still.tolist() if self.element[k] in metals], dtype=np.int64)
+        for parent in turning:
+            self._turn_from_metals(parent)
+            for hydrogen in self._hydrogens(parent):
+                self._turn(parent, hydrogen)
+                self.turned.append(hydrogen)
+        return self.x
+
+    def _between(self, parents: Iterable[int]) -> list[int]:
+        """Place those opposite two or three bonds, all at once; return the parents that are left."""
+        kinds: dict[tuple[bool, int, int], list[list[int]]] = {}
+        left = []
+        for parent in parents:
+            known, hydrogens = self._known(parent), self._hydrogens(parent)
+            is_one = len(known) == 3 or self._is_planar(parent)
+            if len(known) in (2, 3) and len(hydrogens) <= (1 if is_one else 2):
+                kind = is_one, len(known), len(hydrogens)
+                kinds.setdefault(kind, []).append([parent, *known, *hydrogens])
+            else:
+                left.append(parent)
+        for (is_one, n_known, n), rows in kinds.items():
+            at, near, made = np.split(np.array(rows), [1, 1 + n_known], axis=1)
+            to = _unit(self.x[near] - self.x[at])
+            back = _unit(-to.sum(axis=1))
+            up = _unit(cross(to[:, 1], to[:, 0]))
+            along, across = (1.0, 0.0) if is_one else (np.cos(0.5 * _TETRAHEDRAL), np.sin(0.5 * _TETRAHEDRAL))
+            pair = np.stack([along * back + across * up, along * back - across * up], axis=1)
+            length = np.array([_LENGTH.get(self.element[k], _LENGTH["C"]) for k, *_ in rows])
+            self.x[made] = np.round(self.x[at] + length[:, None, None] * pair[:, :n], _DECIMALS)
+            self.missing[made] = False
+        return left
+
+    def _hydrogens(self, parent: int) -> list[int]:
+        return [k for k in self.neighbours[parent] if self.missing[k]]
+
+    def _put(self, parent: int, hydrogens: list[int], directions: Floats) -> None:
+        length = _LENGTH.get(self.element[parent], _LENGTH["C"])
+        self.x[hydrogens] = np.round(self.x[parent] + length * directions, _DECIMALS)
+        self.missing[hydrogens] = False
+
+    def _known(self, parent: int) -> list[int]:
+        return [k for k in self.neighbours[parent] if not self.missing[k]]
+
+    def _is_planar(self, atom: int) -> bool:
+        """Whether an atom has three neighbours in one plane: a carbon, or a nitrogen beside such a carbon."""
+        if len(self.neighbours[atom]) != 3:
+            return False
+        if self.element[atom] == "C":
+            return True
+        return self.element[atom] == "N" and any(
+            self.element[k] == "C" and len(self.neighbours[k]) == 3 for k in self.neighbours[atom]
+        )
+
+    def _directions(self, parent: int, n: int) -> Floats | None:
+        """Return unit vectors (n, 3) to the hydrogens at one bond, or None where they rotate freely."""
+        known, planar = self._known(parent), self._is_planar(parent)
+        if len(known) == 1 and planar:
+            return self._around(parent, _TRIGONAL, np.array([0.0, np.pi])[-n:])
+        if len(known) == 1 and len(self.neighbours[parent]) > 2:
+            return self._around(parent, _TETRAHEDRAL, _STAGGERED[:n])
+        return None
+
+    def _around(self, parent: int, angle: float, turns: Floats) -> Floats:
+        """Directions (n, 3) by the angle to the parent's one known bond and the dihedral about it."""
+        (near,) = self._known(parent)[:1]
+        axis = _unit(self.x[near] - self.x[parent])
+        behind = [k for k in self.neighbours[near] if k != parent and not self.missing[k]]
+        heavy = [k for k in behind if self.element[k] != "H"]
+        arm = self.x[(heavy or behind)[0]] - self.x[near] if behind else _least(axis)
+        arm = arm - (arm @ axis) * axis
+        m = _unit(arm) if np.linalg.norm(arm) > 1e-6 else _unit(cross(axis, _least(axis)))
+        n = cross(axis, m)
+        aside = np.cos(turns)[:, None] * m + np.sin(turns)[:, None] * n
+        return np.asarray(np.cos(angle) * axis + np.sin(angle) * aside)
+
+    def _turn(self, parent: int, hydrogen: int) -> None:
+        """Rotate a hydrogen to its lowest energy."""
+        if self._known(parent):
+            is_water = all(self.element[k] == "H" for k in self.neighbours[parent])
+            angle = _WATER if is_water else _BENT.get(self.element[parent], float(_TETRAHEDRAL))
+            choices = self._around(parent, angle, _TURNS)
+        else:
+            choices = sphere(len(_TURNS))
+        energy = self._energies(parent, hydrogen, choices)
+        self._put(parent, [hydrogen], choices[[int(np.argmin(np.round(energy, 6)))]])
+
+    def _energies(self, parent: int, hydrogen: int, choices: Floats) -> Floats:
+        """(n,) kJ/mol of a hydrogen in directions (n, 3)."""
+        near = self._near(parent)
+        at = self.x[parent] + _LENGTH.get(self.element[parent], _LENGTH["C"]) * choices
+        r = np.linalg.norm(at[:, None] - self.x[near], axis=-1)
+        r = np.maximum(r, 0.01)
+        coulomb = _COULOMB * self.charge[hydrogen] * self.charge[near] / r**2
+        return np.asarray((coulomb + (_CORE / r) ** 12).sum(axis=1))
+
+    def _turn_from_metals(self, parent: int) -> None:
+        """Turn both hydrogens of a water at metals about the axis that leads away from them."""
+        hydrogens, to = self._hydrogens(parent), self.x[parent] - self.x[self.metals]
+        to = to[np.linalg.norm(to, axis=1) < _AT_METAL]
+        if len(hydrogens) != 2 or len(self.neighbours[parent]) != 2 or not len(to):
+            return
+        away = _unit(_unit(to).sum(axis=0))
+        side = _unit(cross(away, _least(away)))
+        across = np.cos(_TURNS)[:, None] * side + np.sin(_TURNS)[:, None] * cross(away, side)
+        pair = np.stack(
+            [np.cos(0.5 * _WATER) * away + np.sin(0.5 * _WATER) * s * across for s in (1, -1)], axis=1
+        )
+        energy = sum(self._energies(parent, hydrogen, pair[:, k]) for k, hydrogen in enumerate(hydrogens))
+        self._put(parent, hydrogens, pair[int(np.argmin(np.round(energy, 6)))])
+        self.turned += hydrogens
+
+    def _near(self, parent: int) -> Integers:
+        """Placed atoms within reach, without the parent and its neighbours."""
+        close = self.still[sorted(self.tree.query_ball_point(self.x[parent], _REACH))]
+        away = np.linalg.norm(self.x[self.turned] - self.x[parent], axis=1)
+        found = np.concatenate([close, np.array(self.turned, dtype=np.int64)[away < _REACH]])
+        own = {parent, *self.neighbours[parent]}
+        return np.array([k for k in found.tolist() if k not in own], dtype=np.int64)
+
+
+def _unit(v: Floats) -> Floats:
+    """Unit vectors along vectors (..., 3); x where they have no length."""
+    length = np.sqrt(dots(v, v))[..., None]
+    return np.where(length > 1e-9, v / np.maximum(length, 1e-9), [1.0, 0.0, 0.0])
+
+
+def _least(axis: Floats) -> Floats:
+    """Return the unit vector of the coordinate axis most nearly perpendicular to an axis."""
+    return np.asarray(np.eye(3)[int(np.argmin(np.abs(axis)))])

@@ -1,0 +1,99 @@
+"""Bonds, or pairs that may be bonds, between the protein and what is kept with it, and their lengths."""
+
+from dataclasses import dataclass
+
+import gemmi
+
+from protochain.structure.molecule.member import Member
+from protochain.structure.molecule.residues import Atom
+
+_OXYGEN_DISTANCE = {
+    "Na": 2.38, "Mg": 2.07, "K": 2.74, "Ca": 2.36, "Mn": 2.15, "Fe": 2.04, "Co": 2.05, "Ni": 2.06,
+    "Cu": 1.99, "Zn": 1.99,
+}  # fmt: skip
+"""Angstrom, usual distance of oxygen in proteins: Harding, Acta Cryst. D62:678 (2006); Ni by its radius."""
+_OTHER_METAL = 2.3
+"""Angstrom: of metals that are not in the table."""
+_SLACK = {"O": 0.5, "N": 0.5, "S": 0.75, "Se": 0.85}
+"""Angstrom beyond the usual distance of oxygen up to which a donor is bonded; sulphur is larger."""
+_AXIAL = 1.2
+"""The same of methionine at blue copper, 2.8 to 3.1 angstrom away (Guss, Freeman, J. Mol. Biol. 169:521,
+1983)."""
+_TRIPLE = 1.35
+"""Angstrom: carbon with one heavy neighbour, no further away than this, is that of cyanide or CO."""
+_TOO_NEAR = 0.6
+"""Angstrom by which a donor may be nearer to a metal than usual; nearer ones lie on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """Atom of the protein and one kept with it: a bond, or a pair that may be one."""
+
+    member: Member
+    atom: gemmi.Atom
+    other: Member  # Kept beside the protein.
+    other_atom: gemmi.Atom
+    stated: bool = False  # Whether the file states a bond.
+
+    def __str__(self) -> str:
+        return " and ".join(map(str, self.atoms))
+
+    @property
+    def atoms(self) -> tuple[Atom, Atom]:
+        """What a file calls the atoms."""
+        return Atom(self.atom.name, self.member.residue), Atom(self.other_atom.name, self.other.residue)
+
+    @property
+    def is_metal(self) -> bool:
+        """Whether a metal is bonded."""
+        return is_metal(self.other_atom.element.name)
+
+    @property
+    def is_coordinated(self) -> bool:
+        """Whether an atom holds a metal: it is a donor at a usual distance, or the file says so."""
+        usual = _OXYGEN_DISTANCE.get(self.other_atom.element.name, _OTHER_METAL)
+        if self.stated or self.length < usual - _TOO_NEAR:
+            return self.length >= usual - _TOO_NEAR
+        slack = _SLACK.get("N" if self._is_carbonyl else self.atom.element.name)
+        if (self.atom.name, self.other_atom.element.name) == ("SD", "Cu"):
+            slack = _AXIAL
+        # An amide nitrogen of the chain has no free pair of electrons.
+        is_amide = self.atom.name == "N" and bool(self.member.atom("CA"))
+        return slack is not None and not is_amide and self.length <= usual + slack
+
+    @property
+    def _is_carbonyl(self) -> bool:
+        """Whether the donor is the carbon of cyanide, an isocyanide or carbon monoxide."""
+        near = [a for a in self.member.heavy if a is not self.atom and self.atom.pos.dist(a.pos) <= _TRIPLE]
+        symbols = [a.element.name for a in near if not a.element.is_metal]
+        return self.atom.element.name == "C" and symbols in (["N"], ["O"])
+
+    @property
+    def length(self) -> float:
+        """Distance, angstrom."""
+        return float(self.atom.pos.dist(self.other_atom.pos))
+
+    @property
+    def excess(self) -> float:
+        """Distance beyond the usual one of a covalent bond, angstrom."""
+        return self.length - usual_length(self.atom.element.name, self.other_atom.element.name)
+
+    @property
+    def ends(self) -> tuple[int, int]:
+        """``id`` of the atoms."""
+        return id(self.atom), id(self.other_atom)
+
+    @property
+    def owners(self) -> tuple[int, int]:
+        """``id`` of the residues."""
+        return id(self.member), id(self.other)
+
+
+def is_metal(symbol: str) -> bool:
+    """Whether an element is a metal."""
+    return bool(gemmi.Element(symbol).is_metal)
+
+
+def usual_length(first: str, second: str) -> float:
+    """Sum of the covalent radii of two elements, angstrom."""
+    return float(gemmi.Element(first).covalent_r + gemmi.Element(second).covalent_r)

@@ -1,0 +1,80 @@
+"""A residue in one conformation, while a file is prepared."""
+
+from dataclasses import dataclass, field
+
+import gemmi
+
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.header import NO_LABEL, Label
+from protochain.structure.molecule.templates import Template
+
+Address = tuple[str, str, str]
+"""Chain id, number with insertion code, and atom name in the file."""
+
+
+@dataclass(eq=False)
+class Member:
+    """A residue in one conformation, under its standard name."""
+
+    name: str
+    number: str
+    insertion_code: str
+    chain_id: str
+    atoms: list[gemmi.Atom]  # Positions in angstrom.
+    state: str = ""  # Protonation state that its name in the file implies; empty if none.
+    # Whether it is a D-amino acid: by its name in the file, or by its atoms where the name tells neither.
+    is_d: bool = False
+    own: Template | None = None  # Made from its own atoms, for a molecule that is kept as it is.
+    # Its atoms that are bonded to a molecule kept with the protein, and to a metal.
+    links: list[gemmi.Atom] = field(default_factory=list)
+    metals: list[gemmi.Atom] = field(default_factory=list)
+    label: Label = NO_LABEL  # Label ids of the file.
+    given: str = ""  # Its name in the file, where another.
+    odd: bool = False  # Whether it is an amino acid, or a nucleotide of a strand, that no force field has.
+    # Standard amino acid that such a one becomes without parameters; empty if there is none.
+    parent: str = ""
+    order: tuple[str, ...] = ()  # Names of its atoms, if those that are added have places among them.
+
+    def __str__(self) -> str:
+        return str(self.residue)
+
+    @property
+    def residue(self) -> residues.Residue:
+        """What a file calls it."""
+        return residues.Residue(self.chain_id, self.seqid, residues.name_in_file(self.name, self.is_d))
+
+    @property
+    def is_cap(self) -> bool:
+        """Whether it is a terminal cap."""
+        return self.name in residues.CAPS
+
+    @property
+    def heavy(self) -> list[gemmi.Atom]:
+        """Its atoms without hydrogens."""
+        return [atom for atom in self.atoms if not atom.is_hydrogen()]
+
+    @property
+    def seqid(self) -> str:
+        """Number and insertion code."""
+        return self.number + self.insertion_code
+
+    def address(self, name: str) -> Address:
+        """Where the file has one of its atoms."""
+        return self.chain_id, self.seqid, name
+
+    def atom(self, name: str) -> gemmi.Atom | None:
+        """Return the atom of that name, if there is one."""
+        return next((atom for atom in self.atoms if atom.name == name), None)
+
+
+def address_of(place: gemmi.AtomAddress) -> Address:
+    """Where gemmi has an atom of a bond."""
+    return place.chain_name.strip(), str(place.res_id.seqid).strip(), place.atom_name
+
+
+def atom(name: str, element: str, position: list[float], b_iso: float = 0.0) -> gemmi.Atom:
+    """Make an atom (angstrom)."""
+    made = gemmi.Atom()
+    made.name, made.element, made.b_iso = name, gemmi.Element(element), b_iso
+    made.pos = gemmi.Position(*position)
+    return made

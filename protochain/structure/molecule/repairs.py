@@ -1,0 +1,444 @@
+"""What was changed to prepare a file: values, the words for each, and a summary of many."""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum, IntEnum, StrEnum
+from string import Formatter
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from protochain.core import defaults
+from protochain.core.arrays import Value
+from protochain.core.errors import Angle, Argument, ProtochainError
+from protochain.core.markup import counted, listed
+from protochain.structure.molecule.residues import Atom
+
+_SHOWN = 8
+"""Places named in a line that tells many changes."""
+EVERYTHING = Argument("keep", "all")
+"""How to keep what is left out."""
+
+Say = Callable[[Argument | Angle], str]
+"""An argument, or angle, in the words of whoever reads: ``str`` in those of Python."""
+
+
+class Rank(IntEnum):
+    """Order in a summary."""
+
+    LEFT_OUT = 0
+    GAP = 1
+    LOSS = 2
+    CHANGE = 3
+    HISTIDINE = 4
+    HYDROGENS = 5
+
+
+class Words(NamedTuple):
+    """Words of a kind of repair."""
+
+    one: str  # A template, whose fields are the facts of the repair.
+    many: str = ""  # What is said of several residues; by default what ``one`` says of its residue.
+    rank: Rank = Rank.CHANGE
+
+
+class Kind(Enum):
+    """Kinds of repairs, with their words."""
+
+    # Of the file.
+    LOWER_CASE = Words("{count:n atom record} in lower case read as upper case")
+    NOT_A_NUMBER = Words("occupancy of {count:n atom} is no number below 1000: read as 0")
+    NO_ELEMENT = Words(
+        "columns 77-78 of {count:n atom record}, from line {line} on, hold no element: elements derived from "
+        "atom names"
+    )
+    NO_ENDMDL = Words("{count:n model} without an ENDMDL record, taken to end where the next begins")
+    INDENTED = Words("{count:n atom record} with blanks before the record name: read without these blanks")
+    SEGMENTS_JOINED = Words(
+        "{count:n atom record} after the END or ENDMDL record of line {line}: read as parts of one structure"
+    )
+    CHAIN_RENAMED = Words("chain {before} called {after}: one before it has its id and numbers")
+    MOLECULES_RENUMBERED = Words("molecules that share number and name renumbered: {count} more")
+    ATOMS_NUMBERED = Words("atoms that share a name numbered in {count:n molecule}")
+    ASSEMBLY = Words("assembly {name} built of {before:n chain}: chains {chains:8}")
+    BLOCKS_LEFT_OUT = Words(
+        "data block {used} used, others with atoms left out: {others:4}; give each its own file",
+        rank=Rank.LOSS,
+    )
+    MODELS_LEFT_OUT = Words("model {used} used, {count:n other model} left out", rank=Rank.LOSS)
+    MODELS_ARE_COPIES = Words(
+        "model {used} used, {count:n other model} left out: rigid copies of it, as of an assembly; "
+        "{remedy} joins them",
+        rank=Rank.LOSS,
+    )
+    NO_END = Words(
+        "the file ends at {residue} without an end mark (END, or # in mmCIF) or a terminal oxygen: check "
+        "that it is complete",
+        rank=Rank.LOSS,
+    )
+    MADE_WHOLE = Words(
+        "{count:n residue} broken across the periodic box of {box} angstrom made whole, first {residue}"
+    )
+    IMAGE_MOVED = Words(
+        "{count:n molecule} moved to the image of the periodic box of {box} angstrom next to the others: "
+        "those of {residues:6}"
+    )
+    # Of what is taken.
+    ELEMENTS = Words("elements of {count:n atom} of standard residues corrected by their names, first {atom}")
+    DEUTERIUM = Words("{count:n deuterium atom} read as hydrogen")
+    ALTERNATES = Words(
+        "{residue}: alternate location {used} kept (occupancy {occupancy:.2f}), {others} left out",
+        "alternate locations left out",
+        Rank.LOSS,
+    )
+    EXCLUDED = Words(
+        "{residue}: left out (occupancy {occupancy:.2f}): an alternate of {other}, which lies upon it",
+        rank=Rank.LOSS,
+    )
+    COINCIDENT = Words(
+        "{residue} lies upon {other}: both kept; leave one out of the file, or give each its occupancy",
+        rank=Rank.LOSS,
+    )
+    REPEATED = Words(
+        "{residue}: {atoms} given more than once; the first of each kept",
+        "atoms given more than once, the first of each kept",
+    )
+    UNRESOLVED = Words("{count:n atom} of zero occupancy kept, in {residues:1}")
+    RENAMED = Words("{residue}: read as {name}")
+    STATE_NAMED = Words("{residue}: read as {name} in protonation state {state}")
+    NO_PLACE = Words(
+        "{residue}: {atoms} at the origin, upon CA or over 15 angstrom away: treated as missing",
+        "atoms at the origin, upon CA or over 15 angstrom away treated as missing",
+    )
+    VIRTUAL = Words("{residue}: pseudo-atoms {atoms} removed", "pseudo-atoms removed")
+    SITES = Words("{count:n virtual site} of {waters:n water} removed")
+    SELENOMETHIONINE = Words("{residue}: selenomethionine converted to MET")
+    CONVERTED = Words(
+        "{residue}: converted to its standard parent {name}",
+        "modified residues converted to their standard parents",
+    )
+    CUT_TO_PARENT = Words(
+        "{residue}: converted to its standard parent {name}, {atoms} left out",
+        "modified residues converted to their standard parents",
+        Rank.LOSS,
+    )
+    CONVERTED_TO_D = Words("{residue}: converted to its D-amino acid {name}")
+    CUT_TO_D = Words("{residue}: converted to its D-amino acid {name}, {atoms} left out", rank=Rank.LOSS)
+    MIRRORED = Words("{residue}: D-amino acid, with the parameters of its mirror image")
+    MIRRORED_CUT = Words(
+        "{residue}: D-amino acid, with the parameters of its mirror image, {atoms} left out", rank=Rank.LOSS
+    )
+    NO_BACKBONE = Words(
+        "{residue}: left out: its backbone atom {atom} is missing",
+        "left out, without a backbone atom,",
+        Rank.LOSS,
+    )
+    CAP = Words("{residue}: left out: this cap is not at the end of a chain", rank=Rank.LOSS)
+    ALONE = Words("{residue}: no part of a chain: it is bonded to no other residue")
+    TORN = Words("the bond of {last} and {first} is {length:.1f} angstrom long: kept as a peptide bond")
+    GAP = Words(
+        "chain {last.chain_name} is broken between {last.number} and {first.number} ({length:.1f} angstrom): "
+        "split there, with charged termini; to avoid it, model the missing residues",
+        rank=Rank.GAP,
+    )
+    CHAIN_GOES_ON = Words("{last} and {first} are bonded: one chain, whose ids are kept")
+    CYCLIC = Words("chain {last.chain_name} is cyclic: {last} is bonded to {first}")
+    # Beside the protein.
+    WATERS_LEFT_OUT = Words(
+        "{count:n water} left out: the solvent is implicit; {remedy} keeps everything", rank=Rank.LEFT_OUT
+    )
+    LEFT_OUT = Words("{counts} left out; {remedy} keeps everything", rank=Rank.LEFT_OUT)
+    KEPT = Words("{counts:8} kept with the protein")
+    KEPT_BY_ELEMENT = Words(
+        "{counts:8} kept with the protein ({bare:8} by element, unless the force field has parameters)"
+    )
+    PHOSPHATE = Words(
+        "{residue}: phosphate of a lone nucleotide left out: the force fields do not have it", rank=Rank.LOSS
+    )
+    COORDINATED = Words("{atom} is coordinated by {ends}: held at these distances by springs")
+    ION_HELD = Words(
+        "{atom} is coordinated by {ends}: held at these distances by springs; the ion stays in place"
+    )
+    ION_MOVES = Words(
+        "{atom} is coordinated by {ends}: held at these distances by springs, and moves with them"
+    )
+    BONDED = Words("{atom} is bonded to {ends}: held at these distances by springs")
+    BOND_IGNORED = Words(
+        "bond of the file between {atoms:and} ignored: {why}; mend the file if it is real", rank=Rank.LOSS
+    )
+    BONDS_LEFT_OUT = Words("{count:n bond} of the file to atoms that are left out", rank=Rank.LEFT_OUT)
+    IMAGES = Words(
+        "{count:n bond} of the file to symmetry mates, which are not in the model, ignored: of {atoms:6}",
+        rank=Rank.LEFT_OUT,
+    )
+    NEAR = Words(
+        "{count:n pair} of atoms as near as bonded ones, but not bonded (no LINK, CONECT or struct_conn, and "
+        "no known kind of bond): {pairs:6}"
+    )
+    STAYS = Words(
+        "{residue} stays in place, though its parameters are known: it is bonded to another molecule"
+    )
+    STAYS_UNKNOWN = Words("{residue} stays in place: {why}")
+    BOUND = Words(
+        "{residue} moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
+        "moves, in torsions as a rigid body: chemistry of {source}, charge {charge}",
+    )
+    COMPLEX = Words(
+        "{residue}: springs at the distances of the file in the place of the bonds of {atoms}",
+        "springs at the distances of the file in the place of the bonds of {atoms}",
+    )
+    MODIFIED = Words(
+        "{residue}: kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
+        "kept, with the force field of small molecules: chemistry of {source}, charge {charge}",
+    )
+    CHARGES_OF_MMFF94 = Words(
+        "{residue}: partial charges of MMFF94: {atoms:8} are outside the domain of NAGL's model"
+    )
+    CHARGES_OF_DICTIONARY = Words(
+        "{residue}: charges of the Chemical Component Dictionary, {charge} in total"
+    )
+    LINKED = Words("{atoms:and} are bonded ({length:.2f} angstrom): kept, in the place of {gone}")
+    NO_PARAMETERS = Words("the bond between {atoms:and} has no parameters: {why}")
+    CHARGED = Words("{residue}: charged for pH {ph:g}: {atoms}")
+    CHARGE_UNSURE = Words(
+        "{residue}: the charge of {atoms} at pH {ph:g} is uncertain; give the molecule with charges"
+    )
+    INVERTED = Words("{residue}: of another configuration than in its source: {atoms}", rank=Rank.LOSS)
+    MOBILE = Words("{counts} with parameters of the force field: free to move, in torsions as a rigid body")
+    STRAND = Words(
+        "strand of {count:n nucleotide}, {first} to {last}: free to move, in torsions as a rigid body"
+    )
+    GLYCAN = Words(
+        "{atoms:and} are bonded: the glycan of {count:n sugar} is free to move, with the parameters of "
+        "GLYCAM-06j ({codes}), in torsions rigid with its residue"
+    )
+    SACCHARIDE = Words(
+        "{count:n sugar} bonded to one another, {residue} first: free to move, with the parameters of "
+        "GLYCAM-06j ({codes}), in torsions as a rigid body"
+    )
+    OTHER_ANOMER = Words(
+        "{residue}: by its atoms the other anomer than by its name: it stays so, with the parameters of that"
+    )
+    SUGAR_INVERTED = Words("{residue}: of another configuration than its name says: {atoms}", rank=Rank.LOSS)
+    NUCLEOTIDES_STAY = Words(
+        "{count:n nucleotide} of a strand without parameters: {residues:6}; in place, the rest tied to them"
+    )
+    # Heavy atoms.
+    ATOMS_RENAMED = Words("atoms renamed: {changes:4}")
+    INVERTED_IN_FILE = Words("inverted stereocentres in the file: {atoms:6}")
+    INNER_OXT = Words("{residue}: OXT left out: the chain continues", rank=Rank.LOSS)
+    OXT_ADDED = Words("{residue}: missing OXT added")
+    ATOMS_ADDED = Words("{residue}: missing {atoms} added", "missing atoms added")
+    BUILT_AS_D = Words("{residue}: built as a D-amino acid, as others of its chain are under such names")
+    BRIDGES_DROPPED = Words("disulfide bonds left out, as requested: {pairs:6}", rank=Rank.LOSS)
+    BRIDGE = Words("disulfide bond between {first} and {second}")
+    BRIDGE_ASKED = Words("disulfide bond between {first} and {second}, as requested")
+    BRIDGE_FAR = Words(
+        "disulfide bond between {first} and {second}, as requested; their sulphurs are {length:.1f} angstrom "
+        "apart"
+    )
+    BRIDGE_IGNORED = Words(
+        "disulfide bond of the file between {first} and {second} ignored: it is {length:.1f} angstrom long; "
+        "request it as {remedy} if it is real",
+        rank=Rank.LOSS,
+    )
+    # Hydrogens.
+    USUAL_STATE = Words("{residue}: kept in its usual state: the force field has no terminal {state}")
+    NO_PARTNER = Words(
+        "{residue}: called {name} in the file, without a disulfide bond: read as {residue.name}"
+    )
+    RING_TURNED = Words(
+        "{residue}: ring turned by 180 degrees, by its hydrogen bonds", "rings turned by 180 degrees"
+    )
+    AMIDE_TURNED = Words(
+        "{residue}: amide turned by 180 degrees, by its hydrogen bonds", "amides turned by 180 degrees"
+    )
+    STATE_CHOSEN = Words("{residue} modelled as {state}")
+    IMIDAZOLATE = Words("{residue} modelled as imidazolate: it bridges two metals")
+    STATE_BY_PKA = Words("{residue} modelled as {state}: its pKa is {pka:.1f} by PROPKA")
+    STRANGE_HYDROGENS = Words(
+        "{residue}: hydrogens left out, not of its state: {atoms:6}",
+        "hydrogens left out that do not belong to the state",
+        Rank.LOSS,
+    )
+    HYDROGENS_RENAMED = Words("{count:n hydrogen} with an unknown name renamed after the parent atom")
+    HYDROGENS_ADDED = Words(
+        "{count:n hydrogen} added at pH {ph:g} ({present} were in the file)", rank=Rank.HYDROGENS
+    )
+    # By relax, mutate and repack.
+    SIDE_CHAIN_BUILT = Words("{residue}: side chain built anew", "side chains built anew")
+    MUTATED = Words("{residue}: mutated to {name}")
+    SIDE_CHAIN_TURNED = Words("{residue}: side chain turned from {before} to {after}", "side chains turned")
+    HYDROGEN_TURNED = Words("{residue}: polar hydrogen turned", "polar hydrogens turned")
+    NOT_PROVEN = Words(
+        "side chains turned into good rotamers, perhaps not the best: there are too many to try"
+    )
+    HAND_TURNED = Words(
+        "{residue}: inverted stereocentre {atoms:and} corrected", "inverted stereocentres corrected"
+    )
+    TURNED_TRANS = Words("{residue}: twisted peptide bond before it turned to trans")
+    TURNED_CIS = Words("{residue}: twisted peptide bond before it turned to cis")
+
+
+@dataclass(frozen=True)
+class Count:
+    """Number of molecules of a kind, and why these are left out."""
+
+    n: int
+    kind: str
+    why: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.n} {self.kind}{self.why and f' ({self.why})'}"
+
+
+@dataclass(frozen=True)
+class Apart:
+    """An atom, or two, and how far away or apart it is, angstrom."""
+
+    atoms: tuple[Atom, ...]
+    length: float
+
+    def __str__(self) -> str:
+        return f"{' and '.join(map(str, self.atoms))} ({self.length:.2f} angstrom)"
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """Name of an atom in the file, and that which it gets."""
+
+    before: str
+    after: Atom
+
+    def __str__(self) -> str:
+        return f"{self.before} to {self.after}"
+
+
+class Why(StrEnum):
+    """Why atoms of a file are lost."""
+
+    PARENT = "the force fields have only its standard parent"
+    END = "the force fields have only its standard parent at the end of a chain"
+    INCOMPLETE = "other atoms of the modified residue are missing or unknown"
+    ASKED = "standard residues are asked for"
+    PHOSPHATE = "the force fields have no phosphate of a lone nucleotide"
+    INNER = "the chain continues"
+    BONDED = "a bond takes its place"
+    BACKBONE = "an atom of its backbone is missing"
+    CAP = "a cap that is not at the end of a chain"
+    ELEMENT = "its element is unknown"
+    CHARGE = "the charge of this ion is unknown; give it in the file"
+    DUMMY = "a dummy atom of a membrane"
+    FAR = f"it is further than {defaults.KEEP_WITHIN:g} angstrom from the protein"
+
+    @property
+    def is_of_whole(self) -> bool:
+        """Whether nothing stays of the residue."""
+        return self in (Why.BACKBONE, Why.CAP, Why.ELEMENT, Why.CHARGE, Why.DUMMY, Why.FAR)
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Heavy atoms of a residue of the file that the structure lacks, but what options leave out."""
+
+    chain: str  # Of the residue in the file; the number with its insertion code.
+    number: str
+    name: str
+    atoms: tuple[str, ...]  # Names in the file.
+    why: Why
+
+    def __str__(self) -> str:
+        place = f"{self.chain}:{self.number} {self.name}"
+        return place if self.why.is_of_whole else f"{place} {', '.join(self.atoms)}"
+
+
+@dataclass(frozen=True)
+class Repair(Value):
+    """A change made to the contents of a file; its text is a sentence."""
+
+    kind: Kind
+    # What the words of the kind name, and more: ``residue`` (a ``residues.Residue``), ``atoms``, ``count``,
+    # ``length`` (angstrom), ...
+    facts: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    lost: tuple[Loss, ...] = ()  # What it takes away.
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "facts", MappingProxyType(dict(self.facts)))
+
+    def __str__(self) -> str:
+        return self.told()
+
+    def __repr__(self) -> str:
+        return f"<Repair {self.kind.name}: {self}>"
+
+    def told(self, say: Say = str) -> str:
+        """Tell it in a sentence."""
+        return _filled(self.kind.value.one, self, say)
+
+
+class _Form(Formatter):
+    """Fills templates: a list's format is how many are shown, or ``and``; a count's, ``n`` and its word."""
+
+    def __init__(self, say: Say) -> None:
+        self.say = say
+
+    def format_field(self, value: Any, spec: str) -> str:
+        if isinstance(value, Argument):
+            return self.say(value)
+        if isinstance(value, ProtochainError):
+            return value.told(self.say)
+        if isinstance(value, tuple):
+            each = [str(one) for one in value]
+            return " and ".join(each) if spec == "and" else listed(each, int(spec or len(each)))
+        if spec.startswith("n "):
+            return counted(value, spec[2:])
+        return str(super().format_field(value, spec))
+
+
+def _filled(template: str, repair: Repair, say: Say) -> str:
+    return _Form(say).vformat(template, (), repair.facts)
+
+
+def summarised(repairs: Iterable[Repair], say: Say = str) -> tuple[str, ...]:
+    """Summarise repairs."""
+    groups: dict[tuple[Rank, str], list[Repair]] = defaultdict(list)
+    for repair in repairs:
+        groups[_group(repair, say)].append(repair)
+    return tuple(
+        _in_words(*group, groups[group], say) for group in sorted(groups, key=lambda group: group[0])
+    )
+
+
+def _group(repair: Repair, say: Say) -> tuple[Rank, str]:
+    """Rank of a repair in the summary, and what it says, alike for those in one line."""
+    one, many, rank = repair.kind.value
+    if rank is Rank.GAP:
+        return rank, ""
+    if repair.kind in (Kind.STATE_NAMED, Kind.STATE_CHOSEN) and repair.facts["state"] in _HISTIDINES:
+        return Rank.HISTIDINE, ""
+    return rank, _filled(many or one.removeprefix("{residue}").removeprefix(":").lstrip(), repair, say)
+
+
+def _in_words(rank: Rank, what: str, alike: list[Repair], say: Say) -> str:
+    """Tell the repairs of a group as one; a single one as it is, unless it is the state of a histidine."""
+    if rank is Rank.HISTIDINE:
+        of: dict[str, list[str]] = defaultdict(list)
+        for each in alike:
+            of[each.facts["state"]].append(each.facts["residue"].place)
+        return "HIS states: " + "; ".join(f"{state} {listed(of[state], _SHOWN)}" for state in sorted(of))
+    if len(alike) == 1 or (rank is not Rank.GAP and "residue" not in alike[0].facts):
+        return alike[0].told(say)
+    if rank is Rank.GAP:
+        gaps = [
+            f"{each['last'].place}-{each['first'].number} ({each['length']:.1f} angstrom)"
+            for each in (repair.facts for repair in alike)
+        ]
+        return (
+            f"split at {len(gaps)} gaps in the chains, with charged termini: {listed(gaps, _SHOWN)}; "
+            "to avoid it, model the missing residues"
+        )
+    places = [f"{each.place} {each.name}" for each in (repair.facts["residue"] for repair in alike)]
+    return f"{what} in {len(places)} residues: {listed(places, _SHOWN)}"
+
+
+_HISTIDINES = ("HID", "HIE", "HIP")

@@ -1,0 +1,226 @@
+"""Assign templates and add missing heavy atoms."""
+
+from collections.abc import Mapping
+
+import gemmi
+import numpy as np
+
+from protochain.core.arrays import Floats, dihedral
+from protochain.core.errors import StructureError
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.chirality import centres, handedness, inverted_atoms
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.repairs import Kind, Renamed, Why
+from protochain.structure.molecule.templates import Template, rename
+from protochain.structure.preparation.draft import Draft, Part, losses
+from protochain.structure.sidechains.ideal import Places, bridged, ideal, placed, unit
+from protochain.structure.sidechains.sites import Site
+
+_ENDS = {"OXT": ("C", ("CA", "O"), 1.25), "OP3": ("P", ("O5'", "OP1", "OP2"), 1.48)}
+"""Oxygens at the ends of chains: the atom that each is bonded to, its other neighbours, and the length of
+the bond, angstrom, in ff14SB and OL15."""
+_CARBONYL, _TRIGONAL = 1.23, float(np.deg2rad(120.4))
+"""Angstrom, rad: C=O of a peptide bond, and its angle with CA."""
+_FLAT = 0.1
+"""Angstrom^2: area of N-CA-C below which they are on one line."""
+_DECIMALS = 4
+"""Decimals (angstrom) of the positions: sine and cosine differ in the last bit between libraries."""
+
+
+def add_heavy_atoms(draft: Draft, known: Mapping[str, Template]) -> None:
+    """Rename atoms to their PDB names, and add missing heavy atoms: side chains ideal, on rotamers."""
+    renamed: list[Renamed] = []
+    open_ended: list[Member] = []
+    lacking: list[tuple[Part, int, list[str]]] = []
+    for part in draft.parts:
+        for i, member in enumerate(part.members):
+            template = part.template(known, i)
+            if template is None:
+                where = "" if part.obstacle else " at the end of a chain"
+                raise StructureError(
+                    f"{draft.source}: {member}: the force field has no parameters for it{where}; remove it"
+                )
+            renamed += [
+                Renamed(before, residues.Atom(after, member.residue))
+                for before, after in rename(member.atoms, template)
+            ]
+            _check_heavy_atoms(draft, member, template)
+            there = {each.name for each in member.atoms}
+            missing = [name for name in template.heavy if name not in there]
+            if "OXT" in missing:
+                missing.remove("OXT")
+                open_ended.append(member)
+            if "OP3" in missing:
+                missing.remove("OP3")
+                if not missing:
+                    draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=("OP3",))
+                    member.atoms.insert(1, _terminal_oxygen(draft, member, "OP3"))
+            if missing:
+                lacking.append((part, i, missing))
+    if renamed:
+        draft.note(Kind.ATOMS_RENAMED, changes=tuple(renamed))
+    of_chains = [m for part in draft.parts if not part.obstacle for m in part.members]
+    # Those with a source of their own are told by it; a D-amino acid's may be of its mirror image.
+    if inverted := inverted_atoms([m for m in of_chains if m.own is None or m.is_d]):
+        draft.note(Kind.INVERTED_IN_FILE, atoms=tuple(inverted))
+    _rebuild(draft, lacking)
+    for member in open_ended:
+        draft.note(Kind.OXT_ADDED, residue=member.residue)
+        member.atoms.append(_terminal_oxygen(draft, member, "OXT"))
+
+
+def _check_heavy_atoms(draft: Draft, member: Member, template: Template) -> None:
+    """Remove a terminal oxygen within a chain; refuse other heavy atoms that the template lacks."""
+    strange = [a for a in member.heavy if a.name not in template.element and a.name != "OXT"]
+    if strange:
+        raise StructureError(
+            f"{draft.source}: {member}: atom {strange[0].name} does not belong to {member.name}; "
+            "rename or remove it"
+        )
+    if "OXT" not in template.element and member.atom("OXT"):
+        gone = losses(member, [a for a in member.atoms if a.name == "OXT"], Why.INNER)
+        draft.note(Kind.INNER_OXT, gone, residue=member.residue)
+        member.atoms = [a for a in member.atoms if a.name != "OXT"]
+
+
+def _terminal_oxygen(draft: Draft, member: Member, name: str) -> gemmi.Atom:
+    """Build the last oxygen of a carboxylate, or of a 5' phosphate, opposite to the other neighbours."""
+    centre, others, distance = _ENDS[name]
+    at, *near = (np.array(a.pos.tolist()) for each in (centre, *others) if (a := member.atom(each)))
+    arms = np.array(near) - at
+    away = -(arms / np.maximum(np.linalg.norm(arms, axis=1, keepdims=True), 1e-9)).sum(axis=0)
+    length = np.linalg.norm(away)
+    if not 1e-3 < length < len(arms) - 1e-3:
+        raise StructureError(
+            f"{draft.source}: {member}: no place for {name} beside {', '.join(others)}; "
+            "correct the coordinates"
+        )
+    return atom(name, "O", (at + distance * away / length).tolist(), member.atoms[0].b_iso)
+
+
+def _rebuild(draft: Draft, lacking: list[tuple[Part, int, list[str]]]) -> None:
+    """Build missing heavy atoms: oxygens of the backbone, then side chains, all at once."""
+    for part, i, missing in lacking:
+        member = part.members[i]
+        if member.name not in residues.STANDARD:
+            raise StructureError(
+                f"{draft.source}: {member}: atom {missing[0]} missing; build it, or remove the residue"
+            )
+        _check_backbone(draft, member)
+        draft.note(Kind.ATOMS_ADDED, residue=member.residue, atoms=tuple(missing))
+    for part, i, missing in lacking:
+        if "O" in missing:
+            _add(part.members[i], {"O": _oxygen(draft, part, i)})
+    sites = [(_site(draft, part, i), set(missing)) for part, i, missing in lacking if missing != ["O"]]
+    for site, _ in sites:
+        between = bridged(site.member.name, site.known)
+        _add(site.member, {name: site.sign * x for name, x in between.items()})
+    open_ended = [site for site, _ in sites if ideal(site.member.name).x.keys() - site.known.keys()]
+    if open_ended:
+        _pack(draft, open_ended)
+    for site, added in sites:
+        _check_hand(draft, site, added)
+
+
+def _pack(draft: Draft, sites: list[Site]) -> None:
+    """Put side chains into the best of their rotamers."""
+    # Imported here: reading a whole structure need not wait for its kernels.
+    from protochain.structure.sidechains.packing import packed
+
+    found = packed(draft.members, sites)
+    if not found.is_proven:
+        draft.note(Kind.NOT_PROVEN)
+    for site, places in zip(sites, found.places, strict=True):
+        _add(site.member, places)
+
+
+def _site(draft: Draft, part: Part, i: int) -> Site:
+    """The residue and its neighbours, of the configuration that its CB has or that its name says."""
+    member = part.members[i]
+    sign = handedness(member) or (-1 if member.is_d else 1)
+    if not handedness(member) and not member.is_d and _is_misnamed(part, i):
+        sign = -1
+        draft.note(Kind.BUILT_AS_D, residue=member.residue)
+    return Site(member, sign, *part.around(i))
+
+
+def _is_misnamed(part: Part, i: int) -> bool:
+    """Whether a residue of positive phi is in a chain where most such residues are D under names of L."""
+    if _phi(part, i) <= 0.0:
+        return False
+    named_l = [k for k, member in enumerate(part.members) if not member.is_d and _phi(part, k) > 0.0]
+    return sum(handedness(part.members[k]) for k in named_l) < 0
+
+
+def _phi(part: Part, i: int) -> float:
+    """Dihedral phi, rad; zero where there is none."""
+    before, _ = part.around(i)
+    atoms = [
+        before.atom("C") if before else None,
+        *(part.members[i].atom(name) for name in residues.BACKBONE),
+    ]
+    places = [np.array(a.pos.tolist()) for a in atoms if a is not None]
+    return float(dihedral(*places)) if len(places) == 4 else 0.0
+
+
+def _check_backbone(draft: Draft, member: Member) -> None:
+    """Refuse a backbone from which nothing can be built."""
+    places = {a.name: np.array(a.pos.tolist()) for a in member.atoms if a.name in residues.BACKBONE}
+    for name in residues.BACKBONE:
+        if name not in places:  # As after its conversion to a parent, which has no such element there.
+            raise StructureError(
+                f"{draft.source}: {member}: atom {name} missing; build it, or remove the residue"
+            )
+    n, alpha, c = (places[name] for name in residues.BACKBONE)
+    if np.linalg.norm(np.cross(n - alpha, c - alpha)) < _FLAT:
+        raise StructureError(f"{draft.source}: {member}: N, CA and C are collinear; correct the coordinates")
+
+
+def _check_hand(draft: Draft, site: Site, added: set[str]) -> None:
+    """Refuse atoms of the file between which none of the right configuration fits."""
+    member = site.member
+    for centre, neighbours in centres(member.name).items():
+        if added & {centre, *neighbours} and handedness(member, centre) == -site.sign:
+            raise StructureError(
+                f"{draft.source}: {member}: its atoms leave no place for those missing at {centre}; "
+                "correct the coordinates, or remove its side chain"
+            )
+
+
+def _add(member: Member, places: Places) -> None:
+    """Add atoms; hydrogens at the atoms that get a neighbour are placed anew."""
+    bonds = ideal(member.name).bonds
+    parents = {other for name in places for other in bonds[name]}
+    heavy = [np.array(a.pos.tolist()) for a in member.heavy]
+    names = [a.name for a in member.heavy]
+    kept = []
+    for a in member.atoms:
+        if a.is_hydrogen():
+            apart = np.linalg.norm(np.array(heavy) - a.pos.tolist(), axis=1)
+            if names[int(np.argmin(apart))] in parents - {"N", "C"}:
+                continue
+        kept.append(a)
+    b_iso = float(np.mean([a.b_iso for a in member.atoms]))
+    kept += [atom(name, name[0], np.round(x, _DECIMALS).tolist(), b_iso) for name, x in places.items()]
+    order = {name: k for k, name in enumerate(member.order)}
+    member.atoms = sorted(kept, key=lambda a: order.get(a.name, len(order)))
+
+
+def _oxygen(draft: Draft, part: Part, i: int) -> Floats:
+    """(3,) float, angstrom: oxygen in the plane of a peptide bond, or where a C terminus has room for it."""
+    member = part.members[i]
+    at = {a.name: np.array(a.pos.tolist()) for a in member.atoms}
+    _, after = part.around(i)
+    beyond = after.atom("N") if after else member.atom("OXT")
+    if beyond is not None:
+        arms = unit(at["CA"] - at["C"]) + unit(np.array(beyond.pos.tolist()) - at["C"])
+        return at["C"] - _CARBONYL * unit(arms)
+    turns = np.deg2rad(np.arange(0.0, 360.0, 10.0))
+    places = placed(at["N"], at["CA"], at["C"], _CARBONYL, _TRIGONAL, turns)
+    others = np.array(
+        [a.pos.tolist() for m in draft.members for a in m.atoms if m is not member and not a.is_hydrogen()]
+        + [at["N"].tolist()]
+    )
+    room = np.linalg.norm(places[:, None] - others, axis=-1).min(axis=1)
+    # The other oxygen of the carboxylate will be opposite.
+    return places[int(np.argmax(np.round(np.minimum(room, np.roll(room, len(turns) // 2)), 4)))]

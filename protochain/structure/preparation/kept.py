@@ -1,0 +1,375 @@
+"""Molecules kept with the protein: ligands, cofactors, glycans, ions, nucleic acids, waters."""
+
+import re
+from collections import Counter
+from collections.abc import Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import gemmi
+import numpy as np
+from scipy.spatial import KDTree
+
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Integers
+from protochain.core.errors import Argument, StructureError
+from protochain.core.graph import components
+from protochain.core.markup import counted
+from protochain.structure.formats.ions import charge_cluster, is_known
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.links import Link, is_metal
+from protochain.structure.molecule.member import Member
+from protochain.structure.molecule.repairs import EVERYTHING, Count, Kind, Loss, Repair, Why
+from protochain.structure.molecule.templates import Template
+from protochain.structure.preparation import glycans
+from protochain.structure.preparation.bound import AS_KNOWN, Chemistry
+from protochain.structure.preparation.draft import Draft, Part, losses
+from protochain.structure.preparation.linkage import STATED
+from protochain.structure.preparation.recognise import by_element, recognised
+
+KINDS = ("none", "near", "all", "water", "ions", "nucleic", "ligands")
+"""Words that choose molecules by kind; any other word is the name of a residue."""
+JOINED = 2.0
+"""Angstrom: molecules with atoms nearer than this are parts of one, as the sugars of a glycan (1.4)."""
+_PAIRED, _ABOVE = 3.4, 1.5
+"""Angstrom: length of hydrogen bonds of paired bases, and their rise from the plane of a base; stacked bases
+are 3.4 apart. (Lu, Bussemaker, Olson, Nucleic Acids Res. 43:e142, 2015, allow 4.0 and 2.5.)"""
+_UPON = 0.5
+"""Angstrom: atoms of two molecules nearer than this are in one place."""
+_FARTHEST = max(_PAIRED, STATED)
+_PHOSPHATE_BREAK, _PHOSPHATE_TORN = 2.5, 10.0
+"""Angstrom: O3' and P further apart than this are not bonded (1.6), where numbers go on not than the second:
+then the strand is torn. Ends of two strands of a duplex are 15 apart and more."""
+_PHOSPHATE = ("P", "OP1", "OP2", "OP3", "O1P", "O2P", "O3P")
+_LARGEST = 2000
+"""Atoms of a molecule by element, none of which interact: memory grows with their square. The largest of the
+archive have some hundreds."""
+_NAMED = 20
+_DUMMY = ("DUM", "MMB")
+"""Marks of a membrane by OPM (Lomize et al., Nucleic Acids Res. 40:D370, 2012), and LightDock's beads."""
+
+
+@dataclass(eq=False)
+class Candidate:
+    """A residue that is no part of the protein."""
+
+    member: Member
+    given: str  # Its name in the file.
+    notes: list[Repair] = field(default_factory=list)  # Repairs to report if it is kept.
+
+    @property
+    def kind(self) -> str:
+        """Kind, as a word of ``KINDS``."""
+        if self.member.name == "HOH":
+            return "water"
+        if len(self.member.atoms) == 1:
+            return "ions"
+        return "nucleic" if self.member.name in residues.NUCLEOTIDES else "ligands"
+
+
+def check_words(words: Iterable[str]) -> None:
+    """Refuse a word that is neither a kind of molecule nor can be the name of a residue."""
+    for word in words:
+        if word not in KINDS and not re.fullmatch(r"[A-Z0-9+-]{1,5}", word):
+            raise StructureError(
+                Argument("keep"), f" {word!r} is not known; give {', '.join(KINDS)} or names of residues"
+            )
+
+
+def choose(
+    draft: Draft,
+    candidates: Sequence[Candidate],
+    keep: Sequence[str],
+    known: Mapping[str, Template],
+    chemistry: Chemistry = AS_KNOWN,
+) -> list[Part]:
+    """Choose the molecules to keep; count and report the others."""
+    check_words(keep)
+    _refuse_unknown_names(draft, candidates, keep, "keep ")
+    # The chemistry of an amino acid in a chain may be given, too.
+    of_chains = {member.given or member.name for member in draft.members if member.odd}
+    _refuse_unknown_names(draft, candidates, [*{*chemistry.named} - of_chains], "ligand ")
+    usable = [candidate for candidate in candidates if not _why_unusable(candidate.member)]
+    strands = {
+        id(each)
+        for pair in pairwise(candidates) if _is_bonded(*(each.member for each in pair))
+        for each in pair
+    }  # fmt: skip
+    near = _near(draft, usable, chemistry.moving, strands) if "near" in keep else set()
+    chosen = []
+    gone: Counter[tuple[str, Why | None]] = Counter()
+    lost: list[Loss] = []
+    for candidate in candidates:
+        words = {"all", candidate.kind, candidate.member.name, candidate.given}
+        words |= {"nucleic"} if id(candidate) in strands else set()
+        is_given = candidate.given in chemistry.moving
+        # A result names what it kept, which may have come further away.
+        if id(candidate) in near or draft.says_of(candidate.member):
+            words.add("near")
+        why = _why_unusable(candidate.member)
+        if (is_given or words & {*keep}) and not why:
+            chosen.append(candidate)
+            continue
+        draft.absent.append(candidate.member)
+        if not why and "near" in keep and candidate.kind != "water":
+            why = Why.FAR
+        if why:
+            lost += losses(candidate.member, candidate.member.atoms, why)
+        gone[("waters" if candidate.kind == "water" else candidate.given, why)] += 1
+    for (kind, _), count in gone.items():
+        draft.left_out[kind] += count
+    _note_coincident(draft, [each.member for each in chosen])
+    note_unresolved(draft, [each.member for each in chosen])
+    parts = _parts(draft, chosen, known, chemistry)
+    if gone:
+        counts = tuple(Count(n, kind, why or "") for (kind, why), n in gone.items())
+        facts = {"counts": counts, "count": counts[0].n, "remedy": EVERYTHING}
+        dry = any(count.kind != "waters" for count in counts)
+        left = Kind.LEFT_OUT if dry else Kind.WATERS_LEFT_OUT
+        draft.repairs.insert(0, Repair(left, facts, tuple(lost)))
+    return parts
+
+
+def note_unresolved(draft: Draft, members: Sequence[Member]) -> None:
+    """Report heavy atoms that the experiment did not resolve."""
+    unseen = [sum(a.occ == 0.0 for a in member.heavy) for member in members]
+    places = tuple(member.residue for member, n in zip(members, unseen, strict=True) if n)
+    if places:
+        draft.note(Kind.UNRESOLVED, count=sum(unseen), residues=places)
+
+
+def _note_coincident(draft: Draft, members: Sequence[Member]) -> None:
+    """Report molecules that lie upon one another and are no alternates by their occupancies."""
+    ends = [(m, a) for m in members for a in m.heavy]
+    near = KDTree([a.pos.tolist() for _, a in ends]).query_pairs(_UPON) if ends else set()
+    pairs = Counter((ends[i][0].residue, ends[j][0].residue) for i, j in sorted(near))
+    for (first, second), number in pairs.items():
+        if first != second and number > 1:
+            draft.note(Kind.COINCIDENT, residue=second, other=first)
+
+
+def _refuse_unknown_names(
+    draft: Draft, candidates: Sequence[Candidate], asked: Sequence[str], why: str
+) -> None:
+    """Refuse the name of a residue that no molecule has: it would keep, or tell, nothing."""
+    names = {name for candidate in candidates for name in (candidate.given, candidate.member.name)}
+    unknown = next((word for word in asked if word not in KINDS and word not in names), None)
+    if unknown is not None:
+        count = Counter("" if each.kind == "water" else each.given for each in candidates)
+        there = [f"{n} {name}" if name else counted(n, "water") for name, n in count.most_common(_NAMED)]
+        more = f" and {counted(len(count) - _NAMED, 'more kind')}" if len(count) > _NAMED else ""
+        raise StructureError(
+            f"{draft.source}: {why}{unknown}: no molecule kept with the protein has this name; those there: "
+            f"{', '.join(there) or 'none'}{more}"
+        )
+
+
+def _why_unusable(member: Member) -> Why | None:
+    if member.name in _DUMMY:
+        return Why.DUMMY
+    if not all(atom.element.atomic_number for atom in member.atoms) or all(
+        atom.is_hydrogen() for atom in member.atoms
+    ):
+        return Why.ELEMENT
+    return Why.CHARGE if len(member.atoms) == 1 and not is_known(member.atoms[0]) else None
+
+
+def _near(
+    draft: Draft, candidates: Sequence[Candidate], given: Container[str], strands: Container[int]
+) -> set[int]:
+    """``id`` of the candidates with an atom near the protein, and of all that is joined to one that has.
+
+    Molecules that the user gives, poses among them, count as the protein does: their site is kept whole.
+    """
+    # Of a file without protein, its nucleic acids.
+    nucleic = [each.member for each in candidates if each.kind == "nucleic" or id(each) in strands]
+    whole = draft.members or nucleic
+    whole = [*whole, *(each.member for each in candidates if each.given in given)]
+    protein = [a.pos.tolist() for member in whole for a in member.heavy]
+    dry = [candidate for candidate in candidates if candidate.kind != "water"]
+    if not dry or not protein:
+        return set()
+    ends = [(k, a) for k, candidate in enumerate(dry) for a in candidate.member.atoms]
+    owner, x = np.array([k for k, _ in ends]), np.array([a.pos.tolist() for _, a in ends])
+    distance, _ = KDTree(protein).query(x, distance_upper_bound=defaults.KEEP_WITHIN)
+    group = components(_joined(draft, [each.member for each in dry], ends, owner, x), len(dry))
+    touching = np.unique(group[owner[np.isfinite(distance)]])
+    return {id(candidate) for candidate, its in zip(dry, group, strict=True) if its in touching}
+
+
+def _joined(
+    draft: Draft,
+    members: Sequence[Member],
+    ends: Sequence[tuple[int, gemmi.Atom]],
+    owner: Integers,
+    x: Floats,
+) -> Integers:
+    """Pairs (n, 2) of residues: bonded ones, a metal and what holds it, and nucleotides with paired bases."""
+    near = KDTree(x).query_pairs(_FARTHEST, output_type="ndarray")
+    # Hydrogens, which a file may have or not, decide nothing: those of hydrogen bonds are nearer than JOINED.
+    heavy = np.array([not atom.is_hydrogen() for _, atom in ends])
+    near = near[(owner[near[:, 0]] != owner[near[:, 1]]) & heavy[near].all(axis=1)]
+    length = np.linalg.norm(x[near[:, 0]] - x[near[:, 1]], axis=1)
+    is_joined = length <= JOINED
+    stated = {frozenset(pair) for pair in draft.stated}
+    metal = np.array([is_metal(atom.element.name) for _, atom in ends])
+    address = [members[k].address(atom.name) for k, atom in ends] if stated or metal.any() else []
+    for row in np.flatnonzero(~is_joined & (length <= STATED)).tolist() if address else ():
+        i, j = near[row].tolist()
+        is_stated = {address[i], address[j]} in stated
+        if metal[i] != metal[j]:
+            donor, ion = (i, j) if metal[j] else (j, i)
+            (k, atom), (other, its) = ends[donor], ends[ion]
+            is_joined[row] = Link(members[k], atom, members[other], its, is_stated).is_coordinated
+        else:
+            is_joined[row] = is_stated
+    return np.vstack([owner[near[is_joined]], _paired(members, ends, owner, x, near[length <= _PAIRED])])
+
+
+def _paired(
+    members: Sequence[Member],
+    ends: Sequence[tuple[int, gemmi.Atom]],
+    owner: Integers,
+    x: Floats,
+    near: Integers,
+) -> Integers:
+    """Pairs (n, 2) of nucleotides two of whose base atoms are at hydrogen bonds in the plane of a base."""
+    sugar = np.array([member.atom("C1'") is not None for member in members])
+    in_base = np.array([sugar[k] and "'" not in a.name and a.name not in _PHOSPHATE for k, a in ends])
+    polar = in_base & np.array([atom.element.name in ("N", "O") for _, atom in ends])
+    bonds: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for i, j in near[polar[near].all(axis=1)].tolist():
+        i, j = (i, j) if owner[i] < owner[j] else (j, i)
+        base = x[in_base & (owner == owner[i])]
+        normal = np.linalg.svd(base - base.mean(axis=0))[2][2]
+        if abs(normal @ (x[j] - x[i])) <= _ABOVE:
+            bonds.setdefault((int(owner[i]), int(owner[j])), []).append((i, j))
+    found = [pair for pair, its in bonds.items() if min(len({*end}) for end in zip(*its, strict=True)) > 1]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+def _parts(
+    draft: Draft, chosen: Sequence[Candidate], known: Mapping[str, Template], chemistry: Chemistry
+) -> list[Part]:
+    """Group residues into molecules: bonded nucleotides form a strand, all others stand alone."""
+    parts: list[Part] = []
+    for candidate in chosen:
+        member = candidate.member
+        draft.repairs += candidate.notes
+        if parts and _is_bonded(parts[-1].members[-1], member):
+            parts[-1].members.append(member)
+        else:
+            parts.append(Part(member.chain_id, [member], obstacle=True))
+    glycans.settle(draft, parts, known.keys() | chemistry.moving, chemistry.has_glycam)
+    for part in (each for each in parts if not each.glycan):
+        _trim(draft, part)
+    parts = [piece for part in parts for piece in _pieces(draft, part, known, chemistry.has_sage)]
+    for part in parts:
+        first, whole = part.members[0], [*part.members[0].atoms]
+        if first.own is not None:
+            continue
+        if len(part.members) == 1 and part.is_strand and not first.links:
+            first.atoms = [atom for atom in whole if atom.name not in _PHOSPHATE]
+        found = [part.template(known, i) for i in range(len(part.members))]
+        fits = all(m.odd or _fits(m, its) for m, its in zip(part.members, found, strict=True))
+        is_users = len(found) == 1 and found[0] is not None and found[0].is_users
+        part.mobile = fits and (is_users or part.is_strand)
+        if not fits:
+            first.atoms = whole
+            for member in part.members:
+                if len(member.atoms) > _LARGEST:
+                    raise StructureError(
+                        f"{draft.source}: {member} has {len(member.atoms)} atoms, more than {_LARGEST}; "
+                        "give each molecule in it a number of its own, or leave it out by keep"
+                    )
+                charge_cluster(member.name, member.atoms)
+                member.own = by_element(member)
+            if len(part.members) == 1:
+                users = (t for t in known.values() if t.is_users and t.name not in residues.STANDARD)
+                known_as = recognised(first, first.own, users) if first.own else None
+                first.own, part.mobile = known_as or first.own, known_as is not None
+                is_known = part.mobile or first.name in residues.NUCLEOTIDES
+                is_ion = len(first.heavy) < 2 and not {a.element.name for a in first.heavy} & {"N", "O", "S"}
+                part.is_small = not (is_ion or is_known)
+        elif len(whole) > len(first.atoms):
+            lost = losses(first, [atom for atom in whole if atom not in first.atoms], Why.PHOSPHATE)
+            draft.note(Kind.PHOSPHATE, lost, residue=first.residue)
+    return parts
+
+
+def _trim(draft: Draft, part: Part) -> None:
+    """Leave out the end of a strand of which only the phosphate was seen."""
+    while (
+        len(part.members) > 1
+        and part.is_strand
+        and all(atom.name in (*_PHOSPHATE, "O5'") for atom in part.members[-1].atoms)
+    ):
+        last = part.members.pop()
+        lost = losses(last, last.atoms, Why.BACKBONE)
+        draft.note(Kind.NO_BACKBONE, lost, residue=last.residue, atom="C1'")
+
+
+def _pieces(draft: Draft, part: Part, known: Mapping[str, Template], has_sage: bool) -> list[Part]:
+    """Cut a strand at the nucleotides without parameters; modified ones are to get their own."""
+    if len(part.members) == 1:
+        return [part]
+    strange = [m for i, m in enumerate(part.members) if not _fits(m, part.template(known, i))]
+    for member in strange:
+        member.odd = has_sage and member.name not in residues.NUCLEOTIDES
+    return cut(draft, part, [member for member in strange if not member.odd])
+
+
+def cut(draft: Draft, part: Part, strange: Sequence[Member]) -> list[Part]:
+    """Cut a strand at nucleotides without parameters, which stay in place, and report it."""
+    if not strange:
+        return [part]
+    pieces: list[Part] = []
+    for i, member in enumerate(part.members):
+        moves, before = member not in strange, part.members[i - 1]
+        if not i or moves == (before in strange):
+            pieces.append(Part(part.chain_id, [], obstacle=True, mobile=moves))
+            if i:
+                # Beside it, the strand goes on.
+                one, name = (member, "P") if moves else (before, "O3'")
+                one.links += [atom for atom in one.atoms if atom.name == name]
+        pieces[-1].members.append(member)
+    for member in strange:
+        member.own, member.odd = by_element(member), False
+    draft.note(Kind.NUCLEOTIDES_STAY, count=len(strange), residues=tuple(each.residue for each in strange))
+    return pieces
+
+
+def _is_bonded(last: Member, first: Member) -> bool:
+    end, start = last.atom("O3'"), first.atom("P")
+    of_strand = {last.name, first.name} <= {*residues.NUCLEOTIDES}
+    follows = of_strand and last.chain_id == first.chain_id and int(first.number) == int(last.number) + 1
+    farthest = _PHOSPHATE_TORN if follows else _PHOSPHATE_BREAK
+    return bool(end and start and end.pos.dist(start.pos) < farthest)
+
+
+def _fits(member: Member, template: Template | None) -> bool:
+    """Whether a template has exactly the heavy atoms of a residue, which is no amino acid."""
+    if template is None or member.name in residues.STANDARD or member.name in residues.CAPS:
+        return False
+    heavy = {template.synonyms.get(a.name, a.name) for a in member.heavy}
+    # The third oxygen of a 5' phosphate can be built.
+    return heavy | {"OP3"} == {*template.heavy, "OP3"}
+
+
+def report(draft: Draft) -> None:
+    """Say what is kept, before all other repairs but what is left out."""
+    its = [(part, m) for part in draft.parts if part.obstacle for m in part.members]
+    if its:
+        counts = Counter("waters" if m.name == "HOH" else m.given or m.name for _, m in its).most_common()
+        bare = {m.given or m.name for part, m in its if m.own and not part.mobile}
+        facts = {"counts": tuple(Count(n, name) for name, n in counts), "bare": tuple(sorted(bare))}
+        first = bool(draft.repairs) and draft.repairs[0].kind in (Kind.LEFT_OUT, Kind.WATERS_LEFT_OUT)
+        draft.repairs.insert(first, Repair(Kind.KEPT_BY_ELEMENT if bare else Kind.KEPT, facts))
+
+
+def water_named(member: Member, given: str) -> Member:
+    """Return a residue that is water in the tables under the name of water, or as unknown by its atoms."""
+    if not gemmi.find_tabulated_residue(given).is_water():
+        return member
+    is_water = {a.element.name for a in member.heavy if a.element.atomic_number} <= {"O"}
+    return replace(member, name="HOH" if is_water else "UNL")

@@ -1,0 +1,197 @@
+"""Molecules that a periodic box breaks, made whole; chains in another image, brought back.
+
+Positions move by lattice vectors only. A structure that is whole stays as it is, bit for bit.
+"""
+
+from itertools import pairwise, product
+
+import gemmi
+import numpy as np
+from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
+from scipy.spatial import KDTree
+
+from protochain.core.arrays import Floats, Integers
+from protochain.core.graph import components, grouped
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.residues import Residue
+from protochain.structure.preparation.draft import Draft
+
+_THINNEST = 3.0
+"""Angstrom. No molecule has a cell as thin as this; files without a box state 1 angstrom or 0."""
+_BONDED, _LINKED = 2.2, 3.0
+"""Angstrom: longest bonds within residues; and between them, as of models whose bonds are off."""
+_DISULFIDE = 2.5
+_CONTACT = 6.0
+"""Angstrom between heavy atoms of molecules that touch, as in frames."""
+_LARGEST = 2000
+"""Atoms of the largest residue that is examined."""
+_LINKS = (("C", "N"), ("O3'", "P"))
+
+
+class _Molecules:
+    """Positions of the residues of a model, and the lattice vectors by which they move."""
+
+    def __init__(self, model: gemmi.Model, cell: gemmi.UnitCell) -> None:
+        self.residues = [(chain, residue) for chain in model for residue in chain]
+        self.atoms = [atom for _, residue in self.residues for atom in residue]
+        sizes = [len(residue) for _, residue in self.residues]
+        self.of = np.repeat(np.arange(len(sizes)), sizes)
+        self.starts = np.concatenate([[0], np.cumsum(sizes)])
+        self.lattice = np.array(cell.orth.mat.tolist()).T
+        self.to_fractions = np.linalg.inv(self.lattice)
+        self.x = np.array([atom.pos.tolist() for atom in self.atoms])
+        self.turns = np.zeros((len(self.x), 3))
+        self.piece = np.arange(len(sizes))
+        of = self.of.tolist()
+        self.ends = {(of[k], a.name): k for k, a in enumerate(self.atoms) if a.name in {*sum(_LINKS, ())}}
+
+    def now(self, atoms: Integers) -> Floats:
+        """Positions of atoms after their moves."""
+        return np.asarray(self.x[atoms] + self.turns[atoms] @ self.lattice)
+
+    def between(self, one: int, other: int) -> tuple[Floats, float, float]:
+        """Turns from one atom to the nearest image of another, and the distances with and without them."""
+        way = np.diff(self.now(np.array([one, other])), axis=0)[0]
+        turns = np.round(way @ self.to_fractions)
+        return turns, float(np.linalg.norm(way - turns @ self.lattice)), float(np.linalg.norm(way))
+
+    def join_within(self) -> None:
+        """Bring the atoms of each residue together."""
+        fractions = self.x @ self.to_fractions
+        bounds = [
+            (
+                np.minimum.reduceat(fractions[:, k], self.starts[:-1]),
+                np.maximum.reduceat(fractions[:, k], self.starts[:-1]),
+            )
+            for k in range(3)
+        ]
+        wide = np.any([high - low > 0.5 for low, high in bounds], axis=0)
+        for residue in np.flatnonzero(wide).tolist():
+            atoms = np.arange(self.starts[residue], self.starts[residue + 1])
+            if len(atoms) <= _LARGEST:
+                self.turns[atoms] = self._turns(self.x[atoms], self.residues[residue][1])
+
+    def _turns(self, x: Floats, residue: gemmi.Residue) -> Floats:
+        turns = np.zeros((len(x), 3))
+        direct = KDTree(x).query_pairs(_BONDED, output_type="ndarray")
+        if len(np.unique(components(direct, len(x)))) == 1:
+            return turns
+        way = x[None] - x[:, None]
+        images = np.round(way @ self.to_fractions)
+        length = np.linalg.norm(way - images @ self.lattice, axis=-1) + np.finfo(float).eps
+        if not {"CA", "C1'"} & {atom.name for atom in residue}:
+            # Molecules that share a number may lie anywhere: only bonds join.
+            length[length > _BONDED] = 0.0
+        tree = minimum_spanning_tree(length)
+        order, parent = breadth_first_order(tree, 0, directed=False)
+        for k in order[1:]:
+            turns[k] = turns[parent[k]] - images[parent[k], k]
+        return turns
+
+    def join_chains(self) -> None:
+        """Bring each residue to the one before it that it is bonded to."""
+        for r, following in pairwise(range(len(self.residues))):
+            if self.residues[r][0].name != self.residues[following][0].name:
+                continue
+            for end, start in _LINKS:
+                i, j = self.ends.get((r, end)), self.ends.get((following, start))
+                if i is None or j is None:
+                    continue
+                turns, nearest, length = self.between(i, j)
+                if nearest < _LINKED:
+                    self.piece[following] = self.piece[r]
+                    if length >= _LINKED:
+                        self.turns[self.starts[following] : self.starts[following + 1]] -= turns
+
+    def move(self, piece: int, turns: Floats) -> None:
+        self.turns[(self.piece == piece)[self.of]] += turns
+
+    def join_disulfides(self) -> list[int]:
+        """Bring chains to the chains that they have disulfide bonds with, and return their first residues."""
+        sulphurs = np.array([k for k, atom in enumerate(self.atoms) if atom.name == "SG"], dtype=np.int64)
+        way = self.x[sulphurs][None] - self.x[sulphurs][:, None]
+        way -= np.round(way @ self.to_fractions) @ self.lattice
+        moved = []
+        for i, j in sulphurs[np.argwhere(np.triu(np.linalg.norm(way, axis=-1) < _DISULFIDE, 1))].tolist():
+            one, other = (int(self.piece[self.of[k]]) for k in (i, j))
+            if one != other:
+                turns, nearest, length = self.between(i, j)
+                if nearest < _DISULFIDE <= length:
+                    self.move(other, -turns)
+                    moved.append(other)
+                if nearest < _DISULFIDE:
+                    self.piece[self.piece == other] = one
+        return moved
+
+    def join_images(self) -> list[int]:
+        """Bring molecules that touch no other to the image that does, and return their first residues."""
+        heavy = np.array([k for k, atom in enumerate(self.atoms) if not atom.is_hydrogen()])
+        groups = [heavy[atoms] for atoms in grouped(self.piece[self.of[heavy]])]
+        # Waters stay: they are obstacles at most, and many.
+        groups = [atoms for atoms in groups if [self.atoms[k].element.name for k in atoms] not in ([], ["O"])]
+        pieces = {int(self.piece[self.of[atoms[0]]]): atoms for atoms in groups}
+        counts = np.bincount(self.piece)
+        chains = [piece for piece in pieces if counts[piece] > 1]
+        moved: list[int] = []
+        placed = chains[:1]
+        waiting = chains[1:]
+        while waiting:
+            tree = KDTree(self.now(np.concatenate([pieces[piece] for piece in placed])))
+            images = {piece: self._image(tree, pieces[piece]) for piece in waiting}
+            # Chains in contact first, then those in contact by an image, then the others as they are.
+            chosen = min(waiting, key=lambda piece: _rank(images[piece]))
+            moved += self._moved(chosen, images[chosen])
+            placed.append(chosen)
+            waiting.remove(chosen)
+        if placed:
+            tree = KDTree(self.now(np.concatenate([pieces[piece] for piece in placed])))
+            for piece in (each for each in pieces if counts[each] == 1):
+                moved += self._moved(piece, self._image(tree, pieces[piece]))
+        return moved
+
+    def _moved(self, piece: int, turns: Floats | None) -> list[int]:
+        if turns is None or not turns.any():
+            return []
+        self.move(piece, turns)
+        return [piece]
+
+    def _image(self, tree: KDTree, atoms: Integers) -> Floats | None:
+        """Turns of the image of atoms that touches others, zeros if they touch them; None if none does."""
+        x = self.now(atoms)
+        if np.min(tree.query(x)[0]) < _CONTACT:
+            return np.zeros(3)
+        turns = np.array([*product((-1.0, 0.0, 1.0), repeat=3)])
+        nearest = [float(np.min(tree.query(x + turn @ self.lattice)[0])) for turn in turns]
+        return turns[int(np.argmin(nearest))] if min(nearest) < _CONTACT else None
+
+
+def _rank(turns: Floats | None) -> int:
+    return 2 if turns is None else int(turns.any())
+
+
+def make_whole(draft: Draft, structure: gemmi.Structure, model: gemmi.Model) -> None:
+    """Make the molecules of a model whole by the cell of its file, and report those that moved."""
+    cell = structure.cell
+    if min(cell.a, cell.b, cell.c) < _THINNEST or not cell.is_crystal():
+        return
+    molecules = _Molecules(model, cell)
+    molecules.join_within()
+    molecules.join_chains()
+    broken = np.unique(molecules.of[molecules.turns.any(axis=1)]).tolist()
+    moved = molecules.join_disulfides()
+    # Chains of crystals stay in the asymmetric unit.
+    if broken or structure.spacegroup_hm.replace(" ", "") in ("", "P1"):
+        moved += molecules.join_images()
+    for k in np.flatnonzero(molecules.turns.any(axis=1)).tolist():
+        molecules.atoms[k].pos = gemmi.Position(*molecules.now(np.array([k]))[0].tolist())
+    box = " x ".join(f"{length:g}" for length in (cell.a, cell.b, cell.c))
+    if broken:
+        draft.note(Kind.MADE_WHOLE, box=box, count=len(broken), residue=_place(molecules, broken[0]))
+    if moved:
+        places = tuple(_place(molecules, piece) for piece in dict.fromkeys(moved))
+        draft.note(Kind.IMAGE_MOVED, box=box, count=len(places), residues=places)
+
+
+def _place(molecules: _Molecules, k: int) -> Residue:
+    chain, residue = molecules.residues[k]
+    return Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name)

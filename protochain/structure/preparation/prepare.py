@@ -1,0 +1,351 @@
+"""Preparation of a structure: heavy atoms completed, bonds between residues found, hydrogens placed.
+
+Atoms are placed by geometry, missing side chains on rotamers: the same file gives the same coordinates, bit
+for bit.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import gemmi
+import numpy as np
+from openmm import app
+
+from protochain.core import defaults
+from protochain.core.arrays import Floats, Integers
+from protochain.core.checks import AUTO, acidity_or_auto, checked, file_name, force_field_parts, words
+from protochain.core.checks import bonds as bonds_of
+from protochain.core.checks import path as as_path
+from protochain.core.errors import StructureError
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.formats.files import place_in_file
+from protochain.structure.molecule.hydrogens import place_hydrogens
+from protochain.structure.molecule.links import Link
+from protochain.structure.molecule.member import Member
+from protochain.structure.molecule.model import BoundLigand, Origin, Structure
+from protochain.structure.molecule.templates import Template, templates
+from protochain.structure.preparation.bound import Chemistry, put_hydrogens, take_up
+from protochain.structure.preparation.bridges import Bridge, disulfides
+from protochain.structure.preparation.complete import add_heavy_atoms
+from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.pka import by_propka, value_of
+from protochain.structure.preparation.protonate import protonate
+from protochain.structure.preparation.read import Reading, read
+from protochain.structure.preparation.sites import (
+    glycosidic,
+    metal_links,
+    moves,
+    note_sites,
+    note_unused,
+    settle_mobile,
+    stated_beside,
+    stated_ties,
+    strand_links,
+    ties,
+)
+
+
+@checked()
+def load(
+    path: str | Path,
+    *,
+    model: int | None = None,
+    assembly: str = "",
+    altloc: str = "",
+    keep: str | Sequence[str] = defaults.KEEP,
+    disulfide: str | Sequence[str | tuple[str, str]] | None = None,
+    ph: float | str = defaults.PH,
+    strict: bool = False,
+    forcefield: str | Path | None = None,
+    chains: str | Sequence[str] = (),
+    ligands: Mapping[str, str | Path] | str | Path | Sequence[str | Path] = (),
+    ligand_charges: str | Path = defaults.LIGAND_CHARGES,
+    standard_residues: bool = False,
+) -> Structure:
+    """Read a PDB or mmCIF file and prepare its protein: complete, all-atom, one conformation.
+
+    Waters and other alternate locations are left out, molecules near the protein kept with it;
+    chains are split at breaks, head-to-tail cyclic peptides closed; modified residues without parameters
+    become their standard parents; missing side-chain atoms are built on rotamers, L or D as the residue's
+    name says; disulfides and metal sites are found by distance, missing hydrogens placed by
+    geometry. The same file gives the same coordinates, bit for bit.
+
+    Parameters
+    ----------
+    path : path-like
+        PDB or mmCIF, also packed by gzip, bzip2 or xz; ``-`` is standard input. The content decides.
+    model : int, optional
+        Number of the model in the file; the first by default.
+    assembly : str
+        Name of the biological assembly to build, as the file states it; by default its molecules as filed.
+        ``models`` joins the models of a file under free chain ids.
+    altloc : str
+        Preferred alternate location, which some atom must have; by default, and where it is absent, the one
+        of highest occupancy.
+    keep : str or sequence of str
+        Molecules to keep beside the protein: ``near`` for all but waters that have an atom within 5 angstrom
+        of the protein or of a given ligand, ``none``, ``all``, ``water``, ``ions``, ``nucleic``, ``ligands``,
+        or residue names.
+        Small molecules of known chemistry move, glycans that GLYCAM-06j knows, and those whose parameters
+        ``forcefield`` has; others are fixed obstacles, those that no force field has parameters for by
+        element.
+    disulfide : str, or sequence of pairs of str, optional
+        Disulfide bonds beside those between sulphurs that are close, as ``[("A:3", "A:40")]`` or
+        ``"A:3-A:40"``; ``"none"`` among them drops those: ``"none"`` alone leaves no bond.
+    ph : float or str
+        Sets the protonation of residues whose hydrogens or names in the file do not show it, by the pKa of
+        their kinds; ``"auto"`` is pH 7 with the pKa of each by PROPKA (``pip install "protochain[pka]"``).
+    strict : bool
+        Refuse chain breaks and incomplete backbones.
+    forcefield : path-like, optional
+        Force-field file whose residues are kept unmodified, or several with commas between, among names of
+        bundled ones. A molecule kept with the protein whose parameters it has moves.
+    chains : str or sequence of str
+        Chains to take, as ``"A,B"`` or ``("A", "B")``; all by default.
+    ligands : mapping of str to path-like or str, or sequence
+        Chemistry of molecules kept with the protein by the name of their residue: an SDF or MOL2 file, or
+        SMILES. ``"NAME=FILE"`` is taken, too, and a list of such; a file without a name is a pose, which is
+        added (``"FILE.sdf#2"`` its second molecule). Others have the bonds that the file states
+        (``_chem_comp_bond``, CONECT records with orders), or those of the Chemical Component Dictionary.
+        Their force field is that of :func:`protochain.ligand`.
+        It needs ``pip install "protochain[ligands]"``.
+    ligand_charges : str or path-like
+        Their partial charges, as ``charges`` of :func:`protochain.ligand`.
+    standard_residues : bool
+        Convert modified residues to their standard parents, also phosphorylated ones, which amber14 and
+        amber19 have parameters for.
+
+    Returns
+    -------
+    Structure
+        Prepared protein; ``repairs`` lists every change.
+
+    Raises
+    ------
+    StructureError
+        If the file cannot be used: one line naming the file, the place and the remedy.
+
+    Examples
+    --------
+    >>> s = pc.load("structures/1l2y.pdb")
+    >>> s.n_residues, s.n_atoms
+    (20, 304)
+    """
+    acidity_or_auto(ph, "ph")
+    residues = user_files(forcefield)
+    chemistry = Chemistry.asked(ligands, ligand_charges, value_of(ph), parts_of(forcefield))
+    reading = Reading(
+        model,
+        altloc,
+        words(keep),
+        strict,
+        residues,
+        words(chains, "chains"),
+        chemistry,
+        standard_residues,
+        assembly,
+    )
+    return prepare(read(as_path(path, "path"), reading), disulfide, ph, residues)
+
+
+def user_files(forcefield: str | Path | None) -> tuple[Path, ...]:
+    """Paths of those parts of a force field that are a user's files, not names of bundled ones."""
+    return tuple(Path(name) for name in parts_of(forcefield) if Path(name).is_file())
+
+
+def parts_of(forcefield: str | Path | None) -> tuple[str, ...]:
+    """Names and paths that a force field is made of; none if none is given."""
+    return () if forcefield is None else tuple(force_field_parts(file_name(forcefield, "forcefield")))
+
+
+def prepare(
+    draft: Draft,
+    disulfide: str | Sequence[str | tuple[str, str]] | None = None,
+    ph: float | str = defaults.PH,
+    forcefield: Sequence[Path] = (),
+) -> Structure:
+    """Complete a draft: heavy atoms, disulfides, hydrogens."""
+    wanted = bonds_of(disulfide, "disulfide")
+    known = templates(forcefield)
+    beside, sugars = stated_beside(draft), glycosidic(draft)
+    settle_mobile(draft, draft.links)
+    links = [*draft.links, *strand_links(draft)]
+    beyond = [*sugars, *(link for made in draft.fragments for link in made.bonds)]
+    metal = metal_links(draft)
+    note_sites(draft, metal)
+    note_unused(draft, [*links, *beyond, *beside, *metal])
+    take_up(draft, value_of(ph))
+    given = {
+        id(atom): atom
+        for member in draft.members
+        for atom in member.atoms
+        if not draft.filed or place_in_file(atom) >= 0
+    }
+    add_heavy_atoms(draft, known)
+    bridges = disulfides(draft, wanted)
+    pka = by_propka(draft) if ph == AUTO else {}
+    done = protonate(draft, known, {id(m) for pair in bridges for m in pair}, value_of(ph), pka)
+    put_hydrogens(draft)
+    atoms = [atom for member, _ in done for atom in member.atoms]
+    elements = [atom.element.name for atom in atoms]
+    for member, _ in done:
+        if twice := [name for name, n in Counter(atom.name for atom in member.atoms).items() if n > 1]:
+            raise StructureError(
+                f"{draft.source}: {member}: {twice[0]} is there under two elements; correct columns 77-78"
+            )
+    at = _indices(done)
+    bonds = _bonds(draft, done, bridges, [*links, *beyond, *metal], at)
+    charge = np.array([template.charge.get(atom.name, 0.0) for m, template in done for atom in m.atoms])
+    x = np.array([atom.pos.tolist() for atom in atoms]) / ANGSTROM_PER_NM
+    place = np.where(np.isnan(x[:, 0]), -1, [place_in_file(atom) for atom in atoms])
+    x = place_hydrogens(x, elements, charge, bonds)
+    owners = [(member, atom.name) for member, _ in done for atom in member.atoms]
+    _refuse_coincident(draft, owners, x, bonds)
+    springs, outer = [*links, *metal], [link for link in metal if link.member is not link.other]
+    of_residues = [part for part in draft.parts for _ in part.members]
+    fixed, mobile = np.repeat(
+        [
+            (part.obstacle and not part.mobile and not moves(draft, member, links), part.mobile)
+            for part in draft.parts
+            for member in part.members
+        ],
+        [len(member.atoms) for member, _ in done],
+        axis=0,
+    ).T
+    return Structure(
+        name=draft.name,
+        topology=_topology(draft.parts, done, bonds),
+        positions=x,
+        repairs=tuple(draft.repairs),
+        left_out=draft.left_out,
+        b_factor=np.array([atom.b_iso for atom in atoms]),
+        obstacle=fixed,
+        occupancy=_occupancies(atoms),
+        residue_label=tuple(member.label for member in draft.members),
+        header=draft.header,
+        model_number=draft.model_number,
+        ties=stated_ties(draft, springs, at) or ties(springs, at, x, elements, bonds),
+        mobile=mobile,
+        links=np.array(_linked(_distinct(draft, [*links, *beyond, *beside, *outer]), at), np.int64).reshape(
+            -1, 2
+        ),
+        mirrored=np.array([member.is_d for member in draft.members]),
+        built=np.array([id(atom) not in given and not atom.is_hydrogen() for atom in atoms]),
+        ligands=tuple(_bound(part, at) for part in draft.parts if part.ligand is not None),
+        # Atoms of caps are atoms of neighbours.
+        fragments=tuple(
+            BoundLigand(
+                made.ligand,
+                np.array([-1 if m is None else at[id(m)].get(n, -1) for m, n in made.owners]),
+                core=made.core,
+            )
+            for made in draft.fragments
+        ),
+        glycans={r: part.glycan for r, part in enumerate(of_residues) if part.glycan},
+        origin=Origin(draft.filed, place, charge) if (place >= 0).any() else None,
+    )
+
+
+def _bound(part: Part, at: dict[int, dict[str, int]]) -> BoundLigand:
+    """A ligand with the atoms of the structure."""
+    assert part.ligand is not None
+    index = at[id(part.members[0])]
+    atoms = np.array([index[name] for name in part.ligand.molecule.names])
+    return BoundLigand(part.ligand, atoms, part.inverted, posed=part.posed)
+
+
+def _linked(links: list[Link], at: dict[int, dict[str, int]]) -> list[tuple[int, int]]:
+    """Bonds between the protein and what is kept with it, or between such, as atoms."""
+    return [(at[id(link.member)][link.atom.name], at[id(link.other)][link.other_atom.name]) for link in links]
+
+
+def _distinct(draft: Draft, links: list[Link]) -> list[Link]:
+    """Each bond once, those of the protein first."""
+    protein = {id(member) for part in draft.parts if not part.obstacle for member in part.members}
+    once = {frozenset(link.ends): link for link in links if not {*link.owners} <= protein}
+    return sorted(once.values(), key=lambda link: id(link.member) not in protein)
+
+
+def _occupancies(atoms: list[gemmi.Atom]) -> Floats:
+    """Occupancies; an added hydrogen, without a position yet, has that of its parent, which it follows."""
+    parent, found = 1.0, []
+    for atom in atoms:
+        parent = parent if atom.is_hydrogen() else atom.occ
+        found.append(parent if atom.is_hydrogen() and np.isnan(atom.pos.x) else atom.occ)
+    return np.array(found)
+
+
+def _indices(done: list[tuple[Member, Template]]) -> dict[int, dict[str, int]]:
+    """Index of each atom, by ``id`` of its residue and by name."""
+    at: dict[int, dict[str, int]] = {}
+    n = 0
+    for member, _ in done:
+        at[id(member)] = {atom.name: n + k for k, atom in enumerate(member.atoms)}
+        n += len(member.atoms)
+    return at
+
+
+def _bonds(
+    draft: Draft,
+    done: list[tuple[Member, Template]],
+    bridges: list[Bridge],
+    links: list[Link],
+    at: dict[int, dict[str, int]],
+) -> Integers:
+    """(nbonds, 2) int: bonds of the templates, of the chain, disulfides, and bonds to kept molecules."""
+    pairs: list[tuple[int, int]] = []
+    for member, template in done:
+        index = at[id(member)]
+        pairs += [(index[a], index[b]) for a, b in template.outward if a in index and b in index]
+    for part in draft.parts:
+        following = part.members[1:] + ([part.members[0]] if part.cyclic else [])
+        for member, following_member in zip(part.members, following, strict=False):
+            end, start = ("O3'", "P") if part.obstacle else ("C", "N")
+            pairs.append((at[id(member)][end], at[id(following_member)][start]))
+    pairs += _linked(links, at)
+    pairs += [(at[id(first)]["SG"], at[id(second)]["SG"]) for first, second in bridges]
+    return np.sort(np.array(pairs, dtype=np.int64).reshape(-1, 2), axis=1)
+
+
+def _topology(parts: list[Part], done: list[tuple[Member, Template]], bonds: Integers) -> app.Topology:
+    topology = app.Topology()
+    atoms = []
+    templates_of = {id(member): template for member, template in done}
+    for part in parts:
+        chain = None
+        for member in part.members:
+            if chain is None or chain.id != member.chain_id:
+                chain = topology.addChain(member.chain_id)
+            residue = topology.addResidue(member.name, chain, member.number, member.insertion_code)
+            for atom in member.atoms:
+                element = app.Element.getBySymbol(atom.element.name)
+                charge = _formal_charge(atom, member, templates_of[id(member)], part.obstacle)
+                atoms.append(topology.addAtom(atom.name, element, residue, formalCharge=charge))
+    for first, second in bonds.tolist():
+        topology.addBond(atoms[first], atoms[second])
+    return topology
+
+
+def _formal_charge(atom: gemmi.Atom, member: Member, template: Template, beside: bool) -> int:
+    """Charge that the file gives an atom outside the protein, or an ion's own; and a thiolate."""
+    if beside:
+        return int(atom.charge or (round(template.charge[atom.name]) if len(member.atoms) == 1 else 0))
+    is_thiolate = template.name.endswith("CYM") and not member.metals and not member.links
+    return -1 if atom.name == "SG" and is_thiolate else 0
+
+
+def _refuse_coincident(draft: Draft, owners: list[tuple[Member, str]], x: Floats, bonds: Integers) -> None:
+    """Refuse bonded atoms in one place: their bond has no direction."""
+    lengths = np.linalg.norm(x[bonds[:, 0]] - x[bonds[:, 1]], axis=1)
+    if not len(lengths) or lengths.min() > _SHORTEST:
+        return
+    first, second = bonds[int(np.argmin(lengths))]
+    a, b = owners[first], owners[second]
+    raise StructureError(
+        f"{draft.source}: {a[0]}: atoms {a[1]} and {b[1]} coincide; correct their coordinates"
+    )
+
+
+_SHORTEST = 0.02
+"""nm. A fifth of the shortest bond."""

@@ -1,0 +1,187 @@
+"""Protonation states, and the hydrogens of each residue."""
+
+from collections.abc import Mapping
+
+import gemmi
+import numpy as np
+
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.member import Member, atom
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.templates import Template, rename
+from protochain.structure.preparation.draft import Draft, Part
+from protochain.structure.preparation.flips import settled
+
+BONDED = 1.5
+"""Angstrom: a hydrogen further than this from every heavy atom of its residue is dropped."""
+_HYDROXYL = 1.3
+"""Angstrom: a hydrogen nearer than this to an oxygen of a phosphate is bonded to it."""
+_BRIDGED = "CYX"
+"""What Amber calls half a disulfide."""
+_USUAL: Mapping[int, float] = {}
+"""pKa of single residues: none but those of their kinds."""
+_UNPLACED = [float("nan")] * 3
+
+
+def protonate(
+    draft: Draft,
+    known: Mapping[str, Template],
+    bridged: set[int],
+    ph: float,
+    pka: Mapping[int, float] = _USUAL,
+) -> list[tuple[Member, Template]]:
+    """Choose protonation states, as shown by names or hydrogens else by pH; hydrogens added stay NaN."""
+    shown = {id(m): "CYX" if id(m) in bridged else _free_pair(m) or _shown(m) for m in draft.members}
+    states = {id(m): shown[id(m)] or _at_ph(m, ph, pka) for m in draft.members}
+    chosen, turned = settled(
+        (
+            member,
+            None
+            if member.name == "HIS" and not states[id(member)] and member.own is None
+            else part.template(known, i, states[id(member)]) or part.template(known, i),
+        )
+        for part in draft.parts
+        for i, member in enumerate(part.members)
+    )
+    states |= chosen
+    done = []
+    added = present = renamed = 0
+    for part in draft.parts:
+        for i, member in enumerate(part.members):
+            before = sum(a.is_hydrogen() for a in member.atoms)
+            if id(member) in turned:
+                kind = Kind.RING_TURNED if member.name == "HIS" else Kind.AMIDE_TURNED
+                draft.note(kind, residue=member.residue)
+            state = states[id(member)]
+            own = pka.get(id(member)) if state == _at_ph(member, ph, pka) else None
+            template = _template(draft, known, part, i, shown[id(member)], state, own)
+            renamed += _match(draft, member, template)
+            now = sum(a.is_hydrogen() and not np.isnan(a.pos.x) for a in member.atoms)
+            present += min(before, now)
+            added += sum(a.is_hydrogen() for a in member.atoms) - now
+            done.append((member, template))
+    if renamed:
+        draft.note(Kind.HYDROGENS_RENAMED, count=renamed)
+    if added:
+        draft.note(Kind.HYDROGENS_ADDED, count=added, ph=ph, present=present)
+    return done
+
+
+def _template(
+    draft: Draft, known: Mapping[str, Template], part: Part, i: int, shown: str, state: str, pka: float | None
+) -> Template:
+    """Template of a residue in a state that the file shows, or that was chosen; the repairs tell which."""
+    member = part.members[i]
+    if member.own is not None:
+        return member.own
+    template = part.template(known, i, state)
+    usual = part.template(known, i)
+    assert usual is not None
+    if member.given.endswith(_BRIDGED) and not shown:
+        draft.note(Kind.NO_PARTNER, residue=member.residue, name=member.given)
+    if template is None:
+        draft.note(Kind.USUAL_STATE, residue=member.residue, state=state)
+    elif state and not shown and pka is not None:
+        draft.note(Kind.STATE_BY_PKA, residue=member.residue, state=state, pka=pka)
+    elif state and not shown:
+        draft.note(Kind.STATE_CHOSEN, residue=member.residue, state=state)
+    template = template or usual
+    if shown and member.name in residues.PHOSPHORYLATED:
+        template = template.exchanged("O1P", _acid_oxygens(member)[0])
+    if _is_imidazolate(member):
+        template = template.without_hydrogen("NE2")
+        draft.note(Kind.IMIDAZOLATE, residue=member.residue)
+    for linked in member.links:
+        if linked.name != "N":
+            template = template.without_hydrogen(linked.name)
+    return template
+
+
+def _free_pair(member: Member) -> str:
+    """State of a residue whose free pair of electrons is bonded; empty for the usual one."""
+    bonded = {a.name for a in (*member.metals, *member.links)}
+    if member.name == "HIS" and bonded & {"ND1", "NE2"}:
+        return "HIE" if "ND1" in bonded else "HID"
+    if member.name == "CYS" and "SG" in bonded:
+        return "CYM"
+    if member.name == "LYS" and any(a.name == "NZ" for a in member.metals):
+        return "LYN"
+    return ""
+
+
+def _is_imidazolate(member: Member) -> bool:
+    """Whether both nitrogens of a histidine hold metals, as in superoxide dismutase."""
+    return member.name == "HIS" and {"ND1", "NE2"} <= {a.name for a in member.metals}
+
+
+def _shown(member: Member) -> str:
+    """Protonation state that the residue's name or hydrogens in the file show."""
+    if member.state:
+        return member.state
+    names = {a.name for a in member.atoms}
+    if member.name == "HIS":
+        return {(True, True): "HIP", (True, False): "HID", (False, True): "HIE"}.get(
+            ("HD1" in names, "HE2" in names), ""
+        )
+    if member.name == "ASP" and names & {"HD1", "HD2"}:
+        return "ASH"
+    if member.name == "GLU" and names & {"HE1", "HE2"}:
+        return "GLH"
+    if member.name == "LYS" and len(names & {"HZ1", "HZ2", "HZ3"}) == 2 and {"HE2", "HE3"} <= names:
+        return "LYN"
+    if member.name == "CYS" and any(a.name == "SG" and a.charge < 0 for a in member.atoms):
+        return "CYM"
+    if member.name in residues.PHOSPHORYLATED and _acid_oxygens(member):
+        return residues.PKA[member.name][1]
+    return ""
+
+
+def _acid_oxygens(member: Member) -> list[str]:
+    """Names of the oxygens of a phosphate that have a hydrogen in the file."""
+    hydrogens = [a for a in member.atoms if a.is_hydrogen()]
+    oxygens = [a for a in member.atoms if a.name in ("O1P", "O2P", "O3P")]
+    return [a.name for a in oxygens if any(a.pos.dist(h.pos) <= _HYDROXYL for h in hydrogens)]
+
+
+def _at_ph(member: Member, ph: float, pka: Mapping[int, float] = _USUAL) -> str:
+    """Protonation state at a pH; empty for the usual one."""
+    acid, base = residues.PKA.get(member.name), residues.PKA_BASE.get(member.name)
+    if acid and not member.metals and ph <= pka.get(id(member), acid[0]):
+        return acid[1]
+    return base[1] if base and ph > pka.get(id(member), base[0]) else ""
+
+
+def _match(draft: Draft, member: Member, template: Template) -> int:
+    """Rename and order the hydrogens of the file, drop those that do not fit, and add missing ones."""
+    before = {a.name for a in member.atoms if a.is_hydrogen()}
+    rename(member.atoms, template)
+    heavy = member.heavy
+    bonded: dict[str, list[gemmi.Atom]] = {a.name: [] for a in heavy}
+    strange, expected = list[str](), template.hydrogens
+    named_for = {name: parent for parent, names in expected.items() for name in names}
+    for hydrogen in (a for a in member.atoms if a.is_hydrogen()):
+        # Where atoms overlap, another may be nearer than the one that it is named for.
+        own = [
+            a for a in heavy if a.name == named_for.get(hydrogen.name) and a.pos.dist(hydrogen.pos) <= BONDED
+        ]
+        nearest = min(own or heavy, key=lambda a: a.pos.dist(hydrogen.pos))
+        if nearest.pos.dist(hydrogen.pos) <= BONDED:
+            bonded[nearest.name].append(hydrogen)
+        else:
+            strange.append(hydrogen.name)
+    member.atoms = []
+    for parent in heavy:
+        names = list(expected.get(parent.name, []))
+        given = bonded[parent.name]
+        named = {a.name: a for a in given if a.name in names}
+        others = [a for a in given if a.name not in names]
+        for name in names:
+            if name not in named and others:
+                named[name] = others.pop(0)
+                named[name].name = name
+        strange += [a.name for a in given if a not in named.values()]
+        member.atoms.append(parent)
+        member.atoms += [named.get(name) or atom(name, "H", _UNPLACED, parent.b_iso) for name in names]
+    if strange:
+        draft.note(Kind.STRANGE_HYDROGENS, residue=member.residue, atoms=tuple(strange))
+    return len({a.name for a in member.atoms if a.is_hydrogen() and not np.isnan(a.pos.x)} - before)

@@ -1,0 +1,85 @@
+"""Particles of programs that are not atoms: virtual sites, lone pairs, Drude particles, centroids, averages.
+
+PyMOL writes PS, CYANA Q (averages of hydrogens), Rosetta CEN, NV and V1, GROMACS M (virtual sites),
+RFdiffusion3 V0 to V8, CHARMM LP (lone pairs) and D before the name of an atom (Drude particles).
+"""
+
+import re
+from collections.abc import Collection
+
+import gemmi
+
+from protochain.structure.molecule.repairs import Kind
+from protochain.structure.molecule.residues import CAPS, NUCLEOTIDES, STANDARD, Residue
+from protochain.structure.molecule.templates import Template, standard_name, template_name, templates
+from protochain.structure.preparation.draft import Draft
+
+_OF_ELEMENTS = "CHNOSPD"
+"""Letters with which the names of atoms of amino acids and nucleotides begin, digits aside."""
+_PSEUDO = re.compile(r"PS\d*|CEN|NV\d*|ORIG")
+_PADDING = re.compile(r"V[0-8]")
+_SITE = re.compile(r"[MELVX]|DO|OM")
+"""How the names of the further sites of a water begin."""
+
+
+def remove_pseudo_atoms(draft: Draft, model: gemmi.Model) -> None:
+    """Remove pseudo-atoms from amino acids, nucleotides and waters of a model, and report them."""
+    known, sites, waters = templates(), 0, 0
+    for chain in model:
+        for residue in chain:
+            name = standard_name(residue.name.strip().upper())[0]
+            is_known = name in STANDARD or name in CAPS or name in NUCLEOTIDES
+            template = known.get(template_name(name)) if is_known else None
+            of_water = [] if is_known else _sites(residue)
+            places = of_water or _pseudo(residue, template)
+            names = tuple(dict.fromkeys(residue[k].name for k in places))
+            for k in reversed(places):
+                del residue[k]
+            if of_water:
+                _name_water(residue)
+                sites, waters = sites + len(places), waters + 1
+            elif places:
+                place = Residue(chain.name.strip(), str(residue.seqid).strip(), residue.name)
+                draft.note(Kind.VIRTUAL, residue=place, atoms=names)
+    if sites:
+        draft.note(Kind.SITES, count=sites, waters=waters)
+
+
+def _name_water(residue: gemmi.Residue) -> None:
+    """Name a water of four or five sites as the archive does: T4P is a ligand there."""
+    residue.name = "HOH"
+    for atom in residue:
+        atom.name = "O" if atom.name.lstrip("0123456789").startswith("O") else atom.name
+
+
+def _pseudo(residue: gemmi.Residue, template: Template | None) -> list[int]:
+    """Places of the pseudo-atoms of a residue; by names only in an amino acid or nucleotide, not in beads."""
+    is_atomic = {"CA", "C1'", "C1*", "CH3"} & {atom.name for atom in residue}
+    template = template if is_atomic else None
+    atoms = {*template.element, *template.synonyms} if template else set()
+    heavy = {*template.heavy} if template else set()
+    return [
+        k
+        for k, atom in enumerate(residue)
+        if atom.calc_flag == gemmi.CalcFlag.Dummy
+        or (_PADDING.fullmatch(atom.name) and "CA" in residue)
+        or (template and atom.name not in atoms and _is_named_so(atom.name, heavy))
+    ]
+
+
+def _is_named_so(name: str, heavy: Collection[str]) -> bool:
+    """Whether an unknown name is the name of a pseudo-atom: a deuterium has none of a heavy atom after D."""
+    letter = name.lstrip("0123456789")[:1]
+    if name == "X":
+        # The reader gives this name to an atom without one.
+        return False
+    is_drude = letter == "D" and name[1:] in heavy
+    return letter not in _OF_ELEMENTS or is_drude or bool(_PSEUDO.fullmatch(name))
+
+
+def _sites(residue: gemmi.Residue) -> list[int]:
+    """Places of the sites of a water that are not atoms: it has one oxygen and two hydrogens besides."""
+    names = [atom.name.lstrip("0123456789") for atom in residue]
+    sites = [k for k, name in enumerate(names) if _SITE.match(name) and not residue[k].element.is_metal]
+    others = sorted(name[:1] for k, name in enumerate(names) if k not in sites)
+    return sites if others in (["H", "H", "O"], ["D", "D", "O"]) else []

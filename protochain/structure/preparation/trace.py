@@ -1,0 +1,32 @@
+"""C-alpha traces: what can be measured of a file that has no other atoms."""
+
+import gemmi
+import numpy as np
+from openmm import app
+
+from protochain.core.errors import StructureError
+from protochain.core.units import ANGSTROM_PER_NM
+from protochain.structure.molecule import residues
+from protochain.structure.molecule.model import Structure
+from protochain.structure.preparation.conformation import likeliest, same_place
+from protochain.structure.preparation.read import standard_parent
+
+
+def alpha_trace(parsed: gemmi.Structure, source: str, model: int) -> Structure:
+    """Take the C-alpha atoms of the amino acids of a model, without any other atom."""
+    topology, x = app.Topology(), list[list[float]]()
+    carbon = app.Element.getBySymbol("C")
+    for chain in next(each for each in parsed if each.num == model):
+        made = topology.addChain(chain.name.strip())
+        for group in same_place(chain):
+            residue = likeliest(group, "").residue
+            name = standard_parent(residue.name.strip().upper())
+            atom = residue.find_atom("CA", "*")
+            if name in residues.STANDARD and atom:
+                code = residue.seqid.icode.strip()
+                place = topology.addResidue(name, made, str(residue.seqid.num), code)
+                topology.addAtom("CA", carbon, place)
+                x.append([each / ANGSTROM_PER_NM for each in atom.pos.tolist()])
+    if not x:
+        raise StructureError(f"{source}: no C-alpha atom found; give a file with amino acids")
+    return Structure(source, topology, np.array(x))
