@@ -41,21 +41,21 @@ def words(rows: pd.DataFrame) -> str:
         way: sorted({each for row in moved[f"failed_{way}"].dropna() for each in row.split(";")})
         for way in ("rigid", "relax")
     }
-    which = [f"after {_WAYS[way]} {', '.join(tests) or 'no test'}" for way, tests in left.items()]
+    which = (f"Failed tests after {_WAYS[way]}: {', '.join(tests) or 'none'}." for way, tests in left.items())
     return paragraph(
-        f"Of {len(moved)} moved and rough poses {before} pass as they are, {frozen} after the ligand",
-        f"alone was moved by OpenMM, {rigid} after `relax --rigid-protein`, and {ours} after `relax`.",
-        f"What fails is {'; '.join(which)}. `relax` takes at most {rows['cpu_seconds_relax'].max():.0f}",
-        f"seconds of a processor, with up to {rows['residues'].max()} residues.",
+        f"Of {len(moved)} moved and rough poses {before} pass at the start. After OpenMM moved only the",
+        f"ligand, {frozen} pass. After `relax --rigid-protein` {rigid} pass, and after `relax` {ours}.",
+        f"{' '.join(which)} `relax` needs at most {rows['cpu_seconds_relax'].max():.0f} processor seconds,",
+        f"for up to {rows['residues'].max()} residues.",
     )
 
 
 table_of_rows(
     "complexes-models", "complexes_models.csv", ("model", "{model}"), ("residues", "{residues}"),
-    ("ligands that move", "{ligands_that_move}"), ("atoms in place", "{atoms_fixed}"),
+    ("ligands that move", "{ligands_that_move}"), ("fixed atoms", "{atoms_fixed}"),
     ("clashes", "{clashes_start:.1f}"), ("after", "{clashes_end:.1f}"),
     ("overlaps", "{overlaps_start}"), ("after", "{overlaps_end}"),
-    ("base pairs kept", lambda r: f"{r['base_pairs_kept']} of {r['base_pairs']}" if r["base_pairs"] else "-"),
+    ("base pairs", lambda r: f"{r['base_pairs_kept']} of {r['base_pairs']}" if r["base_pairs"] else "-"),
     ("P moved by", "{p_moved_median_angstrom:.2f}"), ("ligands by", "{ligand_moved_median_angstrom:.2f}"),
     ("inverted stereocentres", "{inverted_stereocentres_start}"), ("after", "{inverted_stereocentres_end}"),
     ("seconds", "{seconds:.1f}"),
@@ -69,7 +69,7 @@ def models(rows: pd.DataFrame) -> str:
     slow = rows.loc[rows["seconds"].idxmax()]
     fixed = rows[rows["atoms_fixed"] > 0]["model"].tolist()
     return paragraph(
-        f"{clean} of {n} have no clash left; in the others at most {rows['clashes_end'].max():.1f} per 1000",
-        f"atoms remain. The longest, {slow['model']} of {slow['residues']} residues, takes",
-        f"{slow['seconds']:.0f} s. Atoms stay in place in {len(fixed)}: {', '.join(fixed)}.",
+        f"{clean} of {n} models end without clashes. In the others at most {rows['clashes_end'].max():.1f}",
+        f"per 1000 atoms remain. The slowest, {slow['model']} of {slow['residues']} residues, needs",
+        f"{slow['seconds']:.0f} s. {len(fixed)} models have fixed atoms: {', '.join(fixed)}.",
     )

@@ -75,10 +75,10 @@ def dipeptide_words(rows: pd.DataFrame) -> str:
     rigid, flexible = of.loc["rigid, Monte Carlo"], of.loc["flexible, OpenMM"]
     without, wrong = (of.loc[f"quadrature, {name}"].share_percent for name in ("no Fixman", "wrong sign"))
     return paragraph(
-        f"Monte Carlo is {abs(rigid.errors_from_quadrature):.1f} standard errors from quadrature; about",
+        f"Monte Carlo is {abs(rigid.errors_from_quadrature):.1f} standard errors from quadrature. About",
         f"{rigid.samples_per_independent_one:.0f} trajectories count as one independent sample. Without",
-        f"Fixman's potential the first share would be {without:.1f} %, with a wrong sign {wrong:.1f} %: this",
-        "molecule cannot tell them apart; [other tests](tests.md#numbers-you-can-check) do. OpenMM's seeds",
-        f"put between {flexible.lowest_seed_percent:.0f} and {flexible.highest_seed_percent:.0f} % into the",
-        "first basin: runs of this length say little about the flexible molecule.",
+        f"Fixman's potential the first share would be {without:.1f} %, with a wrong sign {wrong:.1f} %. This",
+        "molecule cannot distinguish them, but [other tests](tests.md#numbers-you-can-check) do. OpenMM's",
+        f"seeds have between {flexible.lowest_seed_percent:.0f} and {flexible.highest_seed_percent:.0f} % in",
+        "the first basin. Runs of this length are too short for the flexible molecule.",
     )

@@ -44,13 +44,13 @@ def crossover(rows: pd.DataFrame) -> str:
         large = ms[ms.index >= 4500]
         share = np.log(ms[TREE] / ms[ALL])
         crossed = np.exp(np.interp(0.0, -share, np.log(share.index)))
-        since = "the fewest measured" if share.iloc[0] < 0 else "by interpolation"
+        since = "the smallest size" if share.iloc[0] < 0 else "by interpolation"
         said.append(
-            f"{SOLVENTS[solvent]}: quicker than all pairs from {crossed:,.0f} atoms on, {since}; exponents "
-            f"from {large.index[0]:,} to {large.index[-1]:,} atoms {exponent(large.index, large[TREE]):.2f} "
+            f"{SOLVENTS[solvent]}: faster than all pairs from {crossed:,.0f} atoms on, {since}. Exponents "
+            f"from {large.index[0]:,} to {large.index[-1]:,} atoms: {exponent(large.index, large[TREE]):.2f} "
             f"(tree) and {exponent(large.index, large[ALL]):.2f} (all pairs)."
         )
-    return paragraph("A tree of 0.001 kJ/mol/nm in", *said)
+    return paragraph("The tree has an accuracy of 0.001 kJ/mol/nm.", *said)
 
 
 table_of_rows(

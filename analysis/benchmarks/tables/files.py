@@ -48,10 +48,10 @@ def kinds_words(rows: pd.DataFrame) -> str:
     drift = pd.to_numeric(rows["metal_drift_angstrom"]).max()
     turned = (rows["stereocentres_changed"] != "").sum()
     return paragraph(
-        f"{made.sum()} kinds made by recipes and {(~made).sum()} real files: {taken.sum()} accepted,",
-        f"{(~taken).sum()} refused. Relative differences of energies read again are at most",
-        f"{_differences(rows).max():.0e}; C-alphas change hand in {turned} files; metals move by at most",
-        f"{drift:.2f} angstrom.",
+        f"Of {made.sum()} kinds made by recipes and {(~made).sum()} real files, {taken.sum()} are accepted",
+        f"and {(~taken).sum()} refused. Relative differences of energies read again are at most",
+        f"{_differences(rows).max():.0e}. C-alphas change chirality in {turned} files. Metals move by at",
+        f"most {drift:.2f} angstrom.",
     )
 
 
@@ -79,7 +79,7 @@ def large(rows: pd.DataFrame, slopes: pd.DataFrame) -> str:
     )  # fmt: skip
     of = slopes.set_index("seconds_of")["exponent_by_tree"]
     said = paragraph(
-        "Exponents of time in the number of atoms, from 5,000 on: preparation "
+        "The exponents of time in the number of atoms, from 5,000 on, are: preparation "
         f"{of['prepare_s']:.2f}, an energy {of['energy_s']:.2f}, an evaluation of the minimisation "
         f"{of['evaluation_s']:.2f}, the whole command {of['shell_s']:.2f}."
     )

@@ -24,8 +24,8 @@ def words(rows: pd.DataFrame) -> str:
     fit = (rows["sc"] - rows["sc_sc_rs"]).abs().max()
     return paragraph(
         f"Energies differ by at most {energy:.2g} kJ/mol, areas by {100 * area:.1f} per cent with the same",
-        f"radii; with FreeSASA's own they are {100 * own:.0f} per cent smaller in the mean. Sc differs by at",
-        f"most {fit:.3f}.",
+        f"radii. With FreeSASA's radii areas are {100 * own:.0f} per cent smaller in the mean. Sc differs by",
+        f"at most {fit:.3f}.",
     )
 
 
@@ -69,13 +69,13 @@ def ranks(rows: pd.DataFrame) -> str:
             where = ", ".join(
                 f"{row['complex']} {str(row['motion']).removesuffix(', rank')}" for _, row in less.iterrows()
             )
-            told.append(f"{name} not for {where}")
+            told.append(f"{name} ({where})")
         elif len(there):
             always.append(name)
     return paragraph(
-        f"Worse at every step of every motion: {', '.join(always) or 'none'}. Not so: {'; '.join(told)}.",
-        "Rigid sides that interlock run into one another, however they move: energies are then those of",
-        "clashes, and a turn may press more residues together, which buries more area.",
+        f"These columns worsen at every step of every motion: {', '.join(always) or 'none'}. The others have",
+        f"exceptions: {', '.join(told)}. Rigid interlocked sides collide in any motion. Energies then come",
+        "from clashes, and a turn may press more residues together, which buries more area.",
     )
 
 
@@ -86,8 +86,8 @@ def cost(rows: pd.DataFrame) -> str:
     own = row["seconds_each"] * row["busy_percent"] / 100.0
     return paragraph(
         f"{row['copies']} copies of {row['complex']} ({row['n_residues']} residues, {row['n_atoms']} atoms)",
-        f"by `relax --interface A:B`, one thread to each of {row['workers']} workers: {own:.0f} s of a",
-        "processor for each, two scores and the start of a process included. The workers had",
-        f"{row['busy_percent']:.0f} per cent of their cores, and took",
-        f"{row['seconds_each'] / row['workers']:.0f} s a complex together.",
+        f"are scored by `relax --interface A:B`, with one thread for each of {row['workers']} workers. Each",
+        f"needs {own:.0f} processor seconds, two scores and the start of a process included. The workers had",
+        f"{row['busy_percent']:.0f} per cent of their cores, and together needed",
+        f"{row['seconds_each'] / row['workers']:.0f} s a complex.",
     )

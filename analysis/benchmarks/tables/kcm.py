@@ -235,14 +235,15 @@ def kcm_sentence(contrasts: pd.DataFrame, above: pd.DataFrame) -> str:
         row = ends.loc[method]
         return f"`{method}` in {row['lowest']:.0f} of {row['peptides']:.0f}"
 
-    return paragraph(
+    paragraphs = (
         "From one start, with one force field and the same rigid bodies, KCM along the torques and damped "
         f"dynamics with a friction of 10 per ps end in one minimum in {both}. The worst repetition of either "
-        f"method comes back in {control:.0f} % (by protein). The masses alone have an effect of that size: "
-        f"KCM in their metric, without inertia, and KCM along the torques end in one minimum in {without}. "
-        f"Inertia changes the end of KCM in the metric of masses as follows: one minimum in {at_10} at a "
-        f"friction of 10, in {at_100} at 100, and in {at_1} at 1. A fixed middle C-alpha, which is not part "
-        f"of either method, gives one minimum with the free root in {root} without inertia, and in "
-        f"{of_dynamics} in dynamics. The lowest known minimum of a peptide is the end of "
-        f"{lowest('kcm-0.005')} peptides, of {lowest('md-10')}, and of {lowest('lbfgs')}."
+        f"method returns to its minimum in {control:.0f} % (by protein).",
+        "The masses alone have an effect of that size. KCM in their metric, without inertia, and KCM along "
+        f"the torques end in one minimum in {without}. Inertia has this effect on KCM in the metric of "
+        f"masses: one minimum in {at_10} at a friction of 10, in {at_100} at 100, and in {at_1} at 1.",
+        "A fixed middle C-alpha is not part of either method. The fixed and the free root end in one minimum "
+        f"in {root} without inertia, and in {of_dynamics} in dynamics. The lowest known minimum of a peptide "
+        f"is the end of {lowest('kcm-0.005')} peptides, of {lowest('md-10')}, and of {lowest('lbfgs')}.",
     )
+    return "\n".join(map(paragraph, paragraphs))

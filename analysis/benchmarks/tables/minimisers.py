@@ -160,16 +160,16 @@ def near_words(rows: pd.DataFrame) -> str:
         distant = of["equal_distance_kj_mol"] - of["openmm_kj_mol"]
         parts.append(
             f"At a tolerance of {tolerance:g} OpenMM ends at an RMS force of {size.min():.2g} to"
-            f" {size.max():.2g} kJ/mol/nm, `{REFERENCE}` at {ours.min():.2g} to {ours.max():.2g}; it is"
-            f" higher in {(apart > SAME).sum()} of {len(of)}, by up to {max(0.0, apart.max()):.0f} kJ/mol,"
-            f" and lower in {(apart < -SAME).sum()}, by up to {max(0.0, -apart.min()):.0f}. No farther from"
-            f" the start than OpenMM's end, it is higher in {(distant > SAME).sum()}, by up to"
+            f" {size.max():.2g} kJ/mol/nm, `{REFERENCE}` at {ours.min():.2g} to {ours.max():.2g}. The latter"
+            f" is higher in {(apart > SAME).sum()} of {len(of)}, by up to {max(0.0, apart.max()):.0f} kJ/mol,"
+            f" and lower in {(apart < -SAME).sum()}, by up to {max(0.0, -apart.min()):.0f}. Within the"
+            f" distance of OpenMM's end from the start, it is higher in {(distant > SAME).sum()}, by up to"
             f" {max(0.0, distant.max()):.0f}, and lower in {(distant < -SAME).sum()}."
         )
     atoms = rows["atoms"]
     return paragraph(
-        f"{rows['structure'].nunique()} structures of {atoms.min()} to {atoms.max():,} atoms.", *parts,
-        f"Within {SAME:g} kJ/mol counts as the same.",
+        f"The set has {rows['structure'].nunique()} structures of {atoms.min()} to {atoms.max():,} atoms.",
+        *parts, f"Energies within {SAME:g} kJ/mol count as the same.",
     )  # fmt: skip
 
 
@@ -214,10 +214,10 @@ def ends(rows: pd.DataFrame) -> str:
     starts = rows.groupby("structure")["start"].nunique()
     number = " to ".join(str(n) for n in sorted({starts.min(), starts.max()}))
     return f"{table}\n" + paragraph(
-        f"{len(starts)} structures, {number} starts each, which count as one;",
-        "medians of the structures' medians, and intervals by resampling structures. Zero is in the interval",
-        f"of {found}: which end is lower is then chance, as far as these can tell. Starts of a structure end",
-        f"more than {SAME:g} kJ/mol apart in {100 * scatter:.0f} % of all pairs of structure and method.",
+        f"The table has {len(starts)} structures with {number} starts each. The starts of a structure count",
+        "as one: medians are over the structures' medians, and intervals resample structures. Zero is in the",
+        f"interval of {found}. Within this precision the lower end is then chance. In {100 * scatter:.0f} %",
+        f"of all pairs of structure and method the ends differ by more than {SAME:g} kJ/mol.",
     )
 
 
@@ -290,12 +290,12 @@ def race_range(races: pd.DataFrame) -> str:
         met, never = of[of["energy_loop"] > 0], of[of["energy_loop"] == 0]
         line = f"- {named}, {tolerance:g} kJ/mol/nm: as low in {len(met)} of {len(of)}"
         line += f", whole calls {between(met['energy_whole'])} times as fast" if len(met) else ""
-        line += f"; to its RMS force, whole calls {between(of['force_whole'])} times"
+        line += f". To its RMS force, whole calls {between(of['force_whole'])} times"
         above = never["end_kj_mol"] - never["openmm_end_kj_mol"]
         names = ", ".join(
             f"{name} (+{v:.1f} kJ/mol)" for name, v in zip(never["structure"], above, strict=True)
         )
-        line += f"; never as low, though in a minimum: {names}" if len(never) else ""
+        line += f". Never as low, though in a minimum: {names}" if len(never) else ""
         lines.append(f"{line}.\n")
     shell = races[races["shell_s"].notna()]
     for tolerance, of in shell.groupby("tolerance"):
@@ -392,9 +392,9 @@ def modes_growth(rows: pd.DataFrame) -> str:
     whole, own = (np.polyfit(size, np.log(rows[c]), 1)[0] for c in ("seconds", "evaluation_seconds"))
     worst = rows["residual"].max()
     return paragraph(
-        f"From 76 residues on, time grows as their number to the power of {whole:.2f}, and an",
-        f"evaluation of the energy to that of {own:.2f}: {whole - own:.2f} is beyond the energy's own. The",
-        f"largest residual, $|Ka-w^2Ma|$ of $|K||a|$, is {worst:.0e}.",
+        f"From 76 residues on, the time grows as their number to the power of {whole:.2f}. An evaluation of",
+        f"the energy grows with the power {own:.2f}, so that {whole - own:.2f} is in addition to the energy.",
+        f"The largest residual, $|Ka-w^2Ma|$ relative to $|K||a|$, is {worst:.0e}.",
     )
 
 

@@ -53,12 +53,12 @@ def relax_words(r: pd.DataFrame) -> str:
     damaged = r["model"].str.startswith("1hel-")
     files, copies = r["times_sooner"][~damaged & (r["model"] != CLOSED)], r["times_sooner"][damaged]
     return paragraph(
-        f"`relax` leaves no more violations than OpenMM in {left} of {n} models, and its RMSD is at most",
+        f"`relax` leaves no more violations than OpenMM in {left} of {n} models. Its RMSD is at most",
         f"0.02 angstrom above OpenMM's in {fold} of {n}. Its energy is lower in {(obc2 < 0).sum()} of",
         f"{len(obc2)} in ff14SB and OBC2, and in {(vacuum < 0).sum()} of {len(vacuum)} in amber99sb and",
         f"vacuum. It is {between(files)} times as fast on the files, and {between(copies)} times on the",
-        "copies of lysozyme, for which the start of the program takes a second or more. The factor on the",
-        f"files does not include {CLOSED}: OpenMM's run closed its chain gaps, a different problem.",
+        "copies of lysozyme. For these the start of the program needs a second or more. The factor on the",
+        f"files does not include {CLOSED}, because OpenMM's run closed its chain gaps.",
     )
 
 
@@ -74,9 +74,9 @@ def relax_many(r: pd.DataFrame, rates: pd.DataFrame) -> str:
         f"Of {len(r)} models, {', '.join(f'{k} end `{name}`' for name, k in ended.items())}. Residues with",
         f"violations fall from {of['violations']}, overlaps from {of['overlaps']}, threaded rings from",
         f"{of['threaded_rings']}, inverted stereocentres from {of['inverted_stereocentres']}.",
-        f"It took {rate['seconds_relax']:.0f} s, {rate['models_an_hour_relax']:.0f} models an hour; OpenMM's",
-        f"protocol in two processes of one thread, estimated from {rate['sample_openmm']:.0f} of them,",
-        f"{rate['models_an_hour_openmm']:.0f} an hour: a ratio of {rate['times_sooner']:.1f}.",
+        f"It needed {rate['seconds_relax']:.0f} s, or {rate['models_an_hour_relax']:.0f} models an hour.",
+        f"AlphaFold's protocol in two processes of one thread relaxes {rate['models_an_hour_openmm']:.0f} an",
+        f"hour, estimated from {rate['sample_openmm']:.0f} models. The ratio is {rate['times_sooner']:.1f}.",
     )
 
 
@@ -87,10 +87,10 @@ def relax_crystals(r: pd.DataFrame) -> str:
     worse = (r["ramachandran_favoured_percent_end"] < r["ramachandran_favoured_percent_start"]).sum()
     outliers = [r[f"ramachandran_outliers_{when}"].sum() for when in ("start", "end")]
     return paragraph(
-        f"{len(r)} crystal structures of {between(r['n_residues'])} residues: clashscores of",
+        f"The set has {len(r)} crystal structures of {between(r['n_residues'])} residues. Clashscores of",
         f"{between(clash)} (hydrogens as added) fall to {r['clashscore_per_1000_atoms_end'].max():.1f} at",
-        f"most; Ramachandran outliers were {outliers[0]} and are {outliers[1]}; C-alpha RMSDs are",
-        f"{rmsd.min():.2f} to {rmsd.max():.2f} angstrom; {worse} of {len(r)}",
+        f"most. The number of Ramachandran outliers is {outliers[0]} before and {outliers[1]} after. C-alpha",
+        f"RMSDs are {rmsd.min():.2f} to {rmsd.max():.2f} angstrom. {worse} of {len(r)} structures",
         f"{'has' if worse == 1 else 'have'} fewer favoured residues than the input.",
     )
 
@@ -124,13 +124,13 @@ def sidechains_words(rows: pd.DataFrame, kinds: pd.DataFrame) -> str:
     clean = int((rows["violations_relaxed"] == 0).sum())
     clashes = rows["clashscore_relaxed_per_1000_atoms"]
     return paragraph(
-        f"{len(rows)} crystals of {rows['chains'].sum()} chains and {rows['side_chains'].sum()} side",
-        f"chains. Errors of chi1, in degrees, are least for {best}, and largest for {worst}.",
-        f"Loading took {rows['seconds'].sum():.0f} s, a median of {1000 * usual.median():.0f} ms a residue,",
-        f"{rows['seconds_complete'].sum():.0f} s of it for what a complete file takes, too; relaxing",
-        f"{rows['seconds_relax'].sum():.0f} s. After relaxing, overlaps are left in {left} of {len(rows)},",
-        f"no violations in {clean} of {len(rows)}, and clashscores are {clashes.min():.1f} to",
-        f"{clashes.max():.1f}, with a median of {clashes.median():.1f}.",
+        f"The set has {len(rows)} crystals of {rows['chains'].sum()} chains and {rows['side_chains'].sum()}",
+        f"side chains. Errors of chi1, in degrees, are least for {best}, and largest for {worst}.",
+        f"Loading needed {rows['seconds'].sum():.0f} s, a median of {1000 * usual.median():.0f} ms per",
+        f"residue. Loading the complete files needs {rows['seconds_complete'].sum():.0f} s of this. Relaxing",
+        f"needed {rows['seconds_relax'].sum():.0f} s. After relaxing, {left} of {len(rows)} structures have",
+        f"overlaps, and {clean} of {len(rows)} are free of violations. Clashscores are {clashes.min():.1f}",
+        f"to {clashes.max():.1f}, with a median of {clashes.median():.1f}.",
     )
 
 
@@ -170,11 +170,11 @@ def ddg_words(rows: pd.DataFrame) -> str:
     done = rows["ddg_kcal_mol"].notna()
     unread = rows[rows["status"].isna()]
     return paragraph(
-        f"Of {len(rows)} mutations of {rows['structure'].nunique()} structures {done.sum()} are compared:",
-        f"{len(unread)} are of files that are refused ({', '.join(unread['structure'].unique())}),",
-        f"{len(rows) - done.sum() - len(unread)} of cysteines in disulfide bonds, for which there is no",
-        f"reference. A mutation took a median of {rows['seconds'].median():.1f} s of the clock, both sides,",
-        "on a machine that many other jobs used, too.",
+        f"Of {len(rows)} mutations of {rows['structure'].nunique()} structures {done.sum()} are compared.",
+        f"{len(unread)} belong to refused files ({', '.join(unread['structure'].unique())}), and",
+        f"{len(rows) - done.sum() - len(unread)} to cysteines in disulfide bonds, which lack a reference. A",
+        f"mutation needed a median of {rows['seconds'].median():.1f} s of wall time, both sides, on a",
+        "machine with many other jobs.",
     )
 
 
@@ -197,4 +197,4 @@ def frames_memory(r: pd.DataFrame) -> str:
         f" {its['peak_mb'].iloc[-1]:.0f} MB for {its['frames'].iloc[-1]}"
         for command, its in r.groupby("command", sort=False)
     ]
-    return paragraph(f"Peaks of memory, of all processes together: {'; '.join(parts)}.")
+    return paragraph(f"Peaks of memory, of all processes together, are {', and '.join(parts)}.")
