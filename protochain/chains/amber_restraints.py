@@ -47,26 +47,10 @@ _REFUSED = {
 
 
 def restraints_of_amber(text: str) -> Iterator[Restraint]:
-    """Restraints of a DISANG file: kcal/mol, angstrom, degrees; atoms and residues by their order.
+    """Yield the restraint of each namelist of a DISANG file; atoms and residues by their order.
 
-    Parameters
-    ----------
-    text : str
-        Text of the file. The namelist with ``iat(1)=0`` ends it, as in AMBER.
-
-    Yields
-    ------
-    Restraint
-        One for each namelist.
-
-    Raises
-    ------
-    ProtochainError
-        If a variable is unknown, has a wrong value, or asks for what is not implemented.
-
-    Notes
-    -----
-    AMBER's manual, "Distance, angle and torsional restraints"; between ``r3`` and ``r4`` the energy is
+    Units are kcal/mol, angstrom and degrees. The namelist with ``iat(1)=0`` ends the file, as in AMBER's
+    manual, "Distance, angle and torsional restraints". Between ``r3`` and ``r4`` the energy is
     rk3 (R - r3)^2, beyond ``r4`` linear, or with ``ialtd=1`` hyperbolic.
     """
     inherited: dict[str, Any] = {}

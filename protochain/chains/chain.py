@@ -14,18 +14,8 @@ from protochain.core.arrays import Floats, Integers, Value, floats, frozen, read
 from protochain.core.checks import instance, number, text
 from protochain.core.errors import ChainError, refused
 from protochain.mechanics import multibody
-from protochain.mechanics.multibody import Frames, Tree
-from protochain.mechanics.multibody.algebra import (
-    add,
-    add_pair,
-    cross,
-    kernel,
-    matrix,
-    put,
-    subtract,
-    turned,
-    vector,
-)
+from protochain.mechanics.multibody import Frames, Tree, algebra
+from protochain.mechanics.multibody.algebra import add, cross, kernel, subtract
 from protochain.structure.molecule.model import Structure
 
 _ON_HINGE = 1e-9
@@ -338,12 +328,13 @@ def _place_atoms(
 ) -> None:
     for a in range(len(atom_body)):
         b = atom_body[a]
-        put(add(vector(origin, b), turned(matrix(rotation, b), vector(atom_local, a))), x, a, 0)
+        arm = algebra.turned(algebra.matrix(rotation, b), algebra.vector(atom_local, a))
+        algebra.put(add(algebra.vector(origin, b), arm), x, a, 0)
 
 
 @kernel
 def _gather_loads(atom_body: Integers, origin: Floats, x: Floats, f: Floats, wrench: Floats) -> None:
     for a in range(len(atom_body)):
         b = atom_body[a]
-        force = vector(f, a)
-        add_pair(cross(subtract(vector(x, a), vector(origin, b)), force), force, wrench, b)
+        force, arm = algebra.vector(f, a), subtract(algebra.vector(x, a), algebra.vector(origin, b))
+        algebra.add_pair(cross(arm, force), force, wrench, b)

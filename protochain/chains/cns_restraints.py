@@ -23,28 +23,11 @@ class _Token(NamedTuple):
 
 
 def restraints_of_cns(text: str) -> Iterator[Restraint]:
-    """Restraints of a table: angstrom, degrees, kcal/mol; distances have no stiffness there.
+    """Yield the restraint of each ``assign`` statement of a table: angstrom, degrees, kcal/mol.
 
-    Parameters
-    ----------
-    text : str
-        ``assign`` statements, with or without the statements around them.
-
-    Yields
-    ------
-    Restraint
-        One for each assign. Distances between several atoms, and further pairs after ``or``, are
-        (sum r^-6)^(-1/6). A ``weight`` multiplies the stiffness.
-
-    Raises
-    ------
-    ProtochainError
-        If a statement is not implemented, or lacks numbers.
-
-    Notes
-    -----
-    X-PLOR's manual (Brunger 1992), "Distance Restraints" and "Dihedral Angle Restraints": of dihedrals
-    E = C well^ed.
+    Distances between several atoms, and further pairs after ``or``, are (sum r^-6)^(-1/6). Distances have no
+    stiffness there; a ``weight`` multiplies that of :class:`Restraint`. Of dihedrals E = C well^ed: X-PLOR's
+    manual (Brunger 1992), "Distance Restraints" and "Dihedral Angle Restraints".
     """
     tokens = _tokens(text)
     while tokens:

@@ -22,26 +22,10 @@ _TOKEN = re.compile(r"""[()]|"[^"]*"|'[^'\s]*'(?=[\s)]|$)|[^\s()"]+""")
 def parse_selection(text: str) -> Selection:
     """Parse ``resid 3 and (name HB# or name HG*) and not segid B``.
 
-    Parameters
-    ----------
-    text : str
-        Factors ``resid``, ``residue`` (numbers, ranges ``3:8``), ``resname``, ``segid``, ``name``, ``atom``
-        (segment, residue, name), ``all``, ``none``, ``known`` and ``hydrogen``, joined by ``and``, ``or``,
-        ``not`` and parentheses. Words are known by four letters, in any case.
-
-    Returns
-    -------
-    callable
-        Structure to mask (na,).
-
-    Raises
-    ------
-    ProtochainError
-        If a word is unknown, or a parenthesis is missing.
-
-    Notes
-    -----
-    X-PLOR's manual (Brunger 1992), "Atom Selection".
+    Factors are ``resid``, ``residue`` (numbers, ranges ``3:8``), ``resname``, ``segid``, ``name``, ``atom``
+    (segment, residue, name), ``all``, ``none``, ``known`` and ``hydrogen``, joined by ``and``, ``or``,
+    ``not`` and parentheses. Words are known by four letters, in any case: X-PLOR's manual (Brunger 1992),
+    "Atom Selection".
     """
     tokens = _TOKEN.findall(re.sub(r"\s*:\s*", ":", text))
     selection, rest = _any_of(tokens)

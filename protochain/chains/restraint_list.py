@@ -13,16 +13,8 @@ from numpy.typing import NDArray
 from protochain.chains.cns_selection import parse_selection
 from protochain.chains.restraint import Restraint, both_sides
 from protochain.chains.restraint_lines import read_restraints
-from protochain.core.arrays import (
-    Floats,
-    Integers,
-    Value,
-    dihedral,
-    dihedral_slopes,
-    distance,
-    dots,
-    read_only,
-)
+from protochain.core import arrays
+from protochain.core.arrays import Floats, Integers, Value, read_only
 from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.markup import counted
 from protochain.core.units import ANGSTROM_PER_NM
@@ -58,7 +50,7 @@ class Distances(Value):
     def _sums(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Weighted r^-6 (p,) of the pairs, their vectors (p, 3), and sums (m,)."""
         across = x[self.pairs[:, 0]] - x[self.pairs[:, 1]]
-        r6 = self.weight * np.maximum(dots(across, across), 1e-12) ** -3.0
+        r6 = self.weight * np.maximum(arrays.dots(across, across), 1e-12) ** -3.0
         return r6, across, np.maximum(np.bincount(self.of, r6), 1e-300)
 
     def values(self, x: Floats) -> Floats:
@@ -103,11 +95,11 @@ class Dihedrals(Value):
 
     def values(self, x: Floats) -> Floats:
         """Dihedrals (m,), rad, -pi to pi."""
-        return dihedral(*x[self.atoms.T])
+        return arrays.dihedral(*x[self.atoms.T])
 
     def forces(self, x: Floats, slope: Floats) -> Floats:
         """Forces (na, 3)."""
-        pull = -slope[:, None, None] * dihedral_slopes(x[self.atoms])
+        pull = -slope[:, None, None] * arrays.dihedral_slopes(x[self.atoms])
         return _at(self.atoms.ravel(), pull.reshape(-1, 3), len(x))
 
 
@@ -120,7 +112,7 @@ class Displacements(Value):
 
     def values(self, x: Floats) -> Floats:
         """Distances (m,), nm."""
-        return distance(x[self.atoms], self.initial)
+        return arrays.distance(x[self.atoms], self.initial)
 
     def forces(self, x: Floats, slope: Floats) -> Floats:
         """Forces (na, 3)."""
@@ -346,8 +338,8 @@ def _distances(restraints: Sequence[Restraint], groups: Sequence[list[Integers]]
 def _centroids(mass: Floats, restraints: Sequence[Restraint], groups: Sequence[list[Integers]]) -> Centroids:
     """Atoms of distances between centres of mass, and their shares."""
     atoms, of = (
-        np.concatenate(arrays)
-        for arrays in zip(*(
+        np.concatenate(columns)
+        for columns in zip(*(
             (group, np.full(len(group), k)) for k, places in enumerate(groups) for group in places
         ), strict=True)
     )  # fmt: skip

@@ -6,29 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-from protochain.core import defaults
-from protochain.core.checks import (
-    NO_BONDS,
-    Bond,
-    LigandSource,
-    accuracy_of,
-    acidity_or_auto,
-    at_least,
-    bonds,
-    charges_of_ligands,
-    cutoff_of,
-    file_name,
-    flag,
-    integer,
-    kinds,
-    number_in,
-    optional,
-    selection,
-    sequences,
-    text,
-    words,
-)
-from protochain.core.checks import ligands as ligands_of
+from protochain.core import checks, defaults
+from protochain.core.checks import NO_BONDS, Bond, LigandSource
 from protochain.core.errors import Argument, ProtochainError, refused
 from protochain.core.settings import Settings, setting
 
@@ -122,49 +101,54 @@ class Setup(Settings):
     hinges: str = setting(
         defaults.HINGES,
         "Degrees of freedom: any of phi psi omega chi polar rotors angles nucleic ligand glycan.",
-        kinds,
+        checks.kinds,
     )
-    root: str = setting(defaults.ROOT, "", text)
+    root: str = setting(defaults.ROOT, "", checks.text)
     move: str = setting(
         defaults.MOVE,
         "What may move, in MDAnalysis's selection language, with sidechain, ligand, interface: 'resid 5:20'.",
-        selection,
+        checks.selection,
     )
     rigid_protein: bool = setting(
-        False, "Only poses (--ligand POSE) move, or without one ligands of known chemistry.", flag, bool
+        False,
+        "Only poses (--ligand POSE) move, or without one ligands of known chemistry.",
+        checks.flag,
+        bool,
     )
     forcefield: str = setting(
         defaults.FORCEFIELD,
         "amber14, amber19, amber99sb, amber99sbildn, charmm36, an OpenMM XML file, or several (a,b).",
-        file_name,
+        checks.file_name,
     )
-    solvent: str = setting(defaults.SOLVENT, "vacuum, obc2 or gbn2.", text)
-    engine: str = setting(defaults.ENGINE, "auto, native or openmm.", text)
+    solvent: str = setting(defaults.SOLVENT, "vacuum, obc2 or gbn2.", checks.text)
+    engine: str = setting(defaults.ENGINE, "auto, native or openmm.", checks.text)
     device: str = setting(
         defaults.DEVICE,
         "What computes the energy: cpu, or by OpenMM cuda, hip or opencl; auto: a GPU from 5,000 atoms, in "
         "frames from 1,000, if there is one.",
-        text,
+        checks.text,
     )
     terms: str = setting(
         "all",
         "Terms of the force field: all, or nonbonded, without dihedrals, for methods that only turn hinges.",
-        text,
+        checks.text,
         option="--energy",
     )
     cutoff: float | Literal["auto"] | None = setting(
         defaults.CUTOFF,
         "Distance in nm up to which pairs act, none, or auto: none, or 2 above 20,000 atoms without a tree.",
-        cutoff_of,
+        checks.cutoff_of,
     )
     accuracy: float | Literal["auto", "exact"] = setting(
         defaults.ACCURACY,
         "RMS error of forces in kJ/mol/nm up to which a tree may sum far pairs, exact, or auto: 0.001 from "
         "5,000 atoms.",
-        accuracy_of,
+        checks.accuracy_of,
     )
-    threads: int | None = setting(None, "Threads to compute on [default: all].", optional(at_least(1)), int)
-    trust_forcefield: bool = setting(False, "Allow a force-field file to run its scripts.", flag, bool)
+    threads: int | None = setting(
+        None, "Threads to compute on [default: all].", checks.optional(checks.at_least(1)), int
+    )
+    trust_forcefield: bool = setting(False, "Allow a force-field file to run its scripts.", checks.flag, bool)
     model: int | str | None = setting(
         None,
         "Number of the model [default: the first]; minimise, relax, batch and validate also take all, "
@@ -175,19 +159,19 @@ class Setup(Settings):
         "",
         "Biological assembly to build, by its name in the file, or models: all models joined "
         "[default: the molecules as filed].",
-        text,
+        checks.text,
     )
-    altloc: str = setting("", "Alternate location to prefer [default: of highest occupancy].", text)
+    altloc: str = setting("", "Alternate location to prefer [default: of highest occupancy].", checks.text)
     keep: tuple[str, ...] = setting(
         defaults.KEEP,
         "Molecules to keep beside it, with commas: near (all but waters within 5 angstrom of it), "
         "none, all, water, ions, nucleic, ligands, or names of residues [default: near].",
-        words,
+        checks.words,
     )
     disulfide: tuple[Bond, ...] | None = setting(
         None,
         "Disulfide bonds beside those where sulphurs are near, with commas; the option may be repeated.",
-        optional(bonds),
+        checks.optional(checks.bonds),
         list[str],
         metavar="A:3-A:40",
         word=("no_disulfide", "No disulfide bonds but those of --disulfide.", NO_BONDS),
@@ -196,14 +180,14 @@ class Setup(Settings):
         defaults.PH,
         "pH for residues whose protonation the file does not show, or auto: 7, with the pKa of each by "
         "PROPKA [default: 7].",
-        acidity_or_auto,
-        read=number_in,
+        checks.acidity_or_auto,
+        read=checks.number_in,
     )
-    strict: bool = setting(False, "Refuse chain breaks and incomplete backbones.", flag, bool)
+    strict: bool = setting(False, "Refuse chain breaks and incomplete backbones.", checks.flag, bool)
     chains: tuple[str, ...] = setting(
         (),
         "Chains to take, with commas between [default: all].",
-        words,
+        checks.words,
         option="--chain --chains",
         metavar="A,B",
     )
@@ -211,7 +195,7 @@ class Setup(Settings):
         (),
         "Chemistry of a ligand by the name of its residue, or a pose to add (FILE alone; relax, score and "
         "batch take several poses, in a folder or a file, and add each by itself); repeat for more.",
-        ligands_of,
+        checks.ligands,
         list[str],
         option="--ligand",
         metavar="NAME=SDF|MOL2|SMILES",
@@ -219,13 +203,13 @@ class Setup(Settings):
     ligand_charges: str = setting(
         defaults.LIGAND_CHARGES,
         "Partial charges of ligands: nagl, mmff94, gasteiger, or a file.",
-        charges_of_ligands,
+        checks.charges_of_ligands,
     )
     standard_residues: bool = setting(
-        False, "Convert modified residues to their standard parents: SEP to SER.", flag, bool
+        False, "Convert modified residues to their standard parents: SEP to SER.", checks.flag, bool
     )
-    rebuild_side_chains: str = setting("", "", text)
-    sequence: str = setting("", "", sequences)
+    rebuild_side_chains: str = setting("", "", checks.text)
+    sequence: str = setting("", "", checks.sequences)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -329,7 +313,7 @@ def models_asked(model: int | str) -> tuple[int, ...]:
 def _model(given: int | str | None, name: str) -> int | str | None:
     if given is None or given in ("", ALL_MODELS):
         return given or None
-    asked = "".join((given if isinstance(given, str) else str(integer(given, name))).split())
+    asked = "".join((given if isinstance(given, str) else str(checks.integer(given, name))).split())
     parts = [re.fullmatch(r"(\d{1,9})(?:-(\d{1,9}))?", part) for part in asked.split(",")]
     ranges = [(int(part[1]), int(part[2] or part[1])) for part in parts if part]
     if len(ranges) < len(parts) or any(not 0 <= b - a < _MOST_MODELS for a, b in ranges):

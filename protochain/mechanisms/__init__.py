@@ -18,7 +18,7 @@ from protochain.mechanisms.contact import (
     flores,
     lankarani_nikravesh,
     real_restitution,
-)  # fmt: skip
+)
 from protochain.mechanisms.drawing import Block, Rod
 from protochain.mechanisms.elements import Acting, Conservative, CustomForce, Element, Memory, Named
 from protochain.mechanisms.event import Event, Happened

@@ -19,13 +19,7 @@ from protochain.mechanisms.bodies import WORLD, Bodies
 from protochain.mechanisms.element_arguments import direction, not_negative, number, numbers, rotation_matrix
 from protochain.mechanisms.elements import Named
 
-KINDS = {
-    "revolute": HingeKind.REVOLUTE,
-    "prismatic": HingeKind.PRISMATIC,
-    "screw": HingeKind.SCREW,
-    "ball": HingeKind.BALL,
-    "fixed": HingeKind.FIXED,
-}
+KINDS = {kind: HingeKind[kind.upper()] for kind in ("revolute", "prismatic", "screw", "ball", "fixed")}
 _TURNING = ("revolute", "screw")
 
 _LOG = logging.getLogger(__name__)
@@ -60,16 +54,15 @@ class Body(Named):
 
     def __post_init__(self) -> None:
         label = f"{self.label}: its"
-        self.fix(
-            armature=float(not_negative(self.armature, f"{label} armature")),
-            mass=float(not_negative(self.mass, f"{label} mass")),
-            com=numbers(self.com, (3,), f"{label} centre of mass"),
-            inertia=_inertia(self.inertia, f"{label} inertia"),
-            rotation=None if self.rotation is None else rotation_matrix(self.rotation, f"{label} rotation"),
-        )
+        for name in ("armature", "mass"):
+            self.fix(**{name: float(not_negative(getattr(self, name), f"{label} {name}"))})
+        self.fix(com=numbers(self.com, (3,), f"{label} centre of mass"))
+        self.fix(inertia=_inertia(self.inertia, f"{label} inertia"))
+        if self.rotation is not None:
+            self.fix(rotation=rotation_matrix(self.rotation, f"{label} rotation"))
         for name in ("position", "velocity", "spin"):
-            value = getattr(self, name)
-            self.fix(**{name: None if value is None else numbers(value, (3,), f"{label} {name}")})
+            if getattr(self, name) is not None:
+                self.fix(**{name: numbers(getattr(self, name), (3,), f"{label} {name}")})
 
 
 class NominalBody(Body):
@@ -110,10 +103,8 @@ class Hinge(Named):
         if not (isinstance(self.kind, str) and self.kind in KINDS):
             *kinds, last = KINDS
             raise MechanicsError(f"{label} kind {shown(self.kind)}: give {', '.join(kinds)} or {last}")
-        self.fix(
-            pitch=number(self.pitch, f"{label} pitch"),
-            armature=float(not_negative(self.armature, f"{label} armature")),
-        )
+        self.fix(pitch=number(self.pitch, f"{label} pitch"))
+        self.fix(armature=float(not_negative(self.armature, f"{label} armature")))
         for name in ("q", "qd"):
             value = getattr(self, name)
             if self.kind == "ball":
@@ -131,13 +122,9 @@ class Hinge(Named):
             raise MechanicsError(
                 f"{label} q, qd and armature must be zero as it is fixed; give a rotation, or another kind"
             )
-        self.fix(
-            at=numbers(self.at, (3,), f"{label} place"),
-            axis=direction(self.axis, f"{label} axis"),
-            rotation=np.eye(3)
-            if self.rotation is None
-            else rotation_matrix(self.rotation, f"{label} rotation"),
-        )
+        self.fix(at=numbers(self.at, (3,), f"{label} place"), axis=direction(self.axis, f"{label} axis"))
+        turn = np.eye(3) if self.rotation is None else rotation_matrix(self.rotation, f"{label} rotation")
+        self.fix(rotation=turn)
 
 
 def assemble(

@@ -119,6 +119,13 @@ Row = tuple[float, Floats, Floats, Floats, float, Floats, float]
 tuple, as to make a NamedTuple takes twice as long."""
 
 
+def _column(k: int, doc: str) -> "cached_property[Floats]":
+    """Property of a motion: column k of its rows, as an array."""
+    column = cached_property(lambda motion: read_only([row[k] for row in motion.rows]))
+    column.__doc__ = doc
+    return column
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """Rows of a motion, as arrays that are made when they are first asked for; see :class:`Run`."""
@@ -129,40 +136,17 @@ class Motion:
     end: Phase
     kept: Sequence[tuple[Any, ...]] = ()
 
-    @cached_property
-    def time(self) -> Floats:
-        """(n,) float: times of the rows."""
-        return read_only([row[0] for row in self.rows])
-
-    @cached_property
-    def q(self) -> Floats:
-        """(n, n_q) float: coordinates."""
-        return read_only([row[1] for row in self.rows])
-
-    @cached_property
-    def qd(self) -> Floats:
-        """(n, n_v) float: velocities."""
-        return read_only([row[2] for row in self.rows])
+    time = _column(0, "(n,) float: times of the rows.")
+    q = _column(1, "(n, n_q) float: coordinates.")
+    qd = _column(2, "(n, n_v) float: velocities.")
+    potential = _column(4, "(n,) float: potential energy.")
+    work = _column(5, "(n, k) float: work since the start of each of ``model.works``.")
+    jumps = _column(6, "(n,) float: energy given by events since the start.")
 
     @cached_property
     def kinetic(self) -> Floats:
         """(n,) float: kinetic energy."""
         return read_only(0.5 * np.einsum("ij,ij->i", [row[3] for row in self.rows], self.qd))
-
-    @cached_property
-    def potential(self) -> Floats:
-        """(n,) float: potential energy."""
-        return read_only([row[4] for row in self.rows])
-
-    @cached_property
-    def work(self) -> Floats:
-        """(n, k) float: work since the start of each of ``model.works``."""
-        return read_only([row[5] for row in self.rows])
-
-    @cached_property
-    def jumps(self) -> Floats:
-        """(n,) float: energy given by events since the start."""
-        return read_only([row[6] for row in self.rows])
 
     @property
     def total(self) -> Floats:
@@ -186,8 +170,8 @@ class Motion:
         whole, sizes = np.empty((n, 2, 3)), np.empty((n, 2))
         for i, (q, qd) in enumerate(zip(self.q, self.qd, strict=True)):
             frames = multibody.pose(tree, q)
-            each = momenta_of_bodies(tree, frames, multibody.velocities(tree, frames, qd))
-            both = each[:, 3:], each[:, :3] + np.cross(frames.origin, each[:, 3:])
+            momenta = momenta_of_bodies(tree, frames, multibody.velocities(tree, frames, qd))
+            both = momenta[:, 3:], momenta[:, :3] + np.cross(frames.origin, momenta[:, 3:])
             whole[i] = [np.sum(one, axis=0) for one in both]
             sizes[i] = [np.sum(np.linalg.norm(one, axis=1)) for one in both]
         return read_only(whole), read_only(sizes)

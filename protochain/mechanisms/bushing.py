@@ -7,27 +7,14 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.errors import Fault, MechanicsError
-from protochain.mechanics.multibody import Frames
-from protochain.mechanics.multibody.algebra import (
-    Matrix,
-    Vector,
-    add,
-    add_pair,
-    dot,
-    kernel,
-    matrix,
-    scale,
-    subtract,
-    turned,
-    turned_back,
-    vector,
-)  # fmt: skip
-from protochain.mechanics.multibody.kinematics import WORLD
+from protochain.mechanics.multibody import Frames, algebra
+from protochain.mechanics.multibody.algebra import Vector, add, dot, kernel, scale, subtract
+from protochain.mechanics.multibody.kinematics import WORLD, end_of
 from protochain.mechanics.multibody.rotations import tangent_inverse
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.element_arguments import not_negative, rotation_matrix
 from protochain.mechanisms.elements import Acting, Between, Rows
-from protochain.mechanisms.linear_springs import end_of, push, speed_of
+from protochain.mechanisms.linear_springs import push, speed_of
 
 HALF_A_TURN = 3.1
 """rad. Largest rotation of a bushing: at pi its rotation vector jumps to the other side."""
@@ -84,11 +71,8 @@ class Bushing(Between):
             np.array([self.name]), ends, points, read_only([bodies.axes(a) @ rest]),
             read_only([bodies.axes(b)]), read_only([self.stiffness]), read_only([self.damping]),
         )  # fmt: skip
-        return Acting(
-            row if np.any(self.stiffness) else None,
-            damping=row if np.any(self.damping) else None,
-            inside=bool(np.all(ends >= 0)),
-        )
+        elastic, damping = row if np.any(self.stiffness) else None, row if np.any(self.damping) else None
+        return Acting(elastic, damping=damping, inside=bool(np.all(ends >= 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,15 +91,9 @@ class Bushings(Rows):
 
     def add(self, q: Floats, frames: Frames, wrenches: Floats, torques: Floats) -> float:
         """Add the wrenches of the springs."""
+        rotation, origin = frames.rotation, frames.origin
         energy: float = _bend(
-            frames.rotation,
-            frames.origin,
-            self.ends,
-            self.points,
-            self.axes_a,
-            self.axes_b,
-            self.stiffness,
-            wrenches,
+            rotation, origin, self.ends, self.points, self.axes_a, self.axes_b, self.stiffness, wrenches
         )
         if energy < 0.0:
             raise MechanicsError(
@@ -127,24 +105,22 @@ class Bushings(Rows):
 
     def resist(self, frames: Frames, twists: Floats, qd: Floats, wrenches: Floats, torques: Floats) -> None:
         """Add the wrenches of the dampers."""
-        _resist(
-            frames.rotation, frames.origin, twists, self.ends, self.points, self.axes_b, self.damping,
-            wrenches,
-        )  # fmt: skip
+        rotation, origin = frames.rotation, frames.origin
+        _resist(rotation, origin, twists, self.ends, self.points, self.axes_b, self.damping, wrenches)
 
 
 @kernel
-def axes_of(rotation: Floats, b: int, axes: Matrix) -> Matrix:
+def axes_of(rotation: Floats, b: int, axes: algebra.Matrix) -> algebra.Matrix:
     """Axes fixed in a body, in the world; as rows of the result, so that ``turned`` resolves along them."""
-    turn = matrix(rotation, b) if b >= 0 else WORLD[0]
-    x = turned(turn, (axes[0], axes[3], axes[6]))
-    y = turned(turn, (axes[1], axes[4], axes[7]))
-    z = turned(turn, (axes[2], axes[5], axes[8]))
+    turn = algebra.matrix(rotation, b) if b >= 0 else WORLD[0]
+    x = algebra.turned(turn, (axes[0], axes[3], axes[6]))
+    y = algebra.turned(turn, (axes[1], axes[4], axes[7]))
+    z = algebra.turned(turn, (axes[2], axes[5], axes[8]))
     return x[0], x[1], x[2], y[0], y[1], y[2], z[0], z[1], z[2]
 
 
 @kernel
-def rotation_vector(r: Matrix) -> Vector:
+def rotation_vector(r: algebra.Matrix) -> Vector:
     """Logarithm of a rotation, of an angle up to pi, by its quaternion."""
     trace = r[0] + r[4] + r[8]
     # Of the four, the largest component of the quaternion is found without cancellation.
@@ -165,14 +141,12 @@ def rotation_vector(r: Matrix) -> Vector:
 
 
 @kernel
-def _turned_away(rotation: Floats, a: int, b: int, axes_a: Matrix, along: Matrix) -> Vector:
+def _turned_away(rotation: Floats, a: int, axes_a: algebra.Matrix, along: algebra.Matrix) -> Vector:
     """Rotation vector of a's axes in those of b, whose rows are ``along``."""
     rows = axes_of(rotation, a, axes_a)
-    x, y, z = (
-        turned(along, (rows[0], rows[1], rows[2])),
-        turned(along, (rows[3], rows[4], rows[5])),
-        turned(along, (rows[6], rows[7], rows[8])),
-    )
+    x = algebra.turned(along, (rows[0], rows[1], rows[2]))
+    y = algebra.turned(along, (rows[3], rows[4], rows[5]))
+    z = algebra.turned(along, (rows[6], rows[7], rows[8]))
     return rotation_vector((x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]))
 
 
@@ -185,21 +159,21 @@ def _bend(
     energy = 0.0
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]
-        arm_a, place_a = end_of(rotation, origin, a, vector(points, i, 0))
-        arm_b, place_b = end_of(rotation, origin, b, vector(points, i, 3))
-        along = axes_of(rotation, b, matrix(axes_b, i))
-        theta = _turned_away(rotation, a, b, matrix(axes_a, i), along)
+        arm_a, place_a = end_of(rotation, origin, a, algebra.vector(points, i, 0))
+        arm_b, place_b = end_of(rotation, origin, b, algebra.vector(points, i, 3))
+        along = axes_of(rotation, b, algebra.matrix(axes_b, i))
+        theta = _turned_away(rotation, a, algebra.matrix(axes_a, i), along)
         if dot(theta, theta) > HALF_A_TURN * HALF_A_TURN:
             return -1.0 - i
         gap = subtract(place_a, place_b)
-        d = turned(along, gap)
-        k, s = vector(stiffness, i, 0), vector(stiffness, i, 3)
+        d = algebra.turned(along, gap)
+        k, s = algebra.vector(stiffness, i, 0), algebra.vector(stiffness, i, 3)
         moment = (k[0] * theta[0], k[1] * theta[1], k[2] * theta[2])
         force = (s[0] * d[0], s[1] * d[1], s[2] * d[2])
         energy += 0.5 * (dot(moment, theta) + dot(force, d))
         # The tangent at -theta is the transposed one.
-        moment = turned_back(along, tangent_inverse(scale(-1.0, theta), moment))
-        force = turned_back(along, force)
+        moment = algebra.turned_back(along, tangent_inverse(scale(-1.0, theta), moment))
+        force = algebra.turned_back(along, force)
         _apply(scale(-1.0, moment), scale(-1.0, force), a, b, arm_a, add(arm_b, gap), wrenches)
     return energy
 
@@ -211,17 +185,17 @@ def _resist(
 ) -> None:  # fmt: skip
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]
-        arm_a, place_a = end_of(rotation, origin, a, vector(points, i, 0))
-        arm_b, place_b = end_of(rotation, origin, b, vector(points, i, 3))
+        arm_a, place_a = end_of(rotation, origin, a, algebra.vector(points, i, 0))
+        arm_b, place_b = end_of(rotation, origin, b, algebra.vector(points, i, 3))
         # Where a's point is, both bodies have a velocity; their difference is the rate of d in b's axes.
         arm_b = add(arm_b, subtract(place_a, place_b))
-        along = axes_of(rotation, b, matrix(axes, i))
+        along = axes_of(rotation, b, algebra.matrix(axes, i))
         spin = subtract(_spin_of(twists, a), _spin_of(twists, b))
         speed = subtract(speed_of(twists, a, arm_a), speed_of(twists, b, arm_b))
-        w, u = turned(along, spin), turned(along, speed)
-        c, e = vector(damping, i, 0), vector(damping, i, 3)
-        moment = turned_back(along, (-c[0] * w[0], -c[1] * w[1], -c[2] * w[2]))
-        force = turned_back(along, (-e[0] * u[0], -e[1] * u[1], -e[2] * u[2]))
+        w, u = algebra.turned(along, spin), algebra.turned(along, speed)
+        c, e = algebra.vector(damping, i, 0), algebra.vector(damping, i, 3)
+        moment = algebra.turned_back(along, (-c[0] * w[0], -c[1] * w[1], -c[2] * w[2]))
+        force = algebra.turned_back(along, (-e[0] * u[0], -e[1] * u[1], -e[2] * u[2]))
         _apply(moment, force, a, b, arm_a, arm_b, wrenches)
 
 
@@ -229,7 +203,7 @@ def _resist(
 def _spin_of(twists: Floats, b: int) -> Vector:
     if b < 0:
         return 0.0, 0.0, 0.0
-    return vector(twists, b, 0)
+    return algebra.vector(twists, b, 0)
 
 
 @kernel
@@ -240,6 +214,6 @@ def _apply(
     push(force, arm_a, a, wrenches)
     push(scale(-1.0, force), arm_b, b, wrenches)
     if a >= 0:
-        add_pair(moment, (0.0, 0.0, 0.0), wrenches, a)
+        algebra.add_pair(moment, (0.0, 0.0, 0.0), wrenches, a)
     if b >= 0:
-        add_pair(scale(-1.0, moment), (0.0, 0.0, 0.0), wrenches, b)
+        algebra.add_pair(scale(-1.0, moment), (0.0, 0.0, 0.0), wrenches, b)

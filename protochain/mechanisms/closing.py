@@ -256,11 +256,12 @@ def _rates(
         by = left[worst] * (1.0 if joints.turns[worst] else tree.size)
         displaced = _matrix(bodies, joints, _moved(bodies, q, follow, _away(follow)), follow)
         dead = joints.rank is None and _rank(g[:, follow]) < _rank(displaced)
-        where, remedy = (
-            ("at a dead point ", "start near it, or give the rate of a hinge that can turn there")
-            if dead
-            else ("", "give those of fewer hinges: the others follow")
-        )
+        where, remedy = "", "give those of fewer hinges: the others follow"
+        if dead:
+            where, remedy = (
+                "at a dead point ",
+                "start near it, or give the rate of a hinge that can turn there",
+            )
         raise MechanicsError(
             f"{labels[of[worst]]}: {where}the rates of hinges open it by {by:.3g} per time; {remedy}",
             fault=Fault.OPEN,

@@ -219,10 +219,5 @@ class Contact(Named):
         constants = (law.stiffness, law.exponent, law.damping, rub.coefficient, rub.stiffness, rub.damping)
         forces = ContactForces(bodies.tree, found, read_only(constants))
         loses = law.damping > 0.0 or rub.coefficient > 0.0
-        return Acting(
-            conservative=forces,
-            load=Load(forces.resist) if loses else None,
-            dissipates=loses,
-            inside=forces.is_inside,
-            memory=forces if forces.must_settle else None,
-        )
+        load, memory = Load(forces.resist) if loses else None, forces if forces.must_settle else None
+        return Acting(forces, load, dissipates=loses, inside=forces.is_inside, memory=memory)

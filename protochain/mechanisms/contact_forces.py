@@ -7,20 +7,10 @@ import numpy as np
 from protochain.core.arrays import Floats, Integers
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Phase
-from protochain.mechanics.multibody import Frames, Tree
-from protochain.mechanics.multibody.algebra import (
-    Vector,
-    add,
-    dot,
-    kernel,
-    matrix,
-    put,
-    scale,
-    subtract,
-    turned_back,
-    vector,
-)  # fmt: skip
-from protochain.mechanisms.linear_springs import end_of, push, speed_of
+from protochain.mechanics.multibody import Frames, Tree, algebra
+from protochain.mechanics.multibody.algebra import Vector, add, dot, kernel, scale, subtract
+from protochain.mechanics.multibody.kinematics import end_of
+from protochain.mechanisms.linear_springs import push, speed_of
 from protochain.mechanisms.shapes import Finder, OnPlane, Touches
 
 STIFFNESS, EXPONENT, DAMPING, FRICTION, SPRING, DASHPOT = range(6)
@@ -130,7 +120,7 @@ class ContactForces:
         _, ends, place, normal, depth = touches
         _drag(
             frames.rotation, frames.origin, twists, ends, place, normal, depth, stretch, self.constants, arms
-        )  # fmt: skip
+        )
         self.anchors = Anchors(touches.pair, arms)
 
 
@@ -138,15 +128,15 @@ class ContactForces:
 def _relative(origin: Floats, twists: Floats, a: int, b: int, place: Vector) -> Vector:
     """Velocity of a's point at a place relative to b's."""
     # Of the world, -1, any arm will do.
-    of_a = speed_of(twists, a, subtract(place, vector(origin, a)))
-    return subtract(of_a, speed_of(twists, b, subtract(place, vector(origin, b))))
+    of_a = speed_of(twists, a, subtract(place, algebra.vector(origin, a)))
+    return subtract(of_a, speed_of(twists, b, subtract(place, algebra.vector(origin, b))))
 
 
 @kernel
 def _apply(force: Vector, origin: Floats, a: int, b: int, place: Vector, wrenches: Floats) -> None:
     """Add a force on a at a place, and its reaction on b."""
-    push(force, subtract(place, vector(origin, a)), a, wrenches)
-    push(scale(-1.0, force), subtract(place, vector(origin, b)), b, wrenches)
+    push(force, subtract(place, algebra.vector(origin, a)), a, wrenches)
+    push(scale(-1.0, force), subtract(place, algebra.vector(origin, b)), b, wrenches)
 
 
 @kernel
@@ -157,9 +147,9 @@ def _press(
     """Add the elastic forces; return their energy."""
     energy, exponent = 0.0, constants[EXPONENT]
     for k in range(len(depth)):
-        force = constants[STIFFNESS] * depth[k] ** exponent
-        energy += force * depth[k] / (exponent + 1.0)
-        _apply(scale(force, vector(normal, k)), origin, ends[k, 0], ends[k, 1], vector(place, k), wrenches)
+        size, at = constants[STIFFNESS] * depth[k] ** exponent, algebra.vector(place, k)
+        energy += size * depth[k] / (exponent + 1.0)
+        _apply(scale(size, algebra.vector(normal, k)), origin, ends[k, 0], ends[k, 1], at, wrenches)
     return energy
 
 
@@ -183,9 +173,9 @@ def _resist(
 ) -> None:  # fmt: skip
     """Add damping and friction."""
     for k in range(len(depth)):
-        a, b, at, out = ends[k, 0], ends[k, 1], vector(place, k), vector(normal, k)
+        a, b, at, out = ends[k, 0], ends[k, 1], algebra.vector(place, k), algebra.vector(normal, k)
         moving = _relative(origin, twists, a, b, at)
-        elastic, pressed, _, wanted = _forces(moving, out, depth[k], vector(stretch, k), constants)
+        elastic, pressed, _, wanted = _forces(moving, out, depth[k], algebra.vector(stretch, k), constants)
         size, most = np.sqrt(dot(wanted, wanted)), constants[FRICTION] * pressed
         force = add(scale(pressed - elastic, out), scale(most / size if size > most else 1.0, wanted))
         _apply(force, origin, a, b, at, wrenches)
@@ -199,15 +189,15 @@ def _drag(
     """Anchor springs at the present places, lest a ball that rolls seem to slip, where friction allows it."""
     # An anchor is dragged to where the spring alone has the greatest friction.
     for k in range(len(depth)):
-        a, b, at, spring = ends[k, 0], ends[k, 1], vector(place, k), vector(stretch, k)
+        a, b, at, spring = ends[k, 0], ends[k, 1], algebra.vector(place, k), algebra.vector(stretch, k)
         moving = _relative(origin, twists, a, b, at)
-        _, pressed, _, _ = _forces(moving, vector(normal, k), depth[k], spring, constants)
+        _, pressed, _, _ = _forces(moving, algebra.vector(normal, k), depth[k], spring, constants)
         pull = constants[SPRING] * np.sqrt(dot(spring, spring))
         most = constants[FRICTION] * pressed
         if pull > most:
             spring = scale(most / pull, spring)
-        put(_inside(rotation, origin, a, at), arms, k, 0)
-        put(_inside(rotation, origin, b, subtract(at, spring)), arms, k, 3)
+        algebra.put(_inside(rotation, origin, a, at), arms, k, 0)
+        algebra.put(_inside(rotation, origin, b, subtract(at, spring)), arms, k, 3)
 
 
 @kernel
@@ -215,7 +205,7 @@ def _inside(rotation: Floats, origin: Floats, b: int, place: Vector) -> Vector:
     """Place in the frame of a body."""
     if b < 0:
         return place
-    return turned_back(matrix(rotation, b), subtract(place, vector(origin, b)))
+    return algebra.turned_back(algebra.matrix(rotation, b), subtract(place, algebra.vector(origin, b)))
 
 
 @kernel
@@ -229,16 +219,16 @@ def _stretch(
     for k in range(n):
         while first < m and anchored[first, 0] < pair[k, 0]:
             first += 1
-        found, last = -1, first
+        anchor, last = -1, first
         while last < m and anchored[last, 0] == pair[k, 0]:
             if anchored[last, 1] == pair[k, 1]:
-                found = last
+                anchor = last
             last += 1
         alone = (k == 0 or pair[k - 1, 0] != pair[k, 0]) and (k + 1 == n or pair[k + 1, 0] != pair[k, 0])
-        if found < 0 and last == first + 1 and alone:
-            found = first
-        if found >= 0:
-            _, place_a = end_of(rotation, origin, ends[k, 0], vector(arms, found, 0))
-            _, place_b = end_of(rotation, origin, ends[k, 1], vector(arms, found, 3))
-            spring, out = subtract(place_a, place_b), vector(normal, k)
-            put(subtract(spring, scale(dot(spring, out), out)), apart, k, 0)
+        if anchor < 0 and last == first + 1 and alone:
+            anchor = first
+        if anchor >= 0:
+            _, place_a = end_of(rotation, origin, ends[k, 0], algebra.vector(arms, anchor, 0))
+            _, place_b = end_of(rotation, origin, ends[k, 1], algebra.vector(arms, anchor, 3))
+            spring, out = subtract(place_a, place_b), algebra.vector(normal, k)
+            algebra.put(subtract(spring, scale(dot(spring, out), out)), apart, k, 0)

@@ -11,18 +11,8 @@ from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.errors import MechanicsError
 from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load, Phase
-from protochain.mechanics.multibody import Frames, Tree
-from protochain.mechanics.multibody.algebra import (
-    add_pair,
-    cross,
-    dot,
-    kernel,
-    matrix,
-    scale,
-    turned,
-    vector,
-    vector_at,
-)
+from protochain.mechanics.multibody import Frames, Tree, algebra
+from protochain.mechanics.multibody.algebra import cross, dot, kernel, scale
 from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.tree import FIRST_MOMENT, MASS
 from protochain.mechanisms.bodies import Bodies
@@ -266,9 +256,10 @@ def damping(tree: Tree, parts: Sequence[Damping]) -> Dampers:
 @kernel
 def weigh(bodies: Floats, rotation: Floats, origin: Floats, gravity: Floats, wrenches: Floats) -> float:
     """Add the weights; return their energy."""
-    energy, g = 0.0, vector_at(gravity, 0)
+    energy, g = 0.0, algebra.vector_at(gravity, 0)
     for b in range(len(bodies)):
-        mass, first = bodies[b, MASS], turned(matrix(rotation, b), vector(bodies, b, FIRST_MOMENT))
-        energy -= mass * dot(g, vector(origin, b)) + dot(g, first)
-        add_pair(cross(first, g), scale(mass, g), wrenches, b)
+        turn, mass = algebra.matrix(rotation, b), bodies[b, MASS]
+        first = algebra.turned(turn, algebra.vector(bodies, b, FIRST_MOMENT))
+        energy -= mass * dot(g, algebra.vector(origin, b)) + dot(g, first)
+        algebra.add_pair(cross(first, g), scale(mass, g), wrenches, b)
     return energy

@@ -14,37 +14,19 @@ import numpy as np
 
 from protochain.core.arrays import Floats, floats, frozen, read_only
 from protochain.mechanics.motion import DormandPrince, Equations, Phase, RungeKutta4, System
-from protochain.mechanics.multibody import Frames
+from protochain.mechanics.multibody import Frames, articulated, kinematics
 from protochain.mechanics.multibody.algebra import kernel
-from protochain.mechanics.multibody.articulated import (
-    Articulated,
-    factorise,
-    inward_loads,
-    outward_rates,
-    put_rigid,
-)
+from protochain.mechanics.multibody.articulated import Articulated
 from protochain.mechanics.multibody.hamilton import put_momenta
-from protochain.mechanics.multibody.kinematics import (
-    inward_torques,
-    move_along,
-    outward_frames,
-    outward_twists,
-)
 from protochain.mechanics.multibody.newton_euler import outward_loads
 from protochain.mechanics.multibody.rotations import put_rates
 from protochain.mechanics.multibody.tree import Q, V
 from protochain.mechanics.tableaux import Tableau
+from protochain.mechanisms import loop_joints
 from protochain.mechanisms.closed_equations import CLOSED, ITERATIONS, ClosedEquations
 from protochain.mechanisms.elements import Conservative, Damping, Gravity, weigh
 from protochain.mechanisms.linear_springs import Springs, pull, resist
-from protochain.mechanisms.loop_joints import (
-    LoopJoints,
-    bends,
-    factor_loops_at,
-    gather,
-    least_impulses,
-    put_rows,
-)
+from protochain.mechanisms.loop_joints import LoopJoints
 from protochain.mechanisms.torsion import Torsions, slow, wind
 
 _MOST, _LEAST = 100_000, 1e-9
@@ -105,10 +87,10 @@ class InOneKernel(Equations):
         tree = self.tree
         start, speed = floats(at.q, (tree.n_q,), "q"), floats(at.qd, (tree.n_v,), "qd")
         # Copies may be written to, as in a march: the step is compiled once.
-        done, *found, moved, quickened = _step(h, tableau.arrays, self._arrays, start.copy(), speed.copy())
+        done, *state, moved, quickened = _step(h, tableau.arrays, self._arrays, start.copy(), speed.copy())
         if not done:
             return super().advance(tableau, at, h)
-        return self._phase(found, at.time + h, at.work), moved, quickened
+        return self._phase(state, at.time + h, at.work), moved, quickened
 
     def march(
         self, method: RungeKutta4 | DormandPrince, at: Phase, h: float, steps: int, every: int
@@ -119,7 +101,7 @@ class InOneKernel(Equations):
         if steps < 1 or not len(at.q):
             return [], at, 0
         work = at.work.sum()
-        taken, found, rows = _march(
+        taken, end, rows = _march(
             h, method.tableau.arrays, self._arrays, floats(at.q, (self.tree.n_q,), "q"),
             floats(at.qd, (self.tree.n_v,), "qd"), work, at.time, steps, every,
             getattr(method, "tolerance", 0.0), method.order, self.units,
@@ -129,17 +111,17 @@ class InOneKernel(Equations):
         times, q, qd, p, energies, works = (column[: taken // every] for column in rows)
         worked = works[:, None] if len(at.work) else np.empty((len(works), 0))
         listed = zip(times.tolist(), q, qd, p, energies.tolist(), worked, [0.0] * len(works), strict=True)
-        *state, own, time = found
-        return list(listed), self._phase((*state, own - work), time, at.work), taken
+        *state, total, time = end
+        return list(listed), self._phase((*state, total - work), time, at.work), taken
 
-    def _phase(self, found: Sequence[Any], time: float, work: Floats) -> Phase:
+    def _phase(self, state: Sequence[Any], time: float, work: Floats) -> Phase:
         """Phase at the end of steps, after work before them."""
-        q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, own = found
+        q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, added = state
         frames = Frames(frozen(rotation), frozen(origin))
         there = Articulated(self.tree, frames, *map(frozen, (packed, gain, pivot, root)))
         if not self.loads:
             return Phase(q, qd, p, energy, torque, there, time, work)
-        return Phase(q, qd, p, energy, torque, there, time, work + own, damped[None])
+        return Phase(q, qd, p, energy, torque, there, time, work + added, damped[None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,9 +176,7 @@ def _march(
             k = i // every
             times[k], qs[k], qds[k], ps[k] = now, last[1], last[2], last[3]
             energies[k], works[k] = last[4], total
-    (
-        _, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, _, _, _
-    ) = last  # fmt: skip
+    (_, q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, _, _, _) = last
     end = q, qd, p, energy, torque, rotation, origin, packed, gain, pivot, root, damped, total, now
     return taken, end, (times, qs, qds, ps, energies, works)
 
@@ -215,19 +195,15 @@ def _step(
     gain, pivot, root = np.empty((n, 6)), np.empty(n), np.empty((links[n, Q] - links[n, V], 6, 6))
     frames, factors = (rotation, origin), (packed, gain, pivot, root)
     wrenches, loads, held, x = np.empty((n, 6)), np.empty((n, 6)), np.empty(n_v), np.empty(n_v)
-    slopes, rates, damped, twists = (
-        np.zeros((s + 2, n_v)),
-        np.zeros((s + 2, n_v)),
-        np.zeros(n_v),
-        np.empty((n, 6)),
-    )
+    slopes, rates = np.zeros((s + 2, n_v)), np.zeros((s + 2, n_v))
+    damped, twists = np.zeros(n_v), np.empty((n, 6))
     done, energy, work, q, qd = True, 0.0, 0.0, start.copy(), speed.copy()
     # After the stages the step itself; after the step, as often as loops need, what closes them.
     for stage in range(s + 1 + ITERATIONS):
         i, inside = min(stage, s), stage < s
         if stage <= s:
             _put_stage(h, a[i] if inside else b, i, tree, slopes, rates, start, speed, x, q, qd)
-        outward_frames(links, bodies, q, rotation, origin)
+        kinematics.outward_frames(links, bodies, q, rotation, origin)
         done, energy = _act(tree, acts, frames, q, wrenches, x)
         if inside and len(dampers[0]) + len(dampers[3]) > 0:
             work += h * b[i] * _damp(tree, dampers, frames, qd, twists, loads, damped, held)
@@ -237,7 +213,7 @@ def _step(
             done = False
             break
         if inside:
-            outward_rates(links, bodies, rotation, origin, gain, root, loads, x)
+            articulated.outward_rates(links, bodies, rotation, origin, gain, root, loads, x)
             rates[i] = x
         if len(joints[0]) == 0:
             if inside:
@@ -251,11 +227,11 @@ def _step(
             break
         else:
             done = stage < s + ITERATIONS
-            move_along(links, held, q)
+            kinematics.move_along(links, held, q)
     torque, p, moved, quickened = np.empty(n_v), np.empty(n_v), np.zeros(n_v), np.zeros(n_v)
     if done:
         _act(tree, acts, frames, q, wrenches, x)
-        inward_torques(links, bodies, rotation, origin, wrenches, torque)
+        kinematics.inward_torques(links, bodies, rotation, origin, wrenches, torque)
         torque += x
         if len(dampers[0]) + len(dampers[3]) > 0:
             _damp(tree, dampers, frames, qd, twists, loads, damped, held)
@@ -279,12 +255,12 @@ def _damp(
     """Write wrenches and torques of dampers, and both as torques (n_v,), ``damped``; return their power."""
     (links, bodies, _), (rotation, origin) = tree, frames
     ends, points, springs, _, freedoms, torsions = dampers
-    outward_twists(links, bodies, rotation, origin, qd, twists)
+    kinematics.outward_twists(links, bodies, rotation, origin, qd, twists)
     loads[:], torques[:] = 0.0, 0.0
     resist(rotation, origin, twists, ends, points, springs, loads)
     slow(freedoms, torsions, qd, torques)
     twists[:] = loads
-    inward_torques(links, bodies, rotation, origin, twists, damped)
+    kinematics.inward_torques(links, bodies, rotation, origin, twists, damped)
     damped += torques
     return np.dot(damped, qd)
 
@@ -303,7 +279,7 @@ def _put_stage(
             x[k] += weight * slopes[j, k]
             qd[k] += weight * rates[j, k]
     q[:] = start
-    move_along(tree[0], x, q)
+    kinematics.move_along(tree[0], x, q)
     slopes[i] = qd
     put_rates(tree[0], x, slopes[i])
 
@@ -329,36 +305,36 @@ def _factors_at(
 ) -> bool:  # fmt: skip
     """Write factors, and inside a step what accelerates; whether they exist."""
     (links, bodies, _), (rotation, origin), (packed, gain, pivot, root) = tree, frames, factors
-    put_rigid(rotation, bodies, packed)
+    articulated.put_rigid(rotation, bodies, packed)
     loads[:] = 0.0
     if inside:
         outward_loads(links, bodies, rotation, origin, qd, np.zeros(len(qd)), loads)
         loads -= wrenches
-    failed: int = factorise(links, bodies, rotation, origin, packed, gain, pivot, root, loads, x)
+    failed: int = articulated.factorise(links, bodies, rotation, origin, packed, gain, pivot, root, loads, x)
     return failed < 0
 
 
 @kernel
 def _hold(
     inside: bool, tree: tuple[Any, ...], joints: tuple[Any, ...], frames: tuple[Floats, Floats],
-    factors: tuple[Any, ...], qd: Floats, qdd: Floats, loads: Floats, held: Floats,
+    factors: tuple[Any, ...], qd: Floats, qdd: Floats, loads: Floats, correction: Floats,
 ) -> float:  # fmt: skip
     """Write accelerations inside a step, else the velocities, else the displacement that joints ask for."""
-    # -> How far loops are open: after the step velocities are held once they are closed.
+    # -> How far loops are open: after the step velocities are corrected once they are closed.
     (links, bodies, size), (body, turns, point, along) = tree, joints
     (rotation, origin), (_, gain, pivot, root) = frames, factors
     m, gap = len(body), 0.0
     error, rows = np.empty(m), np.zeros((m, 2, 6))
-    put_rows(rotation, origin, body, turns, point, along, error, rows)
-    scales, coefficients, order, _ = factor_loops_at(
+    loop_joints.put_rows(rotation, origin, body, turns, point, along, error, rows)
+    scales, coefficients, order, _ = loop_joints.factor_loops_at(
         links, bodies, rotation, origin, gain, pivot, root, body, rows, size
     )
     for k in range(m):
         gap = max(gap, abs(error[k]) / (1.0 if turns[k] else size))
     if inside:
-        error = -bends(links, bodies, rotation, origin, body, turns, point, along, qd, qdd)
+        error = -loop_joints.bends(links, bodies, rotation, origin, body, turns, point, along, qd, qdd)
     elif gap <= CLOSED:
-        outward_twists(links, bodies, rotation, origin, qd, loads)
+        kinematics.outward_twists(links, bodies, rotation, origin, qd, loads)
         for k in range(m):
             error[k] = 0.0
             for side in range(2):
@@ -366,9 +342,9 @@ def _hold(
                     error[k] -= np.dot(rows[k, side], loads[body[k, side]])
     else:
         error *= -1.0
-    loads[:], held[:] = 0.0, 0.0
-    gather(body, rows, least_impulses(scales, coefficients, order, error), loads)
+    loads[:], correction[:] = 0.0, 0.0
+    loop_joints.gather(body, rows, loop_joints.least_impulses(scales, coefficients, order, error), loads)
     loads *= -1.0
-    inward_loads(links, bodies, rotation, origin, gain, pivot, loads, held)
-    outward_rates(links, bodies, rotation, origin, gain, root, loads, held)
+    articulated.inward_loads(links, bodies, rotation, origin, gain, pivot, loads, correction)
+    articulated.outward_rates(links, bodies, rotation, origin, gain, root, loads, correction)
     return gap

@@ -7,22 +7,9 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
 from protochain.core.errors import Fault, MechanicsError
-from protochain.mechanics.multibody import Frames
-from protochain.mechanics.multibody.algebra import (
-    Vector,
-    add,
-    add_pair,
-    cross,
-    dot,
-    kernel,
-    matrix,
-    pair,
-    scale,
-    subtract,
-    turned,
-    vector,
-)  # fmt: skip
-from protochain.mechanics.multibody.kinematics import WORLD
+from protochain.mechanics.multibody import Frames, algebra
+from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract
+from protochain.mechanics.multibody.kinematics import end_of
 from protochain.mechanisms.bodies import Bodies
 from protochain.mechanisms.element_arguments import not_negative
 from protochain.mechanisms.elements import Acting, Between, Named, Rows
@@ -89,11 +76,8 @@ class Spring(Between):
                 "give rest=0, or move one"
             )
         row = Springs(np.array([self.name]), ends, points, read_only([(self.stiffness, rest, self.damping)]))
-        return Acting(
-            row if self.stiffness else None,
-            damping=row if self.damping else None,
-            inside=bool(np.all(ends >= 0)),
-        )
+        elastic, damping = row if self.stiffness else None, row if self.damping else None
+        return Acting(elastic, damping=damping, inside=bool(np.all(ends >= 0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,18 +105,10 @@ class Springs(Rows):
 
 
 @kernel
-def end_of(rotation: Floats, origin: Floats, b: int, point: Vector) -> tuple[Vector, Vector]:
-    """Lever arm of a point from its body's origin, and its place in the world."""
-    turn, at = (matrix(rotation, b), vector(origin, b)) if b >= 0 else WORLD
-    arm = turned(turn, point)
-    return arm, add(at, arm)
-
-
-@kernel
 def push(force: Vector, arm: Vector, b: int, wrenches: Floats) -> None:
     """Add a force at the end of a lever arm to those on body b, unless it is the world."""
     if b >= 0:
-        add_pair(cross(arm, force), force, wrenches, b)
+        algebra.add_pair(cross(arm, force), force, wrenches, b)
 
 
 @kernel
@@ -140,7 +116,7 @@ def speed_of(twists: Floats, b: int, arm: Vector) -> Vector:
     """Velocity of a point of a body."""
     if b < 0:
         return 0.0, 0.0, 0.0
-    omega, u = pair(twists, b)
+    omega, u = algebra.pair(twists, b)
     return add(u, cross(omega, arm))
 
 
@@ -152,8 +128,8 @@ def pull(
     energy = 0.0
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]
-        arm_a, place_a = end_of(rotation, origin, a, vector(points, i, 0))
-        arm_b, place_b = end_of(rotation, origin, b, vector(points, i, 3))
+        arm_a, place_a = end_of(rotation, origin, a, algebra.vector(points, i, 0))
+        arm_b, place_b = end_of(rotation, origin, b, algebra.vector(points, i, 3))
         apart = subtract(place_b, place_a)
         length = np.sqrt(dot(apart, apart))
         k, rest = constants[i, STIFFNESS], constants[i, REST]
@@ -175,12 +151,10 @@ def resist(
     """Add the forces of the dampers."""
     for i in range(len(ends)):
         a, b = ends[i, 0], ends[i, 1]
-        arm_a, place_a = end_of(rotation, origin, a, vector(points, i, 0))
-        arm_b, place_b = end_of(rotation, origin, b, vector(points, i, 3))
-        apart, moving = (
-            subtract(place_b, place_a),
-            subtract(speed_of(twists, b, arm_b), speed_of(twists, a, arm_a)),
-        )
+        arm_a, place_a = end_of(rotation, origin, a, algebra.vector(points, i, 0))
+        arm_b, place_b = end_of(rotation, origin, b, algebra.vector(points, i, 3))
+        moving = subtract(speed_of(twists, b, arm_b), speed_of(twists, a, arm_a))
+        apart = subtract(place_b, place_a)
         squared = dot(apart, apart)
         force = scale(constants[i, DAMPING], moving)
         if squared > 0.0:

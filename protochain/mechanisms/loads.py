@@ -107,15 +107,13 @@ class HingeTorque(Named):
 
     def bind(self, bodies: Bodies) -> Acting:
         """Return it as a load."""
-        freedom = bodies.freedom(self.hinge, self.label)[1]
+        freedom, label = bodies.freedom(self.hinge, self.label)[1], f"{self.label}: its value"
         value, by_state = _of_state(self.value)
 
         def applied(time: float, q: Floats, qd: Floats, frames: Frames) -> Applied:
             torques = np.zeros(bodies.tree.n_v)
-            found = answer(
-                f"{self.label}: its value", value, time, lambda: State(bodies, time, q, qd, frames)
-            )
-            torques[freedom] = number(found, f"{self.label}: its value")
+            torque = answer(label, value, time, lambda: State(bodies, time, q, qd, frames))
+            torques[freedom] = number(torque, label)
             return Applied(torques=torques)
 
         return Acting(load=Load(applied, by_state), inside=True, hinges=(self.hinge,))

@@ -5,25 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, read_only
-from protochain.mechanics.multibody.algebra import (
-    ZERO,
-    Vector,
-    add,
-    cross,
-    dot,
-    hinge_axis,
-    kernel,
-    lever,
-    matrix,
-    pair,
-    put,
-    scale,
-    subtract,
-    turned,
-    vector,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.articulated import Articulated, solve
-from protochain.mechanics.multibody.kinematics import Frames, outward_twists, velocities
+from protochain.mechanics.multibody.kinematics import Frames, end_of, outward_twists, velocities
 from protochain.mechanics.multibody.newton_euler import AT_REST, Motion, carried_along, motion_of, put_motions
 from protochain.mechanics.multibody.operational import Rows, row_matrix
 from protochain.mechanics.multibody.rotations import hinge_accelerations
@@ -70,11 +55,11 @@ class LoopJoints:
 
     def accelerations(self, tree: Tree, frames: Frames, qd: Floats, qdd: Floats) -> Floats:
         """(m,) float: second derivatives of the errors by time, of a motion."""
-        found: Floats = bends(
+        accelerations: Floats = bends(
             tree.links, tree.bodies, frames.rotation, frames.origin, self.body, self.turns, self.point,
             self.along, qd, hinge_accelerations(tree, qd, qdd),
         )  # fmt: skip
-        return found
+        return accelerations
 
 
 def least_change(matrix: Floats, wanted: Floats) -> Floats:
@@ -108,8 +93,8 @@ class FactoredLoops:
     def impulses(self, wanted: Floats) -> Floats:
         """Impulses (m,) of the joints that change the rates of the errors by (m,) wanted."""
         if self.rank is None:
-            found: Floats = least_impulses(self.scales, self.coefficients, self.order, wanted)
-            return found
+            impulses: Floats = least_impulses(self.scales, self.coefficients, self.order, wanted)
+            return impulses
         # Of a matrix of the rank of closed loops, which counts what an equation changes by what it could.
         scales, weighted = self.scales * self.lengths, self.coefficients * self.lengths[:, None]
         left, sizes, _ = (part[..., : self.rank] for part in np.linalg.svd(weighted))
@@ -133,11 +118,11 @@ def factor_loops(factors: Articulated, joints: LoopJoints) -> FactoredLoops:
     # freedoms on the paths from its bodies to the root. O(m n_v r).
     tree, frames = factors.tree, factors.frames
     error, rows = joints.rows(frames)
-    found = factor_loops_at(
+    parts = factor_loops_at(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.pivot,
         factors.root, rows.body, rows.wrench, tree.size,
     )  # fmt: skip
-    return FactoredLoops(factors, error, rows, *found, joints.rank)
+    return FactoredLoops(factors, error, rows, *parts, joints.rank)
 
 
 @kernel
@@ -153,7 +138,7 @@ def factor_loops_at(
         # pass inward one after the other: those of bodies that are fixed to each other cancel.
         most = 0.0
         for side in range(2):
-            moment, force = pair(wrench[i], side)
+            moment, force = algebra.pair(wrench[i], side)
             b = body[i, side]
             while b >= 0:
                 k = links[b, V]
@@ -164,7 +149,7 @@ def factor_loops_at(
                     y[i, k : k + 6] += x
                     most += np.dot(x, x)
                 if width == 1:
-                    axis = hinge_axis(rotation, b)
+                    axis = algebra.hinge_axis(rotation, b)
                     along = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
                     y[i, k] += along / np.sqrt(pivot[b])
                     turn, slide = bodies[b, TURN] * bodies[b, TURN], bodies[b, SLIDE] * bodies[b, SLIDE]
@@ -172,9 +157,9 @@ def factor_loops_at(
                     most += (turn * (dot(moment, moment) + size * size * push) + slide * push) / pivot[b]
                 p = links[b, PARENT]
                 if p >= 0:
-                    moment = add(moment, cross(lever(origin, b, p), force))
+                    moment = add(moment, cross(algebra.lever(origin, b, p), force))
                 if width == 1:
-                    g, h = pair(gain, b)
+                    g, h = algebra.pair(gain, b)
                     moment, force = subtract(moment, scale(along, g)), subtract(force, scale(along, h))
                 b = p
         length = np.sqrt(np.dot(y[i], y[i]))
@@ -249,15 +234,6 @@ def gather(body: Integers, wrench: Floats, x: Floats, out: Floats) -> None:
 
 
 @kernel
-def _end(rotation: Floats, origin: Floats, b: int, at: Vector) -> tuple[Vector, Vector]:
-    """Arm and place of a point of a body, or of the world."""
-    if b < 0:
-        return at, at
-    arm = turned(matrix(rotation, b), at)
-    return arm, add(vector(origin, b), arm)
-
-
-@kernel
 def put_rows(
     rotation: Floats, origin: Floats, body: Integers, turns: np.ndarray, point: Floats, along: Floats,
     error: Floats, wrench: Floats,
@@ -265,25 +241,25 @@ def put_rows(
     """Write errors, and the rows of their rates; nothing for the world."""
     for i in range(len(body)):
         a, b = body[i, 0], body[i, 1]
-        s, _ = _end(rotation, origin, a, vector(along[i], 0))
+        s, _ = end_of(rotation, origin, a, algebra.vector(along[i], 0))
         if turns[i]:
-            t, _ = _end(rotation, origin, b, vector(along[i], 1))
+            t, _ = end_of(rotation, origin, b, algebra.vector(along[i], 1))
             error[i] = dot(s, t)
             moment = cross(t, s)
             first, second, force = scale(-1.0, moment), moment, ZERO
         else:
-            arm_a, from_ = _end(rotation, origin, a, vector(point[i], 0))
-            arm_b, to = _end(rotation, origin, b, vector(point[i], 1))
+            arm_a, from_ = end_of(rotation, origin, a, algebra.vector(point[i], 0))
+            arm_b, to = end_of(rotation, origin, b, algebra.vector(point[i], 1))
             way = subtract(to, from_)
             error[i], force = dot(way, s), s
             # The direction turns with the first body.
             first, second = cross(s, add(arm_a, way)), cross(arm_b, s)
         if a >= 0:
-            put(first, wrench[i], 0, 0)
-            put(scale(-1.0, force), wrench[i], 0, 3)
+            algebra.put(first, wrench[i], 0, 0)
+            algebra.put(scale(-1.0, force), wrench[i], 0, 3)
         if b >= 0:
-            put(second, wrench[i], 1, 0)
-            put(force, wrench[i], 1, 3)
+            algebra.put(second, wrench[i], 1, 0)
+            algebra.put(force, wrench[i], 1, 3)
 
 
 @kernel
@@ -300,17 +276,17 @@ def bends(
         a, b = body[i, 0], body[i, 1]
         motion_a = motion_of(motions, a) if a >= 0 else AT_REST
         motion_b = motion_of(motions, b) if b >= 0 else AT_REST
-        s, _ = _end(rotation, origin, a, vector(along[i], 0))
+        s, _ = end_of(rotation, origin, a, algebra.vector(along[i], 0))
         s_rate, s_bend = _turning(motion_a, s)
         if turns[i]:
-            t, _ = _end(rotation, origin, b, vector(along[i], 1))
+            t, _ = end_of(rotation, origin, b, algebra.vector(along[i], 1))
             t_rate, t_bend = _turning(motion_b, t)
             out[i] = dot(s_bend, t) + 2.0 * dot(s_rate, t_rate) + dot(s, t_bend)
             continue
-        arm_a, from_ = _end(rotation, origin, a, vector(point[i], 0))
-        arm_b, to = _end(rotation, origin, b, vector(point[i], 1))
-        speed_a = vector(twists, a, 3) if a >= 0 else ZERO
-        speed_b = vector(twists, b, 3) if b >= 0 else ZERO
+        arm_a, from_ = end_of(rotation, origin, a, algebra.vector(point[i], 0))
+        arm_b, to = end_of(rotation, origin, b, algebra.vector(point[i], 1))
+        speed_a = algebra.vector(twists, a, 3) if a >= 0 else ZERO
+        speed_b = algebra.vector(twists, b, 3) if b >= 0 else ZERO
         end_a, end_b = add(speed_a, cross(motion_a[0], arm_a)), add(speed_b, cross(motion_b[0], arm_b))
         parting = subtract(end_b, end_a)
         _, _, curved_a = carried_along(motion_a, arm_a)

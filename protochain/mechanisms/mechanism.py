@@ -306,7 +306,4 @@ class Mechanism:
         first = (Spring, Torsion, Bushing)
         elements = [one for kind in first for one in self._elements.values() if isinstance(one, kind)]
         elements += [one for one in self._elements.values() if not isinstance(one, first)]
-        return model_of(
-            bodies, elements, list(self._drives.values()),
-            tuple(self._events.values()),
-        )  # fmt: skip
+        return model_of(bodies, elements, list(self._drives.values()), tuple(self._events.values()))

@@ -199,9 +199,8 @@ class _Compiled:
         """Armature of a joint and of its actuators."""
         if "armature" in self.reading.leave_out:
             return 0.0
-        return float(self.m.dof_armature[self.m.jnt_dofadr[j]]) + self.by_actuators(
-            "actuator_armature", True, j
-        )
+        added = self.by_actuators("actuator_armature", True, j)
+        return float(self.m.dof_armature[self.m.jnt_dofadr[j]]) + added
 
     def resistance(self, j: int) -> tuple[float, float, float]:
         """Stiffness, damping and friction of a joint, as flags have them."""
@@ -252,11 +251,8 @@ class _Compiled:
     def close_loop(self, i: int) -> None:
         """Close the loop of an equality constraint."""
         m, obj, eq = self.m, self.mujoco.mjtObj, self.mujoco.mjtEq
-        name, kinds = (
-            self.name("equality", i),
-            {int(eq.mjEQ_CONNECT): "spherical", int(eq.mjEQ_WELD): "rigid"},
-        )
-        kind, data = kinds.get(int(m.eq_type[i])), m.eq_data[i]
+        kinds = {int(eq.mjEQ_CONNECT): "spherical", int(eq.mjEQ_WELD): "rigid"}
+        name, kind, data = self.name("equality", i), kinds.get(int(m.eq_type[i])), m.eq_data[i]
         if not m.eq_active0[i] or self.is_off("EQUALITY", "CONSTRAINT"):
             self.reading.unused.setdefault("inactive equality", name)
             return

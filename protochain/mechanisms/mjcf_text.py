@@ -283,9 +283,7 @@ def _composite(group: list[tuple[Body, Floats, Floats]]) -> Body:
         inertia += turn @ body.inertia @ turn.T + body.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     first = group[0][0]
     # As its moments may be of no body, they are checked by who asks.
-    return Body(
-        first.name, mass, com, inertia, first.position, first.rotation, armature=first.armature
-    )  # fmt: skip
+    return Body(first.name, mass, com, inertia, first.position, first.rotation, armature=first.armature)
 
 
 def _weigh(element: Element, body: Body, moves: bool) -> None:

@@ -9,13 +9,7 @@ import numpy as np
 from protochain.core.checks import shown
 from protochain.core.defaults import BALANCE
 from protochain.core.errors import BodyError, Fault, MechanicsError
-from protochain.mechanics.motion import (
-    DormandPrince,
-    Integrator,
-    Phase,
-    RungeKutta4,
-    StepTooLargeError,
-)
+from protochain.mechanics.motion import DormandPrince, Integrator, Phase, RungeKutta4, StepTooLargeError
 from protochain.mechanics.multibody import HingeKind
 from protochain.mechanics.multibody.tree import ARMATURE
 from protochain.mechanisms.assembly import Assembly, NamedLoad, Row
@@ -148,15 +142,12 @@ def model_of(
     """Return a model of bodies and all that acts on them."""
     tree, acting = bodies.tree, {}
     for element in elements:
-        found = element.bind(bodies)
-        parts = (
-            (found.conservative, found.load, found.damping, found.friction)
-            if isinstance(found, Acting)
-            else ()
-        )
-        if all(part is None for part in parts):
+        part = element.bind(bodies)
+        if not isinstance(part, Acting):
+            part = Acting()
+        if part.conservative is part.load is part.damping is part.friction is None:
             raise MechanicsError(f"{element.label}: its bind() gives nothing that acts; return Acting(...)")
-        acting[element.name] = found
+        acting[element.name] = part
     weight = [Gravity(tree, bodies.gravity)] if np.any(bodies.gravity) else []
     damped = joined(each.damping for each in acting.values() if each.damping)
     loads = [NamedLoad("damping", damping(tree, damped), dissipates=True)] if damped else []

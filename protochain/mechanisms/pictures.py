@@ -160,9 +160,8 @@ def _draw(ax: "Axes", of: Drawing, k: int, across: Floats) -> None:
             ax.add_collection(LineCollection([ends], colors="#999999", linewidths=1.0))
     for mesh in of.meshes:
         flat = of.place(k, mesh.body, mesh.corners) @ across.T
-        ax.add_collection(
-            PolyCollection(list(flat), facecolors="#eeeeee", edgecolors="#999999", linewidths=0.5)
-        )
+        triangles = PolyCollection(list(flat), facecolors="#eeeeee", edgecolors="#999999", linewidths=0.5)
+        ax.add_collection(triangles)
     for ends, points in zip(of.lines.ends, of.lines.points, strict=True):
         line = [across @ of.place(k, int(b), at) for b, at in zip(ends, points, strict=True)]
         ax.add_collection(LineCollection([line], colors="#666666", linewidths=1.0, linestyles="dashed"))
@@ -175,9 +174,7 @@ def _draw(ax: "Axes", of: Drawing, k: int, across: Floats) -> None:
             patch: Any = Circle(tuple(across @ at), max(float(shape.radius), 0.25 * thick), **look)
             depth = float(away @ at)
         else:
-            outline = (
-                corners(shape) if isinstance(shape, Block) else np.array([shape.a, shape.b], dtype=float)
-            )
+            outline = corners(shape) if isinstance(shape, Block) else np.array([shape.a, shape.b], float)
             places = of.place(k, b, outline)
             depth = float(np.mean(places @ away))
             wide = 0.5 * thick if isinstance(shape, Block) else shape.radius or 0.5 * thick
@@ -217,9 +214,8 @@ def _told(of: Drawing) -> dict[str, Any]:
         # Where the motion is, not where the plane was given.
         near = of.place(0, ground.body, np.zeros(3)) if ground.body >= 0 else middle
         at = near - n * (n @ (near - ground.at)) if ground.body < 0 else ground.at
-        grounds.append(
-            {"body": ground.body, "at": at.tolist(), "u": u.tolist(), "v": np.cross(n, u).tolist()}
-        )
+        v = np.cross(n, u)
+        grounds.append({"body": ground.body, "at": at.tolist(), "u": u.tolist(), "v": v.tolist()})
     meshes = [{"body": mesh.body, "corners": mesh.corners.tolist()} for mesh in of.meshes]
     return {
         "names": list(of.names), "colours": list(COLOURS), "times": np.round(of.times, 12).tolist(),
@@ -235,11 +231,8 @@ def _shape(shape: Shape) -> dict[str, Any]:
     if isinstance(shape, Ball):
         at = np.asarray(shape.at, dtype=float)
         # A spot by which one sees a ball turn.
-        return {
-            "at": at.tolist(),
-            "radius": float(shape.radius),
-            "mark": [float(at[0] + shape.radius), *at[1:].tolist()],
-        }
+        mark = [float(at[0] + shape.radius), *at[1:].tolist()]
+        return {"at": at.tolist(), "radius": float(shape.radius), "mark": mark}
     if isinstance(shape, Block):
         return {"corners": corners(shape).tolist()}
     return {"ends": [np.asarray(end, dtype=float).tolist() for end in (shape.a, shape.b)],

@@ -25,18 +25,9 @@ _URDF = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismat
 
 
 class Reading:
-    """A file on its way into a mechanism, and what the mechanism does not have of it.
+    """A file, or its text, on its way into a mechanism, and what the mechanism does not have of it.
 
-    Parameters
-    ----------
-    into : Mechanism
-        Mechanism without parts.
-    source : str or Path
-        File, or its text.
-    stops : float
-        Stiffness of stops at limits, 0 for none.
-    leave_out : collection of str
-        Kinds to go on without.
+    Limits become stops of stiffness ``stops``, 0 for none; kinds in ``leave_out`` are gone on without.
     """
 
     def __init__(self, into: Any, source: str | Path, stops: float, leave_out: Collection[str]) -> None:
@@ -119,11 +110,8 @@ def _body(reading: Reading, name: str, inertial: Element | None) -> Body:
     if is_inertia(inertia[None])[0] and (mass or not np.any(inertia)):
         return Body(name, mass, com, inertia)
     wrong = "inertia breaks the triangle inequality" if mass else "inertia has no mass"
-    warnings.warn(
-        f'{reading.name}: link "{name}": its {wrong}, so no body has it; it is used as it is',
-        InertiaWarning,
-        stacklevel=4,
-    )
+    text = f'{reading.name}: link "{name}": its {wrong}, so no body has it; it is used as it is'
+    warnings.warn(text, InertiaWarning, stacklevel=4)
     return NominalBody(name, mass, com, inertia)
 
 

@@ -246,7 +246,7 @@ def overlapping(tree: BoxTree, low: Floats, high: Floats) -> Integers:
     low, high = floats(low, (len(low), 3), "low"), floats(high, (len(low), 3), "high")
     found = _overlaps(
         tree.low, tree.high, tree.after, tree.items, tree.order, tree.item_low, tree.item_high, low, high
-    )  # fmt: skip
+    )
     return in_order(found, max(len(low), len(tree.order)))
 
 

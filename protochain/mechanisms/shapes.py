@@ -12,9 +12,9 @@ from protochain.core.checks import shown
 from protochain.core.errors import MechanicsError
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import dot, kernel, put, scale, subtract, vector, vector_at
+from protochain.mechanics.multibody.kinematics import end_of
 from protochain.mechanisms.bodies import WORLD, Bodies
 from protochain.mechanisms.element_arguments import number, numbers
-from protochain.mechanisms.linear_springs import end_of
 from protochain.mechanisms.search import BoxTree, box_tree, overlapping, touching
 from protochain.mechanisms.triangles import least_distances
 
@@ -106,17 +106,17 @@ class Balls:
 
     def centres(self, frames: Frames) -> Floats:
         """(n, 3) float: centres in the world."""
-        found: Floats = _centres(frames.rotation, frames.origin, self.body, self.at)
-        return found
+        centres: Floats = _centres(frames.rotation, frames.origin, self.body, self.at)
+        return centres
 
 
 def balls_of(bodies: Bodies, balls: Sequence[Ball], asking: str) -> Balls:
     """Balls by numbers of bodies."""
     if not balls:
         raise MechanicsError(f"{asking}: give at least one ball")
-    own = [bodies.number(ball.body, asking) for ball in balls]
-    at = [bodies.inside(b, np.asarray(ball.at, dtype=float)) for b, ball in zip(own, balls, strict=True)]
-    return Balls(read_only(own, np.int64), read_only(at), read_only([ball.radius for ball in balls]))
+    body = [bodies.number(ball.body, asking) for ball in balls]
+    at = [bodies.inside(b, np.asarray(ball.at, dtype=float)) for b, ball in zip(body, balls, strict=True)]
+    return Balls(read_only(body, np.int64), read_only(at), read_only([ball.radius for ball in balls]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,11 +131,11 @@ class OnPlane:
     def touches(self, frames: Frames) -> Touches:
         """Balls that reach below the plane."""
         balls = self.balls
-        found = _below(
+        fields = _below(
             frames.rotation, frames.origin, balls.body, balls.at, balls.radius, self.body, self.at,
             self.normal,
         )  # fmt: skip
-        return Touches(*found)
+        return Touches(*fields)
 
     def refuse_depth(self, touches: Touches) -> None:
         """Nothing: a half-space is right at any depth."""
@@ -236,8 +236,8 @@ class OnSurface:
         """Balls and triangles, the nearest points, and their distances."""
         radius = self.balls.radius[:, None]
         near = overlapping(self.tree, centre - radius, centre + radius)
-        found: tuple[Integers, Floats, Floats] = least_distances(near, centre, radius[:, 0], self.corners)
-        return found
+        nearest: tuple[Integers, Floats, Floats] = least_distances(near, centre, radius[:, 0], self.corners)
+        return nearest
 
 
 def _refuse(name: str, bad: np.ndarray, touches: Touches) -> None:
@@ -263,19 +263,19 @@ Finder = OnPlane | Among | OnSurface
 
 def finder(bodies: Bodies, balls: Sequence[Ball], other: Other, name: str) -> Finder:
     """What finds where balls touch a plane, a surface, other balls, or each other (None)."""
-    found = balls_of(bodies, balls, name)
+    bound = balls_of(bodies, balls, name)
     if isinstance(other, Plane):
         body = bodies.number(other.body, name)
         normal = numbers(other.normal, (3,), f"{name}: the normal of the plane")
         if not np.any(normal):
             raise MechanicsError(f"{name}: the normal of the plane has no direction")
-        _refuse_own(found, body, name)
+        _refuse_own(bound, body, name)
         at = bodies.inside(body, numbers(other.at, (3,), f"{name}: the point of the plane"))
-        return OnPlane(found, body, at, bodies.inside(body, normal / np.linalg.norm(normal)))
+        return OnPlane(bound, body, at, bodies.inside(body, normal / np.linalg.norm(normal)))
     if isinstance(other, Surface):
-        return _on_surface(bodies, found, other, name)
+        return _on_surface(bodies, bound, other, name)
     if other is None:
-        return Among(found, 0, name)
+        return Among(bound, 0, name)
     return Among(balls_of(bodies, [*balls, *other], name), len(balls), name)
 
 
@@ -311,10 +311,10 @@ def _refuse_own(balls: Balls, body: int, name: str) -> None:
 
 @kernel
 def _centres(rotation: Floats, origin: Floats, body: Integers, at: Floats) -> Floats:
-    found = np.empty((len(body), 3))
+    centres = np.empty((len(body), 3))
     for i in range(len(body)):
-        put(end_of(rotation, origin, body[i], vector(at, i))[1], found, i, 0)
-    return found
+        put(end_of(rotation, origin, body[i], vector(at, i))[1], centres, i, 0)
+    return centres
 
 
 @kernel

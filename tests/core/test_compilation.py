@@ -20,6 +20,7 @@ from numba.core.caching import FunctionCache
 from protochain.core import compilation, compile_helpers
 from protochain.core.compilation import njit
 from protochain.core.subprocesses import own_python
+from protochain.mechanics.multibody import algebra
 
 CALLEE = """
 from protochain.core.compilation import njit
@@ -104,6 +105,23 @@ def test_constants_of_other_files_count(sources):
     other = compilation._stamp(module.whole.py_func)
     module.FACTOR = 5.0
     assert len({before, other, compilation._stamp(module.whole.py_func)}) == 3
+
+
+def test_functions_and_constants_of_an_imported_module_count(tmp_path, monkeypatch):
+    """A kernel may call ``algebra.dot``: then a change of the algebra compiles it anew."""
+    path = tmp_path / "by_module.py"
+    path.write_text(
+        "from protochain.core.compilation import njit\n"
+        "from protochain.mechanics.multibody import algebra\n\n"
+        "@njit(cache=True)\ndef whole(a):\n    return algebra.dot(a, algebra.ZERO)\n"
+    )
+    kernel = load(path).whole.py_func
+    files = set()
+    compilation._collect(kernel, files, set(), set())
+    assert files == {str(path), algebra.__file__}
+    before = compilation._stamp(kernel)
+    monkeypatch.setattr(algebra, "ZERO", (1.0, 0.0, 0.0))
+    assert compilation._stamp(kernel) != before
 
 
 def test_two_processes_compile_a_kernel_once(sources, tmp_path):

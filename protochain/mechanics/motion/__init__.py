@@ -18,7 +18,7 @@ from protochain.mechanics.motion.system import (
     StepTooLargeError,
     System,
     total,
-)  # fmt: skip
+)
 
 __all__ = [
     "Applied", "Constraint", "DormandPrince", "Drive", "Equations", "ImplicitMidpoint", "Integrator",

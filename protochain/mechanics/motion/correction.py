@@ -12,22 +12,10 @@ chain. A fixed-point iteration with M alone diverges in open chains of a hundred
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.mechanics.multibody.algebra import (
-    ZERO,
-    Vector,
-    add,
-    cross,
-    freedom,
-    hinge_axis,
-    kernel,
-    lever,
-    matrix,
-    pair,
-    put_pair,
-    rigid_inertia,
-    scale,
-    vector_at,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, kernel, scale
+from protochain.mechanics.multibody.articulated import put_rigid
+from protochain.mechanics.multibody.small import dense_inertia
 from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, V
 
 
@@ -41,13 +29,16 @@ def correct(
     # to the midpoint.
     n = len(bodies)
     inertia, load = np.zeros((n, 6, 6)), np.zeros((n, 6))
+    packed, rigid = np.empty((n, 21)), np.empty((6, 6))
+    put_rigid(rotation, bodies, packed)
     column, row = np.zeros((n, 6)), np.zeros((n, 6))
     left, right, feel = np.empty(6), np.empty(6), np.empty(6)
     for b in range(n - 1, -1, -1):
         parent, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
         p, z = inertia[b], load[b]
-        _add_rigid(p, rotation, bodies, b)
+        dense_inertia(packed[b], rigid)
+        p += rigid
         if n_v == 1:
             _hinge_twists(rotation, bodies, twists, momenta, b, h, left, right, feel)
             u, y = column[b], row[b]
@@ -72,7 +63,7 @@ def correct(
                 p[i, i] += bodies[b, ARMATURE]
             _solve_root(p, z, twists, momenta, b, h, x[k : k + 6])
         if parent >= 0:
-            _hand_inward(p, z, lever(origin, b, parent), inertia[parent], load[parent])
+            _hand_inward(p, z, algebra.lever(origin, b, parent), inertia[parent], load[parent])
 
     for b in range(n):
         parent, k = links[b, PARENT], links[b, V]
@@ -80,8 +71,8 @@ def correct(
         moved = load[b]
         moved[:] = 0.0
         if parent >= 0:
-            omega, u0 = pair(load, parent)
-            u0 = add(u0, cross(omega, lever(origin, b, parent)))
+            omega, u0 = algebra.pair(load, parent)
+            u0 = add(u0, cross(omega, algebra.lever(origin, b, parent)))
             for i in range(3):
                 moved[i], moved[3 + i] = omega[i], u0[i]
         if n_v == 1:
@@ -91,12 +82,11 @@ def correct(
             for i in range(6):
                 moved[i] += right[i] * x[k]
         elif n_v == 6:
-            omega, u = pair(twists, b)
-            turn, slide = vector_at(x, k), vector_at(x, k + 3)
-            put_pair(
-                add(turn, scale(h, cross(omega, turn))),
-                add(slide, scale(h, cross(u, turn))), load, b,
-            )  # fmt: skip
+            omega, u = algebra.pair(twists, b)
+            turn, slide = algebra.vector_at(x, k), algebra.vector_at(x, k + 3)
+            algebra.put_pair(
+                add(turn, scale(h, cross(omega, turn))), add(slide, scale(h, cross(u, turn))), load, b
+            )
 
 
 @kernel
@@ -105,10 +95,10 @@ def _hinge_twists(
     right: Floats, feel: Floats,
 ) -> None:  # fmt: skip
     """Write s - h V x s, s + h V x s and s x* Pi for the twist s of a hinge."""
-    axis = hinge_axis(rotation, b)
+    axis = algebra.hinge_axis(rotation, b)
     turn, slide = scale(bodies[b, TURN], axis), scale(bodies[b, SLIDE], axis)
-    omega, u = pair(twists, b)
-    angular, linear = pair(momenta, b)
+    omega, u = algebra.pair(twists, b)
+    angular, linear = algebra.pair(momenta, b)
     spin, shift = cross(omega, turn), add(cross(omega, slide), cross(u, turn))
     moment, force = add(cross(turn, angular), cross(slide, linear)), cross(turn, linear)
     for i in range(3):
@@ -118,20 +108,18 @@ def _hinge_twists(
 
 
 @kernel
-def _solve_root(
-    p: Floats, z: Floats, twists: Floats, momenta: Floats, b: int, h: float, x: Floats
-) -> None:  # fmt: skip
+def _solve_root(p: Floats, z: Floats, twists: Floats, momenta: Floats, b: int, h: float, x: Floats) -> None:
     """Overwrite the residual of a free root's momenta by a Newton step in its velocities: a 6x6 system."""
     # These momenta are about the origin at the start of the step, h u before the midpoint, and rotate with
     # the root.
     a, r = np.empty((6, 6)), np.empty(6)
-    omega, u = pair(twists, b)
-    angular, linear = pair(momenta, b)
-    shifted = cross(u, vector_at(x, 3))
+    omega, u = algebra.pair(twists, b)
+    angular, linear = algebra.pair(momenta, b)
+    shifted = cross(u, algebra.vector_at(x, 3))
     for i in range(3):
         r[i], r[3 + i] = x[i] - h * shifted[i] - z[i], x[3 + i] - z[3 + i]
     for j in range(6):
-        turn, slide = freedom(ZERO, 0.0, 0.0, 6, j)
+        turn, slide = algebra.freedom(ZERO, 0.0, 0.0, 6, j)
         spin = add(turn, scale(h, cross(omega, turn)))
         shift = add(slide, scale(h, cross(u, turn)))
         moment, force = add(cross(turn, angular), cross(slide, linear)), cross(turn, linear)
@@ -141,26 +129,6 @@ def _solve_root(
             for k in range(3):
                 a[i, j] += p[i, k] * spin[k] + p[i, 3 + k] * shift[k]
     x[:] = np.linalg.solve(a, r)
-
-
-@kernel
-def _add_rigid(p: Floats, rotation: Floats, bodies: Floats, b: int) -> None:
-    """Add the spatial inertia of body b about its origin to a 6x6 matrix."""
-    mass, (x, y, z), s = rigid_inertia(matrix(rotation, b), bodies, b)
-    p[0, 0] += s[0]
-    p[0, 1] += s[1]
-    p[0, 2] += s[2]
-    p[1, 0] += s[1]
-    p[1, 1] += s[3]
-    p[1, 2] += s[4]
-    p[2, 0] += s[2]
-    p[2, 1] += s[4]
-    p[2, 2] += s[5]
-    for i, j, c in ((0, 4, -z), (0, 5, y), (1, 3, z), (1, 5, -x), (2, 3, -y), (2, 4, x)):
-        p[i, j] += c
-        p[j, i] += c
-    for i in range(3, 6):
-        p[i, i] += mass
 
 
 @kernel

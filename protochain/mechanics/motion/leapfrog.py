@@ -26,7 +26,7 @@ from protochain.mechanics.motion.system import (
     System,
     canonical,
     refuse_departure,
-)  # fmt: skip
+)
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import add, cross, kernel, put_at, scale, subtract, vector_at
 from protochain.mechanics.multibody.articulated import Articulated, factorise, put_rigid, solve
@@ -139,7 +139,7 @@ def _drift(
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
     mu, gradient, lack, middle = np.empty(n_v), np.empty(n_v), np.empty(n_v), np.empty(len(q))
-    before, found = np.inf, False
+    before, converged = np.inf, False
     for _ in range(_ITERATIONS):
         middle[:] = q
         for k in range(n_v):
@@ -155,12 +155,12 @@ def _drift(
         # Estimate of the next change, if convergence continues at this rate.
         left = change * change / before if change < before < np.inf else change
         if left < _SETTLED or (change < _NOISE and change >= 0.5 * before):
-            found = True
+            converged = True
             break
         if not change < np.inf:
             break
         before = change
-    if not found:
+    if not converged:
         return True
     _advance_momenta(links, time_step, qd, gradient, p)
     for k in range(n_v):

@@ -50,7 +50,7 @@ def _drift(
     n, n_v = len(bodies), len(qd)
     twists, carried = np.empty((n, 6)), np.empty((n, 6))
     gradient, half, rates = np.empty(n_v), np.empty(n_v), np.empty(n_v)
-    before, found = np.inf, False
+    before, converged = np.inf, False
     for _ in range(_ITERATIONS):
         put_momenta(links, bodies, rotation, origin, qd, twists, carried, p, gradient)
         for k in range(n_v):
@@ -59,11 +59,11 @@ def _drift(
         _turn_roots(links, h, qd, rates)
         _solve(links, bodies, rotation, origin, gain, pivot, root, carried, rates)
         change = _replace(qd, rates)
-        found = change < _SETTLED or (change < _NOISE and change >= 0.5 * before)
-        if found:
+        converged = change < _SETTLED or (change < _NOISE and change >= 0.5 * before)
+        if converged:
             break
         before = change
-    if not found:
+    if not converged:
         return True
     _carry_roots(links, h, qd, half)
 
@@ -71,7 +71,7 @@ def _drift(
         rates[k] = h * qd[k]
     move_along(links, rates, q)
     middle = q.copy()
-    before, found = np.inf, False
+    before, converged = np.inf, False
     for _ in range(_ITERATIONS):
         q[:] = middle
         for k in range(n_v):
@@ -90,11 +90,11 @@ def _drift(
             return True
         outward_rates(links, bodies, new_rotation, new_origin, new_gain, new_root, carried, rates)
         change = _replace(qd, rates)
-        found = change < _SETTLED or (change < _NOISE and change >= 0.5 * before)
-        if found:
+        converged = change < _SETTLED or (change < _NOISE and change >= 0.5 * before)
+        if converged:
             break
         before = change
-    if not found:
+    if not converged:
         return True
     put_momenta(links, bodies, new_rotation, new_origin, qd, twists, carried, p, gradient)
     _carry_roots(links, h, qd, half)

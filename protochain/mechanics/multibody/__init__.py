@@ -11,14 +11,14 @@ from protochain.mechanics.multibody.newton_euler import (
     kinetic_energy,
     momentum,
     multiply_mass,
-)  # fmt: skip
+)
 from protochain.mechanics.multibody.operational import (
     Rows,
     log_det_gradient,
     operational_inverse,
     point_rows,
     row_matrix,
-)  # fmt: skip
+)
 from protochain.mechanics.multibody.random_tree import random_tree
 from protochain.mechanics.multibody.tree import HingeKind, Tree, rigid_bodies
 

@@ -10,33 +10,8 @@ import numpy as np
 
 from protochain.core.arrays import Floats, Integers, floats, frozen
 from protochain.core.errors import BodyError
-from protochain.mechanics.multibody.algebra import (
-    MASSLESS,
-    ZERO,
-    Vector,
-    add,
-    add_inertia,
-    add_inertias,
-    add_pair,
-    add_rigid,
-    cross,
-    dot,
-    hinge_axis,
-    inertia,
-    inertia_times,
-    kernel,
-    lever,
-    matrix,
-    minus_outer,
-    pair,
-    put_inertia,
-    put_pair,
-    rigid_inertia,
-    scale,
-    shifted_inertia,
-    symmetric_times,
-    turned_back,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot, kernel, scale
 from protochain.mechanics.multibody.kinematics import Frames
 from protochain.mechanics.multibody.massless import unresisted
 from protochain.mechanics.multibody.small import cholesky, dense_inertia, solve_lower, solve_upper
@@ -134,8 +109,8 @@ def sample(factors: Articulated, noise: Floats) -> Floats:
     x = floats(noise, (tree.n_v,), "noise").copy()
     x[tree.v_start[tree.hinged]] /= np.sqrt(factors.pivot[tree.hinged])
     for factor, b in zip(factors.root, np.flatnonzero(tree.kind == HingeKind.FREE), strict=True):
-        own = slice(tree.v_start[b], tree.v_start[b + 1])
-        x[own] = np.tril(factor) @ x[own]
+        freedoms = slice(tree.v_start[b], tree.v_start[b + 1])
+        x[freedoms] = np.tril(factor) @ x[freedoms]
     x = x[tree.undriven_v]
     outward_rates(
         tree.locked_links, tree.bodies, frames.rotation, frames.origin, factors.gain, factors.root,
@@ -159,7 +134,8 @@ def refuse_singular(failed: int, pose: Floats) -> None:
 def put_rigid(rotation: Floats, bodies: Floats, packed: Floats) -> None:
     """Write the spatial inertia of each rigid body, from which :func:`factorise` starts."""
     for b in range(len(bodies)):
-        put_inertia(add_rigid(MASSLESS, rigid_inertia(matrix(rotation, b), bodies, b)), packed, b)
+        rigid = algebra.rigid_inertia(algebra.matrix(rotation, b), bodies, b)
+        algebra.put_inertia(algebra.add_rigid(algebra.MASSLESS, rigid), packed, b)
 
 
 @kernel
@@ -176,28 +152,28 @@ def factorise(
     # right-hand side is carried inward as in :func:`inward_loads`, while the processor waits for the factors.
     # Inertia and gain are shifted to the parent's origin before the pivot is known, and stay in registers for
     # the parent.
-    carried, moment_below, force_below = MASSLESS, ZERO, ZERO
+    carried, moment_below, force_below = algebra.MASSLESS, ZERO, ZERO
     for b in range(len(bodies) - 1, -1, -1):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
-        articulated = add_inertias(inertia(packed, b), carried)
-        put_inertia(articulated, packed, b)
-        moment, force = pair(wrench, b)
+        articulated = algebra.add_inertias(algebra.inertia(packed, b), carried)
+        algebra.put_inertia(articulated, packed, b)
+        moment, force = algebra.pair(wrench, b)
         moment, force = add(moment, moment_below), add(force, force_below)
-        arm = lever(origin, b, p) if p >= 0 else ZERO
-        carried = shifted_inertia(articulated, arm)
+        arm = algebra.lever(origin, b, p) if p >= 0 else ZERO
+        carried = algebra.shifted_inertia(articulated, arm)
         moment_below, force_below = add(moment, cross(arm, force)), force
         pivot[b] = 1.0
         if n_v == 1:
-            axis = hinge_axis(rotation, b)
+            axis = algebra.hinge_axis(rotation, b)
             turn, slide = bodies[b, TURN], bodies[b, SLIDE]
             i, c, m = articulated
             if slide == 0.0:
                 # Most hinges only turn: half the work.
-                g, h = symmetric_times(i, axis), turned_back(c, axis)
+                g, h = algebra.symmetric_times(i, axis), algebra.turned_back(c, axis)
                 d, whole = dot(axis, g), i[0] + i[3] + i[5]
             else:
-                g, h = inertia_times(articulated, scale(turn, axis), scale(slide, axis))
+                g, h = algebra.inertia_times(articulated, scale(turn, axis), scale(slide, axis))
                 d = turn * dot(axis, g) + slide * dot(axis, h)
                 whole = turn * turn * (i[0] + i[3] + i[5]) + slide * slide * (m[0] + m[3] + m[5])
             if bodies[b, ARMATURE] > 0.0:
@@ -207,8 +183,8 @@ def factorise(
             pivot[b] = d
             inverse = 1.0 / d
             g = add(g, cross(arm, h))
-            carried = minus_outer(carried, g, h, inverse)
-            put_pair(scale(inverse, g), scale(inverse, h), gain, b)
+            carried = algebra.minus_outer(carried, g, h, inverse)
+            algebra.put_pair(scale(inverse, g), scale(inverse, h), gain, b)
             x[k] = inverse * (x[k] - (turn * dot(axis, moment) + slide * dot(axis, force)))
             moment_below, force_below = add(moment_below, scale(x[k], g)), add(force_below, scale(x[k], h))
         elif n_v == 6:
@@ -222,9 +198,9 @@ def factorise(
             take_off(moment, force, x, k)
         if p != b - 1:
             if p >= 0:
-                add_pair(moment_below, force_below, wrench, p)
-                add_inertia(carried, packed, p)
-            carried, moment_below, force_below = MASSLESS, ZERO, ZERO
+                algebra.add_pair(moment_below, force_below, wrench, p)
+                algebra.add_inertia(carried, packed, p)
+            carried, moment_below, force_below = algebra.MASSLESS, ZERO, ZERO
     return -1
 
 
@@ -237,19 +213,19 @@ def inward_loads(
     for b in range(len(bodies) - 1, -1, -1):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
-        moment, force = pair(wrench, b)
-        arm = lever(origin, b, p) if p >= 0 else ZERO
+        moment, force = algebra.pair(wrench, b)
+        arm = algebra.lever(origin, b, p) if p >= 0 else ZERO
         moment_below, force_below = add(moment, cross(arm, force)), force
         if n_v == 1:
-            axis = hinge_axis(rotation, b)
+            axis = algebra.hinge_axis(rotation, b)
             x[k] -= bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
-            g, h = pair(gain, b)
+            g, h = algebra.pair(gain, b)
             moment_below, force_below = add(moment_below, scale(x[k], g)), add(force_below, scale(x[k], h))
             x[k] /= pivot[b]
         elif n_v == 6:
             take_off(moment, force, x, k)
         if p >= 0:
-            add_pair(moment_below, force_below, wrench, p)
+            algebra.add_pair(moment_below, force_below, wrench, p)
 
 
 @kernel
@@ -273,14 +249,14 @@ def outward_rates(
         if p < 0:
             omega, u = ZERO, ZERO
         elif p != b - 1:
-            omega, u = pair(motion, p)
-        arm = lever(origin, b, p) if p >= 0 else ZERO
+            omega, u = algebra.pair(motion, p)
+        arm = algebra.lever(origin, b, p) if p >= 0 else ZERO
         carried = add(u, cross(omega, arm))
         if n_v == 1:
-            g, h = pair(gain, b)
+            g, h = algebra.pair(gain, b)
             rate = x[k] - (dot(g, omega) + dot(h, u))
             x[k] = rate
-            axis = hinge_axis(rotation, b)
+            axis = algebra.hinge_axis(rotation, b)
             omega = add(omega, scale(bodies[b, TURN] * rate, axis))
             carried = add(carried, scale(bodies[b, SLIDE] * rate, axis))
         elif n_v == 6:
@@ -289,7 +265,7 @@ def outward_rates(
             solve_upper(factor, 6, x[k : k + 6])
             omega, carried = (x[k], x[k + 1], x[k + 2]), (x[k + 3], x[k + 4], x[k + 5])
         u = carried
-        put_pair(omega, u, motion, b)
+        algebra.put_pair(omega, u, motion, b)
 
 
 @kernel

@@ -3,24 +3,8 @@
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.mechanics.multibody.algebra import (
-    Vector,
-    add,
-    add_inertia,
-    add_rigid,
-    cross,
-    dot,
-    freedom,
-    hinge_axis,
-    inertia,
-    inertia_times,
-    kernel,
-    lever,
-    matrix,
-    put_inertia,
-    rigid_inertia,
-    shifted_inertia,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel
 from protochain.mechanics.multibody.kinematics import Frames
 from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, Tree, V
 
@@ -44,34 +28,31 @@ def mass_matrix(tree: Tree, frames: Frames) -> Floats:
     O(n^2) to clear the matrix.
     """
     out = np.zeros((tree.n_v, tree.n_v))
-    _composite(
-        tree.links, tree.bodies, frames.rotation, frames.origin,
-        np.zeros((tree.n_bodies, 21)), out,
-    )  # fmt: skip
+    _composite(tree.links, tree.bodies, frames.rotation, frames.origin, np.zeros((tree.n_bodies, 21)), out)
     return out
 
 
 @kernel
 def _composite(
-    links: Integers, bodies: Floats, rotation: Floats, origin: Floats,
-    carried: Floats, out: Floats,
-) -> None:  # fmt: skip
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, carried: Floats, out: Floats
+) -> None:
     for b in range(len(bodies) - 1, -1, -1):
         p = links[b, PARENT]
         n_v = links[b + 1, V] - links[b, V]
-        composite = add_rigid(inertia(carried, b), rigid_inertia(matrix(rotation, b), bodies, b))
-        put_inertia(composite, carried, b)
+        rigid = algebra.rigid_inertia(algebra.matrix(rotation, b), bodies, b)
+        composite = algebra.add_rigid(algebra.inertia(carried, b), rigid)
+        algebra.put_inertia(composite, carried, b)
         if p >= 0:
-            add_inertia(shifted_inertia(composite, lever(origin, b, p)), carried, p)
+            algebra.add_inertia(algebra.shifted_inertia(composite, algebra.lever(origin, b, p)), carried, p)
         for j in range(n_v):
-            k = links[b, V] + j
-            omega, u = freedom(hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE], n_v, j)
-            moment, force = inertia_times(composite, omega, u)
+            k, axis = links[b, V] + j, algebra.hinge_axis(rotation, b)
+            omega, u = algebra.freedom(axis, bodies[b, TURN], bodies[b, SLIDE], n_v, j)
+            moment, force = algebra.inertia_times(composite, omega, u)
             _project(links, bodies, rotation, b, moment, force, k, out)
             out[k, k] += bodies[b, ARMATURE]
             at, above = b, p
             while above >= 0:
-                moment = add(moment, cross(lever(origin, at, above), force))
+                moment = add(moment, cross(algebra.lever(origin, at, above), force))
                 _project(links, bodies, rotation, above, moment, force, k, out)
                 at, above = above, links[above, PARENT]
 
@@ -84,7 +65,7 @@ def _project(
     """Write the entries of column k and row k that belong to body b's freedoms."""
     n_v = links[b + 1, V] - links[b, V]
     for i in range(n_v):
-        omega, u = freedom(hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE], n_v, i)
+        omega, u = algebra.freedom(algebra.hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE], n_v, i)
         entry = dot(omega, moment) + dot(u, force)
         out[links[b, V] + i, k] = entry
         out[k, links[b, V] + i] = entry

@@ -20,19 +20,8 @@ from numpy.typing import NDArray
 
 from protochain.core.arrays import Floats, Integers, floats, frozen, read_only
 from protochain.core.errors import BodyError, Fault, MechanicsError
-from protochain.mechanics.multibody.algebra import (
-    Vector,
-    add,
-    add_pair,
-    cross,
-    dot,
-    hinge_axis,
-    kernel,
-    lever,
-    pair,
-    scale,
-    subtract,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import Vector, add, cross, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.kinematics import Frames
 from protochain.mechanics.multibody.newton_euler import multiply_mass
 from protochain.mechanics.multibody.small import cholesky, solve_lower, solve_upper
@@ -138,19 +127,16 @@ def solve(factors: Eliminated, tau: Floats) -> Floats:
 def _thinness(tree: Tree) -> Floats:
     """(nb,) float: squared radius of gyration about the worst axis, in squared lengths of the mechanism."""
     length = np.linalg.norm(tree.offset[tree.parent >= 0], axis=1)
-    own = np.maximum(np.linalg.norm(tree.com, axis=1), np.max(length, initial=0.0))
+    reach = np.maximum(np.linalg.norm(tree.com, axis=1), np.max(length, initial=0.0))
     moments = np.linalg.eigvalsh(tree.inertia)
-    # A point at its own origin, alone, or a body without mass has nothing to compare with: nor any inertia.
-    return np.asarray(moments[:, 0] / (tree.mass * own**2 + moments[:, 2] + np.finfo(float).tiny))
+    # A point at its reach origin, alone, or a body without mass has nothing to compare with: nor any inertia.
+    return np.asarray(moments[:, 0] / (tree.mass * reach**2 + moments[:, 2] + np.finfo(float).tiny))
 
 
 def _solve_once(factors: Eliminated, tau: Floats) -> Floats:
     tree, frames = factors.tree, factors.frames
     wrench = np.zeros((tree.n_bodies, 6))
-    _add_soft_loads(
-        tree.links, tree.bodies, frames.rotation, frames.origin,
-        tau, wrench,
-    )  # fmt: skip
+    _add_soft_loads(tree.links, tree.bodies, frames.rotation, frames.origin, tau, wrench)
     rates = soft_rates(tree, frames, respond(factors, wrench))
     if tree.driven is not None:
         # No solution depends on their torques; of their rates rounding is left.
@@ -239,7 +225,7 @@ def _eliminate(
         _hard_rows(rotation, bodies, b, rows)
         relative[:] = inverse[b]
         if p >= 0:
-            arm = lever(origin, b, p)
+            arm = algebra.lever(origin, b, p)
             _carry(arm, inverse[p], carried)
             for i in range(6):
                 x, y, z = cross(arm, (carried[i, 0], carried[i, 1], carried[i, 2]))
@@ -275,23 +261,16 @@ def _respond(
 ) -> None:  # fmt: skip
     """Write the twists due to ``impulse`` and the reactions of the hinges."""
     n = len(bodies)
-    rows, reaction, later = np.empty((6, 6)), np.zeros((n, 6)), np.zeros((n, 6))
+    rows, relative = np.empty((6, 6)), np.empty((1, 6))
+    reaction, later = np.zeros((n, 6)), np.zeros((n, 6))
     for b in range(n):
         twists[b] = inverse[b] @ impulse[b]
     for b in range(n - 1, -1, -1):
         p, m = links[b, PARENT], n_hard[b]
         _hard_rows(rotation, bodies, b, rows)
-        omega, u = pair(twists, b)
-        relative = twists[b].copy()
-        if p >= 0:
-            omega, u = pair(twists, p)
-            x, y, z = cross(omega, lever(origin, b, p))
-            for i in range(3):
-                relative[i] -= omega[i]
-            relative[3] -= u[0] + x
-            relative[4] -= u[1] + y
-            relative[5] -= u[2] + z
-        reaction[b, :m] = rows[:m] @ relative
+        omega, u = _relative_twist(origin, twists, b, p)
+        algebra.put_pair(omega, u, relative, 0)
+        reaction[b, :m] = rows[:m] @ relative[0]
         if p >= 0:
             twists[p] += gain[b, :m].T @ reaction[b, :m]
         solve_lower(factor[b], m, reaction[b])
@@ -306,22 +285,17 @@ def _respond(
         load = rows[:m].T @ locked
         later[b] += load
         if p >= 0:
-            moment, force = (load[0], load[1], load[2]), (load[3], load[4], load[5])
-            x, y, z = cross(lever(origin, b, p), force)
-            later[p, 0] -= moment[0] + x
-            later[p, 1] -= moment[1] + y
-            later[p, 2] -= moment[2] + z
-            for i in range(3):
-                later[p, 3 + i] -= force[i]
+            moment, force = algebra.vector_at(load, 0), algebra.vector_at(load, 3)
+            moment = add(moment, cross(algebra.lever(origin, b, p), force))
+            algebra.add_pair(scale(-1.0, moment), scale(-1.0, force), later, p)
     for b in range(n):
         twists[b] = inverse[b] @ (impulse[b] + later[b])
 
 
 @kernel
 def _add_soft_loads(
-    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, tau: Floats,
-    wrench: Floats,
-) -> None:  # fmt: skip
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, tau: Floats, wrench: Floats
+) -> None:
     """Add E_s^T tau: the torque of each hinge on its body, and the opposite on the parent."""
     for b in range(len(bodies)):
         p, k = links[b, PARENT], links[b, V]
@@ -329,31 +303,38 @@ def _add_soft_loads(
         if n_v == 6:
             wrench[b] += tau[k : k + 6]
         elif n_v == 1:
-            axis = scale(tau[k], hinge_axis(rotation, b))
+            axis = scale(tau[k], algebra.hinge_axis(rotation, b))
             if bodies[b, TURN] != 0.0:
                 moment, force = axis, (0.0, 0.0, 0.0)
             else:
                 moment, force = (0.0, 0.0, 0.0), axis
-            add_pair(moment, force, wrench, b)
+            algebra.add_pair(moment, force, wrench, b)
             if p >= 0:
-                moment = add(moment, cross(lever(origin, b, p), force))
-                add_pair(scale(-1.0, moment), scale(-1.0, force), wrench, p)
+                moment = add(moment, cross(algebra.lever(origin, b, p), force))
+                algebra.add_pair(scale(-1.0, moment), scale(-1.0, force), wrench, p)
 
 
 @kernel
 def _soft_rates(
-    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats,
-    rates: Floats,
-) -> None:  # fmt: skip
+    links: Integers, bodies: Floats, rotation: Floats, origin: Floats, twists: Floats, rates: Floats
+) -> None:
     for b in range(len(bodies)):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
         if n_v == 6:
             rates[k : k + 6] = twists[b]
         elif n_v == 1:
-            omega, u = pair(twists, b)
-            if p >= 0:
-                above, moving = pair(twists, p)
-                omega, u = subtract(omega, above), subtract(u, add(moving, cross(above, lever(origin, b, p))))
-            axis = hinge_axis(rotation, b)
+            omega, u = _relative_twist(origin, twists, b, p)
+            axis = algebra.hinge_axis(rotation, b)
             rates[k] = dot(axis, omega) if bodies[b, TURN] != 0.0 else dot(axis, u)
+
+
+@kernel
+def _relative_twist(origin: Floats, twists: Floats, b: int, p: int) -> tuple[Vector, Vector]:
+    """Twist of body b relative to its parent p, about the origin of b."""
+    omega, u = algebra.pair(twists, b)
+    if p >= 0:
+        above, moving = algebra.pair(twists, p)
+        moving = add(moving, cross(above, algebra.lever(origin, b, p)))
+        omega, u = subtract(omega, above), subtract(u, moving)
+    return omega, u

@@ -3,33 +3,11 @@
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, finite, floats
-from protochain.mechanics.multibody.algebra import (
-    MASSLESS,
-    ZERO,
-    add_rigid,
-    kernel,
-    matrix,
-    pair,
-    put,
-    put_inertia,
-    put_matrix,
-    put_pair,
-    rigid_inertia,
-    subtract,
-    vector,
-    vector_at,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra, newton_euler
+from protochain.mechanics.multibody.algebra import ZERO, kernel, subtract
 from protochain.mechanics.multibody.articulated import accelerate, articulate, refuse_singular, solve
 from protochain.mechanics.multibody.kinematics import WORLD, moved_freely, pose, seat, turned_by_hinge
-from protochain.mechanics.multibody.newton_euler import (
-    AT_REST,
-    carried_along,
-    inertial_loads,
-    load,
-    motion_of,
-    moved_by_hinge,
-    put_motion,
-)
+from protochain.mechanics.multibody.newton_euler import AT_REST
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Q, Tree, V
 from protochain.mechanics.multibody.trigonometry import cosines_and_sines
 
@@ -99,7 +77,7 @@ def _by_parts(tree: Tree, q: Floats, qd: Floats, x: Floats, wrench: Floats) -> F
     """Accelerations by sweeps of their own, where hinges are driven or bodies have no mass."""
     frames, given = pose(tree, q), np.zeros(tree.n_v)
     given[tree.driven_v] = x[tree.driven_v]
-    loads = inertial_loads(tree, frames, qd, given) - wrench
+    loads = newton_euler.inertial_loads(tree, frames, qd, given) - wrench
     return solve(articulate(tree, frames), x, loads) + given
 
 
@@ -116,25 +94,26 @@ def _forward(links: Integers, bodies: Floats, q: Floats, qd: Floats, wrench: Flo
         n_v = links[b + 1, V] - j
         (above, start), motion = WORLD, AT_REST
         if p >= 0:
-            above, start, motion = matrix(rotation, p), vector(origin, p), motion_of(motions, p)
+            above, start = algebra.matrix(rotation, p), algebra.vector(origin, p)
+            motion = newton_euler.motion_of(motions, p)
         turn, at = seat(bodies, b, above, start)
         if n_v == 1:
             round_axis, along = bodies[b, TURN], bodies[b, SLIDE]
             turn, at = turned_by_hinge(turn, at, round_axis, along, q[k], cosine[k], sine[k])
-            motion = carried_along(motion, subtract(at, start))
+            motion = newton_euler.carried_along(motion, subtract(at, start))
             axis = turn[2], turn[5], turn[8]
-            motion = moved_by_hinge(motion, axis, round_axis, along, qd[j], 0.0)
+            motion = newton_euler.moved_by_hinge(motion, axis, round_axis, along, qd[j], 0.0)
         elif n_v == 6:
             turn, at = moved_freely(at, q, k)
-            motion = vector_at(qd, j), ZERO, ZERO
+            motion = algebra.vector_at(qd, j), ZERO, ZERO
         else:
-            motion = carried_along(motion, subtract(at, start))
-        put_matrix(turn, rotation, b)
-        put(at, origin, b, 0)
-        put_motion(motion, motions, b)
-        rigid = rigid_inertia(turn, bodies, b)
-        put_inertia(add_rigid(MASSLESS, rigid), packed, b)
-        moment, force = load(rigid, motion)
-        given_moment, given_force = pair(wrench, b)
-        put_pair(subtract(moment, given_moment), subtract(force, given_force), wrench, b)
+            motion = newton_euler.carried_along(motion, subtract(at, start))
+        algebra.put_matrix(turn, rotation, b)
+        algebra.put(at, origin, b, 0)
+        newton_euler.put_motion(motion, motions, b)
+        rigid = algebra.rigid_inertia(turn, bodies, b)
+        algebra.put_inertia(algebra.add_rigid(algebra.MASSLESS, rigid), packed, b)
+        moment, force = newton_euler.load(rigid, motion)
+        given_moment, given_force = algebra.pair(wrench, b)
+        algebra.put_pair(subtract(moment, given_moment), subtract(force, given_force), wrench, b)
     return accelerate(links, bodies, rotation, origin, packed, wrench, x)

@@ -3,17 +3,8 @@
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, floats
-from protochain.mechanics.multibody.algebra import (
-    add,
-    add_pair,
-    cross,
-    dot,
-    hinge_axis,
-    kernel,
-    lever,
-    pair,
-    scale,
-)
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import add, cross, dot, kernel, scale
 from protochain.mechanics.multibody.kinematics import Frames, outward_twists
 from protochain.mechanics.multibody.newton_euler import body_momenta
 from protochain.mechanics.multibody.tree import ARMATURE, PARENT, SLIDE, TURN, Tree, V
@@ -70,19 +61,19 @@ def _inward_products(
     for b in range(len(bodies) - 1, -1, -1):
         parent, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
-        angular, linear = pair(carried, b)
-        omega, u = pair(twists, b)
+        angular, linear = algebra.pair(carried, b)
+        omega, u = algebra.pair(twists, b)
         if n_v == 1:
-            axis = hinge_axis(rotation, b)
+            axis = algebra.hinge_axis(rotation, b)
             turn, slide = scale(bodies[b, TURN], axis), scale(bodies[b, SLIDE], axis)
             p[k] = dot(turn, angular) + dot(slide, linear)
-            gradient[k] = dot(cross(omega, turn), angular) + dot(
-                add(cross(omega, slide), cross(u, turn)), linear
-            )
+            shift = add(cross(omega, slide), cross(u, turn))
+            gradient[k] = dot(cross(omega, turn), angular) + dot(shift, linear)
         elif n_v == 6:
             p[k], p[k + 1], p[k + 2] = angular
             p[k + 3], p[k + 4], p[k + 5] = linear
             gradient[k], gradient[k + 1], gradient[k + 2] = add(cross(angular, omega), cross(linear, u))
             gradient[k + 3], gradient[k + 4], gradient[k + 5] = 0.0, 0.0, 0.0
         if parent >= 0:
-            add_pair(add(angular, cross(lever(origin, b, parent), linear)), linear, carried, parent)
+            angular = add(angular, cross(algebra.lever(origin, b, parent), linear))
+            algebra.add_pair(angular, linear, carried, parent)

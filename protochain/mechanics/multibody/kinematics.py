@@ -5,28 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, Value, floats, frozen
-from protochain.mechanics.multibody.algebra import (
-    IDENTITY,
-    ZERO,
-    Matrix,
-    Vector,
-    add,
-    add_pair,
-    cross,
-    dot,
-    hinge_axis,
-    kernel,
-    lever,
-    matrix,
-    pair,
-    put,
-    put_matrix,
-    put_pair,
-    scale,
-    subtract,
-    turned,
-    vector,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.tree import AXES, OFFSET, PARENT, SLIDE, TURN, Q, Tree, V
 from protochain.mechanics.multibody.trigonometry import cosines_and_sines
 
@@ -47,7 +27,7 @@ class Frames(Value):
     origin: Floats
 
 
-WORLD: tuple[Matrix, Vector] = (IDENTITY, ZERO)
+WORLD: tuple[algebra.Matrix, Vector] = (algebra.IDENTITY, ZERO)
 """Parent frame of roots."""
 
 
@@ -100,15 +80,6 @@ def velocities(tree: Tree, frames: Frames, qd: Floats) -> Floats:
     Notes
     -----
     Featherstone, *Rigid Body Dynamics Algorithms* (2008). O(n).
-
-    Examples
-    --------
-    >>> from protochain import multibody
-    >>> tree = multibody.random_tree(5, seed=1)
-    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
-    >>> frames = multibody.pose(tree, q)
-    >>> multibody.velocities(tree, frames, np.ones(tree.n_v)).shape
-    (5, 6)
     """
     twists = np.empty((tree.n_bodies, 6))
     outward_twists(
@@ -129,15 +100,6 @@ def jacobian(tree: Tree, frames: Frames) -> Floats:
     -------
     (nb, 6, n_v) float
         Columns are the degrees of freedom. O(n^2): for tests and small studies.
-
-    Examples
-    --------
-    >>> from protochain import multibody
-    >>> tree = multibody.random_tree(5, seed=1)
-    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
-    >>> frames = multibody.pose(tree, q)
-    >>> multibody.jacobian(tree, frames).shape
-    (5, 6, 10)
     """
     return np.stack([velocities(tree, frames, unit) for unit in np.eye(tree.n_v)], axis=2)
 
@@ -206,7 +168,7 @@ def outward_frames(links: Integers, bodies: Floats, q: Floats, rotation: Floats,
     for b in range(len(bodies)):
         p, k = links[b, PARENT], links[b, Q]
         n_q = links[b + 1, Q] - k
-        above, at = (matrix(rotation, p), vector(origin, p)) if p >= 0 else WORLD
+        above, at = (algebra.matrix(rotation, p), algebra.vector(origin, p)) if p >= 0 else WORLD
         turn, at = seat(bodies, b, above, at)
         if n_q == 1:
             turn, at = turned_by_hinge(turn, at, bodies[b, TURN], bodies[b, SLIDE], q[k], cosine[k], sine[k])
@@ -214,18 +176,18 @@ def outward_frames(links: Integers, bodies: Floats, q: Floats, rotation: Floats,
             turn, at = moved_freely(at, q, k)
         elif n_q == 3:
             turn = turned_by_ball(turn, q, k)
-        put_matrix(turn, rotation, b)
-        put(at, origin, b, 0)
+        algebra.put_matrix(turn, rotation, b)
+        algebra.put(at, origin, b, 0)
 
 
 @kernel
-def turned_by_ball(seat: Matrix, q: Floats, k: int) -> Matrix:
+def turned_by_ball(seat: algebra.Matrix, q: Floats, k: int) -> algebra.Matrix:
     """Axes y, z, x, as columns, of what a rotation vector turns, from those at q = 0."""
     x, y, z = q[k], q[k + 1], q[k + 2]
     w, x, y, z = quaternion_of(x, y, z)
-    a = turned(seat, (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)))
-    b = turned(seat, (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)))
-    c = turned(seat, (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)))
+    a = algebra.turned(seat, (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)))
+    b = algebra.turned(seat, (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)))
+    c = algebra.turned(seat, (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)))
     return b[0], c[0], a[0], b[1], c[1], a[1], b[2], c[2], a[2]
 
 
@@ -236,19 +198,19 @@ def half_sine(half: float) -> float:
 
 
 @kernel
-def seat(bodies: Floats, b: int, above: Matrix, at: Vector) -> tuple[Matrix, Vector]:
+def seat(bodies: Floats, b: int, above: algebra.Matrix, at: Vector) -> tuple[algebra.Matrix, Vector]:
     """Frame of body b at q = 0, from that of its parent."""
-    x = turned(above, vector(bodies, b, AXES))
-    y = turned(above, vector(bodies, b, AXES + 3))
-    z = turned(above, vector(bodies, b, AXES + 6))
-    at = add(at, turned(above, vector(bodies, b, OFFSET)))
+    x = algebra.turned(above, algebra.vector(bodies, b, AXES))
+    y = algebra.turned(above, algebra.vector(bodies, b, AXES + 3))
+    z = algebra.turned(above, algebra.vector(bodies, b, AXES + 6))
+    at = add(at, algebra.turned(above, algebra.vector(bodies, b, OFFSET)))
     return (x[0], y[0], z[0], x[1], y[1], z[1], x[2], y[2], z[2]), at
 
 
 @kernel
 def turned_by_hinge(
-    seat: Matrix, at: Vector, turn: float, slide: float, q: float, cosine: float, sine: float
-) -> tuple[Matrix, Vector]:
+    seat: algebra.Matrix, at: Vector, turn: float, slide: float, q: float, cosine: float, sine: float
+) -> tuple[algebra.Matrix, Vector]:
     """Frame of a body with its hinge at q, from the frame at q = 0."""
     c, s = (cosine, sine) if turn != 0.0 else (1.0, 0.0)
     x, y, z = (seat[0], seat[3], seat[6]), (seat[1], seat[4], seat[7]), (seat[2], seat[5], seat[8])
@@ -258,7 +220,7 @@ def turned_by_hinge(
 
 
 @kernel
-def moved_freely(at: Vector, q: Floats, k: int) -> tuple[Matrix, Vector]:
+def moved_freely(at: Vector, q: Floats, k: int) -> tuple[algebra.Matrix, Vector]:
     """Frame of a free root: rotation by the quaternion w + ix + jy + kz, which need not have unit length."""
     w, x, y, z = q[k], q[k + 1], q[k + 2], q[k + 3]
     s = 2.0 / (w * w + x * x + y * y + z * z)
@@ -271,6 +233,15 @@ def moved_freely(at: Vector, q: Floats, k: int) -> tuple[Matrix, Vector]:
 
 
 @kernel
+def end_of(rotation: Floats, origin: Floats, b: int, point: Vector) -> tuple[Vector, Vector]:
+    """Lever arm of a point from the origin of its body, and its place; both are the point in the world."""
+    if b < 0:
+        return point, point
+    arm = algebra.turned(algebra.matrix(rotation, b), point)
+    return arm, add(algebra.vector(origin, b), arm)
+
+
+@kernel
 def outward_twists(
     links: Integers, bodies: Floats, rotation: Floats, origin: Floats, qd: Floats, twists: Floats
 ) -> None:
@@ -280,15 +251,15 @@ def outward_twists(
         n_v = links[b + 1, V] - k
         omega, u = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
         if p >= 0:
-            omega, u = pair(twists, p)
-            u = add(u, cross(omega, lever(origin, b, p)))
+            omega, u = algebra.pair(twists, p)
+            u = add(u, cross(omega, algebra.lever(origin, b, p)))
         if n_v == 1:
-            axis = hinge_axis(rotation, b)
+            axis = algebra.hinge_axis(rotation, b)
             omega = add(omega, scale(bodies[b, TURN] * qd[k], axis))
             u = add(u, scale(bodies[b, SLIDE] * qd[k], axis))
         elif n_v == 6:
             omega, u = (qd[k], qd[k + 1], qd[k + 2]), (qd[k + 3], qd[k + 4], qd[k + 5])
-        put_pair(omega, u, twists, b)
+        algebra.put_pair(omega, u, twists, b)
 
 
 @kernel
@@ -299,16 +270,16 @@ def inward_torques(
     for b in range(len(bodies) - 1, -1, -1):
         p, k = links[b, PARENT], links[b, V]
         n_v = links[b + 1, V] - k
-        moment, force = pair(wrench, b)
+        moment, force = algebra.pair(wrench, b)
         if n_v == 1:
-            axis = hinge_axis(rotation, b)
+            axis = algebra.hinge_axis(rotation, b)
             tau[k] = bodies[b, TURN] * dot(axis, moment) + bodies[b, SLIDE] * dot(axis, force)
         elif n_v == 6:
             tau[k], tau[k + 1], tau[k + 2] = moment
             tau[k + 3], tau[k + 4], tau[k + 5] = force
         if p >= 0:
-            arm = lever(origin, b, p)
-            add_pair(add(moment, cross(arm, force)), force, wrench, p)
+            arm = algebra.lever(origin, b, p)
+            algebra.add_pair(add(moment, cross(arm, force)), force, wrench, p)
 
 
 @kernel

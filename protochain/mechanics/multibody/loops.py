@@ -55,12 +55,8 @@ def solve_closed(
     if checked(method) == "fixman":
         eliminated = fixman.eliminate(tree, frames)
         free = fixman.solve(eliminated, tau)
-        moved = np.array(
-            [
-                fixman.soft_rates(tree, frames, fixman.respond(eliminated, load))
-                for load in row_loads(tree, rows)
-            ]
-        )
+        twists = [fixman.respond(eliminated, load) for load in row_loads(tree, rows)]
+        moved = np.array([fixman.soft_rates(tree, frames, twist) for twist in twists])
     else:
         factors = articulated.articulate(tree, frames) if factors is None else factors
         free = articulated.solve(factors, floats(tau, (tree.n_v,), "tau"))

@@ -89,15 +89,6 @@ def sample_velocities(tree: Tree, frames: Frames, thermal_energy: float, rng: np
     ------
     MechanicsError
         If M is singular.
-
-    Examples
-    --------
-    >>> from protochain import multibody
-    >>> tree = multibody.random_tree(5, seed=1)
-    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
-    >>> frames = multibody.pose(tree, q)
-    >>> multibody.sample_velocities(tree, frames, 2.5, np.random.default_rng(1)).shape
-    (10,)
     """
     noise = np.sqrt(thermal_energy) * rng.standard_normal(tree.n_v)
     return articulated.sample(articulated.articulate(tree, frames), noise)

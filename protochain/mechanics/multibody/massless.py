@@ -3,17 +3,8 @@
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.mechanics.multibody.algebra import (
-    add_inertia,
-    dot,
-    freedom,
-    hinge_axis,
-    inertia,
-    inertia_times,
-    kernel,
-    lever,
-    shifted_inertia,
-)
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import dot, kernel
 from protochain.mechanics.multibody.tree import MASS, PARENT, SLIDE, TURN, Q, V
 
 _LEFT = 1e-12
@@ -35,12 +26,14 @@ def unresisted(
             for i in range(21):
                 whole[b, i] = packed[b, i]
         else:
+            axis, locked = algebra.hinge_axis(rotation, b), algebra.inertia(whole, b)
             for j in range(n_v):
-                omega, u = freedom(hinge_axis(rotation, b), bodies[b, TURN], bodies[b, SLIDE], n_v, j)
-                moment, force = inertia_times(inertia(whole, b), omega, u)
+                omega, u = algebra.freedom(axis, bodies[b, TURN], bodies[b, SLIDE], n_v, j)
+                moment, force = algebra.inertia_times(locked, omega, u)
                 left = pivot[b] if n_v == 1 else root[links[b, Q] - links[b, V], j, j] ** 2
                 if not left > _LEFT * (dot(omega, moment) + dot(u, force)):
                     return b
         if p >= 0:
-            add_inertia(shifted_inertia(inertia(whole, b), lever(origin, b, p)), whole, p)
+            arm = algebra.lever(origin, b, p)
+            algebra.add_inertia(algebra.shifted_inertia(algebra.inertia(whole, b), arm), whole, p)
     return -1

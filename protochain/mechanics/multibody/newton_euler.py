@@ -3,25 +3,8 @@
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers, floats
-from protochain.mechanics.multibody.algebra import (
-    ZERO,
-    Symmetric,
-    Vector,
-    add,
-    cross,
-    hinge_axis,
-    kernel,
-    lever,
-    matrix,
-    pair,
-    put,
-    put_pair,
-    rigid_inertia,
-    scale,
-    symmetric_times,
-    vector,
-    vector_at,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, kernel, scale
 from protochain.mechanics.multibody.kinematics import Frames, pose, pull_back, velocities
 from protochain.mechanics.multibody.rotations import hinge_accelerations
 from protochain.mechanics.multibody.tree import PARENT, SLIDE, TURN, Tree, V
@@ -97,14 +80,13 @@ def multiply_mass(tree: Tree, frames: Frames, x: Floats) -> Floats:
     return pull_back(tree, frames, inertial_loads(tree, frames, np.zeros(tree.n_v), x)) + tree.rotors * x
 
 
-def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats | None = None) -> Floats:
+def inertial_loads(tree: Tree, frames: Frames, qd: Floats, qdd: Floats) -> Floats:
     """Inertial load on each body that moves with qd and qdd."""
     # qd, qdd (n_v,) -> (nb, 6): Moments about the origins of the bodies and forces, world axes. O(n).
     # With c the centre of mass from the origin, a the origin's acceleration and I about the origin: force = m
     # (a + alpha x c + omega x (omega x c)), moment = I alpha + m c x a + omega x I omega.
     loads = np.empty((tree.n_bodies, 6))
-    qd = floats(qd, (tree.n_v,), "qd")
-    qdd = np.zeros(tree.n_v) if qdd is None else floats(qdd, (tree.n_v,), "qdd")
+    qd, qdd = floats(qd, (tree.n_v,), "qd"), floats(qdd, (tree.n_v,), "qdd")
     outward_loads(
         tree.links, tree.bodies, frames.rotation, frames.origin, qd, hinge_accelerations(tree, qd, qdd), loads
     )
@@ -157,10 +139,10 @@ def momentum(tree: Tree, frames: Frames, qd: Floats) -> tuple[Floats, Floats]:
     (3,) float, amu nm/ps; (3,) float, amu nm^2/ps
         Linear and angular momentum.
     """
-    each = momenta_of_bodies(tree, frames, velocities(tree, frames, qd))
-    linear = each[:, 3:].sum(axis=0)
+    momenta = momenta_of_bodies(tree, frames, velocities(tree, frames, qd))
+    linear = momenta[:, 3:].sum(axis=0)
     arms = frames.origin - centre_of_mass(tree, frames)
-    return linear, np.sum(each[:, :3] + np.cross(arms, each[:, 3:]), axis=0)
+    return linear, np.sum(momenta[:, :3] + np.cross(arms, momenta[:, 3:]), axis=0)
 
 
 def centre_of_mass(tree: Tree, frames: Frames) -> Floats:
@@ -175,22 +157,13 @@ def centre_of_mass(tree: Tree, frames: Frames) -> Floats:
     -------
     (3,) float, nm
         World coordinates.
-
-    Examples
-    --------
-    >>> from protochain import multibody
-    >>> tree = multibody.random_tree(5, seed=1)
-    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
-    >>> frames = multibody.pose(tree, q)
-    >>> multibody.centre_of_mass(tree, frames).shape
-    (3,)
     """
-    each = frames.origin + np.einsum("bij,bj->bi", frames.rotation, tree.com)
-    return np.asarray(tree.mass @ each / tree.mass.sum())
+    centres = frames.origin + np.einsum("bij,bj->bi", frames.rotation, tree.com)
+    return np.asarray(tree.mass @ centres / tree.mass.sum())
 
 
 def momenta_of_bodies(tree: Tree, frames: Frames, twists: Floats) -> Floats:
-    """(nb, 6) float: each body's angular momentum about its origin, and linear momentum."""
+    """(nb, 6) float: centres body's angular momentum about its origin, and linear momentum."""
     momenta = np.empty((tree.n_bodies, 6))
     body_momenta(tree.bodies, frames.rotation, twists, momenta)
     return momenta
@@ -200,10 +173,10 @@ def momenta_of_bodies(tree: Tree, frames: Frames, twists: Floats) -> Floats:
 def body_momenta(bodies: Floats, rotation: Floats, twists: Floats, momenta: Floats) -> None:
     """Write the angular momentum of each body about its origin, and its linear momentum."""
     for b in range(len(bodies)):
-        mass, first, second = rigid_inertia(matrix(rotation, b), bodies, b)
-        omega, u = pair(twists, b)
-        angular = add(symmetric_times(second, omega), cross(first, u))
-        put_pair(angular, add(scale(mass, u), cross(omega, first)), momenta, b)
+        mass, first, second = algebra.rigid_inertia(algebra.matrix(rotation, b), bodies, b)
+        omega, u = algebra.pair(twists, b)
+        angular = add(algebra.symmetric_times(second, omega), cross(first, u))
+        algebra.put_pair(angular, add(scale(mass, u), cross(omega, first)), momenta, b)
 
 
 @kernel
@@ -214,8 +187,9 @@ def outward_loads(
     motions = np.empty((len(bodies), 9))
     put_motions(links, bodies, rotation, origin, qd, qdd, motions)
     for b in range(len(bodies)):
-        moment, force = load(rigid_inertia(matrix(rotation, b), bodies, b), motion_of(motions, b))
-        put_pair(moment, force, loads, b)
+        rigid = algebra.rigid_inertia(algebra.matrix(rotation, b), bodies, b)
+        moment, force = load(rigid, motion_of(motions, b))
+        algebra.put_pair(moment, force, loads, b)
 
 
 @kernel
@@ -229,12 +203,12 @@ def put_motions(
         n_v = links[b + 1, V] - k
         motion = AT_REST
         if p >= 0:
-            motion = carried_along(motion_of(motions, p), lever(origin, b, p))
+            motion = carried_along(motion_of(motions, p), algebra.lever(origin, b, p))
         if n_v == 1:
-            axis = hinge_axis(rotation, b)
+            axis = algebra.hinge_axis(rotation, b)
             motion = moved_by_hinge(motion, axis, bodies[b, TURN], bodies[b, SLIDE], qd[k], qdd[k])
         elif n_v == 6:
-            motion = vector_at(qd, k), vector_at(qdd, k), vector_at(qdd, k + 3)
+            motion = algebra.vector_at(qd, k), algebra.vector_at(qdd, k), algebra.vector_at(qdd, k + 3)
         put_motion(motion, motions, b)
 
 
@@ -257,25 +231,25 @@ def moved_by_hinge(motion: Motion, axis: Vector, turn: float, slide: float, qd: 
 
 
 @kernel
-def load(rigid: tuple[float, Vector, Symmetric], motion: Motion) -> tuple[Vector, Vector]:
+def load(rigid: tuple[float, Vector, algebra.Symmetric], motion: Motion) -> tuple[Vector, Vector]:
     """Moment about its origin and force that give a body this motion."""
     mass, first, second = rigid
     omega, alpha, a = motion
     centripetal = cross(omega, cross(omega, first))
     force = add(scale(mass, a), add(cross(alpha, first), centripetal))
-    moment = add(symmetric_times(second, alpha), cross(first, a))
-    return add(moment, cross(omega, symmetric_times(second, omega))), force
+    moment = add(algebra.symmetric_times(second, alpha), cross(first, a))
+    return add(moment, cross(omega, algebra.symmetric_times(second, omega))), force
 
 
 @kernel
 def motion_of(motions: Floats, b: int) -> Motion:
     """Read the motion of body b."""
-    return vector(motions, b, 0), vector(motions, b, 3), vector(motions, b, 6)
+    return algebra.vector(motions, b, 0), algebra.vector(motions, b, 3), algebra.vector(motions, b, 6)
 
 
 @kernel
 def put_motion(motion: Motion, motions: Floats, b: int) -> None:
     """Write the motion of body b."""
-    put(motion[0], motions, b, 0)
-    put(motion[1], motions, b, 3)
-    put(motion[2], motions, b, 6)
+    algebra.put(motion[0], motions, b, 0)
+    algebra.put(motion[1], motions, b, 3)
+    algebra.put(motion[2], motions, b, 6)

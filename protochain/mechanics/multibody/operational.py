@@ -88,8 +88,8 @@ def row_matrix(tree: Tree, frames: Frames, rows: Rows) -> Floats:
     (m, n_v) float
         Row matrix. O(m n).
     """
-    found = [pull_back(tree, frames, load) for load in row_loads(tree, rows)]
-    return np.array(found).reshape(len(found), tree.n_v)
+    torques = [pull_back(tree, frames, load) for load in row_loads(tree, rows)]
+    return np.array(torques).reshape(len(torques), tree.n_v)
 
 
 def row_loads(tree: Tree, rows: Rows) -> Floats:
@@ -124,15 +124,6 @@ def log_det_gradient(tree: Tree, frames: Frames) -> Floats:
     Jain, Kandel, Wagner, Larsen, Vaidehi, J. Chem. Phys. 139:244103 (2013), for hinges of any kind: moving
     all bodies beyond hinge k along its twist h changes their articulated inertia P+ by -(P+ crm(h) + its
     transpose), and ln det M by the trace of that change with the parent's Y about the hinge. O(n).
-
-    Examples
-    --------
-    >>> from protochain import multibody
-    >>> tree = multibody.random_tree(5, seed=1)
-    >>> q = np.append([1.0, 0, 0, 0, 0, 0, 0], np.zeros(4))
-    >>> frames = multibody.pose(tree, q)
-    >>> multibody.log_det_gradient(tree, frames).shape
-    (10,)
     """
     return gradient_of_log_det(articulate(tree, frames))
 
@@ -364,9 +355,8 @@ def _nodes(links: Integers, row_body: Integers) -> Integers:
 
 @kernel
 def _pass_inward(
-    arm: Vector, axis: Vector, turn: float, slide: float,
-    gain: Floats, operator: Floats,
-) -> None:  # fmt: skip
+    arm: Vector, axis: Vector, turn: float, slide: float, gain: Floats, operator: Floats
+) -> None:
     """X^T (1 - G h^T): load on a body -> load transmitted to its parent through the hinge."""
     for j in range(6):
         give = turn * axis[j] if j < 3 else slide * axis[j - 3]

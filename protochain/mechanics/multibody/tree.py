@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,8 +110,7 @@ class Tree(Value):
             array = read_only(getattr(self, name), dtype)
             if array.shape != shape:
                 raise MechanicsError(f"{name} of a tree of {n} bodies has shape {array.shape}, not {shape}")
-            if not np.all(np.isfinite(array)):
-                raise BodyError(_first(~np.isfinite(array)), f"its {name} is not finite")
+            _refuse(~np.isfinite(array), f"its {name} is not finite")
             object.__setattr__(self, name, array)
         _check_topology(self)
         object.__setattr__(self, "driven", _driven(self))
@@ -299,27 +299,21 @@ def _squared_cross(c: Floats) -> Floats:
     return np.sum(c * c, axis=1)[:, None, None] * np.eye(3) - c[:, :, None] * c[:, None, :]
 
 
-def _first(bad: np.ndarray) -> int:
-    return int(np.argwhere(bad)[0][0])
+def _refuse(bad: np.ndarray, why: str, values: Any = None, fault: Fault | None = None) -> None:
+    """Raise if any body is bad; ``why`` may have a place for the value of the first one."""
+    if np.any(bad):
+        b = int(np.argwhere(bad)[0][0])
+        raise BodyError(b, why if values is None else why.format(values[b]), fault)
 
 
 def _check_topology(tree: Tree) -> None:
     n = tree.n_bodies
     late = (tree.parent >= np.arange(n)) | (tree.parent < -1)
-    if np.any(late):
-        b = _first(late)
-        raise BodyError(b, f"its parent {tree.parent[b]} must come before it")
-    strange = ~np.isin(tree.kind, list(HingeKind))
-    if np.any(strange):
-        b = _first(strange)
-        raise BodyError(b, f"{tree.kind[b]} is not a kind of hinge")
+    _refuse(late, "its parent {} must come before it", tree.parent)
+    _refuse(~np.isin(tree.kind, list(HingeKind)), "{} is not a kind of hinge", tree.kind)
     free = tree.kind == HingeKind.FREE
     wrong = free & ((tree.parent >= 0) | np.any(tree.placement != np.eye(3), axis=(1, 2)))
-    if np.any(wrong):
-        raise BodyError(
-            _first(wrong),
-            "only a root can be free, and then without a placement: its coordinates are the world's",
-        )
+    _refuse(wrong, "only a root can be free, and then without a placement: its coordinates are the world's")
     first = np.flatnonzero(tree.kind == HingeKind.BALL)
     axes = np.flatnonzero(tree.kind == HingeKind.BALL_AXIS)
     if not np.array_equal(axes, (first[:, None] + [1, 2]).ravel()) or not (
@@ -341,54 +335,40 @@ def _driven(tree: Tree) -> NDArray[np.bool_] | None:
             f"driven of a tree of {n} bodies is {driven.dtype} of shape {driven.shape}, not bool of ({n},)"
         )
     wrong = driven & ((np.diff(tree.v_start) != 1) | (tree.kind >= HingeKind.BALL))
-    if np.any(wrong):
-        b = _first(wrong)
-        raise BodyError(
-            b, f"only a hinge of one freedom can be driven, not a {HingeKind(tree.kind[b]).name} one"
-        )
+    names = [HingeKind(kind).name for kind in tree.kind]
+    _refuse(wrong, "only a hinge of one freedom can be driven, not a {} one", names)
     return read_only(driven, np.bool_) if np.any(driven) else None
 
 
 def _check_geometry(tree: Tree) -> None:
     product = tree.placement @ tree.placement.swapaxes(1, 2)
     skew = np.any(np.abs(product - np.eye(3)) > 1e-9, axis=(1, 2)) | (np.linalg.det(tree.placement) < 0)
-    if np.any(skew):
-        raise BodyError(_first(skew), "its placement is not a rotation")
+    _refuse(skew, "its placement is not a rotation")
 
 
 def _check_inertia(tree: Tree) -> None:
-    if np.any(tree.mass < 0):
-        b = _first(tree.mass < 0)
-        raise BodyError(b, f"its mass {tree.mass[b]:g} must not be negative")
+    _refuse(tree.mass < 0, "its mass {:g} must not be negative", tree.mass)
     nominal = np.zeros(tree.n_bodies, dtype=bool) if tree.nominal is None else tree.nominal
     ghost = (tree.mass == 0) & np.any(tree.inertia != 0.0, axis=(1, 2)) & ~nominal
-    if np.any(ghost):
-        raise BodyError(_first(ghost), "it has inertia but no mass")
+    _refuse(ghost, "it has inertia but no mass")
     turned = np.abs(tree.inertia - tree.inertia.swapaxes(1, 2)).max(axis=(1, 2), initial=0.0)
     skew = turned > 1e-9 * np.abs(tree.inertia).max(axis=(1, 2), initial=0.0)
     wrong = skew | ~(is_inertia(tree.inertia) | nominal)
-    if np.any(wrong):
-        raise BodyError(_first(wrong), "its inertia is not that of any rigid body")
+    _refuse(wrong, "its inertia is not that of any rigid body")
     assert tree.armature is not None
-    if np.any(tree.armature < 0):
-        b = _first(tree.armature < 0)
-        raise BodyError(b, f"its armature {tree.armature[b]:g} must not be negative")
+    _refuse(tree.armature < 0, "its armature {:g} must not be negative", tree.armature)
     moves = (np.diff(tree.v_start) > 0) & ~tree._is_driven & (tree.armature == 0.0)
-    idle = moves & _carries_nothing(tree)
-    if np.any(idle):
-        raise BodyError(
-            _first(idle),
-            "neither it nor any body beyond it has mass, so nothing resists its hinge; "
-            "give it mass, or make the hinge FIXED or driven",
-            Fault.NO_INERTIA,
-        )
-    phantom = moves & _turns_nothing(tree)
-    if np.any(phantom):
-        raise BodyError(
-            _first(phantom),
-            "all mass beyond its hinge lies on the hinge's axis, so it has no inertia; make the hinge FIXED",
-            Fault.NO_INERTIA,
-        )
+    _refuse(
+        moves & _carries_nothing(tree),
+        "neither it nor any body beyond it has mass, so nothing resists its hinge; "
+        "give it mass, or make the hinge FIXED or driven",
+        fault=Fault.NO_INERTIA,
+    )
+    _refuse(
+        moves & _turns_nothing(tree),
+        "all mass beyond its hinge lies on the hinge's axis, so it has no inertia; make the hinge FIXED",
+        fault=Fault.NO_INERTIA,
+    )
 
 
 def is_inertia(tensor: Floats) -> NDArray[np.bool_]:

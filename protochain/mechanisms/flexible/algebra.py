@@ -3,22 +3,8 @@
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.mechanics.multibody.algebra import (
-    ZERO,
-    Vector,
-    add,
-    cross,
-    dot,
-    hinge_axis,
-    kernel,
-    matrix,
-    pair,
-    put_pair,
-    scale,
-    turned,
-    turned_back,
-    vector_at,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import ZERO, Vector, add, cross, dot, kernel, scale
 from protochain.mechanics.multibody.tree import SLIDE, TURN
 
 CARRIER, Q, V, NODE, SHAPE, LOCKED = range(6)
@@ -70,7 +56,7 @@ def shortened(shortening: Floats, i: int, s: int, n: int, amounts: Floats, first
 @kernel
 def along(columns: Floats, i: int, s: int, wrench: Floats) -> float:
     """Product of a column and the wrench of its node."""
-    moment, force = pair(wrench, i)
+    moment, force = algebra.pair(wrench, i)
     angular, linear = six(columns, i, s)
     return dot(angular, moment) + dot(linear, force)
 
@@ -80,7 +66,7 @@ def gathered(links: Integers, origin: Floats, wrench: Floats, b: int) -> tuple[V
     """Wrenches of all nodes of body b, as one about its origin."""
     frame, whole, total = links[b, NODE], ZERO, ZERO
     for i in range(frame, links[b + 1, NODE]):
-        moment, force = pair(wrench, i)
+        moment, force = algebra.pair(wrench, i)
         whole = add(whole, add(moment, cross(between(origin, frame, i), force)))
         total = add(total, force)
     return whole, total
@@ -95,21 +81,21 @@ def base_twist(
     n_v = links[b + 1, V] - k
     omega, u = ZERO, ZERO
     if c >= 0:
-        omega, u = pair(motion, c)
+        omega, u = algebra.pair(motion, c)
         u = add(u, cross(omega, between(origin, c, frame)))
     if n_v == 1:
-        axis = scale(rates[k], hinge_axis(rotation, frame))
+        axis = scale(rates[k], algebra.hinge_axis(rotation, frame))
         omega, u = add(omega, scale(seats[b, TURN], axis)), add(u, scale(seats[b, SLIDE], axis))
     elif n_v == 6:
-        omega, u = vector_at(rates, k), vector_at(rates, k + 3)
+        omega, u = algebra.vector_at(rates, k), algebra.vector_at(rates, k + 3)
     return omega, u
 
 
 @kernel
 def resisted(rotation: Floats, inertia: Floats, i: int, x: Vector) -> Vector:
     """Product of a section's inertia, given along its own axes, with a vector along the world's."""
-    turn = matrix(rotation, i)
-    return turned(turn, turned(matrix(inertia, i), turned_back(turn, x)))
+    turn = algebra.matrix(rotation, i)
+    return algebra.turned(turn, algebra.turned(algebra.matrix(inertia, i), algebra.turned_back(turn, x)))
 
 
 @kernel
@@ -128,11 +114,11 @@ def spread(columns: Floats, arm: Vector, i: int, n: int, f: Floats) -> None:
     """Write the rows of [columns, X]^T for node i, an arm away from its body's origin."""
     for s in range(n):
         angular, linear = six(columns, i, s)
-        put_pair(angular, linear, f, s)
+        algebra.put_pair(angular, linear, f, s)
     for m in range(3):
         unit = 1.0 * (m == 0), 1.0 * (m == 1), 1.0 * (m == 2)
-        put_pair(unit, cross(unit, arm), f, n + m)
-        put_pair(ZERO, unit, f, n + 3 + m)
+        algebra.put_pair(unit, cross(unit, arm), f, n + m)
+        algebra.put_pair(ZERO, unit, f, n + 3 + m)
 
 
 @kernel

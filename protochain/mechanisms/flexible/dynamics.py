@@ -7,15 +7,8 @@ import numpy as np
 from protochain.core.arrays import Floats, floats
 from protochain.core.errors import BodyError
 from protochain.mechanics.multibody.rotations import hinge_accelerations
+from protochain.mechanisms.flexible import kernels
 from protochain.mechanisms.flexible.flexible import Bent, Flexible, bend
-from protochain.mechanisms.flexible.kernels import (
-    put_changes,
-    put_gradient,
-    put_loads,
-    put_torques,
-    put_twists,
-    solve_bent,
-)
 
 
 @dataclass(frozen=True)
@@ -30,7 +23,7 @@ class Blocks:
 def velocities(flexible: Flexible, bent: Bent, qd: Floats) -> Floats:
     """Twists (nn, 6) of all nodes about their places, world axes, for velocities qd (n_v,). O(n)."""
     twists = np.empty((len(bent.origin), 6))
-    put_twists(
+    kernels.put_twists(
         flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns,
         floats(qd, (flexible.n_v,), "qd"), twists,
     )  # fmt: skip
@@ -82,7 +75,7 @@ def solve(flexible: Flexible, bent: Bent, tau: Floats) -> Floats:
     # As ``multibody.articulated``, with a body's amplitudes eliminated before its hinge.
     _, mass, inertia, *_ = flexible.arrays
     x = floats(tau, (flexible.n_v,), "tau").copy()
-    failed = solve_bent(
+    failed = kernels.solve_bent(
         flexible.links, flexible.seats, mass, inertia, bent.rotation, bent.origin, bent.columns, x
     )
     if failed >= 0:
@@ -101,7 +94,7 @@ def momenta(flexible: Flexible, q: Floats, qd: Floats) -> tuple[Floats, Floats]:
     twists, changes = _twists(flexible, bent, q, qd)
     felt = _momenta_of_nodes(flexible, bent, twists)
     p, gradient = _pulled(flexible, bent, felt) + flexible.rotors * qd, np.empty(flexible.n_v)
-    put_gradient(
+    kernels.put_gradient(
         flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, twists, changes, felt,
         gradient,
     )  # fmt: skip
@@ -124,7 +117,7 @@ def _momenta_of_nodes(flexible: Flexible, bent: Bent, twists: Floats) -> Floats:
 def _pulled(flexible: Flexible, bent: Bent, felt: Floats) -> Floats:
     """J^T felt (nn, 6), which is overwritten by what the nodes carry."""
     tau = np.empty(flexible.n_v)
-    put_torques(flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, felt, tau)
+    kernels.put_torques(flexible.links, flexible.seats, bent.rotation, bent.origin, bent.columns, felt, tau)
     return tau
 
 
@@ -132,7 +125,7 @@ def _twists(flexible: Flexible, bent: Bent, q: Floats, qd: Floats) -> tuple[Floa
     """Twists (nn, 6) of the nodes, and the rates at which their columns change (nn, K, 6)."""
     _, _, _, _, turns, shortening = flexible.arrays
     twists, changes = velocities(flexible, bent, qd), np.zeros_like(bent.columns)
-    put_changes(
+    kernels.put_changes(
         flexible.links, turns, shortening, bent.rotation, bent.columns, floats(q, (flexible.n_q,), "q"),
         floats(qd, (flexible.n_v,), "qd"), twists, changes,
     )  # fmt: skip
@@ -146,7 +139,7 @@ def _torques(
     twists, changes = _twists(flexible, bent, q, qd)
     loads, qd = np.empty_like(twists), floats(qd, (flexible.n_v,), "qd")
     qdd = floats(qdd, (flexible.n_v,), "qdd")
-    put_loads(
+    kernels.put_loads(
         flexible.links, flexible.seats, mass, inertia, bent.rotation, bent.origin, bent.columns, twists,
         changes, qd, hinge_accelerations(flexible.tree, qd, qdd), loads,
     )  # fmt: skip

@@ -240,9 +240,7 @@ def _nodes(tree: Tree, b: int, shapes: Shapes | None, most: int) -> tuple[Floats
             np.zeros((1, 3, 0)), np.zeros((1, 3, 0, 0)),
         )  # fmt: skip
     else:
-        fields = (
-            shapes.place, shapes.mass, shapes.inertia, shapes.moves, shapes.turns, shapes.shortening
-        )  # fmt: skip
+        fields = (shapes.place, shapes.mass, shapes.inertia, shapes.moves, shapes.turns, shapes.shortening)
     more = most - fields[3].shape[2]
     frame = [(1, 0)]
     widths = [[], [], [], [(0, more)], [(0, more)], [(0, more)] * 2]

@@ -6,46 +6,13 @@ Shapes are padded to the most of any body: ``turns`` and ``moves`` (nn, K, 3), `
 import numpy as np
 
 from protochain.core.arrays import Floats, Integers
-from protochain.mechanics.multibody.algebra import (
-    ZERO,
-    add,
-    add_pair,
-    cross,
-    dot,
-    freedom,
-    hinge_axis,
-    kernel,
-    matrix,
-    pair,
-    put,
-    put_matrix,
-    put_pair,
-    scale,
-    subtract,
-    turned,
-    vector,
-)  # fmt: skip
+from protochain.mechanics.multibody import algebra
+from protochain.mechanics.multibody.algebra import ZERO, add, cross, dot, kernel, scale, subtract
 from protochain.mechanics.multibody.kinematics import WORLD, moved_freely, seat, turned_by_hinge
 from protochain.mechanics.multibody.rotations import tangent, turn_by
 from protochain.mechanics.multibody.tree import ARMATURE, SLIDE, TURN, Q, V
-from protochain.mechanisms.flexible.algebra import (
-    CARRIER,
-    LOCKED,
-    NODE,
-    SHAPE,
-    along,
-    base_twist,
-    between,
-    gathered,
-    put_six,
-    resisted,
-    shortened,
-    six,
-    spread,
-    tangent_rate,
-    times,
-    triple,
-)
+from protochain.mechanisms.flexible import algebra as nodes
+from protochain.mechanisms.flexible.algebra import CARRIER, LOCKED, NODE, SHAPE, between, six, triple
 
 ROUND_OFF = 1e-15
 """A pivot below this fraction of its diagonal is rounding error."""
@@ -61,7 +28,7 @@ def put_frames(
     for b in range(len(links) - 1):
         c, k, first = links[b, CARRIER], links[b, Q], links[b, SHAPE] + shift
         n_q, n_shapes = links[b + 1, Q] - k, links[b + 1, SHAPE] - links[b, SHAPE]
-        above, start = (matrix(rotation, c), vector(origin, c)) if c >= 0 else WORLD
+        above, start = (algebra.matrix(rotation, c), algebra.vector(origin, c)) if c >= 0 else WORLD
         turn, at = seat(seats, b, above, start)
         if n_q == 1:
             sine, cosine = np.sin(q[k]), np.cos(q[k])
@@ -69,23 +36,23 @@ def put_frames(
         elif n_q == 7:
             turn, at = moved_freely(at, q, k)
         for i in range(links[b, NODE], links[b + 1, NODE]):
-            theta, x = ZERO, vector(place, i)
+            theta, x = ZERO, algebra.vector(place, i)
             for s in range(n_shapes):
                 eta = q[first + s]
                 theta = add(theta, scale(eta, triple(turns, i, s)))
-                short = shortened(shortening, i, s, n_shapes, q, first)
+                short = nodes.shortened(shortening, i, s, n_shapes, q, first)
                 x = add(x, scale(eta, subtract(triple(moves, i, s), scale(0.5, short))))
             for s in range(n_shapes):
-                short = shortened(shortening, i, s, n_shapes, q, first)
-                put_six(
-                    turned(turn, tangent(theta, triple(turns, i, s))),
-                    turned(turn, subtract(triple(moves, i, s), short)), columns, i, s,
+                short = nodes.shortened(shortening, i, s, n_shapes, q, first)
+                nodes.put_six(
+                    algebra.turned(turn, tangent(theta, triple(turns, i, s))),
+                    algebra.turned(turn, subtract(triple(moves, i, s), short)), columns, i, s,
                 )  # fmt: skip
-            put(add(at, turned(turn, x)), origin, i, 0)
-            u = turned(turn, turn_by(theta, (1.0, 0.0, 0.0)))
-            v = turned(turn, turn_by(theta, (0.0, 1.0, 0.0)))
+            algebra.put(add(at, algebra.turned(turn, x)), origin, i, 0)
+            u = algebra.turned(turn, turn_by(theta, (1.0, 0.0, 0.0)))
+            v = algebra.turned(turn, turn_by(theta, (0.0, 1.0, 0.0)))
             w = cross(u, v)
-            put_matrix((u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2]), rotation, i)
+            algebra.put_matrix((u[0], v[0], w[0], u[1], v[1], w[1], u[2], v[2], w[2]), rotation, i)
 
 
 @kernel
@@ -96,13 +63,13 @@ def put_twists(
     """Write twists (nn, 6) of the nodes about their places."""
     for b in range(len(links) - 1):
         frame, j = links[b, NODE], links[b, SHAPE]
-        omega, u = base_twist(links, seats, rotation, origin, b, twists, qd)
+        omega, u = nodes.base_twist(links, seats, rotation, origin, b, twists, qd)
         for i in range(frame, links[b + 1, NODE]):
             spin, moving = omega, add(u, cross(omega, between(origin, frame, i)))
             for s in range(links[b + 1, SHAPE] - j):
                 angular, linear = six(columns, i, s)
                 spin, moving = add(spin, scale(qd[j + s], angular)), add(moving, scale(qd[j + s], linear))
-            put_pair(spin, moving, twists, i)
+            algebra.put_pair(spin, moving, twists, i)
 
 
 @kernel
@@ -115,8 +82,8 @@ def put_changes(
     for b in range(len(links) - 1):
         frame, j = links[b, NODE], links[b, SHAPE]
         n_shapes = links[b + 1, SHAPE] - j
-        omega, _ = pair(twists, frame)
-        turn = matrix(rotation, frame)
+        omega, _ = algebra.pair(twists, frame)
+        turn = algebra.matrix(rotation, frame)
         for i in range(frame, links[b + 1, NODE]):
             theta, rate = ZERO, ZERO
             for s in range(n_shapes):
@@ -124,11 +91,11 @@ def put_changes(
                 rate = add(rate, scale(qd[j + s], triple(turns, i, s)))
             for s in range(n_shapes):
                 angular, linear = six(columns, i, s)
-                bent = tangent_rate(theta, rate, triple(turns, i, s))
-                short = shortened(shortening, i, s, n_shapes, qd, j)
-                put_six(
-                    add(cross(omega, angular), turned(turn, bent)),
-                    subtract(cross(omega, linear), turned(turn, short)), changes, i, s,
+                bent = nodes.tangent_rate(theta, rate, triple(turns, i, s))
+                short = nodes.shortened(shortening, i, s, n_shapes, qd, j)
+                nodes.put_six(
+                    add(cross(omega, angular), algebra.turned(turn, bent)),
+                    subtract(cross(omega, linear), algebra.turned(turn, short)), changes, i, s,
                 )  # fmt: skip
 
 
@@ -142,16 +109,16 @@ def put_loads(
     for b in range(len(links) - 1):
         c, frame, j = links[b, CARRIER], links[b, NODE], links[b, SHAPE]
         n_shapes = links[b + 1, SHAPE] - j
-        alpha, a = base_twist(links, seats, rotation, origin, b, motion, qdd)
+        alpha, a = nodes.base_twist(links, seats, rotation, origin, b, motion, qdd)
         if c >= 0:
-            above, _ = pair(twists, c)
+            above, _ = algebra.pair(twists, c)
             a = add(a, cross(above, cross(above, between(origin, c, frame))))
             if links[b + 1, V] - links[b, V] == 1:
                 # The axis turns with what carries it.
-                axis = scale(qd[links[b, V]], hinge_axis(rotation, frame))
+                axis = scale(qd[links[b, V]], algebra.hinge_axis(rotation, frame))
                 alpha = add(alpha, scale(seats[b, TURN], cross(above, axis)))
                 a = add(a, scale(2.0 * seats[b, SLIDE], cross(above, axis)))
-        omega, _ = pair(twists, frame)
+        omega, _ = algebra.pair(twists, frame)
         for i in range(frame, links[b + 1, NODE]):
             arm = between(origin, frame, i)
             quick, pulled = alpha, add(a, add(cross(alpha, arm), cross(omega, cross(omega, arm))))
@@ -162,12 +129,13 @@ def put_loads(
                 # The change of a column has one of the two terms of Coriolis.
                 slip = add(slip, cross(omega, linear))
                 pulled = add(pulled, add(scale(qdd[j + s], linear), scale(qd[j + s], slip)))
-            put_pair(quick, pulled, motion, i)
-            spin, _ = pair(twists, i)
+            algebra.put_pair(quick, pulled, motion, i)
+            spin, _ = algebra.pair(twists, i)
             moment = add(
-                resisted(rotation, inertia, i, quick), cross(spin, resisted(rotation, inertia, i, spin))
+                nodes.resisted(rotation, inertia, i, quick),
+                cross(spin, nodes.resisted(rotation, inertia, i, spin)),
             )
-            put_pair(moment, scale(mass[i], pulled), loads, i)
+            algebra.put_pair(moment, scale(mass[i], pulled), loads, i)
 
 
 @kernel
@@ -181,14 +149,14 @@ def put_torques(
         for s in range(links[b + 1, SHAPE] - j):
             tau[j + s] = 0.0
             for i in range(frame, links[b + 1, NODE]):
-                tau[j + s] += along(columns, i, s, felt)
-        moment, force = gathered(links, origin, felt, b)
-        n_v = links[b + 1, V] - k
+                tau[j + s] += nodes.along(columns, i, s, felt)
+        moment, force = nodes.gathered(links, origin, felt, b)
+        n_v, axis = links[b + 1, V] - k, algebra.hinge_axis(rotation, frame)
         for m in range(n_v):
-            turn, slide = freedom(hinge_axis(rotation, frame), seats[b, TURN], seats[b, SLIDE], n_v, m)
+            turn, slide = algebra.freedom(axis, seats[b, TURN], seats[b, SLIDE], n_v, m)
             tau[k + m] = dot(turn, moment) + dot(slide, force)
         if c >= 0:
-            add_pair(add(moment, cross(between(origin, c, frame), force)), force, felt, c)
+            algebra.add_pair(add(moment, cross(between(origin, c, frame), force)), force, felt, c)
 
 
 @kernel
@@ -203,16 +171,16 @@ def put_gradient(
             gradient[j + s] = 0.0
             for i in range(frame, links[b + 1, NODE]):
                 angular, _ = six(columns, i, s)
-                _, moving = pair(twists, i)
-                _, force = pair(felt, i)
-                gradient[j + s] += along(changes, i, s, felt) - dot(angular, cross(moving, force))
-        moment, force = gathered(links, origin, felt, b)
-        n_v, above = links[b + 1, V] - k, ZERO
+                _, moving = algebra.pair(twists, i)
+                _, force = algebra.pair(felt, i)
+                gradient[j + s] += nodes.along(changes, i, s, felt) - dot(angular, cross(moving, force))
+        moment, force = nodes.gathered(links, origin, felt, b)
+        n_v, above, axis = links[b + 1, V] - k, ZERO, algebra.hinge_axis(rotation, frame)
         if c >= 0 and n_v == 1:
-            above, _ = pair(twists, c)
-        _, moving = pair(twists, frame)
+            above, _ = algebra.pair(twists, c)
+        _, moving = algebra.pair(twists, frame)
         for m in range(n_v):
-            turn, slide = freedom(hinge_axis(rotation, frame), seats[b, TURN], seats[b, SLIDE], n_v, m)
+            turn, slide = algebra.freedom(axis, seats[b, TURN], seats[b, SLIDE], n_v, m)
             gradient[k + m] = dot(cross(above, turn), moment) + dot(cross(above, slide), force)
             gradient[k + m] -= dot(turn, cross(moving, force))
 
@@ -237,7 +205,7 @@ def solve_bent(
         whole[:] = 0.0
         for i in range(frame, links[b + 1, NODE]):
             if weighs[i] or inertia[i, 0, 0] + inertia[i, 1, 1] + inertia[i, 2, 2] > 0.0:
-                spread(columns, between(origin, frame, i), i, n_shapes, f)
+                nodes.spread(columns, between(origin, frame, i), i, n_shapes, f)
                 _add_node(i, size, mass[i], rotation, inertia, carried, load, f, g, whole)
         for s in range(n_shapes):
             whole[s, size] += x[j + s]
@@ -258,14 +226,15 @@ def solve_bent(
             continue
         p = _mirrored(whole[n_shapes:, n_shapes:])
         if n_v == 1 and links[b, LOCKED] == 0:
-            turn, slide = freedom(hinge_axis(rotation, frame), seats[b, TURN], seats[b, SLIDE], 1, 0)
+            axis = algebra.hinge_axis(rotation, frame)
+            turn, slide = algebra.freedom(axis, seats[b, TURN], seats[b, SLIDE], 1, 0)
             h[0], h[1], h[2] = turn
             h[3], h[4], h[5] = slide
             if not _pass_hinge(p, h, seats[b, ARMATURE], x[k], gains[b]):
                 return b
         if c >= 0:
             weighs[c] = True
-            spread(columns, between(origin, c, frame), 0, 0, f)
+            nodes.spread(columns, between(origin, c, frame), 0, 0, f)
             _carry(c, p, f, g, carried, load)
     _outward(links, seats, rotation, origin, columns, rows, gains, roots, x)
     return -1
@@ -278,9 +247,11 @@ def _add_node(
 ) -> None:  # fmt: skip
     """Add F^T I F of a node, with what it carries, to the matrix of its body, and its load as last column."""
     for r in range(size):
-        moment = add(resisted(rotation, inertia, i, vector(f, r, 0)), times(carried, i, f, r, 0))
-        force = add(scale(mass, vector(f, r, 3)), times(carried, i, f, r, 3))
-        put_pair(moment, force, g, r)
+        moment = add(
+            nodes.resisted(rotation, inertia, i, algebra.vector(f, r, 0)), nodes.times(carried, i, f, r, 0)
+        )
+        force = add(scale(mass, algebra.vector(f, r, 3)), nodes.times(carried, i, f, r, 3))
+        algebra.put_pair(moment, force, g, r)
     for r in range(size):
         for s in range(r, size):
             for m in range(6):
@@ -332,9 +303,10 @@ def _outward(
         elif n_v == 1:
             x[k] = 0.0
             if links[b, LOCKED] == 0:
-                omega, u = base_twist(links, seats, rotation, origin, b, motion, x)
-                x[k] = gains[b, 6] - dot(vector(gains, b, 0), omega) - dot(vector(gains, b, 3), u)
-        omega, u = base_twist(links, seats, rotation, origin, b, motion, x)
+                omega, u = nodes.base_twist(links, seats, rotation, origin, b, motion, x)
+                turning, sliding = algebra.pair(gains, b)
+                x[k] = gains[b, 6] - dot(turning, omega) - dot(sliding, u)
+        omega, u = nodes.base_twist(links, seats, rotation, origin, b, motion, x)
         for m in range(3):
             y[n_shapes + m], y[n_shapes + 3 + m] = omega[m], u[m]
         for s in range(n_shapes - 1, -1, -1):
@@ -348,7 +320,7 @@ def _outward(
             for s in range(n_shapes):
                 angular, linear = six(columns, i, s)
                 spin, moving = add(spin, scale(y[s], angular)), add(moving, scale(y[s], linear))
-            put_pair(spin, moving, motion, i)
+            algebra.put_pair(spin, moving, motion, i)
 
 
 @kernel

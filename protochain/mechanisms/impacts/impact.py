@@ -27,9 +27,7 @@ Law = Literal["newton", "poisson", "stronge"]
 """Law of restitution: of velocities, of normal impulses, of the work of the normal impulse."""
 Order = Literal["together", "in turn"]
 """Several points at once, or one after the other, the fastest first, until none approaches."""
-_LAWS = {
-    "newton": impulse_path.NEWTON, "poisson": impulse_path.POISSON, "stronge": impulse_path.STRONGE,
-}  # fmt: skip
+_LAWS = {"newton": impulse_path.NEWTON, "poisson": impulse_path.POISSON, "stronge": impulse_path.STRONGE}
 _ORDERS = ("together", "in turn")
 _TURNS = 1000
 """Turns after which what still approaches stops at once: blows without end pass less and less on."""
@@ -215,15 +213,9 @@ def _check(bodies: Bodies, points: Sequence[ContactPoint], law: str, order: str)
 def _one(struck: Struck, point: ContactPoint, law: Law) -> Floats:
     """(2, 3) float: impulse of one point, and that of its compression (normal)."""
     out = np.empty(8)
+    coefficients = point.friction, point.restitution
     status = impulse_path.follow(
-        struck.w,
-        struck.u,
-        point.friction,
-        point.restitution,
-        _LAWS[law],
-        struck.slow[0],
-        defaults.IMPACT_TOLERANCE,
-        out,
+        struck.w, struck.u, *coefficients, _LAWS[law], struck.slow[0], defaults.IMPACT_TOLERANCE, out
     )
     _refuse(status, point)
     return np.array([out[:3], (out[3], 0.0, 0.0)])
@@ -275,7 +267,7 @@ def _refuse(status: int, point: ContactPoint) -> None:
         impulse_path.JAMMED: f"it sticks, by friction {point.friction:g}, and cannot leave as "
         "Newton's law asks; choose law poisson or stronge",
         impulse_path.LOST: "its path has no end within the steps allowed; lower its friction",
-    }  # fmt: skip
+    }
     faults = {impulse_path.IMMOVABLE: Fault.IMMOVABLE, impulse_path.JAMMED: Fault.JAMMED}
     if status in reasons:
         raise MechanicsError(f"contact {point.name!r}: {reasons[status]}", fault=faults.get(status))

@@ -39,7 +39,7 @@ _A, _WRONG = np.array(DORMAND_PRINCE.a), np.array(DORMAND_PRINCE.error)
 @kernel
 def follow(
     w: Floats, u: Floats, mu: float, e: float, law: int, slow: float, tolerance: float, out: Floats
-) -> int:  # fmt: skip
+) -> int:
     """Write the impulse (normal, two tangential) that ends an impact, and how it came about."""
     # w, u (3, 3), out (8,): Impulse, that of the compression, its work, all work, straight pieces, curved
     # ones.
@@ -148,7 +148,7 @@ def _slip_rates(of: Contact, s: Slip) -> tuple[float, float]:
 @kernel
 def _straight_piece(
     of: Contact, phase: Phase, t: Slip, length: float, at_rest: float, y: Floats
-) -> tuple[int, bool]:  # fmt: skip
+) -> tuple[int, bool]:
     """Go along a direction that stays, to the end of the phase or of the slip; whether it is the former."""
     restoring, law, goal = phase
     u_n, slope = _normal_velocity(of, y), 1.0 + of[0] * t[0] + of[1] * t[1]
@@ -180,7 +180,7 @@ def _first_step(of: Contact, s: Slip, turn: float, growth: float, step: float) -
 @kernel
 def _curved_piece(
     of: Contact, phase: Phase, d: float, tolerance: float, y: Floats, stage: Floats, new: Floats
-) -> tuple[bool, float]:  # fmt: skip
+) -> tuple[bool, float]:
     """Take one step, or, past the end of a phase, the step that ends there; whether so, and the next step."""
     before = _value(phase, _normal_velocity(of, y), y) - phase[2]
     factor = 1.0
@@ -200,7 +200,7 @@ def _curved_piece(
 @kernel
 def _step_to_event(
     of: Contact, phase: Phase, d: float, f_low: float, f_high: float, y: Floats, stage: Floats, new: Floats
-) -> float:  # fmt: skip
+) -> float:
     """Step, up to d, that ends the phase, by the Illinois method; f is what is beyond the goal."""
     low, high, f = 0.0, d, f_high
     for _ in range(_TRIALS):

@@ -10,8 +10,9 @@ from protochain.mechanics import multibody
 from protochain.mechanics.motion import Applied, Load
 from protochain.mechanics.multibody import Frames
 from protochain.mechanics.multibody.algebra import dot, kernel, scale, vector
+from protochain.mechanics.multibody.kinematics import end_of
 from protochain.mechanisms import Acting, Bodies
-from protochain.mechanisms.linear_springs import end_of, push, speed_of
+from protochain.mechanisms.linear_springs import push, speed_of
 
 Motion = Callable[[float], float]
 
