@@ -31,10 +31,18 @@ class ChiralityRestraint:
     atoms: Integers
     least: Floats
 
-    @classmethod
-    def of(cls, structure: Structure) -> "ChiralityRestraint":
+    @staticmethod
+    @lru_cache(maxsize=2)
+    def of(structure: Structure) -> "ChiralityRestraint":
         """Find the chiral atoms of a protein and its ligands, and which sign their volumes should have."""
-        return _chirality(structure)
+        rows = list[tuple[int, ...]]()
+        for centre, a, b, c in expected_stereocentres(structure).atoms.tolist():
+            rows.append((centre, a, b, c))
+            for d in {*structure.neighbours[centre]} - {a, b, c}:
+                rows += [(centre, b, a, d), (centre, c, b, d), (centre, a, c, d)]
+        atoms = np.array(rows, dtype=np.int64).reshape(-1, 4)
+        hydrogen = (structure.atom_element[atoms] == "H").any(axis=1)
+        return ChiralityRestraint(atoms, np.where(hydrogen, _WITH_HYDROGEN, _HEAVY))
 
     @classmethod
     def preserving(cls, structure: Structure) -> "ChiralityRestraint":
@@ -63,15 +71,3 @@ class ChiralityRestraint:
             np.add.at(forces, atoms[:, k], push * gradient)
             np.subtract.at(forces, atoms[:, 0], push * gradient)
         return float(0.5 * _STIFFNESS * short @ short), forces
-
-
-@lru_cache(maxsize=2)
-def _chirality(structure: Structure) -> ChiralityRestraint:
-    rows = list[tuple[int, ...]]()
-    for centre, a, b, c in expected_stereocentres(structure).atoms.tolist():
-        rows.append((centre, a, b, c))
-        for d in {*structure.neighbours[centre]} - {a, b, c}:
-            rows += [(centre, b, a, d), (centre, c, b, d), (centre, a, c, d)]
-    atoms = np.array(rows, dtype=np.int64).reshape(-1, 4)
-    hydrogen = (structure.atom_element[atoms] == "H").any(axis=1)
-    return ChiralityRestraint(atoms, np.where(hydrogen, _WITH_HYDROGEN, _HEAVY))

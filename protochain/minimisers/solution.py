@@ -107,7 +107,7 @@ class Recorder:
             self.frames[row] = self.frame(x).astype(np.float32)
         if len(self.frames) > N_FRAMES:
             self.every *= 2
-            self.frames = {k: kept for k, kept in self.frames.items() if k % self.every == 0}
+            self.frames = {k: positions for k, positions in self.frames.items() if k % self.every == 0}
 
     def kept(self) -> dict[int, NDArray[np.float32]]:
         """Positions by their row of the trace, the last among them."""
@@ -147,8 +147,43 @@ class _Made:
         vars(instance)[self.name] = value
 
 
+class RunEnds(TermsAtEnds, ViolationsAtEnd, Value):
+    """What the results of runs share: measures of start and end, and the motion between them."""
+
+    frame: Frame
+
+    @cached_property
+    def displacements(self) -> "pd.DataFrame":
+        """Displacement of each C-alpha from the start, superposed on all: a row a residue.
+
+        Columns ``chain``, ``residue`` (number and insertion code), ``name``, ``displacement_angstrom``.
+        """
+        away = displacements(self._began, self.x, self._began.positions)
+        return alpha_residues(self._began).assign(displacement_angstrom=away)
+
+    @cached_property
+    def measures_start(self) -> dict[str, Any]:
+        """What is wrong with the start: :func:`protochain.validation.measures`."""
+        return measures(self._began)
+
+    @cached_property
+    def measures_end(self) -> dict[str, Any]:
+        """What is wrong with the end."""
+        return measures(self._began, self.x)
+
+    @cached_property
+    def remains_end(self) -> dict[str, list[str]]:
+        """Places in the end of what a biologist may reject: the keys of ``REMAINS``."""
+        return remains(self._began, self.x)
+
+    @cached_property
+    def ligand_motion(self) -> Floats:
+        """(n, 2) float, angstrom: RMSD and largest displacement of each ligand, not superposed."""
+        return ligand_motion(self.frame.start, self.x)
+
+
 @dataclass(frozen=True, eq=False)
-class Solution(TermsAtEnds, ViolationsAtEnd, Value):
+class Solution(RunEnds):
     """Result of a minimisation, judged in double precision.
 
     Parameters
@@ -254,36 +289,6 @@ class Solution(TermsAtEnds, ViolationsAtEnd, Value):
     @property
     def _began(self) -> Structure:
         return self.chain.structure
-
-    @cached_property
-    def displacements(self) -> "pd.DataFrame":
-        """Displacement of each C-alpha from the start, superposed on all: a row a residue.
-
-        Columns ``chain``, ``residue`` (number and insertion code), ``name``, ``displacement_angstrom``.
-        """
-        start = self.chain.structure
-        away = displacements(start, self.x, start.positions)
-        return alpha_residues(start).assign(displacement_angstrom=away)
-
-    @cached_property
-    def measures_start(self) -> dict[str, Any]:
-        """What is wrong with the start: :func:`protochain.validation.measures`."""
-        return measures(self.chain.structure)
-
-    @cached_property
-    def measures_end(self) -> dict[str, Any]:
-        """What is wrong with the end."""
-        return measures(self.chain.structure, self.x)
-
-    @cached_property
-    def remains_end(self) -> dict[str, list[str]]:
-        """Places in the end of what a biologist may reject: the keys of ``REMAINS``."""
-        return remains(self.chain.structure, self.x)
-
-    @cached_property
-    def ligand_motion(self) -> Floats:
-        """(n, 2) float, angstrom: RMSD and largest displacement of each ligand, not superposed."""
-        return ligand_motion(self.frame.start, self.x)
 
     @property
     def ligand_properties(self) -> list[dict[str, str]]:

@@ -34,14 +34,20 @@ class PeptideBonds:
     atoms: Integers  # (n, 4) int: C-alpha, C, N and C-alpha of each bond.
     cis: NDArray[np.bool_]  # (n,) bool: Whether it should be cis.
 
-    @classmethod
-    def of(cls, structure: Structure) -> "PeptideBonds":
+    @staticmethod
+    @lru_cache(maxsize=2)
+    def of(structure: Structure) -> "PeptideBonds":
         """Find the peptide bonds of a protein, and the form that each should have.
 
         That is trans, but where the file has it cis, and before proline where cis is nearer; and then only if
         the C-alphas are as near as in a cis bond.
         """
-        return _bonds(structure)
+        bonds, amino = omegas(structure), layout(structure)
+        before, after = amino.atoms("CA", "C")[amino.before], amino.atoms("N", "CA")
+        atoms = np.hstack([before, after])[bonds.residue]
+        apart = np.linalg.norm(structure.positions[atoms[:, 0]] - structure.positions[atoms[:, 3]], axis=1)
+        nearer = bonds.proline & (np.abs(bonds.omega) < PERPENDICULAR)
+        return PeptideBonds(atoms, (bonds.cis | nearer) & (apart < _NEAR))
 
     def away(self, x: Floats) -> Floats:
         """Angles (n,) from the form that each bond should have, degrees, at positions x (na, 3), nm."""
@@ -71,13 +77,3 @@ class PeptideBonds:
         bent = np.minimum(beyond, _HARMONIC)
         np.subtract.at(forces, atoms, (_STIFFNESS * bent * outward)[:, None, None] * slopes)
         return float(_STIFFNESS * bent @ (beyond - 0.5 * bent)), forces
-
-
-@lru_cache(maxsize=2)
-def _bonds(structure: Structure) -> PeptideBonds:
-    bonds, found = omegas(structure), layout(structure)
-    before, own = found.atoms("CA", "C")[found.before], found.atoms("N", "CA")
-    atoms = np.hstack([before, own])[bonds.residue]
-    apart = np.linalg.norm(structure.positions[atoms[:, 0]] - structure.positions[atoms[:, 3]], axis=1)
-    nearer = bonds.proline & (np.abs(bonds.omega) < PERPENDICULAR)
-    return PeptideBonds(atoms, (bonds.cis | nearer) & (apart < _NEAR))

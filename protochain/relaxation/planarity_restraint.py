@@ -25,10 +25,17 @@ class Planes:
 
     atoms: Integers  # (n, 4) int: Centre and its three neighbours.
 
-    @classmethod
-    def of(cls, structure: Structure) -> "Planes":
+    @staticmethod
+    @of_atoms
+    def of(structure: Structure) -> "Planes":
         """Find carbons of three bonds, and nitrogens of three bonds beside one."""
-        return _planes(structure)
+        neighbours = structure.neighbours
+        three = np.array([len(bonded) == 3 for bonded in neighbours]) & ~structure.obstacle
+        carbon = three & (structure.atom_element == "C")
+        beside = np.array([any(carbon[i] for i in bonded) for bonded in neighbours])
+        planar = carbon | (three & (structure.atom_element == "N") & beside)
+        rows = [(centre, *sorted(neighbours[centre])) for centre in np.flatnonzero(planar).tolist()]
+        return Planes(np.array(rows, dtype=np.int64).reshape(-1, 4))
 
     def __call__(self, x: Floats) -> tuple[float, Floats]:
         """Energy and forces."""
@@ -45,14 +52,3 @@ class Planes:
         np.add.at(forces, self.atoms[far, 1:], pull)
         np.subtract.at(forces, self.atoms[far, 0], pull.sum(axis=1))
         return float(0.5 * _STIFFNESS * beyond @ beyond), forces
-
-
-@of_atoms
-def _planes(structure: Structure) -> Planes:
-    neighbours = structure.neighbours
-    three = np.array([len(its) == 3 for its in neighbours]) & ~structure.obstacle
-    carbon = three & (structure.atom_element == "C")
-    beside = np.array([any(carbon[i] for i in its) for its in neighbours])
-    planar = carbon | (three & (structure.atom_element == "N") & beside)
-    rows = [(centre, *sorted(neighbours[centre])) for centre in np.flatnonzero(planar).tolist()]
-    return Planes(np.array(rows, dtype=np.int64).reshape(-1, 4))

@@ -4,20 +4,19 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protochain.chains.frame import Frame
-from protochain.chains.restraint_list import RestraintValue, ViolationsAtEnd
+from protochain.chains.restraint_list import RestraintValue
 from protochain.core import defaults
-from protochain.core.arrays import Floats, Value
+from protochain.core.arrays import Floats
 from protochain.core.markup import counted, facts
 from protochain.core.units import ANGSTROM_PER_NM
-from protochain.energies.decomposed import TermsAtEnds
 from protochain.energies.protocol import Energy
-from protochain.minimisers.solution import alpha_residues
+from protochain.minimisers.solution import RunEnds
 from protochain.minimisers.verdict import Status
 from protochain.relaxation.peptides import PeptideBonds
 from protochain.relaxation.record import COLUMNS, INTERFACE_COLUMNS, METHOD
@@ -29,26 +28,15 @@ from protochain.results.provenance import remarks
 from protochain.structure import Structure, save
 from protochain.structure.molecule.repairs import Kind, Repair, summarised
 from protochain.structure.select import sides, sides_named
-from protochain.structure.superpose import displacements
-from protochain.validation import MEASURES, measures
-from protochain.validation.findings import remains
+from protochain.validation import MEASURES
 from protochain.validation.interface import Interface, native, scored
-from protochain.validation.ligands import (
-    LigandFound,
-    findings_of,
-    ligand_motion,
-    motion_in_words,
-    sdf_properties,
-)
-
-if TYPE_CHECKING:
-    import pandas as pd
+from protochain.validation.ligands import LigandFound, findings_of, motion_in_words, sdf_properties
 
 TRACE_COLUMNS = ("iteration", "evaluations", "seconds", "energy_kj_mol", "rms_force_kj_mol_nm")
 
 
 @dataclass(frozen=True, eq=False)
-class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
+class Relaxation(RunEnds):
     """Result of a relaxation.
 
     Parameters
@@ -146,8 +134,8 @@ class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
         residues = s.atom_residue[right]
         names = {residue: s.atom_name[right[residues == residue]] for residue in np.unique(residues).tolist()}
         return tuple(
-            Repair(Kind.HAND_TURNED, {"residue": s.residue(residue), "atoms": (*its.tolist(),)})
-            for residue, its in names.items()
+            Repair(Kind.HAND_TURNED, {"residue": s.residue(residue), "atoms": (*atoms.tolist(),)})
+            for residue, atoms in names.items()
         )
 
     @cached_property
@@ -166,21 +154,6 @@ class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
         return self.start
 
     @cached_property
-    def measures_start(self) -> dict[str, Any]:
-        """What is wrong with the start: :func:`protochain.validation.measures`."""
-        return measures(self.start)
-
-    @cached_property
-    def measures_end(self) -> dict[str, Any]:
-        """What is wrong with the end."""
-        return measures(self.start, self.x)
-
-    @cached_property
-    def remains_end(self) -> dict[str, list[str]]:
-        """Places in the end of what a biologist may reject: the keys of ``REMAINS``."""
-        return remains(self.start, self.x)
-
-    @cached_property
     def ligands_start(self) -> tuple[LigandFound, ...]:
         """What is found of each ligand at the start."""
         return findings_of(self.start, self.start.positions, posebusters=self.settings.posebusters)[0]
@@ -189,11 +162,6 @@ class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
     def ligands_end(self) -> tuple[LigandFound, ...]:
         """What is found of each ligand at the end."""
         return findings_of(self.start, self.x, posebusters=self.settings.posebusters)[0]
-
-    @cached_property
-    def ligand_motion(self) -> Floats:
-        """(n, 2) float, angstrom: RMSD and largest displacement of each ligand, not superposed."""
-        return ligand_motion(self.frame.start, self.x)
 
     @property
     def ligand_properties(self) -> list[dict[str, str]]:
@@ -215,15 +183,6 @@ class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
             return None
         pair = sides_named(structure, self.settings.interface)
         return scored(structure, native(self.energy_function), *pair, sides(structure, *pair))
-
-    @cached_property
-    def displacements(self) -> "pd.DataFrame":
-        """Displacement of each C-alpha from the start, superposed on all: a row a residue.
-
-        Columns ``chain``, ``residue`` (number and insertion code), ``name``, ``displacement_angstrom``.
-        """
-        away = displacements(self.start, self.x, self.start.positions)
-        return alpha_residues(self.start).assign(displacement_angstrom=away)
 
     @property
     def ca_rmsd_angstrom(self) -> float:
@@ -260,9 +219,9 @@ class Relaxation(TermsAtEnds, ViolationsAtEnd, Value):
 
     def provenance(self) -> Iterable[str]:
         """Provenance of the structure, as remarks for its file."""
-        own = self.settings
-        kind = "PROTOCOL" if own.protocol else "PRESET"
-        how = [f"{kind} {own.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"]
+        settings = self.settings
+        kind = "PROTOCOL" if settings.protocol else "PRESET"
+        how = [f"{kind} {settings.strength.name.upper()}, {counted(len(self.rounds), 'ROUND')}"]
         if self.move != defaults.MOVE:
             fixed = f"MOVED {self.n_atoms_moving} OF {self.start.n_atoms} ATOMS, ALL OTHERS FIXED"
             how.append(f"{fixed}: {self.move}")
