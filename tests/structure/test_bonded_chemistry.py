@@ -93,6 +93,13 @@ KINDS = {
     "disulfide between chains": lambda folder: pc.load(STRUCTURES / "3i40.pdb"),
 }
 """Structures with bonds that force fields of proteins do not have, and what else a file has to state."""
+MORE = {
+    "given ligand, double bond, chain", "given ligand, acceptor", "given ligand, leaving group",
+    "ligand at tyrosine", "disulfide of a ligand", "modified first residue", "methylated backbone",
+    "C-glycan", "ring of D-amino acids", "isopeptide", "thioether ring", "hydrocarbon staple",
+    "phosphorothioate", "strand of modified nucleotides", "cluster in place", "ion held by ATP",
+}  # fmt: skip
+ALL = [pytest.param(kind, marks=pytest.mark.slow if kind in MORE else ()) for kind in KINDS]
 
 
 def places(structure):
@@ -112,25 +119,41 @@ def pairs(bonds):
     return {frozenset(pair) for pair in np.asarray(bonds).tolist()}
 
 
-@pytest.mark.parametrize("suffix", [".cif", ".pdb"])
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_read_again_is_the_same_system(kind, suffix, tmp_path):
-    before = shaken(KINDS[kind](tmp_path))
-    path = tmp_path / f"out{suffix}"
-    pc.save(before, path)
-    after = pc.load(path, keep="all")
+def assert_same_system(before, after):
+    """Assert the same atoms and bonds, and the same energy at the same positions, which PDB rounds."""
     here, there = places(before), places(after)
     assert here.keys() == there.keys()
     at = np.array([here[each] for each in there])
     assert pairs(at[after.bonds]) == pairs(before.bonds)
     for name in ("obstacle", "mobile", "kept", "formal_charge", "atom_element"):
         assert np.array_equal(getattr(after, name), getattr(before, name)[at]), name
-    # PDB rounds positions: the energies are of the same ones.
     expected = pc.energy(before)(before.positions)[0]
     assert pc.energy(after)(before.positions[at])[0] == pytest.approx(expected, abs=SAME_SYSTEM_KJ_MOL, rel=0)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("suffix", [".cif", ".pdb"])
+@pytest.mark.parametrize("kind", ALL)
+def test_every_kind_read_again_is_the_same_system(kind, suffix, tmp_path):
+    before = shaken(KINDS[kind](tmp_path))
+    path = tmp_path / f"out{suffix}"
+    pc.save(before, path)
+    assert_same_system(before, pc.load(path, keep="all"))
+
+
+@pytest.mark.parametrize("suffixes", [(".cif", ".pdb"), (".pdb", ".cif", ".pdb")])
+@pytest.mark.parametrize(
+    "kind",
+    ["given ligand, double bond", "given amino acid", "ligand of the dictionary", "ligand with a phosphate"],
+)
+def test_from_format_to_format_it_stays_the_same_system(kind, suffixes, tmp_path):
+    before = after = shaken(KINDS[kind](tmp_path))
+    for n, suffix in enumerate(suffixes):
+        pc.save(after, tmp_path / f"{n}{suffix}")
+        after = pc.load(tmp_path / f"{n}{suffix}", keep="all")
+    assert_same_system(before, after)
+
+
+@pytest.mark.parametrize("kind", ALL)
 def test_openmm_finds_every_bond_in_mmcif_and_gemmi_in_pdb(kind, tmp_path):
     """Springs of metals are no bonds of OpenMM, and molecules that stay in place have none."""
     s = KINDS[kind](tmp_path)
