@@ -203,8 +203,8 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
     is_charged = any(charge for _, charge in here.values())
     for row in block.find("_chem_comp_atom.", ["comp_id", "atom_id", "type_symbol", "?charge"]):
         if row.str(0) == name:
-            is_charged |= row.has(3)
             charge = row.str(3) if row.has(3) else ""
+            is_charged |= bool(charge)
             atoms[row.str(1)] = (row.str(2), int(charge) if charge.lstrip("+-").isdigit() else 0)
     drawn = {end for row in bonds for end in row[:2]}
     # Hydrogens of which the table has no bond follow from the others.

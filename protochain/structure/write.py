@@ -372,8 +372,9 @@ def _mmcif(
     document = _whole(out).make_mmcif_document(head)
     block = document.sole_block()
     quote_names(block)
-    about = cif_rows(models[0].header, out, _moved(models[0], out), _chemistry(models[0]))
-    put(block, _with_bonds(about, models[0]))
+    chemistry = _chemistry(models[0])
+    about = cif_rows(models[0].header, out, _moved(models[0], out), chemistry)
+    put(block, _with_bonds(about, models[0], {row["comp_id"] for row in chemistry.get(_BONDS, ())}))
     put(block, {CATEGORY: as_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
         loop = block.init_loop(f"_protochain_{category}.", ["ordinal", "text"])
@@ -469,11 +470,12 @@ def _chemistry(structure: Structure) -> dict[str, Rows]:
     return found
 
 
-def _with_bonds(about: Mapping[str, Rows], structure: Structure) -> dict[str, Rows]:
-    """Add bonds and charges of the components that move: OpenMM reads no others, but of standard residues.
+def _with_bonds(about: Mapping[str, Rows], structure: Structure, complete: set[str]) -> dict[str, Rows]:
+    """Add bonds and charges of the components that move, unless the tables have all of them.
 
-    Heavy atoms are those of the free component, as in the PDB's own tables. Hydrogens are those of the
-    structure. PyMOL requires the bonds of standard components if a file has those of others.
+    OpenMM reads no others, except of standard residues. Heavy atoms are those of the free component, as in
+    the PDB's own tables. Hydrogens are those of the structure. PyMOL requires the bonds of standard
+    components if a file has those of others.
     """
     names = structure.residue_name_in_file[structure.atom_residue]
     inside = np.diff(structure.atom_residue[structure.bonds])[:, 0] == 0
@@ -483,7 +485,9 @@ def _with_bonds(about: Mapping[str, Rows], structure: Structure) -> dict[str, Ro
     pairs = sorted({*zip(names[bonds[:, 0]].tolist(), *ends, strict=True)})
     light = structure.atom_element == "H"
     atoms, table = (list(about.get(category, ())) for category in (_ATOMS, _BONDS))
-    complete = {row["comp_id"] for row in _chemistry(structure).get(_BONDS, ())}
+    complete = complete | {
+        row["comp_id"] for row in table if _is_standard(gemmi.cif.as_string(row["comp_id"]))
+    }
     groups = {name: [*map(itemgetter(1, 2), its)] for name, its in groupby(pairs, key=itemgetter(0))}
     for name in sorted(groups, key=_is_standard):
         of = gemmi.cif.quote(name)
@@ -498,8 +502,9 @@ def _with_bonds(about: Mapping[str, Rows], structure: Structure) -> dict[str, Ro
             continue
         # The names of hydrogens depend on the pH and on bonds to other residues.
         gone = {gemmi.cif.quote(atom) for atom in structure.atom_name[light & (names == name)].tolist()}
-        gone |= {row["atom_id"] for row in atoms if row["comp_id"] == of and row["type_symbol"] in ("H", "D")}
-        atoms = [row for row in atoms if row["comp_id"] != of or row["atom_id"] not in gone]
+        stated = [row for row in atoms if row["comp_id"] == of]
+        gone |= {row.get("atom_id", "?") for row in stated if row.get("type_symbol") in ("H", "D")}
+        atoms = [row for row in atoms if row["comp_id"] != of or row.get("atom_id", "?") not in gone]
         table = [row for row in table if row["comp_id"] != of or (is_stated and not _ends(row) & gone)]
         if not (is_stated or _is_standard(name)):
             atoms, table = atoms + known[_ATOMS], table + known[_BONDS]
@@ -515,7 +520,7 @@ def _with_bonds(about: Mapping[str, Rows], structure: Structure) -> dict[str, Ro
 
 def _ends(row: Mapping[str, str]) -> frozenset[str]:
     """Atoms of a row of bonds."""
-    return frozenset((row["atom_id_1"], row["atom_id_2"]))
+    return frozenset(row.get(f"atom_id_{k}", "?") for k in (1, 2))
 
 
 def _springs(models: Sequence[Structure]) -> list[Spring]:
