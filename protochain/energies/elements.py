@@ -38,8 +38,9 @@ _TOUCHING = 0.4
 """nm. Obstacles nearer to one another than this do not interact: their distance never changes, and alternate
 positions or bonds among them would add a large constant."""
 _DONATED, _RETAINED = 0.37, 0.26
-"""Charge that a donor takes over from a metal (e), and the share that the metal retains at least: those of
-Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935, 2010)."""
+"""Charge that a donor takes over from a metal of charge 2 (e), and the share that the metal retains at least:
+those of Zn(CYS)4 in ZAFF (Peters, Yang, Wang, Fusti-Molnar, Weaver, Merz, J. Chem. Theory Comput. 6:2935,
+2010). A donor takes over as much of a smaller charge, and in proportion of a larger one."""
 
 
 @cache
@@ -608,7 +609,7 @@ def _share_charges(system: openmm.System, structure: Structure) -> None:
     new = old.copy()
     for metal, donor_atoms in donors.items():
         if old[metal] > 0.0:
-            share = min(_DONATED, (1.0 - _RETAINED) * old[metal] / len(donor_atoms))
+            share = min(_DONATED * max(old[metal] / 2.0, 1.0), (1.0 - _RETAINED) * old[metal] / len(donor_atoms))
             new[metal] -= share * len(donor_atoms)
             new[donor_atoms] += share
     changed = {*np.flatnonzero(new != old).tolist()}

@@ -21,7 +21,7 @@ from protochain.core.storage import regular
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.dictionary import component
 from protochain.ligands.molecule import Molecule, assembled, from_rdkit, quietly, to_rdkit
-from protochain.ligands.tables import CATEGORY, stereo
+from protochain.ligands.tables import CATEGORY, of_header, stereo
 
 _LARGEST = 10_000_000
 """Bytes. Of a molecule; a model with its ligand is larger."""
@@ -44,14 +44,24 @@ def of_residue(
     found, is_charged = _of_tables(header, name, atoms)
     if found is None:
         return from_dictionary(name)
-    if is_charged:
-        return found
     try:
         known = from_dictionary(name)
     except StructureError:
         return found
+    if is_charged:
+        # Tables of the dictionary's own molecule lack its stereocentres.
+        is_same = name not in of_header(header) and _drawing(found) == _drawing(known)
+        return known if is_same else found
     # Bonds without charges do not tell a sulphate from its acid, nor a part of a molecule from the whole.
     return known if _heavy_bonds(found) <= _heavy_bonds(known) else found
+
+
+def _drawing(molecule: Molecule) -> tuple[dict[str, int], dict[frozenset[str], int]]:
+    """Charges of the heavy atoms and orders of their bonds, by name."""
+    charges = {molecule.names[i]: int(molecule.formal_charges[i]) for i in molecule.heavy.tolist()}
+    ends = (frozenset(molecule.names[i] for i in pair) for pair in molecule.bonds.tolist())
+    orders = dict(zip(ends, molecule.orders.tolist(), strict=True))
+    return charges, {pair: order for pair, order in orders.items() if pair <= charges.keys()}
 
 
 def _heavy_bonds(molecule: Molecule) -> set[frozenset[str]]:
@@ -193,8 +203,8 @@ def _of_tables(header: str, name: str, here: Mapping[str, tuple[str, int]]) -> t
     is_charged = any(charge for _, charge in here.values())
     for row in block.find("_chem_comp_atom.", ["comp_id", "atom_id", "type_symbol", "?charge"]):
         if row.str(0) == name:
-            is_charged |= row.has(3)
             charge = row.str(3) if row.has(3) else ""
+            is_charged |= bool(charge)
             atoms[row.str(1)] = (row.str(2), int(charge) if charge.lstrip("+-").isdigit() else 0)
     drawn = {end for row in bonds for end in row[:2]}
     # Hydrogens of which the table has no bond follow from the others.

@@ -4,7 +4,7 @@ Beside the PDB's own tables of atoms and bonds, one of stereo names neighbours i
 for readers, as programs differ in the finer rules of these letters.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import gemmi
@@ -18,6 +18,12 @@ Rows = list[dict[str, str]]
 CATEGORY = "_protochain_ligand."
 _REMARK = "REMARK 981"
 """A number that the PDB does not use."""
+_ATOMS, _BONDS = "_chem_comp_atom.", "_chem_comp_bond."
+_IN_REMARKS = {
+    _ATOMS: ("atom", ("atom_id", "type_symbol", "charge")),
+    _BONDS: ("bond", ("atom_id_1", "atom_id_2", "value_order")),
+}
+"""First word of a remark, and the columns of the table that follow it."""
 ORDERS = {1: "sing", 2: "doub", 3: "trip"}
 _KNOWN, _CLOCKWISE, _COUNTER, _CIS, _TRANS = "known", "clockwise", "counterclockwise", "cis", "trans"
 
@@ -48,7 +54,16 @@ def rows(component: str, molecule: Molecule) -> dict[str, Rows]:
         {"comp_id": of, "kind": kind, "atoms": _quoted(" ".join(theirs)) if theirs else "."}
         for kind, theirs in _own(molecule)
     ]
-    return {"_chem_comp_atom.": atoms, "_chem_comp_bond.": bonds, CATEGORY: own}
+    return {_ATOMS: atoms, _BONDS: bonds, CATEGORY: own}
+
+
+def heavy_rows(component: str, molecule: Molecule) -> dict[str, Rows]:
+    """Rows without hydrogens, which follow from orders and charges."""
+    made = rows(component, molecule)
+    heavy = [row for row in made[_ATOMS] if row["type_symbol"] != "H"]
+    names = {row["atom_id"] for row in heavy}
+    bonds = [row for row in made[_BONDS] if {row["atom_id_1"], row["atom_id_2"]} <= names]
+    return {**made, _ATOMS: heavy, _BONDS: bonds}
 
 
 def _own(molecule: Molecule) -> Iterator[tuple[str, list[str]]]:
@@ -89,26 +104,37 @@ def _even(order: Sequence[int]) -> bool:
     return sum(order[i] > order[j] for j in range(len(order)) for i in range(j)) % 2 == 0
 
 
-def as_remarks(found: Iterable[Mapping[str, str]]) -> list[str]:
-    """Return the remarks of a PDB file that tell the rows of our own table."""
-    plain = [{item: gemmi.cif.as_string(value) for item, value in row.items()} for row in found]
-    return [
-        f"{_REMARK} {row['comp_id']:>3} {row['kind']} {row['atoms']}".rstrip()
-        for row in plain
-        if row.keys() >= {"comp_id", "kind", "atoms"}
-    ]
+def as_remarks(found: Mapping[str, Rows], whole: Collection[str]) -> list[str]:
+    """Return the remarks of a PDB file: our own table, and atoms and bonds of some components."""
+    plain = {
+        category: [{item: gemmi.cif.as_string(value) for item, value in row.items()} for row in its]
+        for category, its in found.items() if category in (CATEGORY, _ATOMS, _BONDS)
+    }  # fmt: skip
+    stated = [row for row in plain.get(CATEGORY, []) if row.keys() >= {"comp_id", "kind", "atoms"}]
+    lines = [[row["comp_id"], row["kind"], row["atoms"]] for row in stated]
+    for category, (kind, items) in _IN_REMARKS.items():
+        lines += [
+            [row["comp_id"], kind, *(row[item] for item in items)]
+            for row in plain.get(category, [])
+            if row["comp_id"] in whole and row.keys() >= {*items}
+        ]
+    return [f"{_REMARK} {component:>3} {' '.join(rest)}".rstrip() for component, *rest in lines]
 
 
-def of_remarks(lines: Iterable[str]) -> Rows:
-    """Return the rows that the remarks of a PDB file tell."""
+def of_remarks(lines: Iterable[str]) -> dict[str, Rows]:
+    """Return the tables that the remarks of a PDB file have."""
     cells = [line[len(_REMARK) :].split() for line in lines if line.startswith(_REMARK)]
-    return [
-        {
-            "comp_id": _quoted(each[0]), "kind": _quoted(each[1]),
-            "atoms": _quoted(" ".join(each[2:])) if each[2:] else ".",
-        }
-        for each in cells if len(each) > 1
-    ]  # fmt: skip
+    found: dict[str, Rows] = {category: [] for category in (CATEGORY, *_IN_REMARKS)}
+    categories = {kind: (category, items) for category, (kind, items) in _IN_REMARKS.items()}
+    for component, kind, *rest in (each for each in cells if len(each) > 1):
+        category, items = categories.get(kind, (CATEGORY, ()))
+        if items and len(rest) == len(items):
+            values = dict(zip(items, map(_quoted, rest), strict=True))
+            found[category].append({"comp_id": _quoted(component), **values})
+        elif not items:
+            atoms = _quoted(" ".join(rest)) if rest else "."
+            found[CATEGORY].append({"comp_id": _quoted(component), "kind": _quoted(kind), "atoms": atoms})
+    return found
 
 
 def known(table: Iterable[Mapping[str, str]]) -> set[str]:

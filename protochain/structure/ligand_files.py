@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from protochain.core.arrays import Floats
+import numpy as np
+
+from protochain.core.arrays import Floats, Integers
 from protochain.core.checks import MOLECULE_SUFFIXES, file_and_record, flag, several
 from protochain.core.checks import path as as_path
 from protochain.core.errors import Argument, StructureError
 from protochain.core.extras import library
-from protochain.core.graph import neighbours
+from protochain.core.graph import components, neighbours
 from protochain.core.storage import write_text
 from protochain.ligands.matching import named_as
 from protochain.ligands.molecule import Molecule, to_rdkit
@@ -27,8 +29,10 @@ def save_ligands(
     Title, fields and the order of atoms are those of the file that was given, hydrogens that the pH added
     come last. Without a title it is name, chain and number of the residue, and of a pose the file and record
     it is from, as ``LIG B 1 poses.sdf#2``. The field ``source`` tells where orders and charges are from, and
-    ``protochain_residue`` the residue. A result adds ``protochain_energy_kj_mol`` of the whole structure,
-    ``protochain_status``, and of the ligand ``protochain_strain_kj_mol`` and ``protochain_rmsd_angstrom``.
+    ``protochain_residue`` the residue. Of a ligand bonded to the protein, ``protochain_bonds`` has the bonds,
+    whose valences are open in the record. Atoms that left are absent. A result adds
+    ``protochain_energy_kj_mol`` of the whole structure, ``protochain_status``, and of the ligand
+    ``protochain_strain_kj_mol``, unless it is bonded, and ``protochain_rmsd_angstrom``.
 
     Parameters
     ----------
@@ -67,7 +71,7 @@ def check_ligand_file(path: Path) -> None:
 
 def check_ligands(structure: Structure) -> None:
     """Refuse a structure without ligands whose chemistry is known."""
-    if not structure.ligands:
+    if not structure.ligands and not bonded_ligands(structure):
         raise StructureError(
             f"{structure.name}: has no ligand whose chemistry is known, so no SDF can be written; name its "
             "molecules with ", Argument("ligands"),
@@ -83,23 +87,66 @@ def ligand_text(
     """Return the text that :func:`save_ligands` writes; ``measured`` are fields of each ligand."""
     check_ligands(structure)
     chem, found, wanted = library("rdkit.Chem"), [], {str(Path(each)) for each in sources}
-    chosen = [each for each in structure.ligands if each.ligand.molecule.source in wanted]
-    if others or not wanted:
-        chosen += [each for each in structure.ligands if each not in chosen]
-    for each in chosen:
-        molecule, x = each.ligand.molecule, structure.positions[each.atoms]
+    every = [(each.ligand.molecule, each.atoms, each.posed) for each in structure.ligands]
+    every += [(molecule, atoms, False) for molecule, atoms in bonded_ligands(structure)]
+    order = sorted(range(len(every)), key=lambda k: every[k][0].source not in wanted)
+    for k in order if others or not wanted else (k for k in order if every[k][0].source in wanted):
+        molecule, atoms, posed = every[k]
+        x = structure.positions[atoms]
         made, filed = to_rdkit(molecule, x), as_filed(molecule.source)
         if filed:
             made = chem.RenumberAtoms(made, _order(molecule, filed[0], x))
-        its = structure.residue(int(structure.atom_residue[each.atoms[0]]))
+        residues = map(structure.residue, dict.fromkeys(structure.atom_residue[atoms].tolist()))
+        residue = " and ".join(f"{its.name} {its.chain} {its.number}" for its in residues)
         source = " ".join(molecule.source.split())
-        pose = f" {Path(source).name}" if each.posed else ""
-        residue = f"{its.name} {its.chain} {its.number}"
+        pose = f" {Path(source).name}" if posed else ""
         fields = {"source": source, "protochain_residue": residue}
-        fields |= dict(measured[structure.ligands.index(each)]) if measured else {}
+        if bonds := _bonds_outward(structure, atoms):
+            fields["protochain_bonds"] = ", ".join(bonds)
+        fields |= dict(measured[k]) if measured else {}
         made.SetProp("_Name", (filed and filed[1]) or f"{residue}{pose}")
         found.append(chem.MolToMolBlock(made) + _fields(filed[2] if filed else "", fields) + "$$$$\n")
     return "".join(found)
+
+
+def bonded_ligands(structure: Structure) -> list[tuple[Molecule, Integers]]:
+    """Return the molecules beside the protein that bonds join to others, with their atoms of the structure.
+
+    Orders of bonds and charges are those of the bonded state. Valences of the bonds to others are open.
+    Nucleotides of strands are not among the molecules.
+    """
+    found = []
+    for each in structure.fragments:
+        molecule, residue = each.ligand.molecule, structure.atom_residue[each.atoms]
+        of_field = residue[[bool(core) for core in each.core]]
+        is_beside = (each.atoms >= 0) & structure.kept[each.atoms] & ~np.isin(residue, of_field)
+        piece = components(molecule.bonds[is_beside[molecule.bonds].all(axis=1)], molecule.n_atoms)
+        for number in np.unique(piece[is_beside]).tolist():
+            atoms = np.flatnonzero(is_beside & (piece == number))
+            found.append((_part(molecule, atoms), each.atoms[atoms]))
+    return found
+
+
+def _part(molecule: Molecule, atoms: Integers) -> Molecule:
+    """Some atoms of a molecule, without stereo, which their positions show."""
+    place = np.full(molecule.n_atoms, -1)
+    place[atoms] = np.arange(len(atoms))
+    inside = (place[molecule.bonds] >= 0).all(axis=1)
+    return Molecule(
+        tuple(molecule.names[i].partition(":")[2] for i in atoms),
+        molecule.elements[atoms], molecule.formal_charges[atoms],
+        place[molecule.bonds[inside]], molecule.orders[inside],
+        np.zeros(len(atoms), dtype=np.int64), np.empty((0, 5), dtype=np.int64), (), None, molecule.source,
+    )  # fmt: skip
+
+
+def _bonds_outward(structure: Structure, atoms: Integers) -> list[str]:
+    """Bonds of a molecule to others, without springs of metals."""
+    is_end = np.isin(structure.bonds, atoms)
+    rows = structure.bonds[(is_end[:, 0] != is_end[:, 1]) & ~structure.coordination]
+    return [f"{structure.atom(j)} and {structure.atom_name[i]}" for i, j in (
+        pair if pair[0] in atoms else pair[::-1] for pair in rows.tolist()
+    )]  # fmt: skip
 
 
 def _order(molecule: Molecule, filed: Molecule, x: Floats) -> list[int]:

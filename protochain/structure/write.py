@@ -1,7 +1,8 @@
 """Writing of structures to PDB or mmCIF files, whole or not at all."""
 
 import textwrap
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import chain as chained
@@ -17,12 +18,12 @@ from numpy.typing import NDArray
 
 from protochain.core.checks import flag
 from protochain.core.checks import path as as_path
-from protochain.core.errors import StructureError
+from protochain.core.errors import ProtochainError, StructureError
 from protochain.core.markup import listed
 from protochain.core.storage import write_atomically
 from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.sources import from_dictionary
-from protochain.ligands.tables import ORDERS, rows
+from protochain.ligands.tables import ORDERS, heavy_rows, rows
 from protochain.structure.convert import as_structure
 from protochain.structure.formats.files import PACKINGS, SUFFIXES, format_of, split_name
 from protochain.structure.formats.records import Rows, cif_rows, orders, pdb_lines, put, with_names
@@ -40,7 +41,7 @@ _PDB_NAME = 3
 """Letters of the name of a residue."""
 _PDB_SERIALS = 99_999
 """Largest serial number of an atom in five columns; the end of each chain takes one."""
-_BONDS = "_chem_comp_bond."
+_ATOMS, _BONDS = "_chem_comp_atom.", "_chem_comp_bond."
 _CIS = 30.0
 """Degrees: a peptide bond with an omega below this is cis, as in the PDB archive's CISPEP records."""
 
@@ -145,8 +146,8 @@ def check_fits(structure: Structure, path: Path) -> list[str]:
     if format_of(path) != "PDB":
         now = (label for label, _ in _labels(structure)[0])
         pairs = dict.fromkeys(zip((label for label, _ in structure.residue_label), now, strict=False))
-        # Those that end with xp are gemmi's, where the file has none.
-        changed = [f"{old} is {new}" for old, new in pairs if old not in ("", new) and not old.endswith("xp")]
+        # Those with an x are gemmi's, where the file has none.
+        changed = [f"{old} is {new}" for old, new in pairs if old not in ("", new) and old[:-1] != f"{new}x"]
         return [f"{path}: label ids that differ from the file's: {listed(changed, 6)}"] if changed else []
     for what, values, width in (
         ("chain id", structure.residue_chain, 1),
@@ -247,11 +248,16 @@ def _labels(structure: Structure) -> tuple[list[Label], dict[str, set[str]]]:
                 parts[chain_id].append(part)
     labels: list[Label] = []
     renamed: dict[str, set[str]] = {}
-    blank = next(each for each in chained(ascii_uppercase, map(str, count())) if each not in of_chain)
+    known_names = {name for name, _ in known}
+    n_parts = Counter(name for name, _ in {*zip(chains, structure.residue_chain_index.tolist(), strict=True)})
+    blank = next(each for each in chained(ascii_uppercase, map(str, count())) if each not in n_parts)
     for r, (chain_id, part) in enumerate(zip(chains, structure.residue_chain_index.tolist(), strict=True)):
         name, place = known[r]
         if r in held:
-            labels.append((name or f"{chain_id}x{part}", place))
+            # OpenMM takes label ids for chain ids if there are as many of both.
+            is_alone = name in ("", f"{chain_id}x1", f"{chain_id}xp") and chain_id and n_parts[chain_id] == 1
+            is_alone = is_alone and chain_id not in known_names
+            labels.append((chain_id if is_alone else name or f"{chain_id}x{part}", place))
             continue
         is_one = len(of_chain[chain_id]) == 1
         if is_one and name not in ("", f"{chain_id}xp"):
@@ -366,10 +372,9 @@ def _mmcif(
     document = _whole(out).make_mmcif_document(head)
     block = document.sole_block()
     quote_names(block)
-    about = cif_rows(models[0].header, out, _moved(models[0], out), _chemistry(models[0]))
-    if bonds := about.get(_BONDS):
-        about[_BONDS] = [*bonds, *_standard_bonds(models[0], {row["comp_id"] for row in bonds})]
-    put(block, about)
+    chemistry = _chemistry(models[0])
+    about = cif_rows(models[0].header, out, _moved(models[0], out), chemistry)
+    put(block, _with_bonds(about, models[0], {row["comp_id"] for row in chemistry.get(_BONDS, ())}))
     put(block, {CATEGORY: as_rows(_springs(models))})
     for category, lines in (("provenance", remarks), ("repair", repairs)):
         loop = block.init_loop(f"_protochain_{category}.", ["ordinal", "text"])
@@ -387,7 +392,12 @@ def _pdb(
     out: gemmi.Structure, models: Sequence[Structure], remarks: Iterable[str], repairs: Iterable[str]
 ) -> str:
     chemistry = _chemistry(models[0])
-    before, names = pdb_lines(models[0].header, out, chemistry)
+    drawn = {row["comp_id"] for row in chemistry.get(_BONDS, ())}
+    residues = np.unique(
+        [models[0].atom_residue[k] for each in models[0].fragments for k in each.atoms if k >= 0]
+    )
+    bonded = {str(models[0].residue_name[r]) for r in residues.astype(int)} - drawn
+    before, names, whole = pdb_lines(models[0].header, out, chemistry, bonded)
     lines = [
         *before,
         *(
@@ -398,7 +408,9 @@ def _pdb(
         *as_remarks(_springs(models)),
     ]
     out.raw_remarks = sorted(lines, key=lambda line: int(line[6:10]) if line.startswith("REMARK") else 0)
-    _draw(out, models[0], orders(models[0].header, chemistry))
+    order = orders(models[0].header, chemistry)
+    # Orders of a component that no remark states are those of the dictionary.
+    _draw(out, models[0], {at: n for at, n in order.items() if at[0] not in bonded or at[0] in whole})
     head = gemmi.PdbWriteOptions(
         atom_records=False, end_record=False, cryst1_record=out.cell.is_crystal(), cispep_records=True
     )
@@ -421,12 +433,6 @@ def _draw(out: gemmi.Structure, structure: Structure, order: Mapping[tuple[str, 
     # A bonded molecule whose chemistry is written is drawn as the bonds to others leave it: hydrogens and
     # orders agree. Others are read again as the dictionary has them.
     bonded, stated = _in_fragments(structure), {component for component, *_ in order}
-    for k, charge in _charges(structure).items():
-        r = int(structure.atom_residue[k])
-        is_stated = str(structure.residue_name[r]) in stated
-        if is_stated and residues[r].entity_type == gemmi.EntityType.NonPolymer:
-            for atom in residues[r]:
-                atom.charge = charge if atom.name == structure.atom_name[k] else atom.charge
     for (i, j), is_link in zip(structure.bonds.tolist(), _stated(structure).tolist(), strict=True):
         first, second = (int(structure.atom_residue[end]) for end in (i, j))
         names = str(structure.atom_name[i]), str(structure.atom_name[j])
@@ -450,15 +456,6 @@ def _in_fragments(structure: Structure) -> dict[tuple[int, int], int]:
     return found
 
 
-def _charges(structure: Structure) -> dict[int, int]:
-    """Formal charges, other than zero, of the atoms of residues that no template fits."""
-    charges = [
-        zip(each.atoms.tolist(), each.ligand.molecule.formal_charges.tolist(), strict=True)
-        for each in structure.fragments
-    ]
-    return {atom: charge for its in charges for atom, charge in its if charge and atom >= 0}
-
-
 def _chemistry(structure: Structure) -> dict[str, Rows]:
     """Tables of the ligands whose chemistry is known, of each component once."""
     found: dict[str, Rows] = {}
@@ -473,20 +470,57 @@ def _chemistry(structure: Structure) -> dict[str, Rows]:
     return found
 
 
-def _standard_bonds(structure: Structure, known: Collection[str]) -> Iterator[dict[str, str]]:
-    """Bonds of standard components, in a file that has those of others: PyMOL takes the table for whole."""
-    inside = structure.bonds[np.diff(structure.atom_residue[structure.bonds])[:, 0] == 0]
-    its = structure.residue_name_in_file[structure.atom_residue[inside[:, 0]]]
-    pairs = dict.fromkeys(zip(its.tolist(), *structure.atom_name[inside].T.tolist(), strict=True))
-    for name, group in groupby(sorted(pairs), key=itemgetter(0)):
-        if name not in known and _is_standard(name):
-            made = from_dictionary(name)
-            ends = (frozenset(made.names[k] for k in pair) for pair in made.bonds.tolist())
-            order = dict(zip(ends, made.orders.tolist(), strict=True))
-            for _, *atoms in group:
-                first, second = map(gemmi.cif.quote, atoms)
-                stated = ORDERS[order.get(frozenset(atoms), 1)]
-                yield {"comp_id": name, "atom_id_1": first, "atom_id_2": second, "value_order": stated}
+def _with_bonds(about: Mapping[str, Rows], structure: Structure, complete: set[str]) -> dict[str, Rows]:
+    """Add bonds and charges of the components that move, unless the tables have all of them.
+
+    OpenMM reads no others, except of standard residues. Heavy atoms are those of the free component, as in
+    the PDB's own tables. Hydrogens are those of the structure. PyMOL requires the bonds of standard
+    components if a file has those of others.
+    """
+    names = structure.residue_name_in_file[structure.atom_residue]
+    inside = np.diff(structure.atom_residue[structure.bonds])[:, 0] == 0
+    inside &= ~structure.coordination & ~structure.obstacle[structure.bonds].any(axis=1)
+    bonds = structure.bonds[inside]
+    ends = structure.atom_name[bonds].T.tolist()
+    pairs = sorted({*zip(names[bonds[:, 0]].tolist(), *ends, strict=True)})
+    light = structure.atom_element == "H"
+    atoms, table = (list(about.get(category, ())) for category in (_ATOMS, _BONDS))
+    complete = complete | {
+        row["comp_id"] for row in table if _is_standard(gemmi.cif.as_string(row["comp_id"]))
+    }
+    groups = {name: [*map(itemgetter(1, 2), its)] for name, its in groupby(pairs, key=itemgetter(0))}
+    for name in sorted(groups, key=_is_standard):
+        of = gemmi.cif.quote(name)
+        if of in complete or (_is_standard(name) and not table):
+            continue
+        try:
+            known = heavy_rows(name, from_dictionary(name))
+        except ProtochainError:
+            known = {}
+        is_stated = any(row["comp_id"] == of for row in atoms)
+        if not (known or is_stated):
+            continue
+        # The names of hydrogens depend on the pH and on bonds to other residues.
+        gone = {gemmi.cif.quote(atom) for atom in structure.atom_name[light & (names == name)].tolist()}
+        stated = [row for row in atoms if row["comp_id"] == of]
+        gone |= {row.get("atom_id", "?") for row in stated if row.get("type_symbol") in ("H", "D")}
+        atoms = [row for row in atoms if row["comp_id"] != of or row.get("atom_id", "?") not in gone]
+        table = [row for row in table if row["comp_id"] != of or (is_stated and not _ends(row) & gone)]
+        if not (is_stated or _is_standard(name)):
+            atoms, table = atoms + known[_ATOMS], table + known[_BONDS]
+        orders = {_ends(row): row["value_order"] for row in known.get(_BONDS, ())}
+        drawn = {_ends(row) for row in table if row["comp_id"] == of}
+        for first, second in (map(gemmi.cif.quote, pair) for pair in groups[name]):
+            pair = frozenset((first, second))
+            if pair not in drawn:
+                order = orders.get(pair, ORDERS[1])
+                table.append({"comp_id": of, "atom_id_1": first, "atom_id_2": second, "value_order": order})
+    return {**about, _ATOMS: atoms, _BONDS: table}
+
+
+def _ends(row: Mapping[str, str]) -> frozenset[str]:
+    """Atoms of a row of bonds."""
+    return frozenset(row.get(f"atom_id_{k}", "?") for k in (1, 2))
 
 
 def _springs(models: Sequence[Structure]) -> list[Spring]:

@@ -16,6 +16,7 @@ from protochain.core.units import ANGSTROM_PER_NM
 from protochain.ligands.matching import inverted_atoms
 from protochain.ligands.molecule import quietly, to_rdkit
 from protochain.ligands.strain import strain
+from protochain.structure.ligand_files import bonded_ligands
 from protochain.structure.molecule.model import BoundLigand, Structure, at_positions
 from protochain.structure.molecule.residues import Residue
 from protochain.validation.clashes import Clashes, clashes
@@ -149,9 +150,13 @@ def sdf_properties(
     fields = []
     for ligand, (rmsd, _) in zip(findings_of(structure, x)[0], motion.tolist(), strict=True):
         strain = "" if ligand.strain_kj_mol is None else f"{ligand.strain_kj_mol:.3f}"
-        values = {"energy_kj_mol": f"{energy:.3f}", "strain_kj_mol": strain, "rmsd_angstrom": f"{rmsd:.4f}"}
-        fields.append({f"protochain_{key}": value for key, value in {**values, "status": status}.items()})
-    return fields
+        fields.append({"strain_kj_mol": strain, "rmsd_angstrom": f"{rmsd:.4f}"})
+    for molecule, atoms in bonded_ligands(structure):
+        heavy = atoms[molecule.heavy]
+        rmsd = ANGSTROM_PER_NM * np.sqrt((distance(x[heavy], structure.positions[heavy]) ** 2).mean())
+        fields.append({"rmsd_angstrom": f"{rmsd:.4f}"})
+    rows = ({"energy_kj_mol": f"{energy:.3f}", **values, "status": status} for values in fields)
+    return [{f"protochain_{key}": value for key, value in row.items()} for row in rows]
 
 
 def _heavy(molecule: Any) -> Any:

@@ -7,6 +7,7 @@ import gemmi
 import numpy as np
 import pandas as pd
 import pytest
+from fixtures import covalent
 from fixtures.command_line import refusal, run
 from fixtures.samples import STRUCTURES
 
@@ -299,3 +300,43 @@ def test_one_hydrogen_of_another_name_is_the_one_that_the_table_has():
         assert stereo(rows, ["C", "F", "CL", "BRX", "HX"], bonds)[0] == [0] * 5
     swapped = [{"kind": "clockwise", "atoms": "C CL F BR H"}]
     assert stereo(swapped, ["C", "F", "CL", "BR", "HX"], bonds) == kinds["counterclockwise"]
+
+
+@pytest.mark.parametrize("kind", ["disulfide-glutathione", "pyridoxal", "adenylyl-tyrosine", "nitrile"])
+def test_the_sdf_has_a_ligand_that_is_bonded_to_the_protein(tmp_path, kind):
+    """Its atoms, orders and charges in the bonded state, and the bond in a field."""
+    case = covalent.KINDS[kind]
+    path, product = covalent.written(tmp_path, case)
+    result = pc.relax(path, keep="all")
+    pc.save_ligands(result, tmp_path / "out.sdf")
+    (made,) = Chem.SDMolSupplier(str(tmp_path / "out.sdf"), removeHs=False)
+    ((i, a, j, b, _),) = case.bonds
+    name = case.molecules[-1].removeprefix("=")
+    mine = [each.GetIdx() for each in product.GetAtoms() if each.HasProp("of") and each.GetIntProp("of") == j]
+    # The oracle: heavy atoms of the product that RDKit joined, and orders of the bonds between them.
+    for each in (product, made):
+        Chem.Kekulize(each, clearAromaticFlags=True)
+    inside = [
+        bond for bond in product.GetBonds() if {bond.GetBeginAtomIdx(), bond.GetEndAtomIdx()} <= {*mine}
+    ]
+    heavy = [each for each in made.GetAtoms() if each.GetAtomicNum() > 1]
+    there = [each for each in made.GetBonds() if {each.GetBeginAtomIdx(), each.GetEndAtomIdx()} <= {
+        each.GetIdx() for each in heavy
+    }]  # fmt: skip
+    assert sorted(each.GetSymbol() for each in heavy) == sorted(
+        product.GetAtomWithIdx(k).GetSymbol() for k in mine
+    )
+    assert len(there) == len(inside)
+    assert sum(each.GetBondTypeAsDouble() for each in there) == sum(
+        each.GetBondTypeAsDouble() for each in inside
+    )
+    s = result.structure
+    its = s.residue_name[s.atom_residue] == name
+    assert made.GetNumAtoms() == its.sum() and made.GetNumAtoms() > len(mine)
+    x = 10.0 * s.positions[its]
+    y = made.GetConformer().GetPositions()
+    assert np.abs(np.sort(x, axis=0) - np.sort(y, axis=0)).max() < 2e-4
+    residue = case.molecules[0].split()[i]
+    assert made.GetProp("protochain_bonds") == f"{a} of residue {i + 1} {residue} of chain A and {b}"
+    assert float(made.GetProp("protochain_energy_kj_mol")) == pytest.approx(result.energy_end, abs=1e-3)
+    assert float(made.GetProp("protochain_rmsd_angstrom")) > 0.0

@@ -9,6 +9,7 @@ import openmm
 import pytest
 from fixtures.samples import STRUCTURES, shared
 from fixtures.tolerances import READ_AGAIN, SUM_OF_CHARGES, TIED_ANGSTROM
+from scipy.spatial.transform import Rotation
 
 import protochain as pc
 from protochain.ligands.dictionary import component
@@ -216,3 +217,136 @@ def test_a_strand_with_an_incomplete_nucleotide_has_a_whole_charge(tmp_path, pla
     s = pc.load(path, keep="all")
     assert s.obstacle.any()
     assert charge_of(s) == pytest.approx(-11, abs=SUM_OF_CHARGES)
+
+
+def heavy_atoms(name):
+    """Names, elements and positions (angstrom) of the heavy atoms of a component of the dictionary."""
+    made = component(name)
+    chosen = ~np.isin(made.element, ["H", "D"])
+    symbols = [str(symbol).title() for symbol in made.element[chosen]]
+    return made.atom_name[chosen].tolist(), symbols, np.array(made.coord[chosen], dtype=float)
+
+
+def directed(x, start, end, at, way):
+    """Positions moved and turned so that one atom is at a place, and another in a direction from it."""
+    own = x[end] - x[start]
+    turn = Rotation.align_vectors([way], [own / np.linalg.norm(own)])[0]
+    return turn.apply(x - x[start]) + at
+
+
+def beside_peptide(folder, sequence, molecules, bonds):
+    """A peptide and molecules (name, names, elements, positions) in chains of their own, as a PDB file."""
+    pc.save(pc.from_sequence(sequence), folder / "peptide.pdb", hydrogens=False)
+    structure = gemmi.read_structure(str(folder / "peptide.pdb"))
+    for letter, (name, names, symbols, x) in zip("BCDE", molecules, strict=False):
+        residue = gemmi.Residue()
+        residue.name, residue.seqid, residue.het_flag = name, gemmi.SeqId("1"), "H"
+        for called, symbol, place in zip(names, symbols, x, strict=True):
+            atom = gemmi.Atom()
+            atom.name, atom.element, atom.occ = called, gemmi.Element(symbol), 1.0
+            atom.pos = gemmi.Position(*place)
+            residue.add_atom(atom)
+        chain = gemmi.Chain(letter)
+        chain.add_residue(residue)
+        structure[0].add_chain(chain)
+    for k, ends in enumerate(bonds):
+        bond = gemmi.Connection()
+        bond.type, bond.name = gemmi.ConnectionType.MetalC, f"metalc{k}"
+        bond.partner1, bond.partner2 = (
+            gemmi.AtomAddress(letter, gemmi.SeqId("1"), name, atom) for letter, name, atom in ends
+        )
+        structure.connections.append(bond)
+    structure.write_pdb(str(folder / "made.pdb"))
+    return folder / "made.pdb"
+
+
+AXIAL = {"AZI": ("N1", "N2", 2.05, 120.0), "ENC": ("C", "N", 1.95, 178.0), "NBN": ("C", "N", 1.95, 165.0)}
+"""Azide, and isocyanides of ethyl and butyl: donor, the next atom, Fe-donor (angstrom) and its angle."""
+
+
+def heme_with(folder, name, is_stated):
+    """A heme between a histidine and another ligand."""
+    s = pc.from_sequence("AHA")
+    its = {str(s.atom_name[k]): 10.0 * s.positions[k] for k in np.flatnonzero(s.atom_residue == 1)}
+    out = its["NE2"] - (its["CG"] + its["ND1"]) / 2.0
+    out /= np.linalg.norm(out)
+    names, symbols, x = heavy_atoms("HEM")
+    iron = names.index("FE")
+    normal = np.linalg.svd(x[[names.index(n) for n in ("NA", "NB", "NC", "ND")]] - x[iron])[2][2]
+    place = its["NE2"] + 2.05 * out
+    heme = Rotation.align_vectors([out], [normal])[0].apply(x - x[iron]) + place
+    donor, following, length, angle = AXIAL[name]
+    ligand, elements, y = heavy_atoms(name)
+    aside = np.cross(out, [0.2, 0.5, 0.8])
+    bend = np.deg2rad(180.0 - angle)
+    way = np.cos(bend) * out + np.sin(bend) * aside / np.linalg.norm(aside)
+    y = directed(y, ligand.index(donor), ligand.index(following), place + length * out, way)
+    molecules = [("HEM", names, symbols, heme), (name, ligand, elements, y)]
+    bonds = [(("B", "HEM", "FE"), ("C", name, donor))] if is_stated else []
+    return beside_peptide(folder, "AHA", molecules, bonds), donor, length
+
+
+def molybdenum(folder, name, sulphurs, metal, is_double=False):
+    """Molybdopterin whose two sulphurs hold molybdenum, at 2.4 angstrom; or two of it, as tetrahedra are."""
+    names, symbols, x = heavy_atoms(name)
+    first, second = (x[names.index(each)] for each in sulphurs)
+    middle = (first + second) / 2.0
+    carbons = [
+        k
+        for k, y in enumerate(x)
+        if symbols[k] == "C" and np.linalg.norm(y - [[first], [second]], axis=2).min() < 1.9
+    ]
+    out = middle - x[carbons].mean(axis=0)
+    out /= np.linalg.norm(out)
+    place = middle + np.sqrt(2.4**2 - np.linalg.norm(second - first) ** 2 / 4.0) * out
+    called, elements, y = heavy_atoms(metal)
+    k = elements.index("Mo")
+    y = directed(y, k, (k + 1) % len(called), place, out) if len(called) > 1 else np.array([place])
+    away = np.array([0.0, 0.0, 40.0])
+    side = (second - first) / np.linalg.norm(second - first)
+    turn = Rotation.from_rotvec(np.pi / 2.0 * out) * Rotation.from_rotvec(np.pi * side)
+    molecules = [(name, names, symbols, x + away), (metal, called, elements, y + away)]
+    molecules += [(name, names, symbols, turn.apply(x - place) + place + away)] if is_double else []
+    bonds = [(("B", name, each), ("C", metal, called[k])) for each in sulphurs]
+    return beside_peptide(folder, "AAA", molecules, bonds)
+
+
+def assert_held(path, donors, metal, length):
+    """Each bond of a metal is reported, and ends as long as it was."""
+    s = pc.load(path, keep="all")
+    (ion,) = np.flatnonzero(s.atom_element == metal)
+    ends = np.flatnonzero(s.kept & np.isin(s.atom_name, donors))
+    before, after = (
+        10.0 * np.linalg.norm(x[ends] - x[ion], axis=1)
+        for x in (s.positions, pc.relax(s).structure.positions)
+    )
+    assert before == pytest.approx(length, abs=0.01)
+    assert np.abs(after - before).max() < TIED_ANGSTROM
+    (told,) = (
+        each
+        for each in s.repairs
+        if each.kind in (Kind.COORDINATED, Kind.ION_HELD)
+        and {*donors} & {end.atoms[0].name for end in each.facts["ends"]}
+    )
+    assert sum(end.atoms[0].name in donors for end in told.facts["ends"]) == len(ends)
+    return len(ends)
+
+
+@pytest.mark.parametrize("is_stated", [True, False])
+@pytest.mark.parametrize("name", AXIAL)
+def test_azide_and_isocyanides_stay_at_the_iron_of_heme(tmp_path, name, is_stated):
+    path, donor, length = heme_with(tmp_path, name, is_stated)
+    assert_held(path, [donor], "Fe", length)
+
+
+@pytest.mark.parametrize("metal", ["4MO", "6MO", "MOS", "MOM"])
+def test_molybdopterin_holds_molybdenum_by_both_sulphurs(tmp_path, metal):
+    """Ions of charge 4 and 6, and oxides."""
+    sulphurs = ["S1'", "S2'"]
+    assert assert_held(molybdenum(tmp_path, "MTE", sulphurs, metal), sulphurs, "Mo", 2.4) == 2
+
+
+def test_two_molybdopterins_hold_molybdenum(tmp_path):
+    sulphurs = ["S12", "S13"]
+    path = molybdenum(tmp_path, "MGD", sulphurs, "6MO", is_double=True)
+    assert assert_held(path, sulphurs, "Mo", 2.4) == 4

@@ -82,8 +82,8 @@ def of_pdb(text: str, structure: gemmi.Structure) -> str:
             "_chem_comp.": [
                 {"id": _quoted(name), "name": _quoted(_joined(stated))} for name, stated in names.items()
             ],
-            "_chem_comp_bond.": list(_drawn(structure, tables.known(own))),
-            tables.CATEGORY: own,
+            **own,
+            "_chem_comp_bond.": [*_drawn(structure, own), *own["_chem_comp_bond."]],
             _MODIFIED: mods,
             "_database_PDB_remark.": [{"id": f"{_TERMS}", "text": _quoted("\n".join(remarks))}]
             if remarks
@@ -129,8 +129,13 @@ def with_component(header: str, ligand: Mapping[str, Rows]) -> str:
     return _text(_with(ligand, found))
 
 
-def pdb_lines(header: str, out: gemmi.Structure, ligands: Mapping[str, Rows]) -> tuple[list[str], list[str]]:
-    """Return the records of a PDB file of citation, terms and ligands, and those of the ligands' names."""
+def pdb_lines(
+    header: str, out: gemmi.Structure, ligands: Mapping[str, Rows], bonded: Collection[str]
+) -> tuple[list[str], list[str], set[str]]:
+    """Return the records of a PDB file of citation, terms and ligands, and those of the ligands' names.
+
+    The third value has the components, of those bonded to others, whose chemistry remarks state.
+    """
     found = cif_rows(header, out, {}, ligands)
     citation = [
         f"JRNL        {name:<4}{k if k > 1 else '':>2} {line}"
@@ -156,7 +161,8 @@ def pdb_lines(header: str, out: gemmi.Structure, ligands: Mapping[str, Rows]) ->
         for k, line in enumerate(textwrap.wrap(_plain(row["name"]), _NAME_WIDTH), 1)
     ]
     stated = [f"REMARK {_TERMS:3} {line}".rstrip() for line in terms]
-    return [*citation, *stated, *tables.as_remarks(found.get(tables.CATEGORY, []))], names
+    whole = {_plain(row["comp_id"]) for row in found.get("_chem_comp_atom.", [])} & {*bonded}
+    return [*citation, *stated, *tables.as_remarks(found, whole)], names, whole
 
 
 def orders(header: str, ligands: Mapping[str, Rows]) -> dict[tuple[str, str, str], int]:
@@ -259,8 +265,10 @@ def component_type(name: str, residue: gemmi.Residue) -> str:
     return _KINDS.get(info.kind, "non-polymer")
 
 
-def _drawn(structure: gemmi.Structure, known: set[str]) -> Iterator[dict[str, str]]:
-    """Bonds of components whose CONECT records give a bond more than once, and so tell orders."""
+def _drawn(structure: gemmi.Structure, stated: Mapping[str, Rows]) -> Iterator[dict[str, str]]:
+    """Bonds of components whose CONECT records give a bond more than once, unless remarks state the bonds."""
+    known = tables.known(stated[tables.CATEGORY])
+    complete = {_plain(row["comp_id"]) for row in stated["_chem_comp_bond."]}
     at = {
         place.atom.serial: (place.residue.name, str(place.residue.seqid), place.chain.name, place.atom.name)
         for place in structure[0].all()
@@ -273,7 +281,7 @@ def _drawn(structure: gemmi.Structure, known: set[str]) -> Iterator[dict[str, st
                 if pair[::-1] not in drawn.setdefault(at[one][0], {}):
                     drawn[at[one][0]].setdefault(pair, ends.count(other))
     for name, bonds in drawn.items():
-        if name in known or max(bonds.values()) > 1:
+        if name not in complete and (name in known or max(bonds.values()) > 1):
             for (first, second), order in bonds.items():
                 yield {
                     "comp_id": _quoted(name), "atom_id_1": _quoted(first), "atom_id_2": _quoted(second),

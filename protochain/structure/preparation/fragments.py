@@ -263,11 +263,13 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
     formal, wrong = made.ligand.molecule.formal_charges.tolist(), _inverted(made)
     for m, template in found.values():
         m.own = template
-        charge = sum(q for (owner, _), q in zip(made.owners, formal, strict=True) if owner is m)
-        charge += sum(a.charge for a in metals[id(m)])
+        states = {name: q for (owner, name), q in zip(made.owners, formal, strict=True) if owner is m}
+        charge = sum(states.values()) + sum(a.charge for a in metals[id(m)])
         source = chemist.free(m).source
         draft.note(Kind.MODIFIED, residue=m.residue, source=source, charge=f"{charge:+d}")
         note_metals(draft, m, metals[id(m)])
+        for a in m.atoms if parts[id(m)].obstacle else ():
+            a.charge = states.get(a.name, a.charge)
         if not m.is_d and (its := tuple(name for owner, name in wrong if owner is m)):
             draft.note(Kind.INVERTED, residue=m.residue, atoms=its)
         if parts[id(m)].obstacle:
@@ -275,7 +277,7 @@ def _take_in(draft: Draft, chemist: Chemist, made: Fragment, special: Collection
         m.odd, m.parent = False, ""
         if chemist.name(m) in chemist.chemistry.named:
             # The file written has to give the same chemistry again.
-            draft.header = with_component(draft.header, tables.rows(chemist.name(m), chemist.free(m)))
+            draft.header = with_component(draft.header, tables.heavy_rows(chemist.name(m), chemist.free(m)))
     for link, left in made.bonds.items():
         back = [(m, x) for m, a, *_ in _both_ways(link) for x in _back(chemist, m, a.name, left)]
         gone = [each for each in left if each not in back]
