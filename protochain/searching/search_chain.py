@@ -19,6 +19,7 @@ from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.settings import settings_from
 from protochain.core.storage import check_writable, claimed
+from protochain.results.run_folder import refuse_earlier, remove_files
 from protochain.searching.csa import Crossings
 from protochain.searching.hopping import Hops
 from protochain.searching.landscape import Landscape
@@ -197,10 +198,7 @@ def check_folder(folder: Path, resume: bool, force: bool) -> None:
     check_writable(folder / "summary.json")
     is_there = next(_pieces(folder), None) is not None
     if is_there and not (resume or force):
-        raise ProtochainError(
-            f"{folder}: holds a search; ", Argument("resume", True), " continues it, ",
-            Argument("force", True), " replaces it",
-        )  # fmt: skip
+        raise refuse_earlier(folder, "a search")
     if resume and not is_there:
         raise ProtochainError(f"{folder}: holds no search to resume; leave out ", Argument("resume", True))
 
@@ -237,8 +235,7 @@ class _Walks:
             for walker in range(settings.n_walkers):
                 self._read(folder, walker)
         elif folder is not None:
-            for piece in _pieces(folder):
-                piece.unlink()
+            remove_files(_pieces(folder))
 
     def _read(self, folder: Path, walker: int) -> None:
         kind = self.methods[walker].state
