@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
@@ -16,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 from protochain.batches.cluster import Processes
 from protochain.batches.frame_tasks import GAP, Task
 from protochain.batches.frames import FrameResult, over_frames
-from protochain.batches.table import lines, read_table, saved
+from protochain.batches.table import read_table
 from protochain.core.checkpoints import Checkpoint, checkpoint, write_checkpoint
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.storage import check_writable, claimed_files, writing
+from protochain.results.run_folder import GrowingTable, checkpoint_of, refuse_earlier, saving
 from protochain.structure.ensemble import Ensemble
 from protochain.structure.formats.files import format_of
 from protochain.structure.formats.frames import Frames, open_frames
@@ -62,7 +62,7 @@ class FramesRun:
 
 def files_of(table: Path, trajectory: Path | None) -> list[Path]:
     """Files that a run writes."""
-    files = [table, _checkpoint(table)]
+    files = [table, checkpoint_of(table)]
     if trajectory is None:
         return files
     if _in_text(trajectory):
@@ -90,7 +90,7 @@ def run_frames(
     watch: Watch | None = None,
 ) -> FramesRun:
     """Do a task to every frame; write a row for each, and the frames that it changed."""
-    if resume and not force and table.exists() and not _checkpoint(table).exists():
+    if resume and not force and table.exists() and not checkpoint_of(table).exists():
         return _complete(ensemble, frames, task, table, trajectory)
     settings = _settings(ensemble, frames, task, hydrogens)
     interrupted = False
@@ -150,8 +150,7 @@ class _Files:
     ) -> None:  # fmt: skip
         self.ensemble, self.table, self.output, self.hydrogens = ensemble, table, trajectory, hydrogens
         self.settings = settings
-        self.columns = _columns(task, trajectory)
-        self.checkpoint = _checkpoint(table)
+        self.checkpoint = checkpoint_of(table)
         check_writable(table)
         kept = self._kept(resume, force)
         self.counts: Counter[str] = Counter(kept["counts"])
@@ -169,12 +168,8 @@ class _Files:
                 self.topology = _beside(trajectory, ensemble)
                 save(ensemble.structure, self.topology, hydrogens=hydrogens)
         with writing(table):
-            self.file = table.open("r+b" if kept["rows"] else "wb")
-            self.file.seek(kept["bytes"])
-            self.file.truncate()
+            self.rows = GrowingTable(table, _columns(task, trajectory), kept["bytes"])
         self.told = monotonic()
-        if not kept["rows"]:
-            self._write(lines(self.columns, (), header=True))
         self.keep()
 
     def _kept(self, resume: bool, force: bool) -> Mapping[str, Any]:
@@ -196,10 +191,8 @@ class _Files:
                 raise ProtochainError(f"{self.table}: has other rows than its checkpoint; ", *remedy)
             return kept
         if self.checkpoint.exists() and not force:
-            raise ProtochainError(
-                f"{self.table}: holds an interrupted run; ", Argument("resume", True), " continues it, ",
-                Argument("force", True), " begins anew",
-            )  # fmt: skip
+            anew = ", ", Argument("force", True), " begins anew"
+            raise refuse_earlier(self.table, "an interrupted run", *anew)
         return _NOTHING
 
     def append(self, result: FrameResult) -> None:
@@ -211,27 +204,23 @@ class _Files:
                 row["output_frame"] = self.trajectory.n_frames
                 with self._saved():
                     self.trajectory.append(result.structure.positions)
-        self._write(lines(self.columns, [row]))
+        with self._saved():
+            self.rows.append(row)
         self.counts[str(row["status"])] += 1
         self.n_rows += 1
         if monotonic() - self.told > _KEEP_EVERY:
             self.keep()
 
-    def _write(self, text: str) -> None:
-        with self._saved():
-            self.file.write(text.encode(errors="backslashreplace"))
-            self.file.flush()
-
     def _saved(self) -> AbstractContextManager[None]:
-        return saved(self.table, "the frames done before")
+        return saving(self.table, "the frames done before")
 
     def keep(self) -> None:
         """Write all to the disk, and how far it is."""
         with self._saved():
-            os.fsync(self.file.fileno())
+            n_bytes = self.rows.stored()
             place = self.trajectory.stored() if self.trajectory else None
         kept = {
-            "rows": self.n_rows, "sound": self.n_sound, "bytes": self.file.tell(), "trajectory": place,
+            "rows": self.n_rows, "sound": self.n_sound, "bytes": n_bytes, "trajectory": place,
             "counts": dict(self.counts),
         }  # fmt: skip
         write_checkpoint(self.checkpoint, {}, kept, self.settings)
@@ -263,17 +252,13 @@ class _Files:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.file.close()
+        self.rows.close()
         if self.trajectory:
             self.trajectory.close()
 
 
 def _in_text(path: Path) -> bool:
     return bool(format_of(path))
-
-
-def _checkpoint(table: Path) -> Path:
-    return table.parent / f"{table.stem}.checkpoint.npz"
 
 
 def _beside(trajectory: Path, ensemble: Ensemble | None = None) -> Path:

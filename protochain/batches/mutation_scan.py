@@ -19,6 +19,7 @@ from protochain.energies.decomposed import residues_of
 from protochain.relaxation.mutations import COLUMNS, mutated, protocol, told
 from protochain.relaxation.relax_settings import RelaxSettings
 from protochain.relaxation.result import Relaxation
+from protochain.results.run_folder import checkpoint_of, refuse_earlier
 from protochain.structure import Structure
 from protochain.structure.molecule.residues import STANDARD
 from protochain.structure.substitute import LETTERS
@@ -159,7 +160,7 @@ def run_scan(
     """Write a table of mutants as they are done, after a kill those that are left; whether it was stopped."""
     import pandas as pd
 
-    jobs, begun = sites_of(structure, sites, into), table.with_name(f"{table.stem}.checkpoint.npz")
+    jobs, begun = sites_of(structure, sites, into), checkpoint_of(table)
     plain = {name: str(its) for name, its in {**vars(setup), **vars(relaxing)}.items() if name != "threads"}
     settings = {
         "sites": sites, "into": into, "protochain": version("protochain"), "atoms": structure.fingerprint,
@@ -178,10 +179,7 @@ def run_scan(
             )  # fmt: skip
             rows = read.to_dict("records")
     elif begun.exists():
-        raise ProtochainError(
-            f"{table}: holds an interrupted scan; ", Argument("resume", True), " continues it; or remove ",
-            str(begun),
-        )  # fmt: skip
+        raise refuse_earlier(table, "an interrupted scan", "; or remove ", str(begun))
     done, order = {(row["chain"], row["residue"], row["mutant"]) for row in rows}, _order(structure)
     left = []
     for r, letters in jobs:

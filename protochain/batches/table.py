@@ -2,24 +2,24 @@
 
 import csv
 import errno
-import io
 import os
 import re
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, get_origin
 
 from protochain.batches.batch_settings import NAME as SETTINGS
 from protochain.batches.jobs import Job, Row, origin
 from protochain.batches.naming import Earlier
-from protochain.core.errors import Argument, ProtochainError, WriteError
-from protochain.core.storage import check_writable, claimed, regular, write_text, writing
+from protochain.core.errors import ProtochainError, WriteError
+from protochain.core.storage import check_writable, claimed, regular, write_text
 from protochain.minimisers import record
 from protochain.relaxation.record import COLUMNS as OF_RELAXING
 from protochain.relaxation.record import INTERFACE_COLUMNS
 from protochain.relaxation.record import METHOD as RELAX
+from protochain.results.run_folder import REPLACE, csv_text, refuse_earlier, remove_files, saving
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -112,16 +112,15 @@ class Tables:
         other = folder / f"{RELAXED if name == SUMMARY else SUMMARY}.csv"
         files = self.summary, self.traces, folder / SETTINGS
         if force and not resume:
-            _remove((*files, other, other.with_suffix(".parquet")))
+            remove_files((*files, other, other.with_suffix(".parquet")))
         self._new = [file for file in files if not file.exists()]
         # Of two tables in a folder, each would have the other's settings and traces.
-        if (is_other := other.exists()) or not (self.summary in self._new or resume):
+        if other.exists():
             self.close()
-            raise ProtochainError(
-                f"{other if is_other else self.summary}: holds a batch; ",
-                *(("give another folder; ",) if is_other else (Argument("resume", True), " continues it, ")),
-                Argument("force", True), " replaces it",
-            )  # fmt: skip
+            raise ProtochainError(f"{other}: holds a batch; give another folder; ", *REPLACE)
+        if not (self.summary in self._new or resume):
+            self.close()
+            raise refuse_earlier(self.summary, "a batch")
         minimised = COLUMNS if {*methods} != {RELAX} else ()
         of_relaxed = RELAXED_COLUMNS if RELAX in methods else ()
         self.columns = tuple(dict.fromkeys((*minimised, *of_relaxed, *further)))
@@ -163,8 +162,8 @@ class Tables:
         rows = list(rows)
         own = {name: rows[0].record[name] for name in ("structure", "key")}
         traces = [own | {"method": row.record["method"]} | point for row in rows for point in row.trace]
-        _append(self.traces, lines(TRACE_COLUMNS, traces))
-        _append(self.summary, lines(self.columns, [row.record for row in rows]))
+        _append(self.traces, csv_text(TRACE_COLUMNS, traces))
+        _append(self.summary, csv_text(self.columns, [row.record for row in rows]))
 
     def sort(self, jobs: Sequence[Job]) -> None:
         """Sort the rows by job and method: they were appended as they arrived."""
@@ -186,16 +185,11 @@ class Tables:
     def abandon(self) -> None:
         """Remove a new batch without a row, which would keep the next one from the folder."""
         if self.summary in self._new and not next(iter(_whole_lines(self.summary)), None):
-            _remove(self._new)
+            remove_files(self._new)
 
     def close(self) -> None:
         """Let others have the folder."""
         self._claim.close()
-
-
-def _remove(files: Iterable[Path]) -> None:
-    for file in files:
-        file.unlink(missing_ok=True)
 
 
 def earlier_rows(folder: Path, name: str = SUMMARY) -> list[Earlier]:
@@ -223,32 +217,12 @@ def read_table(path: Path, types: Mapping[str, str] = _TYPES) -> "pd.DataFrame":
     return table.copy()  # A block for each of a hundred columns, as read, would be slow, pandas warns.
 
 
-@contextmanager
-def saved(path: Path, what: str) -> Iterator[None]:
-    """Say what is saved where the disk takes no more, and that the run can go on."""
-    try:
-        with writing(path):
-            yield
-    except WriteError as error:
-        raise error.with_saved(what, "continue with ", Argument("resume", True)) from error
-
-
-def lines(columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False) -> str:
-    """Text of rows, with a header if it is asked for."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator="\n")
-    if header:
-        writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
-
-
 def _append(path: Path, text: str) -> None:
     file = os.open(path, os.O_WRONLY | os.O_APPEND)
     # Names of files may be no UTF-8.
     whole, data = os.fstat(file).st_size, text.encode(errors="backslashreplace")
     try:
-        with saved(path, "the structures done before"):
+        with saving(path, "the structures done before"):
             if os.write(file, data) < len(data):  # On a full disk a part is written.
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     except WriteError:
@@ -259,7 +233,7 @@ def _append(path: Path, text: str) -> None:
 
 
 def _replace(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, object]]) -> None:
-    write_text(path, lines(columns, rows, header=True))
+    write_text(path, csv_text(columns, rows, header=True))
 
 
 def _whole_lines(path: Path) -> Iterable[dict[str, str]]:

@@ -3,9 +3,9 @@
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +29,18 @@ VIOLATED = {"angstrom": 0.5, "degrees": 10.0}
 """A restraint is violated if its coordinate is farther outside the bounds."""
 
 
+Groups = Sequence[list[Integers]]
+"""Atoms of the places of each restraint."""
+
+
 class Coordinates(Protocol):
-    """ViolationsAtEnd coordinates of one kind."""
+    """Restrained coordinates of one form: their kinds, atoms, values and forces."""
+
+    kinds: ClassVar[tuple[str, ...]]  # Kinds of restraints that have this form.
+
+    @classmethod
+    def of(cls, structure: Structure, restraints: Sequence[Restraint], groups: Groups) -> Self:
+        """Build the coordinates of restraints."""
 
     def values(self, x: Floats) -> Floats:
         """Values (m,) at positions (na, 3), nm or rad."""
@@ -43,15 +53,30 @@ class Coordinates(Protocol):
 class Distances(Value):
     """Distances (sum w r^-6)^(-1/6) over pairs of atoms, whose weights are 1, or 1/n of a mean."""
 
+    kinds: ClassVar[tuple[str, ...]] = ("distance", "mean-distance")
+
     pairs: Integers  # (p, 2) int: Atoms.
-    of: Integers  # (p,) int: The distance of each pair.
+    row: Integers  # (p,) int: The distance of each pair.
     weight: Floats  # (p,).
+
+    @classmethod
+    def of(cls, structure: Structure, restraints: Sequence[Restraint], groups: Groups) -> Self:
+        """Combine all atoms of each pair of places."""
+        pairs, row, weight = list[Any](), list[int](), list[float]()
+        for k, (restraint, places) in enumerate(zip(restraints, groups, strict=True)):
+            couples = zip(places[::2], places[1::2], strict=True)
+            meshes = [np.stack(np.meshgrid(*c, indexing="ij"), axis=-1).reshape(-1, 2) for c in couples]
+            pairs += meshes
+            n = sum(map(len, meshes))
+            row += [k] * n
+            weight += [1.0 / n if restraint.kind == "mean-distance" else 1.0] * n
+        return cls(read_only(np.concatenate(pairs), np.int64), read_only(row, np.int64), read_only(weight))
 
     def _sums(self, x: Floats) -> tuple[Floats, Floats, Floats]:
         """Weighted r^-6 (p,) of the pairs, their vectors (p, 3), and sums (m,)."""
         across = x[self.pairs[:, 0]] - x[self.pairs[:, 1]]
         r6 = self.weight * np.maximum(arrays.dots(across, across), 1e-12) ** -3.0
-        return r6, across, np.maximum(np.bincount(self.of, r6), 1e-300)
+        return r6, across, np.maximum(np.bincount(self.row, r6), 1e-300)
 
     def values(self, x: Floats) -> Floats:
         """Distances (m,), nm."""
@@ -60,7 +85,7 @@ class Distances(Value):
     def forces(self, x: Floats, slope: Floats) -> Floats:
         """Forces (na, 3): d R / d r_i is w_i R^7 / r_i^7."""
         r6, across, sums = self._sums(x)
-        pull = (-slope * sums ** (-7.0 / 6.0))[self.of] * r6 * np.cbrt(r6 / self.weight)
+        pull = (-slope * sums ** (-7.0 / 6.0))[self.row] * r6 * np.cbrt(r6 / self.weight)
         vectors = pull[:, None] * across
         return _at(self.pairs[:, 0], vectors, len(x)) - _at(self.pairs[:, 1], vectors, len(x))
 
@@ -69,12 +94,29 @@ class Distances(Value):
 class Centroids(Value):
     """Distances between centres of mass."""
 
+    kinds: ClassVar[tuple[str, ...]] = ("centroid-distance",)
+
     atoms: Integers  # (k,) int.
-    of: Integers  # (k,) int: The distance of each atom.
+    row: Integers  # (k,) int: The distance of each atom.
     weight: Floats  # (k,): Share of the mass, negative of the second centre.
 
+    @classmethod
+    def of(cls, structure: Structure, restraints: Sequence[Restraint], groups: Groups) -> Self:
+        """Share the mass of each place among its atoms."""
+        mass = structure.atom_mass
+        signed = [
+            (k, sign, group)
+            for k, places in enumerate(groups)
+            for sign, group in zip((1.0, -1.0), places, strict=True)
+        ]
+        return cls(
+            read_only(np.concatenate([group for *_, group in signed]), np.int64),
+            read_only(np.concatenate([np.full(len(group), k) for k, _, group in signed]), np.int64),
+            read_only(np.concatenate([sign * mass[group] / mass[group].sum() for _, sign, group in signed])),
+        )
+
     def _vectors(self, x: Floats) -> Floats:
-        return _at(self.of, self.weight[:, None] * x[self.atoms], int(self.of[-1]) + 1)
+        return _at(self.row, self.weight[:, None] * x[self.atoms], int(self.row[-1]) + 1)
 
     def values(self, x: Floats) -> Floats:
         """Distances (m,), nm."""
@@ -84,14 +126,21 @@ class Centroids(Value):
         """Forces (na, 3), shared by the atoms as their masses are."""
         vectors = self._vectors(x)
         pull = (-slope / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12))[:, None] * vectors
-        return _at(self.atoms, self.weight[:, None] * pull[self.of], len(x))
+        return _at(self.atoms, self.weight[:, None] * pull[self.row], len(x))
 
 
 @dataclass(frozen=True, eq=False)
 class Dihedrals(Value):
     """Dihedrals of four atoms."""
 
+    kinds: ClassVar[tuple[str, ...]] = ("dihedral",)
+
     atoms: Integers  # (m, 4) int.
+
+    @classmethod
+    def of(cls, structure: Structure, restraints: Sequence[Restraint], groups: Groups) -> Self:
+        """Take the four atoms of each dihedral."""
+        return cls(read_only(np.reshape(groups, (-1, 4)), np.int64))
 
     def values(self, x: Floats) -> Floats:
         """Dihedrals (m,), rad, -pi to pi."""
@@ -107,8 +156,16 @@ class Dihedrals(Value):
 class Displacements(Value):
     """Distances of atoms from their initial positions."""
 
+    kinds: ClassVar[tuple[str, ...]] = ("position",)
+
     atoms: Integers  # (m,) int.
     initial: Floats  # (m, 3) nm.
+
+    @classmethod
+    def of(cls, structure: Structure, restraints: Sequence[Restraint], groups: Groups) -> Self:
+        """Restrain each atom of a place by itself."""
+        atoms = np.concatenate([places[0] for places in groups])
+        return cls(read_only(atoms, np.int64), read_only(structure.positions[atoms]))
 
     def values(self, x: Floats) -> Floats:
         """Distances (m,), nm."""
@@ -120,9 +177,12 @@ class Displacements(Value):
         return _at(self.atoms, pull, len(x))
 
 
+FORMS: tuple[type[Coordinates], ...] = (Distances, Centroids, Dihedrals, Displacements)
+
+
 @dataclass(frozen=True)
 class RestraintValue:
-    """Value of a restraint_values coordinate, and how far it is outside its bounds.
+    """Value of a restrained coordinate, and how far it is outside its bounds.
 
     Parameters
     ----------
@@ -213,14 +273,11 @@ class Restraints(Value):
         listed = read_restraints(source)
         groups = [_groups(structure, restraint) for restraint in listed]
         coordinates, rows = list[Coordinates](), list[int]()
-        for kinds, build in (
-            (("distance", "mean-distance"), _distances),
-            (("centroid-distance",), partial(_centroids, structure.atom_mass)),
-            (("dihedral",), _dihedrals), (("position",), partial(_displacements, structure.positions)),
-        ):  # fmt: skip
-            own = [row for row, restraint in enumerate(listed) if restraint.kind in kinds]
+        for form in FORMS:
+            own = [row for row, restraint in enumerate(listed) if restraint.kind in form.kinds]
             if own:
-                coordinates.append(build([listed[row] for row in own], [groups[row] for row in own]))
+                chosen = [listed[row] for row in own], [groups[row] for row in own]
+                coordinates.append(form.of(structure, *chosen))
             # Each atom of a position restraint has a value.
             rows += [row for row in own for _ in (groups[row][0] if listed[row].kind == "position" else "1")]
         return cls(listed, tuple(coordinates), read_only(rows, np.int64))
@@ -319,46 +376,6 @@ class _Walls:
         ratio = np.where(e > near, e / np.maximum(near, 1e-300), 1.0)
         energy = energy + near * slope * (ratio**self.tail - 1.0) / self.tail
         return energy, np.sign(outside) * slope * ratio ** (self.tail - 1.0)
-
-
-def _distances(restraints: Sequence[Restraint], groups: Sequence[list[Integers]]) -> Distances:
-    """Pairs of atoms of distances: of each pair of places, all combinations."""
-    pairs, of, weight = list[Any](), list[int](), list[float]()
-    for k, (restraint, places) in enumerate(zip(restraints, groups, strict=True)):
-        couples = list(zip(places[::2], places[1::2], strict=True))
-        own = np.concatenate(
-            [np.stack(np.meshgrid(*c, indexing="ij"), axis=-1).reshape(-1, 2) for c in couples]
-        )
-        pairs.append(own)
-        of += [k] * len(own)
-        weight += [1.0 / len(own) if restraint.kind == "mean-distance" else 1.0] * len(own)
-    return Distances(read_only(np.concatenate(pairs), np.int64), read_only(of, np.int64), read_only(weight))
-
-
-def _centroids(mass: Floats, restraints: Sequence[Restraint], groups: Sequence[list[Integers]]) -> Centroids:
-    """Atoms of distances between centres of mass, and their shares."""
-    atoms, of = (
-        np.concatenate(columns)
-        for columns in zip(*(
-            (group, np.full(len(group), k)) for k, places in enumerate(groups) for group in places
-        ), strict=True)
-    )  # fmt: skip
-    weight = np.concatenate([
-        sign * mass[group] / mass[group].sum()
-        for places in groups for sign, group in zip((1.0, -1.0), places, strict=True)
-    ])  # fmt: skip
-    return Centroids(read_only(atoms, np.int64), read_only(of, np.int64), read_only(weight))
-
-
-def _dihedrals(restraints: Sequence[Restraint], groups: Sequence[list[Integers]]) -> Dihedrals:
-    return Dihedrals(read_only(np.reshape(groups, (-1, 4)), np.int64))
-
-
-def _displacements(
-    positions: Floats, restraints: Sequence[Restraint], groups: Sequence[list[Integers]]
-) -> Displacements:
-    atoms = np.concatenate([places[0] for places in groups])
-    return Displacements(read_only(atoms, np.int64), read_only(positions[atoms]))
 
 
 def _at(atoms: Integers, vectors: Floats, n: int) -> Floats:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from protochain.core import checks, defaults
 from protochain.core.checks import NO_BONDS, Bond, LigandSource
 from protochain.core.errors import Argument, ProtochainError, refused
-from protochain.core.settings import Settings, setting
+from protochain.core.settings import Settings, documented, setting
 
 if TYPE_CHECKING:
     from protochain.chains.chain import Chain
@@ -31,6 +31,7 @@ class Prepared(NamedTuple):
     energy: "Energy"
 
 
+@documented()
 @dataclass(frozen=True)
 class Setup(Settings):
     """How a structure is read, cut into rigid bodies and given an energy.
@@ -39,46 +40,6 @@ class Setup(Settings):
     ----------
     hinges, root, move : str
         As in :func:`protochain.build_chain`.
-    rigid_protein : bool
-        Whether poses that are added, or without one all ligands of known chemistry, move alone: ``move`` is
-        ``ligand``.
-    forcefield, solvent, engine, device, terms : str
-        As in :func:`protochain.energy`.
-    cutoff : float, "auto" or None
-        As in :func:`protochain.energy`.
-    accuracy : float, "auto" or "exact"
-        As in :func:`protochain.energy`.
-    threads : int, optional
-        Threads for the energy; all by default.
-    trust_forcefield : bool
-        Allow a force-field file to run the Python scripts and open the files it names.
-    model : int or str, optional
-        Number of the model in the file; the first by default. A batch, or the command ``minimise``, also
-        takes ``all`` or numbers as ``1-5,8``, and treats each of these models by itself.
-    assembly : str
-        As in :func:`protochain.load`.
-    altloc : str
-        Alternate location to prefer, which some atom must have; by default, and where it is absent, the one
-        of highest occupancy.
-    keep : tuple of str
-        Molecules to keep beside the protein, as in :func:`protochain.load`, or their names in one text with
-        commas between.
-    disulfide : tuple of pairs of str, optional
-        Disulfide bonds beside those where sulphurs are near, each ``("A:3", "A:40")`` or ``"A:3-A:40"``;
-        ``"none"`` among them drops those.
-    ph : float or "auto"
-        Of the protonation of residues whose hydrogens or names do not show it, as in :func:`protochain.load`.
-    strict : bool
-        Refuse chain breaks and incomplete backbones.
-    chains : tuple of str
-        Chains to take, or their names in one text with commas between; all by default.
-    ligands : tuple of (str, str)
-        Sources of ligands' chemistry, and poses to add, as in :func:`protochain.load`.
-    ligand_charges : str
-        As in :func:`protochain.load`.
-    standard_residues : bool
-        Convert modified residues to their standard parents, also those that have parameters.
-
     rebuild_side_chains : str
         Residues whose side chains are built anew, all at once, from the backbone alone: ``all``, or a
         selection.
@@ -114,6 +75,8 @@ class Setup(Settings):
         "Only poses (--ligand POSE) move, or without one ligands of known chemistry.",
         checks.flag,
         bool,
+        doc="Whether poses that are added, or without one all ligands of known chemistry, move alone: "
+        "``move`` is ``ligand``.",
     )
     forcefield: str = setting(
         defaults.FORCEFIELD,
@@ -133,17 +96,20 @@ class Setup(Settings):
         "Terms of the force field: all, or nonbonded, without dihedrals, for methods that only turn hinges.",
         checks.text,
         option="--energy",
+        doc="As in :func:`protochain.energy`.",
     )
     cutoff: float | Literal["auto"] | None = setting(
         defaults.CUTOFF,
         "Distance in nm up to which pairs act, none, or auto: none, or 2 above 20,000 atoms without a tree.",
         checks.cutoff_of,
+        type='float, "auto" or None',
     )
     accuracy: float | Literal["auto", "exact"] = setting(
         defaults.ACCURACY,
         "RMS error of forces in kJ/mol/nm up to which a tree may sum far pairs, exact, or auto: 0.001 from "
         "5,000 atoms.",
         checks.accuracy_of,
+        type='float, "auto" or "exact"',
     )
     threads: int | None = setting(
         None, "Threads to compute on [default: all].", checks.optional(checks.at_least(1)), int
@@ -154,6 +120,8 @@ class Setup(Settings):
         "Number of the model [default: the first]; minimise, relax, batch and validate also take all, "
         "or 1-5,8.",
         lambda given, name: _model(given, name),
+        doc="Number of the model in the file; the first by default. A batch, or the command ``minimise``, "
+        "also takes ``all`` or numbers as ``1-5,8``, and treats each of these models by itself.",
     )
     assembly: str = setting(
         "",
@@ -167,6 +135,9 @@ class Setup(Settings):
         "Molecules to keep beside it, with commas: near (all but waters within 5 angstrom of it), "
         "none, all, water, ions, nucleic, ligands, or names of residues [default: near].",
         checks.words,
+        type="tuple of str",
+        doc="Molecules to keep beside the protein, as in :func:`protochain.load`, or their names in one text "
+        "with commas between.",
     )
     disulfide: tuple[Bond, ...] | None = setting(
         None,
@@ -174,6 +145,9 @@ class Setup(Settings):
         checks.optional(checks.bonds),
         list[str],
         metavar="A:3-A:40",
+        type="tuple of pairs of str, optional",
+        doc='Disulfide bonds beside those where sulphurs are near, each ``("A:3", "A:40")`` or '
+        '``"A:3-A:40"``; ``"none"`` among them drops those.',
         word=("no_disulfide", "No disulfide bonds but those of --disulfide.", NO_BONDS),
     )
     ph: float | Literal["auto"] = setting(
@@ -182,6 +156,9 @@ class Setup(Settings):
         "PROPKA [default: 7].",
         checks.acidity_or_auto,
         read=checks.number_in,
+        type='float or "auto"',
+        doc="Of the protonation of residues whose hydrogens or names do not show it, as in "
+        ":func:`protochain.load`.",
     )
     strict: bool = setting(False, "Refuse chain breaks and incomplete backbones.", checks.flag, bool)
     chains: tuple[str, ...] = setting(
@@ -190,6 +167,7 @@ class Setup(Settings):
         checks.words,
         option="--chain --chains",
         metavar="A,B",
+        type="tuple of str",
     )
     ligands: tuple[LigandSource, ...] = setting(
         (),
@@ -199,6 +177,8 @@ class Setup(Settings):
         list[str],
         option="--ligand",
         metavar="NAME=SDF|MOL2|SMILES",
+        type="tuple of (str, str)",
+        doc="Sources of ligands' chemistry, and poses to add, as in :func:`protochain.load`.",
     )
     ligand_charges: str = setting(
         defaults.LIGAND_CHARGES,

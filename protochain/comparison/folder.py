@@ -6,6 +6,7 @@ from pathlib import Path
 
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.storage import check_writable
+from protochain.results.run_folder import remove_files
 
 TABLES = (
     "summary", "equal_cost", "work", "spread", "displacement", "traces", "differences",
@@ -41,8 +42,7 @@ def files_of(folder: Path, name: str, methods: Iterable[str]) -> list[Path]:
 
 def clear(folder: Path) -> None:
     """Delete the files of an earlier comparison, and no others: no old structure stays beside new tables."""
-    for name in (_PAGE, *_structures(folder), *names()):
-        (folder / name).unlink(missing_ok=True)
+    remove_files(folder / name for name in (_PAGE, *_structures(folder), *names()))
 
 
 def names() -> list[str]:

@@ -4,14 +4,17 @@ Functions take them by name; commands make their options of them, batches the co
 """
 
 import inspect
+import re
+import textwrap
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import Field, dataclass, field, fields
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 from protochain.core.checks import Check, check_fields
 
 Made = TypeVar("Made")
+Documented = TypeVar("Documented", bound=Callable[..., Any])
 P = ParamSpec("P")
 
 
@@ -30,6 +33,8 @@ class Setting:
     metavar: str | None = None  # What stands for the value in the help.
     # A further option without a value: its name, its help, and what it puts before the values given.
     word: tuple[str, str, str] | None = None
+    doc: str = ""  # In docstrings, if they say more than the help of the option.
+    type: str = ""  # In docstrings, if it is not the type of the field.
 
     @property
     def turns_off(self) -> bool:
@@ -63,6 +68,34 @@ def settings_of(kind: type) -> Iterator[tuple[str, Setting]]:
     for each in fields(kind):
         if "setting" in each.metadata:
             yield each.name, each.metadata["setting"]
+
+
+def documented(*kinds: type) -> Callable[[Documented], Documented]:
+    """Decorate a function, or a class of settings: its docstring gets an entry for each of the settings."""
+
+    def decorate(target: Documented) -> Documented:
+        text = inspect.getdoc(target) or ""  # There is none if Python optimises.
+        before, heading, after = text.partition("Parameters\n----------\n")
+        own, end, rest = after.partition("\n\n")
+        entries = {each.name: _entry(each) for kind in kinds or (target,) for each in fields(kind)}
+        # An entry of the docstring itself may be of several parameters.
+        for entry in re.split(r"\n(?=\S)", own):
+            entries |= dict.fromkeys(entry.partition(" : ")[0].split(", "), entry)
+        ordered = dict.fromkeys(entries[name] for name in inspect.signature(target).parameters)
+        if heading:
+            target.__doc__ = "".join((before, heading, "\n".join(ordered), end, rest, "\n"))
+        return target
+
+    return decorate
+
+
+def _entry(of: "Field[Any]") -> str:
+    """Entry of a field in the section of parameters of a docstring."""
+    its: Setting = of.metadata["setting"]
+    kind = its.type or getattr(of.type, "__name__", str(of.type).replace(" | None", ", optional"))
+    told = its.doc or its.help
+    told = f"One of {told}" if told[:1].islower() else told
+    return f"{of.name} : {kind}\n{textwrap.indent(textwrap.fill(told, 100), '    ')}"
 
 
 def settings_from(kind: type[Made], given: Mapping[str, Any], **more: Any) -> Made:

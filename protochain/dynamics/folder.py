@@ -18,6 +18,7 @@ from protochain.dynamics.thermostats import Bath
 from protochain.mechanics.motion.system import Phase
 from protochain.mechanics.multibody import Frames, Tree, pose
 from protochain.mechanics.multibody.articulated import Articulated, articulate
+from protochain.results.run_folder import GrowingTable, refuse_earlier, remove_files
 from protochain.structure import Structure
 from protochain.structure.formats.trajectory import TrajectoryFile, check_trajectory
 from protochain.structure.write import common_suffix
@@ -25,6 +26,8 @@ from protochain.structure.write import common_suffix
 CHECKPOINT = "checkpoint.npz"
 _STALE = (CHECKPOINT, "last.pdb", "last.cif", "summary.json", "log.csv", "report.html")
 _PART = "log.part.csv"
+_END = "\r\n"
+"""End of a line of the log, as the csv module has it."""
 
 
 def files_of(path: Path, suffix: str) -> list[Path]:
@@ -38,10 +41,7 @@ def check_folder(path: Path, suffix: str, resume: bool, force: bool) -> None:
     check_writable(path / CHECKPOINT)
     there = [name for name in (CHECKPOINT, "log.csv", _PART) if (path / name).exists()]
     if there and not (resume or force):
-        raise ProtochainError(
-            f"{path}: holds a simulation ({there[0]}); ", Argument("resume", True), " continues it, ",
-            Argument("force", True), " replaces it",
-        )  # fmt: skip
+        raise refuse_earlier(path, f"a simulation ({there[0]})")
     if resume and not (path / CHECKPOINT).exists():
         raise ProtochainError(
             f"{path}: holds no {CHECKPOINT} to resume from; leave out ", Argument("resume", True)
@@ -85,13 +85,10 @@ class Folder:
         """Create the files of a simulation that starts at positions (na, 3)."""
         self.start = start
         self.path.mkdir(parents=True, exist_ok=True)
-        for stale in (*_STALE, self.trajectory.name):
-            (self.path / stale).unlink(missing_ok=True)
+        remove_files(self.path / name for name in (*_STALE, self.trajectory.name))
         self._frames = TrajectoryFile(self.trajectory, structure, frame_interval)
         with writing(self.log):
-            self._file = self.log_part.open("w", newline="", encoding="utf-8")
-        self._writer = csv.DictWriter(self._file, columns)
-        self._writer.writeheader()
+            self._rows = GrowingTable(self.log_part, columns, end=_END)
 
     def reopen(
         self, tree: Tree, structure: Structure, frame_interval: float, first: Callable[[Phase], Bath],
@@ -124,28 +121,24 @@ class Folder:
             self.trajectory, structure, frame_interval, (values["frames"], values["trajectory_bytes"])
         )
         log.replace(self.log_part)
-        self._file = self.log_part.open("r+", newline="", encoding="utf-8")
-        self._file.truncate(values["log_bytes"])
-        self._file.seek(0, os.SEEK_END)
-        self._writer = csv.DictWriter(self._file, columns)
+        self._rows = GrowingTable(self.log_part, columns, values["log_bytes"], _END)
         return state, rows, lists_at
 
     def append(self, row: Mapping[str, float], x: Floats) -> None:
         """Write a frame and its row of the log."""
         self._frames.append(x)
         with writing(self.log):
-            self._writer.writerow(row)
+            self._rows.append(row)
 
     def store(self, state: State, lists_at: Floats | None) -> None:
         """Write a checkpoint, after flushing to disk the frames and rows that it counts."""
         frames, trajectory_bytes = self._frames.stored()
         with writing(self.log):
-            self._file.flush()
-            os.fsync(self._file.fileno())
+            log_bytes = self._rows.stored()
         values = {
             "step": state.step, "potential": state.at.potential, "bath_energy": state.bath.energy,
             "damped": state.damped, "time": state.at.time, "frames": frames,
-            "trajectory_bytes": trajectory_bytes, "log_bytes": self.log_part.stat().st_size,
+            "trajectory_bytes": trajectory_bytes, "log_bytes": log_bytes,
         }  # fmt: skip
         at, factors = state.at, state.at.factors
         arrays = {
@@ -161,7 +154,7 @@ class Folder:
 
     def close(self, sound: bool) -> None:
         """Close the files; give them their final names if the run is sound."""
-        self._file.close()
+        self._rows.close()
         if sound:
             self.log_part.replace(self.log)
             self._frames.finish()
@@ -170,9 +163,9 @@ class Folder:
 
     def rescue(self) -> str:
         """Keep what the last checkpoint counts, under final names, after a file could not be written."""
-        if hasattr(self, "_file"):
+        if hasattr(self, "_rows"):
             with suppress(OSError):  # What a full disk did not take is still in the buffer.
-                self._file.close()
+                self._rows.close()
         if not self.stored:
             if hasattr(self, "_frames"):
                 self._frames.discard()

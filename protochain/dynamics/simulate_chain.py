@@ -23,7 +23,7 @@ from protochain.core.checks import WATCHER, checked, optional, path
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
 from protochain.core.markup import listed
-from protochain.core.settings import settings_from
+from protochain.core.settings import documented, settings_from
 from protochain.core.storage import claimed
 from protochain.core.units import MOLAR_GAS
 from protochain.dynamics.closure import Closure, closure_of
@@ -45,6 +45,7 @@ from protochain.structure.molecule.chirality import changed_stereocentres
 from protochain.structure.superpose import rmsd_angstrom
 
 
+@documented(SimulationSettings, RunSettings)
 @checked(output=optional(path), watch=WATCHER)
 def simulate(
     chain: Any,
@@ -86,54 +87,10 @@ def simulate(
     q : (n_q,) float, optional
         Initial coordinates of the given chain; by default those of its input pose. Minimise them first: a
         strained start is hot.
-    temperature : float, K
-        Temperature of the thermostat and of the initial velocities.
-    time_step : float, ps
-        Time step.
-    n_steps : int
-        Number of steps in all, including those before a resumed run.
-    thermostat : str
-        ``langevin``, ``nose-hoover``, ``rescale``, ``hmc`` (hybrid Monte Carlo) or ``none``.
-    seed : int
-        Seed of all random numbers: the same seed gives the same trajectory.
-    friction : float, 1/ps
-        Friction coefficient of the thermostat, or its relaxation rate.
-    integrator : str
-        ``leapfrog`` (reversible, one energy a step), ``lobatto`` (as good for short chains), ``midpoint``
-        (implicit, for stiff springs), ``rk4`` or ``dormand-prince`` (references).
-    fixman : bool
-        Add Fixman's potential, which corrects the bias of rigid bonds and angles, and of closed loops.
-    loops : str
-        Disulfides and other bonds at which loops were cut: ``open`` leaves them to the force field,
-        ``closed`` keeps them, by constraints, at the lengths and angles they have at q.
-    hydrogen_mass : float, optional, amu
-        Mass of every hydrogen, as in :func:`protochain.build_chain`.
-    trajectory_length : int
-        Number of steps of a trajectory of hybrid Monte Carlo.
-    every : int
-        Steps between frames, and between rows of the log.
     output : path-like, optional
         Folder for the trajectory, ``log.csv``, ``last.pdb``, ``checkpoint.npz`` and ``summary.json``.
-    trajectory : str
-        Format of the trajectory, ``dcd`` or ``xtc``.
-    checkpoint_every : int
-        Rows of the log between checkpoints.
-    resume : bool
-        Continue the simulation in the folder, bit for bit as if it had not been stopped.
-    force : bool
-        Replace the simulation in the folder.
     watch : callable, optional
         Called with every row of the log and its positions, as written.
-    pull : Pull or str, optional
-        Spring that pulls two places apart, or together, at constant speed; the log has its distance,
-        extension, force and work. A text, as ``"A:1:N-A:20:C"``, takes the default stiffness and speed.
-    hinge_springs : HingeSpring, str, or sequence of them
-        Springs and dampers on all hinges of a kind; as text ``"omega 40 0.5"``.
-    restraint : Restraint, str, path-like, or sequence of them
-        Restraints, their lines, or a file of them; the log has their energy.
-    superpose : bool
-        Superpose all positions on the start of the run, and the start on the input. A molecule that something
-        holds from outside, as restraints of positions do, stays where the run went.
 
     Returns
     -------

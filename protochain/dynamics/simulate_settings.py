@@ -23,7 +23,7 @@ from protochain.core.checks import (
     text,
 )
 from protochain.core.errors import Argument, ProtochainError, refused
-from protochain.core.settings import Settings, setting
+from protochain.core.settings import Settings, documented, setting
 from protochain.core.units import MOLAR_GAS
 
 LONGEST_STEP = 0.5
@@ -35,6 +35,7 @@ FARTHEST_PULL = 0.1
 """nm. An atom's radius: a spring that moves farther in one step is meant in another unit."""
 
 
+@documented()
 @dataclass(frozen=True)
 class Pull(Settings):
     """Spring between two places of a structure, whose length at rest changes at constant speed.
@@ -45,8 +46,6 @@ class Pull(Settings):
         Two atoms, ``("A:1:N", "A:20:C")`` or ``"A:1:N-A:20:C"``: chain, number with insertion code, name. A
         residue, ``A:20``, or a selection in MDAnalysis's language stands for its centre of mass; two of these
         in one text have `` - `` between them.
-    stiffness : float, kJ/mol/nm^2
-        Of the spring.
     speed : float, nm/ps
         At which its length at rest grows from the distance at the start; below 0 it shrinks, down to no
         length; 0 holds the distance.
@@ -213,18 +212,25 @@ class SimulationSettings(Settings):
         limited(quantity("picosecond"), lambda step: 0.0 < step < math.inf, "give a number above 0", "ps"),
         float,
         read=_picoseconds,
+        doc="Time step, ps.",
     )
     thermostat: str = setting(defaults.THERMOSTAT, "langevin, nose-hoover, rescale, hmc or none.", text)
     friction: float = setting(
         defaults.FRICTION, "Coupling of the thermostat, 1/ps.", _not_negative("1/picosecond", "/ps"), float
     )
     integrator: str = setting(
-        defaults.INTEGRATOR, "leapfrog, lobatto, midpoint, rk4 or dormand-prince.", text
-    )
+        defaults.INTEGRATOR, "leapfrog, lobatto, midpoint, rk4 or dormand-prince.", text,
+        doc="``leapfrog`` (reversible, one energy a step), ``lobatto`` (as good for short chains), "
+        "``midpoint`` (implicit, for stiff springs), ``rk4`` or ``dormand-prince`` (references).",
+    )  # fmt: skip
     fixman: bool = setting(
         False, "Add Fixman's potential, against the bias of rigid bonds and angles.", flag, bool
     )
-    loops: str = setting(defaults.LOOPS, "Disulfides: open (force field) or closed (constraints).", text)
+    loops: str = setting(
+        defaults.LOOPS, "Disulfides: open (force field) or closed (constraints).", text,
+        doc="Disulfides and other bonds at which loops were cut: ``open`` leaves them to the force field, "
+        "``closed`` keeps them, by constraints, at the lengths and angles they have at q.",
+    )  # fmt: skip
     hydrogen_mass: float | None = setting(
         None,
         "Mass of hydrogens, taken from the atoms they are bonded to, amu.",
@@ -236,7 +242,11 @@ class SimulationSettings(Settings):
     )
     every: int = setting(defaults.EVERY, "Steps between frames and rows of the log.", at_least(1), int)
     seed: int = setting(defaults.SEED, "Seed of all random numbers.", at_least(0), int)
-    pull: Pull | None = setting(None, "", Pull.of)
+    pull: Pull | None = setting(
+        None, "", Pull.of, type="Pull or str, optional",
+        doc="Spring that pulls two places apart, or together, at constant speed; the log has its distance, "
+        'extension, force and work. A text, as ``"A:1:N-A:20:C"``, takes the default stiffness and speed.',
+    )  # fmt: skip
     hinge_springs: tuple[HingeSpring, ...] = setting(
         (),
         "Spring (kJ/mol/rad^2) and damper (kJ/mol ps/rad^2) on all hinges of a kind, as 'omega 40 0.5'.",
@@ -244,15 +254,20 @@ class SimulationSettings(Settings):
         list[str],
         "--hinge-spring",
         metavar="'KIND K C'",
+        type="HingeSpring, str, or sequence of them",
     )
 
     restraint: tuple[Restraint, ...] = setting(
         (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
         read_restraints, list[str], "--restrain", metavar="LINE|FILE",
+        type="Restraint, str, path-like, or sequence of them",
+        doc="Restraints, their lines, or a file of them; the log has their energy.",
     )  # fmt: skip
     superpose: bool = setting(
-        True, "Write positions as the run went, not superposed on the start.", flag, bool, "--no-superpose"
-    )
+        True, "Write positions as the run went, not superposed on the start.", flag, bool, "--no-superpose",
+        doc="Superpose all positions on the start of the run, and the start on the input. A molecule that "
+        "something holds from outside, as restraints of positions do, stays where the run went.",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         from protochain.dynamics.integrators import INTEGRATORS
@@ -318,8 +333,18 @@ class SimulationSettings(Settings):
 class RunSettings(Settings):
     """How long a simulation runs, and what is in its folder; another run may continue it with others."""
 
-    n_steps: int = setting(defaults.N_STEPS, "Total number of time steps.", at_least(1), int, "--steps")
-    trajectory: str = setting(defaults.TRAJECTORY, "dcd or xtc.", text)
+    n_steps: int = setting(
+        defaults.N_STEPS, "Total number of time steps.", at_least(1), int, "--steps",
+        doc="Number of steps in all, including those before a resumed run.",
+    )  # fmt: skip
+    trajectory: str = setting(
+        defaults.TRAJECTORY, "dcd or xtc.", text, doc="Format of the trajectory, ``dcd`` or ``xtc``."
+    )
     checkpoint_every: int = setting(defaults.CHECKPOINT_EVERY, "Rows between checkpoints.", at_least(1), int)
-    resume: bool = setting(False, "Continue the simulation in DIR.", flag, bool)
-    force: bool = setting(False, "Replace the simulation in DIR.", flag, bool)
+    resume: bool = setting(
+        False, "Continue the simulation in DIR.", flag, bool,
+        doc="Continue the simulation in the folder, bit for bit as if it had not been stopped.",
+    )  # fmt: skip
+    force: bool = setting(
+        False, "Replace the simulation in DIR.", flag, bool, doc="Replace the simulation in the folder."
+    )

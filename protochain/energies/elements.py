@@ -609,7 +609,9 @@ def _share_charges(system: openmm.System, structure: Structure) -> None:
     new = old.copy()
     for metal, donor_atoms in donors.items():
         if old[metal] > 0.0:
-            share = min(_DONATED * max(old[metal] / 2.0, 1.0), (1.0 - _RETAINED) * old[metal] / len(donor_atoms))
+            share = min(
+                _DONATED * max(old[metal] / 2.0, 1.0), (1.0 - _RETAINED) * old[metal] / len(donor_atoms)
+            )
             new[metal] -= share * len(donor_atoms)
             new[donor_atoms] += share
     changed = {*np.flatnonzero(new != old).tolist()}

@@ -33,11 +33,18 @@ class MinimiseSettings(Settings):
         "or largest torque [default: 1 kJ/mol/rad].",
         TOLERANCE,
         float,
+        doc="Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force "
+        "(kJ/mol/nm), as recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 5 "
+        "kJ/mol/nm, which leaves a structure nearer to its start than 1 does, 0.1 to 2.5 kJ/mol per residue "
+        "above its minimum.",
     )
     max_evaluations: int = setting(
         defaults.MAX_EVALUATIONS, "Energy evaluations allowed for each method.", at_least(1), int
     )
-    seed: int = setting(defaults.SEED, "Seed of methods that draw random numbers.", at_least(0), int)
+    seed: int = setting(
+        defaults.SEED, "Seed of methods that draw random numbers.", at_least(0), int,
+        doc="Seed of ``anneal`` and ``openmm-md``; the other methods draw no random numbers.",
+    )  # fmt: skip
     restraint: Any = setting(
         "",
         "Springs to the start, kJ/mol/nm^2, one after the other: '1000 100 0'; or a restraint, as 'distance "
@@ -46,6 +53,10 @@ class MinimiseSettings(Settings):
         option="--restrain",
         read=_not_empty,
         metavar="K...|LINE|FILE",
+        type="float, sequence of float (kJ/mol/nm^2), or callable",
+        doc="Springs from the heavy atoms to their initial positions: one strength after the other, each "
+        "until it converges; a final 0 releases them. A callable takes positions to energy and forces, as "
+        "``energy`` does.",
     )
     max_rmsd: float = setting(math.inf, "Largest C-alpha RMSD to the start, angstrom.", number, float)
     curvature: bool | None = setting(
@@ -54,12 +65,18 @@ class MinimiseSettings(Settings):
         optional(flag),
         bool,
         "--curvature/--no-curvature",
+        doc="Whether to compute, at the end, the lowest eigenvalue of the Hessian in the moving degrees of "
+        "freedom, and to go on from a saddle point (:mod:`protochain.minimisers.saddle`). It takes 10 to 40 "
+        "evaluations. Default: if only hinges turn, and in all atoms at tolerances up to 1 kJ/mol/nm, "
+        "without OpenMM's.",
     )
     judge: str = setting(
         defaults.JUDGE,
         "Of start and end: auto (our kernels, all pairs in double precision) or reference (OpenMM's "
         "Reference platform).",
         one_of(JUDGES),
+        doc="What judges start and end: ``reference`` (OpenMM's Reference platform), or ``auto``, the native "
+        "engine with all pairs in double precision, or that platform for what it cannot compute.",
     )
 
 
@@ -68,9 +85,15 @@ class CheckpointSettings(Settings):
     """Where the state of a run is written, and read, so that it can go on."""
 
     checkpoint: str | Path | None = setting(
-        None, "File for the state at the end, .npz.", optional(path), Path
-    )
-    resume: str | Path | None = setting(None, "Continue from a checkpoint.", optional(path), Path)
+        None, "File for the state at the end, .npz.", optional(path), Path, type="path-like, optional",
+        doc="File (.npz) to write when the run ends, for ``resume``; a warning says why if it cannot be "
+        "written.",
+    )  # fmt: skip
+    resume: str | Path | None = setting(
+        None, "Continue from a checkpoint.", optional(path), Path, type="path-like, optional",
+        doc="Continue from a checkpoint of a run with the same settings; evaluations count on, and the steps "
+        "are those of an uninterrupted run, bit for bit.",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,7 +24,7 @@ from protochain.core.checks import WATCHER, checked
 from protochain.core.errors import ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, open_to_interrupts
 from protochain.core.markup import listed
-from protochain.core.settings import settings_from
+from protochain.core.settings import documented, settings_from
 from protochain.core.timings import timed, until_now
 from protochain.minimisers.checkpoint import load_checkpoint, save_checkpoint
 from protochain.minimisers.loop import Stop
@@ -43,6 +43,7 @@ from protochain.minimisers.verdict import Judgement, judge, rebuilt, rejected, v
 from protochain.validation.omega import twisted_bonds
 
 
+@documented(MinimiseSettings, CheckpointSettings)
 @checked(watch=WATCHER)
 def minimise(
     chain: Any,
@@ -82,34 +83,8 @@ def minimise(
         a minimum by ``lbfgs``, ``openmm`` (LocalEnergyMinimizer), or ``openmm-md`` (OpenMM's dynamics at
         300 K, bonds to hydrogen constrained, between two minimisations). For methods of your own see
         :func:`protochain.minimisers.recipe_of`.
-    tolerance : float, optional
-        Converged when the largest torque (kJ/mol/rad) or, where all atoms move, the RMS force (kJ/mol/nm), as
-        recomputed in double precision, is no larger. Default: 1 kJ/mol/rad, or 5 kJ/mol/nm, which leaves a
-        structure nearer to its start than 1 does, 0.1 to 2.5 kJ/mol per residue above its minimum.
-    max_evaluations : int
-        Energy evaluations allowed.
-    seed : int
-        Seed of ``anneal`` and ``openmm-md``; the other methods draw no random numbers.
     q : (n_q,) float, optional
         Coordinates of the given chain to start from, as of :meth:`Chain.set`; by default its input pose.
-    restraint : float, sequence of float (kJ/mol/nm^2), or callable
-        Springs from the heavy atoms to their initial positions: one strength after the other, each until it
-        converges; a final 0 releases them. A callable takes positions to energy and forces, as ``energy``
-        does.
-    max_rmsd : float, angstrom
-        Upper limit of the C-alpha RMSD to the start, superposed.
-    curvature : bool, optional
-        Whether to compute, at the end, the lowest eigenvalue of the Hessian in the moving degrees of freedom,
-        and to go on from a saddle point (:mod:`protochain.minimisers.saddle`). It takes 10 to 40 evaluations.
-        Default: if only hinges turn, and in all atoms at tolerances up to 1 kJ/mol/nm, without OpenMM's.
-    judge : str
-        What judges start and end: ``reference`` (OpenMM's Reference platform), or ``auto``, the native engine
-        with all pairs in double precision, or that platform for what it cannot compute.
-    checkpoint : path-like, optional
-        File (.npz) to write when the run ends, for ``resume``; a warning says why if it cannot be written.
-    resume : path-like, optional
-        Continue from a checkpoint of a run with the same settings; evaluations count on, and the steps are
-        those of an uninterrupted run, bit for bit.
     watch : callable, optional
         Called with every trace row and its positions (in the frame of the start), to show progress or write a
         trajectory. Its method ``at_stage``, if it has one, is called with the stage (``resolving clashes``,

@@ -11,11 +11,12 @@ from protochain.chains.setup import Setup
 from protochain.core import defaults
 from protochain.core.checks import at_least, flag, limited, number, optional, refuse_unknown, sequences, text
 from protochain.core.errors import Argument, ProtochainError
-from protochain.core.settings import Settings, setting
+from protochain.core.settings import Settings, documented, setting
 from protochain.minimisers.minimise_settings import TOLERANCE
 from protochain.relaxation.presets import PRESETS, PROTOCOLS, Preset
 
 
+@documented()
 @dataclass(frozen=True)
 class RelaxSettings(Settings):
     """How a structure is relaxed.
@@ -28,40 +29,9 @@ class RelaxSettings(Settings):
     protocol : str
         ``alphafold`` for AlphaFold's force field, solvent, springs and tolerance, to compare like with like:
         amber99sb in vacuum. Bonds to hydrogen are not constrained here, as they are there. Empty for none.
-    tolerance : float, kJ/mol/nm, optional
-        RMS force at which a minimisation ends, springs included; by default the preset's, 10.
-    stiffness : float, kJ/mol/nm^2, optional
-        Springs of the backbone, E = k/2 d^2; those of side chains keep their proportion. By default the
-        preset's. AlphaFold's 10 kcal/mol/angstrom^2 are 4184.
-    max_iterations : int
-        Iterations of each minimisation; 0 for no limit.
-    max_outer_iterations : int
-        Rounds at most: in each but the first, residues that still have violations or overlaps, and their
-        neighbours, are held less: by a tenth of their springs, and the next time by none.
-    exclude : str
-        Residues without springs from the first round on, in the selection language of MDAnalysis.
-    keep_hydrogens : bool
-        Whether files have hydrogens.
-    repack : bool
-        Whether side chains in the way of others are put into other rotamers first.
-    posebusters : bool
-        Whether PoseBusters' tests are run on ligands before and after; half a minute for a large one.
-    free_ligands : bool
-        Whether ligands have no springs.
-    repack_region : str
-        Residues whose side chains are put into the best of their rotamers first, all at once, whether or not
-        they are in the way, in the selection language of MDAnalysis: ``chainID A``, ``interface A B``. They
-        may stay as they are; ``repack`` is implied.
     rebuild_side_chains, sequence : str
         As of :class:`protochain.Setup`: side chains that are built anew from the backbone, of a selection or
         ``all``; a sequence to put on it.
-    restraints : Restraint, str, path-like, or sequence of them
-        Restraints beside the springs, also to the end, their lines, or a file of them.
-    interface : str
-        Two sides, as ``A,B:C``, whose interface is scored before and after; empty for none.
-    mirror : bool
-        Whether chains that are mirror images, most of whose stereocentres are D under names of L, are meant
-        as such: their residues become D-amino acids, also by name. Otherwise they are a violation.
 
     Raises
     ------
@@ -74,13 +44,16 @@ class RelaxSettings(Settings):
         "", "alphafold: amber99sb in vacuum, to compare with; its X-H bonds are constrained, here not.", text
     )
     tolerance: float | None = setting(
-        None, "RMS force at the end, kJ/mol/nm [default: 10].", TOLERANCE, float
-    )
+        None, "RMS force at the end, kJ/mol/nm [default: 10].", TOLERANCE, float,
+        doc="RMS force at which a minimisation ends, kJ/mol/nm, springs included; by default the preset's.",
+    )  # fmt: skip
     stiffness: float | None = setting(
         None,
         "Springs, kJ/mol/nm^2 [default: of the preset, 4184, AlphaFold's 10 kcal/mol/angstrom^2].",
         optional(limited(number, lambda k: 0 <= k < math.inf, "give kJ/mol/nm^2, none below 0")),
         float,
+        doc="Springs of the backbone, E = k/2 d^2, kJ/mol/nm^2; those of side chains keep their proportion. "
+        "By default the preset's. AlphaFold's 10 kcal/mol/angstrom^2 are 4184.",
     )
     max_iterations: int = setting(
         defaults.MAX_ITERATIONS, "Iterations of each minimisation; 0 for no limit.", at_least(0), int
@@ -90,6 +63,8 @@ class RelaxSettings(Settings):
         "Rounds at most; after the first, residues with violations are held less.",
         at_least(1),
         int,
+        doc="Rounds at most: in each but the first, residues that still have violations or overlaps, and "
+        "their neighbours, are held less: by a tenth of their springs, and the next time by none.",
     )
     exclude: str = setting(
         "", "Residues without springs, in MDAnalysis's selection language: 'resid 5:20'.", text
@@ -108,8 +83,11 @@ class RelaxSettings(Settings):
     )
     free_ligands: bool = setting(False, "No springs on ligands.", flag, bool)
     repack_region: str = setting(
-        "", "First put all side chains there into the best rotamers: 'interface A B', 'chainID A'.", text
-    )
+        "", "First put all side chains there into the best rotamers: 'interface A B', 'chainID A'.", text,
+        doc="Residues whose side chains are put into the best of their rotamers first, all at once, whether "
+        "or not they are in the way, in the selection language of MDAnalysis: ``chainID A``, "
+        "``interface A B``. They may stay as they are; ``repack`` is implied.",
+    )  # fmt: skip
     rebuild_side_chains: str = setting(
         "", "First take side chains off and build them on rotamers: all, or those of a selection.", text,
         metavar="all|SELECTION",
@@ -121,6 +99,8 @@ class RelaxSettings(Settings):
     restraints: tuple[Restraint, ...] = setting(
         (), "Restraint beside the springs, as 'distance A:3:CA A:9:CA 0 6 1000', or a file of them.",
         read_restraints, list[str], metavar="LINE|FILE",
+        type="Restraint, str, path-like, or sequence of them",
+        doc="Restraints beside the springs, also to the end, their lines, or a file of them.",
     )  # fmt: skip
     interface: str = setting(
         "",
@@ -129,8 +109,10 @@ class RelaxSettings(Settings):
         metavar="A,B:C",
     )
     mirror: bool = setting(
-        False, "Chains of D-amino acids under names of L are meant, and get names of D.", flag, bool
-    )
+        False, "Chains of D-amino acids under names of L are meant, and get names of D.", flag, bool,
+        doc="Whether chains that are mirror images, most of whose stereocentres are D under names of L, are "
+        "meant as such: their residues become D-amino acids, also by name. Otherwise they are a violation.",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -13,6 +13,7 @@ from protochain.core.palette import COLOURS, START, looks
 from protochain.core.storage import json_text, write_text
 from protochain.results.figures import data_url, panels, plain
 from protochain.results.page import write_page
+from protochain.results.run_folder import remove_files
 from protochain.results.tables import save
 from protochain.results.viewer import scene
 from protochain.structure import Structure
@@ -41,8 +42,7 @@ def write_search(
     if populations is not None:
         files |= {"populations.csv": populations, "conformers.csv": conformers}
     folder.mkdir(parents=True, exist_ok=True)
-    for old in (*folder.glob("minima/minimum-*.pdb"), *(folder / name for name in TABLES)):
-        old.unlink(missing_ok=True)
+    remove_files((*folder.glob("minima/minimum-*.pdb"), *(folder / name for name in TABLES)))
     save(folder, files)
     (folder / "minima").mkdir(exist_ok=True)
     for number, row in enumerate(minima.head(WRITTEN).to_dict("records"), 1):

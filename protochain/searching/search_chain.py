@@ -17,8 +17,9 @@ from protochain.core import defaults
 from protochain.core.checks import at_least, checked, function, optional, path, text
 from protochain.core.errors import Argument, ProtochainError
 from protochain.core.interrupts import held_interrupts
-from protochain.core.settings import settings_from
+from protochain.core.settings import documented, settings_from
 from protochain.core.storage import check_writable, claimed
+from protochain.results.run_folder import refuse_earlier, remove_files
 from protochain.searching.csa import Crossings
 from protochain.searching.hopping import Hops
 from protochain.searching.landscape import Landscape
@@ -69,6 +70,7 @@ class SearchProgress:
     acceptance: float
 
 
+@documented(SearchSettings, SearchRunSettings)
 @checked(
     output=optional(path), workers=optional(at_least(1)), scheduler=optional(text), watch=function("progress")
 )
@@ -100,35 +102,9 @@ def search(
         One chain by itself, of which all walks begin; :func:`protochain.from_sequence` makes one.
     energy : Energy, optional
         As in :func:`protochain.minimise`.
-    method : str
-        ``csa`` (conformational space annealing: a bank of minima is crossed), ``hopping`` (Metropolis over
-        minima) or ``tempering`` (replica exchange, which also yields populations).
-    evaluations : int, optional
-        Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: 200,000,
-        without end if ``hours`` are given.
-    hours : float, optional
-        Time after which the search ends, but not before one walk has begun.
-    temperatures : (float, float) or str, K
-        Lowest and highest, as ``"300-600"``. Hopping takes the lowest, csa none.
-    n_walkers : int
-        Independent walks.
-    n_replicas : int
-        Temperatures of each walk of tempering; a pilot places them.
-    pilot : int
-        Rounds of the pilot, which do not count: more where energies change late, as a peptide folds.
-    seed : int
-        Seed of all random numbers: the same seed gives the same bits, killed or not, on any number of
-        processes.
-    restraint : Restraint, str, path-like, or sequence of them
-        As of :func:`protochain.minimise`, of one form: lines, or a file of them. All energies of the search
-        have theirs in them.
     output : path-like, optional
         Folder for pieces, from which the search can go on, tables, structures, ``summary.json`` and
         ``report.html``.
-    resume : bool
-        Continue the search in the folder, also with more evaluations.
-    force : bool
-        Replace the search in the folder.
     workers : int, optional
         Processes of one thread each. By default all is done in this one.
     scheduler : str, optional
@@ -197,10 +173,7 @@ def check_folder(folder: Path, resume: bool, force: bool) -> None:
     check_writable(folder / "summary.json")
     is_there = next(_pieces(folder), None) is not None
     if is_there and not (resume or force):
-        raise ProtochainError(
-            f"{folder}: holds a search; ", Argument("resume", True), " continues it, ",
-            Argument("force", True), " replaces it",
-        )  # fmt: skip
+        raise refuse_earlier(folder, "a search")
     if resume and not is_there:
         raise ProtochainError(f"{folder}: holds no search to resume; leave out ", Argument("resume", True))
 
@@ -237,8 +210,7 @@ class _Walks:
             for walker in range(settings.n_walkers):
                 self._read(folder, walker)
         elif folder is not None:
-            for piece in _pieces(folder):
-                piece.unlink()
+            remove_files(_pieces(folder))
 
     def _read(self, folder: Path, walker: int) -> None:
         kind = self.methods[walker].state

@@ -39,14 +39,18 @@ class SearchSettings(Settings):
     """Settings that define a search; for the meanings see :func:`protochain.search`."""
 
     method: str = setting(
-        defaults.SEARCH, "csa (conformational space annealing), hopping or tempering.", one_of(METHODS)
-    )
+        defaults.SEARCH, "csa (conformational space annealing), hopping or tempering.", one_of(METHODS),
+        doc="``csa`` (conformational space annealing: a bank of minima is crossed), ``hopping`` (Metropolis "
+        "over minima) or ``tempering`` (replica exchange, which also yields populations).",
+    )  # fmt: skip
     temperatures: tuple[float, float] = setting(
         defaults.SEARCH_TEMPERATURES,
         "Lowest and highest temperature, K: hopping takes the lowest, csa none [default: 300-600].",
         interval,
         str,
         metavar="LOW-HIGH",
+        type="(float, float) or str, K",
+        doc='Lowest and highest, as ``"300-600"``. Hopping takes the lowest, csa none.',
     )
     n_walkers: int = setting(
         defaults.N_WALKERS,
@@ -63,11 +67,19 @@ class SearchSettings(Settings):
         "Rounds in which tempering places its temperatures, before those that count.",
         at_least(3),
         int,
+        doc="Rounds of the pilot, which do not count: more where energies change late, as a peptide folds.",
     )
-    seed: int = setting(defaults.SEED, "Seed of all random numbers.", at_least(0), int)
+    seed: int = setting(
+        defaults.SEED, "Seed of all random numbers.", at_least(0), int,
+        doc="Seed of all random numbers: the same seed gives the same bits, killed or not, on any number of "
+        "processes.",
+    )  # fmt: skip
     restraint: tuple[Restraint, ...] = setting(
         (), "Restraint, as 'distance A:3:CA A:9:CA 0 6 1000' (angstrom, kJ/mol/nm^2), or a file of them.",
         read_restraints, list[str], "--restrain", metavar="LINE|FILE",
+        type="Restraint, str, path-like, or sequence of them",
+        doc="As of :func:`protochain.minimise`, of one form: lines, or a file of them. All energies of the "
+        "search have theirs in them.",
     )  # fmt: skip
 
     def record(self) -> dict[str, Any]:
@@ -86,15 +98,23 @@ class SearchRunSettings(Settings):
         "without end with --hours].",
         optional(at_least(1)),
         int,
+        doc="Energy evaluations in all, of all walks; the last step of each may exceed its share. Default: "
+        "200,000, without end if ``hours`` are given.",
     )
     hours: float | None = setting(
         None,
         "Hours of this run.",
         optional(limited(number, lambda hours: 0.0 < hours < math.inf, "give a number above 0")),
         float,
+        doc="Time after which the search ends, but not before one walk has begun.",
     )
-    resume: bool = setting(False, "Continue the search in DIR.", flag, bool)
-    force: bool = setting(False, "Replace the search in DIR.", flag, bool)
+    resume: bool = setting(
+        False, "Continue the search in DIR.", flag, bool,
+        doc="Continue the search in the folder, also with more evaluations.",
+    )  # fmt: skip
+    force: bool = setting(
+        False, "Replace the search in DIR.", flag, bool, doc="Replace the search in the folder."
+    )
 
     @property
     def budget(self) -> float:

@@ -10,8 +10,9 @@ from fixtures.command_line import refusal_as_said, run
 from fixtures.samples import STRUCTURES, chain, load, shared
 
 import protochain as pc
+from protochain.chains.restraint import PLACES
 from protochain.chains.restraint_lines import read_restraints
-from protochain.chains.restraint_list import Restraints
+from protochain.chains.restraint_list import FORMS, Restraints
 from protochain.energies.custom import check_forces
 from protochain.structure.select import atoms_at
 
@@ -268,3 +269,7 @@ def test_windows_give_the_free_energy_of_quadrature():
     off -= off.mean()
     assert len(found) == len(expected) and np.abs(off).max() < 1.0, off
     assert math.sqrt((off**2).mean()) < 0.5
+
+
+def test_every_kind_of_restraint_has_one_form():
+    assert sorted(kind for form in FORMS for kind in form.kinds) == sorted(PLACES)

@@ -18,13 +18,14 @@ from fixtures.samples import ROOT, STRUCTURES, chain, energy
 
 import protochain as pc
 from protochain.batches.naming import Earlier, Wanted, named_apart
-from protochain.batches.table import COLUMNS, lines
+from protochain.batches.table import COLUMNS
 from protochain.batches.table import _whole_lines as whole_lines
 from protochain.core import interrupts, storage
 from protochain.core.errors import MechanicsError, ProtochainError, WriteError, WriteWarning
 from protochain.core.interrupts import held_interrupts, interrupt_on_signals
 from protochain.core.storage import check_writable, claimed, claimed_files, temporary_stem, write_text
 from protochain.mechanisms import Mechanism
+from protochain.results.run_folder import csv_text
 
 SAMPLE = STRUCTURES / "ala10.pdb"
 MANIFEST = ROOT.parent / "shared" / "cases" / "reliability5" / "MANIFEST.tsv"
@@ -169,7 +170,7 @@ def test_resuming_a_batch_leaves_files_of_the_user_and_adds_no_rows(tmp_path, mo
 def test_rows_that_lead_out_of_the_folder_are_no_rows(name, column, tmp_path):
     row = {**dict.fromkeys(COLUMNS, ""), "structure": "a", "method": "kcm", "output": "a.kcm.pdb"}
     table = tmp_path / "summary.csv"
-    table.write_text(lines(COLUMNS, [row, row | {column: name}], header=True))
+    table.write_text(csv_text(COLUMNS, [row, row | {column: name}], header=True))
     assert [(each["structure"], each["output"]) for each in whole_lines(table)] == [("a", "a.kcm.pdb")]
 
 

@@ -1,0 +1,83 @@
+"""Files of a run: refusal of an earlier run, tables that grow, and errors that say what is saved."""
+
+import csv
+import io
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from protochain.core.errors import Argument, ProtochainError, WriteError
+from protochain.core.storage import writing
+
+REPLACE = Argument("force", True), " replaces it"
+
+
+def refuse_earlier(place: Path, what: str, *remedy: str | Argument) -> ProtochainError:
+    """Return the refusal of a place where an earlier run is, which ``resume`` continues."""
+    return ProtochainError(
+        f"{place}: holds {what}; ", Argument("resume", True), " continues it", *(remedy or (", ", *REPLACE))
+    )
+
+
+def checkpoint_of(table: Path) -> Path:
+    """Return the checkpoint beside a table that grows."""
+    return table.with_name(f"{table.stem}.checkpoint.npz")
+
+
+def remove_files(files: Iterable[Path]) -> None:
+    """Remove the files that exist."""
+    for file in files:
+        file.unlink(missing_ok=True)
+
+
+@contextmanager
+def saving(path: Path, what: str) -> Iterator[None]:
+    """Report what is saved when the disk is full, and that the run can go on."""
+    try:
+        with writing(path):
+            yield
+    except WriteError as error:
+        raise error.with_saved(what, "continue with ", Argument("resume", True)) from error
+
+
+def csv_text(
+    columns: Sequence[str], rows: Iterable[Mapping[str, object]], header: bool = False, end: str = "\n"
+) -> str:
+    """Text of rows, with a header if it is asked for."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, extrasaction="ignore", lineterminator=end)
+    if header:
+        writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+class GrowingTable:
+    """CSV of a run, to which rows are appended behind the bytes that a checkpoint counts."""
+
+    def __init__(self, path: Path, columns: Sequence[str], n_bytes: int = 0, end: str = "\n") -> None:
+        self.columns, self.end = columns, end
+        self._file = path.open("r+b" if n_bytes else "wb")
+        self._file.seek(n_bytes)
+        self._file.truncate()
+        if not n_bytes:
+            self._write(csv_text(columns, (), True, end))
+
+    def append(self, row: Mapping[str, object]) -> None:
+        """Write a row."""
+        self._write(csv_text(self.columns, [row], end=self.end))
+
+    def _write(self, text: str) -> None:
+        # Names of files may be no UTF-8.
+        self._file.write(text.encode(errors="backslashreplace"))
+        self._file.flush()
+
+    def stored(self) -> int:
+        """Write all rows to the disk; return the bytes of the table."""
+        os.fsync(self._file.fileno())
+        return self._file.tell()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()

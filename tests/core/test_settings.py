@@ -1,0 +1,65 @@
+"""Settings are described once, and docstrings have what they say."""
+
+import inspect
+from dataclasses import dataclass
+
+import pytest
+from numpydoc.docscrape import FunctionDoc
+
+import protochain as pc
+from protochain.core.checks import number, text
+from protochain.core.settings import Settings, documented, setting, settings_of
+from protochain.dynamics.simulate_settings import RunSettings, SimulationSettings
+from protochain.minimisers.minimise_settings import CheckpointSettings, MinimiseSettings
+from protochain.searching.search_settings import SearchRunSettings, SearchSettings
+
+
+@dataclass(frozen=True)
+class Heating(Settings):
+    """Settings of a test."""
+
+    kind: str = setting("fast", "fast or slow.", text)
+    heat: float | None = setting(None, "Heat, kJ/mol.", number, float)
+    speed: float = setting(1.0, "In DIR.", number, float, doc="Speed, nm/ps.", type="float, nm/ps")
+
+
+def test_entries_follow_the_signature_and_an_entry_of_the_docstring_itself_stays():
+    @documented(Heating)
+    def heat_up(source, speed=1.0, heat=None, last="", kind="fast"):
+        """Heat up.
+
+        Parameters
+        ----------
+        source, last : str
+            Names.
+
+        Returns
+        -------
+        None
+        """
+
+    read = {
+        tuple(each.name.split(", ")): (each.type, each.desc) for each in FunctionDoc(heat_up)["Parameters"]
+    }
+    assert read == {
+        ("source", "last"): ("str", ["Names."]), ("speed",): ("float, nm/ps", ["Speed, nm/ps."]),
+        ("heat",): ("float, optional", ["Heat, kJ/mol."]), ("kind",): ("str", ["One of fast or slow."]),
+    }  # fmt: skip
+    assert [*read] == [("source", "last"), ("speed",), ("heat",), ("kind",)]
+    assert FunctionDoc(heat_up)["Returns"][0].type == "None"
+
+
+@pytest.mark.parametrize(
+    ("function", "kinds"),
+    [
+        (pc.simulate, (SimulationSettings, RunSettings)),
+        (pc.minimise, (MinimiseSettings, CheckpointSettings)),
+        (pc.search, (SearchSettings, SearchRunSettings)),
+    ],
+)
+def test_functions_describe_every_setting_by_its_own_words(function, kinds):
+    described = {each.name: " ".join(each.desc) for each in FunctionDoc(function)["Parameters"]}
+    assert [*described] == [*inspect.signature(function).parameters]
+    for kind in kinds:
+        for name, each in settings_of(kind):
+            assert described[name].endswith(each.doc or each.help), name
