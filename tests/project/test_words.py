@@ -95,10 +95,15 @@ class Figure(NamedTuple):
         return math.ceil(self.limit_per_thousand * self.size / 1000.0)
 
 
-def names(tree):
+def nodes_of(code):
+    """Nodes of the syntax tree of a module."""
+    return list(ast.walk(ast.parse(code)))
+
+
+def names(nodes):
     """Identifiers that a module defines, and its functions among them."""
     identifiers, functions = [], []
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
             identifiers.append(node.id if isinstance(node, ast.Name) else node.attr)
         elif isinstance(node, ast.arg):
@@ -118,11 +123,11 @@ def is_participle(name):
     return PARTICIPLE.fullmatch(name) is not None and name.strip("_") not in NO_PARTICIPLE
 
 
-def docstrings(tree):
+def docstrings(nodes):
     """Docstrings of a module, of its definitions and of its constants, without examples."""
     texts = [
         node.value.value
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.Expr)
         and isinstance(node.value, ast.Constant)
         and isinstance(node.value.value, str)
@@ -143,8 +148,8 @@ def prose(text):
 def figures_of_names(text, modules):
     """Counts of empty identifiers and of functions named by a participle, of modules by their names."""
     places, sizes = {IDENTIFIERS: [], FUNCTIONS: []}, {IDENTIFIERS: 0, FUNCTIONS: 0}
-    for module, tree in modules.items():
-        identifiers, functions = names(tree)
+    for module, nodes in modules.items():
+        identifiers, functions = names(nodes)
         for kind, candidates, is_counted in (
             (IDENTIFIERS, identifiers, is_empty),
             (FUNCTIONS, functions, is_participle),
@@ -181,15 +186,15 @@ def figures_of_sentences(text, words):
 
 
 @functools.cache
-def trees(room):
-    """Syntax trees of the modules in a room of the package."""
+def modules_of(room):
+    """Nodes of the modules in a room of the package, by the names of the files."""
     paths = sorted((PACKAGE / room).rglob("*.py")) if (PACKAGE / room).is_dir() else [PACKAGE / room]
-    return {str(path.relative_to(ROOT)): ast.parse(path.read_text(encoding="utf8")) for path in paths}
+    return {str(path.relative_to(ROOT)): nodes_of(path.read_text(encoding="utf8")) for path in paths}
 
 
 @functools.cache
 def docstrings_of_room(room):
-    return prose("\n".join(docstrings(tree) for tree in trees(room).values()))
+    return prose("\n".join(docstrings(nodes) for nodes in modules_of(room).values()))
 
 
 @functools.cache
@@ -202,7 +207,7 @@ def figures_of_room(room):
     """Figures of the names in a room and of its docstrings."""
     text, words = f"protochain/{room}", docstrings_of_room(room)
     return (
-        *figures_of_names(text, trees(room)),
+        *figures_of_names(text, modules_of(room)),
         *figures_of_phrases(text, words, of_docstrings=True),
         *figures_of_sentences(text, words),
     )
@@ -325,12 +330,12 @@ def test_figures_of_a_text_with_known_counts():
 
 
 def test_figures_of_code_with_known_counts():
-    tree = ast.parse(CODE)
-    identifiers, functions = figures_of_names("room", {"m.py": tree})
+    nodes = nodes_of(CODE)
+    identifiers, functions = figures_of_names("room", {"m.py": nodes})
     assert sorted(identifiers.places) == ["each in m.py", "known in m.py", "own in m.py", "told in m.py"]
     assert (identifiers.size, functions.size) == (10, 4)
     assert functions.places == ("_marked in m.py",)
-    words = prose(docstrings(tree))
+    words = prose(docstrings(nodes))
     counts = {figure.name: figure.count for figure in figures_of_phrases("room", words, of_docstrings=True)}
     assert {name: count for name, count in counts.items() if count} == {"tell, say": 1, "semicolon": 1}
 
