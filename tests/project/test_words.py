@@ -95,24 +95,29 @@ class Figure(NamedTuple):
         return math.ceil(self.limit_per_thousand * self.size / 1000.0)
 
 
-def nodes_of(code):
-    """Nodes of the syntax tree of a module."""
-    return list(ast.walk(ast.parse(code)))
+class Module(NamedTuple):
+    """Words of a module: identifiers that it defines, its functions among them, its docstrings."""
+
+    identifiers: list[str]
+    functions: list[str]
+    docstrings: str
 
 
-def names(nodes):
-    """Identifiers that a module defines, and its functions among them."""
-    identifiers, functions = [], []
-    for node in nodes:
-        if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Store):
-            identifiers.append(node.id if isinstance(node, ast.Name) else node.attr)
-        elif isinstance(node, ast.arg):
-            identifiers.append(node.arg)
-        elif isinstance(node, ast.FunctionDef | ast.ClassDef):
-            identifiers.append(node.name)
-            if isinstance(node, ast.FunctionDef):
-                functions.append(node.name)
-    return identifiers, functions
+def module_of(code):
+    """Words of the code of a module. Its docstrings are those of constants too, without examples."""
+    identifiers, functions, texts = [], [], []
+    for node in ast.walk(ast.parse(code)):
+        match node:
+            case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
+                identifiers.append(name)
+            case ast.arg(arg=name) | ast.ClassDef(name=name):
+                identifiers.append(name)
+            case ast.FunctionDef(name=name):
+                identifiers.append(name)
+                functions.append(name)
+            case ast.Expr(value=ast.Constant(value=str(text))):
+                texts.append(re.sub(r"(?m)^\s*(>>>|\.\.\.).*$", "", text))
+    return Module(identifiers, functions, "\n".join(texts))
 
 
 def is_empty(name):
@@ -121,18 +126,6 @@ def is_empty(name):
 
 def is_participle(name):
     return PARTICIPLE.fullmatch(name) is not None and name.strip("_") not in NO_PARTICIPLE
-
-
-def docstrings(nodes):
-    """Docstrings of a module, of its definitions and of its constants, without examples."""
-    texts = [
-        node.value.value
-        for node in nodes
-        if isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    ]
-    return "\n".join(re.sub(r"(?m)^\s*(>>>|\.\.\.).*$", "", text) for text in texts)
 
 
 def prose(text):
@@ -146,16 +139,15 @@ def prose(text):
 
 
 def figures_of_names(text, modules):
-    """Counts of empty identifiers and of functions named by a participle, of modules by their names."""
+    """Counts of empty identifiers and of functions named by a participle, of modules by their paths."""
     places, sizes = {IDENTIFIERS: [], FUNCTIONS: []}, {IDENTIFIERS: 0, FUNCTIONS: 0}
-    for module, nodes in modules.items():
-        identifiers, functions = names(nodes)
+    for path, module in modules.items():
         for kind, candidates, is_counted in (
-            (IDENTIFIERS, identifiers, is_empty),
-            (FUNCTIONS, functions, is_participle),
+            (IDENTIFIERS, module.identifiers, is_empty),
+            (FUNCTIONS, module.functions, is_participle),
         ):
             sizes[kind] += len(candidates)
-            places[kind] += [f"{name} in {module}" for name in candidates if is_counted(name)]
+            places[kind] += [f"{name} in {path}" for name in candidates if is_counted(name)]
     return [
         Figure(text, kind, len(places[kind]), LIMIT_OF_NAMES, sizes[kind], tuple(places[kind]))
         for kind in (IDENTIFIERS, FUNCTIONS)
@@ -187,14 +179,14 @@ def figures_of_sentences(text, words):
 
 @functools.cache
 def modules_of(room):
-    """Nodes of the modules in a room of the package, by the names of the files."""
+    """Words of the modules in a room of the package, by their paths."""
     paths = sorted((PACKAGE / room).rglob("*.py")) if (PACKAGE / room).is_dir() else [PACKAGE / room]
-    return {str(path.relative_to(ROOT)): nodes_of(path.read_text(encoding="utf8")) for path in paths}
+    return {str(path.relative_to(ROOT)): module_of(path.read_text(encoding="utf8")) for path in paths}
 
 
 @functools.cache
 def docstrings_of_room(room):
-    return prose("\n".join(docstrings(nodes) for nodes in modules_of(room).values()))
+    return prose("\n".join(module.docstrings for module in modules_of(room).values()))
 
 
 @functools.cache
@@ -330,12 +322,12 @@ def test_figures_of_a_text_with_known_counts():
 
 
 def test_figures_of_code_with_known_counts():
-    nodes = nodes_of(CODE)
-    identifiers, functions = figures_of_names("room", {"m.py": nodes})
+    module = module_of(CODE)
+    identifiers, functions = figures_of_names("room", {"m.py": module})
     assert sorted(identifiers.places) == ["each in m.py", "known in m.py", "own in m.py", "told in m.py"]
     assert (identifiers.size, functions.size) == (10, 4)
     assert functions.places == ("_marked in m.py",)
-    words = prose(docstrings(nodes))
+    words = prose(module.docstrings)
     counts = {figure.name: figure.count for figure in figures_of_phrases("room", words, of_docstrings=True)}
     assert {name: count for name, count in counts.items() if count} == {"tell, say": 1, "semicolon": 1}
 
